@@ -75,9 +75,9 @@ def check_servos(
             findings.append(_unknown(servo, model))
             continue
         _LOG.info("%s: %s with the id %d", servo.name, table.MODELS[model], servo.id)
-        memory, finding = _memory(servo, bus)
-        if memory is None:
-            findings.append(finding)
+        memory = _memory(servo, bus)
+        if isinstance(memory, Finding):
+            findings.append(memory)
             continue
         if memory.get(table.FIRMWARE_VERSION) >= WATCHDOG_FIRMWARE:
             findings += _watchdog(servo, bus)
@@ -107,16 +107,16 @@ def raise_errors(findings: Iterable[Finding]) -> list[Finding]:
     return findings
 
 
-def _memory(servo: ServoConfig, bus: Bus) -> tuple[ServoMemory, None] | tuple[None, Finding]:
+def _memory(servo: ServoConfig, bus: Bus) -> ServoMemory | Finding:
     """Read a servo's registers, or find out why that fails."""
     for _ in range(2):  # on a noisy line all answers of a read may be damaged once, but not twice
         before = bus.damaged_packets
         try:
-            return read_memory(bus, servo.id), None
+            return read_memory(bus, servo.id)
         except HardwareError as error:
             if bus.damaged_packets - before < REQUESTS:
-                return None, _silent(servo, str(error))
-    return None, _equal_ids(servo)
+                return _silent(servo, str(error))
+    return _equal_ids(servo)
 
 
 def _nobody(config: HardwareConfig, bus: Bus, damaged: bool) -> Finding:
