@@ -120,7 +120,11 @@ def _overlapping(answers: Iterable[TimedAnswer]) -> list[TimedAnswer]:
     for answer in answers:
         order.setdefault(answer.id, []).append(answer)
     return [
-        TimedAnswer(id, max(one.return_delay_s for one in same), _anded(one.data for one in same))
+        same[0]
+        if len(same) == 1
+        else TimedAnswer(
+            id, max(one.return_delay_s for one in same), _anded(one.data for one in same)
+        )
         for id, same in order.items()
     ]
 
