@@ -9,7 +9,7 @@ from tests.hardware.desk import desk_config, ready_servos, timeless_bus
 from tests.hardware.fakes import FakeClock
 from tests.hardware.test_config import document
 from vergence.cli import main
-from vergence.errors import HardwareError, UnreadableFileError
+from vergence.errors import HardwareError, UnreadableFileError, VergenceWarning
 from vergence.hardware.config import load_hardware
 from vergence.hardware.config_edit import write_servos
 from vergence.hardware.dynamixel import control_table as table
@@ -134,6 +134,22 @@ def test_a_watchdog_that_has_tripped_before_hinders_nothing(desk):
     desk.servos[0].set(table.BUS_WATCHDOG, 5)
     desk.clock.sleep(10.0)
     assert desk.jog.step("left_pan", 0.05) > 0.0
+
+
+def test_a_profile_that_would_slow_a_step_is_set_and_told_of(desk):
+    desk.servos[0].set(table.PROFILE_ACCELERATION, 1)
+    with pytest.warns(VergenceWarning, match="left_pan: expected 0 in PROFILE_ACCELERATION, got 1"):
+        desk.jog.step("left_pan", 0.05)
+    assert desk.servos[0].get(table.PROFILE_ACCELERATION) == 0
+
+
+def test_a_watchdog_that_needs_a_torque_cycle_gets_one(desk):
+    servo = desk.servos[0]
+    servo.trip_needs_torque_cycle = True
+    servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
+    servo.set(table.TORQUE_ENABLE, 1)
+    servo._trip()
+    assert desk.jog.step("left_pan", 0.05) == pytest.approx(0.05, rel=0.1)
 
 
 def test_a_flip_takes_the_other_direction(desk):

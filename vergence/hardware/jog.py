@@ -6,6 +6,7 @@ beyond a turn. For the same reason a step does not stop at the joint's limits.
 """
 
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -13,12 +14,18 @@ from typing import Final
 
 import numpy as np
 
-from vergence.errors import HardwareError
+from vergence.errors import HardwareError, VergenceWarning
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.resting import broadcast_zero_speed, stop_and_disable_watchdog
+from vergence.hardware.dynamixel.repeated import read_register, write_register
+from vergence.hardware.resting import (
+    broadcast_zero_speed,
+    disable_watchdog,
+    stop_and_disable_watchdog,
+)
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
+from vergence.hardware.servo_settings import ServoSettings
 
 MOST_STEP_RAD: Final = 0.5
 """Largest step, rad: a person who watches the joint can still stop it in time (chosen)."""
@@ -62,6 +69,7 @@ class Jogger:
         self.servos = {servo.name: servo for servo in config.servos}
         self._config, self._bus = config, bus
         self._clock, self._sleep = clock, sleep
+        bus.names = {servo.id: servo.name for servo in config.servos}
 
     def ticks(self, name: str) -> int:
         """A servo's present position, ticks.
@@ -69,7 +77,7 @@ class Jogger:
         Raises:
             HardwareError: it does not answer; the other methods raise it too.
         """
-        return self._bus.read(self.servos[name].id, table.PRESENT_POSITION)
+        return read_register(self._bus, self.servos[name].id, table.PRESENT_POSITION)
 
     def angle(self, name: str) -> float:
         """A joint's angle with the sign and the zero found so far, rad."""
@@ -111,26 +119,31 @@ class Jogger:
 
     def torque_off(self, name: str) -> None:
         """Switch a servo's torque off."""
-        self._bus.write(self.servos[name].id, table.TORQUE_ENABLE, 0)
+        write_register(self._bus, self.servos[name].id, table.TORQUE_ENABLE, 0)
 
     def _arm(self, servo: ServoConfig) -> None:
         """Set velocity mode, switch torque on at rest, and arm the watchdog."""
         bus, ident = self._bus, servo.id
-        torque = bus.read(ident, table.TORQUE_ENABLE)
-        if bus.read(ident, table.OPERATING_MODE) != table.VELOCITY_MODE:
+        torque = read_register(bus, ident, table.TORQUE_ENABLE)
+        if read_register(bus, ident, table.OPERATING_MODE) != table.VELOCITY_MODE:
             if torque:
                 raise HardwareError(
                     f"servos: {servo.name}: expected velocity mode or no torque, got torque in "
                     "another mode: hold the head, and switch its power off and on"
                 )
-            bus.write(ident, table.OPERATING_MODE, table.VELOCITY_MODE)
+            write_register(bus, ident, table.OPERATING_MODE, table.VELOCITY_MODE)
         broadcast_zero_speed(bus, [servo.id])
-        bus.write(ident, table.BUS_WATCHDOG, 0)
-        bus.write(ident, table.GOAL_VELOCITY, 0)
+        disable_watchdog(bus, ident)
+        settings = ServoSettings(bus)
+        settings.set_motion(servo)
+        for finding in settings.findings:
+            warnings.warn(str(finding), VergenceWarning, stacklevel=3)
         if not torque:
-            bus.write(ident, table.TORQUE_ENABLE, 1)
+            write_register(bus, ident, table.TORQUE_ENABLE, 1)
+            # a lock of the goals that a tripped watchdog has left ends with the torque
+            write_register(bus, ident, table.GOAL_VELOCITY, 0)
         steps = max(1, round(self._config.bus.watchdog_s / table.WATCHDOG_S))
-        bus.write(ident, table.BUS_WATCHDOG, steps)
+        write_register(bus, ident, table.BUS_WATCHDOG, steps)
 
     def _rest(self, servo: ServoConfig) -> None:
         """Stop the servo, with the watchdog off, as it would trip before the next step."""

@@ -3,9 +3,10 @@
 from collections.abc import Iterable
 from typing import Final
 
-from vergence.errors import HardwareError
+from vergence.errors import ServoRefusalError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel.repeated import read_register, write_register
 
 _REPEATS: Final = 3
 """Number of times that zero velocity is sent, as servos do not confirm a broadcast (chosen)."""
@@ -25,16 +26,35 @@ def broadcast_zero_speed(bus: Bus, ids: Iterable[int]) -> None:
 def stop_and_disable_watchdog(bus: Bus, id: int) -> None:
     """Bring a servo to rest and switch its watchdog off.
 
-    The watchdog stays on if the servo does not confirm zero velocity. The torque is not changed.
+    The watchdog stays on if the servo does not confirm zero velocity. The torque is not changed,
+    but for `disable_watchdog`.
 
     Raises:
         HardwareError: the servo does not confirm that it is at rest.
     """
     try:
-        bus.write(id, table.GOAL_VELOCITY, 0)
-    except HardwareError:
+        write_register(bus, id, table.GOAL_VELOCITY, 0)
+    except ServoRefusalError:
         # a servo whose watchdog has tripped accepts no goal until its watchdog is off
-        if bus.read(id, table.BUS_WATCHDOG) != table.WATCHDOG_TRIPPED:
-            bus.write(id, table.GOAL_VELOCITY, 0)
-    bus.write(id, table.BUS_WATCHDOG, 0)
-    bus.write(id, table.GOAL_VELOCITY, 0)
+        if read_register(bus, id, table.BUS_WATCHDOG) not in (0, table.WATCHDOG_TRIPPED):
+            raise
+    disable_watchdog(bus, id)
+
+
+def disable_watchdog(bus: Bus, id: int) -> None:
+    """Switch a servo's watchdog off, and set its goal to zero velocity.
+
+    Some firmware locks the goals of a servo whose watchdog has tripped until its torque has been
+    off: then it is switched off and on, once. If it is off, the lock stays until it is switched on.
+
+    Raises:
+        HardwareError: the servo does not confirm it.
+    """
+    write_register(bus, id, table.BUS_WATCHDOG, 0)
+    try:
+        write_register(bus, id, table.GOAL_VELOCITY, 0)
+    except ServoRefusalError:
+        if read_register(bus, id, table.TORQUE_ENABLE):
+            write_register(bus, id, table.TORQUE_ENABLE, 0)
+            write_register(bus, id, table.TORQUE_ENABLE, 1)
+            write_register(bus, id, table.GOAL_VELOCITY, 0)

@@ -4,6 +4,7 @@ import numpy as np
 
 from vergence.hardware.config import ServoConfig
 from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.repeated import read_register
 from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
 
@@ -15,7 +16,7 @@ class ReadOnlyServos(HeadServos):
         pass
 
     def _set_up(self, servo: ServoConfig) -> None:
-        self.angles.limit_ticks[servo.id] = self._bus.read(servo.id, table.VELOCITY_LIMIT)
+        self.angles.limit_ticks[servo.id] = read_register(self._bus, servo.id, table.VELOCITY_LIMIT)
 
     def switch_on(self) -> None:
         """Leave the torque as it is."""
