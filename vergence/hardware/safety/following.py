@@ -7,10 +7,10 @@ whatever its lag. For commands that turn to and fro this alone would accept a jo
 move. So the range of a joint's motion also has to be a tenth of the range of C, at most D later.
 
 These tests accept any lag, and take most of a second. A joint whose encoder is blind or whose motor
-is inverted runs far in that time, so two quick tests find what no sluggish joint does: an angle that
-stays the same, to a few steps of the encoder, while the commands themselves and the head's model,
-undelayed and up to `_LATE_S` late, all demand motion to one side; and a speed that grows although
-no command of the last 0.15 s asks for it.
+is inverted runs far in that time, so two quick tests find what no sluggish joint does: an angle
+that stays the same, to a few steps of the encoder, while the commands themselves and the head's
+model, undelayed and up to `_LATE_S` late, all demand motion to one side; and a speed that grows
+although no command of the last 0.15 s asks for it.
 """
 
 from collections import deque
