@@ -1,12 +1,16 @@
 """The servos of a head on their line: opening, checks, torque, reading, commands, stopping."""
 
 import logging
+import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import Final
 
+import numpy as np
+
+from vergence.envs.reading import BoolArray
 from vergence.errors import HardwareError, VergenceWarning
 from vergence.hardware.checks.line import LATE_ANSWERS_CURE, open_bus
 from vergence.hardware.checks.servos import check_servos, raise_errors
@@ -19,6 +23,7 @@ from vergence.hardware.health import HealthLevel, HealthWatch, read_health, read
 from vergence.hardware.resting import (
     broadcast_zero_speed,
     disable_watchdog,
+    settle,
     stop_and_disable_watchdog,
 )
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
@@ -38,6 +43,10 @@ _PAUSE_FRACTION: Final = 0.5
 packet feeds it, so it need not be read in every period (chosen)."""
 
 
+_ENCODER_FAULT: Final = 1 << 3
+"""Bit of HARDWARE_ERROR_STATUS: the motor's encoder fails (physical: X series)."""
+
+
 class HeadServos:
     """The servos of one head in velocity mode.
 
@@ -48,6 +57,7 @@ class HeadServos:
     Attributes:
         angles: the servos' angles, and the conversion of velocities to ticks.
         findings: warnings of the checks, and of the registers that were changed.
+        released: (7,) True for joints whose torque has been switched off.
 
     Raises:
         HardwareError: the line cannot be opened.
@@ -59,6 +69,7 @@ class HeadServos:
         self._config = config
         self._clock = clock
         self._torque = False
+        self.released = np.zeros(7, dtype=np.bool_)
         self._senses = 0
         said = "answers missed: %d, the last one of %s"
         self._unanswered = CountLog(_LOG, logging.WARNING, said, clock)
@@ -192,6 +203,8 @@ class HeadServos:
                 errors = 0
                 with suppress(HardwareError):
                     errors = self._bus.read(servo.id, table.HARDWARE_ERROR_STATUS)
+                if errors & _ENCODER_FAULT:  # its motor turns on at any goal
+                    self.release_torque(np.arange(7) == servo.slot)
                 raise HardwareError(
                     f"servos: {servo.name}: expected a servo without a fault, got "
                     f"{describe_fault_bits(errors) or 'one that it does not tell'}: it may have "
@@ -206,7 +219,7 @@ class HeadServos:
         register = table.TORQUE_ENABLE
         found = self._bus.sync_read(self.angles.ids, register.address, register.length)
         for servo in self._config.servos:
-            if found.get(servo.id) == b"\0":
+            if found.get(servo.id) == b"\0" and not self.released[servo.slot]:
                 raise HardwareError(
                     f"servos: {servo.name}: expected the servo with the id {servo.id} to hold its "
                     "torque, got one that has let go, as after a reboot or a loss of power; cure: "
@@ -246,11 +259,48 @@ class HeadServos:
             raise HardwareError(stop)
         return said
 
+    def release_torque(self, joints: BoolArray) -> None:
+        """Switch the torque of some joints, (7,) True, off, as far as the line allows."""
+        for servo in self._config.servos:
+            if joints[servo.slot] and not self.released[servo.slot]:
+                with suppress(HardwareError):
+                    write_register(self._bus, servo.id, table.TORQUE_ENABLE, 0)
+                    self.released[servo.slot] = True
+                    _LOG.warning("%s: torque off", servo.name)
+
     def release_torque_if_hot(self) -> None:
         """Switch the torque of hot servos off, as holding still heats them too."""
-        for ident in self._hot:
-            with suppress(HardwareError):
-                self._bus.write(ident, table.TORQUE_ENABLE, 0)
+        hot = {servo.slot for servo in self._config.servos if servo.id in self._hot}
+        self.release_torque(np.isin(np.arange(7), list(hot)))
+
+    def settle(self, sleep: Callable[[float], None]) -> BoolArray:
+        """Read that the joints come to rest at zero velocity; see `vergence.hardware.resting`.
+
+        Args:
+            sleep: waits for some seconds.
+
+        Returns:
+            (7,) True for joints that did not, and have lost their torque.
+
+        Raises:
+            HardwareError: the line is gone.
+        """
+        return settle(self._read_angles, self.release_torque, self._clock, sleep)
+
+    def _read_angles(self) -> FloatArray:
+        """(7,) angles of joints with torque and an answer, rad; nan for the others."""
+        address, length = MOTION_SPAN
+        self._senses += 1
+        found = self._bus.sync_read(self.angles.ids, address, length + self._senses % 2)
+        self._fed()
+        accepted = self.angles.update(
+            {ident: data[:length] for ident, data in found.items()}, self._clock()
+        )
+        angles = np.full(7, np.nan)
+        for servo in self._config.servos:
+            if servo.id in accepted and not self.released[servo.slot]:
+                angles[servo.slot] = self.angles.angles[servo.slot]
+        return angles
 
     def send(self, velocity: FloatArray) -> FloatArray:
         """Send velocities to the servos; return the quantised ones; both (7,) rad/s."""
@@ -265,10 +315,14 @@ class HeadServos:
         self._pause_s = max(self._pause_s, now - self._fed_s)
         self._fed_s = now
 
+    @property
+    def pause_s(self) -> float:
+        """Longest pause between packets since the last call of `watchdog_trip_pause_s`, s."""
+        return max(self._pause_s, self._clock() - self._fed_s)
+
     def watchdog_trip_pause_s(self) -> float:
         """Longest pause between packets since the last call if a watchdog tripped, else 0, s."""
-        pause_s = max(self._pause_s, self._clock() - self._fed_s)
-        self._pause_s = 0.0
+        pause_s, self._pause_s = self.pause_s, 0.0
         if pause_s < _PAUSE_FRACTION * self._config.bus.watchdog_s:
             return 0.0
         state = [
@@ -282,10 +336,18 @@ class HeadServos:
         """Release the line, and leave the servos as they are."""
         self._bus.close()
 
-    def close(self) -> None:
-        """Stop the servos as far as the line still allows, and release it."""
+    def close(self, sleep: Callable[[float], None] = time.sleep) -> None:
+        """Stop the servos as far as the line still allows, and release it.
+
+        Joints that do not come to rest, as `settle` reads, lose their torque.
+
+        Args:
+            sleep: waits for some seconds.
+        """
         with suppress(HardwareError):
             self._stand_still()
+            if self._torque:
+                self.settle(sleep)
         for ident in self.angles.ids:
             with suppress(HardwareError):
                 stop_and_disable_watchdog(self._bus, ident)

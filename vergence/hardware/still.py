@@ -1,7 +1,11 @@
 """Servos that are only read: nothing is written to them, and nothing moves."""
 
+import time
+from collections.abc import Callable
+
 import numpy as np
 
+from vergence.envs.reading import BoolArray
 from vergence.hardware.config import ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.repeated import read_register
@@ -29,9 +33,9 @@ class ReadOnlyServos(HeadServos):
         """Return 0, as no watchdog is armed."""
         return 0.0
 
-    def release_torque_if_hot(self) -> None:
+    def release_torque(self, joints: BoolArray) -> None:
         """Leave the torque as it is."""
 
-    def close(self) -> None:
+    def close(self, sleep: Callable[[float], None] = time.sleep) -> None:
         """Release the line."""
         self._bus.close()

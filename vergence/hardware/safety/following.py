@@ -59,10 +59,10 @@ _WINDOWS: Final = (_Window(0.5, 0.0, 0.1), _Window(4.0, 0.03, 0.2))
 
 _LATE_S: Final = (0.0, 0.035, 0.07)
 """Delays of a joint beyond its model that the quick test accepts, s (chosen)."""
-_STILL_WINDOWS: Final = ((0.035, 0.12), (0.06, 0.06), (0.5, 0.08))
+_STILL_WINDOWS: Final = ((0.035, 0.12), (0.06, 0.06), (0.2, 0.05), (0.5, 0.05))
 """Windows of the quick test for a still angle: length, s, and the least demanded motion, rad
-(chosen: they find it from 3.4, 1 and 0.16 rad/s on; the last one is longer than the integral of a
-servo's loop needs to overcome the friction of its gears)."""
+(chosen: they find it from 3.4, 1, 0.25 and 0.1 rad/s on; with `_LATE_S` the last demands are more
+than the integral of a servo's loop needs to overcome 8 % of friction)."""
 _STILL_RAD: Final = 0.004
 """Range of an angle that counts as still, rad: two steps of an encoder of 4,096 (chosen)."""
 _RUNAWAY_WINDOW_S: Final = 0.035
@@ -140,7 +140,7 @@ class FollowingMonitor:
         quick = self._quick.update(now_s, self._sum, self._expected, angles, command)
         off = np.maximum(off, np.where(fresh, quick, -np.inf))
         self.proved_joints |= (went > _PROVED_RAD) & (off <= 0.0)
-        return off
+        return np.asarray(off)
 
 
 class _QuickTests:
@@ -148,7 +148,8 @@ class _QuickTests:
 
     def __init__(self, period_s: float) -> None:
         self._kept_s = _STILL_WINDOWS[-1][0] + _LATE_S[-1] + period_s
-        self._rows: deque[tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]] = deque()
+        self._rows: deque[FloatArray] = deque()  # time, and four times seven values
+        self._begun_s = np.nan
 
     def update(
         self,
@@ -160,30 +161,28 @@ class _QuickTests:
     ) -> FloatArray:
         """See `FollowingMonitor.update`; `total` and `expected` are integrals, (7,) rad."""
         rows = self._rows
-        rows.append((now_s, total, expected, angles.copy(), command))
-        while len(rows) > 1 and rows[1][0] <= now_s - self._kept_s:
+        if not rows:  # nothing was demanded before
+            before_s = now_s - self._kept_s - _STILL_WINDOWS[-1][0]
+            rows.append(np.concatenate(((before_s,), total, expected, angles, 0.0 * command)))
+            self._begun_s = now_s
+        rows.append(np.concatenate(((now_s,), total, expected, angles, command)))
+        while rows[1][0] <= now_s - self._kept_s:
             rows.popleft()
-        if len(rows) < 2:
-            return np.full(7, -np.inf)
-        times, totals, models, turned, commands = (
-            np.array(column) for column in zip(*rows, strict=True)
-        )
         off = np.full(7, -np.inf)
-        late = now_s - np.array(_LATE_S)
-        for length_s, least_rad in _STILL_WINDOWS:
-            begin_s = np.array([now_s - length_s])
-            if times[0] > begin_s:
-                break
-            demands = np.vstack(
-                [
-                    _at(times, models, late) - _at(times, models, late - length_s),
-                    total - _at(times, totals, begin_s),
-                ]
-            )
+        table = np.array(rows)
+        times, turned = table[:, 0], table[:, 15:22]
+        late, lengths = np.array(_LATE_S), np.array([length_s for length_s, _ in _STILL_WINDOWS])
+        begins = now_s - np.add.outer(np.append(0.0, lengths), late)
+        values = _at(times, table[:, 1:15], begins.ravel()).reshape(*begins.shape, 14)
+        for place, (length_s, least_rad) in enumerate(_STILL_WINDOWS, 1):
+            models = values[0, :, 7:] - values[place, :, 7:]
+            demands = np.vstack([models, total - values[place, 0, :7]])
             demanded = np.maximum(demands.min(axis=0), -demands.max(axis=0))
-            still = np.ptp(turned[times >= begin_s], axis=0) < _STILL_RAD
+            still = np.ptp(turned[times >= now_s - length_s], axis=0) < _STILL_RAD
             off = np.where(still, np.maximum(off, demanded - least_rad), off)
-        return np.asarray(np.maximum(off, runaway(now_s, times, turned, commands)))
+        read = times >= self._begun_s
+        grows = runaway(now_s, times[read], turned[read], table[read, 22:])
+        return np.asarray(np.maximum(off, grows))
 
 
 def runaway(
@@ -201,7 +200,7 @@ def runaway(
         (n,) motion, rad; 0 or less for joints without.
     """
     ends = now_s - _RUNAWAY_WINDOW_S * np.array([0.0, 1.0, 2.0])
-    if times[0] > ends[-1]:
+    if len(times) < 2 or times[0] > ends[-1]:
         return np.full(turned.shape[1], -np.inf)
     moved, before = -np.diff(_at(times, turned, ends), axis=0)
     side = np.sign(moved)
@@ -211,7 +210,7 @@ def runaway(
     asked = _RUNAWAY_SPARE[0] * to_side + _RUNAWAY_SPARE[1] * either
     grows = side * (moved - before) > _STILL_RAD
     beyond = np.abs(moved) - _RUNAWAY_RAD - _RUNAWAY_WINDOW_S * asked
-    return np.where(grows, beyond, -np.inf)
+    return np.asarray(np.where(grows, beyond, -np.inf))
 
 
 class _Comparison:
