@@ -31,6 +31,8 @@ class MeasureDelay:
     """Eyes to measure the loop of."""
     actuator: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="NAME")] = None
     """Actuator to turn; by default the one that moves an eye's image most."""
+    view_check: bool = True
+    """Compare the images with the configuration first, while each joint turns by 0.1 rad."""
     write: bool = True
     """Write the results into the file: the cameras' latency_s and the table [loop]."""
     json: bool = False
@@ -56,7 +58,9 @@ class MeasureDelay:
         interrupts.raise_on_termination()
         try:
             with progress_bar("measure") as report:
-                measurement = measure_loop(hardware, eyes, report, self.actuator)
+                measurement = measure_loop(
+                    hardware, eyes, report, self.actuator, view_check=self.view_check
+                )
         except HardwareError:
             print_to_stderr(f"{self.hardware} stays as it was")
             raise

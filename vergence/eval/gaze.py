@@ -285,7 +285,7 @@ def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]
     hardware = load_hardware(config.hardware)
     head = hardware.head if config.head is None else load_head(config.head)
     config = dataclasses.replace(config, head=config.head or hardware.head.name)
-    return config, head, {"config": hardware}
+    return config, head, {"config": hardware, "view_check": config.view_check}
 
 
 def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> str:

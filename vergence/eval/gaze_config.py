@@ -31,6 +31,9 @@ class GazeConfig:
         str | None, tyro.conf.arg(name="config", help_behavior_hint="", metavar="PATH")
     ] = None
     """TOML file that describes the robot of --plant hardware (see docs/robot.md)."""
+    view_check: bool = True
+    """On a robot, compare the images with the configuration first, while each joint turns by 0.1
+    rad with the target in view; without it, a head is moved that may be wired wrongly."""
     seed: int = 0
     """Seed of all noise."""
     duration_s: Annotated[float, tyro.conf.arg(name="duration")] = 2.0

@@ -60,6 +60,9 @@ class DriveThread(threading.Thread):
         log: receives the readings and all commands; None for no log.
         clock: a monotonic clock, s.
         sleep: waits for some seconds.
+
+    Attributes:
+        last_sent: (7,) velocities that were sent last, rad/s.
     """
 
     def __init__(
@@ -85,7 +88,7 @@ class DriveThread(threading.Thread):
         self._closed = threading.Event()
         self._pid = os.getpid()
         self._late = CountLog(_LOG, logging.INFO, "wishes late, the last command kept: %d", clock)
-        self._last_sent = np.zeros(7)
+        self.last_sent = np.zeros(7)
         self._requested_s = self._sent_s = self._repeated_s = -np.inf
 
     @property
@@ -166,7 +169,7 @@ class DriveThread(threading.Thread):
             asked = CommandOrigin.ROBOT if trial is None else CommandOrigin.POLICY
             verdict = self._supervisor.verdict.value
             self._log.command(LoggedCommand(self._clock(), requested, sent, verdict, asked.value))
-        self._last_sent = sent  # repeated if the next command is late
+        self.last_sent = sent  # repeated if the next command is late
         self._sent_s = self._clock()
         self._supervisor.on_sent(sent)
         self._rests = self._rests and not sent.any()
@@ -266,7 +269,7 @@ class DriveThread(threading.Thread):
             late = now - self._requested_s > _REPEAT_PERIODS * self._period_s
             try:
                 self.sense()
-                self._send(np.zeros(7) if late else self._last_sent)
+                self._send(np.zeros(7) if late else self.last_sent)
             except Exception as error:  # a thread that ended could not brake
                 self._supervisor.stop(str(error))
                 with suppress(HardwareError):

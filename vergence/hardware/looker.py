@@ -61,7 +61,7 @@ class RobotLooker:
         self._lower = np.array([servo.lower_rad for servo in own])
         self._upper = np.array([servo.upper_rad for servo in own])
         self._heard = _Heard()
-        self._plant = HardwarePlant(self.head, config=hardware, log=self._heard)
+        self._plant = HardwarePlant(self.head, config=hardware, log=self._heard, view_check=False)
         self._plant.prepare()
 
     def look(self, q: FloatArray) -> BoardView:

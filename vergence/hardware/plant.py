@@ -20,6 +20,7 @@ from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.board import POINT, Board
+from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ChecksFailedError, ConfigurationError, HardwareError, VergenceWarning
 from vergence.hardware.checks.cameras import check_local_cameras
 from vergence.hardware.checks.servos import raise_errors
@@ -37,7 +38,7 @@ from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.eyes import HeadEyes
 from vergence.hardware.history import JointHistory
 from vergence.hardware.opened import OpenedHead
-from vergence.hardware.pairing import SearchedPair
+from vergence.hardware.pairing import SearchedImage, SearchedPair
 from vergence.hardware.safety.goals import target_eye_angles
 from vergence.hardware.safety.motion import HOLD_PERIODS
 from vergence.hardware.safety.supervisor import Supervisor
@@ -45,6 +46,7 @@ from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servos import HeadServos
 from vergence.hardware.start import drive_to_start
 from vergence.hardware.still import ReadOnlyServos
+from vergence.hardware.view_check import range_by_size, turn_each_joint
 from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -53,6 +55,12 @@ from vergence.recording.listener import RobotListener
 _LOG: Final = logging.getLogger(__name__)
 _FIRST_IMAGES_S: Final = 1.0
 """Longest wait for an image of the head at rest before a trial, s (chosen)."""
+
+
+_LOOKS: Final = 2
+"""Images of each eye that are taken between two turns of the view check (chosen)."""
+_AHEAD_M: Final = 1.0
+"""Distance at which an emulated head's target stands for the view check, m (chosen)."""
 
 
 class HardwarePlant(Plant):
@@ -67,6 +75,8 @@ class HardwarePlant(Plant):
             `vergence.hardware.config`.
         log: receives all events; None for no log.
         moves: True if the servos move; if False they are only read, never written to.
+        view_check: True to compare, before the first trial, what the images do while each joint
+            turns with what the configuration says; the target has to be in view then.
         appears: True if the target appears at a trial's start, as a simulated one does: images
             exposed before it are ignored.
         clock: a monotonic clock, s.
@@ -94,6 +104,7 @@ class HardwarePlant(Plant):
         log: RobotListener | None = None,
         moves: bool = True,
         appears: bool = False,
+        view_check: bool = True,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -105,6 +116,9 @@ class HardwarePlant(Plant):
         self.places_targets = self.config.places_targets
         self.overruns = 0
         self._log, self._moves, self._appears = log, moves, appears
+        self._view_unchecked = view_check and moves and self.config.safety.view_check
+        self._shown: FloatArray | None = None
+        self._target = self.config.target
         self._clock, self._sleep = clock, sleep
         self._period_s = head.timing.period_s
         self._reading = Reading.empty(1)
@@ -212,12 +226,14 @@ class HardwarePlant(Plant):
             VergenceError: see `prepare`.
         """
         self.prepare()
+        self._target = target
         self._open.eyes.look_for(target)
 
     def show(self, ids: IntArray, motions: FloatArray) -> None:
         """Place the target before an emulated head, see `Plant.show`."""
         self.prepare()
         if self._open.world is not None:
+            self._shown = motions[0]
             self._open.world.place_target(motions[0])
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
@@ -236,6 +252,9 @@ class HardwarePlant(Plant):
                 servos.switch_on()
                 angles = servos.angles
             rested_s = self._come_to_start(positions[0], angles) if self._moves else self._clock()
+            if self._view_unchecked:
+                self._check_view(positions[0], angles)
+                rested_s = self._come_to_start(positions[0], angles)
         except HardwareError as error:
             self.rest(str(error))
             raise
@@ -384,6 +403,52 @@ class HardwarePlant(Plant):
         way_s = rested_s - begun_s
         _LOG.info("neck and actuators driven to %s rad in %.1f s", goal.round(3).tolist(), way_s)
         return rested_s
+
+    def _check_view(self, positions: FloatArray, angles: ServoAngles) -> None:
+        """Refuse a configuration that the images contradict, see `vergence.hardware.view_check`."""
+        world, shown = self._open.world, self._shown
+        if world is not None and shown is not None:
+            ahead = self._ahead(positions)[np.newaxis]
+            world.place_target(motion_rows(ahead, before=ahead)[0])
+        check = turn_each_joint(
+            self.config, angles, self._move, lambda: self._drive.last_sent, self._look
+        )
+        findings = check.findings(self._target, self._open.eyes.frames())
+        if world is not None and shown is not None:
+            world.place_target(shown)
+        for finding in raise_errors(findings):
+            _warn(str(finding))
+        self._view_unchecked = False
+        _LOG.info("images move as the configuration says")
+
+    def _look(self, rested_s: float) -> tuple[FloatArray, FloatArray]:
+        """(2, 2) pixels and (2,) distances of the target by eye from images after a time, s."""
+        seen: tuple[list[SearchedImage], ...] = ([], [])
+        until_s = self._clock() + _FIRST_IMAGES_S
+        while self._clock() < until_s and min(map(len, seen)) < _LOOKS:
+            self._move(np.zeros(7))
+            for eye, image in enumerate(self._open.eyes.newest() or ()):
+                if image is not None and image.exposed_s > rested_s:
+                    seen[eye].append(image)
+        pixels = [[one.pixel for one in own if np.isfinite(one.pixel).all()] for own in seen]
+        ranges = [
+            [
+                range_by_size(self.head, eye, one.detection)
+                for one in own
+                if one.detection is not None
+            ]
+            for eye, own in enumerate(seen)
+        ]
+        return (
+            np.array([np.median(own, axis=0) if own else np.full(2, np.nan) for own in pixels]),
+            np.array([np.median(own) if own else np.nan for own in ranges]),
+        )
+
+    def _ahead(self, positions: FloatArray) -> FloatArray:
+        """(3,) point straight ahead of both eyes in N, m."""
+        T_N_C = self.head.camera_poses(positions)
+        axis = T_N_C[:, :3, 2].mean(axis=0)
+        return np.asarray(T_N_C[:, :3, 3].mean(axis=0) + _AHEAD_M * axis / np.linalg.norm(axis))
 
     def _move(self, requested: FloatArray) -> float:
         """Send requested velocities for one period outside a trial; return the time after it, s."""

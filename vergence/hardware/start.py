@@ -28,9 +28,9 @@ _TIMEOUT_S: Final = 10.0
 """Longest time of the drive, s; that at the slowest joint's speed is added (chosen)."""
 _BLOCKED_S: Final = 2.0
 """Time at rest away from the goal after which the joint is blocked, s (chosen)."""
-_PROOF_RAD: Final = 0.1
+PROOF_RAD: Final = 0.1
 """Motion that tests whether a joint follows, rad: twice what proves it (chosen)."""
-_PROOF_TIMEOUT_S: Final = 3.0
+PROOF_TIMEOUT_S: Final = 3.0
 """Longest time of each half of that motion, s (chosen)."""
 
 
@@ -148,8 +148,8 @@ def nudge_unproved_joints(
     """
     send_velocities(np.zeros(7))
     middle = 0.5 * (angles.lower + angles.upper)
-    way = np.where(angles.angles <= middle, _PROOF_RAD, -_PROOF_RAD) * unproved
+    way = np.where(angles.angles <= middle, PROOF_RAD, -PROOF_RAD) * unproved
     begin = angles.angles.copy()
     for goal in (begin + way, begin):
         with suppress(GoalNotReachedError):  # for example if a forbidden posture is in the way
-            drive_to(goal, servos, angles, send_velocities, _PROOF_TIMEOUT_S)
+            drive_to(goal, servos, angles, send_velocities, PROOF_TIMEOUT_S)

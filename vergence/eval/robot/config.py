@@ -27,6 +27,9 @@ class DeployConfig:
     """Seed of the target positions before an emulated head."""
     dry_run: bool = False
     """Query servos, cameras and the policy, print the commands, and move nothing."""
+    view_check: bool = True
+    """Compare the images with the configuration before the first gaze, while each joint turns by
+    0.1 rad with the target in view; without it, a head is moved that may be wired wrongly."""
     images: bool = False
     """Keep the eyes' images in the log, as JPEGs."""
 

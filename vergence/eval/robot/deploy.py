@@ -122,7 +122,12 @@ def _gaze(
     target: Mapping[str, Any] = REST_TARGET
     if hardware.places_targets:
         target = {"kind": "random", "start": "rest"}
-    options = {"config": hardware, "log": writer, "moves": not config.dry_run}
+    options = {
+        "config": hardware,
+        "log": writer,
+        "moves": not config.dry_run,
+        "view_check": config.view_check,
+    }
     task = GazeTask(1, head=hardware.head, plant="hardware", target=target, plant_options=options)
     # the last pixel error is known only once its image has arrived
     steps = (gazes.steps or 0) + hardware.head.timing.latency_frames

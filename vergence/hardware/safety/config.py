@@ -9,6 +9,7 @@ Each key may be left out; without its own bounds a joint has those of the head f
     lost_s = 0.5                    # hold after this time without the target
     search = true                   # then search for it slowly
     overruns = 0.3                  # stop if a greater fraction of 2 s is missed
+    view_check = true               # before the first gaze, see `vergence.hardware.view_check`
 
     [[safety.forbidden]]            # an eye that would touch the head
     name = "left eye at the frame"
@@ -89,6 +90,8 @@ class SafetyConfig:
     """True if the head, after `lost_s`, searches slowly for its target instead of holding still."""
     overruns: float = 0.3
     """Greatest fraction of missed control periods in the last 2 s."""
+    view_check: bool = True
+    """True to compare what the images do with the configuration before the first gaze."""
     forbidden: tuple[ForbiddenPosture, ...] = ()
     """Forbidden postures; commands that lead into one are limited."""
 
@@ -115,11 +118,12 @@ def parse_safety(table: Table, slots: Mapping[str, int]) -> SafetyConfig:
         if table.has(name)
     }
     search = table.boolean("search")
+    view_check = not table.has("view_check") or table.boolean("view_check")
     forbidden: tuple[ForbiddenPosture, ...] = ()
     if table.has("forbidden"):
         forbidden = tuple(_forbidden(one, slots) for one in table.tables("forbidden"))
     table.close()
-    return SafetyConfig(search=search, forbidden=forbidden, **values)
+    return SafetyConfig(search=search, view_check=view_check, forbidden=forbidden, **values)
 
 
 def _forbidden(table: Table, slots: Mapping[str, int]) -> ForbiddenPosture:

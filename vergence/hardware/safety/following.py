@@ -142,6 +142,15 @@ class FollowingMonitor:
         self.proved_joints |= (went > _PROVED_RAD) & (off <= 0.0)
         return np.asarray(off)
 
+    def describe(self, slot: int) -> str:
+        """What a joint that does not follow does, and its likeliest causes."""
+        wanted, moved = (float(values[slot]) for values in self._comparisons[0].last)
+        if abs(moved) < max(2.0 * _STILL_RAD, 0.1 * abs(wanted)):
+            return "stands still: it is stuck, or its encoder is blind or misread"
+        if moved * wanted > 0.0 or abs(wanted) < _STILL_RAD:
+            return "turns otherwise than it is told: its load, or the unit of its speeds"
+        return "turns the wrong way: its motor is inverted, or the sign of its speeds"
+
 
 class _QuickTests:
     """Quick tests for an angle that stays the same, and for a speed that nothing asks for."""

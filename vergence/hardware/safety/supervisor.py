@@ -253,8 +253,8 @@ class Supervisor:
         for name, slot in self._names.items():
             if off[slot] > 0.0:
                 self.stop(
-                    f"servos: {name}: expected the joint to follow its commands, got one that is "
-                    "stuck, turns the wrong way, or is misread; cure: see with `vergence jog` "
+                    f"servos: {name}: expected the joint to follow its commands, got one that "
+                    f"{self._following.describe(slot)}; cure: see with `vergence jog` "
                     "whether it turns freely and as far as it is told to"
                 )
         if state.images_received_s is not None:

@@ -1,0 +1,477 @@
+"""Comparison of what the images do while single joints turn with what the configuration says.
+
+Encoders cannot tell a wrong sign, exchanged ids or exchanged cameras: commands and angles are wrong
+alike. So before the first gaze each joint turns by 0.1 rad with the target in view. Between two
+postures at rest the target's pixel has to move as the head's model moves it, up to the errors of a
+head that nobody has calibrated. If it does not, each possible mistake is applied to the angles and
+the pixels; the one that explains the images is named. A wrong zero does not change how the images
+move: it shows in lines of sight that miss each other, or in a distance that the target's size
+contradicts.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from vergence.envs.reading import Image
+from vergence.envs.streams import IntArray
+from vergence.errors import Finding
+from vergence.hardware.config import HardwareConfig, ServoConfig
+from vergence.hardware.servo_angles import ServoAngles
+from vergence.hardware.start import PROOF_RAD, PROOF_TIMEOUT_S, GoalNotReachedError, drive_to
+from vergence.models.boards import Target
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES, NECK
+from vergence.models.parts import FloatArray
+from vergence.vision.detection import Detection
+from vergence.vision.detectors import make_detector
+from vergence.vision.optics import EyeCamera
+
+_DISTANCES_M: Final = (0.2, 0.35, 0.6, 1.0, 2.0, 4.0)
+"""Distances of the target that are tried, m: they hardly change how its pixel moves (chosen)."""
+_STEP_TOLERANCE: Final = 0.35
+"""Accepted error of a pixel's motion, as a fraction of the expected motion (chosen: twice what an
+uncalibrated focal length and a camera mounted by eye cause)."""
+_STEP_TOLERANCE_PX: Final = 8.0
+"""Error accepted in addition, px (chosen: a joint's play, and the target's unknown distance)."""
+_SCALES: Final = (0.25, 1.0 / 3.0, 0.5, 2.0 / 3.0, 1.5, 2.0, 3.0, 4.0)
+"""Ratios that are tried for a gear or a focal length (chosen)."""
+_EQUAL_COST: Final = 2.0
+"""Ratio of squared errors up to which two explanations are both named (chosen)."""
+_SPEED_RATIO: Final = (0.6, 1.6)
+"""Accepted ratios of a joint's motion to its commands, and of reported speeds to motion (chosen:
+friction may take a third of a slow command)."""
+_LEAST_TURN_RAD: Final = 0.03
+"""Least motion of a joint that is judged, rad (chosen: 20 steps of an encoder of 4,096)."""
+_ZERO_SIGMA_RAD: Final = 0.02
+"""Standard deviation of zeros and mounts set by eye, rad (chosen)."""
+_SIZE_SIGMA: Final = 0.15
+"""Standard deviation of a distance from the target's size, as a fraction: a tilted target, an
+uncalibrated focal length (chosen)."""
+_MAX_CHI2: Final = 16.0
+"""Sum of squares in these sigmas above which a zero is wrong (chosen)."""
+_REFUSED_ZERO_RAD: Final = 0.1
+"""Error of a zero above which the head must not move; below it is told, rad (chosen)."""
+
+
+_FLIP_CURE: Final = "turn the camera, or switch its flip off"
+_VIEW_CURE: Final = (
+    "put it about 1 m ahead of the head at rest, in good light, in view of both eyes; to move "
+    "without this check: --no-view-check"
+)
+
+
+class Posture(NamedTuple):
+    """A posture at rest and what both eyes see from it."""
+
+    angles: FloatArray
+    """(7,) angles of neck and actuators, as reported, rad."""
+    pixels: FloatArray
+    """(2, 2) pixels of the target by eye; nan where it was not found."""
+    ranges_m: FloatArray
+    """(2,) distances from the eyes by the target's size, m; nan if unknown."""
+
+
+class Turn(NamedTuple):
+    """Motion of one joint between two postures."""
+
+    servo: ServoConfig
+    commanded_rad: float
+    """Integral of the commands."""
+    reported_rad: float
+    """Integral of the reported speeds."""
+    moved_rad: float
+    """Change of the reported angle."""
+
+
+class _Explanation(NamedTuple):
+    """A mistake that may explain the images."""
+
+    part: str
+    problem: str
+    cure: str
+    angles: Callable[[FloatArray], FloatArray] = lambda angles: angles
+    pixels: Callable[[FloatArray], FloatArray] = lambda pixels: pixels
+
+
+def range_by_size(head: HeadModel, eye: int, found: Detection) -> float:
+    """Distance of a detected target by its size, m; nan if that is unknown.
+
+    Args:
+        head: the model of the head.
+        eye: the eye that sees it, 0 for left.
+        found: its detection.
+    """
+    if not found.target.size_known:
+        return float("nan")
+    raw = np.repeat(found.corners_px[:, np.newaxis], 2, axis=1)
+    rays = (head.undistort(raw)[:, eye] - head.cameras.principal[eye]) / head.cameras.focal[eye]
+    corners = np.asarray(found.target.corners_m)[:, :2]
+    there = np.isfinite(rays).all(axis=-1)
+    size, seen = (
+        np.linalg.norm(part[there] - part[there].mean(axis=0)) for part in (corners, rays)
+    )
+    return float(size / seen)
+
+
+def turn_each_joint(
+    config: HardwareConfig,
+    angles: ServoAngles,
+    send_velocities: Callable[[FloatArray], float],
+    last_sent: Callable[[], FloatArray],
+    look: Callable[[float], tuple[FloatArray, FloatArray]],
+) -> "ViewCheck":
+    """Turn one joint after the other by 0.1 rad, and look at the target between the turns.
+
+    Args:
+        config: the robot.
+        angles: present angles of the servos; `send_velocities` updates them.
+        send_velocities: see `vergence.hardware.start.drive_to`.
+        last_sent: returns the (7,) velocities that it sent last, rad/s.
+        look: returns `pixels` and `ranges_m` of a `Posture` from images after a time, s.
+
+    Raises:
+        HardwareError: see `send_velocities`.
+    """
+    check = ViewCheck(config)
+    rows: list[tuple[float, FloatArray, FloatArray]] = []
+
+    def send(requested: FloatArray) -> float:
+        now_s = send_velocities(requested)
+        rows.append((now_s, last_sent().copy(), angles.speeds.copy()))
+        return now_s
+
+    rested_s = send(np.zeros(7))
+    check.postures.append(Posture(angles.angles.copy(), *look(rested_s)))
+    goal, middle = angles.angles.copy(), 0.5 * (angles.lower + angles.upper)
+    for servo in config.servos:
+        slot, before = servo.slot, float(angles.angles[servo.slot])
+        goal[slot] += PROOF_RAD if goal[slot] <= middle[slot] else -PROOF_RAD
+        rows.clear()
+        with suppress(GoalNotReachedError):  # for example if a forbidden posture is in the way
+            rested_s = drive_to(goal, config.servos, angles, send, PROOF_TIMEOUT_S)
+        times = np.array([row[0] for row in rows])
+        speeds = np.array([(sent[slot], told[slot]) for _, sent, told in rows])
+        commanded_rad, reported_rad = (np.diff(times, prepend=times[0]) @ speeds).tolist()
+        moved_rad = float(angles.angles[slot]) - before
+        check.turns.append(Turn(servo, commanded_rad, reported_rad, moved_rad))
+        check.postures.append(Posture(angles.angles.copy(), *look(rested_s)))
+    return check
+
+
+@dataclass
+class ViewCheck:
+    """What was seen while single joints turned, and the judgement of it."""
+
+    config: HardwareConfig
+    """The robot."""
+    postures: list[Posture] = field(default_factory=list)
+    """Postures, each reached from the one before by the turn of one joint."""
+    turns: list[Turn] = field(default_factory=list)
+    """These turns."""
+
+    def findings(self, target: Target, images: tuple[Image, Image] | None) -> list[Finding]:
+        """All mistakes, each named by its likeliest cause; empty for a head that is right.
+
+        Args:
+            target: the target that was looked for.
+            images: the newest images of both eyes, in which it is looked for mirrored if it was
+                not found; None if there are none.
+        """
+        found = [finding for turn in self.turns for finding in _speeds(turn)]
+        found = found or self._unseen(target, images)
+        if found:
+            return found
+        angles = np.array([posture.angles for posture in self.postures])
+        pixels = np.array([posture.pixels for posture in self.postures])
+        if self._cost(angles, pixels)[1]:
+            return self._zeros()
+        return [self._explained(angles, pixels)]
+
+    def _unseen(self, target: Target, images: tuple[Image, Image] | None) -> list[Finding]:
+        """Findings of eyes that have never seen the target."""
+        seen = np.array([np.isfinite(posture.pixels).all(axis=-1) for posture in self.postures])
+        found = []
+        for eye in np.flatnonzero(~seen.any(axis=0)).tolist():
+            detector = make_detector(target, EyeCamera.of(self.config.head, eye))
+            if images is not None and detector.detect(images[eye][:, ::-1].copy()) is not None:
+                problem = f"expected images as the eye sees {target}, got mirrored ones"
+                found.append(Finding(part=self._camera(eye), problem=problem, cure=_FLIP_CURE))
+        if not found and not seen.any():
+            return [
+                Finding(
+                    part="view",
+                    problem=f"expected {target} in view of the head at the start, got images "
+                    "without it from both cameras",
+                    cure=_VIEW_CURE,
+                )
+            ]
+        blind = np.flatnonzero(~seen.any(axis=0))
+        if not found and len(blind):
+            eye = int(blind[0])
+            found.append(
+                Finding(
+                    part=self._camera(eye),
+                    problem=f"expected {target} in view of both eyes at the start, got images "
+                    f"without it: the {EYE_NAMES[1 - eye]} eye sees it, so the zeros of the "
+                    f"{EYE_NAMES[eye]} eye's joints are off by far, or something hides it",
+                    cure=_VIEW_CURE,
+                )
+            )
+        return found
+
+    def _camera(self, eye: int) -> str:
+        return self.config.cameras[eye].name
+
+    def _cost(self, angles: FloatArray, pixels: FloatArray) -> tuple[float, bool]:
+        """Sum of squared errors of the pixels' motion, and True if each is accepted."""
+        head = self.config.head
+        q = head.actuation.joints_of(angles)
+        best: tuple[float, bool] = (np.inf, False)
+        for distance_m in _DISTANCES_M:
+            expected = _moved_pixels(head, q, pixels, distance_m)
+            error = np.linalg.norm(pixels[1:] - expected, axis=-1)
+            motion = np.linalg.norm(expected - pixels[:-1], axis=-1)
+            seen = np.isfinite(pixels[1:] + pixels[:-1]).all(axis=-1)
+            # an image that leaves the view is an error of a whole motion
+            error = np.where(np.isfinite(error) | ~seen, error, 1e3)[seen]
+            motion = np.nan_to_num(motion)[seen]
+            kept = bool((error <= _STEP_TOLERANCE * motion + _STEP_TOLERANCE_PX).all())
+            best = min(best, (float(np.sum(error**2)), kept), key=lambda one: one[0])
+        return best
+
+    def _explained(self, angles: FloatArray, pixels: FloatArray) -> Finding:
+        nominal, _ = self._cost(angles, pixels)
+        costs = [
+            (*self._cost(one.angles(angles), one.pixels(pixels)), one)
+            for one in _explanations(self.config)
+        ]
+        able = sorted((one for one in costs if one[1] and one[0] < nominal), key=lambda one: one[0])
+        if not able:
+            return Finding(
+                part="view",
+                problem="expected the target's image to move as the head file has it while each "
+                f"joint turned, got {self._motions(angles, pixels)}; no single mistake explains it",
+                cure="compare signs, ids, cameras and the head file, one joint at a time with "
+                "`vergence jog`",
+            )
+        first, *others = [one[2] for one in able if one[0] <= _EQUAL_COST * able[0][0] + 20.0]
+        also = "".join(f", or {one.part}: {one.problem}" for one in others[:2])
+        return Finding(part=first.part, problem=first.problem + also, cure=first.cure)
+
+    def _motions(self, angles: FloatArray, pixels: FloatArray) -> str:
+        """Measured and expected motion of the target's image at each turn."""
+        q = self.config.head.actuation.joints_of(angles)
+        expected = _moved_pixels(self.config.head, q, pixels, 1.0) - pixels[:-1]
+        texts = [
+            f"{turn.servo.name} ({EYE_NAMES[eye]} eye) {_px(moved)} for {_px(wanted)}"
+            for turn, both, model in zip(self.turns, np.diff(pixels, axis=0), expected, strict=True)
+            for eye, (moved, wanted) in enumerate(zip(both, model, strict=True))
+            if np.isfinite(moved).all() and max(np.abs(moved).max(), np.abs(wanted).max()) > 10.0
+        ]
+        return "; ".join(texts)
+
+    def _zeros(self) -> list[Finding]:
+        """Findings of lines of sight that miss each other, or of a size that contradicts them."""
+        posture = next(
+            (one for one in self.postures if np.isfinite(one.pixels).all()), self.postures[0]
+        )
+        if not np.isfinite(posture.pixels).all():
+            return []
+        head, eyes = self.config.head, [one for one in self.config.servos if one.slot not in _NECK]
+        chi2, _ = _fit_zero(head, posture, None)
+        if chi2 <= _MAX_CHI2:
+            return []
+        fits = [(*_fit_zero(head, posture, servo.slot), servo.name) for servo in eyes]
+        able = sorted((one for one in fits if one[0] <= _MAX_CHI2), key=lambda one: abs(one[1]))
+        if not able:
+            return [
+                Finding(
+                    part="view",
+                    problem="expected lines of sight that meet at the target, got eyes that see it "
+                    "apart, which no single zero explains",
+                    cure="set the zeros with `vergence jog`, and check the head file",
+                )
+            ]
+        names = " or ".join(name for _, _, name in able[:2])
+        off = able[0][1]
+        return [
+            Finding(
+                part=f"servos: {names}",
+                problem="expected lines of sight that meet at the target, at the distance of its "
+                f"size, got a zero (zero_ticks) that is off by about {abs(off):.2f} rad",
+                cure="set it with `vergence jog`: zero, or calibrate the head",
+                warning=abs(off) < _REFUSED_ZERO_RAD,
+            )
+        ]
+
+
+_NECK: Final = range(NECK.start or 0, NECK.stop)
+
+
+def _px(moved: FloatArray) -> str:
+    return f"({moved[0]:.0f}, {moved[1]:.0f}) px"
+
+
+def _moved_pixels(
+    head: HeadModel, q: FloatArray, pixels: FloatArray, distance_m: float
+) -> FloatArray:
+    """(n - 1, 2, 2) pixels in each next posture of the point that a pixel shows at a distance."""
+    T_0_C = head.base_pose(q)[:, None] @ head.camera_poses(q)
+    ideal = head.undistort(pixels)
+    rays = (ideal - head.cameras.principal) / head.cameras.focal
+    points = distance_m * np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1)
+    world = np.einsum("neij,nej->nei", T_0_C[..., :3, :3], points) + T_0_C[..., :3, 3]
+    T_N_0 = np.linalg.inv(head.base_pose(q[1:]))
+    own = np.einsum("nij,nej->nei", T_N_0[:, :3, :3], world[:-1]) + T_N_0[:, None, :3, 3]
+    shown = [head.project(q[1:], own[:, eye])[:, eye] for eye in range(2)]
+    return np.stack(shown, axis=1)
+
+
+def _fit_zero(head: HeadModel, posture: Posture, slot: int | None) -> tuple[float, float]:
+    """Least sum of squares of a posture's images, and the error of a joint's zero, rad."""
+    T_N_C = head.camera_poses(head.actuation.joints_of(posture.angles))
+    middle = T_N_C[:, :3, 3].mean(axis=0)
+    sigma_px = _ZERO_SIGMA_RAD * float(head.cameras.focal.mean())
+
+    def residual(values: FloatArray) -> FloatArray:
+        angles = posture.angles.copy()
+        if slot is not None:
+            angles[slot] += values[3]
+        point = middle + np.array([values[0], values[1], 1.0]) / max(values[2], 1e-3)
+        shown = head.project(head.actuation.joints_of(angles), point)
+        pixels = np.nan_to_num((posture.pixels - shown) / sigma_px, nan=50.0)
+        own_m = np.linalg.norm(point - T_N_C[:, :3, 3], axis=-1)
+        sizes = np.nan_to_num(np.log(posture.ranges_m / own_m)) / _SIZE_SIGMA
+        return np.concatenate([pixels.ravel(), sizes])
+
+    best = (np.inf, 0.0)
+    forward = T_N_C[:, :3, 2].mean(axis=0)
+    count = 3 if slot is None else 4
+    # slopes of the line of sight, inverse distance and zero: least, greatest
+    bounds = np.array([[-5.0, -5.0, 0.05, -2.0], [5.0, 5.0, 20.0, 2.0]])[:, :count]
+    for distance_m in (0.4, 1.5):
+        start = np.append(forward[:2] / max(forward[2], 0.3), [1.0 / distance_m, 0.0])[:count]
+        found = least_squares(residual, np.clip(start, *(0.99 * bounds)), bounds=tuple(bounds))
+        off = 0.0 if slot is None else float(found.x[3])
+        best = min(best, (2.0 * float(found.cost), off))
+    return best
+
+
+def _speeds(turn: Turn) -> Iterator[Finding]:
+    """Findings of a joint that turns by another amount than it is told or tells."""
+    least, most = _SPEED_RATIO
+    if abs(turn.moved_rad) < _LEAST_TURN_RAD:
+        return
+    part = f"servos: {turn.servo.name}"
+    goal = turn.moved_rad / turn.commanded_rad if turn.commanded_rad else 1.0
+    if not least <= goal <= most:
+        yield Finding(
+            part=part,
+            problem=f"expected the joint to turn as far as it was told, got {goal:.2g} times that: "
+            "GOAL_VELOCITY has another scale or unit than an X series servo's",
+            cure="another model or firmware of the servo than the configuration needs; look at "
+            "the unit of GOAL_VELOCITY in its manual",
+        )
+    told = turn.reported_rad / turn.moved_rad if turn.moved_rad else 1.0
+    if not least <= told <= most:
+        yield Finding(
+            part=part,
+            problem="expected speeds that the change of its angle confirms, got "
+            f"{told:.2g} times that: PRESENT_VELOCITY has another "
+            f"{'sign' if told < 0.0 else 'scale or unit'} than an X series servo's",
+            cure="another model or firmware of the servo than the configuration needs; look at "
+            "the unit of PRESENT_VELOCITY in its manual",
+        )
+
+
+def _explanations(config: HardwareConfig) -> Iterator[_Explanation]:
+    """Mistakes of a configuration, the likelier ones first."""
+    yield _Explanation(
+        "cameras",
+        "expected the left eye's images from cameras.left, got those of the right eye: the cameras "
+        "are exchanged",
+        "exchange source of [cameras.left] and [cameras.right]",
+        pixels=lambda pixels: pixels[:, ::-1],
+    )
+    for servo in config.servos:
+        yield _Explanation(
+            f"servos: {servo.name}",
+            "expected a joint that turns the eye as the head file has it, got one that turns it "
+            "the other way: its sign is wrong",
+            f"sign = {-servo.sign} (`vergence jog`: flip)",
+            angles=_scaled(servo.slot, -1.0),
+        )
+    for one, other in combinations(config.servos, 2):
+        yield _Explanation(
+            f"servos: {one.name}, {other.name}",
+            f"expected the id {one.id} to move {one.name} and {other.id} {other.name}, got the "
+            "reverse: their ids are exchanged",
+            "exchange their ids in the configuration",
+            angles=_exchanged(one.slot, other.slot),
+        )
+    sizes = config.head.cameras.size
+    for eyes in ((0, 1), (0,), (1,)):
+        names = " and ".join(f"cameras.{EYE_NAMES[eye]}" for eye in eyes)
+        for what, sides in (("mirrored", (0,)), ("upside down", (0, 1))):
+            yield _Explanation(
+                names,
+                f"expected images as the eye sees them, got {what} ones",
+                _FLIP_CURE,
+                pixels=_turned(sizes, eyes, sides),
+            )
+    for servo in config.servos:
+        for scale in _SCALES:
+            yield _Explanation(
+                f"servos: {servo.name}",
+                f"expected a joint that turns the eye by the angle of its encoder, got about "
+                f"{scale:.2g} times that: its gear_ratio, or the encoder's scale",
+                f"gear_ratio = {servo.gear_ratio / scale:.3g}, turns of the servo per turn of the "
+                "joint",
+                angles=_scaled(servo.slot, scale),
+            )
+    for eye, name in enumerate(EYE_NAMES):
+        for scale in _SCALES:
+            yield _Explanation(
+                f"cameras.{name}",
+                f"expected the head file's focal length, got about {scale:.2g} times that",
+                "calibrate the camera, and check size and zoom",
+                pixels=_zoomed(config.head, eye, scale),
+            )
+
+
+def _scaled(slot: int, scale: float) -> Callable[[FloatArray], FloatArray]:
+    return lambda angles: np.where(np.arange(7) == slot, scale * angles, angles)
+
+
+def _exchanged(one: int, other: int) -> Callable[[FloatArray], FloatArray]:
+    order = np.arange(7)
+    order[[one, other]] = other, one
+    return lambda angles: angles[:, order]
+
+
+def _turned(
+    sizes: IntArray, eyes: Sequence[int], sides: Sequence[int]
+) -> Callable[[FloatArray], FloatArray]:
+    def turned(pixels: FloatArray) -> FloatArray:
+        found = pixels.copy()
+        for eye in eyes:
+            for side in sides:
+                found[:, eye, side] = sizes[eye, side] - 1 - found[:, eye, side]
+        return found
+
+    return turned
+
+
+def _zoomed(head: HeadModel, eye: int, scale: float) -> Callable[[FloatArray], FloatArray]:
+    def zoomed(pixels: FloatArray) -> FloatArray:
+        found, centre = pixels.copy(), head.cameras.principal[eye]
+        found[:, eye] = centre + (found[:, eye] - centre) / scale
+        return found
+
+    return zoomed
