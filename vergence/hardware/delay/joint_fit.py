@@ -35,6 +35,9 @@ for which a limit is accepted (chosen)."""
 _NO_LIMIT_INVERSE: Final = 1e-4
 """Inverse acceleration that stands for no limit, s^2/rad (numerical)."""
 
+_SMOOTHING_READINGS: Final = (0.25, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 13.0)
+"""Widths of smoothing to choose from, in readings: from none to half a second (numerical)."""
+
 _follow = getattr(follow_joint, "py_func", follow_joint)
 _lag_decay = getattr(lag_decay, "py_func", lag_decay)
 
@@ -253,6 +256,9 @@ def fitted_angle_path(
 ) -> Callable[[FloatArray], FloatArray]:
     """Angle of the actuator by time: the model, corrected by the smoothed encoder residuals.
 
+    A poor model is corrected at each reading, a good one over many: the width of the smoothing is
+    the one that best predicts each reading from the others.
+
     Args:
         motor: its fitted parameters.
         sent_s: see `fit_joint`.
@@ -264,12 +270,14 @@ def fitted_angle_path(
         A function of increasing times, s, that returns angles, rad.
     """
     residual = angles - simulate_motor(motor, sent_s, commands, joints_s)[0]
-    rate_hz = (len(joints_s) - 1) / (joints_s[-1] - joints_s[0])
-    width = max(3, round(0.5 * CLUSTER_S * rate_hz))
-    kernel = np.ones(width)
-    smooth = np.convolve(residual, kernel, "same") / np.convolve(
-        np.ones_like(residual), kernel, "same"
-    )
+    found = []
+    for width in _SMOOTHING_READINGS:
+        places = np.arange(-np.ceil(4.0 * width), np.ceil(4.0 * width) + 1.0)
+        kernel = np.exp(-0.5 * (places / width) ** 2)
+        whole = np.convolve(np.ones_like(residual), kernel, "same")
+        smooth = np.convolve(residual, kernel, "same") / whole
+        found.append((float(np.mean(((residual - smooth) / (1.0 - 1.0 / whole)) ** 2)), smooth))
+    smooth = min(found, key=lambda one: one[0])[1]
 
     def path(times: FloatArray) -> FloatArray:
         angle = simulate_motor(motor, sent_s, commands, times)[0]
