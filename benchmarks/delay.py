@@ -10,7 +10,6 @@ only nominal. `--csv` keeps a summary for each quantity.
 
 import argparse
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np

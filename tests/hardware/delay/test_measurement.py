@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from vergence.hardware.delay.image_fit import ImageFit
-from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, jackknife_covariance
+from vergence.hardware.delay.joint_fit import JointFit, jackknife_covariance
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
+from vergence.hardware.delay.motor_model import FittedMotor
 
 FIT = JointFit(
     motor=FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.9, inverse_acceleration=1.0 / 20.0),

@@ -216,18 +216,17 @@ def _jitter(
     # errors of pixels and of the path beside those of time, which grow with speed
     columns = np.stack([np.ones_like(speed), speed**2], axis=-1)
     expected = np.full(len(speed), 1.4826 * float(np.median(np.abs(along)))) ** 2
+
+    def variances(rows: IntArray) -> FloatArray:
+        weighted = columns[rows] / expected[rows, None]
+        return np.asarray(np.linalg.lstsq(weighted, along[rows] ** 2 / expected[rows])[0])
+
     for _ in range(_VARIANCE_ROUNDS):
-        kept = along**2 < _OUTLIER_SIGMAS**2 * expected
-        weighted = columns / expected[:, None]
-
-        def variances(rows: FloatArray, weighted: FloatArray = weighted) -> FloatArray:
-            part = weighted[rows]
-            return np.linalg.lstsq(part, (along**2 / expected)[rows], rcond=None)[0]
-
+        kept = np.flatnonzero(along**2 < _OUTLIER_SIGMAS**2 * expected)
         found = np.maximum(variances(kept), [_MIN_SIGMA_PX**2, 0.0])
         expected = columns @ found
     parts = np.unique(clusters)
-    without = np.array([variances(kept & (clusters != part))[1] for part in parts])
+    without = np.array([variances(kept[clusters[kept] != part])[1] for part in parts])
     sigma = float(np.sqrt((len(parts) - 1) * np.mean((without - without.mean()) ** 2)))
     width = float(np.sqrt(12.0 * found[1]))
     return width, float(6.0 * sigma / max(width, np.sqrt(12.0 * sigma)))

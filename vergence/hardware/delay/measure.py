@@ -19,8 +19,9 @@ from vergence.hardware.delay.excitation import (
     excitation_speeds,
 )
 from vergence.hardware.delay.image_fit import ImageFit, fit_latency_and_backlash
-from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, fit_joint, fitted_angle_path
+from vergence.hardware.delay.joint_fit import JointFit, fit_joint, fitted_angle_path
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
+from vergence.hardware.delay.motor_model import FittedMotor
 from vergence.hardware.delay.samples import LoopSamples, SampleCollector
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.head import HeadModel

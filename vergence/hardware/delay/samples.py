@@ -39,7 +39,7 @@ class SampleCollector(RobotListener):
         clock: the clock of all times, s.
 
     Attributes:
-        clock: the same.
+        clock: the clock of all times, s.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
