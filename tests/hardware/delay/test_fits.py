@@ -69,7 +69,7 @@ def test_a_servo_that_overshoots_is_beside_a_lag():
     found = fit_joint(
         sent_s, sent, joints_s, STEP_RAD * np.round(turned / STEP_RAD), GUESS, STEP_RAD
     )
-    assert found.residual_rad > 4e-3
+    assert found.misfit_rad > 4e-3
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 
 from vergence.envs.streams import IntArray
 from vergence.hardware.delay.motor_model import FittedMotor, simulate_motor
@@ -24,6 +24,8 @@ _QUANTISATION_SIGMA: Final = 12.0**-0.5
 """Standard deviation of a quantised number per quantisation step (numerical)."""
 _START_LATENCIES_S: Final = (0.0, 0.02, 0.05, 0.1)
 """Start values of the latency, s (numerical)."""
+_ROUGH: Final = np.array([-0.5, 1.0, -0.5])
+"""Difference of a residual from its neighbours' mean (numerical)."""
 _MIN_DELAY_SPEED_RAD_S: Final = 0.5
 """Speed above which an angle's residual shows the error of its time, rad/s (chosen)."""
 _LOSS_SCALE: Final = 3.0
@@ -45,7 +47,7 @@ _BOUNDS: Final = (
 """Least and greatest value, and typical change, of each parameter (numerical)."""
 _PRIORS: Final = ((7, 0.0, 5.0), (8, 1.5, 0.3), (9, 1.5, 0.5))
 """Parameters that some motions do not show: index, plausible value, standard deviation (chosen)."""
-_EMF_PRIOR_SIGMA: Final = 10.0
+_EMF_PRIOR_SIGMA: Final = 30.0
 """Standard deviation of the difference of the integral's and the motor's rate, 1/s (chosen)."""
 _OFFSET: Final = 100.0
 """Offset of the fit's variables, whose differences are relative to them (numerical)."""
@@ -62,11 +64,21 @@ _KEPT: Final = 25
 """Number of best draws, about which it draws again (numerical)."""
 _SEARCH_ROUNDS: Final = 6
 """Number of its rounds (numerical)."""
+_SEARCHES: Final = 3
+"""Number of searches, of which the best counts (numerical)."""
+_FEW_EVALUATIONS: Final = 12
+"""Evaluations of the improvement of one search (numerical)."""
 _EVALUATIONS: Final = 30
 """Evaluations of a fit at most (numerical)."""
-_MISFIT_FREEDOM: Final = 20.0
+_MISFIT_FREEDOM: Final = 10.0
 """Number of independent motions of which a misfit is taken to consist (measured:
 benchmarks.delay)."""
+_MOST_SQUARE: Final = 100.0
+"""Squared residual, in variances, that counts at most in a misfit: a pause of the machine is none
+(chosen)."""
+_CHANCE: Final = 9.0
+"""Part of a misfit that a parameter may explain by chance, in such motions: three standard
+deviations (chosen)."""
 _MOST_MISFIT_RAD: Final = 0.015
 """Residual that counts at most, where starts are compared, rad (numerical)."""
 _NO_LIMIT_INVERSE: Final = 1e-4
@@ -85,8 +97,13 @@ class JointFit:
     """Standard deviations of the parameters."""
     peak_acceleration_rad_s2: float
     """Greatest acceleration of the modelled motion, rad/s^2."""
-    residual_rad: float
-    """Rms difference of the encoder's angles from the model's, rad."""
+    lag_s: float
+    """Lag of the response without friction: of the nearest lag behind the latency, s."""
+    lag_sigma_s: float
+    """Its standard deviation, with its difference from the motor's own, s."""
+    misfit_rad: float
+    """Rms difference of the encoder's angles from the model's, and of that without friction and
+    limits from the nearest lag's, rad."""
     acceleration_limited: bool
     """True if a motor without an acceleration limit would fit clearly worse."""
     latency_lag_correlation: float
@@ -133,9 +150,11 @@ def fit_joint(
     starts = [guess._replace(latency_s=latency) for latency in _START_LATENCIES_S]
     fit = data.fit(min(starts, key=data.misfit), _LAG)
     if fit.excess > _MIN_CHI2_INCREASE:
-        with_friction = data.fit(data.search(), _MOTOR)
+        found = [data.improved(data.search(seed)) for seed in range(_SEARCHES)]
+        with_friction = data.fit(min(found, key=data.misfit), _MOTOR)
         fit = with_friction if with_friction.explains(fit.motor) else fit
     motor = fit.motor
+    lag_s, beside_rad = data.nearest_lag(motor)
     times = np.arange(joints_s[0], joints_s[-1], 0.002)
     speeds = simulate_motor(motor, sent_s, commands, times)[1]
     return JointFit(
@@ -143,7 +162,9 @@ def fit_joint(
         sigma=FittedMotor(*fit.sigma.tolist()),
         latency_lag_correlation=fit.correlation,
         peak_acceleration_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
-        residual_rad=float(np.sqrt(np.mean(data.residual(motor) ** 2))),
+        lag_s=lag_s,
+        lag_sigma_s=float(np.hypot(fit.sigma[1], lag_s - motor.lag_s)),
+        misfit_rad=float(np.hypot(np.sqrt(np.mean(data.residual(motor) ** 2)), beside_rad)),
         acceleration_limited=fit.explains(motor._replace(inverse_acceleration=_NO_LIMIT_INVERSE)),
     )
 
@@ -164,7 +185,11 @@ class _Fit(NamedTuple):
         own, others = (
             np.sum((self.weights * self.data.residual(motor)) ** 2) for motor in (self.motor, other)
         )
-        return bool(len(self.weights) * (others / own - 1.0) > _MIN_CHI2_INCREASE)
+        by_chance = _CHANCE * max(self.excess, 0.0) / _MISFIT_FREEDOM
+        return bool(
+            len(self.weights) * (others / own - 1.0) > _MIN_CHI2_INCREASE
+            and others - own > by_chance
+        )
 
 
 class _Data:
@@ -187,12 +212,29 @@ class _Data:
         """Robust sum of the residuals."""
         return float(np.minimum(np.abs(self.residual(motor)), _MOST_MISFIT_RAD).sum())
 
-    def search(self) -> FittedMotor:
+    def nearest_lag(self, motor: FittedMotor) -> tuple[float, float]:
+        """Lag nearest to the motor without friction and limits, s, and the rms beside it, rad."""
+        if not motor.integral_rate:
+            return motor.lag_s, 0.0
+        smooth = motor._replace(
+            friction_rad_s2=0.0, load_rad_s2=0.0, inverse_acceleration=_NO_LIMIT_INVERSE
+        )
+        moved = simulate_motor(smooth, *self._recorded)[0]
+        plain = FittedMotor(*smooth[: len(_LAG)])
+
+        def beside_rad(lag_s: float) -> float:
+            other = simulate_motor(plain._replace(lag_s=lag_s), *self._recorded)[0]
+            return float(np.sqrt(np.mean(self._detrender.detrended(moved - other) ** 2)))
+
+        found = minimize_scalar(beside_rad, bounds=_BOUNDS[1][:2], method="bounded")
+        return float(found.x), float(found.fun)
+
+    def search(self, seed: int) -> FittedMotor:
         """Search for a motor with friction: draw, keep the best, and draw again about them.
 
         A joint that sticks or does not makes the misfit too rough for derivatives alone.
         """
-        rng = np.random.default_rng(0)
+        rng = np.random.default_rng(seed)
         least, most = np.array(_BOUNDS).T[:2]
         low, high = np.array(_SEARCHED).T
         drawn = np.exp(rng.uniform(np.log(low), np.log(high), (_DRAWN, len(low))))
@@ -206,22 +248,33 @@ class _Data:
             drawn = np.clip(drawn, least, most)
         return FittedMotor(*kept[0][1:])
 
+    def improved(self, start: FittedMotor) -> FittedMotor:
+        """Motor with friction from a start, with a few evaluations."""
+        weights = np.full(len(self._angles), 1.0 / self._rounded)
+        return self._once(start, _MOTOR, weights, _FEW_EVALUATIONS)[0]
+
     def fit(self, start: FittedMotor, free: Sequence[int]) -> _Fit:
         """Fit the free parameters."""
         weights, motor = np.full(len(self._angles), 1.0 / self._rounded), start
         for _ in range(2):  # again with the estimated timing error of the readings
-            motor, found, columns = self._once(motor, free, weights)
+            motor, found, columns = self._once(motor, free, weights, _EVALUATIONS)
             used = weights
             speed = np.abs(simulate_motor(motor, *self._recorded)[1])
             fast = speed > _MIN_DELAY_SPEED_RAD_S
-            late_s = np.abs(self.residual(motor))[fast] / speed[fast]
-            timestamp_sigma_s = 1.4826 * float(np.median(late_s)) if fast.any() else 0.0
+            # beside its neighbours': a misfit changes slowly, timing errors do not
+            rough = np.convolve(self.residual(motor), _ROUGH, "same") / np.linalg.norm(_ROUGH)
+            timestamp_sigma_s = 0.0
+            if fast.any():
+                sigma = 1.4826 * float(np.median(np.abs(rough[fast])))
+                sigma = float(np.sqrt(max(sigma**2 - self._rounded**2, 0.0)))
+                timestamp_sigma_s = sigma / float(np.median(speed[fast]))
             weights = 1.0 / np.hypot(self._rounded, timestamp_sigma_s * speed)
         covariance = jackknife_covariance(
             np.asarray(found.jac), found.fun, self._clusters, _LOSS_SCALE, len(_PRIORS) + 1
         )
         # what the model does not have is alike in each second, which the jackknife does not see
-        excess = float(np.sum((used * self.residual(motor)) ** 2)) - len(used)
+        squares = np.minimum((used * self.residual(motor)) ** 2, _MOST_SQUARE)
+        excess = float(np.sum(squares)) - len(used)
         alone = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
         covariance += max(excess, 0.0) / _MISFIT_FREEDOM * alone
         sigma = np.zeros(len(motor))
@@ -230,7 +283,7 @@ class _Data:
         return _Fit(self, motor, sigma, float(correlation), used, excess)
 
     def _once(
-        self, start: FittedMotor, free: Sequence[int], weights: FloatArray
+        self, start: FittedMotor, free: Sequence[int], weights: FloatArray, evaluations: int
     ) -> tuple[FittedMotor, Any, FloatArray]:
         chosen = list(free)
         least, most, unit = np.array(_BOUNDS).T[:, chosen]
@@ -254,7 +307,7 @@ class _Data:
             f_scale=_LOSS_SCALE,
             jac="3-point",
             diff_step=[0.1 / _OFFSET] * len(unit),
-            max_nfev=_EVALUATIONS,
+            max_nfev=evaluations,
         )
         return motor(found.x), found, unit
 

@@ -17,8 +17,8 @@ import numpy as np
 from vergence._jit import compiled
 from vergence.models.parts import FloatArray
 
-_STEP_S: Final = 5e-4
-"""Integration step, s: an eighth of the shortest lag to expect (numerical)."""
+_STEP_S: Final = 1e-3
+"""Integration step, s: a tenth of a short lag, which is exact but at the limits (numerical)."""
 
 
 class FittedMotor(NamedTuple):
