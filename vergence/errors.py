@@ -133,6 +133,10 @@ class HardwareError(VergenceError):
     """A robot that does not answer, or that reports a fault."""
 
 
+class ServoRefusalError(HardwareError):
+    """A servo that answers an instruction with an error."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Finding:
     """A problem of a robot, found by a check before it moves."""

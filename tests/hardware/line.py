@@ -10,17 +10,18 @@ import tty
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import PacketParser
 from vergence.hardware.emulator.line import ServoLine
-from vergence.hardware.emulator.servo import EmulatedServo
+from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo
 from vergence.hardware.emulator.terminal import baud_rate_of
 
 
 def make_servo(id=1, **options):
-    """A servo with a quick joint, at 1 Mb/s, that answers at once."""
+    """A servo with a quick joint, at 1 Mb/s, that answers at once, and stops without encoder."""
     servo = EmulatedServo(
         id, **{"lag_s": 0.02, "acceleration": 50.0, "lower": -1.0, "upper": 1.0, **options}
     )
     servo.set(table.BAUD_RATE, table.BAUD_RATES.index(1_000_000))
     servo.set(table.RETURN_DELAY_TIME, 0)
+    servo.set(table.SHUTDOWN, servo.get(table.SHUTDOWN) | ENCODER_ERROR)
     return servo
 
 

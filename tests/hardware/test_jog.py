@@ -9,10 +9,12 @@ from tests.hardware.desk import desk_config, ready_servos, timeless_bus
 from tests.hardware.fakes import FakeClock
 from tests.hardware.test_config import document
 from vergence.cli import main
-from vergence.errors import HardwareError, UnreadableFileError
+from vergence.errors import HardwareError, UnreadableFileError, VergenceWarning
 from vergence.hardware.config import load_hardware
 from vergence.hardware.config_edit import write_servos
 from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.emulator.motor import Motor
+from vergence.hardware.emulator.servo import ENCODER_ERROR
 from vergence.hardware.jog import Jogger
 from vergence.models.files.toml_text import toml_text
 
@@ -88,6 +90,24 @@ def test_a_stuck_joint_is_stopped(desk):
     assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
 
 
+@pytest.mark.parametrize("fault", ["blind", "inverted", "told"])
+def test_a_joint_that_a_goal_of_zero_does_not_stop_loses_its_torque(desk, fault):
+    servo = desk.servos[0]
+    servo._motor = Motor(lag_s=0.03, acceleration=80.0, max_speed=6.0)
+    servo.frozen = servo.blind = fault != "inverted"
+    servo.inverted = fault == "inverted"
+    if fault == "told":
+        servo.set(table.SHUTDOWN, 52)
+        servo.set_hardware_errors(ENCODER_ERROR)
+    with pytest.raises(HardwareError, match="its torque is off"):
+        desk.jog.step("left_pan", 0.3)
+    assert servo.get(table.TORQUE_ENABLE) == 0
+    desk.clock.sleep(1.0)
+    servo.advance_to(desk.clock.now)
+    assert abs(servo.q) < 0.5
+    assert servo.v == pytest.approx(0.0, abs=table.TICK_RAD_S)
+
+
 def push(servo, by_rad):
     servo.q += by_rad
 
@@ -117,7 +137,7 @@ def test_an_interrupted_step_leaves_the_joint_at_rest_with_torque(desk):
     desk.meanwhile = interrupt
     with pytest.raises(KeyboardInterrupt):
         desk.jog.step("left_pan", 0.4)
-    assert desk.goals[-1][0] > 0
+    assert desk.goals[2][0] > 0
     assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
     assert desk.servos[0].get(table.TORQUE_ENABLE) == 1
 
@@ -134,6 +154,22 @@ def test_a_watchdog_that_has_tripped_before_hinders_nothing(desk):
     desk.servos[0].set(table.BUS_WATCHDOG, 5)
     desk.clock.sleep(10.0)
     assert desk.jog.step("left_pan", 0.05) > 0.0
+
+
+def test_a_profile_that_would_slow_a_step_is_set_and_told_of(desk):
+    desk.servos[0].set(table.PROFILE_ACCELERATION, 1)
+    with pytest.warns(VergenceWarning, match="left_pan: expected 0 in PROFILE_ACCELERATION, got 1"):
+        desk.jog.step("left_pan", 0.05)
+    assert desk.servos[0].get(table.PROFILE_ACCELERATION) == 0
+
+
+def test_a_watchdog_that_needs_a_torque_cycle_gets_one(desk):
+    servo = desk.servos[0]
+    servo.trip_needs_torque_cycle = True
+    servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
+    servo.set(table.TORQUE_ENABLE, 1)
+    servo._trip()
+    assert desk.jog.step("left_pan", 0.05) == pytest.approx(0.05, rel=0.1)
 
 
 def test_a_flip_takes_the_other_direction(desk):

@@ -12,6 +12,7 @@ import pytest
 from tests.hardware.checks.test_cameras import Desk
 from tests.hardware.desk import desk_config, ready_servos
 from tests.hardware.fakes import HEAD
+from tests.hardware.line import make_servo
 from tests.hardware.virtual import PORT as VIRTUAL_PORT
 from tests.hardware.virtual import VirtualRobot
 from vergence.errors import ChecksFailedError
@@ -47,6 +48,13 @@ def turned():
     return servos
 
 
+def equal_ids():
+    """Five servos of which two have the first id, at different angles."""
+    servos = [*ready_servos(), make_servo(1, lower=-3.2, upper=3.2)]
+    servos[-1].q = 0.3
+    return servos
+
+
 def collide(_packet, answers):
     """The answers of servos that talk at once: their checksums are wrong."""
     return answers[:-1] + bytes(byte ^ 0xFF for byte in answers[-1:])
@@ -55,7 +63,9 @@ def collide(_packet, answers):
 SERVOS = {
     "no-answer": (list, {}),
     "missing-id": (lambda: ready_servos()[:3], {}),
-    "equal-ids": (ready_servos, {"alter": collide}),
+    "equal-ids": (equal_ids, {}),
+    "secondary-id": (lambda: desk(SECONDARY_ID=3), {}),
+    "damaged": (ready_servos, {"alter": collide}),
     "other-rate": (lambda: desk(BAUD_RATE=FACTORY_RATE), {"hears_rate": True}),
     "voltage": (lambda: desk(PRESENT_INPUT_VOLTAGE=58), {}),
     "overload": (lambda: desk(HARDWARE_ERROR_STATUS=0b100000), {}),
@@ -87,6 +97,7 @@ def test_servos_that_all_have_another_rate_do_not_answer(serve):
 
 RUNNING = {
     "silent": {"what": "lost", "ids": [2]},
+    "late-running": {"what": "late", "ids": [2], "value": 0.012},
     "unplugged": {"what": "unplug"},
     "voltage-running": {"what": "voltage", "ids": [2], "value": 5.8},
     "overload-running": {"what": "overload", "ids": [2]},
@@ -110,6 +121,14 @@ def test_the_line_of_a_fault_while_the_robot_runs(monkeypatch, name):
     said = robot.plant.fault.replace(VIRTUAL_PORT, PORT)
     age = r"none for 0\.5\d s"  # depends on the moment
     assert re.sub(age, "", said) == re.sub(age, "", LISTED[name])
+
+
+def test_the_line_of_an_adapter_that_holds_answers_back(monkeypatch):
+    robot = VirtualRobot(monkeypatch)
+    robot.world._answer_latency_s = 0.016
+    with pytest.raises(ChecksFailedError) as failed:
+        robot.plant.prepare()
+    assert str(failed.value) == LISTED["late"]
 
 
 CAMERAS = {
@@ -156,5 +175,5 @@ def test_the_line_of_a_camera_without_permission(monkeypatch):
 
 
 def test_each_message_that_is_listed_is_compared():
-    compared = {*SERVOS, *RUNNING, *CAMERAS, "permission", "camera-permission"}
+    compared = {*SERVOS, *RUNNING, *CAMERAS, "permission", "camera-permission", "late"}
     assert set(LISTED) == compared

@@ -71,11 +71,12 @@ def run(monkeypatch, *words):
 def test_the_command_lists_what_answers(serve, monkeypatch, capsys):
     own = ready_servos()
     own[0].set(table.OPERATING_MODE, table.VELOCITY_MODE)
+    own[1].set_hardware_errors(0b100100)
     assert run(monkeypatch, serve(own).port) == 0
     said = capsys.readouterr().out
     assert said.count("XL430-W250") == 4
     assert said.count("1000000") == 4
-    for word in ("firmware", "velocity", "position", "12.0", "31", "2048"):
+    for word in ("firmware", "velocity", "position", "12.0", "31", "2048", "overheating, overload"):
         assert word in said
 
 
@@ -85,6 +86,17 @@ def test_a_line_on_which_nobody_answers_ends_with_the_usual_reasons(serve, monke
     assert "expected servos, got no answer at any baud rate" in said
     assert "power" in said
     assert "Protocol 2.0" in said
+
+
+@pytest.mark.parametrize("options", [(), ("--ids", "1-3")])
+def test_equal_ids_are_listed_and_told(serve, monkeypatch, capsys, options):
+    own = ready_servos()[:3]
+    own[1].set(table.ID, 1)
+    own[1].q = 0.3
+    assert run(monkeypatch, serve(own, hears_rate=True).port, *options) == 1
+    said = capsys.readouterr()
+    assert said.out.count("XL430-W250") == 2
+    assert "error: id 1: expected one servo at 1000000 baud, got two or more" in said.err
 
 
 @pytest.mark.parametrize("options", [(), ("--ids", "1")])

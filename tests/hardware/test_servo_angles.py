@@ -13,7 +13,7 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.servo import EmulatedServo
 from vergence.hardware.servo_angles import ServoAngles
-from vergence.hardware.servos import _MOTION_SPAN
+from vergence.hardware.servo_memory import MOTION_SPAN
 
 TURRETS, ICUB = load_head("turrets"), load_head("icub")
 WIRINGS = st.tuples(st.sampled_from([1, -1]), st.sampled_from([0.5, 1.0]), st.integers(0, 4095))
@@ -64,7 +64,7 @@ class Rig:
         self.sense()
 
     def sense(self):
-        answers = {servo.id: servo.read(*_MOTION_SPAN)[1] for servo in self.line.servos}
+        answers = {servo.id: servo.read(*MOTION_SPAN)[1] for servo in self.line.servos}
         self.servos.update(answers, self.now)
 
     def step(self, velocity):
@@ -165,7 +165,7 @@ def test_a_servo_that_misses_a_question_goes_on_as_it_went():
         rig.step(np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]))
     rig.now += 0.02
     rig.line.advance_to(rig.now)
-    answers = {one.id: one.read(*_MOTION_SPAN)[1] for one in rig.line.servos[1:]}
+    answers = {one.id: one.read(*MOTION_SPAN)[1] for one in rig.line.servos[1:]}
     rig.servos.update(answers, rig.now)
     assert rig.servos.angles == pytest.approx(rig.true, abs=2e-3)
 
@@ -173,7 +173,7 @@ def test_a_servo_that_misses_a_question_goes_on_as_it_went():
 def test_an_angle_that_nobody_has_told_is_not_known():
     servos = ServoAngles(configs(TURRETS), TURRETS)
     rig = Rig(TURRETS)
-    answers = {one.id: one.read(*_MOTION_SPAN)[1] for one in rig.line.servos}
+    answers = {one.id: one.read(*MOTION_SPAN)[1] for one in rig.line.servos}
     servos.update({1: answers[1]}, 0.0)
     assert not servos.all_reported
     servos.update(answers, 0.1)

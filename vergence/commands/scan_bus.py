@@ -13,7 +13,10 @@ from vergence.errors import ConfigurationError
 if TYPE_CHECKING:
     from vergence.hardware.scan import FoundServo, ScanResult
 
-_COLUMNS: Final = ("id", "model", "firmware", "baud", "mode", "torque", "V", "C", "position")
+_COLUMNS: Final = (
+    *("id", "model", "firmware", "baud", "mode", "torque", "V", "C", "position"),
+    "latched fault",
+)
 _NO_ANSWER_REASONS: Final = (
     "is the servos' power switched on? The adapter's USB does not feed them",
     "is the data cable in, and the ground of supply and adapter the same?",
@@ -53,8 +56,13 @@ class ScanBus:
         if not found.servos:
             _say_nobody(self.port, found)
             return 1
-        print_table(_COLUMNS, [_row(servo) for servo in found.servos], wrapped=(1, 4))
-        return 0
+        print_table(_COLUMNS, [_row(servo) for servo in found.servos], wrapped=(1, 4, 9))
+        for ident, rate in found.equal_ids:
+            print_to_stderr(
+                f"error: id {ident}: expected one servo at {rate} baud, got two or more, whose "
+                "answers damage each other: plug in one alone and give it another id"
+            )
+        return int(bool(found.equal_ids))
 
 
 def _ids(text: str | None) -> range | None:
@@ -72,12 +80,12 @@ def _ids(text: str | None) -> range | None:
 
 def _row(servo: "FoundServo") -> list[str]:
     from vergence.hardware.dynamixel import control_table as table
-    from vergence.hardware.servo_memory import model_name
+    from vergence.hardware.servo_memory import describe_fault_bits, model_name
 
     known = [str(servo.id), model_name(servo.model_number)]
     memory = servo.memory
     if memory is None:
-        return [*known, "", str(servo.baud_rate), "", "", "", "", ""]
+        return [*known, "", str(servo.baud_rate), "", "", "", "", "", ""]
     mode = memory.get(table.OPERATING_MODE)
     return [
         *known,
@@ -88,6 +96,7 @@ def _row(servo: "FoundServo") -> list[str]:
         f"{0.1 * memory.get(table.PRESENT_INPUT_VOLTAGE):.1f}",
         str(memory.get(table.PRESENT_TEMPERATURE)),
         str(memory.get(table.PRESENT_POSITION)),
+        describe_fault_bits(memory.get(table.HARDWARE_ERROR_STATUS)) or "-",
     ]
 
 

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from vergence.envs.reading import BoolArray
 from vergence.errors import HardwareError
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.count_log import CountLog
@@ -33,6 +34,8 @@ _REPEAT_PERIODS: Final = 3.0
 """Control periods for which a requested command is repeated; then the joints brake (chosen)."""
 _REST_TIMEOUT_S: Final = 1.0
 """Longest time for braking by commands, s (chosen)."""
+_LONG_PAUSE_PERIODS: Final = 4.0
+"""Control periods without a packet that are told of as a pause (chosen)."""
 _JOIN_S: Final = 1.0
 """Longest wait for the thread to end, s (chosen)."""
 
@@ -74,6 +77,9 @@ class DriveThread(threading.Thread):
         self._servos = servos
         self._supervisor, self._history = supervisor, history
         self._period_s = config.head.timing.period_s
+        self._watchdog_s = config.bus.watchdog_s
+        self._names = {servo.slot: servo.name for servo in config.servos}
+        self._rests, self._in_trial = True, False
         self._log, self._clock, self._sleep = log, clock, sleep
         self._lock = threading.RLock()
         self._closed = threading.Event()
@@ -128,13 +134,14 @@ class DriveThread(threading.Thread):
                 # at least a period after a command of the thread
                 ahead_s = self._repeated_s + self._period_s - self._clock()
                 if ahead_s <= 0.0:
-                    self._requested_s = self._clock()
+                    self._requested_s, self._in_trial = self._clock(), trial is not None
                     return self._send(requested, trial)
             self._sleep(ahead_s)
 
     def _send(self, requested: FloatArray, trial: RunningTrial | None = None) -> FloatArray:
         self._refuse_others()  # again, under the lock
         servos = self._servos
+        self._refuse_pause()
         old_s = self._clock() - self._history.newest()[0]
         if old_s > _MAX_AGE_PERIODS * self._period_s and not self._supervisor.fault:
             self.sense()  # the caller was slow
@@ -151,7 +158,10 @@ class DriveThread(threading.Thread):
             target_eye_angles=None if trial is None else trial.target_eye_angles,
             missed_periods=0 if trial is None else trial.missed_periods,
         )
-        sent = servos.send(self._supervisor.command(state, requested))
+        command = self._supervisor.command(state, requested)
+        if self._supervisor.distrusted.any():
+            servos.release_torque(self._supervisor.distrusted)
+        sent = servos.send(command)
         if self._log is not None:
             asked = CommandOrigin.ROBOT if trial is None else CommandOrigin.POLICY
             verdict = self._supervisor.verdict.value
@@ -159,7 +169,24 @@ class DriveThread(threading.Thread):
         self._last_sent = sent  # repeated if the next command is late
         self._sent_s = self._clock()
         self._supervisor.on_sent(sent)
+        self._rests = self._rests and not sent.any()
         return sent
+
+    def note_pause(self) -> None:
+        """Tell the supervisor of a long silence in a trial, from which other faults may follow."""
+        pause_s = self._servos.pause_s
+        if self._in_trial and pause_s > _LONG_PAUSE_PERIODS * self._period_s:
+            self._supervisor.note_pause(self._clock(), pause_s)
+
+    def _refuse_pause(self) -> None:
+        """Raise an error if the servos' watchdog has stopped them."""
+        self.note_pause()
+        if not self._supervisor.fault and (tripped_s := self._servos.watchdog_trip_pause_s()):
+            raise HardwareError(
+                f"bus: expected the servos to hear something every {self._watchdog_s:g} s, got "
+                f"{tripped_s:.2f} s of silence, in which their watchdog has stopped them: this "
+                "process, its policy or the line had paused"
+            )
 
     def _refuse_others(self) -> None:
         if self._closed.is_set() or os.getpid() != self._pid:
@@ -185,10 +212,12 @@ class DriveThread(threading.Thread):
         return self._clock()
 
     def brake(self) -> None:
-        """Brake until the commands are zero, as far as the line allows."""
-        if os.getpid() != self._pid:
+        """Brake until the commands are zero, and read that the joints rest, as far as possible.
+
+        A joint that does not come to rest loses its torque, and the head is stopped.
+        """
+        if os.getpid() != self._pid or self._rests:
             return
-        moved = not self._supervisor.at_rest
         begun_s = due_s = self._clock()
         until_s = due_s + _REST_TIMEOUT_S
         while due_s < until_s and not self._supervisor.at_rest:
@@ -200,10 +229,26 @@ class DriveThread(threading.Thread):
                 break
             due_s = max(due_s + self._period_s, self._clock())
             self._sleep(max(due_s - self._clock(), 0.0))
-        if moved and self._supervisor.at_rest:
+        with suppress(HardwareError), self.exclusive() as servos:
+            moving = servos.settle(self._sleep)
+            if moving.any():
+                self._supervisor.stop(
+                    f"servos: {self._named(moving)}: expected rest at a velocity of zero, got a "
+                    "joint that turns on; cure: hold it, and look at its motor and encoder"
+                )
+            self._rests = self._supervisor.at_rest
+        if self._rests:
             _LOG.info("braked to rest in %.2f s", self._clock() - begun_s)
-        elif moved:
+        else:
             _LOG.warning("expected to brake to rest within %g s", _REST_TIMEOUT_S)
+
+    @property
+    def released(self) -> str:
+        """Names of the joints whose torque was switched off; empty for none."""
+        return self._named(self._servos.released)
+
+    def _named(self, joints: BoolArray) -> str:
+        return ", ".join(name for slot, name in self._names.items() if joints[slot])
 
     def send_if_late(self) -> float:
         """Send a command if the caller's next one is late.
@@ -249,4 +294,4 @@ class DriveThread(threading.Thread):
         if self.is_alive() and threading.current_thread() is not self:
             self.join(_JOIN_S)
         with self._lock:
-            self._servos.close()
+            self._servos.close(self._sleep)

@@ -15,6 +15,7 @@ import numpy as np
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel.repeated import read_register
 from vergence.hardware.servo_memory import (
     PRESENT_VALUES_SPAN,
     ServoMemory,
@@ -38,11 +39,12 @@ HOT_K: Final = 5.0
 _VOLTAGE_WARNING_FRACTION: Final = 0.03
 """Distance to a voltage limit that gives a warning, as a fraction of the limit (chosen)."""
 _HIGH_LOAD: Final = 0.8
-"""Fraction of the full load that gives a warning (chosen)."""
+"""Fraction of the full load that counts as high (chosen)."""
 _FULL_LOAD_FRACTION: Final = 0.95
 """Fraction of the full load that counts as full (chosen)."""
-_FULL_READS: Final = 3
-"""Consecutive reads at full load that stop the head; fewer may be an acceleration (chosen)."""
+_LOAD_READS: Final = 3
+"""Consecutive reads at full load that stop the head, or at high load that give a warning; fewer may
+be an acceleration (chosen)."""
 
 
 class HealthLevel(StrEnum):
@@ -105,7 +107,7 @@ def read_limits(bus: Bus, id: int) -> HealthLimits:
         # models that lack the register refuse the read or return 0
         full = np.nan
         with suppress(HardwareError):
-            full = float(bus.read(id, _CURRENT_LIMIT)) or np.nan
+            full = float(read_register(bus, id, _CURRENT_LIMIT)) or np.nan
     return HealthLimits(
         max_temperature_c=float(memory.get(table.TEMPERATURE_LIMIT)),
         min_voltage_v=0.1 * memory.get(table.MIN_VOLTAGE_LIMIT),
@@ -153,10 +155,10 @@ class HealthWatch:
 
     def __init__(self, limits: HealthLimits) -> None:
         self.limits = limits
-        self._full = 0
+        self._full = self._high = 0
 
     def judge(self, health: Health) -> HealthJudgement:
-        """Judge a reading; full load stops the head only after three readings in a row."""
+        """Judge a reading; a load counts only after three readings in a row."""
         hot, temperature = self._temperature(health.temperature_c)
         judged = [
             temperature,
@@ -199,12 +201,13 @@ class HealthWatch:
     def _load(self, load: float) -> tuple[HealthLevel, str]:
         share = abs(load)
         self._full = self._full + 1 if share >= _FULL_LOAD_FRACTION else 0
-        if not share >= _HIGH_LOAD:  # also if it is unknown
+        self._high = self._high + 1 if share >= _HIGH_LOAD else 0  # also if it is unknown
+        if self._high < _LOAD_READS:
             return _NO_PROBLEM
-        if self._full < _FULL_READS:
+        if self._full < _LOAD_READS:
             return HealthLevel.WARN, f"load: expected below {_HIGH_LOAD:.0%}, got {share:.0%}"
         return HealthLevel.STOP, (
-            f"load: expected below {_FULL_LOAD_FRACTION:.0%}, got {share:.0%} at {_FULL_READS} "
+            f"load: expected below {_FULL_LOAD_FRACTION:.0%}, got {share:.0%} at {_LOAD_READS} "
             "looks"
         )
 

@@ -6,6 +6,7 @@ beyond a turn. For the same reason a step does not stop at the joint's limits.
 """
 
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -13,12 +14,20 @@ from typing import Final
 
 import numpy as np
 
-from vergence.errors import HardwareError
+from vergence.errors import HardwareError, VergenceWarning
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.resting import broadcast_zero_speed, stop_and_disable_watchdog
+from vergence.hardware.dynamixel.repeated import read_register, write_register
+from vergence.hardware.resting import (
+    broadcast_zero_speed,
+    disable_watchdog,
+    settle,
+    stop_and_disable_watchdog,
+)
+from vergence.hardware.safety.following import FollowingMonitor
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
+from vergence.hardware.servo_settings import ServoSettings
 
 MOST_STEP_RAD: Final = 0.5
 """Largest step, rad: a person who watches the joint can still stop it in time (chosen)."""
@@ -62,6 +71,7 @@ class Jogger:
         self.servos = {servo.name: servo for servo in config.servos}
         self._config, self._bus = config, bus
         self._clock, self._sleep = clock, sleep
+        bus.names = {servo.id: servo.name for servo in config.servos}
 
     def ticks(self, name: str) -> int:
         """A servo's present position, ticks.
@@ -69,7 +79,7 @@ class Jogger:
         Raises:
             HardwareError: it does not answer; the other methods raise it too.
         """
-        return self._bus.read(self.servos[name].id, table.PRESENT_POSITION)
+        return read_register(self._bus, self.servos[name].id, table.PRESENT_POSITION)
 
     def angle(self, name: str) -> float:
         """A joint's angle with the sign and the zero found so far, rad."""
@@ -90,15 +100,29 @@ class Jogger:
             Measured rotation, rad.
 
         Raises:
-            HardwareError: it does not follow or does not answer. It has been brought to rest, as
-                far as the line allows.
+            HardwareError: it does not follow, does not come to rest or does not answer. It has lost
+                its torque, as far as the line allows: a command of zero might not stop it.
         """
         servo = self.servos[name]
+        armed = False
         try:
             self._arm(servo)
-            return self._drive(servo, signed_step_rad)
-        finally:
+            armed = True
+            moved = self._drive(servo, signed_step_rad)
+            if self._rest(servo):
+                raise _failed(servo, "rest at a velocity of zero", "a joint that turns on")
+        except HardwareError as error:
+            if not armed:
+                self._rest(servo)
+                raise
+            with suppress(HardwareError):
+                self.torque_off(name)
+                error.args = (f"{error}; its torque is off: hold what may sink",)
+            raise
+        except BaseException:
             self._rest(servo)
+            raise
+        return moved
 
     def flip_sign(self, name: str) -> None:
         """Change the sign of a joint."""
@@ -111,32 +135,51 @@ class Jogger:
 
     def torque_off(self, name: str) -> None:
         """Switch a servo's torque off."""
-        self._bus.write(self.servos[name].id, table.TORQUE_ENABLE, 0)
+        write_register(self._bus, self.servos[name].id, table.TORQUE_ENABLE, 0)
 
     def _arm(self, servo: ServoConfig) -> None:
         """Set velocity mode, switch torque on at rest, and arm the watchdog."""
         bus, ident = self._bus, servo.id
-        torque = bus.read(ident, table.TORQUE_ENABLE)
-        if bus.read(ident, table.OPERATING_MODE) != table.VELOCITY_MODE:
+        torque = read_register(bus, ident, table.TORQUE_ENABLE)
+        if read_register(bus, ident, table.OPERATING_MODE) != table.VELOCITY_MODE:
             if torque:
                 raise HardwareError(
                     f"servos: {servo.name}: expected velocity mode or no torque, got torque in "
                     "another mode: hold the head, and switch its power off and on"
                 )
-            bus.write(ident, table.OPERATING_MODE, table.VELOCITY_MODE)
+            write_register(bus, ident, table.OPERATING_MODE, table.VELOCITY_MODE)
         broadcast_zero_speed(bus, [servo.id])
-        bus.write(ident, table.BUS_WATCHDOG, 0)
-        bus.write(ident, table.GOAL_VELOCITY, 0)
+        disable_watchdog(bus, ident)
+        settings = ServoSettings(bus)
+        settings.set_motion(servo)
+        for finding in settings.findings:
+            warnings.warn(str(finding), VergenceWarning, stacklevel=3)
         if not torque:
-            bus.write(ident, table.TORQUE_ENABLE, 1)
+            write_register(bus, ident, table.TORQUE_ENABLE, 1)
+            # a lock of the goals that a tripped watchdog has left ends with the torque
+            write_register(bus, ident, table.GOAL_VELOCITY, 0)
         steps = max(1, round(self._config.bus.watchdog_s / table.WATCHDOG_S))
-        bus.write(ident, table.BUS_WATCHDOG, steps)
+        write_register(bus, ident, table.BUS_WATCHDOG, steps)
 
-    def _rest(self, servo: ServoConfig) -> None:
-        """Stop the servo, with the watchdog off, as it would trip before the next step."""
+    def _rest(self, servo: ServoConfig) -> bool:
+        """Stop the servo, with the watchdog off, as it would trip before the next step.
+
+        Returns:
+            True if the joint turned on, and has lost its torque.
+        """
+        moves = False
         with suppress(HardwareError):
             broadcast_zero_speed(self._bus, [servo.id])
+            moves = bool(
+                settle(
+                    lambda: np.array([self._angle(servo)]),
+                    lambda _: self.torque_off(servo.name),
+                    self._clock,
+                    self._sleep,
+                ).any()
+            )
             stop_and_disable_watchdog(self._bus, servo.id)
+        return moves
 
     def _drive(self, servo: ServoConfig, way_rad: float) -> float:
         timing, speed_rad_s = self._config.head.timing, self._speed(servo)
@@ -144,23 +187,29 @@ class Jogger:
             _TOLERANCE_FRACTION * abs(way_rad), _MIN_TOLERANCE_TICKS / abs(servo.ticks_per_rad)
         )
         tick_rad_s = servo.sign * table.TICK_RAD_S / servo.gear_ratio
-        start = self.ticks(servo.name)
+        start = self.ticks(servo.name) / servo.ticks_per_rad
         begun_s = answered_s = progress_s = self._clock()
         until_s = begun_s + _EXTRA_TIMEOUT_S + abs(way_rad) / speed_rad_s
         moved = best = 0.0
+        own = np.arange(7) == servo.slot
+        following = FollowingMonitor(self._config.head, self._config.head.actuation.velocity)
         while abs(left := way_rad - moved) > within_rad:
             wanted = float(np.clip(_GAIN * left, -speed_rad_s, speed_rad_s))
             steps = round(wanted / tick_rad_s) or int(np.copysign(1, wanted / tick_rad_s))
             self._bus.sync_write(table.GOAL_VELOCITY, {servo.id: steps})
             self._sleep(timing.period_s)
             now = self._clock()
-            ticks = self._position(servo)
-            if ticks is None:
+            if servo.id in self._bus.alerts:
+                raise _failed(servo, "a servo without a fault", "one that reports a fault")
+            position = self._angle(servo)
+            if np.isnan(position):
                 if now - answered_s > SILENT_S:
                     raise _failed(servo, f"an answer of the id {servo.id}", "none")
                 continue
             answered_s = now
-            moved = (ticks - start) / servo.ticks_per_rad
+            moved = position - start
+            sent = own * steps * tick_rad_s
+            off = following.update(now, own * moved, sent, sent, own)
             along = moved * np.sign(way_rad)
             if along > best:
                 best, progress_s = along, now
@@ -169,14 +218,17 @@ class Jogger:
                 raise _failed(servo, expected, f"{moved:.3f} rad: it turns the wrong way")
             if along > abs(way_rad) + _MAX_DEVIATION_RAD:
                 raise _failed(servo, expected, f"{moved:.3f} rad: it turns too far")
-            if now - progress_s > _STUCK_S or now > until_s:
+            if off[servo.slot] > 0.0 or now - progress_s > _STUCK_S or now > until_s:
                 raise _failed(servo, expected, f"{moved:.3f} rad: it is stuck")
         return moved
 
-    def _position(self, servo: ServoConfig) -> int | None:
+    def _angle(self, servo: ServoConfig) -> float:
+        """A servo's position as an angle of its joint, rad; nan without an answer."""
         register = table.PRESENT_POSITION
         answers = self._bus.sync_read([servo.id], register.address, register.length)
-        return register.decode(answers[servo.id]) if servo.id in answers else None
+        if servo.id not in answers:
+            return np.nan
+        return register.decode(answers[servo.id]) / servo.ticks_per_rad
 
     def _speed(self, servo: ServoConfig) -> float:
         """The joint's jogging speed, at least one unit of the servo's velocity, rad/s."""

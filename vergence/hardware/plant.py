@@ -77,7 +77,6 @@ class HardwarePlant(Plant):
         begun_s: time on the clock at which the running trial began, s.
         overruns: number of missed control periods.
         trials: number of trials so far.
-        watchdog_trips: number of times the servos' watchdog has stopped them.
 
     Raises:
         ConfigurationError: num is not 1, or the head differs from the configuration's.
@@ -104,7 +103,7 @@ class HardwarePlant(Plant):
         refuse_other_head(self.config, head)
         self.head, self.num = head, num
         self.places_targets = self.config.places_targets
-        self.overruns = self.watchdog_trips = 0
+        self.overruns = 0
         self._log, self._moves, self._appears = log, moves, appears
         self._clock, self._sleep = clock, sleep
         self._period_s = head.timing.period_s
@@ -276,7 +275,6 @@ class HardwarePlant(Plant):
                 raise HardwareError("the head has not begun a trial: expected a reset first")
             self._begin()
         try:
-            self._check_watchdog()
             missed = self.overruns - self._reported_overruns
             self._reported_overruns = self.overruns
             trial = RunningTrial(
@@ -294,6 +292,7 @@ class HardwarePlant(Plant):
             if self._log is not None:
                 self._keep(self._log)
         except HardwareError as error:
+            self._drive.note_pause()
             self._supervisor.stop(str(error))
         if self._supervisor.fault:
             self._come_to_rest()
@@ -388,20 +387,20 @@ class HardwarePlant(Plant):
 
     def _move(self, requested: FloatArray) -> float:
         """Send requested velocities for one period outside a trial; return the time after it, s."""
-        self._check_watchdog()
         now = self._drive.move(requested)
         self._open.eyes.check()
         self._check_health()
         return now
 
     def _come_to_rest(self) -> None:
-        """Brake as far as the line allows, and switch the torque of hot servos off."""
-        if self._log is not None:
-            self._log.stopped(self._supervisor.fault)
+        """Brake as far as the line allows, switch the torque of hot servos off, and say so."""
         if self._open.drive is not None:
             self._open.drive.brake()
             with suppress(HardwareError), self._open.drive.exclusive() as servos:
                 servos.release_torque_if_hot()
+            self._supervisor.note_released(self._open.drive.released)
+        if self._log is not None:
+            self._log.stopped(self._supervisor.fault)
         _LOG.error("stopped: %s", self._supervisor.fault)
 
     def _warn_of_limiting_posture(self) -> None:
@@ -416,18 +415,6 @@ class HardwarePlant(Plant):
             texts = servos.check_health()
         for text in texts:
             _warn(text)
-
-    def _check_watchdog(self) -> None:
-        """Raise an error if the servos' watchdog has stopped them."""
-        with self._drive.exclusive() as servos:
-            paused_s = servos.watchdog_trip_pause_s()
-        if paused_s:
-            self.watchdog_trips += 1
-            raise HardwareError(
-                f"bus: expected the servos to hear something every {self.config.bus.watchdog_s:g} "
-                f"s, got {paused_s:.2f} s of silence, in which their watchdog has stopped them: "
-                "this process, its policy or the line had paused"
-            )
 
     def _begin(self) -> None:
         """Start the trial's time at its first command, as nothing has moved until then."""
@@ -468,7 +455,6 @@ class HardwarePlant(Plant):
         until = self._clock() + _FIRST_IMAGES_S
         while self._clock() < until:
             self._sleep(self._period_s)
-            self._check_watchdog()
             self._sense()
             self._drive.send(np.zeros(7))
             pair = self._open.eyes.newest()

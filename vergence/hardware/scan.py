@@ -7,6 +7,7 @@ the rate of its own BAUD_RATE register, as an emulated line answers at any rate.
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -20,7 +21,8 @@ from vergence.hardware.dynamixel.packets import (
     PacketParser,
     instruction_packet,
 )
-from vergence.hardware.servo_memory import ServoMemory, read_memory
+from vergence.hardware.dynamixel.repeated import REQUESTS, ping_again
+from vergence.hardware.servo_memory import REGISTER_SPANS, ServoMemory, read_memory
 
 ALL_BAUD_RATES: Final = (57_600, 1_000_000, *(set(table.BAUD_RATES) - {57_600, 1_000_000}))
 """All baud rates, first the factory default and the usual one (physical: Dynamixel X series)."""
@@ -52,6 +54,8 @@ class ScanResult:
     """Servos by rate, then by id."""
     unsupported_rates: dict[int, str] = field(default_factory=dict)
     """Rates that this system cannot set, with the reason."""
+    equal_ids: list[tuple[int, int]] = field(default_factory=list)
+    """Ids that several servos have, each with its baud rate, bit/s."""
     damaged_packets: int = 0
     """Number of damaged packets: from two servos with one id, or noise."""
 
@@ -78,6 +82,7 @@ def scan_for_servos(
     """
     found: list[FoundServo] = []
     left_out: dict[int, str] = {}
+    equal: list[tuple[int, int]] = []
     damaged = 0
     asked = None if single_ping_ids is None else list(single_ping_ids)
     for place, rate in enumerate(baud_rates):
@@ -92,12 +97,21 @@ def scan_for_servos(
             if asked is None:
                 answered, rejected = _everybody(bus, broadcast_wait_per_id_s)
                 damaged += rejected
-            servos = [_found(bus, ident, rate) for ident in answered]
-            found += [servo for servo in servos if servo is not None]
+            for ident in answered:
+                before = bus.damaged_packets
+                servo = _found(bus, ident, rate)
+                if servo is not None:
+                    found.append(servo)
+                # where nothing answers at this rate nothing is damaged either
+                unread = servo is None or servo.memory is None
+                if unread and bus.damaged_packets - before >= REQUESTS:
+                    equal.append((ident, rate))
             damaged += bus.damaged_packets
         finally:
             bus.close()
-    return ScanResult(servos=found, unsupported_rates=left_out, damaged_packets=damaged)
+    return ScanResult(
+        servos=found, unsupported_rates=left_out, equal_ids=equal, damaged_packets=damaged
+    )
 
 
 def _everybody(bus: Bus, wait_per_id_s: float) -> tuple[list[int], int]:
@@ -114,17 +128,17 @@ def _everybody(bus: Bus, wait_per_id_s: float) -> tuple[list[int], int]:
 
 
 def _found(bus: Bus, ident: int, rate: int) -> FoundServo | None:
-    model = bus.ping(ident)
+    model = ping_again(bus, ident)
     if model is None:
         return None
     memory = None
     if model in table.MODELS:
-        try:
+        with suppress(HardwareError):  # it answers pings only
+            memory = read_memory(bus, ident, REGISTER_SPANS[:1])
+            if not _has_rate(memory, rate):
+                return None
+            memory = None  # servos of one id may agree in this span alone
             memory = read_memory(bus, ident)
-        except HardwareError:  # it answers pings only
-            memory = None
-    if memory is not None and not _has_rate(memory, rate):
-        return None
     return FoundServo(id=ident, baud_rate=rate, model_number=model, memory=memory)
 
 

@@ -6,14 +6,28 @@ from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.control_table import Register
+from vergence.hardware.dynamixel.repeated import REQUESTS
 
-REGISTER_SPANS: Final = ((0, 14), (20, 4), (31, 5), (44, 4), (64, 1), (68, 3), (126, 21))
+REGISTER_SPANS: Final = (
+    (0, 14),
+    (20, 4),
+    (31, 7),
+    (44, 4),
+    (63, 2),
+    (68, 3),
+    (76, 4),
+    (120, 27),
+)
 """Addresses and lengths of the spans that are read; their registers exist without gaps in all
 models (physical: Dynamixel X series)."""
+MOTION_SPAN: Final = (
+    table.PRESENT_VELOCITY.address,
+    table.PRESENT_VELOCITY.length + table.PRESENT_POSITION.length,
+)
+"""Address and length of the present velocity and, directly after it, the present position."""
 PRESENT_VALUES_SPAN: Final = REGISTER_SPANS[-1]
-"""Span of present load, velocity, position, voltage and temperature."""
-_MAX_READS: Final = 2
-"""Reads per span: even on a good line one packet in a thousand may be damaged (chosen)."""
+"""Span of present load, velocity, position, voltage and temperature. It begins with the servo's own
+clock, so that answers of two servos differ even where all else is alike."""
 _FAULT_BIT_TEXTS: Final = {
     0: "input voltage",
     2: "overheating",
@@ -57,7 +71,7 @@ def read_memory(
     """
     found: dict[int, bytes] = {}
     for address, length in spans:
-        for _ in range(_MAX_READS):
+        for _ in range(REQUESTS):
             answers = bus.sync_read([id], address, length, timeout_s=bus.single_timeout_s)
             if id in answers:
                 found[address] = answers[id]

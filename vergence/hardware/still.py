@@ -1,9 +1,14 @@
 """Servos that are only read: nothing is written to them, and nothing moves."""
 
+import time
+from collections.abc import Callable
+
 import numpy as np
 
+from vergence.envs.reading import BoolArray
 from vergence.hardware.config import ServoConfig
 from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.repeated import read_register
 from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
 
@@ -15,7 +20,7 @@ class ReadOnlyServos(HeadServos):
         pass
 
     def _set_up(self, servo: ServoConfig) -> None:
-        self.angles.limit_ticks[servo.id] = self._bus.read(servo.id, table.VELOCITY_LIMIT)
+        self.angles.limit_ticks[servo.id] = read_register(self._bus, servo.id, table.VELOCITY_LIMIT)
 
     def switch_on(self) -> None:
         """Leave the torque as it is."""
@@ -28,9 +33,9 @@ class ReadOnlyServos(HeadServos):
         """Return 0, as no watchdog is armed."""
         return 0.0
 
-    def release_torque_if_hot(self) -> None:
+    def release_torque(self, joints: BoolArray) -> None:
         """Leave the torque as it is."""
 
-    def close(self) -> None:
+    def close(self, sleep: Callable[[float], None] = time.sleep) -> None:
         """Release the line."""
         self._bus.close()

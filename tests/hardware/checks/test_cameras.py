@@ -152,6 +152,16 @@ def test_a_camera_that_starts_only_alone_is_the_controllers_limit():
     assert "cameras.right 0 (30 alone)" in finding.problem
 
 
+@pytest.mark.parametrize("wrong", [{"rate_hz": 12.0}, {"rate_hz": 0.0}, {"size": (320, 240)}])
+def test_the_cures_of_a_stream_are_those_of_its_server(wrong):
+    desk = Desk(**{"athttp://left": wrong})
+    request = CameraRequest(name="left", source="http://left", **ASKED, exposure_s=0.01)
+    _states, (finding,) = check_cameras([request], open=desk.open_capture, clock=desk.clock)
+    for word in ("v4l2-ctl", "MJPG", "exposure", "cable"):
+        assert word not in finding.cure
+    assert finding.cure
+
+
 def test_a_streams_settings_are_not_judged():
     request = CameraRequest(name="left", source="http://127.0.0.1/left", **ASKED, exposure_s=0.01)
     desk = Desk(at0={"locked": 3, "pixel_format": "H264"})

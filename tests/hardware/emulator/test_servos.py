@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from tests.hardware.emulator.questions import ask, read, turning, write
 from tests.hardware.line import make_servo
-from vergence.errors import ConfigurationError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.control_table import TICK_RAD, TICK_RAD_S
 from vergence.hardware.dynamixel.packets import (
@@ -224,6 +223,20 @@ def test_time_that_goes_back_changes_nothing():
     assert line.positions() == before
 
 
-def test_two_servos_with_one_id_are_refused():
-    with pytest.raises(ConfigurationError, match=r"an id of its own for each, got \[1, 1\]"):
-        ServoLine([make_servo(1), make_servo(1)])
+def test_answers_of_equal_ids_stay_intact_only_if_they_are_the_same():
+    line = ServoLine([make_servo(1), make_servo(1, position_rad=0.5)])
+    assert [one.id for one in ask(line, 0.0, instruction_packet(1, Instruction.PING))] == [1]
+    place = table.PRESENT_POSITION
+    span = bytes((place.address, 0, place.length, 0))
+    assert [one.id for one in line.answer(Packet(1, Instruction.READ, span), 0.0)] == [1]
+    assert ask(line, 0.0, instruction_packet(1, Instruction.READ, span)) == []
+    sync = instruction_packet(BROADCAST, Instruction.SYNC_READ, span + bytes((1,)))
+    assert ask(line, 0.0, sync) == []
+
+
+def test_a_servo_obeys_its_secondary_id_without_an_answer():
+    line = ServoLine([make_servo(1), make_servo(2)])
+    line.servos[1].set(table.SECONDARY_ID, 1)
+    assert [one.id for one in write(line, 0.0, 1, table.PROFILE_VELOCITY, 7)] == [1]
+    assert line.servos[1].get(table.PROFILE_VELOCITY) == 7
+    assert read(line, 0.0, 2, table.PROFILE_VELOCITY) == 7

@@ -85,12 +85,13 @@ def _judge(state: CameraState) -> Iterator[Finding]:
     """Findings of one camera by itself."""
     request = state.request
     listed = "one that v4l2-ctl --list-formats-ext lists"
+    size_cure = listed if is_local_camera(request.source) else "another size at its server"
     if state.size is not None and request.size not in (None, state.size):
         yield Finding(
             part=request.name,
             problem=f"expected images of {_size(request.size)}, as the head has them, got "
             f"{_size(state.size)}",
-            cure=f"{listed}, and calibrate the head with such a size",
+            cure=f"{size_cure}, and calibrate the head with such a size",
         )
     if state.pixel_format and request.pixel_format not in ("", state.pixel_format):
         yield Finding(
@@ -106,23 +107,24 @@ def _judge(state: CameraState) -> Iterator[Finding]:
 
 def _judge_rate(state: CameraState) -> Iterator[Finding]:
     asked_hz, source = state.request.frame_rate_hz, state.request.source
-    place = f"the camera {source}" if is_local_camera(source) else source
+    local = is_local_camera(source)
+    place = f"the camera {source}" if local else source
     if not state.rate_hz:
         yield Finding(
             part=state.request.name,
             problem=f"expected images from {place}, got none within {FIRST_IMAGE_TIMEOUT_S:g} s",
-            cure="another cable, port or camera; does another program use it?",
+            cure="another cable, port or camera; does another program use it?"
+            if local
+            else "check its server and the network",
         )
     elif asked_hz is not None and state.too_slow:
-        dark = (
-            ""
-            if state.exposure_locked
-            else f"a locked exposure_s below {1.0 / asked_hz:.3g}, more light, "
-        )
+        cure = 'pixel_format = "MJPG"' if local else "more light, a stream of fewer bytes"
+        if local and not state.exposure_locked:
+            cure = f"a locked exposure_s below {1.0 / asked_hz:.3g}, more light, {cure}"
         yield Finding(
             part=state.request.name,
             problem=f"expected {asked_hz:g} images a second, got {state.rate_hz:.3g}",
-            cure=f'{dark}pixel_format = "MJPG", or a lower frame_rate_hz in the head file',
+            cure=f"{cure}, or a lower frame_rate_hz in the head file",
         )
     elif asked_hz is not None and abs(state.reported_hz - asked_hz) > _RATE_TOLERANCE * asked_hz:
         yield Finding(

@@ -10,7 +10,7 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servo_memory import ServoMemory, describe_fault_bits, model_name
 
-_WATCHDOG_FIRMWARE: Final = 38
+WATCHDOG_FIRMWARE: Final = 38
 """First firmware with BUS_WATCHDOG (physical: X series, and MX with Protocol 2.0)."""
 _UNRELIABLE_WATCHDOG_MODELS: Final = frozenset((1190, 1200, 1210, 1220, 1230, 1240))
 """MODEL_NUMBER of servos whose watchdog may fail (physical: XL330 and XC330)."""
@@ -29,6 +29,21 @@ _DRIVE_MODES: Final = {
     3: "torque on by any goal",
 }
 """Texts of the bits of DRIVE_MODE."""
+
+
+_VELOCITY_GAINS: Final = {
+    model: gains
+    for models, gains in (
+        ((1060,), ((1000, 100), (1920, 100))),
+        ((1090,), ((1000, 100), (1800, 100), (1920, 100))),
+        ((1190, 1200, 1210, 1220, 1230, 1240), ((1600, 180), (1200, 40))),
+    )
+    for model in models
+}
+"""VELOCITY_I_GAIN and VELOCITY_P_GAIN from the factory, by MODEL_NUMBER: all that ROBOTIS's manuals
+have had for XL430, 2XL430, XL330 and XC330 (physical)."""
+_USUAL_VELOCITY_GAINS: Final = ((1920, 100),)
+"""Both gains of the other models (physical: ROBOTIS's manuals of XC430, XM, XH, XW and MX)."""
 
 
 def check_registers(
@@ -79,9 +94,9 @@ class _ServoRegisters:
 
 def _firmware(one: _ServoRegisters) -> Iterator[Finding]:
     model, firmware = one.get(table.MODEL_NUMBER), one.get(table.FIRMWARE_VERSION)
-    if firmware < _WATCHDOG_FIRMWARE:
+    if firmware < WATCHDOG_FIRMWARE:
         yield one.finding(
-            f"expected firmware {_WATCHDOG_FIRMWARE} or later, the first that stops the servo when "
+            f"expected firmware {WATCHDOG_FIRMWARE} or later, the first that stops the servo when "
             f"nobody speaks, got {firmware}",
             f"renew it {WIZARD}",
         )
@@ -149,6 +164,33 @@ def _velocity_limit(one: _ServoRegisters) -> Iterator[Finding]:
         )
 
 
+def _velocity_gains(one: _ServoRegisters) -> Iterator[Finding]:
+    model = one.get(table.MODEL_NUMBER)
+    known = _VELOCITY_GAINS.get(model, _USUAL_VELOCITY_GAINS)
+    got = one.get(table.VELOCITY_I_GAIN), one.get(table.VELOCITY_P_GAIN)
+    if got not in known:
+        expected = " or ".join(f"{i} and {p}" for i, p in known)
+        yield one.finding(
+            f"expected {expected} in VELOCITY_I_GAIN and VELOCITY_P_GAIN, as {model_name(model)} "
+            f"has them from the factory, got {got[0]} and {got[1]}",
+            "switch its power off and on, or measure how it follows: `vergence measure-delay`",
+            warning=True,
+        )
+
+
+def _secondary_id(one: _ServoRegisters) -> Iterator[Finding]:
+    id = one.get(table.SECONDARY_ID)
+    if id >= table.NO_SECONDARY_ID or id == one.servo.id:
+        return
+    others = [servo.name for servo in one.config.servos if servo.id == id]
+    obeys = f", so it obeys {others[0]} too, without an answer" if others else ""
+    yield one.finding(
+        f"expected 255 in SECONDARY_ID, for none, got {id}{obeys}",
+        f"set it to 255 {WIZARD}",
+        warning=not others,
+    )
+
+
 def _voltage(one: _ServoRegisters) -> Iterator[Finding]:
     least, most = one.get(table.MIN_VOLTAGE_LIMIT), one.get(table.MAX_VOLTAGE_LIMIT)
     got = one.get(table.PRESENT_INPUT_VOLTAGE)
@@ -213,6 +255,8 @@ _CHECKS: Final[tuple[Callable[[_ServoRegisters], Iterator[Finding]], ...]] = (
     _drive_mode,
     _homing_offset,
     _velocity_limit,
+    _velocity_gains,
+    _secondary_id,
     _voltage,
     _temperature,
     _faults,

@@ -10,8 +10,14 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ChecksFailedError, Finding, HardwareError
-from vergence.hardware.checks.line import check_exchange_fits_period, check_latency_timer
+from vergence.hardware.checks.line import (
+    check_exchange_fits_period,
+    check_latency_timer,
+    cycle_timeout_s,
+    measure_exchange_s,
+)
 from vergence.hardware.checks.registers import (
+    WATCHDOG_FIRMWARE,
     WIZARD,
     check_registers,
     joint_angle_from_registers,
@@ -20,7 +26,8 @@ from vergence.hardware.checks.registers import (
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.servo_memory import read_memory
+from vergence.hardware.dynamixel.repeated import REQUESTS, ping_again, read_register
+from vergence.hardware.servo_memory import ServoMemory, read_memory
 from vergence.models.parts import FloatArray
 
 _LOG: Final = logging.getLogger(__name__)
@@ -33,6 +40,8 @@ def check_servos(
 ) -> list[Finding]:
     """Find all problems of the servos and their line. Nothing is written to a servo.
 
+    The timeout of the line's answers in a control period is set by their measured time.
+
     Args:
         config: the robot.
         bus: its open line.
@@ -44,13 +53,18 @@ def check_servos(
         HardwareError: the line is gone.
     """
     findings = []
-    damaged = bus.damaged_packets
-    models = {servo.name: _model(bus, servo.id) for servo in config.servos}
-    if not any(model is not None for model in models.values()):
-        findings.append(_nobody(config, bus, bus.damaged_packets > damaged))
+    models, damaged = {}, set()
+    for servo in config.servos:
+        before = bus.damaged_packets
+        models[servo.name] = ping_again(bus, servo.id)
+        if models[servo.name] is None and bus.damaged_packets - before >= REQUESTS:
+            damaged.add(servo.id)
+    missing = [servo for servo in config.servos if models[servo.name] is None]
+    if len(missing) == len(config.servos):
+        findings.append(_nobody(config, bus, bool(damaged)))
     else:
-        missing = [servo for servo in config.servos if models[servo.name] is None]
-        findings += _missing(config, bus, missing)
+        findings += [_equal_ids(servo) for servo in missing if servo.id in damaged]
+        findings += _missing(config, bus, [one for one in missing if one.id not in damaged])
     delays: dict[str, int] = {}
     angles = np.full(7, np.nan)
     for servo in config.servos:
@@ -61,11 +75,12 @@ def check_servos(
             findings.append(_unknown(servo, model))
             continue
         _LOG.info("%s: %s with the id %d", servo.name, table.MODELS[model], servo.id)
-        try:
-            memory = read_memory(bus, servo.id)
-        except HardwareError as error:
-            findings.append(_silent(servo, str(error)))
+        memory = _memory(servo, bus)
+        if isinstance(memory, Finding):
+            findings.append(memory)
             continue
+        if memory.get(table.FIRMWARE_VERSION) >= WATCHDOG_FIRMWARE:
+            findings += _watchdog(servo, bus)
         delays[servo.name] = memory.get(table.RETURN_DELAY_TIME)
         findings += check_registers(
             config, servo, memory, check_joint_in_limits=check_joint_in_limits
@@ -73,7 +88,9 @@ def check_servos(
         angles[servo.slot] = joint_angle_from_registers(config, servo, memory)
     if check_joint_in_limits:
         findings += _forbidden(config, angles)
-    findings += check_exchange_fits_period(config, delays, sysfs)
+    exchange_s = measure_exchange_s(bus, [one.id for one in config.servos if one.name in delays])
+    bus.cycle_timeout_s = cycle_timeout_s(exchange_s, config.head.timing.period_s)
+    findings += check_exchange_fits_period(config, delays, sysfs, exchange_s)
     latency = check_latency_timer(config.bus.port, sysfs)
     return findings if latency is None else [*findings, latency]
 
@@ -90,10 +107,16 @@ def raise_errors(findings: Iterable[Finding]) -> list[Finding]:
     return findings
 
 
-def _model(bus: Bus, ident: int) -> int | None:
-    """Ping a servo for its model number, twice if needed, as a packet may be damaged."""
-    model = bus.ping(ident)
-    return bus.ping(ident) if model is None else model
+def _memory(servo: ServoConfig, bus: Bus) -> ServoMemory | Finding:
+    """Read a servo's registers, or find out why that fails."""
+    for _ in range(2):  # on a noisy line all answers of a read may be damaged once, but not twice
+        before = bus.damaged_packets
+        try:
+            return read_memory(bus, servo.id)
+        except HardwareError as error:
+            if bus.damaged_packets - before < REQUESTS:
+                return _silent(servo, str(error))
+    return _equal_ids(servo)
 
 
 def _nobody(config: HardwareConfig, bus: Bus, damaged: bool) -> Finding:
@@ -138,6 +161,27 @@ def _forbidden(config: HardwareConfig, angles: FloatArray) -> Iterator[Finding]:
                 problem=one.refusal(angles, config.slots),
                 cure="turn it out of there by hand with torque off",
             )
+
+
+def _equal_ids(servo: ServoConfig) -> Finding:
+    return servo_finding(
+        servo,
+        f"expected one servo with the id {servo.id}, got two or more, whose answers damage each "
+        "other",
+        f"give each servo an id of its own {WIZARD}, while it is alone on the line; if no other "
+        "has this id, mend the data cable",
+    )
+
+
+def _watchdog(servo: ServoConfig, bus: Bus) -> Iterator[Finding]:
+    try:
+        read_register(bus, servo.id, table.BUS_WATCHDOG)
+    except HardwareError as error:
+        yield servo_finding(
+            servo,
+            f"expected a BUS_WATCHDOG, which stops the servo when nobody speaks, got {error}",
+            f"renew its firmware {WIZARD}",
+        )
 
 
 def _unknown(servo: ServoConfig, model: int) -> Finding:

@@ -99,10 +99,9 @@ class SampleCollector(RobotListener):
             sent_velocities=np.array([one.sent[slot] for one in self._commands]),
             joints_s=np.array([one[0] for one in self._joints]),
             joint_angles=np.array([one[1] for one in self._joints]).reshape(-1, 7),
-            # a reading is dated at the middle of its exchange, but measured at any time in it
-            joint_time_sigma_s=float(np.median(self._answered_s)) / np.sqrt(3.0)
-            if self._joints
-            else 0.0,
+            # a reading is dated at the end of its request, but measured at any time until its
+            # answer; the shortest exchange has the least of this machine's own delays
+            joint_time_sigma_s=min(self._answered_s) / np.sqrt(3.0) if self._joints else 0.0,
             received_s=received_s,
             pixels=np.array([one.point_px for one in seen]).reshape(-1, 2),
             detection_time_s=np.array([one.ready_s for one in seen]) - received_s,

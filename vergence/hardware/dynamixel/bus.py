@@ -2,11 +2,12 @@
 
 import logging
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from vergence.errors import ConfigurationError, HardwareError
-from vergence.hardware.dynamixel.control_table import Register
+from vergence.errors import ConfigurationError, HardwareError, ServoRefusalError
+from vergence.hardware.dynamixel.control_table import EEPROM_END, Register
 from vergence.hardware.dynamixel.packets import (
     BROADCAST,
     ERRORS,
@@ -26,8 +27,12 @@ CYCLE_TIMEOUT_S: Final = 0.006
 Four servos answer within 1.6 ms at 1 Mb/s; a silent one costs at most this much of a period.
 """
 SINGLE_TIMEOUT_S: Final = 0.05
-"""Timeout of one servo's answer, beyond its time on the wire, s: slow EEPROM writes (chosen)."""
-
+"""Timeout of one servo's answer, beyond its time on the wire, s: slow adapters (chosen)."""
+EEPROM_TIMEOUT_S: Final = 0.15
+"""Timeout of the answer to a write into the EEPROM, beyond its time on the wire, s: more than twice
+the 60 ms that servos have been seen to take (chosen)."""
+SYNC_READ_BYTES: Final = 14
+"""Length of a sync read without its ids, bytes (physical: Protocol 2.0)."""
 _STATUS_BYTES: Final = 11
 """Length of a status packet without data, bytes (physical: Protocol 2.0)."""
 
@@ -47,12 +52,15 @@ class Bus:
         port: the device file, such as "/dev/ttyUSB0".
         baud: baud rate, bit/s.
         cycle_timeout_s: timeout of the answers to a sync read, beyond their time on the wire, s.
-        single_timeout_s: timeout of a single answer, beyond its time on the wire, s.
+        single_timeout_s: timeout of a single answer, beyond its time on the wire, s; a write into
+            the EEPROM has `EEPROM_TIMEOUT_S` at least.
 
     Attributes:
         line: the serial line.
+        names: names of servos by id, for messages.
+        exchange_s: time from the last request to the last of its answers, s.
         missed_answers: number of answers that did not arrive.
-        stale: number of answers that did not match the open request.
+        stale: number of answers by id that did not match the open request, as late ones.
         alerts: ids of the servos whose last answer announced a hardware error.
 
     Raises:
@@ -69,7 +77,10 @@ class Bus:
     ) -> None:
         self.line = SerialLine(port, baud)
         self.cycle_timeout_s, self.single_timeout_s = cycle_timeout_s, single_timeout_s
-        self.missed_answers = self.stale = 0
+        self.missed_answers = 0
+        self.stale: Counter[int] = Counter()
+        self.exchange_s = 0.0
+        self.names: dict[int, str] = {}
         self.alerts: set[int] = set()
         self._parser = PacketParser()
 
@@ -98,11 +109,13 @@ class Bus:
         """Read the value of a register.
 
         Raises:
-            HardwareError: the servo does not answer or refuses, or the line is gone.
+            ServoRefusalError: the servo refuses.
+            HardwareError: the servo does not answer, or the line is gone.
         """
         _check_id(id)
         packet = instruction_packet(id, Instruction.READ, _span(register.address, register.length))
-        status = self._answer(packet, id, register.length, f"a read of {register.name}")
+        question, timeout_s = f"a read of {register.name}", self.single_timeout_s
+        status = self._answer(packet, id, register.length, question, timeout_s)
         return register.decode(status.data)
 
     def write(self, id: int, register: Register, value: int) -> None:
@@ -110,12 +123,16 @@ class Bus:
 
         Raises:
             ConfigurationError: the register cannot hold the value.
-            HardwareError: the servo does not answer or refuses, or the line is gone.
+            ServoRefusalError: the servo refuses.
+            HardwareError: the servo does not answer, or the line is gone.
         """
         _check_id(id)
         params = register.address.to_bytes(2, "little") + _encoded(register, value)
         packet = instruction_packet(id, Instruction.WRITE, params)
-        self._answer(packet, id, 0, f"a write of {value} to {register.name}")
+        timeout_s = self.single_timeout_s
+        if register.address < EEPROM_END:
+            timeout_s = max(timeout_s, EEPROM_TIMEOUT_S)
+        self._answer(packet, id, 0, f"a write of {value} to {register.name}", timeout_s)
 
     def sync_read(
         self, ids: Iterable[int], address: int, length: int, *, timeout_s: float | None = None
@@ -168,17 +185,19 @@ class Bus:
         """Release the line; the servos continue with their last goals."""
         self.line.close()
 
-    def _answer(self, packet: bytes, id: int, length: int, question: str) -> Status:
-        answers, other = self._ask(packet, [id], length, self.single_timeout_s)
-        expected = f"id {id} on {self.port}: expected an answer to {question}"
+    def _answer(
+        self, packet: bytes, id: int, length: int, question: str, timeout_s: float
+    ) -> Status:
+        answers, other = self._ask(packet, [id], length, timeout_s)
+        name = f"servos: {self.names[id]}: " if id in self.names else ""
+        expected = f"{name}id {id} on {self.port}: expected an answer to {question}"
         if id not in answers:
             self.missed_answers += 1
             came = f"one of {other[id]} bytes, not {length}" if id in other else "none"
-            wait_ms = 1e3 * self.single_timeout_s
-            raise HardwareError(f"{expected} within {wait_ms:.0f} ms, got {came}")
+            raise HardwareError(f"{expected} within {1e3 * timeout_s:.0f} ms, got {came}")
         status = answers[id]
         if status.error:
-            raise HardwareError(f"{expected}, got error {_in_words(status.error)}")
+            raise ServoRefusalError(f"{expected}, got error {_in_words(status.error)}")
         return status
 
     def _ask(
@@ -192,7 +211,8 @@ class Bus:
         self._discard_late()
         self.line.send(packet)
         answers_bytes = len(ids) * (_STATUS_BYTES + length)
-        until_s = time.monotonic() + timeout_s + self.line.wire_s(len(packet) + answers_bytes)
+        asked_s = time.monotonic()
+        until_s = asked_s + timeout_s + self.line.wire_s(len(packet) + answers_bytes)
         answers: dict[int, Status] = {}
         other: dict[int, int] = {}
         while len(answers) < len(ids):
@@ -204,8 +224,9 @@ class Bus:
                 fits = len(status.data) == (0 if status.error else length)
                 if status.id in ids and status.id not in answers and fits:
                     answers[status.id] = status
+                    self.exchange_s = time.monotonic() - asked_s
                     continue
-                self.stale += 1
+                self.stale[status.id] += 1
                 if status.id in ids:
                     other[status.id] = len(status.data)
             if time.monotonic() > until_s:  # a line that babbles never runs out of data
@@ -213,7 +234,7 @@ class Bus:
         return answers, other
 
     def _discard_late(self) -> None:
-        self.stale += len(self._statuses(self.line.drain()))
+        self.stale.update(status.id for status in self._statuses(self.line.drain()))
         self._parser.clear()
 
     def _statuses(self, data: bytes) -> list[Status]:

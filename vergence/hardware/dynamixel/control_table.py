@@ -54,11 +54,13 @@ BAUD_RATE: Final = Register("BAUD_RATE", 8, 1)
 RETURN_DELAY_TIME: Final = Register("RETURN_DELAY_TIME", 9, 1)
 DRIVE_MODE: Final = Register("DRIVE_MODE", 10, 1)
 OPERATING_MODE: Final = Register("OPERATING_MODE", 11, 1)
+SECONDARY_ID: Final = Register("SECONDARY(SHADOW)_ID", 12, 1)
 PROTOCOL_TYPE: Final = Register("PROTOCOL_TYPE", 13, 1)
 HOMING_OFFSET: Final = Register("HOMING_OFFSET", 20, 4, signed=True)
 TEMPERATURE_LIMIT: Final = Register("TEMPERATURE_LIMIT", 31, 1)
 MAX_VOLTAGE_LIMIT: Final = Register("MAX_VOLTAGE_LIMIT", 32, 2)
 MIN_VOLTAGE_LIMIT: Final = Register("MIN_VOLTAGE_LIMIT", 34, 2)
+PWM_LIMIT: Final = Register("PWM_LIMIT", 36, 2)
 VELOCITY_LIMIT: Final = Register("VELOCITY_LIMIT", 44, 4)
 MAX_POSITION_LIMIT: Final = Register("MAX_POSITION_LIMIT", 48, 4)
 MIN_POSITION_LIMIT: Final = Register("MIN_POSITION_LIMIT", 52, 4)
@@ -66,6 +68,8 @@ SHUTDOWN: Final = Register("SHUTDOWN", 63, 1)
 TORQUE_ENABLE: Final = Register("TORQUE_ENABLE", 64, 1)
 STATUS_RETURN_LEVEL: Final = Register("STATUS_RETURN_LEVEL", 68, 1)
 HARDWARE_ERROR_STATUS: Final = Register("HARDWARE_ERROR_STATUS", 70, 1)
+VELOCITY_I_GAIN: Final = Register("VELOCITY_I_GAIN", 76, 2)
+VELOCITY_P_GAIN: Final = Register("VELOCITY_P_GAIN", 78, 2)
 BUS_WATCHDOG: Final = Register("BUS_WATCHDOG", 98, 1, signed=True)
 GOAL_PWM: Final = Register("GOAL_PWM", 100, 2, signed=True)
 GOAL_VELOCITY: Final = Register("GOAL_VELOCITY", 104, 4, signed=True)
@@ -88,11 +92,13 @@ REGISTERS: Final = (
     RETURN_DELAY_TIME,
     DRIVE_MODE,
     OPERATING_MODE,
+    SECONDARY_ID,
     PROTOCOL_TYPE,
     HOMING_OFFSET,
     TEMPERATURE_LIMIT,
     MAX_VOLTAGE_LIMIT,
     MIN_VOLTAGE_LIMIT,
+    PWM_LIMIT,
     VELOCITY_LIMIT,
     MAX_POSITION_LIMIT,
     MIN_POSITION_LIMIT,
@@ -100,6 +106,8 @@ REGISTERS: Final = (
     TORQUE_ENABLE,
     STATUS_RETURN_LEVEL,
     HARDWARE_ERROR_STATUS,
+    VELOCITY_I_GAIN,
+    VELOCITY_P_GAIN,
     BUS_WATCHDOG,
     GOAL_PWM,
     GOAL_VELOCITY,
@@ -125,6 +133,10 @@ TICK_RAD_S: Final = 0.229 * 2 * pi / 60
 """Unit of velocities, 0.229 rev/min in rad/s (physical: X series)."""
 CENTRE_TICKS: Final = 2048
 """Position in the middle of the turn, ticks (physical: X series)."""
+FULL_PWM: Final = 885
+"""PWM_LIMIT and GOAL_PWM without a limit, in units of 0.113 % (physical: X series)."""
+NO_SECONDARY_ID: Final = 253
+"""Least SECONDARY_ID of a servo that has none; the factory's is 255 (physical: X series)."""
 WATCHDOG_S: Final = 0.02
 """Unit of BUS_WATCHDOG, s (physical: X series)."""
 WATCHDOG_MOST: Final = 127

@@ -63,6 +63,10 @@ class EmulatorConfig:
         float, tyro.conf.arg(name="feedback-latency", metavar="SECONDS")
     ] = 0.0
     """Age of the angles and speeds that the servos report."""
+    answer_latency_s: Annotated[float, tyro.conf.arg(name="answer-latency", metavar="SECONDS")] = (
+        0.0
+    )
+    """Delay of every answer of the servos, as by an adapter's latency timer."""
     friction: Annotated[float, tyro.conf.arg(metavar="FRACTION")] = 0.0
     """Coulomb friction of the joints, of the greatest torque; static friction is 1.6 times that."""
     gravity: Annotated[float, tyro.conf.arg(metavar="FRACTION")] = 0.0
@@ -77,7 +81,7 @@ class EmulatorConfig:
 
     def __post_init__(self) -> None:
         times = ("latency_s", "jitter_s", "right_late_s", "speed_filter_s", "lag_s")
-        for name in (*times, "command_latency_s", "feedback_latency_s"):
+        for name in (*times, "command_latency_s", "feedback_latency_s", "answer_latency_s"):
             value = getattr(self, name)
             if value is not None and not 0.0 <= value < _MAX_TIME_S:
                 raise ConfigurationError(

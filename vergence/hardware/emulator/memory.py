@@ -26,15 +26,19 @@ _FACTORY_VALUES: Final = {
     table.BAUD_RATE: 1,
     table.RETURN_DELAY_TIME: 250,
     table.OPERATING_MODE: table.POSITION_MODE,
+    table.SECONDARY_ID: 255,
     table.PROTOCOL_TYPE: 2,
     table.TEMPERATURE_LIMIT: 72,
     table.MAX_VOLTAGE_LIMIT: 140,
     table.MIN_VOLTAGE_LIMIT: 60,
+    table.PWM_LIMIT: table.FULL_PWM,
     table.VELOCITY_LIMIT: 265,
     table.MAX_POSITION_LIMIT: 4095,
     table.SHUTDOWN: 0b110100,
     table.STATUS_RETURN_LEVEL: 2,
-    table.GOAL_PWM: 885,
+    table.VELOCITY_I_GAIN: 1000,
+    table.VELOCITY_P_GAIN: 100,
+    table.GOAL_PWM: table.FULL_PWM,
     table.PRESENT_INPUT_VOLTAGE: 120,
     table.PRESENT_TEMPERATURE: 31,
 }
@@ -50,12 +54,17 @@ _RANGES: Final = {
     table.TEMPERATURE_LIMIT: (0, 100),
     table.MAX_VOLTAGE_LIMIT: (60, 140),
     table.MIN_VOLTAGE_LIMIT: (60, 140),
+    table.PWM_LIMIT: (0, table.FULL_PWM),
     table.VELOCITY_LIMIT: (0, 1023),
     table.MAX_POSITION_LIMIT: (0, 4095),
     table.MIN_POSITION_LIMIT: (0, 4095),
     table.TORQUE_ENABLE: (0, 1),
     table.STATUS_RETURN_LEVEL: (0, 2),
+    table.VELOCITY_I_GAIN: (0, 16_383),
+    table.VELOCITY_P_GAIN: (0, 16_383),
     table.BUS_WATCHDOG: (0, table.WATCHDOG_MOST),
+    table.PROFILE_ACCELERATION: (0, 32_767),
+    table.PROFILE_VELOCITY: (0, 32_767),
 }
 _MODES: Final = (table.VELOCITY_MODE, table.POSITION_MODE, table.EXTENDED_POSITION_MODE)
 _READ_ONLY: Final = (table.MODEL_NUMBER, table.FIRMWARE_VERSION, table.HARDWARE_ERROR_STATUS)
@@ -135,6 +144,9 @@ class ControlTable:
         """Range of a goal register under the servo's own settings."""
         if register == table.GOAL_VELOCITY:
             limit = self.get(table.VELOCITY_LIMIT)
+            return -limit, limit
+        if register == table.GOAL_PWM:
+            limit = self.get(table.PWM_LIMIT)
             return -limit, limit
         if register == table.GOAL_POSITION:
             mode = self.get(table.OPERATING_MODE)

@@ -89,6 +89,9 @@ class EmulatedServo:
         inverted: True if the motor turns against its drive, so that the inner loop runs away.
         goal_scale: the joint's speed by its goal; -1 turns against it. The encoder reports this.
         speed_scale: reported by true speed, for a servo with other units.
+        eeprom_write_s: time that it needs for writing to its EEPROM before it answers, s.
+        trip_needs_torque_cycle: True if a tripped watchdog locks the goals until torque has been
+            switched off and on, as some firmware has it.
 
     Raises:
         ConfigurationError: a sign other than 1 and -1, or a gear ratio or lag that is not positive.
@@ -132,6 +135,7 @@ class EmulatedServo:
         self._motor = Motor(lag_s, min(acceleration, _STIFF_RAD_S2), max_speed, friction, gravity)
         self._own_loop = False  # True while the motor's own loop moves the joint
         self._ramped = 0.0  # goal velocity after the profile, rad/s
+        self.eeprom_write_s, self.trip_needs_torque_cycle = 0.0, False
         self.trace = MotionTrace()
         self._turns = sign * gear_ratio
         self._turn_ticks = 0  # ticks of the whole turns lost in reboots
@@ -219,7 +223,10 @@ class EmulatedServo:
         before = self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)
         self.memory.bytes[address : address + len(data)] = data
         if written_value(table.BUS_WATCHDOG, address, data) is not None:
-            self._tripped = False  # the value is 0, as others are refused while tripped
+            # the value is 0, as others are refused while tripped
+            self._tripped = self._tripped and self.trip_needs_torque_cycle
+        if not before[0] and self.get(table.TORQUE_ENABLE):
+            self._tripped = False
         if before != (self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)):
             self._hold()
         return 0

@@ -25,7 +25,7 @@ from vergence.hardware.emulator.fault import Fault
 from vergence.hardware.emulator.faults import ActiveFaults
 from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.line_faults import apply_line_faults
-from vergence.hardware.emulator.servo import EmulatedServo
+from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo
 from vergence.hardware.emulator.trace import rest_start_and_top_speed
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -40,7 +40,7 @@ _BAUD_RATE: Final = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class MotorOptions:
-    """Dynamics and encoders of the servos of an emulated head."""
+    """Dynamics and encoders of the servos of an emulated head, and the adapter of their line."""
 
     speed_filter_s: float = 0.0
     """Time constant of the low-pass filter on reported speeds, s."""
@@ -56,6 +56,8 @@ class MotorOptions:
     """Backlash between encoders and joints, rad."""
     feedback_latency_s: float = 0.0
     """Age of the angles and speeds that servos report, s."""
+    answer_latency_s: float = 0.0
+    """Delay of every answer by the adapter, s."""
     friction: float = 0.0
     """Coulomb friction, as a fraction of the greatest torque."""
     gravity: float = 0.0
@@ -78,12 +80,13 @@ def _lever(head: HeadModel, slot: int) -> float:
 class World:
     """A head's joints and its target, in real time.
 
-    Its servos are set up for a controller: 1 Mb/s and no return delay.
+    Its servos are set up for a controller: 1 Mb/s, no return delay, and a shutdown that a broken
+    encoder brings about too.
 
     Args:
         head: the head that really moves.
         point: (3,) target position until another one is placed, in N, m.
-        motors: dynamics and encoders of the servos.
+        motors: dynamics and encoders of the servos, and the adapter of their line.
         seed: random seed of the faults of answers.
         T_0_T: (4, 4) pose of a fixed board in place of a target, m; None for a target.
     """
@@ -126,10 +129,12 @@ class World:
         for servo in self.servos.values():
             servo.set(table.BAUD_RATE, table.BAUD_RATES.index(_BAUD_RATE))
             servo.set(table.RETURN_DELAY_TIME, 0)
+            servo.set(table.SHUTDOWN, servo.get(table.SHUTDOWN) | ENCODER_ERROR)
         self.ids = tuple(servo.id for servo in self.servos.values())
         self.line = ServoLine(self.servos.values())
         self.faults = ActiveFaults(self.servos.values())
         self._command_latency_s = motors.command_latency_s
+        self._answer_latency_s = motors.answer_latency_s
         self._commands: deque[tuple[float, Packet]] = deque()
         self._rng = np.random.default_rng(seed)
         self._told_s = -np.inf
@@ -191,7 +196,7 @@ class World:
         answers = self.line.answer(packet, now_s, baud_rate)
         if any(servo.get(table.TORQUE_ENABLE) for servo in self.line.servos):
             self.faults.start_script(now_s)
-        delay_s = sum(answer.return_delay_s for answer in answers)
+        delay_s = self._answer_latency_s + sum(answer.return_delay_s for answer in answers)
         sent = apply_line_faults(answers, self.faults.active_on("line"), self._rng)
         return [(delay_s + late_s, data) for late_s, data in sent]
 

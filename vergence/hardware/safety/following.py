@@ -5,6 +5,12 @@ follows them with any lag and latency up to D moves by a weighted mean of `C(t -
 over the delays d from 0 to D. So its motion lies between the least and the greatest of these,
 whatever its lag. For commands that turn to and fro this alone would accept a joint that does not
 move. So the range of a joint's motion also has to be a tenth of the range of C, at most D later.
+
+These tests accept any lag, and take most of a second. A joint whose encoder is blind or whose motor
+is inverted runs far in that time, so two quick tests find what no sluggish joint does: an angle
+that stays the same, to a few steps of the encoder, while the commands themselves and the head's
+model, undelayed and up to `_LATE_S` late, all demand motion to one side; and a speed that grows
+although no command of the last 0.15 s asks for it.
 """
 
 from collections import deque
@@ -12,6 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from vergence.envs.reading import BoolArray
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -30,8 +37,9 @@ _RANGE_WINDOW_FRACTION: Final = 0.8
 """Part of a window over which the ranges are compared, as a fraction (chosen)."""
 _PROVED_RAD: Final = 0.05
 """Commanded and measured motion that proves that a joint follows, rad (chosen)."""
-_MOST_PAUSE_S: Final = 0.5
-"""Longest integration step of C, s; in a longer pause the servos' watchdog stops them (chosen)."""
+_MOST_PAUSE_S: Final = 0.1
+"""Longest time between two calls, s; after a longer one, in which the servos' watchdog may have
+stopped the joints, the comparison begins anew (chosen)."""
 
 
 class _Window(NamedTuple):
@@ -49,6 +57,26 @@ _WINDOWS: Final = (_Window(0.5, 0.0, 0.1), _Window(4.0, 0.03, 0.2))
 0.3 rad/s; the long one those of 0.1 rad/s, or of 0.03 rad/s if the joint does not move at all."""
 
 
+_LATE_S: Final = (0.0, 0.035, 0.07)
+"""Delays of a joint beyond its model that the quick test accepts, s (chosen)."""
+_STILL_WINDOWS: Final = ((0.035, 0.12), (0.06, 0.06), (0.2, 0.05), (0.5, 0.05))
+"""Windows of the quick test for a still angle: length, s, and the least demanded motion, rad
+(chosen: they find it from 3.4, 1, 0.25 and 0.1 rad/s on; with `_LATE_S` the last demands are more
+than the integral of a servo's loop needs to overcome 8 % of friction)."""
+_STILL_RAD: Final = 0.004
+"""Range of an angle that counts as still, rad: two steps of an encoder of 4,096 (chosen)."""
+_RUNAWAY_WINDOW_S: Final = 0.035
+"""Window over which a speed that grows is measured, s: two periods at 60 Hz (chosen)."""
+_RUNAWAY_RAD: Final = 0.03
+"""Motion in that window beyond the commands that no joint makes by itself, rad (chosen: 0.9 rad/s,
+which a person's hand seldom reaches)."""
+_RUNAWAY_SPARE: Final = (1.3, 0.3)
+"""Accepted motion by the greatest recent command to its side, and by the greatest to either: a
+servo's loop may overshoot (chosen)."""
+_RUNAWAY_PAST_S: Final = (0.12, 0.3)
+"""Times over which these commands are looked for, s (chosen)."""
+
+
 class FollowingMonitor:
     """Detector of joints that do not follow their commands.
 
@@ -62,36 +90,127 @@ class FollowingMonitor:
 
     def __init__(self, head: HeadModel, max_speed: FloatArray) -> None:
         timing, actuation = head.timing, head.actuation
+        self._period_s = timing.period_s
         ramp_s = max_speed / np.clip(actuation.acceleration, 1.0, None)
         late_s = _MAX_DELAY_LAGS * timing.lag_s * actuation.lag_ratio + ramp_s
         delay_s = float(late_s.max()) + timing.command_latency_s + _EXTRA_DELAY_S
-        self._comparisons = [_Comparison(window, delay_s) for window in _WINDOWS]
-        self._sum = np.zeros(7)
-        self._last_s = np.nan
+        self._delay_s = delay_s
+        self._begin()
         self.proved_joints = np.zeros(7, dtype=np.bool_)
 
-    def update(self, now_s: float, angles: FloatArray, command: FloatArray) -> FloatArray:
+    def _begin(self) -> None:
+        self._comparisons = [_Comparison(window, self._delay_s) for window in _WINDOWS]
+        self._quick = _QuickTests(self._period_s)
+        self._sum, self._expected = np.zeros(7), np.zeros(7)
+        self._last_s = np.nan
+
+    def update(
+        self,
+        now_s: float,
+        angles: FloatArray,
+        command: FloatArray,
+        expected: FloatArray,
+        fresh: BoolArray,
+    ) -> FloatArray:
         """Compare the joints' motion with their commands.
 
         Args:
             now_s: present time, s.
             angles: (7,) measured angles, rad.
             command: (7,) commanded velocities since the last call, rad/s.
+            expected: (7,) velocities expected by the model of the joints since then, rad/s.
+            fresh: (7,) True for angles that are measured, not extrapolated.
 
         Returns:
             (7,) error of each joint's motion beyond the range of all delays and the tolerance, rad;
             0 or less for a joint that follows.
         """
-        if not np.isnan(self._last_s):
-            self._sum = self._sum + command * min(now_s - self._last_s, _MOST_PAUSE_S)
+        passed_s = now_s - self._last_s
+        if passed_s > max(_MOST_PAUSE_S, 3.0 * self._period_s):
+            self._begin()
+        elif not np.isnan(passed_s):
+            self._sum = self._sum + command * passed_s
+            self._expected = self._expected + expected * passed_s
         self._last_s = now_s
         off, went = np.full(7, -np.inf), np.zeros(7)
         for comparison in self._comparisons:
             off = np.maximum(off, comparison.update(now_s, self._sum, angles))
             wanted, moved = comparison.last
             went = np.maximum(went, np.minimum(np.abs(wanted), np.sign(wanted) * moved))
+        quick = self._quick.update(now_s, self._sum, self._expected, angles, command)
+        off = np.maximum(off, np.where(fresh, quick, -np.inf))
         self.proved_joints |= (went > _PROVED_RAD) & (off <= 0.0)
-        return off
+        return np.asarray(off)
+
+
+class _QuickTests:
+    """Quick tests for an angle that stays the same, and for a speed that nothing asks for."""
+
+    def __init__(self, period_s: float) -> None:
+        self._kept_s = _STILL_WINDOWS[-1][0] + _LATE_S[-1] + period_s
+        self._rows: deque[FloatArray] = deque()  # time, and four times seven values
+        self._begun_s = np.nan
+
+    def update(
+        self,
+        now_s: float,
+        total: FloatArray,
+        expected: FloatArray,
+        angles: FloatArray,
+        command: FloatArray,
+    ) -> FloatArray:
+        """See `FollowingMonitor.update`; `total` and `expected` are integrals, (7,) rad."""
+        rows = self._rows
+        if not rows:  # nothing was demanded before
+            before_s = now_s - self._kept_s - _STILL_WINDOWS[-1][0]
+            rows.append(np.concatenate(((before_s,), total, expected, angles, 0.0 * command)))
+            self._begun_s = now_s
+        rows.append(np.concatenate(((now_s,), total, expected, angles, command)))
+        while rows[1][0] <= now_s - self._kept_s:
+            rows.popleft()
+        off = np.full(7, -np.inf)
+        table = np.array(rows)
+        times, turned = table[:, 0], table[:, 15:22]
+        late, lengths = np.array(_LATE_S), np.array([length_s for length_s, _ in _STILL_WINDOWS])
+        begins = now_s - np.add.outer(np.append(0.0, lengths), late)
+        values = _at(times, table[:, 1:15], begins.ravel()).reshape(*begins.shape, 14)
+        for place, (length_s, least_rad) in enumerate(_STILL_WINDOWS, 1):
+            models = values[0, :, 7:] - values[place, :, 7:]
+            demands = np.vstack([models, total - values[place, 0, :7]])
+            demanded = np.maximum(demands.min(axis=0), -demands.max(axis=0))
+            still = np.ptp(turned[times >= now_s - length_s], axis=0) < _STILL_RAD
+            off = np.where(still, np.maximum(off, demanded - least_rad), off)
+        read = times >= self._begun_s
+        grows = runaway(now_s, times[read], turned[read], table[read, 22:])
+        return np.asarray(np.maximum(off, grows))
+
+
+def runaway(
+    now_s: float, times: FloatArray, turned: FloatArray, commands: FloatArray
+) -> FloatArray:
+    """Motion of speeds that grow without a command, beyond what is accepted.
+
+    Args:
+        now_s: present time, s.
+        times: (k,) times of the last readings, s.
+        turned: (k, n) angles, rad.
+        commands: (k, n) commands that were sent before each, rad/s.
+
+    Returns:
+        (n,) motion, rad; 0 or less for joints without.
+    """
+    ends = now_s - _RUNAWAY_WINDOW_S * np.array([0.0, 1.0, 2.0])
+    if len(times) < 2 or times[0] > ends[-1]:
+        return np.full(turned.shape[1], -np.inf)
+    moved, before = -np.diff(_at(times, turned, ends), axis=0)
+    side = np.sign(moved)
+    recent = commands[times >= ends[1] - _RUNAWAY_PAST_S[0]]
+    to_side = np.maximum((side * recent).max(axis=0), 0.0)
+    either = np.abs(commands[times >= ends[1] - _RUNAWAY_PAST_S[1]]).max(axis=0)
+    asked = _RUNAWAY_SPARE[0] * to_side + _RUNAWAY_SPARE[1] * either
+    grows = side * (moved - before) > _STILL_RAD
+    beyond = np.abs(moved) - _RUNAWAY_RAD - _RUNAWAY_WINDOW_S * asked
+    return np.asarray(np.where(grows, beyond, -np.inf))
 
 
 class _Comparison:

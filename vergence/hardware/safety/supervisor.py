@@ -37,6 +37,10 @@ _OVERRUN_WINDOW_S: Final = 2.0
 """Time over which missed periods are counted, s (chosen)."""
 
 
+_LATE_FRACTION: Final = 0.1
+"""Fraction of missed periods above which a fault may be their consequence (chosen)."""
+
+
 class Verdict(Enum):
     """Verdict on the requested velocities."""
 
@@ -88,6 +92,7 @@ class Supervisor:
     Attributes:
         verdict: verdict on the last requested velocities.
         fault: reason of a stop in words; empty while there is none.
+        distrusted: (7,) True for joints that do not follow: a command of zero may not stop them.
     """
 
     def __init__(
@@ -109,20 +114,56 @@ class Supervisor:
         self._search = SpiralSearch(head)
         self._last_sent = np.zeros(7)
         self._missed: deque[tuple[float, int]] = deque()
+        self._paused = -np.inf, 0.0  # end and length of the last long pause, s
         self._seen_s = self._begun_s = np.nan
         self.verdict = Verdict.GO
         self.fault = ""
+        self.distrusted = np.zeros(7, dtype=np.bool_)
 
     def begin(self, now_s: float) -> None:
         """Begin a trial at a time, s, and watch its images, target and missed periods."""
         self._begun_s = self._seen_s = now_s
         self._oscillation.reset()
         self._missed.clear()
+        self._paused = -np.inf, 0.0
 
     def stop(self, reason: str) -> None:
-        """Stop for a reason in words; later reasons do not replace it."""
+        """Stop for a reason in words; later reasons do not replace it.
+
+        If late periods or a pause of this process went before a fault of servos or cameras, the
+        reason begins with these.
+        """
+        if not self.fault and reason.startswith(("servos:", "cameras.")):
+            reason = self._lateness() + reason
         self.fault = self.fault or reason
         self.verdict = Verdict.STOP
+
+    def note_pause(self, now_s: float, pause_s: float) -> None:
+        """Note a time, s, for which nothing was sent, which has just ended."""
+        self._paused = now_s, max(pause_s, self._paused[1] * (self._recently(now_s)))
+
+    def note_released(self, names: str) -> None:
+        """Add to the reason of a stop which joints have lost their torque."""
+        if names and "without torque" not in self.fault:
+            self.fault += f" ({names} without torque: hold what may sink; the others rest)"
+
+    def _recently(self, now_s: float) -> bool:
+        return now_s - self._paused[0] < _OVERRUN_WINDOW_S
+
+    def _lateness(self) -> str:
+        """Beginning of a reason that may follow from late periods; empty if they were on time."""
+        now_s = self._missed[-1][0] if self._missed else -np.inf
+        missed = sum(count for _, count in self._missed)
+        periods = round(_OVERRUN_WINDOW_S / self._head.timing.period_s)
+        paused_s = self._paused[1] if self._recently(max(now_s, self._paused[0])) else 0.0
+        if paused_s == 0.0 and missed <= _LATE_FRACTION * periods:
+            return ""
+        longest = f", and nothing was sent for {paused_s:.2f} s" if paused_s else ""
+        return (
+            f"loop: expected commands in time, but {missed} of the last {periods} periods were "
+            f"missed{longest}: this process or machine had paused; cure: end other programs; after "
+            "that: "
+        )
 
     def command(self, state: RobotState, requested: FloatArray) -> FloatArray:
         """Compute the command for the next period.
@@ -201,7 +242,14 @@ class Supervisor:
                 f"safety: {refusal}; cure: turn it out of there by hand with torque off "
                 "(`vergence jog`: off)"
             )
-        off = self._following.update(state.now_s, state.actuator_angles, self._last_sent)
+        off = self._following.update(
+            state.now_s,
+            state.actuator_angles,
+            self._last_sent,
+            self._motion.speed,
+            state.reading_age_s <= _MAX_AGE_PERIODS * self._head.timing.period_s,
+        )
+        self.distrusted |= off > 0.0
         for name, slot in self._names.items():
             if off[slot] > 0.0:
                 self.stop(
