@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from vergence.hardware.delay.image_fit import ImageFit
-from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, jackknife_covariance
+from vergence.hardware.delay.joint_fit import JointFit, jackknife_covariance
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
+from vergence.hardware.delay.motor_model import FittedMotor
 
 FIT = JointFit(
     motor=FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.9, inverse_acceleration=1.0 / 20.0),
     sigma=FittedMotor(latency_s=1e-3, lag_s=1e-3, gain=1e-3, inverse_acceleration=1e-4),
-    peak_acceleration_rad_s2=20.0, residual_rad=1e-3, acceleration_limited=True,
+    peak_acceleration_rad_s2=20.0, lag_s=0.03, lag_sigma_s=1e-3, misfit_rad=1e-3, acceleration_limited=True,
     latency_lag_correlation=-0.5,
 )  # fmt: skip
 IMAGE = ImageFit(
@@ -67,7 +68,7 @@ def test_a_latency_that_a_lag_may_stand_for_is_said():
 
 def test_what_the_model_does_not_have_is_said():
     assert LoopMeasurement(eyes=(EYE,)).misfits() == []
-    swinging = replace(EYE, joint_fit=replace(FIT, residual_rad=8e-3))
+    swinging = replace(EYE, joint_fit=replace(FIT, misfit_rad=8e-3))
     (line,) = LoopMeasurement(eyes=(swinging,)).misfits()
     assert line.startswith("left_pan: its angles are 8.0 mrad (rms) beside")
     shorter = replace(EYE, image_fit=replace(IMAGE, scale=0.9))

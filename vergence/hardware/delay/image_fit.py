@@ -28,6 +28,12 @@ _LOSS_SCALE: Final = 2.0
 """Scale of the robust loss, in standard deviations: larger residuals count linearly (chosen)."""
 _MIN_SIGMA_PX: Final = 0.05
 """Least standard deviation of a detection that is assumed, px (chosen)."""
+_MIN_SPEED_PX_S: Final = 20.0
+"""Image speed of the target below which its direction is uncertain, px/s (chosen)."""
+_OUTLIER_SIGMAS: Final = 6.0
+"""Residual above which an image says nothing of the jitter, in standard deviations (chosen)."""
+_VARIANCE_ROUNDS: Final = 3
+"""Rounds in which images are weighted by the variances found before (numerical)."""
 _MIN_DELAY_SPEED_PX_S: Final = 150.0
 """Image speed of the target above which an image's residual shows its delay, px/s (chosen)."""
 
@@ -201,18 +207,26 @@ def _jitter(
         clusters: (n,) index of the cluster in which residuals are dependent.
     """
     speed = np.linalg.norm(velocity, axis=-1)
-    fast = speed > _MIN_DELAY_SPEED_PX_S
-    if fast.sum() < 10:
+    if (speed > _MIN_DELAY_SPEED_PX_S).sum() < 10:
         return None, np.inf
-    along = np.sum(residual * velocity, axis=-1)[fast] / speed[fast]
-    slow = np.abs(residual[speed < 0.5 * _MIN_DELAY_SPEED_PX_S])
-    noise_px = 1.4826 * float(np.median(slow)) if len(slow) else 0.0
-    late_s = along / speed[fast]
-    late_s = late_s - np.median(late_s)
-    kept = np.abs(late_s) < 6.0 * 1.4826 * max(float(np.median(np.abs(late_s))), 1e-4)
-    square = late_s[kept] ** 2
-    variance = float(np.mean(square - (noise_px / speed[fast][kept]) ** 2))
-    together = np.bincount(clusters[fast][kept], square - square.mean())
-    sigma = float(np.sqrt(np.sum(together**2))) / len(square)
-    width = np.sqrt(12.0 * max(variance, 0.0))
-    return float(width), float(6.0 * sigma / max(width, np.sqrt(12.0 * sigma)))
+    moving = speed > _MIN_SPEED_PX_S
+    residual, velocity, clusters = residual[moving], velocity[moving], clusters[moving]
+    speed = speed[moving]
+    along = np.sum(residual * velocity, axis=-1) / speed
+    # errors of pixels and of the path beside those of time, which grow with speed
+    columns = np.stack([np.ones_like(speed), speed**2], axis=-1)
+    expected = np.full(len(speed), 1.4826 * float(np.median(np.abs(along)))) ** 2
+
+    def variances(rows: IntArray) -> FloatArray:
+        weighted = columns[rows] / expected[rows, None]
+        return np.asarray(np.linalg.lstsq(weighted, along[rows] ** 2 / expected[rows])[0])
+
+    for _ in range(_VARIANCE_ROUNDS):
+        kept = np.flatnonzero(along**2 < _OUTLIER_SIGMAS**2 * expected)
+        found = np.maximum(variances(kept), [_MIN_SIGMA_PX**2, 0.0])
+        expected = columns @ found
+    parts = np.unique(clusters)
+    without = np.array([variances(kept[clusters[kept] != part])[1] for part in parts])
+    sigma = float(np.sqrt((len(parts) - 1) * np.mean((without - without.mean()) ** 2)))
+    width = float(np.sqrt(12.0 * found[1]))
+    return width, float(6.0 * sigma / max(width, np.sqrt(12.0 * sigma)))

@@ -4,17 +4,18 @@
 
 is integrated with the commands as they were sent, and its angle is compared with the encoder's. A
 linear drift over each second, as the integral of speeds has one, is removed from the residuals.
+Where a motor with friction, see `motor_model`, fits clearly better, its values are taken.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 
 from vergence.envs.streams import IntArray
-from vergence.models.joint_response import follow_joint, lag_decay
+from vergence.hardware.delay.motor_model import FittedMotor, simulate_motor
 from vergence.models.parts import FloatArray
 
 CLUSTER_S: Final = 1.0
@@ -23,6 +24,8 @@ _QUANTISATION_SIGMA: Final = 12.0**-0.5
 """Standard deviation of a quantised number per quantisation step (numerical)."""
 _START_LATENCIES_S: Final = (0.0, 0.02, 0.05, 0.1)
 """Start values of the latency, s (numerical)."""
+_ROUGH: Final = np.array([-0.5, 1.0, -0.5])
+"""Difference of a residual from its neighbours' mean (numerical)."""
 _MIN_DELAY_SPEED_RAD_S: Final = 0.5
 """Speed above which an angle's residual shows the error of its time, rad/s (chosen)."""
 _LOSS_SCALE: Final = 3.0
@@ -32,23 +35,57 @@ _MAX_RELATIVE_SIGMA: Final = 0.15
 _MIN_CHI2_INCREASE: Final = 50.0
 """Least increase of the sum of squared residuals without an acceleration limit, in mean squares,
 for which a limit is accepted (chosen)."""
+_LAG: Final = (0, 1, 2, 3)
+"""Parameters of a lag with an acceleration limit (numerical)."""
+_MOTOR: Final = tuple(range(len(FittedMotor._fields)))
+"""Parameters of a motor with friction (numerical)."""
+_BOUNDS: Final = (
+    (-0.05, 0.5, 0.003), (1e-3, 1.0, 0.003), (0.01, 3.0, 0.02), (1e-4, 10.0, 0.003),
+    (0.0, 100.0, 0.5), (0.0, 100.0, 3.0), (0.0, 100.0, 3.0), (-30.0, 30.0, 1.0),
+    (1.0, 3.0, 0.15), (1.0, 5.0, 0.2),
+)  # fmt: skip
+"""Least and greatest value, and typical change, of each parameter (numerical)."""
+_PRIORS: Final = ((7, 0.0, 5.0), (8, 1.5, 0.3), (9, 1.5, 0.5))
+"""Parameters that some motions do not show: index, plausible value, standard deviation (chosen)."""
+_EMF_PRIOR_SIGMA: Final = 30.0
+"""Standard deviation of the difference of the integral's and the motor's rate, 1/s (chosen)."""
+_OFFSET: Final = 100.0
+"""Offset of the fit's variables, whose differences are relative to them (numerical)."""
+_SEARCHED: Final = (
+    (1e-3, 0.05), (0.008, 0.08), (0.85, 1.15), (1 / 180, 1 / 20), (0.1, 12.0), (4.0, 50.0),
+    (4.0, 50.0), (0.01, 0.02), (1.0, 2.0), (1.0, 2.0),
+)  # fmt: skip
+"""Least and greatest start value of each parameter (chosen: of plausible servos)."""
+_DRAWN: Final = 300
+"""Number of first draws of the search (numerical)."""
+_DRAWN_AGAIN: Final = 150
+"""Number of draws in each of its further rounds (numerical)."""
+_KEPT: Final = 25
+"""Number of best draws, about which it draws again (numerical)."""
+_SEARCH_ROUNDS: Final = 6
+"""Number of its rounds (numerical)."""
+_SEARCHES: Final = 3
+"""Number of searches, of which the best counts (numerical)."""
+_FEW_EVALUATIONS: Final = 12
+"""Evaluations of the improvement of one search (numerical)."""
+_EVALUATIONS: Final = 30
+"""Evaluations of a fit at most (numerical)."""
+_MISFIT_FREEDOM: Final = 10.0
+"""Number of independent motions of which a misfit is taken to consist (measured:
+benchmarks.delay)."""
+_MOST_SQUARE: Final = 100.0
+"""Squared residual, in variances, that counts at most in a misfit: a pause of the machine is none
+(chosen)."""
+_CHANCE: Final = 9.0
+"""Part of a misfit that a parameter may explain by chance, in such motions: three standard
+deviations (chosen)."""
+_MOST_MISFIT_RAD: Final = 0.015
+"""Residual that counts at most, where starts are compared, rad (numerical)."""
 _NO_LIMIT_INVERSE: Final = 1e-4
 """Inverse acceleration that stands for no limit, s^2/rad (numerical)."""
 
-_follow = getattr(follow_joint, "py_func", follow_joint)
-_lag_decay = getattr(lag_decay, "py_func", lag_decay)
-
-
-class FittedMotor(NamedTuple):
-    """Response parameters of an actuator's motor."""
-
-    latency_s: float
-    """Latency from a command to its response in the encoder readings, s."""
-    lag_s: float
-    gain: float
-    """Steady-state speed per commanded speed."""
-    inverse_acceleration: float
-    """Inverse of the greatest acceleration, s^2/rad."""
+_SMOOTHING_READINGS: Final = (0.25, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 13.0)
+"""Widths of smoothing to choose from, in readings: from none to half a second (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +97,13 @@ class JointFit:
     """Standard deviations of the parameters."""
     peak_acceleration_rad_s2: float
     """Greatest acceleration of the modelled motion, rad/s^2."""
-    residual_rad: float
-    """Rms difference of the encoder's angles from the model's, rad."""
+    lag_s: float
+    """Lag of the response without friction: of the nearest lag behind the latency, s."""
+    lag_sigma_s: float
+    """Its standard deviation, with its difference from the motor's own, s."""
+    misfit_rad: float
+    """Rms difference of the encoder's angles from the model's, and of that without friction and
+    limits from the nearest lag's, rad."""
     acceleration_limited: bool
     """True if a motor without an acceleration limit would fit clearly worse."""
     latency_lag_correlation: float
@@ -81,43 +123,6 @@ class JointFit:
     def acceleration_sigma(self) -> float:
         """Its standard deviation, rad/s^2."""
         return self.sigma.inverse_acceleration / self.motor.inverse_acceleration**2
-
-
-def simulate_motor(
-    motor: FittedMotor, sent_s: FloatArray, commands: FloatArray, times: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Simulate a motor, at first at rest at angle 0, with its commands.
-
-    Args:
-        motor: its parameters.
-        sent_s: (n,) times at which the commands were sent, s, increasing.
-        commands: (n,) commands, rad/s.
-        times: (m,) times of the result, s, increasing.
-
-    Returns:
-        (m,) angles, rad, and (m,) speeds, rad/s.
-    """
-    greatest = 1.0 / motor.inverse_acceleration
-    begins = [*(sent_s + motor.latency_s).tolist(), np.inf]
-    commanded = [0.0, *(motor.gain * commands).tolist()]
-    found = np.empty((2, len(times)))
-    at_s, q, v, place = min(begins[0], float(times[0])), 0.0, 0.0, 0
-
-    def after(until_s: float) -> tuple[float, float]:
-        wait_s = until_s - at_s
-        decay = _lag_decay(wait_s, motor.lag_s)
-        result: tuple[float, float] = _follow(
-            q, v, commanded[place], motor.lag_s, greatest, wait_s, decay
-        )
-        return result
-
-    for k, time_s in enumerate(times.tolist()):
-        while begins[place] <= time_s:
-            q, v = after(begins[place])
-            at_s = begins[place]
-            place += 1
-        found[:, k] = after(time_s)
-    return found[0], found[1]
 
 
 def fit_joint(
@@ -141,49 +146,170 @@ def fit_joint(
     Returns:
         The robust least-squares fit. Its uncertainty counts residuals within a second as dependent.
     """
-    clusters = ((joints_s - joints_s[0]) / CLUSTER_S).astype(np.int64)
-    detrender = _Detrender(joints_s, clusters)
-    rounded = max(_QUANTISATION_SIGMA * encoder_step_rad, 1e-5)
-    sigma = np.full(len(angles), rounded)
+    data = _Data(sent_s, commands, joints_s, angles, max(encoder_step_rad, 4e-5))
+    starts = [guess._replace(latency_s=latency) for latency in _START_LATENCIES_S]
+    fit = data.fit(min(starts, key=data.misfit), _LAG)
+    if fit.excess > _MIN_CHI2_INCREASE:
+        found = [data.improved(data.search(seed)) for seed in range(_SEARCHES)]
+        with_friction = data.fit(min(found, key=data.misfit), _MOTOR)
+        fit = with_friction if with_friction.explains(fit.motor) else fit
+    motor = fit.motor
+    lag_s, beside_rad = data.nearest_lag(motor)
+    times = np.arange(joints_s[0], joints_s[-1], 0.002)
+    speeds = simulate_motor(motor, sent_s, commands, times)[1]
+    return JointFit(
+        motor=motor,
+        sigma=FittedMotor(*fit.sigma.tolist()),
+        latency_lag_correlation=fit.correlation,
+        peak_acceleration_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
+        lag_s=lag_s,
+        lag_sigma_s=float(np.hypot(fit.sigma[1], lag_s - motor.lag_s)),
+        misfit_rad=float(np.hypot(np.sqrt(np.mean(data.residual(motor) ** 2)), beside_rad)),
+        acceleration_limited=fit.explains(motor._replace(inverse_acceleration=_NO_LIMIT_INVERSE)),
+    )
 
-    def weighted_residual(values: FloatArray) -> FloatArray:
-        residual = angles - simulate_motor(FittedMotor(*values), sent_s, commands, joints_s)[0]
-        return np.asarray(detrender.detrended(residual) / sigma)
 
-    starts = [np.array(guess._replace(latency_s=latency)) for latency in _START_LATENCIES_S]
-    start = min(starts, key=lambda values: float(np.abs(weighted_residual(values)).sum()))
-    for _ in range(2):  # again with the estimated timing error of the readings
+class _Fit(NamedTuple):
+    """Result of one fit."""
+
+    data: "_Data"
+    motor: FittedMotor
+    sigma: FloatArray
+    correlation: float
+    weights: FloatArray
+    excess: float
+    """Sum of squared weighted residuals beside that of rounding and timing errors."""
+
+    def explains(self, other: FittedMotor) -> bool:
+        """True if the other motor fits clearly worse."""
+        own, others = (
+            np.sum((self.weights * self.data.residual(motor)) ** 2) for motor in (self.motor, other)
+        )
+        by_chance = _CHANCE * max(self.excess, 0.0) / _MISFIT_FREEDOM
+        return bool(
+            len(self.weights) * (others / own - 1.0) > _MIN_CHI2_INCREASE
+            and others - own > by_chance
+        )
+
+
+class _Data:
+    """Commands and readings of an actuator, see `fit_joint`."""
+
+    def __init__(
+        self, sent_s: FloatArray, commands: FloatArray, joints_s: FloatArray, angles: FloatArray,
+        step_rad: float,
+    ) -> None:  # fmt: skip
+        self._recorded, self._angles = (sent_s, commands, joints_s), angles
+        self._clusters = ((joints_s - joints_s[0]) / CLUSTER_S).astype(np.int64)
+        self._detrender = _Detrender(joints_s, self._clusters)
+        self._rounded = _QUANTISATION_SIGMA * step_rad
+
+    def residual(self, motor: FittedMotor) -> FloatArray:
+        """Angles beside the motor's without their drift, rad."""
+        return self._detrender.detrended(self._angles - simulate_motor(motor, *self._recorded)[0])
+
+    def misfit(self, motor: FittedMotor) -> float:
+        """Robust sum of the residuals."""
+        return float(np.minimum(np.abs(self.residual(motor)), _MOST_MISFIT_RAD).sum())
+
+    def nearest_lag(self, motor: FittedMotor) -> tuple[float, float]:
+        """Lag nearest to the motor without friction and limits, s, and the rms beside it, rad."""
+        if not motor.integral_rate:
+            return motor.lag_s, 0.0
+        smooth = motor._replace(
+            friction_rad_s2=0.0, load_rad_s2=0.0, inverse_acceleration=_NO_LIMIT_INVERSE
+        )
+        moved = simulate_motor(smooth, *self._recorded)[0]
+        plain = FittedMotor(*smooth[: len(_LAG)])
+
+        def beside_rad(lag_s: float) -> float:
+            other = simulate_motor(plain._replace(lag_s=lag_s), *self._recorded)[0]
+            return float(np.sqrt(np.mean(self._detrender.detrended(moved - other) ** 2)))
+
+        found = minimize_scalar(beside_rad, bounds=_BOUNDS[1][:2], method="bounded")
+        return float(found.x), float(found.fun)
+
+    def search(self, seed: int) -> FittedMotor:
+        """Search for a motor with friction: draw, keep the best, and draw again about them.
+
+        A joint that sticks or does not makes the misfit too rough for derivatives alone.
+        """
+        rng = np.random.default_rng(seed)
+        least, most = np.array(_BOUNDS).T[:2]
+        low, high = np.array(_SEARCHED).T
+        drawn = np.exp(rng.uniform(np.log(low), np.log(high), (_DRAWN, len(low))))
+        drawn[:, 6] = drawn[:, 5]
+        kept: list[tuple[float, ...]] = []
+        for _ in range(_SEARCH_ROUNDS):
+            tried = [(self.misfit(FittedMotor(*one)), *one) for one in drawn.tolist()]
+            kept = sorted(kept + tried)[:_KEPT]
+            best = np.array(kept)[:, 1:]
+            drawn = rng.multivariate_normal(best.mean(axis=0), np.cov(best.T), _DRAWN_AGAIN)
+            drawn = np.clip(drawn, least, most)
+        return FittedMotor(*kept[0][1:])
+
+    def improved(self, start: FittedMotor) -> FittedMotor:
+        """Motor with friction from a start, with a few evaluations."""
+        weights = np.full(len(self._angles), 1.0 / self._rounded)
+        return self._once(start, _MOTOR, weights, _FEW_EVALUATIONS)[0]
+
+    def fit(self, start: FittedMotor, free: Sequence[int]) -> _Fit:
+        """Fit the free parameters."""
+        weights, motor = np.full(len(self._angles), 1.0 / self._rounded), start
+        for _ in range(2):  # again with the estimated timing error of the readings
+            motor, found, columns = self._once(motor, free, weights, _EVALUATIONS)
+            used = weights
+            speed = np.abs(simulate_motor(motor, *self._recorded)[1])
+            fast = speed > _MIN_DELAY_SPEED_RAD_S
+            # beside its neighbours': a misfit changes slowly, timing errors do not
+            rough = np.convolve(self.residual(motor), _ROUGH, "same") / np.linalg.norm(_ROUGH)
+            timestamp_sigma_s = 0.0
+            if fast.any():
+                sigma = 1.4826 * float(np.median(np.abs(rough[fast])))
+                sigma = float(np.sqrt(max(sigma**2 - self._rounded**2, 0.0)))
+                timestamp_sigma_s = sigma / float(np.median(speed[fast]))
+            weights = 1.0 / np.hypot(self._rounded, timestamp_sigma_s * speed)
+        covariance = jackknife_covariance(
+            np.asarray(found.jac), found.fun, self._clusters, _LOSS_SCALE, len(_PRIORS) + 1
+        )
+        # what the model does not have is alike in each second, which the jackknife does not see
+        squares = np.minimum((used * self.residual(motor)) ** 2, _MOST_SQUARE)
+        excess = float(np.sum(squares)) - len(used)
+        alone = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
+        covariance += max(excess, 0.0) / _MISFIT_FREEDOM * alone
+        sigma = np.zeros(len(motor))
+        sigma[list(free)] = np.sqrt(np.diagonal(covariance)) * columns
+        correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+        return _Fit(self, motor, sigma, float(correlation), used, excess)
+
+    def _once(
+        self, start: FittedMotor, free: Sequence[int], weights: FloatArray, evaluations: int
+    ) -> tuple[FittedMotor, Any, FloatArray]:
+        chosen = list(free)
+        least, most, unit = np.array(_BOUNDS).T[:, chosen]
+
+        def motor(values: FloatArray) -> FittedMotor:
+            whole = np.array(start)
+            whole[chosen] = np.clip(unit * (values - _OFFSET), least, most)
+            return FittedMotor(*whole.tolist())
+
+        def weighted_residual(values: FloatArray) -> FloatArray:
+            found = motor(values)
+            before = [(found[k] - value) / sigma for k, value, sigma in _PRIORS]
+            before.append((found.emf_rate - found.integral_rate) / _EMF_PRIOR_SIGMA)
+            return np.append(weights * self.residual(found), before)
+
         found = least_squares(
             weighted_residual,
-            start,
-            bounds=([-0.05, 1e-3, 0.01, _NO_LIMIT_INVERSE], [0.5, 1.0, 3.0, 10.0]),
-            x_scale=[0.01, 0.01, 0.1, 0.01],
+            _OFFSET + np.clip(np.array(start)[chosen], least, most) / unit,
+            bounds=(_OFFSET + least / unit, _OFFSET + most / unit),
             loss="soft_l1",
             f_scale=_LOSS_SCALE,
             jac="3-point",
-            diff_step=[1e-4] * 4,
+            diff_step=[0.1 / _OFFSET] * len(unit),
+            max_nfev=evaluations,
         )
-        start, motor = found.x, FittedMotor(*found.x.tolist())
-        speed = np.abs(simulate_motor(motor, sent_s, commands, joints_s)[1])
-        fast = speed > _MIN_DELAY_SPEED_RAD_S
-        late_s = np.abs(sigma * weighted_residual(found.x))[fast] / speed[fast]
-        timestamp_sigma_s = 1.4826 * float(np.median(late_s)) if fast.any() else 0.0
-        sigma = np.hypot(rounded, timestamp_sigma_s * speed)
-    without = weighted_residual(np.array(motor._replace(inverse_acceleration=_NO_LIMIT_INVERSE)))
-    square = float(np.mean(weighted_residual(found.x) ** 2))
-    worse = (float(np.sum(without**2)) / square - len(without)) > _MIN_CHI2_INCREASE
-    covariance = jackknife_covariance(np.asarray(found.jac), found.fun, clusters, _LOSS_SCALE)
-    times = np.arange(joints_s[0], joints_s[-1], 0.002)
-    speeds = simulate_motor(motor, sent_s, commands, times)[1]
-    deviations = np.sqrt(np.diagonal(covariance))
-    return JointFit(
-        motor=motor,
-        sigma=FittedMotor(*deviations.tolist()),
-        latency_lag_correlation=float(covariance[0, 1] / (deviations[0] * deviations[1])),
-        peak_acceleration_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
-        residual_rad=float(np.sqrt(np.mean((sigma * weighted_residual(found.x)) ** 2))),
-        acceleration_limited=worse,
-    )
+        return motor(found.x), found, unit
 
 
 class _Detrender:
@@ -253,6 +379,9 @@ def fitted_angle_path(
 ) -> Callable[[FloatArray], FloatArray]:
     """Angle of the actuator by time: the model, corrected by the smoothed encoder residuals.
 
+    A poor model is corrected at each reading, a good one over many: the width of the smoothing is
+    the one that best predicts each reading from the others.
+
     Args:
         motor: its fitted parameters.
         sent_s: see `fit_joint`.
@@ -264,12 +393,14 @@ def fitted_angle_path(
         A function of increasing times, s, that returns angles, rad.
     """
     residual = angles - simulate_motor(motor, sent_s, commands, joints_s)[0]
-    rate_hz = (len(joints_s) - 1) / (joints_s[-1] - joints_s[0])
-    width = max(3, round(0.5 * CLUSTER_S * rate_hz))
-    kernel = np.ones(width)
-    smooth = np.convolve(residual, kernel, "same") / np.convolve(
-        np.ones_like(residual), kernel, "same"
-    )
+    found = []
+    for width in _SMOOTHING_READINGS:
+        places = np.arange(-np.ceil(4.0 * width), np.ceil(4.0 * width) + 1.0)
+        kernel = np.exp(-0.5 * (places / width) ** 2)
+        whole = np.convolve(np.ones_like(residual), kernel, "same")
+        smooth = np.convolve(residual, kernel, "same") / whole
+        found.append((float(np.mean(((residual - smooth) / (1.0 - 1.0 / whole)) ** 2)), smooth))
+    smooth = min(found, key=lambda one: one[0])[1]
 
     def path(times: FloatArray) -> FloatArray:
         angle = simulate_motor(motor, sent_s, commands, times)[0]

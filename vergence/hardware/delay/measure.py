@@ -19,8 +19,9 @@ from vergence.hardware.delay.excitation import (
     excitation_speeds,
 )
 from vergence.hardware.delay.image_fit import ImageFit, fit_latency_and_backlash
-from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, fit_joint, fitted_angle_path
+from vergence.hardware.delay.joint_fit import JointFit, fit_joint, fitted_angle_path
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
+from vergence.hardware.delay.motor_model import FittedMotor
 from vergence.hardware.delay.samples import LoopSamples, SampleCollector
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.head import HeadModel
@@ -53,6 +54,8 @@ def measure_loop(
     eyes: Sequence[str] = EYE_NAMES,
     progress: Callable[[float], None] = lambda fraction: None,
     actuator: str | None = None,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
 ) -> LoopMeasurement:
     """Turn each eye about the target's direction for some 25 s, and fit its loop.
 
@@ -61,15 +64,17 @@ def measure_loop(
         eyes: names of the eyes to measure, `left` and `right`.
         progress: callback with the fraction that is done.
         actuator: actuator that turns; by default, for each eye the one that moves its image most.
+        clock: see `HardwarePlant`.
+        sleep: see `HardwarePlant`.
 
     Raises:
         HardwareError: the robot was stopped, or the target is not visible.
         ConfigurationError: an eye has no room to turn, or this actuator does not turn it.
     """
-    head, collector = config.head, SampleCollector()
+    head, collector = config.head, SampleCollector(clock)
     slots = {name: actuator_slot(head, EYE_NAMES.index(name), actuator) for name in eyes}
     target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
-    options = {"config": config, "log": collector}
+    options = {"config": config, "log": collector, "clock": clock, "sleep": sleep}
     task = GazeTask(1, head=head, plant="hardware", target=target, plant_options=options)
     look = make_controller("ibvs", head, task.layout, gain=_CENTRING_GAIN)
     turns = []
@@ -117,7 +122,7 @@ def _turn(
     read_s: list[float] = []
     collector.clear()
     steps = round(_CENTRING_S / period_s)
-    run_trial(task, look, steps, lambda step: read_s.append(time.monotonic()))
+    run_trial(task, look, steps, lambda step: read_s.append(collector.clock()))
     reply_s = float(np.median(collector.reply_times_s(read_s)))
     reading = task.reading
     if not reading.visible[0, eye]:

@@ -79,8 +79,8 @@ class LoopMeasurement:
             "lag_s",
             [
                 (
-                    one.joint_fit.motor.lag_s / one.lag_ratio,
-                    one.joint_fit.sigma.lag_s / one.lag_ratio,
+                    one.joint_fit.lag_s / one.lag_ratio,
+                    one.joint_fit.lag_sigma_s / one.lag_ratio,
                 )
                 for one in self.eyes
             ],
@@ -113,9 +113,9 @@ class LoopMeasurement:
         """Texts, a line each, on misfits of the model of a robot."""
         lines = []
         for one in self.eyes:
-            if one.joint_fit.residual_rad > _MISFIT_RAD:
+            if one.joint_fit.misfit_rad > _MISFIT_RAD:
                 lines.append(
-                    f"{one.actuator}: its angles are {1e3 * one.joint_fit.residual_rad:.1f} mrad "
+                    f"{one.actuator}: its angles are {1e3 * one.joint_fit.misfit_rad:.1f} mrad "
                     "(rms) "
                     "beside those of a lag behind a latency, whose values are the nearest: a servo "
                     "that overshoots or slips, or a machine that pauses"
@@ -192,15 +192,16 @@ def _mean(pairs: Sequence[tuple[float, float]], shared: bool) -> tuple[float, fl
 
 
 def _rows(eye_loop: EyeLoop) -> Iterator[dict[str, Any]]:
-    motor, sigma, image = eye_loop.joint_fit.motor, eye_loop.joint_fit.sigma, eye_loop.image_fit
+    joint, image = eye_loop.joint_fit, eye_loop.image_fit
+    motor, sigma = joint.motor, joint.sigma
     rows: list[tuple[str, float | None, float, str]] = [
         ("command + feedback latency", 1e3 * motor.latency_s, 1e3 * sigma.latency_s, "ms"),
-        ("joint lag", 1e3 * motor.lag_s, 1e3 * sigma.lag_s, "ms"),
+        ("joint lag", 1e3 * joint.lag_s, 1e3 * joint.lag_sigma_s, "ms"),
         ("speed gain", motor.gain, sigma.gain, ""),
         (
             "greatest acceleration",
-            eye_loop.joint_fit.acceleration_rad_s2,
-            eye_loop.joint_fit.acceleration_sigma,
+            joint.acceleration_rad_s2,
+            joint.acceleration_sigma,
             "rad/s^2",
         ),
     ]

@@ -37,10 +37,13 @@ class SampleCollector(RobotListener):
 
     Args:
         clock: the clock of all times, s.
+
+    Attributes:
+        clock: the clock of all times, s.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+        self.clock = clock
         self._newest = np.zeros(7)
         self._commands: list[LoggedCommand] = []
         self._joints: list[tuple[float, FloatArray]] = []
@@ -54,7 +57,7 @@ class SampleCollector(RobotListener):
     def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
         """See `RobotListener.joints`."""
         self._joints.append((clock_s, positions))
-        self._answered_s.append(self._clock() - clock_s)
+        self._answered_s.append(self.clock() - clock_s)
         self._newest = positions
 
     def detection(self, found: LoggedDetection) -> None:

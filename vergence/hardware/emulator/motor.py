@@ -37,6 +37,9 @@ class Motor:
         max_speed: greatest speed of the joint, rad/s.
         friction: Coulomb friction, as a fraction of the greatest torque.
         gravity: torque of gravity at angle 0, as a fraction of the greatest torque.
+
+    Attributes:
+        integral_s: time constant of the PI's integral, s; at first the motor's, T.
     """
 
     def __init__(
@@ -52,11 +55,12 @@ class Motor:
         no_load = _NO_LOAD_RATIO * max_speed
         self._time_s = max(no_load / (_STALL_RATIO * acceleration), _MIN_TIME_CONSTANT_S)
         self._full_drive = no_load / self._time_s
+        self.integral_s = self._time_s
         self._integral = 0.0
 
     def reset(self, v: float = 0.0) -> None:
         """Set the integral to that of a steady velocity, rad/s."""
-        self._integral = self._lag_s * v
+        self._integral = self._lag_s * v * self.integral_s / self._time_s
 
     def step(
         self,
@@ -85,7 +89,7 @@ class Motor:
             self._integral, torque = 0.0, -v / self._lag_s
         else:
             error = goal if blind else goal - v
-            drive = (error + self._integral / self._time_s) / self._lag_s
+            drive = (error + self._integral / self.integral_s) / self._lag_s
             most = duty * self._full_drive
             if abs(drive) < most or drive * error < 0.0:  # no windup
                 self._integral += error * step_s
