@@ -27,6 +27,7 @@ from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import least_squares_actuators
 from vergence.controllers.prediction.aiming import extrapolate_targets, predict_pixel_error
 from vergence.controllers.prediction.backlash import inflate_variance_at_reversal
+from vergence.controllers.prediction.friction import error_to_correct
 from vergence.controllers.prediction.goals import update_with_image
 from vergence.controllers.prediction.joints import (
     PREDICTOR_PARAMETERS,
@@ -42,6 +43,7 @@ from vergence.controllers.prediction.predictor_state import (
     update_joints,
 )
 from vergence.controllers.prediction.response import (
+    command_at,
     max_response_latency,
     selected_model,
     state_at_command_effect,
@@ -273,6 +275,26 @@ def _update_goals(
 
 
 @inlined
+def _hold_against_friction(
+    state: PredictorState, params: PredictorParameters, present: _PredictionRow
+) -> None:
+    """Take actuators that friction holds near their goals for at rest on them."""
+    response = state.response
+    model, tick = selected_model(response), int(state.periods)
+    for j in range(4):
+        shown_s = model.parameters[0] + 2.0 * params.lag_ratio[j] * exp(model.parameters[2])
+        earlier = min(shown_s, max_response_latency(params)) / params.period_s
+        acting = exp(model.log_gain[j]) * command_at(response, tick - 1 - int(earlier), j)
+        error, moves = present.angle_error[j], present.goal_rates[j] != 0.0
+        present.angle_error[j], rests = error_to_correct(
+            state.friction, params, state.periods, j, response.angles[j],
+            state.observer.last_velocity[j], acting, error, moves, state.delay_s,
+        )  # fmt: skip
+        if rests:
+            present.velocities[j] = present.accelerations[j] = 0.0
+
+
+@inlined
 def _fill_prediction(
     state: PredictorState, params: PredictorParameters, p: PackedHead, present: _PredictionRow
 ) -> None:
@@ -307,6 +329,8 @@ def _fill_prediction(
             if goal == aim:
                 present.goal_rates[j] = rate
                 present.goal_rates_at_effect[j] = state.goal_rates_at_effect[j // 2, j % 2]
+    if direct:
+        _hold_against_friction(state, params, present)
     present.image_delay_s, present.lag_s = state.delay_s, exp(model.parameters[2])
     present.build_up = model.parameters[3]
     present.response_latency_s, present.response_latency_sd_s = model.parameters[0], sd
@@ -404,3 +428,4 @@ def _fill_coupled(
                 if moves and goal == goals[j]:
                     present.goal_rates[j] = (ahead[j] - goals[j]) / _RATE_DIFFERENCE_S
                     present.goal_rates_at_effect[j] = (shown[j] - goals[j]) / _RATE_DIFFERENCE_S
+        _hold_against_friction(state, params, present)

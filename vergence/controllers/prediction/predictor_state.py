@@ -15,6 +15,7 @@ from vergence.controllers.prediction.dating import (
     prior_delay_costs,
 )
 from vergence.controllers.prediction.fitting import learn_response
+from vergence.controllers.prediction.friction import FrictionState
 from vergence.controllers.prediction.joints import (
     PREDICTOR_PARAMETERS,
     RING_LENGTH,
@@ -85,6 +86,7 @@ class PredictorState:
     response: ResponseIdentification
     observer: ActuatorObserver
     oscillation: OscillationState
+    friction: FrictionState
     actuator_angles: Annotated[FloatArray, 4]
     """Estimated actuator angles, finer than the encoders' resolution, rad."""
     velocity: Annotated[FloatArray, 4]
