@@ -36,6 +36,7 @@ from vergence.models.joints import EYE_NAMES, NECK
 from vergence.models.parts import FloatArray
 from vergence.models.point_warnings import describe_beyond_limits
 from vergence.recording import Recorder
+from vergence.recording.health import warn_of_gap
 from vergence.triangulation import Fix
 
 _HARDWARE_PLANT: Final = "hardware"
@@ -213,6 +214,8 @@ def record_gaze(
             progress(step / steps)
 
     rollout(task, controller, steps, keep, seed=config.seed)
+    if config.hardware is not None:
+        warn_of_gap(task.head, record.reading)
     return gaze_result(config, task, record, endings[-1])
 
 

@@ -53,9 +53,9 @@ _ZERO_SIGMA_RAD: Final = 0.02
 _SIZE_SIGMA: Final = 0.15
 """Standard deviation of a distance from the target's size, as a fraction: a tilted target, an
 uncalibrated focal length (chosen)."""
-_MAX_CHI2: Final = 16.0
-"""Sum of squares in these sigmas above which a zero is wrong (chosen)."""
-_REFUSED_ZERO_RAD: Final = 0.1
+_MAX_CHI2: Final = 9.0
+"""Sum of squares in these sigmas above which a zero is wrong (chosen: 0.085 rad of a tilt)."""
+_REFUSED_ZERO_RAD: Final = 0.12
 """Error of a zero above which the head must not move; below it is told, rad (chosen)."""
 
 

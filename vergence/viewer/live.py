@@ -14,9 +14,9 @@ from vergence.envs.reading import Truth
 from vergence.errors import VergenceError
 from vergence.recording.events import FollowedImage, FollowedReading, NewEvents
 from vergence.recording.follow import LogFollower, newest_log
+from vergence.recording.health import LoopHealth
 from vergence.recording.jpeg import read_jpeg
 from vergence.viewer.head_view import SHOWN_HZ, HeadView
-from vergence.viewer.health import LoopHealth
 from vergence.viewer.moment import Moment, moment_of_reading
 
 _SILENT_S: Final = 1.0

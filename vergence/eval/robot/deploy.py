@@ -21,6 +21,7 @@ from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
+from vergence.recording.health import warn_of_gap
 from vergence.recording.writer import LogWriter
 
 _MOST_GAZES: Final = 10_000
@@ -143,6 +144,8 @@ def _gaze(
             run_trial(task, robot.policy, steps, keep, seed=config.seed, first_trial=number)
             if not config.images:
                 _keep_images(task, writer)
+            if number == 0:
+                warn_of_gap(task.head, record.reading)
         finally:
             gazes.add(task, record)
 

@@ -56,6 +56,7 @@ def measure_loop(
     actuator: str | None = None,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
+    view_check: bool = True,
 ) -> LoopMeasurement:
     """Turn each eye about the target's direction for some 25 s, and fit its loop.
 
@@ -66,6 +67,7 @@ def measure_loop(
         actuator: actuator that turns; by default, for each eye the one that moves its image most.
         clock: see `HardwarePlant`.
         sleep: see `HardwarePlant`.
+        view_check: see `HardwarePlant`.
 
     Raises:
         HardwareError: the robot was stopped, or the target is not visible.
@@ -74,7 +76,10 @@ def measure_loop(
     head, collector = config.head, SampleCollector(clock)
     slots = {name: actuator_slot(head, EYE_NAMES.index(name), actuator) for name in eyes}
     target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
-    options = {"config": config, "log": collector, "clock": clock, "sleep": sleep}
+    options = {
+        "config": config, "log": collector, "clock": clock, "sleep": sleep,
+        "view_check": view_check,
+    }  # fmt: skip
     task = GazeTask(1, head=head, plant="hardware", target=target, plant_options=options)
     look = make_controller("ibvs", head, task.layout, gain=_CENTRING_GAIN)
     turns = []

@@ -1,10 +1,12 @@
 """Health of a loop: gaps beyond their predicted spread, and late periods."""
 
 import numpy as np
+import pytest
 
 from vergence.envs.reading import Reading
+from vergence.errors import VergenceWarning
 from vergence.models.files.head_file import load_head
-from vergence.viewer.health import MAX_GAP_RATIO, LoopHealth
+from vergence.recording.health import MAX_GAP_RATIO, LoopHealth, warn_of_gap
 
 HEAD = load_head("simulated").replace(sensor={"detection_noise_px": 0.3})
 PERIOD_S = HEAD.timing.period_s
@@ -58,3 +60,11 @@ def test_missed_periods_are_counted_within_a_gaze():
     health = judged([*some[:4], *some[6:], *some[:5]])
     assert health.missed_periods == 2
     assert health.periods == 9 + 4
+
+
+def test_a_gaze_whose_rays_miss_each_other_is_told():
+    rows = Reading._make(
+        np.stack(part)[:, np.newaxis] for part in zip(*readings(40, right_down_px=5.0), strict=True)
+    )
+    with pytest.warns(VergenceWarning, match="a zero .* or a camera is off"):
+        warn_of_gap(HEAD, rows)

@@ -1,11 +1,13 @@
 """Health of a robot's loop as its readings tell: the gap of the eyes' rays, and late periods."""
 
+import warnings
 from collections import deque
 from typing import Final
 
 import numpy as np
 
 from vergence.envs.reading import Reading
+from vergence.errors import VergenceWarning
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.triangulation import triangulate_views
@@ -73,12 +75,16 @@ class LoopHealth:
             return float("nan")
         return float(np.sqrt(np.mean(np.square(self._ratios))))
 
+    def gap_text(self) -> str:
+        """Description of the last gaps, if there are any."""
+        gap_mm = 1e3 * float(np.sqrt(np.mean(np.square(self._gaps_m))))
+        return f"gap of the eyes' rays {gap_mm:.2f} mm, {self.gap_ratio:.1f} times its predicted spread"
+
     def words(self) -> list[str]:
         """Lines of text, in Markdown; warnings are bold."""
         ratio, lines = self.gap_ratio, []
         if np.isfinite(ratio):
-            gap_mm = 1e3 * float(np.sqrt(np.mean(np.square(self._gaps_m))))
-            text = f"gap of the eyes' rays {gap_mm:.2f} mm, {ratio:.1f} times its predicted spread"
+            text = self.gap_text()
             if ratio > MAX_GAP_RATIO:
                 text = f"**warning: {text}: has a camera moved?**"
             lines.append(text)
@@ -86,3 +92,22 @@ class LoopHealth:
             late = f"{self.missed_periods} of the last {self.periods} periods late"
             lines.append(f"**{late}**" if self.missed_periods else late)
         return lines
+
+
+def warn_of_gap(head: HeadModel, readings: Reading) -> None:
+    """Warn if lines of sight miss each other by more than noise explains.
+
+    Args:
+        head: the model that the controller uses.
+        readings: a gaze's readings, arrays of (rows, 1, ...).
+    """
+    health = LoopHealth(head)
+    for row in range(len(readings.time_s)):
+        health.add(Reading._make(part[row, 0] for part in readings))
+    if health.gap_ratio > MAX_GAP_RATIO:
+        warnings.warn(
+            f"expected lines of sight that meet at the target, got a {health.gap_text()}: a zero "
+            "(zero_ticks) or a camera is off; cure: `vergence jog`, or calibrate the head",
+            VergenceWarning,
+            stacklevel=2,
+        )
