@@ -279,9 +279,9 @@ class _Data:
             rough = np.convolve(self.residual(motor), _ROUGH, "same") / np.linalg.norm(_ROUGH)
             timestamp_sigma_s = 0.0
             if fast.any():
-                sigma = 1.4826 * float(np.median(np.abs(rough[fast])))
-                sigma = float(np.sqrt(max(sigma**2 - self._rounded**2, 0.0)))
-                timestamp_sigma_s = sigma / float(np.median(speed[fast]))
+                square = (1.4826 * float(np.median(np.abs(rough[fast])))) ** 2
+                late_rad = float(np.sqrt(max(square - self._rounded**2, 0.0)))
+                timestamp_sigma_s = late_rad / float(np.median(speed[fast]))
             weights = 1.0 / np.hypot(self._rounded, timestamp_sigma_s * speed)
         covariance = jackknife_covariance(
             np.asarray(found.jac), found.fun, self._clusters, _LOSS_SCALE, len(_PRIORS) + 1
