@@ -107,6 +107,34 @@ def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad, 
     assert found.scale == pytest.approx(focal, abs=0.01)
 
 
+def test_a_path_keeps_to_the_readings_where_the_motor_is_another():
+    sticking = FittedMotor(
+        latency_s=0.01, lag_s=0.03, gain=0.95, inverse_acceleration=1.0 / 80.0, friction_rad_s2=5.0,
+        integral_rate=12.0, emf_rate=12.0,
+    )  # fmt: skip
+    told = samples(sticking)
+    times = np.arange(1.0, told[2][-1] - 1.0, 0.005)
+    true = simulate_motor(sticking, *told[:2], times)[0] + 0.05 * np.sin(0.2 * times)
+    off = fitted_angle_path(GUESS, *told)(times) - true
+    assert np.sqrt(np.mean(off**2)) < 7e-4  # of readings in steps of 1.5 mrad
+    assert abs(np.mean(off * np.sign(np.gradient(true)))) < 1e-4  # which play would be
+
+
+@pytest.mark.slow  # for its many simulations
+def test_friction_is_found():
+    rubbing = FittedMotor(
+        latency_s=0.012, lag_s=0.03, gain=0.95, inverse_acceleration=1.0 / 50.0,
+        friction_rad_s2=2.0, integral_rate=12.0, emf_rate=12.0,
+    )  # fmt: skip
+    found = fit_joint(*samples(rubbing), GUESS, STEP_RAD)
+    off = np.array([*found.motor[:4], found.lag_s]) - np.array([*rubbing[:4], rubbing.lag_s])
+    sigma = np.array([*found.sigma[:4], found.lag_sigma_s])
+    assert (np.abs(off) < 3.0 * sigma)[[0, 2, 3, 4]].all()
+    assert found.motor.latency_s == pytest.approx(0.012, abs=0.002)
+    assert found.motor.friction_rad_s2 == pytest.approx(2.0, rel=0.3)
+    assert found.misfit_rad < 1.5e-3
+
+
 def test_an_eye_that_sees_nothing_tells_nothing():
     nothing = np.full((200, 2), np.nan)
     assert (

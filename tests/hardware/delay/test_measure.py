@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from tests.hardware.virtual import VirtualRobot, WatchedWorld, virtual_config
 from vergence.errors import ConfigurationError
-from vergence.hardware.delay.measure import actuator_slot
+from vergence.hardware.delay.measure import actuator_slot, measure_loop
 from vergence.hardware.delay.samples import SampleCollector
+from vergence.hardware.emulator.world import MotorOptions
 from vergence.models.files.head_file import load_head
 
 TURRETS = load_head("turrets")
@@ -44,3 +46,21 @@ def test_a_reading_is_dated_to_within_its_exchange():
     assert collector.samples("left", 3, 0.0).joint_time_sigma_s == pytest.approx(
         np.sqrt(np.mean(late_s**2)), rel=0.02
     )
+
+
+@pytest.mark.slow  # a minute of a robot
+def test_friction_is_not_taken_for_play_or_latency():
+    motors = MotorOptions(friction=0.05, gravity=0.1, command_latency_s=0.01)
+    world = WatchedWorld(TURRETS, np.array([0.0, -0.1, 1.0]), motors, latency_s=0.07)
+    with pytest.MonkeyPatch.context() as patch:
+        robot = VirtualRobot(patch, world, virtual_config(TURRETS, latency_s=0.08))
+        found = measure_loop(
+            robot.config, ("left",), actuator="left_tilt", clock=robot.clock,
+            sleep=robot.clock.sleep,
+        )  # fmt: skip
+    (eye,) = found.eyes
+    assert eye.image_fit.least_latency_s == pytest.approx(0.07, abs=1e-3)
+    assert eye.image_fit.backlash_rad < 3e-4
+    assert eye.image_fit.jitter_s < 1.5e-3
+    assert eye.joint_fit.motor.latency_s == pytest.approx(0.01, abs=2e-3)
+    assert found.misfits() == []

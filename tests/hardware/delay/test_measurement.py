@@ -13,7 +13,8 @@ from vergence.hardware.delay.motor_model import FittedMotor
 FIT = JointFit(
     motor=FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.9, inverse_acceleration=1.0 / 20.0),
     sigma=FittedMotor(latency_s=1e-3, lag_s=1e-3, gain=1e-3, inverse_acceleration=1e-4),
-    peak_acceleration_rad_s2=20.0, lag_s=0.03, lag_sigma_s=1e-3, misfit_rad=1e-3, acceleration_limited=True,
+    peak_acceleration_rad_s2=20.0, lag_s=0.03,
+    lag_sigma_s=1e-3, misfit_rad=1e-3, acceleration_limited=True,
     latency_lag_correlation=-0.5,
 )  # fmt: skip
 IMAGE = ImageFit(
@@ -74,3 +75,26 @@ def test_what_the_model_does_not_have_is_said():
     shorter = replace(EYE, image_fit=replace(IMAGE, scale=0.9))
     (line,) = LoopMeasurement(eyes=(shorter,)).misfits()
     assert "the image moves by 10 % less" in line
+
+
+def test_no_camera_is_blamed_for_a_joint_that_moves_otherwise():
+    beside = replace(IMAGE, residual_px=1.5)
+    (line,) = LoopMeasurement(eyes=(replace(EYE, image_fit=beside),)).misfits()
+    assert line.startswith("left eye: its camera")
+    swinging = replace(EYE, image_fit=beside, joint_fit=replace(FIT, misfit_rad=8e-3))
+    (line,) = LoopMeasurement(eyes=(swinging,)).misfits()
+    assert line.startswith("left_pan")
+
+
+def test_friction_is_told_where_it_is_well_determined():
+    def told(sigma_rad_s2):
+        fit = replace(
+            FIT,
+            motor=FIT.motor._replace(friction_rad_s2=1.0),
+            sigma=FIT.sigma._replace(friction_rad_s2=sigma_rad_s2),
+        )
+        rows = LoopMeasurement(eyes=(replace(EYE, joint_fit=fit),)).rows()
+        return [row["value"] for row in rows if row["what"] == "friction"]
+
+    assert told(0.05) == [pytest.approx(5.0)]
+    assert told(0.5) == []

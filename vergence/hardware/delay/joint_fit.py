@@ -31,7 +31,7 @@ _MIN_DELAY_SPEED_RAD_S: Final = 0.5
 _LOSS_SCALE: Final = 3.0
 """Scale of the robust loss, in standard deviations: larger residuals count linearly (chosen)."""
 _MAX_RELATIVE_SIGMA: Final = 0.15
-"""Greatest relative standard deviation of an acceleration limit that is reported (chosen)."""
+"""Greatest relative standard deviation of a reported friction or acceleration limit (chosen)."""
 _MIN_CHI2_INCREASE: Final = 50.0
 """Least increase of the sum of squared residuals without an acceleration limit, in mean squares,
 for which a limit is accepted (chosen)."""
@@ -64,8 +64,10 @@ _KEPT: Final = 25
 """Number of best draws, about which it draws again (numerical)."""
 _SEARCH_ROUNDS: Final = 6
 """Number of its rounds (numerical)."""
-_SEARCHES: Final = 3
+_SEARCHES: Final = 4
 """Number of searches, of which the best counts (numerical)."""
+_ALIKE: Final = 1.15
+"""Misfit per the least one with which a search's end is as good as the best (chosen)."""
 _FEW_EVALUATIONS: Final = 12
 """Evaluations of the improvement of one search (numerical)."""
 _EVALUATIONS: Final = 30
@@ -120,6 +122,13 @@ class JointFit:
         )
 
     @property
+    def friction_ratio(self) -> float | None:
+        """Coulomb friction per greatest torque; None if one of them is uncertain or none."""
+        friction, sigma = self.motor.friction_rad_s2, self.sigma.friction_rad_s2
+        certain = friction > 0.0 and sigma < _MAX_RELATIVE_SIGMA * friction
+        return friction / self.acceleration_rad_s2 if certain and self.acceleration_rad_s2 else None
+
+    @property
     def acceleration_sigma(self) -> float:
         """Its standard deviation, rad/s^2."""
         return self.sigma.inverse_acceleration / self.motor.inverse_acceleration**2
@@ -151,7 +160,12 @@ def fit_joint(
     fit = data.fit(min(starts, key=data.misfit), _LAG)
     if fit.excess > _MIN_CHI2_INCREASE:
         found = [data.improved(data.search(seed)) for seed in range(_SEARCHES)]
-        with_friction = data.fit(min(found, key=data.misfit), _MOTOR)
+        misfits = np.array([data.misfit(one) for one in found])
+        with_friction = data.fit(found[int(misfits.argmin())], _MOTOR)
+        # searches end in different places that fit nearly alike
+        alike = np.array(found)[misfits < _ALIKE * misfits.min()]
+        spread = np.sqrt(np.mean((alike - with_friction.motor) ** 2, axis=0))
+        with_friction = with_friction._replace(sigma=np.hypot(with_friction.sigma, spread))
         fit = with_friction if with_friction.explains(fit.motor) else fit
     motor = fit.motor
     lag_s, beside_rad = data.nearest_lag(motor)
@@ -265,9 +279,9 @@ class _Data:
             rough = np.convolve(self.residual(motor), _ROUGH, "same") / np.linalg.norm(_ROUGH)
             timestamp_sigma_s = 0.0
             if fast.any():
-                sigma = 1.4826 * float(np.median(np.abs(rough[fast])))
-                sigma = float(np.sqrt(max(sigma**2 - self._rounded**2, 0.0)))
-                timestamp_sigma_s = sigma / float(np.median(speed[fast]))
+                square = (1.4826 * float(np.median(np.abs(rough[fast])))) ** 2
+                late_rad = float(np.sqrt(max(square - self._rounded**2, 0.0)))
+                timestamp_sigma_s = late_rad / float(np.median(speed[fast]))
             weights = 1.0 / np.hypot(self._rounded, timestamp_sigma_s * speed)
         covariance = jackknife_covariance(
             np.asarray(found.jac), found.fun, self._clusters, _LOSS_SCALE, len(_PRIORS) + 1

@@ -124,7 +124,9 @@ class LoopMeasurement:
                 continue
             off = one.image_fit.scale - 1.0
             scaled = abs(off) > max(_MOST_SCALE_ERROR, 3.0 * one.image_fit.scale_sigma)
-            if scaled or one.image_fit.residual_px > _MISFIT_PX:
+            # a joint that moves otherwise between its readings displaces the image too
+            beside = one.image_fit.residual_px > _MISFIT_PX
+            if scaled or (beside and one.joint_fit.misfit_rad <= _MISFIT_RAD):
                 lines.append(
                     f"{one.eye} eye: its camera is not as the head file has it: the image moves by "
                     f"{100.0 * abs(off):.0f} % {'more' if off > 0.0 else 'less'}, and is "
@@ -205,6 +207,8 @@ def _rows(eye_loop: EyeLoop) -> Iterator[dict[str, Any]]:
             "rad/s^2",
         ),
     ]
+    if (friction := joint.friction_ratio) is not None:
+        rows.append(("friction", 100.0 * friction, np.nan, "% of torque"))
     if image is not None:
         jitter_ms = None if image.jitter_s is None else 1e3 * image.jitter_s
         rows += [
