@@ -283,7 +283,7 @@ class ViewCheck:
         )
         if not np.isfinite(posture.pixels).all():
             return []
-        head, eyes = self.config.head, [one for one in self.config.servos if one.slot not in _NECK]
+        head, eyes = self.config.head, [one for one in self.config.servos if one.slot >= NECK.stop]
         chi2, _ = _fit_zero(head, posture, None)
         if chi2 <= _MAX_CHI2:
             return []
@@ -309,9 +309,6 @@ class ViewCheck:
                 warning=abs(off) < _REFUSED_ZERO_RAD,
             )
         ]
-
-
-_NECK: Final = range(NECK.start or 0, NECK.stop)
 
 
 def _px(moved: FloatArray) -> str:

@@ -78,8 +78,8 @@ class LoopHealth:
     def gap_text(self) -> str:
         """Description of the last gaps, if there are any."""
         gap_mm = 1e3 * float(np.sqrt(np.mean(np.square(self._gaps_m))))
-        return f"gap of the eyes' rays {gap_mm:.2f} mm, {self.gap_ratio:.1f} times its predicted spread"
-
+        ratio = self.gap_ratio
+        return f"gap of the eyes' rays {gap_mm:.2f} mm, {ratio:.1f} times its predicted spread"
     def words(self) -> list[str]:
         """Lines of text, in Markdown; warnings are bold."""
         ratio, lines = self.gap_ratio, []

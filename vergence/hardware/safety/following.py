@@ -143,7 +143,7 @@ class FollowingMonitor:
         return np.asarray(off)
 
     def describe(self, slot: int) -> str:
-        """What a joint that does not follow does, and its likeliest causes."""
+        """Motion of a joint that does not follow, and its likeliest causes."""
         wanted, moved = (float(values[slot]) for values in self._comparisons[0].last)
         if abs(moved) < max(2.0 * _STILL_RAD, 0.1 * abs(wanted)):
             return "stands still: it is stuck, or its encoder is blind or misread"
