@@ -27,8 +27,8 @@ _MAX_DELAY_LAGS: Final = 5.0
 _EXTRA_DELAY_S: Final = 0.1
 """Further delay, s, for lost commands and answers on a busy line (chosen)."""
 _MOTION_TOLERANCE: Final = 0.3
-"""Tolerance as a fraction of the commanded motion: a loaded servo is slower than its data sheet
-(chosen)."""
+"""Tolerance as a fraction of the range of C in the window: a loaded servo is slower than its data
+sheet (chosen)."""
 _MIN_TESTED_RANGE_RAD: Final = 0.1
 """Range of C above which the range of the motion is tested, rad (chosen)."""
 _MIN_RANGE_RATIO: Final = 0.1
@@ -253,9 +253,8 @@ class _Comparison:
         turned = np.array([row[2] for row in rows])
         moved = angles - _at(times, turned, np.array([now_s - length_s]))[0]
         least, greatest = commanded.min(axis=0), commanded.max(axis=0)
-        spare = self._window.least_rad + _MOTION_TOLERANCE * np.maximum(
-            np.abs(least), np.abs(greatest)
-        )
+        # also to and fro: at its greatest acceleration a joint turns round late
+        spare = self._window.least_rad + _MOTION_TOLERANCE * np.ptp(totals, axis=0)
         self.last = commanded[-1], moved
         off = np.maximum(least - moved, moved - greatest) - spare
         return np.asarray(np.maximum(off, self._stillness(now_s, times, totals, turned)))
