@@ -45,9 +45,13 @@ _BRAKE_S: Final = 0.05
 """Longest time for which a step is braked, s (chosen)."""
 
 _HELD: Final = 0.0
+"""Mode of an actuator held near its goal (numerical)."""
 _BRAKES: Final = 1.0
+"""Mode of an actuator whose step is braked (numerical)."""
 _STEPS: Final = 2.0
+"""Mode of an actuator that makes a step (numerical)."""
 _TURNS: Final = 3.0
+"""Mode of an actuator that the law turns freely (numerical)."""
 
 
 class FrictionState:
@@ -62,7 +66,7 @@ class FrictionState:
     push: Annotated[FloatArray, 4]
     """Commanded motion since then, rad."""
     mode: Annotated[FloatArray, 4]
-    """Whether it is held, brakes after a step, makes a step, or turns freely."""
+    """Present mode: held, braking after a step, making a step, or turning freely."""
     step_tick: Annotated[FloatArray, 4]
     """Period in which the last step was seen."""
     step_error: Annotated[FloatArray, 4]
