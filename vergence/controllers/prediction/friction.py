@@ -4,8 +4,11 @@ A servo's inner loop integrates a command too small to move its joint, until sta
 and the joint jumps, often past the goal: a law that corrects every small error jumps to and fro for
 ever. Commands that should have moved a joint by more than its encoder can miss, and have not, show
 friction. From then on an actuator near its goal is held: the law sees no error until the error is
-clear, and then only until the joint has moved. So there is one jump for each correction, and its
-result is seen in images before the next one. Without such commands nothing changes.
+clear, and then only until the joint has moved. The result of a step is seen in images before the
+next one. If the friction is beyond doubt, the law sees twice the error, so that the integral turns
+round sooner, and the reverse of it once the joint has broken away, which brakes the jump. A joint
+that comes at once shows that there was no friction, but for instance backlash. Without such
+commands nothing changes.
 """
 
 from typing import Annotated, Final
@@ -23,6 +26,8 @@ _MAX_CREEP_RAD_S: Final = 0.1
 _MIN_STUCK_RAD: Final = 1e-3
 """Commanded motion, beyond the encoder's resolution, that shows friction by its absence, rad
 (chosen)."""
+_MIN_CLEARLY_STUCK_RAD: Final = 2.5e-3
+"""Such motion that shows it beyond doubt, rad (chosen: backlash hides less)."""
 _HOLD_PX: Final = 0.6
 """Error up to which a held actuator stays held, px (chosen: two joints of an eye within 1 px)."""
 _FAR_PX: Final = 3.0
@@ -36,20 +41,24 @@ _PUSH_RATIO: Final = 2.0
 """Ratio of the error that a law sees in a step to the true one (chosen: to turn the integral round
 sooner; the same backwards brakes)."""
 
-_BRAKE_S: Final = 0.1
+_BRAKE_S: Final = 0.05
 """Longest time for which a step is braked, s (chosen)."""
 
 _HELD: Final = 0.0
+"""Mode of an actuator held near its goal (numerical)."""
 _BRAKES: Final = 1.0
+"""Mode of an actuator whose step is braked (numerical)."""
 _STEPS: Final = 2.0
+"""Mode of an actuator that makes a step (numerical)."""
 _TURNS: Final = 3.0
+"""Mode of an actuator that the law turns freely (numerical)."""
 
 
 class FrictionState:
     """State of the hold; arrays of four are by actuator."""
 
-    sticks: float
-    """1 if friction has shown, otherwise 0."""
+    absent_rad: float
+    """Largest commanded motion, beyond the encoders' resolution, that a joint has not made, rad."""
     angle: Annotated[FloatArray, 4]
     """Measured angle after the last motion, rad."""
     motion_tick: Annotated[FloatArray, 4]
@@ -57,7 +66,7 @@ class FrictionState:
     push: Annotated[FloatArray, 4]
     """Commanded motion since then, rad."""
     mode: Annotated[FloatArray, 4]
-    """Whether it is held, brakes after a step, makes a step, or turns freely."""
+    """Present mode: held, braking after a step, making a step, or turning freely."""
     step_tick: Annotated[FloatArray, 4]
     """Period in which the last step was seen."""
     step_error: Annotated[FloatArray, 4]
@@ -98,6 +107,7 @@ def error_to_correct(
     step, period = params.angle_step[j], params.period_s
     moved = abs(measured_angle - friction.angle[j]) > max(0.5 * step, _MIN_MOTION_RAD)
     runs = abs(measured_velocity) > max(0.5 * params.speed_step[j], _MIN_SPEED_RAD_S)
+    pushed = abs(friction.push[j])
     if moved or abs(acting_velocity) > _MAX_CREEP_RAD_S:
         friction.push[j] = 0.0
     else:
@@ -106,10 +116,10 @@ def error_to_correct(
         friction.angle[j] = measured_angle
     if moved or runs:
         friction.motion_tick[j] = tick
-    if abs(friction.push[j]) > step + _MIN_STUCK_RAD:
-        friction.sticks = 1.0
+    friction.absent_rad = max(friction.absent_rad, abs(friction.push[j]) - step)
+    clearly = friction.absent_rad > _MIN_CLEARLY_STUCK_RAD
     error_px = abs(angle_error) * params.max_joint_per_actuator[j] / params.pixel_rad
-    if friction.sticks < 0.5 or goal_moves or error_px > _FAR_PX:
+    if friction.absent_rad < _MIN_STUCK_RAD or goal_moves or error_px > _FAR_PX:
         friction.mode[j] = _TURNS
     elif friction.mode[j] == _HELD:
         rested_s = (tick - friction.motion_tick[j]) * period
@@ -120,13 +130,19 @@ def error_to_correct(
             friction.mode[j] = _HELD
     elif friction.mode[j] == _STEPS:
         if moved or runs:
-            friction.mode[j], friction.step_tick[j] = _BRAKES, tick
+            friction.mode[j], friction.step_tick[j] = _BRAKES if clearly else _TURNS, tick
+            if not clearly and pushed < 0.5 * step:  # it came at once: no friction holds it
+                friction.mode[j], friction.absent_rad = _TURNS, 0.0
         elif error_px < _REACHED_RATIO * _HOLD_PX:
             friction.mode[j] = _HELD
-    elif not runs or (tick - friction.step_tick[j]) * period > _BRAKE_S:
+    elif (
+        not runs
+        or measured_velocity * friction.step_error[j] < 0.0
+        or (tick - friction.step_tick[j]) * period > _BRAKE_S
+    ):
         friction.mode[j] = _HELD
     if friction.mode[j] == _TURNS:
         return angle_error, False
     if friction.mode[j] == _STEPS:
-        return _PUSH_RATIO * angle_error, True
+        return (_PUSH_RATIO if clearly else 1.0) * angle_error, True
     return 0.0 if friction.mode[j] == _HELD else -_PUSH_RATIO * friction.step_error[j], True
