@@ -17,7 +17,7 @@ def robot(monkeypatch):
 
 @pytest.fixture
 def looker(monkeypatch, robot):
-    def plant(_head, config, log):
+    def plant(_head, config, log, view_check):
         robot.plant._log = robot.plant._open.eyes._log = log
         return robot.plant
 

@@ -285,7 +285,10 @@ class VirtualRobot:
         monkeypatch.setattr(plant, "compile_loop_kernels", lambda _head, _target: None)
         monkeypatch.setattr(plant, "check_local_cameras", lambda _config: [])
         monkeypatch.setattr(HeadEyes, "open", lambda eyes, _idle: self._open_cameras(eyes))
-        self.options = {"clock": self.clock, "sleep": self.clock.sleep, **(plant_options or {})}
+        self.options = {
+            "clock": self.clock, "sleep": self.clock.sleep,
+            "view_check": isinstance(self.world, WatchedWorld), **(plant_options or {}),
+        }  # fmt: skip
         self.plant = HardwarePlant(self.config.head, config=self.config, **self.options)
 
     def _open_cameras(self, eyes):

@@ -80,6 +80,7 @@ class LoopHealth:
         gap_mm = 1e3 * float(np.sqrt(np.mean(np.square(self._gaps_m))))
         ratio = self.gap_ratio
         return f"gap of the eyes' rays {gap_mm:.2f} mm, {ratio:.1f} times its predicted spread"
+
     def words(self) -> list[str]:
         """Lines of text, in Markdown; warnings are bold."""
         ratio, lines = self.gap_ratio, []

@@ -29,6 +29,11 @@ _EXTRA_DELAY_S: Final = 0.1
 _MOTION_TOLERANCE: Final = 0.3
 """Tolerance as a fraction of the range of C in the window: a loaded servo is slower than its data
 sheet (chosen)."""
+_LEAST_ACCELERATION_RATIO: Final = 0.35
+"""Least acceleration of a loaded joint, by the head file's (chosen: 80 rad/s^2 of an unloaded servo
+may be 28 with what it carries)."""
+_MIN_INTERVAL_S: Final = 1e-3
+"""Least time between two rows in a quotient, s (numerical)."""
 _MIN_TESTED_RANGE_RAD: Final = 0.1
 """Range of C above which the range of the motion is tested, rad (chosen)."""
 _MIN_RANGE_RATIO: Final = 0.1
@@ -91,7 +96,8 @@ class FollowingMonitor:
     def __init__(self, head: HeadModel, max_speed: FloatArray) -> None:
         timing, actuation = head.timing, head.actuation
         self._period_s = timing.period_s
-        ramp_s = max_speed / np.clip(actuation.acceleration, 1.0, None)
+        self._acceleration = np.clip(actuation.acceleration, 1.0, None)
+        ramp_s = max_speed / self._acceleration
         late_s = _MAX_DELAY_LAGS * timing.lag_s * actuation.lag_ratio + ramp_s
         delay_s = float(late_s.max()) + timing.command_latency_s + _EXTRA_DELAY_S
         self._delay_s = delay_s
@@ -99,7 +105,9 @@ class FollowingMonitor:
         self.proved_joints = np.zeros(7, dtype=np.bool_)
 
     def _begin(self) -> None:
-        self._comparisons = [_Comparison(window, self._delay_s) for window in _WINDOWS]
+        self._comparisons = [
+            _Comparison(window, self._delay_s, self._acceleration) for window in _WINDOWS
+        ]
         self._quick = _QuickTests(self._period_s)
         self._sum, self._expected = np.zeros(7), np.zeros(7)
         self._last_s = np.nan
@@ -229,8 +237,8 @@ class _Comparison:
         last: (7,) commanded motion in the last window, without delay, and (7,) measured one, rad.
     """
 
-    def __init__(self, window: _Window, delay_s: float) -> None:
-        self._window, self._delay_s = window, delay_s
+    def __init__(self, window: _Window, delay_s: float, acceleration: FloatArray) -> None:
+        self._window, self._delay_s, self._acceleration = window, delay_s, acceleration
         self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque()
         self.last = np.zeros(7), np.zeros(7)
 
@@ -253,8 +261,12 @@ class _Comparison:
         turned = np.array([row[2] for row in rows])
         moved = angles - _at(times, turned, np.array([now_s - length_s]))[0]
         least, greatest = commanded.min(axis=0), commanded.max(axis=0)
-        # also to and fro: at its greatest acceleration a joint turns round late
-        spare = self._window.least_rad + _MOTION_TOLERANCE * np.ptp(totals, axis=0)
+        # at each change of its command a joint with less acceleration coasts on, by v^2 / (2 a)
+        passed_s = np.maximum(np.diff(times), _MIN_INTERVAL_S)[:, np.newaxis]
+        speeds = np.diff(totals, axis=0) / passed_s
+        changes = np.abs(np.diff(speeds * np.abs(speeds), axis=0, prepend=0.0, append=0.0))
+        coast = 0.25 * changes.sum(axis=0) / (_LEAST_ACCELERATION_RATIO * self._acceleration)
+        spare = self._window.least_rad + _MOTION_TOLERANCE * np.ptp(totals, axis=0) + coast
         self.last = commanded[-1], moved
         off = np.maximum(least - moved, moved - greatest) - spare
         return np.asarray(np.maximum(off, self._stillness(now_s, times, totals, turned)))
