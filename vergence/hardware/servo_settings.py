@@ -35,14 +35,20 @@ class ServoSettings:
     Args:
         bus: the line of the servos.
 
-    Attributes:
-        findings: a warning for each register that was changed, or could not be.
     """
 
     def __init__(self, bus: Bus) -> None:
-        self.findings: list[Finding] = []
+        self._changed: dict[str, list[str]] = {}  # names of servos by what was changed
         self._bus = bus
         self._kept: dict[int, dict[Register, int]] = {}  # first values in the EEPROM by id
+
+    @property
+    def findings(self) -> list[Finding]:
+        """A warning for each change of a register, or what could not be changed."""
+        return [
+            Finding(part=f"servos: {', '.join(names)}", problem=problem, warning=True)
+            for problem, names in self._changed.items()
+        ]
 
     def set_up(self, servo: ServoConfig) -> None:
         """Set a servo's registers. The servo is in velocity mode, its goal is zero.
@@ -91,7 +97,7 @@ class ServoSettings:
                 self._kept.setdefault(servo.id, {})[register] = old
         problem = f"expected {value} in {register.name}, got {old}, {done}"
         _LOG.info("%s: %s", servo.name, problem)
-        self.findings.append(Finding(part=f"servos: {servo.name}", problem=problem, warning=True))
+        self._changed.setdefault(problem, []).append(servo.name)
 
     def put_back(self, servo: ServoConfig) -> str:
         """Put back what was in a servo's EEPROM; return the problem, empty if there is none."""
