@@ -37,8 +37,8 @@ _DISTANCES_M: Final = (0.2, 0.35, 0.6, 1.0, 2.0, 4.0)
 _STEP_TOLERANCE: Final = 0.35
 """Accepted error of a pixel's motion, as a fraction of the expected motion (chosen: twice what an
 uncalibrated focal length and a camera mounted by eye cause)."""
-_STEP_TOLERANCE_PX: Final = 8.0
-"""Error accepted in addition, px (chosen: a joint's play, and the target's unknown distance)."""
+_STEP_TOLERANCE_RAD: Final = 0.012
+"""Error accepted in addition, rad (chosen: a joint's play, and the target's unknown distance)."""
 _SCALES: Final = (0.25, 1.0 / 3.0, 0.5, 2.0 / 3.0, 1.5, 2.0, 3.0, 4.0)
 """Ratios that are tried for a gear or a focal length (chosen)."""
 _EQUAL_COST: Final = 2.0
@@ -232,6 +232,7 @@ class ViewCheck:
         """Sum of squared errors of the pixels' motion, and True if each is accepted."""
         head = self.config.head
         q = head.actuation.joints_of(angles)
+        spare_px = _STEP_TOLERANCE_RAD * float(head.cameras.focal.mean())
         best: tuple[float, bool] = (np.inf, False)
         for distance_m in _DISTANCES_M:
             expected = _moved_pixels(head, q, pixels, distance_m)
@@ -241,7 +242,7 @@ class ViewCheck:
             # an image that leaves the view is an error of a whole motion
             error = np.where(np.isfinite(error) | ~seen, error, 1e3)[seen]
             motion = np.nan_to_num(motion)[seen]
-            kept = bool((error <= _STEP_TOLERANCE * motion + _STEP_TOLERANCE_PX).all())
+            kept = bool((error <= _STEP_TOLERANCE * motion + spare_px).all())
             best = min(best, (float(np.sum(error**2)), kept), key=lambda one: one[0])
         return best
 

@@ -43,8 +43,6 @@ _PROFILE_UNIT_RAD_S2: Final = 214.577 * 2 * pi / 3600
 """Unit of PROFILE_ACCELERATION, 214.577 rev/min^2 in rad/s^2 (physical: Dynamixel X series)."""
 _STIFF_RAD_S2: Final = 1e3
 """Greatest acceleration of a motor without a limit, rad/s^2 (numerical)."""
-_FULL_PWM: Final = 885
-"""GOAL_PWM at full duty (physical: Dynamixel X series)."""
 _STEADY_CHANGE: Final = 1e-12
 """Change per step below which a state counts as steady, rad and rad/s (numerical)."""
 _GOAL_REGISTERS: Final = (table.GOAL_PWM, table.GOAL_VELOCITY, table.GOAL_POSITION)
@@ -333,7 +331,7 @@ class EmulatedServo:
         motor = self._motor
         return bool(
             motor.friction or motor.gravity or self.blind or self.inverted
-            or self.get(table.GOAL_PWM) != _FULL_PWM
+            or self.get(table.GOAL_PWM) != table.FULL_PWM
         )  # fmt: skip
 
     def _profiled(self, command: float, step_s: float) -> float:
@@ -361,7 +359,7 @@ class EmulatedServo:
             on = self.get(table.TORQUE_ENABLE)
             self.q, self.v = self._motor.step(
                 self.q, self.v, command if on else None, step_s, blind=self.blind,
-                inverted=self.inverted, duty=abs(self.get(table.GOAL_PWM)) / _FULL_PWM,
+                inverted=self.inverted, duty=abs(self.get(table.GOAL_PWM)) / table.FULL_PWM,
             )  # fmt: skip
         else:
             self._own_loop = False
