@@ -4,7 +4,7 @@ A servo's inner loop integrates a command too small to move its joint, until sta
 and the joint jumps, often past the goal: a law that corrects every small error jumps to and fro for
 ever. Commands that should have moved a joint by more than its encoder can miss, and have not, show
 that something holds it. From then on an actuator that comes to rest near its goal is held: the law
-sees no error until the error is clear. Backlash hides a few milliradians too, and does not mind.
+sees no error until the error is clear. Backlash may show the same, and is none the worse for it.
 
 If much more motion is absent, it is friction, and a clear error is corrected in a step, which ends
 when the joint has moved, and whose result is seen in images before the next one. In a step the law
