@@ -50,7 +50,7 @@ def errors_px(law: str, motors: MotorOptions, seed: int, head_name: str) -> NDAr
             head=head,
             plant="hardware",
             target={"kind": "static", "point": (0.0, 0.0, 1.0)},
-            plant_options={"config": robot.config, **robot.options},
+            plant_options={"config": robot.config, **robot.options, "view_check": False},
         )
 
         def record(_: int) -> None:
