@@ -3,12 +3,13 @@ r"""Rest near a goal for joints that static friction holds.
 A servo's inner loop integrates a command too small to move its joint, until static friction breaks
 and the joint jumps, often past the goal: a law that corrects every small error jumps to and fro for
 ever. Commands that should have moved a joint by more than its encoder can miss, and have not, show
-friction. From then on an actuator near its goal is held: the law sees no error until the error is
-clear, and then only until the joint has moved. The result of a step is seen in images before the
-next one. If the friction is beyond doubt, the law sees twice the error, so that the integral turns
-round sooner, and the reverse of it once the joint has broken away, which brakes the jump. A joint
-that comes at once shows that there was no friction, but for instance backlash. Without such
-commands nothing changes.
+that something holds it. From then on an actuator that comes to rest near its goal is held: the law
+sees no error until the error is clear. Backlash may show the same, and is none the worse for it.
+
+If much more motion is absent, it is friction, and a clear error is corrected in a step, which ends
+when the joint has moved, and whose result is seen in images before the next one. In a step the law
+sees twice the error, so that the integral turns round sooner, and the reverse of it once the joint
+has broken away, which brakes the jump. Without such commands nothing changes.
 """
 
 from typing import Annotated, Final
@@ -24,10 +25,10 @@ _MIN_SPEED_RAD_S: Final = 0.005
 _MAX_CREEP_RAD_S: Final = 0.1
 """Fastest command that may show friction, rad/s (chosen: late motors are no evidence)."""
 _MIN_STUCK_RAD: Final = 1e-3
-"""Commanded motion, beyond the encoder's resolution, that shows friction by its absence, rad
+"""Commanded motion, beyond the encoder's resolution, that holds actuators by its absence, rad
 (chosen)."""
-_MIN_CLEARLY_STUCK_RAD: Final = 2.5e-3
-"""Such motion that shows it beyond doubt, rad (chosen: backlash hides less)."""
+_MIN_FRICTION_RAD: Final = 7.5e-3
+"""Such motion whose absence shows friction, rad (chosen: backlash hides less)."""
 _HOLD_PX: Final = 0.6
 """Error up to which a held actuator stays held, px (chosen: two joints of an eye within 1 px)."""
 _FAR_PX: Final = 3.0
@@ -40,7 +41,6 @@ _REACHED_RATIO: Final = 0.5
 _PUSH_RATIO: Final = 2.0
 """Ratio of the error that a law sees in a step to the true one (chosen: to turn the integral round
 sooner; the same backwards brakes)."""
-
 _BRAKE_S: Final = 0.05
 """Longest time for which a step is braked, s (chosen)."""
 
@@ -107,7 +107,6 @@ def error_to_correct(
     step, period = params.angle_step[j], params.period_s
     moved = abs(measured_angle - friction.angle[j]) > max(0.5 * step, _MIN_MOTION_RAD)
     runs = abs(measured_velocity) > max(0.5 * params.speed_step[j], _MIN_SPEED_RAD_S)
-    pushed = abs(friction.push[j])
     if moved or abs(acting_velocity) > _MAX_CREEP_RAD_S:
         friction.push[j] = 0.0
     else:
@@ -117,22 +116,21 @@ def error_to_correct(
     if moved or runs:
         friction.motion_tick[j] = tick
     friction.absent_rad = max(friction.absent_rad, abs(friction.push[j]) - step)
-    clearly = friction.absent_rad > _MIN_CLEARLY_STUCK_RAD
+    sticks = friction.absent_rad > _MIN_FRICTION_RAD
     error_px = abs(angle_error) * params.max_joint_per_actuator[j] / params.pixel_rad
     if friction.absent_rad < _MIN_STUCK_RAD or goal_moves or error_px > _FAR_PX:
         friction.mode[j] = _TURNS
     elif friction.mode[j] == _HELD:
         rested_s = (tick - friction.motion_tick[j]) * period
         if error_px > _HOLD_PX and rested_s > image_delay_s + _LOOK_S:
-            friction.mode[j], friction.step_error[j] = _STEPS, angle_error
+            friction.mode[j] = _STEPS if sticks else _TURNS
+            friction.step_error[j] = angle_error
     elif friction.mode[j] == _TURNS:
         if error_px < _HOLD_PX and not runs:
             friction.mode[j] = _HELD
     elif friction.mode[j] == _STEPS:
         if moved or runs:
-            friction.mode[j], friction.step_tick[j] = _BRAKES if clearly else _TURNS, tick
-            if not clearly and pushed < 0.5 * step:  # it came at once: no friction holds it
-                friction.mode[j], friction.absent_rad = _TURNS, 0.0
+            friction.mode[j], friction.step_tick[j] = _BRAKES, tick
         elif error_px < _REACHED_RATIO * _HOLD_PX:
             friction.mode[j] = _HELD
     elif (
@@ -144,5 +142,5 @@ def error_to_correct(
     if friction.mode[j] == _TURNS:
         return angle_error, False
     if friction.mode[j] == _STEPS:
-        return (_PUSH_RATIO if clearly else 1.0) * angle_error, True
+        return _PUSH_RATIO * angle_error, True
     return 0.0 if friction.mode[j] == _HELD else -_PUSH_RATIO * friction.step_error[j], True
