@@ -67,7 +67,7 @@ _VIEW_CURE: Final = (
 
 
 class Posture(NamedTuple):
-    """A posture at rest and what both eyes see from it."""
+    """A posture at rest, and the target in both eyes."""
 
     angles: FloatArray
     """(7,) angles of neck and actuators, as reported, rad."""
@@ -166,7 +166,7 @@ def turn_each_joint(
 
 @dataclass
 class ViewCheck:
-    """What was seen while single joints turned, and the judgement of it."""
+    """Postures and turns of single joints, and the judgement of them."""
 
     config: HardwareConfig
     """The robot."""
