@@ -188,7 +188,8 @@ class DriveThread(threading.Thread):
             raise HardwareError(
                 f"bus: expected the servos to hear something every {self._watchdog_s:g} s, got "
                 f"{tripped_s:.2f} s of silence, in which their watchdog has stopped them: this "
-                "process, its policy or the line had paused"
+                "process, its policy or the line had paused; cure: end other programs, and start "
+                "again"
             )
 
     def _refuse_others(self) -> None:

@@ -46,7 +46,7 @@ from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servos import HeadServos
 from vergence.hardware.start import drive_to_start
 from vergence.hardware.still import ReadOnlyServos
-from vergence.hardware.view_check import range_by_size, turn_each_joint
+from vergence.hardware.view_check import compile_view_check, range_by_size, turn_each_joint
 from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -177,6 +177,8 @@ class HardwarePlant(Plant):
             return
         begun_s = self._clock()
         compile_loop_kernels(self.head, self.config.target)
+        if self._view_unchecked:
+            compile_view_check(self.config)
         try:
             cameras = check_local_cameras(self.config)
             try:
@@ -418,6 +420,9 @@ class HardwarePlant(Plant):
             world.place_target(shown)
         for finding in raise_errors(findings):
             _warn(str(finding))
+        with self._drive.exclusive() as servos:
+            if servos.watchdog_trip_pause_s():  # the judgement took its time
+                servos.switch_on()
         self._view_unchecked = False
         _LOG.info("images move as the configuration says")
 
@@ -435,7 +440,7 @@ class HardwarePlant(Plant):
             [
                 range_by_size(self.head, eye, one.detection)
                 for one in own
-                if one.detection is not None
+                if one.detection is not None and not self.places_targets  # drawn at a fixed size
             ]
             for eye, own in enumerate(seen)
         ]

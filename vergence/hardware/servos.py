@@ -187,6 +187,8 @@ class HeadServos:
                 elif late:
                     expected += f" within {1e3 * self._bus.cycle_timeout_s:.3g} ms"
                     got, cure = "later ones alone", LATE_ANSWERS_CURE
+                if self._config.emulator_address:
+                    cure = "end other programs: the emulated head shares this machine"
                 raise HardwareError(
                     f"servos: {servo.name}: expected {expected}, got {got} for {SILENT_S:g} s; "
                     f"cure: {cure}"

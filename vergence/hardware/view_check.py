@@ -24,7 +24,7 @@ from vergence.errors import Finding
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.start import PROOF_RAD, PROOF_TIMEOUT_S, GoalNotReachedError, drive_to
-from vergence.models.boards import Target
+from vergence.models.boards import AprilTag, TagFamily, Target
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, NECK
 from vergence.models.parts import FloatArray
@@ -46,6 +46,9 @@ _EQUAL_COST: Final = 2.0
 _SPEED_RATIO: Final = (0.6, 1.6)
 """Accepted ratios of a joint's motion to its commands, and of reported speeds to motion (chosen:
 friction may take a third of a slow command)."""
+_MOST_PERIODS: Final = 3.0
+"""Control periods after which a command that is late is no longer repeated (numerical: as in
+`vergence.hardware.drive`)."""
 _LEAST_TURN_RAD: Final = 0.03
 """Least motion of a joint that is judged, rad (chosen: 20 steps of an encoder of 4,096)."""
 _ZERO_SIGMA_RAD: Final = 0.02
@@ -99,6 +102,19 @@ class _Explanation(NamedTuple):
     pixels: Callable[[FloatArray], FloatArray] = lambda pixels: pixels
 
 
+def compile_view_check(config: HardwareConfig) -> None:
+    """Call every kernel of the check once, since none may be compiled while joints hold."""
+    head = config.head
+    q = head.rest()
+    T_N_C = head.camera_poses(q)
+    point = T_N_C[:, :3, 3].mean(axis=0) + T_N_C[:, :3, 2].mean(axis=0)
+    seen = Posture(head.actuation.actuators_of(q), head.project(q, point), np.full(2, np.nan))
+    ViewCheck(config, [seen, seen], [Turn(config.servos[0], 0.1, 0.1, 0.1)]).findings(
+        config.target, None
+    )
+    head.undistort(np.repeat(seen.pixels[:, np.newaxis], 2, axis=1))
+
+
 def range_by_size(head: HeadModel, eye: int, found: Detection) -> float:
     """Distance of a detected target by its size, m; nan if that is unknown.
 
@@ -149,18 +165,28 @@ def turn_each_joint(
     rested_s = send(np.zeros(7))
     check.postures.append(Posture(angles.angles.copy(), *look(rested_s)))
     goal, middle = angles.angles.copy(), 0.5 * (angles.lower + angles.upper)
-    for servo in config.servos:
+    period_s = config.head.timing.period_s
+
+    def turn(servo: ServoConfig) -> None:
         slot, before = servo.slot, float(angles.angles[servo.slot])
         goal[slot] += PROOF_RAD if goal[slot] <= middle[slot] else -PROOF_RAD
         rows.clear()
+        rested_s = np.nan
         with suppress(GoalNotReachedError):  # for example if a forbidden posture is in the way
             rested_s = drive_to(goal, config.servos, angles, send, PROOF_TIMEOUT_S)
         times = np.array([row[0] for row in rows])
         speeds = np.array([(sent[slot], told[slot]) for _, sent, told in rows])
-        commanded_rad, reported_rad = (np.diff(times, prepend=times[0]) @ speeds).tolist()
+        # a command that is late by more is replaced by rest
+        passed_s = np.minimum(np.diff(times, prepend=times[0]), _MOST_PERIODS * period_s)
+        commanded_rad, reported_rad = (passed_s @ speeds).tolist()
         moved_rad = float(angles.angles[slot]) - before
         check.turns.append(Turn(servo, commanded_rad, reported_rad, moved_rad))
         check.postures.append(Posture(angles.angles.copy(), *look(rested_s)))
+
+    for servo in config.servos:
+        turn(servo)
+        if any(_speeds(check.turns[-1])):  # again: a busy machine may have been late
+            turn(servo)
     return check
 
 
@@ -183,7 +209,8 @@ class ViewCheck:
             images: the newest images of both eyes, in which it is looked for mirrored if it was
                 not found; None if there are none.
         """
-        found = [finding for turn in self.turns for finding in _speeds(turn)]
+        last = {turn.servo.name: turn for turn in self.turns}
+        found = [finding for turn in last.values() for finding in _speeds(turn)]
         found = found or self._unseen(target, images)
         if found:
             return found
@@ -373,8 +400,7 @@ def _speeds(turn: Turn) -> Iterator[Finding]:
             part=part,
             problem=f"expected the joint to turn as far as it was told, got {goal:.2g} times that: "
             "GOAL_VELOCITY has another scale or unit than an X series servo's",
-            cure="another model or firmware of the servo than the configuration needs; look at "
-            "the unit of GOAL_VELOCITY in its manual",
+            cure="compare the unit of GOAL_VELOCITY in the servo's manual with 0.229 rev/min",
         )
     told = turn.reported_rad / turn.moved_rad if turn.moved_rad else 1.0
     if not least <= told <= most:
@@ -383,8 +409,7 @@ def _speeds(turn: Turn) -> Iterator[Finding]:
             problem="expected speeds that the change of its angle confirms, got "
             f"{told:.2g} times that: PRESENT_VELOCITY has another "
             f"{'sign' if told < 0.0 else 'scale or unit'} than an X series servo's",
-            cure="another model or firmware of the servo than the configuration needs; look at "
-            "the unit of PRESENT_VELOCITY in its manual",
+            cure="compare the unit of PRESENT_VELOCITY in the servo's manual with 0.229 rev/min",
         )
 
 
@@ -416,7 +441,10 @@ def _explanations(config: HardwareConfig) -> Iterator[_Explanation]:
     sizes = config.head.cameras.size
     for eyes in ((0, 1), (0,), (1,)):
         names = " and ".join(f"cameras.{EYE_NAMES[eye]}" for eye in eyes)
-        for what, sides in (("mirrored", (0,)), ("upside down", (0, 1))):
+        ways: dict[str, tuple[int, ...]] = {"upside down": (0, 1)}
+        if not isinstance(config.target, AprilTag | TagFamily):  # unreadable if mirrored
+            ways["mirrored"] = (0,)
+        for what, sides in ways.items():
             yield _Explanation(
                 names,
                 f"expected images as the eye sees them, got {what} ones",

@@ -151,13 +151,22 @@ class FollowingMonitor:
         return np.asarray(off)
 
     def describe(self, slot: int) -> str:
-        """Motion of a joint that does not follow, and its likeliest causes."""
+        """Motion of a joint that does not follow, its likeliest causes, and a cure."""
         wanted, moved = (float(values[slot]) for values in self._comparisons[0].last)
         if abs(moved) < max(2.0 * _STILL_RAD, 0.1 * abs(wanted)):
-            return "stands still: it is stuck, or its encoder is blind or misread"
+            return (
+                "stands still: it is stuck, or its encoder is blind or misread; cure: see with "
+                "`vergence jog` whether it turns freely"
+            )
         if moved * wanted > 0.0 or abs(wanted) < _STILL_RAD:
-            return "turns otherwise than it is told: its load, or the unit of its speeds"
-        return "turns the wrong way: its motor is inverted, or the sign of its speeds"
+            return (
+                "turns otherwise than it is told: its load, or the unit of its speeds; cure: see "
+                "with `vergence jog` whether it turns as far as it is told to"
+            )
+        return (
+            "turns the wrong way: its motor is inverted, or the sign of its speeds; cure: look at "
+            "the motor's wires, and at DRIVE_MODE"
+        )
 
 
 class _QuickTests:

@@ -254,8 +254,7 @@ class Supervisor:
             if off[slot] > 0.0:
                 self.stop(
                     f"servos: {name}: expected the joint to follow its commands, got one that "
-                    f"{self._following.describe(slot)}; cure: see with `vergence jog` "
-                    "whether it turns freely and as far as it is told to"
+                    f"{self._following.describe(slot)}"
                 )
         if state.images_received_s is not None:
             self._judge_loop(state, state.images_received_s)
