@@ -46,7 +46,12 @@ from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servos import HeadServos
 from vergence.hardware.start import drive_to_start
 from vergence.hardware.still import ReadOnlyServos
-from vergence.hardware.view_check import compile_view_check, range_by_size, turn_each_joint
+from vergence.hardware.view_check import (
+    compile_view_check,
+    point_ahead,
+    range_by_size,
+    turn_each_joint,
+)
 from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -59,8 +64,6 @@ _FIRST_IMAGES_S: Final = 1.0
 
 _LOOKS: Final = 2
 """Images of each eye that are taken between two turns of the view check (chosen)."""
-_AHEAD_M: Final = 1.0
-"""Distance at which an emulated head's target stands for the view check, m (chosen)."""
 
 
 class HardwarePlant(Plant):
@@ -410,7 +413,7 @@ class HardwarePlant(Plant):
         """Refuse a configuration that the images contradict, see `vergence.hardware.view_check`."""
         world, shown = self._open.world, self._shown
         if world is not None and shown is not None:
-            ahead = self._ahead(positions)[np.newaxis]
+            ahead = point_ahead(self.head, positions)[np.newaxis]
             world.place_target(motion_rows(ahead, before=ahead)[0])
         check = turn_each_joint(
             self.config, angles, self._move, lambda: self._drive.last_sent, self._look
@@ -448,12 +451,6 @@ class HardwarePlant(Plant):
             np.array([np.median(own, axis=0) if own else np.full(2, np.nan) for own in pixels]),
             np.array([np.median(own) if own else np.nan for own in ranges]),
         )
-
-    def _ahead(self, positions: FloatArray) -> FloatArray:
-        """(3,) point straight ahead of both eyes in N, m."""
-        T_N_C = self.head.camera_poses(positions)
-        axis = T_N_C[:, :3, 2].mean(axis=0)
-        return np.asarray(T_N_C[:, :3, 3].mean(axis=0) + _AHEAD_M * axis / np.linalg.norm(axis))
 
     def _move(self, requested: FloatArray) -> float:
         """Send requested velocities for one period outside a trial; return the time after it, s."""

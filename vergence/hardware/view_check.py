@@ -49,6 +49,8 @@ friction may take a third of a slow command)."""
 _MOST_PERIODS: Final = 3.0
 """Control periods after which a command that is late is no longer repeated (numerical: as in
 `vergence.hardware.drive`)."""
+_AHEAD_M: Final = 1.0
+"""Distance at which an emulated head's target stands for the check, m (chosen)."""
 _LEAST_TURN_RAD: Final = 0.03
 """Least motion of a joint that is judged, rad (chosen: 20 steps of an encoder of 4,096)."""
 _ZERO_SIGMA_RAD: Final = 0.02
@@ -102,13 +104,19 @@ class _Explanation(NamedTuple):
     pixels: Callable[[FloatArray], FloatArray] = lambda pixels: pixels
 
 
+def point_ahead(head: HeadModel, q: FloatArray) -> FloatArray:
+    """(3,) point in N straight ahead of both eyes at joint angles, (7,) rad, at `_AHEAD_M`."""
+    T_N_C = head.camera_poses(q)
+    axis = T_N_C[:, :3, 2].mean(axis=0)
+    return np.asarray(T_N_C[:, :3, 3].mean(axis=0) + _AHEAD_M * axis / np.linalg.norm(axis))
+
+
 def compile_view_check(config: HardwareConfig) -> None:
     """Call every kernel of the check once, since none may be compiled while joints hold."""
     head = config.head
     q = head.rest()
-    T_N_C = head.camera_poses(q)
-    point = T_N_C[:, :3, 3].mean(axis=0) + T_N_C[:, :3, 2].mean(axis=0)
-    seen = Posture(head.actuation.actuators_of(q), head.project(q, point), np.full(2, np.nan))
+    shown = head.project(q, point_ahead(head, q))
+    seen = Posture(head.actuation.actuators_of(q), shown, np.full(2, np.nan))
     ViewCheck(config, [seen, seen], [Turn(config.servos[0], 0.1, 0.1, 0.1)]).findings(
         config.target, None
     )
@@ -223,8 +231,8 @@ class ViewCheck:
     def _unseen(self, target: Target, images: tuple[Image, Image] | None) -> list[Finding]:
         """Findings of eyes that have never seen the target."""
         seen = np.array([np.isfinite(posture.pixels).all(axis=-1) for posture in self.postures])
-        found = []
-        for eye in np.flatnonzero(~seen.any(axis=0)).tolist():
+        found, blind = [], np.flatnonzero(~seen.any(axis=0)).tolist()
+        for eye in blind:
             detector = make_detector(target, EyeCamera.of(self.config.head, eye))
             if images is not None and detector.detect(images[eye][:, ::-1].copy()) is not None:
                 problem = f"expected images as the eye sees {target}, got mirrored ones"
@@ -238,9 +246,8 @@ class ViewCheck:
                     cure=_VIEW_CURE,
                 )
             ]
-        blind = np.flatnonzero(~seen.any(axis=0))
-        if not found and len(blind):
-            eye = int(blind[0])
+        if not found and blind:
+            eye = blind[0]
             found.append(
                 Finding(
                     part=self._camera(eye),

@@ -140,7 +140,7 @@ class Supervisor:
 
     def note_pause(self, now_s: float, pause_s: float) -> None:
         """Note a time, s, for which nothing was sent, which has just ended."""
-        self._paused = now_s, max(pause_s, self._paused[1] * (self._recently(now_s)))
+        self._paused = now_s, max(pause_s, self._paused[1] * self._recently(now_s))
 
     def note_released(self, names: str) -> None:
         """Add to the reason of a stop which joints have lost their torque."""
