@@ -21,7 +21,7 @@ from tests.models.files.robot_description.descriptions import (
     urdf,
 )
 from tests.naming import named
-from vergence.errors import ConfigurationError, HeadFileError, VergenceError
+from vergence.errors import ConfigurationError, HeadFileError, UnreadableFileError, VergenceError
 from vergence.models.files.head_file import load_head
 from vergence.models.files.import_urdf import ImportedHead, UrdfSource, import_urdf
 from vergence.models.joints import JOINTS
@@ -778,7 +778,7 @@ def test_an_expanded_xacro_is_read_though_its_namespace_stays(head_of):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(HeadFileError, match="No such file"):
+    with pytest.raises(UnreadableFileError, match="No such file"):
         import_urdf(UrdfSource(file=tmp_path / "no.urdf", base="b", cameras=("l", "r")))
 
 

@@ -49,7 +49,8 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
         The mechanism.
 
     Raises:
-        HeadFileError: the file cannot be read, or is neither URDF nor MJCF.
+        UnreadableFileError: the file cannot be read.
+        HeadFileError: it is neither URDF nor MJCF.
     """
     name = os.fspath(path)
     root = parse_xml(name)

@@ -22,7 +22,8 @@ def parse_xml(path: str) -> ET.Element:
     """Parse the XML of a URDF or MJCF and return its root.
 
     Raises:
-        HeadFileError: the file cannot be read, or is neither.
+        UnreadableFileError: the file cannot be read.
+        HeadFileError: it is neither.
     """
     try:
         content = Path(path).read_bytes()
