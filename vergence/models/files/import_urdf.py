@@ -314,6 +314,11 @@ def _parsed(text: str) -> HeadModel:
 def _ignored(mechanism: Mechanism, chains: HeadChains) -> list[str]:
     others = len(mechanism.joints()) - len(chains.moved_part_of_joint) - len(chains.fixed_values)
     return [
+        *(
+            f"{name} (ties {', '.join(joints) or 'bodies'}; --actuators may tie eyes)"
+            for name, joints in mechanism.left_out
+            if not joints or not {*joints}.isdisjoint(chains.moved_part_of_joint)
+        ),
         *([f"{others} other joints"] if others else []),
         "shapes, masses, friction, efforts",
         "cameras and plugins of simulators other than MuJoCo",
