@@ -130,6 +130,16 @@ def test_a_fifth_of_bad_views_changes_nothing(pair, what):
     assert {one.view for one in found.dropped} >= {f"l{view}.png" for view in bad}
 
 
+@pytest.mark.parametrize("bad", [1, 2])
+def test_pairs_of_five_may_be_left_out(pair, bad):
+    few = picked(pair[0], both(pair[0])[:5])
+    pixels = few.pixels.copy()
+    pixels[1, :bad] += np.multiply.outer([6.0, -9.0][:bad], [1.0, 0.5])[:, None]
+    found = calibrate_views(replace(few, pixels=pixels), LENS)
+    assert found.fit.kept_views.sum() == 5 - bad
+    assert np.isfinite(found.held_out_px).all()
+
+
 def test_corners_of_a_board_that_looks_the_same_turned_are_matched():
     rng = np.random.default_rng(4)
     board = parse_target("checkerboard:8x6:24")

@@ -420,7 +420,8 @@ def drop_and_reweight_views(
 
 def cross_validation_folds(views: int) -> list[NDArray[np.bool_]]:
     """List the views that each fold holds out, (v) masks of neighbours, which may be alike."""
-    return [np.arange(views) * FOLDS // views == fold for fold in range(FOLDS)]
+    folds = min(FOLDS, views)  # of a few views, one each
+    return [np.arange(views) * folds // views == fold for fold in range(folds)]
 
 
 def cross_validation_residuals(
