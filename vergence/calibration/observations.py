@@ -17,7 +17,7 @@ from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.parts import FloatArray
 from vergence.models.response import CameraResponse
 from vergence.perception.light import LinearResponseCheck
-from vergence.perception.photographs import join_first_names
+from vergence.perception.photographs import join_first_names, remark_on_orientation_tags
 from vergence.perception.similar_targets import describe_similar_targets
 from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
@@ -201,7 +201,7 @@ def detect_board_corners(
         pixels=pixels,
         sigma=sigma,
         excluded=excluded,
-        remarks=tuple(check.notes()),
+        remarks=(*check.notes(), *remark_on_orientation_tags(every)),
     )
     seen = np.isfinite(pixels).any()
     if len(rows) > 1 and seen and np.array_equal(pixels[0], pixels[1], equal_nan=True):
