@@ -251,9 +251,11 @@ def fit_consistent_views(observations: BoardObservations) -> CameraFit:
     problem, size = observations.problem, observations.image_sizes[0]
     views = np.flatnonzero(observations.usable[0])
     if len(views) < LEAST_VIEWS:
+        alike = observations.alike_count
         raise ConfigurationError(
             f"expected the board in at least {LEAST_VIEWS} photographs of a camera, better 20, "
             f"found it in {len(views)} of {len(observations.usable[0])}"
+            + (f" ({alike} are like others but for noise)" if alike else "")
         )
     rng = np.random.default_rng(0)
     count = _SAMPLE_COUNT if len(views) > _VIEWS_PER_SAMPLE else 0
