@@ -25,7 +25,7 @@ from vergence.models.boards import Checkerboard
 from vergence.perception.photographs import photographs_in_folder
 from vergence.perception.spacing import neighbour_distances_m
 from vergence.perception.target_finder import TargetFinder
-from vergence.vision import parse_target
+from vergence.vision import parse_target, read_image
 
 Pixels = NDArray[np.float32]
 
@@ -49,7 +49,7 @@ class Measured(NamedTuple):
 
 def opencv_corners(path: Path, board: Checkerboard, finder: str) -> Pixels:
     """Corners of a board found by OpenCV with a usual refinement, shape (n, 2)."""
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    image = read_image(path)
     shape = (board.columns, board.rows)
     if finder == "sb":
         found, corners = cv2.findChessboardCornersSB(image, shape)
@@ -73,7 +73,7 @@ def calibrate(views: list[tuple[Path, Path]], board: Checkerboard, finder: str, 
     flat[:, :2] = board.corners_m
     corners = [[opencv_corners(view[eye], board, finder) for view in views] for eye in range(2)]
     boards = [flat] * len(views)
-    height, width = cv2.imread(str(views[0][0]), cv2.IMREAD_GRAYSCALE).shape
+    height, width = read_image(views[0][0]).shape
     single = [cv2.calibrateCamera(boards, p, (width, height), None, None)[1:3] for p in corners]
     rms, *parts = cv2.stereoCalibrate(
         boards, *corners, *single[0], *single[1], (width, height),

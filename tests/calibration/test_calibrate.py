@@ -15,6 +15,7 @@ from vergence.calibration.files import (
     right_camera_pose_covariance,
     ros_camera_document,
 )
+from vergence.calibration.observations import alike_views
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
 from vergence.vision import parse_target
@@ -130,6 +131,32 @@ def test_a_fifth_of_bad_views_changes_nothing(pair, what):
     assert {one.view for one in found.dropped} >= {f"l{view}.png" for view in bad}
 
 
+@pytest.mark.parametrize("bad", [1, 2])
+def test_pairs_of_five_may_be_left_out(pair, bad):
+    few = picked(pair[0], both(pair[0])[:5])
+    pixels = few.pixels.copy()
+    pixels[1, :bad] += np.multiply.outer([6.0, -9.0][:bad], [1.0, 0.5])[:, None]
+    found = calibrate_views(replace(few, pixels=pixels), LENS)
+    assert found.fit.kept_views.sum() == 5 - bad
+    assert np.isfinite(found.held_out_px).all()
+
+
+def test_views_of_a_board_at_rest_count_as_one(pair):
+    seen, rng = picked(pair[0], np.repeat(both(pair[0]), 3)), np.random.default_rng(1)
+    noisy = replace(seen, pixels=seen.pixels + 0.1 * rng.standard_normal(seen.pixels.shape))
+    found = calibrate_views(noisy, LENS)
+    once = calibrate_views(picked(pair[0], both(pair[0])), LENS)
+    assert found.fit.kept_views.tolist() == [True, False, False] * len(both(pair[0]))
+    assert found.sigma == pytest.approx(once.sigma, rel=0.8)
+    assert "views are like others but for noise" in found.observations.remarks[0]
+
+
+def test_views_that_differ_a_little_are_views_of_their_own(pair):
+    seen = picked(pair[0], np.repeat(both(pair[0]), 2))
+    seen.pixels[:, 1::2] += 0.7
+    assert not alike_views(seen.pixels, seen.sigma)
+
+
 def test_corners_of_a_board_that_looks_the_same_turned_are_matched():
     rng = np.random.default_rng(4)
     board = parse_target("checkerboard:8x6:24")
@@ -168,7 +195,7 @@ def test_what_gives_no_pair_is_refused(pair):
         (picked(seen, views[:4]), "at least 5 photographs of a camera, better 20, found it in 4"),
         (exchanged, "on its left: exchange --left and --right"),
         (shuffled, "does each left image go with its right one"),
-        (alike, "tilt the board by some 30 degrees"),
+        (alike, "found it in 1 of 12 .11 are like others but for noise"),
         (tiny, "is the square's size in millimetres"),
         (
             replace(seen, target=replace(BOARD, size_known=False)),

@@ -1,10 +1,12 @@
 """Images as detectors take them: every kind a camera or a file gives, and what is none."""
 
+import io
 import struct
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.grids import some_of
 from tests.naming import named
@@ -13,7 +15,8 @@ from tests.vision.scenes import rig, scene
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.response import light_table
 from vergence.vision import AprilTag, Checkerboard, as_grey, make_detector, read_image
-from vergence.vision.image import grey_if_channels_equal
+from vergence.vision.image import grey_if_channels_equal, has_orientation_tag
+from vergence.vision.video import open_video
 
 GREY = np.arange(48, dtype=np.uint8).reshape(6, 8) * 5
 """0 to 235 in steps of 5."""
@@ -312,34 +315,40 @@ def test_a_png_with_alpha_is_read_as_what_is_drawn_in_it(tmp_path):
     np.testing.assert_array_equal(read_image(path), GREY)
 
 
-def exif(jpeg: bytes, orientation: int) -> bytes:
-    """A JPEG that says how the camera was held."""
-    tag = struct.pack("<2sHIHHHIHHI", b"II", 42, 8, 1, 0x0112, 3, 1, orientation, 0, 0)
-    body = b"Exif\0\0" + tag
-    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + jpeg[2:]
+def tagged(suffix: str, orientation: int) -> bytes:
+    """A file of LARGE that says how the camera was held."""
+    content, exif = io.BytesIO(), Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(LARGE).save(content, suffix, exif=exif, lossless=True, quality=100)
+    return content.getvalue()
 
 
-UPRIGHT = {
-    1: lambda image: image,
-    2: lambda image: image[:, ::-1],
-    3: lambda image: image[::-1, ::-1],
-    4: lambda image: image[::-1],
-    5: lambda image: image.T,
-    6: lambda image: np.rot90(image, -1),
-    7: lambda image: image[::-1, ::-1].T,
-    8: lambda image: np.rot90(image, 1),
-}
-"""From the sensor's image to the upright one, by the orientations of EXIF 2.32."""
+def test_a_photograph_is_measured_as_its_sensor_had_it(tmp_path):
+    for suffix in ("jpeg", "png", "webp", "tiff"):
+        for orientation in range(1, 9):
+            with named(suffix, orientation):
+                path = tmp_path / "held.image"
+                path.write_bytes(tagged(suffix, orientation))
+                np.testing.assert_allclose(read_image(path), LARGE, atol=3)
+                assert has_orientation_tag(path) == (orientation > 1)
 
 
-def test_a_photograph_is_turned_as_its_exif_says(tmp_path):
-    for orientation in UPRIGHT:
-        with named(orientation):
-            path = tmp_path / "held.jpg"
-            jpeg = encoded(LARGE, ".jpg")
-            path.write_bytes(exif(jpeg, orientation))
-            plain = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
-            np.testing.assert_array_equal(read_image(path), UPRIGHT[orientation](plain))
+def test_a_video_is_measured_as_its_sensor_had_it(tmp_path):
+    path = tmp_path / "held.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (64, 48))
+    writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    content = path.read_bytes()
+    start = content.index(b"tkhd") + 44  # of the track's matrix
+    upright, turned = (
+        struct.pack(">6i", *(value << 16 for value in each))
+        for each in ([1, 0, 0, 0, 1, 0], [0, 1, 0, -1, 0, 0])
+    )
+    assert content[start : start + 24] == upright
+    path.write_bytes(content[:start] + turned + content[start + 24 :])
+    assert cv2.VideoCapture(str(path)).read()[1].shape[:2] == (64, 48)
+    with open_video(str(path)) as images:
+        assert next(images).shape[:2] == (48, 64)
 
 
 DAMAGED = {

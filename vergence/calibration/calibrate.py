@@ -106,7 +106,7 @@ class Calibration:
             if not kept:
                 each = zip(EYE_NAMES, reasons, strict=False)
                 why = "; ".join(f"{eye} image: {reason}" for eye, reason in each if reason)
-                if len(reasons) == 1:
+                if reasons[0] and len(set(reasons)) == 1:
                     why = reasons[0]
                 elif not why:
                     misfit = _misfit(self.fit.views, self.fit.kept_views, view)
@@ -225,6 +225,7 @@ def calibrate_views(
             "target: expected the size of a square, which the baseline needs, "
             f"got {observations.target}"
         )
+    observations = observations.without_alike_views()
     trials = _trials(observations, lenses, tick)
     errors = _errors(trials)
     chosen = choose_lens(errors)

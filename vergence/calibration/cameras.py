@@ -251,9 +251,11 @@ def fit_consistent_views(observations: BoardObservations) -> CameraFit:
     problem, size = observations.problem, observations.image_sizes[0]
     views = np.flatnonzero(observations.usable[0])
     if len(views) < LEAST_VIEWS:
+        alike = observations.alike_count
         raise ConfigurationError(
             f"expected the board in at least {LEAST_VIEWS} photographs of a camera, better 20, "
             f"found it in {len(views)} of {len(observations.usable[0])}"
+            + (f" ({alike} are like others but for noise)" if alike else "")
         )
     rng = np.random.default_rng(0)
     count = _SAMPLE_COUNT if len(views) > _VIEWS_PER_SAMPLE else 0
@@ -420,7 +422,8 @@ def drop_and_reweight_views(
 
 def cross_validation_folds(views: int) -> list[NDArray[np.bool_]]:
     """List the views that each fold holds out, (v) masks of neighbours, which may be alike."""
-    return [np.arange(views) * FOLDS // views == fold for fold in range(FOLDS)]
+    folds = min(FOLDS, views)  # of a few views, one each
+    return [np.arange(views) * folds // views == fold for fold in range(folds)]
 
 
 def cross_validation_residuals(

@@ -213,10 +213,11 @@ def advise_on_pair_motion(calibration: Calibration) -> str:
 def advise_on_view_count(calibration: Calibration) -> str:
     """Advise on too few views, or too many that were left out."""
     kept = calibration.fit.kept_views
-    count, every = int(kept.sum()), len(kept)
+    alike = calibration.observations.alike_count
+    count, every = int(kept.sum()), len(kept) - alike
     lost = every - count
     if lost > _MANY_VIEWS_FRACTION * every:
-        without = int((~calibration.observations.usable.any(axis=0)).sum())
+        without = int((~calibration.observations.usable.any(axis=0)).sum()) - alike
         why = f"; in {without} the board was not found" if without else ""
         return (
             f"{lost} of {every} views were left out{why}: keep the whole board in the image, hold "

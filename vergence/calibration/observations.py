@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -17,7 +17,7 @@ from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.parts import FloatArray
 from vergence.models.response import CameraResponse
 from vergence.perception.light import LinearResponseCheck
-from vergence.perception.photographs import join_first_names
+from vergence.perception.photographs import join_first_names, remark_on_orientation_tags
 from vergence.perception.similar_targets import describe_similar_targets
 from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
@@ -30,6 +30,10 @@ _LARGE_IMAGE_PX: Final = 1600
 are often soft from pixel to pixel)."""
 LEAST_CORNERS: Final = 6
 """Fewest corners of a view (chosen: fewer hardly determine more than the view's pose)."""
+
+_ALIKE_SIGMAS: Final = 3.0
+"""Median distance of two views' corners, in its standard deviations, up to which the views are
+alike (chosen: board and cameras at rest leave 0.2 to 1, and public sets' nearest poses 7)."""
 
 
 def parse_board(text: str, *, accept_single_tag: bool = False) -> PlanarTarget:
@@ -73,7 +77,9 @@ class BoardObservations:
     excluded: Mapping[str, str] = field(default_factory=dict)
     """Files of `file_names` that count as without the board, with the reason."""
     remarks: tuple[str, ...] = ()
-    """Remarks on the light of the images, a line each."""
+    """Remarks on the images, a line each."""
+    alike_count: int = 0
+    """Views of `excluded` that show what another view shows, see `alike_views`."""
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
@@ -96,27 +102,44 @@ class BoardObservations:
     def select_camera(self, camera: int) -> "BoardObservations":
         """Select the observations of one camera."""
         only = slice(camera, camera + 1)
-        return BoardObservations(
-            target=self.target, file_names=self.file_names[only],
-            image_sizes=self.image_sizes[only],
-            pixels=self.pixels[only], sigma=self.sigma[only], excluded=self.excluded,
-            remarks=self.remarks,
+        return replace(
+            self, file_names=self.file_names[only], image_sizes=self.image_sizes[only],
+            pixels=self.pixels[only], sigma=self.sigma[only],
         )  # fmt: skip
 
     def select(self, views: NDArray[np.bool_]) -> "BoardObservations":
         """Select the observations of some views."""
-        return BoardObservations(
-            target=self.target,
+        return replace(
+            self,
             file_names=tuple(
                 tuple(name for name, there in zip(names, views, strict=True) if there)
                 for names in self.file_names
             ),
-            image_sizes=self.image_sizes,
             pixels=self.pixels[:, views],
             sigma=self.sigma[:, views],
-            excluded=self.excluded,
-            remarks=self.remarks,
         )
+
+    def without_alike_views(self) -> "BoardObservations":
+        """Exclude all but one of views that are alike, and remark on it.
+
+        Noise apart, their errors are the same, so that together they tell as much as one.
+        """
+        alike = alike_views(self.pixels, self.sigma)
+        if not alike:
+            return self
+        pixels, excluded = self.pixels.copy(), dict(self.excluded)
+        pixels[:, list(alike)] = np.nan
+        for view, other in alike.items():
+            why = f"like {Path(self.file_names[0][other]).name} but for noise"
+            excluded |= {names[view]: why for names in self.file_names}
+        remark = (
+            f"{len(alike)} of {len(self.file_names[0])} views are like others but for noise, and "
+            "count as one with them: move the board between photographs."
+        )
+        return replace(
+            self, pixels=pixels, excluded=excluded, remarks=(remark, *self.remarks),
+            alike_count=len(alike),
+        )  # fmt: skip
 
     @property
     def digest(self) -> str:
@@ -190,10 +213,6 @@ def detect_board_corners(
         for path, one in zip(every, seen, strict=True)
         if isinstance(one, str)
     }
-    for view, first in _copies(pixels).items():
-        for camera, files in enumerate(photographs):
-            excluded[str(files[view])] = f"it is a copy of {files[first].name}"
-            pixels[camera, view] = np.nan
     found = BoardObservations(
         target=target,
         file_names=tuple(tuple(map(str, files)) for files in photographs),
@@ -201,7 +220,7 @@ def detect_board_corners(
         pixels=pixels,
         sigma=sigma,
         excluded=excluded,
-        remarks=tuple(check.notes()),
+        remarks=(*check.notes(), *remark_on_orientation_tags(every)),
     )
     seen = np.isfinite(pixels).any()
     if len(rows) > 1 and seen and np.array_equal(pixels[0], pixels[1], equal_nan=True):
@@ -242,20 +261,31 @@ def _look(path: Path, detector: Detector[Any], check: LinearResponseCheck) -> _S
     return _Seen((width, height), corners, scale * found.corners_sigma_px)
 
 
-def _copies(pixels: FloatArray) -> dict[int, int]:
-    """Find views with exactly the corners of an earlier view; map them to the earlier view.
+def alike_views(pixels: FloatArray, sigma: FloatArray) -> dict[int, int]:
+    """Find views whose corners are where another view has them, but for noise.
 
     Args:
-        pixels: (c, v, n, 2) corners.
+        pixels: (c, v, n, 2) corners, px; nan for those that were not found.
+        sigma: (c, v, n, 2) their standard deviations, px.
+
+    Returns:
+        The view to keep for each that is like it: the one with the most corners.
     """
-    first: dict[bytes, int] = {}
-    copies = {}
-    for view in range(pixels.shape[1]):
-        if np.isfinite(pixels[:, view]).any():
-            earlier = first.setdefault(pixels[:, view].tobytes(), view)
-            if earlier != view:
-                copies[view] = earlier
-    return copies
+    counts = np.isfinite(pixels).all(axis=-1).sum(axis=(0, 2))
+    kept: list[int] = []
+    alike = {}
+    for view in np.argsort(-counts, kind="stable")[: np.count_nonzero(counts)].tolist():
+        variances = sigma[:, kept] ** 2 + sigma[:, [view]] ** 2
+        squares = ((pixels[:, kept] - pixels[:, [view]]) ** 2 / variances).mean(axis=-1)
+        both = np.isfinite(squares)
+        near = (squares < _ALIKE_SIGMAS**2).sum(axis=-1) > 0.5 * both.sum(axis=-1)
+        common = both.sum(axis=-1) >= min(LEAST_CORNERS, pixels.shape[2])
+        same = common.any(axis=0) & (near | ~common).all(axis=0)
+        if same.any():
+            alike[view] = kept[int(same.argmax())]
+        else:
+            kept.append(view)
+    return dict(sorted(alike.items()))
 
 
 def _refuse_another(

@@ -9,7 +9,7 @@ from vergence.errors import ConfigurationError, VergenceError
 from vergence.json_values import null_nonfinite_rows
 from vergence.models.parts import FloatArray
 from vergence.perception.board_centre import target_centre_px
-from vergence.perception.photographs import list_photographs
+from vergence.perception.photographs import list_photographs, remark_on_orientation_tags
 from vergence.perception.target_finder import Photograph, PhotographNotes, TargetFinder, tag_number
 from vergence.vision import Detection
 
@@ -108,6 +108,10 @@ def detect_in_photographs(
     return DetectResult(
         images=tuple(read),
         sightings=tuple(sightings),
-        remarks=(*unseen.notes(), *finder.response_check.notes()),
+        remarks=(
+            *unseen.notes(),
+            *finder.response_check.notes(),
+            *remark_on_orientation_tags(read),
+        ),
         failures=tuple(failures),
     )

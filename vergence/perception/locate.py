@@ -20,7 +20,7 @@ from vergence.perception.joint_angles import eyes_move, read_joint_angles
 from vergence.perception.locate_config import LocateConfig
 from vergence.perception.located import LocatedTarget, locate_target
 from vergence.perception.pairing import pair_up
-from vergence.perception.photographs import join_first_names
+from vergence.perception.photographs import join_first_names, remark_on_orientation_tags
 from vergence.perception.spacing import EdgeSpacing, measure_spacing
 from vergence.perception.target_finder import (
     Photograph,
@@ -240,6 +240,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
         remarks=(
             *unseen.notes(),
             *dict.fromkeys(line for finder in finders for line in finder.response_check.notes()),
+            *remark_on_orientation_tags(path for pair in pairs for path in pair),
         ),
         unpaired=tuple(unpaired),
         failures=tuple(failures),

@@ -1,10 +1,12 @@
 """Convert images of cameras and files to the form detectors take: 8-bit grey levels, or light."""
 
 import math
+import re
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, overload
+from typing import Any, Final, NamedTuple, overload
 
 import cv2
 import numpy as np
@@ -41,6 +43,15 @@ colours some pixels, and fewer samples cost less)."""
 _MAX_CHANNEL_DIFFERENCE: Final = 3
 """Largest difference of the channels of a grey image, grey levels, due to the rounding in video
 codecs (chosen)."""
+
+_EXIF_MARKS: Final = {b"\xff\xd8": b"Exif\0\0", b"\x89P": b"eXIf", b"RI": b"EXIF"}
+"""Marks before the EXIF of JPEG, PNG and WebP files, by their first bytes (physical: formats)."""
+_TIFF_HEADER: Final = re.compile(rb"II\*\0|MM\0\*")
+"""Start of a TIFF file, and of EXIF (physical: TIFF 6.0)."""
+_MARK_TO_HEADER_BYTES: Final = 20
+"""Bytes from a mark's start within which the header of EXIF ends (physical: formats)."""
+_ORIENTATION_TAG: Final = 0x0112
+"""TIFF's number of the orientation (physical: TIFF 6.0)."""
 
 
 @overload
@@ -243,11 +254,11 @@ def read_pixels(path: str | Path) -> NDArray[Any]:
     """Read an image file with its own bit depth and colours.
 
     Args:
-        path: path of a PNG, JPEG, TIFF or other format that OpenCV reads, of any depth; rotated by
-            its EXIF orientation.
+        path: path of a PNG, JPEG, TIFF or other format that OpenCV reads, of any depth.
 
     Returns:
-        (height, width) grey or (height, width, 3) BGR.
+        (height, width) grey or (height, width, 3) BGR: pixels as stored, so those of the sensor;
+        an orientation tag is not applied.
 
     Raises:
         UnreadableFileError: the file is missing, empty, or no image.
@@ -262,13 +273,54 @@ def read_pixels(path: str | Path) -> NDArray[Any]:
         raise UnreadableFileError(repr(str(path)), str(error), expected) from error
     if not content:
         raise UnreadableFileError(str(path), "empty", expected)
+    levels = np.frombuffer(content, np.uint8)
+    tag = _find_orientation(content)
+    if tag is not None and _TIFF_HEADER.match(content):  # which OpenCV turns whatever the flags
+        levels = levels.copy()
+        levels[tag.start : tag.start + 2] = [1, 0] if content[:1] == b"I" else [0, 1]
+    flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         with suppress_opencv_log():
-            read: Any = cv2.imdecode(
-                np.frombuffer(content, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
-            )
+            read: Any = cv2.imdecode(levels, flags)
     except cv2.error as error:  # sizes beyond OpenCV's limits, damaged headers
         raise UnreadableFileError(str(path), "no image, or a damaged one", expected) from error
     if read is None or read.size == 0:
         raise UnreadableFileError(str(path), "no image, or a damaged one", expected)
     return np.asarray(read)
+
+
+def has_orientation_tag(path: str | Path) -> bool:
+    """True if a file asks to be shown turned or mirrored, by its EXIF or TIFF orientation."""
+    try:
+        tag = _find_orientation(Path(path).read_bytes())
+    except (OSError, ValueError):
+        return False
+    return tag is not None and tag.value != 1
+
+
+class _Orientation(NamedTuple):
+    """Orientation in a file."""
+
+    value: int
+    """1 for pixels as stored; 2 to 8 for others."""
+    start: int
+    """Place of its two bytes in the file."""
+
+
+def _find_orientation(content: bytes) -> _Orientation | None:
+    """Find the orientation of a JPEG, PNG, WebP or TIFF file; None if it has none."""
+    mark = content.find(_EXIF_MARKS.get(content[:2], b""))
+    header = _TIFF_HEADER.search(content, mark, mark + _MARK_TO_HEADER_BYTES) if mark >= 0 else None
+    if header is None:
+        return None
+    order = "<" if header[0][:1] == b"I" else ">"
+    try:
+        first = header.start() + struct.unpack_from(f"{order}I", content, header.end())[0]
+        (count,) = struct.unpack_from(f"{order}H", content, first)
+        for start in range(first + 2, first + 2 + 12 * count, 12):
+            tag, _, _, value = struct.unpack_from(f"{order}HHIH", content, start)
+            if tag == _ORIENTATION_TAG:
+                return _Orientation(value, start + 8)
+    except struct.error:  # it ends before its tags
+        pass
+    return None

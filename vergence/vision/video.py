@@ -73,6 +73,8 @@ def open_capture(
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg has a log of its own
     with suppress_opencv_log():
         capture = _open(source, device, option_name)
+        # pixels are those of the sensor, whatever a file says of how it was held
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         if device:  # the format first, since it limits sizes and rates
             if pixel_format:
                 capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*pixel_format))

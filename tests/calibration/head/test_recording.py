@@ -10,6 +10,7 @@ import pytest
 
 import vergence
 from tests.calibration.head.recordings import log_frames, log_view
+from vergence.calibration.head.calibrate_head import sort_and_clean_frames
 from vergence.calibration.head.recording import read_recording
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
@@ -51,6 +52,16 @@ def test_order_and_repetition_in_a_log_do_not_matter(tmp_path, frames):
     plain = read_recording(log_frames(tmp_path / "b.mcap", HEAD, frames), HEAD)
     assert_same(shuffled.frames, frames)
     assert shuffled.sha256 == plain.sha256
+
+
+def test_frames_of_a_head_at_rest_count_as_one(frames):
+    repeated = frames.select(np.repeat(np.arange(24), 3))
+    repeated.pixels[:] += repeated.sigma * np.random.default_rng(0).standard_normal(
+        repeated.pixels.shape
+    )
+    assert len(sort_and_clean_frames(repeated).time_s) == 24
+    repeated.joint_positions[:, 3] += 1e-3 * np.arange(72)  # readings that differ tell more
+    assert len(sort_and_clean_frames(repeated).time_s) == 72
 
 
 def test_the_digest_tells_other_corners_and_other_angles(tmp_path, frames):

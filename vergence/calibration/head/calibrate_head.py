@@ -36,6 +36,7 @@ from vergence.calibration.head.solution import HeadSolution
 from vergence.calibration.head.start import LEAST_CORNERS, estimate_consensus_board_poses
 from vergence.calibration.head.terms import AUTO, choose_terms, convert_for_terms
 from vergence.calibration.head.uncertainty import head_and_term_covariance
+from vergence.calibration.observations import alike_views
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -207,17 +208,16 @@ def calibrate_head(
 
 
 def sort_and_clean_frames(frames: HeadFrames) -> HeadFrames:
-    """Sort frames by time; leave out frames that do not show the board, and duplicates."""
+    """Sort frames by time; leave out those without the board, and all but one of a head at rest."""
     order = np.argsort(frames.time_s, kind="stable")
     frames = frames.select(order)
     shown = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).any(axis=0)
-    known: set[bytes] = set()
-    fresh = []
-    for frame in range(len(frames.time_s)):
-        content = frames.pixels[:, frame].tobytes() + frames.joint_positions[frame].tobytes()
-        fresh.append(content not in known)
-        known.add(content)
-    return frames.select(shown & np.array(fresh, dtype=bool))
+    fresh = np.ones(len(shown), bool)
+    same = np.unique(frames.joint_positions, axis=0, return_inverse=True)[1].ravel()
+    for group in np.flatnonzero(np.bincount(same) > 1):
+        here = np.flatnonzero(same == group)
+        fresh[here[list(alike_views(frames.pixels[:, here], frames.sigma[:, here]))]] = False
+    return frames.select(shown & fresh)
 
 
 def _noisy(solution: HeadSolution) -> list[str]:
