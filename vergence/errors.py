@@ -132,6 +132,10 @@ class ConfigurationError(VergenceError):
     """An argument or option with an invalid value."""
 
 
+class UnexpectedArgumentError(ConfigurationError, TypeError):
+    """A keyword argument that a callable does not take; a `TypeError` in Python's words as well."""
+
+
 class UnreachableTargetError(ConfigurationError):
     """A target that a head cannot look at, or that is not visible at the start of a trial."""
 
@@ -184,6 +188,10 @@ class ChecksFailedError(HardwareError):
 
     def __reduce__(self) -> tuple[type, tuple[tuple[Finding, ...]]]:
         return type(self), (self.findings,)
+
+
+class MujocoUnavailableError(VergenceError):
+    """MuJoCo is missing, of another version, or damaged; the message has the cure."""
 
 
 class RenderingUnavailableError(VergenceError):

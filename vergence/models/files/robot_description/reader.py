@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 
 from vergence.errors import HeadFileError
@@ -28,6 +27,7 @@ from vergence.models.files.robot_description.robot_xml import (
     urdf_extras,
     urdf_mimic_joints,
 )
+from vergence.models.mujoco.library import mujoco
 from vergence.models.parts import FloatArray
 
 _KINDS: Final[dict[Any, JointKind]] = {
