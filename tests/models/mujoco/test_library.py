@@ -33,7 +33,7 @@ sys.exit(main(["export", "mjcf", "--head", "icub", "--out", sys.argv[1]]))
         ("3.3.0", "got 3.3.0; cure: pip install 'mujoco>=4,<5'"),
         (
             "4.0.0",
-            "damaged; cure: pip install --force-reinstall --no-deps mujoco==4.0.0 mujoco-core==4.0.0",
+            "cure: pip install --force-reinstall --no-deps mujoco==4.0.0 mujoco-core==4.0.0",
         ),
         (None, "got none; cure: pip install"),
     ],
