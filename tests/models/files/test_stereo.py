@@ -531,6 +531,15 @@ def test_settings_of_orb_slam_hold_the_pair_in_rectification_and_projection(tmp_
     check(read_stereo([written(tmp_path / "orb.json", values)]), atol=1e-9)
 
 
+def test_opencvs_yaml_may_lack_spaces_before_values(tmp_path):
+    path = write_opencv(tmp_path / "pair.yml", opencv_pair())
+    text = (
+        path.read_text(encoding="utf-8").replace("data: [", "data:[").replace("_width: ", "_width:")
+    )
+    path.write_text("%YAML:1.0\n---\n" + text.partition("---\n")[2], encoding="utf-8")
+    check(read_stereo([path]))
+
+
 def test_a_format_that_is_not_read_is_named_with_those_that_are(tmp_path):
     for text, program in [
         ("[LEFT_CAM_HD]\nfx=700.1\n[RIGHT_CAM_HD]\nfx=700.1\n[STEREO]\nBaseline=62\n", "ZED"),

@@ -44,6 +44,8 @@ _OTHER_TEXTS: Final[dict[str, str]] = {
     r"<(calibration|sensor|Calibration)[ >]": "an XML file of another program (Agisoft's?)",
 }
 """Calibration files of programs that are not read, by a pattern of their text."""
+_TIGHT_KEY: Final = re.compile(r"^(\s*[\w.]+:)(?=[\[\d+-])", re.MULTILINE)
+"""A key of OpenCV's YAML whose value follows without a space."""
 _JSON_PART: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 """A string of JSON, or a bracket."""
 _NOT_FINITE: Final = re.compile(r"(?<![\w.])[+-]?(?:\.?nan|\.?inf)\b", re.IGNORECASE)
@@ -143,8 +145,8 @@ def _parse_yaml(text: str) -> Any:
         return loader.construct_scalar(node)
 
     Loader.add_multi_constructor("", untagged)
-    if text.startswith("%YAML"):  # OpenCV's `%YAML:1.0` is not valid YAML
-        text = text.partition("\n")[2]
+    if text.startswith("%YAML"):  # OpenCV's `%YAML:1.0` and `data:[1, 2]` are not valid YAML
+        text = _TIGHT_KEY.sub(r"\1 ", text.partition("\n")[2])
     try:
         _refuse_deep(_yaml_steps(text, Loader))
         # a recorded ROS topic has one document per message; the first is enough
