@@ -1,5 +1,6 @@
 """Calibration from corners: the true cameras, bad views left out, what cannot be is refused."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -139,6 +140,18 @@ def test_pairs_of_five_may_be_left_out(pair, bad):
     found = calibrate_views(replace(few, pixels=pixels), LENS)
     assert found.fit.kept_views.sum() == 5 - bad
     assert np.isfinite(found.held_out_px).all()
+
+
+def test_a_mistaken_corner_is_left_out_and_its_view_stays(pair):
+    seen, _ = pair
+    pixels = seen.pixels.copy()
+    view = int(both(seen)[2])
+    pixels[0, view, 8] += (30.0, -40.0)
+    found = calibrate_views(replace(seen, pixels=pixels), LENS)
+    assert found.fit.kept_views[view]
+    assert found.rms_alone_px[0] < 0.2
+    assert found.observations.remarks[0].startswith("1 corner left out")
+    assert re.search(rf"l{view}.png \((49|50)\.. px\)", found.observations.remarks[0])
 
 
 def test_views_of_a_board_at_rest_count_as_one(pair):
