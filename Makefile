@@ -2,6 +2,7 @@
 
 PYTHON ?= python3
 VENV ?= .venv
+CONSTRAINTS ?= constraints.txt
 ARGS ?=
 JOBS ?= 2
 
@@ -11,7 +12,7 @@ PYTEST := $(BIN)/python -m pytest
 NO_TESTS_SELECTED = [ $$? -eq 5 ] # pytest's status
 
 # One stamp for each level of installation: it is older than these files when they have changed.
-REQUIREMENTS := pyproject.toml constraints.txt
+REQUIREMENTS := pyproject.toml $(CONSTRAINTS)
 CREATED := $(VENV)/.created
 BASE := $(VENV)/.base
 ROBOT := $(VENV)/.robot
@@ -87,7 +88,7 @@ $(CREATED):
 # $(call install,extras): pip checks every requirement, but fetches only what is not there yet.
 define install
 	@echo "Installing vergence$(1) into $(VENV) (a few minutes the first time)"
-	@$(PIP) install -c constraints.txt -e '.$(1)'
+	@$(PIP) install -c $(CONSTRAINTS) -e '.$(1)'
 	@touch $@
 endef
 

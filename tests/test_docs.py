@@ -75,6 +75,14 @@ def test_the_recipe_for_stable_baselines_is_the_file_that_the_benchmark_runs() -
     assert shown == RECIPE.read_text(encoding="utf-8")
 
 
+def test_the_recipe_for_a_robot_makes_its_environments() -> None:
+    text = (ROOT / "docs/stable-baselines3.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```py\n(envs = .*?)```", text, flags=re.DOTALL)
+    names = {"gymnasium": gymnasium, "AutoresetMode": gymnasium.vector.AutoresetMode}
+    exec(block, names)
+    names["envs"].reset(seed=0)
+
+
 def test_the_pages_table_of_the_observation_is_that_of_the_layout() -> None:
     rows = re.findall(r"^ *(\| \d+:\d+ .*\|)$", str(ObservationLayout.__doc__), re.MULTILINE)
     page = (ROOT / "docs/environment.md").read_text(encoding="utf-8")

@@ -67,12 +67,23 @@ class UnquotedText(str):
         return str(self)
 
 
-class UnreadableFileError(HeadFileError):
-    """A file that is missing or cannot be read: `key` is its path, `value` the reason."""
+class UnreadableFileError(VergenceError):
+    """A file that is missing or cannot be read.
 
-    def __init__(self, key: str, value: object, expected: str, file: str = "") -> None:
-        super().__init__(key, value, expected, file)
-        self.args = (f"{key}: {value}; expected {expected}",)
+    Attributes:
+        path: path of the file.
+        reason: reason why it cannot be read.
+        expected: description of a valid file.
+    """
+
+    def __init__(self, path: str, reason: object, expected: str) -> None:
+        super().__init__(f"{path}: {reason}; expected {expected}")
+        self.path = path
+        self.reason = reason
+        self.expected = expected
+
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        return type(self), (self.path, self.reason, self.expected)
 
 
 class MistakesError(HeadFileError):
@@ -119,6 +130,10 @@ class UnknownNameError(VergenceError):
 
 class ConfigurationError(VergenceError):
     """An argument or option with an invalid value."""
+
+
+class UnexpectedArgumentError(ConfigurationError, TypeError):
+    """A keyword argument that a callable does not take; a `TypeError` in Python's words as well."""
 
 
 class UnreachableTargetError(ConfigurationError):
@@ -173,6 +188,10 @@ class ChecksFailedError(HardwareError):
 
     def __reduce__(self) -> tuple[type, tuple[tuple[Finding, ...]]]:
         return type(self), (self.findings,)
+
+
+class MujocoUnavailableError(VergenceError):
+    """MuJoCo is missing, of another version, or damaged; the message has the cure."""
 
 
 class RenderingUnavailableError(VergenceError):

@@ -97,7 +97,7 @@ def test_a_camera_becomes_a_file_that_detectors_take(photographs, tmp_path, caps
     words = ("calibrate", "intrinsics", str(photographs / "left*.png"), "--board", TARGET)
     assert call(*words, "--lens", "brown-conrady", "--out", "left.yaml") == 0
     assert "f_u" in capsys.readouterr().out
-    camera, _ = read_intrinsics(["left.yaml"])
+    camera = read_intrinsics(["left.yaml"]).left
     assert (camera.width, camera.height) == SIZE
     np.testing.assert_allclose(camera.focal, make_rig().camera_parameters[0][:2], rtol=0.01)
 

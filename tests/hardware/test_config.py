@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 
 from vergence import load_head
 from vergence.cli import main
-from vergence.errors import ConfigurationError, HeadFileError, MistakesError, VergenceError
+from vergence.errors import (
+    ConfigurationError,
+    HeadFileError,
+    MistakesError,
+    UnreadableFileError,
+    VergenceError,
+)
 from vergence.hardware.config import actuator_slots, load_hardware, refuse_other_head
 from vergence.models.boards import AprilTag
 from vergence.models.files.head_file import presets, save_head
@@ -233,14 +239,14 @@ def test_each_joint_needs_a_servo(tmp_path):
 def test_a_file_that_is_no_toml_is_refused(tmp_path, content, said):
     path = tmp_path / "robot.toml"
     path.write_bytes(content)
-    with pytest.raises(HeadFileError, match=rf"robot\.toml: {said}"):
+    with pytest.raises(UnreadableFileError, match=rf"robot\.toml: {said}"):
         load_hardware(path)
 
 
 def test_a_path_with_no_file_is_refused(tmp_path):
-    with pytest.raises(HeadFileError, match=r"none\.toml: No such file"):
+    with pytest.raises(UnreadableFileError, match=r"none\.toml: No such file"):
         load_hardware(tmp_path / "none.toml")
-    with pytest.raises(HeadFileError, match="the TOML file of a robot's configuration"):
+    with pytest.raises(UnreadableFileError, match="the TOML file of a robot's configuration"):
         load_hardware(tmp_path)
     with pytest.raises(ConfigurationError, match="config: expected the path of a TOML file, got 5"):
         load_hardware(5)

@@ -79,6 +79,12 @@ class _Notes(logging.Handler):
             )
 
 
+def print_guesses(guesses: Sequence[str]) -> None:
+    """Print one line per assumed or doubtful value of a calibration."""
+    for guess in guesses:
+        print_to_stderr(f"assumed: {guess}")
+
+
 def print_read_errors(read_errors: Sequence[str]) -> None:
     """Print one line per file that could not be read, at most `_MOST_FAILURES`."""
     for text in read_errors[:_MOST_FAILURES]:

@@ -7,8 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 
-from vergence.commands.console import print_read_errors, print_to_stderr, progress_bar
-from vergence.commands.options import check_figure, parse_size
+from vergence.commands.console import (
+    print_guesses,
+    print_read_errors,
+    print_to_stderr,
+    progress_bar,
+)
+from vergence.commands.options import (
+    CalibrationLens,
+    CalibrationSize,
+    check_figure,
+    parse_size,
+)
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
@@ -51,8 +61,8 @@ class Detect:
     """Eye of the head that took the images."""
     camera: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
     """Calibration of the camera (OpenCV, ROS, kalibr) instead of a head; with --eye for a pair."""
-    size: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="WIDTHxHEIGHT")] = None
-    """Image size in pixels, such as 640x480, if the calibration does not have it."""
+    size: CalibrationSize = None
+    lens: CalibrationLens = None
     response: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TEXT")] = None
     """Light as a function of grey level: srgb, linear, a gamma such as 2.2, or a table such as
     0,0.2,1."""
@@ -74,7 +84,10 @@ class Detect:
         from vergence.perception.target_finder import parse_targets
 
         targets = parse_targets(self.target)
-        camera = load_camera(self.head, self.camera, self.eye, parse_size(self.size))
+        camera, guesses = load_camera(
+            self.head, self.camera, self.eye, size=parse_size(self.size), lens=self.lens
+        )
+        print_guesses(guesses)
         response = None if self.response is None else parse_response(self.response)
         if self.live is not None:
             from vergence.commands.live import watch_camera

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 
@@ -24,6 +24,23 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Flat = Annotated[T, tyro.conf.arg(name="")]
 """A dataclass whose fields are options of the command that holds it."""
+CalibrationSize = Annotated[
+    str | None,
+    tyro.conf.arg(
+        help_behavior_hint="",
+        metavar="WIDTHxHEIGHT",
+        help="Image size in pixels, such as 640x480, if the calibration does not have it.",
+    ),
+]
+CalibrationLens = Annotated[
+    Literal["brown-conrady", "rational", "fisheye"] | None,
+    tyro.conf.arg(
+        help_behavior_hint="",
+        metavar="{brown-conrady,rational,fisheye}",
+        help="Lens model, if the calibration does not name it; by default the coefficient count "
+        "decides.",
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ from vergence.envs.task import GazeTask
 from vergence.errors import (
     ConfigurationError,
     RenderingUnavailableError,
+    UnexpectedArgumentError,
     how_to_install,
     refuse_unknown,
 )
@@ -73,7 +74,7 @@ def checked_arguments(env: "type[TaskEnv]", arguments: Mapping[str, Any]) -> Map
     """Check that an environment's task takes the arguments, and return them.
 
     Raises:
-        ConfigurationError: an argument is unknown.
+        UnexpectedArgumentError: an argument is unknown.
     """
     of_task = accepted_arguments(env.task_type)
     if of_task is None or arguments.keys() <= of_task - {"num"}:
@@ -83,7 +84,13 @@ def checked_arguments(env: "type[TaskEnv]", arguments: Mapping[str, Any]) -> Map
     plant = arguments.get("plant", signature(GazeTask).parameters["plant"].default)
     of_plant = sorted((accepted_arguments(plant_type(plant)) or set()) - {"head", "num"})
     in_plant = [f"or in plant_options {', '.join(of_plant)}"] if of_plant else []
-    refuse_unknown("environment", arguments, [*sorted(known), *in_plant])
+    try:
+        refuse_unknown("environment", arguments, [*sorted(known), *in_plant])
+    except ConfigurationError as error:  # in words by which TorchRL goes on without its frameskip
+        name = next(name for name in arguments if name not in known)
+        raise UnexpectedArgumentError(
+            f"got an unexpected keyword argument {name!r}: {error}"
+        ) from error
     return arguments
 
 

@@ -126,9 +126,10 @@ def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
         source: the path of the file.
 
     Raises:
-        HeadFileError: the file is missing, or a key of it is missing, unknown or impossible; the
-            message names the file, the key, the value and what was expected. Several mistakes
-            are raised as one `MistakesError`.
+        UnreadableFileError: the file is missing, or is no TOML.
+        HeadFileError: a key of it is missing, unknown or impossible; the message names the file,
+            the key, the value and what was expected. Several mistakes are raised as one
+            `MistakesError`.
         ConfigurationError: the target is not a valid one, and nothing else is wrong.
     """
     if not isinstance(source, str | os.PathLike):
@@ -222,9 +223,7 @@ def _error(mistakes: MistakeCollector, path: str) -> VergenceError:
 
 
 def _in_file(error: VergenceError, path: str) -> VergenceError:
-    if not isinstance(error, HeadFileError) or isinstance(error, UnreadableFileError):
-        return error
-    if error.file:
+    if not isinstance(error, HeadFileError) or error.file:
         return error
     return HeadFileError(error.key, error.value, error.expected, path)
 
@@ -271,7 +270,7 @@ def _head(table: Table, path: str) -> HeadModel:
     try:
         return load_head(place)
     except UnreadableFileError as error:
-        asked = f"{expected} ({error.key:.200}: {error.value})"
+        asked = f"{expected} ({error.path:.200}: {error.reason})"
         raise HeadFileError("head", name, asked, path) from error
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_file import load_head
-from vergence.models.files.intrinsics import read_intrinsics
+from vergence.models.files.intrinsics import Lens, read_intrinsics
 from vergence.models.joints import EYE_NAMES
 from vergence.vision import EyeCamera
 
@@ -13,8 +13,10 @@ def load_camera(
     head: str | None,
     calibration: Path | None,
     eye: str | None,
+    *,
     size: tuple[int, int] | None = None,
-) -> EyeCamera | None:
+    lens: Lens | None = None,
+) -> tuple[EyeCamera | None, tuple[str, ...]]:
     """Load the camera that command-line options name.
 
     Args:
@@ -22,38 +24,41 @@ def load_camera(
         calibration: a calibration file of OpenCV, ROS or kalibr.
         eye: `left` or `right`; not needed for a calibration of one camera.
         size: image size (width, height), px, for a calibration file without one.
+        lens: lens model, for a calibration file that does not name it.
 
     Returns:
-        The camera; None if neither a head nor a calibration is given.
+        The camera, None if neither a head nor a calibration is given; and doubtful or assumed
+        values of the calibration, one phrase each.
 
     Raises:
-        VergenceError: head and calibration are both given, the eye or the image size is missing or
-            is given without them, or a file cannot be read.
+        VergenceError: head and calibration are both given, the eye, the image size or the lens is
+            missing or is given without them, or a file cannot be read.
     """
     if head is not None and calibration is not None:
         raise ConfigurationError("camera: expected either --head or --camera, got both")
-    if size is not None and calibration is None:
-        raise ConfigurationError("size: expected --camera beside it, got none")
+    for option, given in (("size", size), ("lens", lens)):
+        if given is not None and calibration is None:
+            raise ConfigurationError(f"{option}: expected --camera beside it, got none")
     if head is not None:
         if eye is None:
             raise ConfigurationError("eye: expected left or right beside --head, got none")
-        return EyeCamera.of(load_head(head), EYE_NAMES.index(eye))
+        return EyeCamera.of(load_head(head), EYE_NAMES.index(eye)), ()
     if calibration is None:
         if eye is not None:
             raise ConfigurationError("eye: expected --head or --camera beside it, got neither")
-        return None
+        return None, ()
     if calibration.suffix.lower() == ".toml":
         raise ConfigurationError(
             f"camera: expected a calibration of OpenCV, ROS or kalibr, got {calibration} (a head "
             "file is given as --head, with --eye left or right)"
         )
-    both = read_intrinsics([calibration], size=size)
-    if eye is None and both[0] is not both[1]:
+    both = read_intrinsics([calibration], size=size, lens=lens)
+    if eye is None and both.left is not both.right:
         raise ConfigurationError(
             f"eye: expected left or right, as {calibration} is of two cameras, got none"
         )
-    own = both[EYE_NAMES.index(eye) if eye is not None else 0]
-    return EyeCamera(
+    own = both.right if eye == "right" else both.left
+    camera = EyeCamera(
         width=own.width,
         height=own.height,
         focal_px=tuple(own.focal.tolist()),
@@ -61,3 +66,4 @@ def load_camera(
         distortion=tuple(own.distortion.tolist()),
         lens=own.lens,
     )
+    return camera, both.guesses

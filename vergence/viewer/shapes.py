@@ -2,12 +2,12 @@
 
 from typing import Final, NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.head import HeadModel
 from vergence.models.links import inverse_pose
+from vergence.models.mujoco.library import mujoco
 from vergence.models.mujoco.model import compile_model, find_model_indices
 from vergence.models.mujoco.posture import rest_poses
 from vergence.models.parts import FloatArray

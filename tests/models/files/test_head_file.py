@@ -13,7 +13,7 @@ import tomli_w
 from tests.heads import text_of
 from tests.models.lenses import COEFFICIENTS, LENSES, wide
 from tests.naming import named
-from vergence.errors import HeadFileError, UnknownNameError, VergenceError
+from vergence.errors import HeadFileError, UnknownNameError, UnreadableFileError, VergenceError
 from vergence.models import load_head, parse_head, presets, save_head
 from vergence.models.files.head_toml import head_to_toml
 
@@ -81,16 +81,16 @@ class TestRoundTrip:
 class TestFiles:
     def test_a_missing_file_is_named(self, tmp_path):
         path = tmp_path / "none.toml"
-        with pytest.raises(HeadFileError, match=r"none\.toml.*No such file"):
+        with pytest.raises(UnreadableFileError, match=r"none\.toml.*No such file"):
             load_head(path)
 
     def test_a_missing_file_that_is_called_like_a_preset_is_told_so(self):
-        with pytest.raises(HeadFileError, match=r"--head simulated is the preset"):
+        with pytest.raises(UnreadableFileError, match=r"--head simulated is the preset"):
             load_head("simulatd.toml")
 
     def test_a_folder_is_no_file(self, tmp_path):
         (tmp_path / "head.toml").mkdir()
-        with pytest.raises(HeadFileError, match=r"head\.toml.*Is a directory"):
+        with pytest.raises(UnreadableFileError, match=r"head\.toml.*Is a directory"):
             load_head(tmp_path / "head.toml")
 
     def test_a_name_that_no_file_has_is_refused(self):
@@ -102,7 +102,7 @@ class TestFiles:
     def test_bytes_that_are_no_text(self, tmp_path, data):
         path = tmp_path / "noise.toml"
         path.write_bytes(data)
-        with pytest.raises(HeadFileError, match=r"noise\.toml.*not text"):
+        with pytest.raises(UnreadableFileError, match=r"noise\.toml.*not text"):
             load_head(path)
 
     def test_a_byte_order_mark_is_read_over(self, physical, tmp_path):
@@ -475,6 +475,6 @@ def test_a_pinhole_is_a_lens_without_distortion():
 
 
 def test_a_file_that_is_not_there_is_told_first():
-    with pytest.raises(HeadFileError, match=r"^nothing\.toml: No such file") as caught:
+    with pytest.raises(UnreadableFileError, match=r"^nothing\.toml: No such file") as caught:
         load_head("nothing.toml")
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)

@@ -21,7 +21,7 @@ from tests.models.files.robot_description.descriptions import (
     urdf,
 )
 from tests.naming import named
-from vergence.errors import ConfigurationError, HeadFileError, VergenceError
+from vergence.errors import ConfigurationError, HeadFileError, UnreadableFileError, VergenceError
 from vergence.models.files.head_file import load_head
 from vergence.models.files.import_urdf import ImportedHead, UrdfSource, import_urdf
 from vergence.models.joints import JOINTS
@@ -535,15 +535,17 @@ MJCF = """
 """
 
 
-def compiled_pose(text: str, kind: str, name: str, angles: dict[str, float]) -> np.ndarray:
-    """T_base_frame by MuJoCo itself, of the file without its mesh."""
+def compiled(text: str) -> mujoco.MjModel:
+    """Model by MuJoCo itself, of the file without its mesh."""
     bare = text.replace('<mesh name="shell" file="nowhere.stl"/>', "").replace(
         '<geom type="mesh" mesh="shell"/>', '<geom size="0.1"/>'
     )
-    bare = bare.replace('<body name="le"', '<body name="le"').replace(
-        "<site ", '<geom size="0.01"/><site '
-    )
-    model = mujoco.MjModel.from_xml_string(bare)
+    return mujoco.MjModel.from_xml_string(bare.replace("<site ", '<geom size="0.01"/><site '))
+
+
+def compiled_pose(text: str, kind: str, name: str, angles: dict[str, float]) -> np.ndarray:
+    """T_base_frame by MuJoCo itself."""
+    model = compiled(text)
     data = mujoco.MjData(model)
     for joint_name, angle in angles.items():
         data.joint(joint_name).qpos = angle
@@ -606,6 +608,110 @@ def test_an_equality_of_an_mjcf_ties_joints_while_it_is_active(head_of, active):
     if active:
         # MuJoCo counts both from their references, which are alike here
         assert imported.motors[1].joint_offsets == pytest.approx({"rt": 0.01})
+
+
+@pytest.mark.parametrize(
+    ("tendons", "equality", "count"),
+    [
+        (
+            '<fixed name="t"><joint joint="lt" coef="2"/><joint joint="rt" coef="-1.5"/></fixed>',
+            '<tendon tendon1="t" polycoef="0.02 1 0 0 0"/>',
+            3,
+        ),
+        (
+            '<fixed name="a"><joint joint="lp" coef="1"/></fixed>'
+            '<fixed name="b"><joint joint="rp" coef="0.8"/></fixed>',
+            '<tendon tendon1="b" tendon2="a" polycoef="0.02 -0.5 0 0 0"/>',
+            3,
+        ),
+        (
+            '<fixed name="t"><joint joint="rt" coef="2"/></fixed>',
+            '<tendon tendon1="t" polycoef="0.1 1 0 0 0"/>',
+            3,
+        ),
+    ],
+)
+def test_an_equality_of_tendons_ties_joints_as_in_mujoco(head_of, tendons, equality, count):
+    text = MJCF.replace("EQUALITY", equality).replace(
+        "</mujoco>", f"<tendon>{tendons}</tendon></mujoco>"
+    )
+    imported = head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
+    assert imported.head.actuation.count == count
+    model = compiled(text)
+    data = mujoco.MjData(model)
+    actuation = imported.head.actuation
+    for motors in np.random.default_rng(1).uniform(0.0, 0.2, (5, actuation.count)):
+        angles = by_name(imported, imported.head.rest())
+        for motor, value in zip(imported.motors, motors, strict=False):
+            for name, factor in motor.joint_factors.items():
+                angles[name] = factor * value + motor.joint_offsets.get(name, 0.0)
+        for name, value in {**angles, **imported.chains.fixed_values}.items():
+            data.joint(name).qpos = value
+        mujoco.mj_forward(model, data)
+        tied = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        np.testing.assert_allclose(data.efc_pos[tied], 0.0, atol=1e-12)
+
+
+def test_what_ties_joints_and_no_head_has_is_said_to_be_left_out(head_of):
+    tendons = '<fixed name="t"><joint joint="lt" coef="1"/><joint joint="rt" coef="1"/></fixed>'
+    text = MJCF.replace("EQUALITY", '<weld body1="le" body2="re"/>').replace(
+        "</mujoco>", f"<tendon>{tendons}</tendon></mujoco>"
+    )
+    options = {"cameras": ("left", "right"), "neck": ("yaw", "pitch"), "speed": ("5",)}
+    said = "; ".join(head_of(text, **options).ignored)
+    assert "tendon t (ties lt, rt; " in said
+    assert "weld of le (ties bodies; " in said
+
+
+def test_a_tie_of_three_joints_says_so(head_of):
+    tendons = "".join(f'<joint joint="{name}" coef="1"/>' for name in ("lp", "rp", "lt"))
+    text = MJCF.replace("EQUALITY", '<tendon tendon1="t"/>').replace(
+        "</mujoco>", f'<tendon><fixed name="t">{tendons}</fixed></tendon></mujoco>'
+    )
+    with pytest.raises(ConfigurationError, match=r"joint lt: .* follows lp and rp otherwise"):
+        head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
+
+
+def test_what_a_urdf_says_and_nothing_reads_is_refused(head_of):
+    place = '<origin xyz="0 0.01 0.05" rpy="0 0 0"/>'
+    for becomes, why in [
+        (
+            '<origin xyz="" rpy="0 0 0"/>',
+            "joint roll: expected 3 numbers in xyz of <origin>, got ''",
+        ),
+        ('<origin xyz="0 0 0.3" rpy=""/>', "3 numbers in rpy of <origin>"),
+        ('<origin xzy="0 0 0.3"/>', "got the attribute 'xzy'"),
+        ('<origin xyz="0 0 0.3" quat_xyzw="0 0 0 1"/>', "got the attribute 'quat_xyzw'"),
+        ("<origin>0 0 0.3 0 0 0</origin>", "got the text '0 0 0.3 0 0 0'"),
+        ('<Origin xyz="0 0 0.3"/>', "no element <Origin>.*is <origin> meant"),
+        ('<orgin xyz="0 0 0.3"/>', "no element <orgin>.*is <origin> meant"),
+        (f'{place}<Mimic joint="pitch"/>', "is <mimic> meant"),
+        (f'{place}<mimic joint="pitch" multiplier=""/>', "1 numbers in multiplier of <mimic>"),
+        (f'{place}<mimic joint="pitch" ratio="2"/>', "got the attribute 'ratio'"),
+    ]:
+        with named(becomes, why):
+            text = urdf(NECK, eye("left"), eye("right"))
+            with pytest.raises(ConfigurationError, match=why):
+                head_of(text.replace(place, becomes, 1), neck=TURNS)
+    for limits, why in [
+        ({"velocity": ""}, "1 numbers in velocity of <limit>"),
+        ({"Lower": "-0.5"}, "got the attribute 'Lower'"),
+    ]:
+        with named(limits, why), pytest.raises(ConfigurationError, match=why):
+            head_of(urdf(NECK, eye("left", **limits), eye("right")), neck=TURNS)
+    text = urdf(NECK, eye("left"), eye("right")).replace(
+        '<joint name="pitch"', '<Joint name="pitch"'
+    )
+    with pytest.raises(HeadFileError, match="<Joint>"):
+        head_of(
+            text.replace('/></joint><joint name="left_pan', '/></Joint><joint name="left_pan'),
+            neck=TURNS,
+        )
+
+
+def test_what_stands_off_the_way_to_the_cameras_may_say_anything(head_of):
+    jaw = joint("jaw", "head", "chin", lower="", velocity="").replace("<origin xyz", "<origin xzy")
+    assert head_of(urdf(NECK, eye("left"), eye("right"), jaw), neck=TURNS).head.joints[-1]
 
 
 def test_a_head_that_was_exported_comes_back(tmp_path):
@@ -778,7 +884,7 @@ def test_an_expanded_xacro_is_read_though_its_namespace_stays(head_of):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(HeadFileError, match="No such file"):
+    with pytest.raises(UnreadableFileError, match="No such file"):
         import_urdf(UrdfSource(file=tmp_path / "no.urdf", base="b", cameras=("l", "r")))
 
 

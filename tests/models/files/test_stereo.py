@@ -15,6 +15,7 @@ from .pairs import (
     D_RIGHT,
     K_LEFT,
     K_RIGHT,
+    RECTIFIED,
     SIZE,
     R,
     T,
@@ -141,11 +142,11 @@ def test_cameras_in_a_file_each_take_their_place_from_a_third(tmp_path):
     ]  # fmt: skip
     place = write_opencv(tmp_path / "place.xml", {"R": R, "T": T})
     check(read_stereo([*paths, place]))
-    left, right = read_intrinsics(paths)
-    assert left.focal[0] == K_LEFT[0, 0]
-    assert right.focal[0] == K_RIGHT[0, 0]
-    left, right = read_intrinsics(paths[:1])
-    assert right is left
+    both = read_intrinsics(paths)
+    assert both.left.focal[0] == K_LEFT[0, 0]
+    assert both.right.focal[0] == K_RIGHT[0, 0]
+    both = read_intrinsics(paths[:1])
+    assert both.right is both.left
 
 
 def test_the_unit_of_the_squares_is_that_of_the_translation(tmp_path):
@@ -214,7 +215,7 @@ def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path):
         ({"T": np.array([-1e300, 0.0, 0.0])}, "how large the squares are"),
         ({"cameraMatrix1": K_LEFT.T}, "transposed"),
         ({"cameraMatrix1": np.eye(3)}, "focal lengths in pixels above 10"),
-        ({"cameraMatrix1": None}, "expected the camera matrices of a pair"),
+        ({"cameraMatrix1": None}, "expected the camera matrices of"),
         ({"cameraMatrix2": "abc"}, "camera matrix of 3 x 3"),
         ({"distCoeffs1": np.zeros((1, 6))}, "4, 5, 8, 12 or 14 distortion coefficients"),
         ({"distCoeffs1": np.full((1, 12), 0.01)}, "thin prism"),
@@ -357,7 +358,7 @@ def test_a_calibration_of_the_full_image_may_say_so(tmp_path):
         "roi: {x_offset: 0, y_offset: 0, height: 480, width: 640, do_rectify: false}\n",
     ):
         with named(more):
-            left, _ = read_intrinsics([message(tmp_path / "one.yaml", more)])
+            left = read_intrinsics([message(tmp_path / "one.yaml", more)]).left
             assert (left.width, left.height) == SIZE
 
 
@@ -386,3 +387,174 @@ def test_a_principal_point_far_from_the_middle_asks_about_the_size(tmp_path):
         "right camera: principal point (315, 240) far from the middle of 1280 x 960 px: was the "
         "camera calibrated at this size?",
     )
+
+
+def camera(**more):
+    """A calibration of one camera."""
+    return {"image_size": list(SIZE), "K": K_LEFT.tolist(), "D": D_LEFT.tolist()} | more
+
+
+def written(path, values):
+    """A JSON file of values."""
+    path.write_text(json.dumps(values), encoding="utf-8")
+    return path
+
+
+def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(tmp_path):
+    for more, said in [
+        ({"xi": 1.27}, "xi: .* an omnidirectional lens"),
+        ({"xi1": [[1.2]], "xi2": [[1.3]]}, "xi1: .* an omnidirectional lens"),
+        ({"mirror_parameters": {"xi": 0.9}}, r"mirror_parameters\.xi: .* an omnidirectional lens"),
+        ({"cameraXi": 0.9}, "cameraXi: .* an omnidirectional lens"),
+        ({"alpha": 0.6, "beta": 1.1}, "alpha: .* skew, or a lens of another model"),
+        ({"alpha_c": 0.001}, "alpha_c: .* skew"),
+        ({"mirror": True}, "mirror: .* mirrored images"),
+        ({"flip_left": "horizontal"}, "flip_left: .* mirrored images"),
+        ({"rotate": 180}, "rotate: .* turned images"),
+        ({"camera_model": "omni", "distortion_model": "radtan"}, "camera_model: .* got 'omni'"),
+        ({"model_type": "MEI"}, "model_type: .* got 'MEI'"),
+        ({"model": "double_sphere"}, "model: .* not supported"),
+        ({"lens_type": "FOV"}, "lens_type: .* not supported"),
+        ({"fisheye": True, "distortion_model": "plumb_bob"}, "fisheye and .* one lens model"),
+    ]:
+        with named(more, said), pytest.raises(ConfigurationError, match=said):
+            read_intrinsics([written(tmp_path / "one.json", camera(**more))])
+
+
+def test_such_a_value_that_changes_nothing_is_accepted(tmp_path):
+    for more in ({"xi": 0.0}, {"alpha": -1}, {"mirror": False}, {"flip": "none"}, {"skew": 0}):
+        with named(more):
+            assert read_intrinsics([written(tmp_path / "one.json", camera(**more))]).guesses == ()
+
+
+def test_the_lens_model_is_read_under_the_names_of_other_programs(tmp_path):
+    four = {"D": [0.1, 0.02, 1e-3, 2e-3]}
+    for more, lens in [
+        ({"model": "OPENCV_FISHEYE"}, "fisheye"),
+        ({"model_type": "KANNALA_BRANDT"}, "fisheye"),
+        ({"Camera.type": "KannalaBrandt8", "camera_type": "KannalaBrandt8"}, "fisheye"),
+        ({"camera_model": "pinhole-equi"}, "fisheye"),
+        ({"lens_model": "pinhole-radtan"}, "brown-conrady"),
+        ({"camera_model": "pinhole", "distortion_type": "radial-tangential"}, "brown-conrady"),
+    ]:
+        with named(more, lens):
+            both = read_intrinsics([written(tmp_path / "one.json", camera(**four, **more))])
+            assert both.left.lens == lens
+            assert "fisheye" not in " ".join(both.guesses)
+
+
+def test_keys_that_nothing_reads_are_named(tmp_path):
+    more = {"model": "Logitech C920", "downscale": 2, "rms": 0.2, "R1": np.eye(3).tolist()}
+    (guess,) = read_intrinsics([written(tmp_path / "one.json", camera(**more))]).guesses
+    assert guess.endswith(f"{tmp_path / 'one.json'}: model, {tmp_path / 'one.json'}: downscale")
+
+
+def test_files_of_three_cameras_are_refused(tmp_path):
+    chain = camchain(tmp_path / "three.yaml")
+    text = chain.read_text("utf-8")
+    chain.write_text(text + text.partition("cam1:")[2].join(["cam2:", ""]), "utf-8")
+    values = {f"K{i}": K_LEFT.tolist() for i in range(3)} | {"size": list(SIZE)}
+    for path in (chain, written(tmp_path / "three.json", values)):
+        for read in (read_intrinsics, read_stereo):
+            with named(path.name, read), pytest.raises(ConfigurationError, match="0, 1, 2"):
+                read([path])
+
+
+def test_an_image_size_of_rows_by_columns_is_refused(tmp_path):
+    swapped = written(tmp_path / "one.json", camera(image_size=[480, 640]))
+    with pytest.raises(ConfigurationError, match=r"that of 640 x 480: is .* rows by columns\?"):
+        read_intrinsics([swapped])
+    shape = {key: v for key, v in camera(shape=[480, 640, 3]).items() if key != "image_size"}
+    both = read_intrinsics([written(tmp_path / "shape.json", shape)])
+    assert (both.left.width, both.left.height) == SIZE
+
+
+def test_a_translation_in_squares_asks_for_their_length(tmp_path):
+    squares = opencv_pair(T=T / 0.025, square_size=1.0)
+    path = write_opencv(tmp_path / "pair.yml", squares)
+    with pytest.raises(ConfigurationError, match=r"in squares: .* --unit 25mm"):
+        read_stereo([path])
+    check(read_stereo([path], unit="25mm"))
+    assert "in squares of the board?" in read_stereo([path], unit="cm").guesses[0]
+    scaled = write_opencv(tmp_path / "scaled.yml", opencv_pair(square_size=1.0))
+    assert read_stereo([scaled]).guesses == ()
+    for unit in ("inch", "0mm", "-3 mm", "mm25"):
+        with named(unit), pytest.raises(ConfigurationError, match="unit: expected m, cm or mm"):
+            read_stereo([path], unit=unit)
+
+
+def test_a_unit_that_the_file_names_counts(tmp_path):
+    path = write_opencv(tmp_path / "pair.yml", opencv_pair(T=1000.0 * T, unit="millimeters"))
+    check(read_stereo([path]))
+    with pytest.raises(ConfigurationError, match="unit: expected the unit that was given"):
+        read_stereo([path], unit="m")
+
+
+def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):
+    body = np.eye(4)  # of the left camera, in the body
+    body[:3, :3], body[:3, 3] = R.T @ R.T, [0.02, -0.3, 0.1]
+    pair = np.vstack([np.column_stack([R, T]), [0.0, 0.0, 0.0, 1.0]])
+    poses = [body, body @ np.linalg.inv(pair)]
+    for key, values in [
+        ("T_BS", poses),
+        ("T_cam_imu", [np.linalg.inv(pose) for pose in poses]),
+        ("T_imu_cam", poses),
+        ("body_T_cam", poses),
+    ]:
+        with named(key):
+            eyes = zip("01", (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), values, strict=True)
+            cameras = {
+                side: {
+                    "resolution": SIZE,
+                    "intrinsics": k.tolist(),
+                    "distortion_coeffs": d.tolist(),
+                }
+                | ({} if key.endswith("T_cam") else {key: pose.tolist()})
+                for side, k, d, pose in eyes
+            }
+            if key == "body_T_cam":
+                top = {f"{key}{i}": pose.tolist() for i, pose in enumerate(values)}
+            else:
+                top = {}
+                files = [written(tmp_path / f"{side}.json", cameras[side]) for side in cameras]
+                check(read_stereo(files), atol=1e-9)
+            one = {f"cam{side}": camera for side, camera in cameras.items()} | top
+            check(read_stereo([written(tmp_path / "one.json", one)]), atol=1e-9)
+
+
+def test_settings_of_orb_slam_hold_the_pair_in_rectification_and_projection(tmp_path):
+    values = {"Camera.fx": 400.0, "Camera.bf": 40.0}
+    for eye, (side, k, d) in enumerate((("LEFT", K_LEFT, D_LEFT), ("RIGHT", K_RIGHT, D_RIGHT))):
+        values |= {f"{side}.width": SIZE[0], f"{side}.height": SIZE[1]}
+        each = {"K": k, "D": d, "R": RECTIFIED[eye], "P": RECTIFIED[2 + eye]}
+        values |= {f"{side}.{key}": matrix.tolist() for key, matrix in each.items()}
+    check(read_stereo([written(tmp_path / "orb.json", values)]), atol=1e-9)
+
+
+def test_a_format_that_is_not_read_is_named_with_those_that_are(tmp_path):
+    for text, program in [
+        ("[LEFT_CAM_HD]\nfx=700.1\n[RIGHT_CAM_HD]\nfx=700.1\n[STEREO]\nBaseline=62\n", "ZED"),
+        ("# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n", "oST"),
+        ("# Camera list\n1 OPENCV 1280 720 710 711 642 358 -0.1 0.02 0.0 0.0\n", "COLMAP"),
+        ("1 PINHOLE 640 480 500.0 500.0 320 240\n", "COLMAP"),
+        ('{"batchName": "", "cameraData": [[1, {"cameraType": 0}]]}', "OAK"),
+        ('{"value0": {"T_imu_cam": [], "intrinsics": []}}', "Basalt"),
+        ('{"width": 640, "fx": 600, "fy": 600, "ppx": 320, "ppy": 240}', "RealSense"),
+        ("%YAML:1.0\nmodel_type: PINHOLE\nprojection_parameters:\n   fx: 461\n", "camodocal"),
+        ("%YAML:1.0\nCamera.type: PinHole\nCamera1.fx: 458\n", "ORB-SLAM"),
+        ("fc = [ 657.46 ; 657.95 ];\ncc = [ 303.13 ; 242.56 ];\n", "MATLAB"),
+        ("<?xml version='1.0'?>\n<calibration>\n<f>3000</f></calibration>", "Agisoft"),
+    ]:
+        with named(program, text):
+            path = tmp_path / "calibration.txt"
+            path.write_text(text, encoding="utf-8")
+            said = rf"{program}.* not read: .*OpenCV .*ROS .*kalibr .*EuRoC .*ORB-SLAM2"
+            with pytest.raises(ConfigurationError, match=said):
+                read_intrinsics([path])
+
+
+def test_a_camera_turned_against_the_other_is_told(tmp_path):
+    turned = np.diag([-1.0, -1.0, 1.0])
+    over = write_opencv(tmp_path / "over.yml", opencv_pair(R=turned @ R, T=turned @ T))
+    (guess,) = read_stereo([over]).guesses
+    assert "turned by 180 degrees about its optical axis" in guess

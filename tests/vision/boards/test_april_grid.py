@@ -2,6 +2,7 @@
 
 import pickle
 
+import cv2
 import numpy as np
 import pytest
 
@@ -132,6 +133,29 @@ def test_other_boards_are_none():
     ):
         assert make_detector(other).detect(image) is None
     assert make_detector(GRID).detect(np.ascontiguousarray(image[:, ::-1])) is None
+
+
+@pytest.mark.parametrize("named", [(3, 1), (4, 4), (6, 4), (7, 3), (9, 5), (10, 10)])
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.6, 0.3, 1.0)])
+def test_a_row_that_other_counts_share_is_not_taken_for_their_board(named, turn):
+    """The first row has the numbers of any wider board; a hand hides a part of it."""
+    image = drawn(turn=turn, z=0.4).image.copy()
+    image[:, :200] = 120
+    other = AprilGrid(columns=named[0], rows=named[1], tag_m=0.05)
+    assert make_detector(other).detect(image) is None
+    for way in range(3):
+        assert make_detector(other).search(image, way=way) is None
+    assert make_detector(GRID).detect(image) is not None
+
+
+def test_a_tag_of_another_board_on_the_grid_hides_no_board():
+    one = drawn(turn=(0.0, 0.0, 0.0))
+    image, tags = one.image.copy(), np.rint(one.corners.reshape(-1, 4, 2)).astype(int)
+    (u, v), (u_end, v_end) = tags[7, 0], tags[7, 2]
+    stray = cv2.resize(GRID.tag_bits(300), (u_end - u, v_end - v), interpolation=cv2.INTER_AREA)
+    image[v:v_end, u:u_end] = np.clip(stray, 40, 210)
+    found = make_detector(GRID).detect(image)
+    assert np.isfinite(found.corners_px).all(axis=1).sum() >= len(one.corners) - 4
 
 
 def test_a_board_is_tracked_and_a_copy_through_pickle_says_the_same():

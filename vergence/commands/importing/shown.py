@@ -37,7 +37,8 @@ def print_imported_head(imported: ImportedHead, path: Path) -> None:
     joints, eyes = joint_summaries(head), eye_summaries(head)
     warn_of_zero_outside_range(joints)
     warn_of_lens_folds(eyes)
-    print(f"head {head.name}, to be checked: names and ranges in degrees, what was assumed, {path}")
+    what = "names, ranges and speeds in degrees, what was assumed"
+    print(f"head {head.name}, to be checked: {what}, {path}")
     parts = _grouped(joints, lambda joint: joint.moves)
     for line in (("neck",), ("both eyes",), ("left eye", "right eye")):
         said = [f"{part}: {', '.join(map(_range, parts[part]))}" for part in line if part in parts]
@@ -63,7 +64,8 @@ def _grouped(members: Iterable[_T], key: Callable[[_T], str]) -> dict[str, list[
 
 
 def _range(joint: JointSummary) -> str:
-    return f"{joint.name} {joint.lower_deg:.1f} to {joint.upper_deg:.1f}"
+    speed = f"{joint.velocity_deg_s:.0f}/s"
+    return f"{joint.name} {joint.lower_deg:.1f} to {joint.upper_deg:.1f} at {speed}"
 
 
 def _camera(eye: EyeSummary) -> str:

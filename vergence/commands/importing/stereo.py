@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
-from vergence.commands.console import print_to_stderr
+from vergence.commands.console import print_guesses
 from vergence.commands.importing.head_output import HeadOutput
-from vergence.commands.options import parse_size
+from vergence.commands.options import CalibrationLens, CalibrationSize, parse_size
 from vergence.errors import ConfigurationError
 
 
@@ -21,17 +21,14 @@ class ImportStereo(HeadOutput):
         tyro.conf.Positional,
         tyro.conf.arg(help_behavior_hint="", metavar="FILE..."),
     ]
-    """Calibration files: OpenCV's (YAML, XML or JSON), two ROS camera_info files, left first, or a
-    camchain of kalibr."""
-    unit: Literal["m", "cm", "mm"] = "m"
-    """Unit of the translation in the files: the unit in which the board's squares were given."""
-    size: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="WIDTHxHEIGHT")] = None
-    """Image size in pixels, such as 640x480, if the files do not have it."""
-    lens: Annotated[
-        Literal["brown-conrady", "rational", "fisheye"] | None,
-        tyro.conf.arg(help_behavior_hint="", metavar="{brown-conrady,rational,fisheye}"),
-    ] = None
-    """Lens model, if the files do not name it; inferred from the coefficient count by default."""
+    """Calibration files: OpenCV's (YAML, XML or JSON), two ROS camera_info files, left first, a
+    camchain of kalibr, two sensor.yaml files of EuRoC, or settings of ORB-SLAM2."""
+    unit: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="UNIT")] = None
+    """Unit of the translation in the files, in which the board's squares were given: m, cm, mm; or
+    the length of a square, such as 25mm, if they had no size. By default that in the files, else
+    m."""
+    size: CalibrationSize = None
+    lens: CalibrationLens = None
     swap: bool = False
     """Take the first camera of the files as the right one."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
@@ -49,8 +46,7 @@ class ImportStereo(HeadOutput):
         pair = read_stereo(
             self.files, unit=self.unit, size=parse_size(self.size), lens=self.lens, swap=self.swap
         )
-        for guess in pair.guesses:
-            print_to_stderr(f"assumed: {guess}")
+        print_guesses(pair.guesses)
         text = stereo_pair_to_head_toml(pair, self.name or self.out.stem)
         head = parse_head(text)
         self.check()

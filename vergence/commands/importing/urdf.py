@@ -6,11 +6,13 @@ from typing import Annotated, Literal
 
 import tyro
 
+from vergence.commands.console import print_guesses
 from vergence.commands.importing.head_output import (
     HeadOutput,
     RepeatableValues,
     flatten_repeated_option,
 )
+from vergence.commands.options import CalibrationLens, CalibrationSize, parse_size
 from vergence.errors import ConfigurationError
 
 
@@ -51,6 +53,8 @@ class ImportUrdf(HeadOutput):
     intrinsics: Annotated[tuple[Path, ...], tyro.conf.arg(help_behavior_hint="")] = ()
     """Calibration of the cameras (OpenCV, ROS, kalibr): one file for both, or one file each, left
     first. By default that of the MJCF's cameras, else 640x480 and 60 degrees are assumed."""
+    size: CalibrationSize = None
+    lens: CalibrationLens = None
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the head; by default the robot's name."""
 
@@ -77,9 +81,12 @@ class ImportUrdf(HeadOutput):
                 acceleration=flatten_repeated_option(self.acceleration),
                 couplings=self.actuators,
                 intrinsics=self.intrinsics,
+                size=parse_size(self.size),
+                lens=self.lens,
                 name=self.name,
             )
         )
+        print_guesses(imported.guesses)
         self.check()
         self.write(imported.text, imported.head)
         print_imported_head(imported, self.out)

@@ -4,9 +4,7 @@ import dataclasses
 from functools import partial
 from typing import Any, Final, Literal, NamedTuple
 
-import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import compiled_for_threads
@@ -32,6 +30,7 @@ from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.mujoco.c_functions import simulate, simulation_functions
+from vergence.models.mujoco.library import Batch, mujoco
 from vergence.models.mujoco.model import SUBSTEPS, compile_model, find_model_indices
 from vergence.models.mujoco.servos import discrete_lag_rate
 from vergence.models.packed import PackedHead

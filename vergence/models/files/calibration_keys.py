@@ -20,12 +20,16 @@ DISTORTION: Final = (
     "distortioncoeff", "distortionvector", "distortion", "distcoeff", "distcoefs", "distcoef",
     "distortions", "dist", "kc",
 )  # fmt: skip
-MODEL: Final = ("distortionmodel", "lensmodel", "lens")
-CAMERA_MODEL: Final = ("cameramodel", "projectionmodel")
+MODEL: Final = (
+    "distortionmodel", "lensmodel", "cameramodel", "projectionmodel", "modeltype", "distortiontype",
+    "lenstype", "lens", "model", "cameratype", "camtype", "type",
+)  # fmt: skip
 FISHEYE: Final = ("fisheyemodel", "isfisheye", "usefisheye", "fisheye")
 SIZE: Final = ("imagesize", "imgsize", "resolution", "imageresolution", "size")
-WIDTH: Final = ("imagewidth", "width", "imgwidth")
-HEIGHT: Final = ("imageheight", "height", "imgheight")
+SHAPE: Final = ("imageshape", "imgshape", "shape")
+"""Rows by columns, as NumPy's `shape`."""
+WIDTH: Final = ("imagewidth", "width", "imgwidth", "imagecols", "imgcols", "cols")
+HEIGHT: Final = ("imageheight", "height", "imgheight", "imagerows", "imgrows", "rows")
 BINNING: Final = (("binningx",), ("binningy",))
 REGION: Final = (("roiwidth",), ("roiheight",), ("roixoffset",), ("roiyoffset",))
 ROTATION: Final = (
@@ -35,13 +39,44 @@ TRANSLATION: Final = (
     "t", "translation", "translationvector", "tvec", "trans", "stereot", "extrinsict",
     "extrinsicst",
 )  # fmt: skip
-KALIBR_TRANSFORM: Final = ("cam1tcncnm1",)
-"""kalibr's T_cn_cnm1, the transform from the first camera's frame to the second's."""
+UNIT: Final = ("unit", "units", "lengthunit", "translationunit", "tunit", "squaresizeunit")
+SQUARE: Final = ("squaresize", "square", "squarelength", "squarewidth", "sizeofsquare")
+CHAINED: Final = ("tcncnm1",)
+"""kalibr's T_cn_cnm1, the transform from the previous camera's frame to this one's."""
+BODY_IN_CAMERA: Final = ("tcamimu", "tcambody", "tcb")
+"""Transform from the frame of a body, such as an IMU, to the camera's (kalibr)."""
+CAMERA_IN_BODY: Final = ("tbs", "timucam", "tbodycam", "bodyt", "tbc", "tic")
+"""Transform from the camera's frame to that of a body (EuRoC, OpenVINS, VINS, ORB-SLAM3)."""
 RECTIFICATION: Final = ("rectificationmatrix", "rectification", "r")
 PROJECTION: Final = ("projectionmatrix", "projection", "p")
 
-SIDES: Final = (("1", "2"), ("left", "right"), ("l", "r"), ("0", "1"))
-"""Labels by which keys distinguish the two cameras of a pair."""
+_NAMED_SIDES: Final = (("left", "right"), ("l", "r"))
+"""Labels, other than numbers, by which keys distinguish the two cameras of a pair."""
+_OTHER_MEANING: Final[dict[str, str]] = {
+    "xi": "an omnidirectional lens (cv2.omnidir, MEI)",
+    "alpha": "skew, or a lens of another model, such as EUCM (or stereoRectify's alpha: leave it "
+    "out)",
+    "alphac": "skew (calibrate with it fixed)",
+    "skew": "skew (calibrate with it fixed)",
+    **dict.fromkeys(
+        ("mirror", "mirrored", "flip", "flipped", "hflip", "vflip", "fliphorizontal",
+         "flipvertical", "flipx", "flipy", "flipimage", "mirrorimage", "isflipped", "ismirrored"),
+        "mirrored images (calibrate with those that the camera delivers)",
+    ),
+    **dict.fromkeys(
+        ("rotate", "rotated", "rotateimage", "imagerotation"),
+        "turned images (calibrate with those that the camera delivers)",
+    ),
+}  # fmt: skip
+"""Values, by key, that change what the others mean, and that no camera here can have."""
+_NO_MATTER: Final = re.compile(
+    r"avg|mean|total|perview|reproj|rms|error|date|time|stamp|header|seq|frame|flag|fix|aspect"
+    r"|point|board|pattern|corner|square|grid|marker|rostopic|overlap|name|serial|comment|version"
+    r"|calibrationsigma|calibrationviews|rectif|projectionmatrix|roi|views|image(s|list|path)"
+    r"|sensortype|ratehz|^(nr|num|n)?(of)?(images|pairs|shots)|^(e|f|q|[rph][0-9]?)$"
+    r"|(left|right|l|r|cam[0-9])[rp]$|^[rp](left|right|l|r)$|stereo(e|f|q)$"
+)
+"""Plain keys of a file that say nothing of cameras and their places, or follow from the others."""
 
 
 class FoundValue(NamedTuple):
@@ -72,30 +107,46 @@ class CalibrationValues:
         files: content of each file by name, from `read_calibration`.
 
     Attributes:
-        used: names of the files in which a value has been found.
+        used: labels of the values that have been found, each with the name of its file.
     """
 
     def __init__(self, files: Mapping[str, Mapping[str, Any]]) -> None:
         self.name = ", ".join(files)
-        self.used: set[str] = set()
+        self.used: dict[str, str] = {}
         self._found: dict[str, list[FoundValue]] = {}
         for name, content in files.items():
             for key, value in flatten_keys(_unwrapped(content)):
                 plain = re.sub(r"[^a-z0-9]", "", key.lower())
                 self._found.setdefault(plain, []).append(FoundValue(value, f"{name}: {key}", name))
 
-    def find(self, stems: Sequence[str], side: str = "") -> FoundValue | None:
+    def only(self, names: Collection[str]) -> "CalibrationValues":
+        """The values of some of the files; what is found in them counts as found here."""
+        part = CalibrationValues({})
+        part.name, part.used = ", ".join(names), self.used
+        for key, found in self._found.items():
+            if kept := [one for one in found if one.file in names]:
+                part._found[key] = kept
+        return part
+
+    def has(self, stems: Sequence[str], side: str = "") -> bool:
+        """True if there is a value of any spelling."""
+        return any(key in self._found for stem in stems for key in _keys(stem, side))
+
+    def find(
+        self, stems: Sequence[str], side: str = "", *, shared: bool = False
+    ) -> FoundValue | None:
         """Find the value of the first spelling that is present; None if there is none.
 
         Args:
             stems: possible spellings of the key, without a side.
-            side: label of one camera of a pair, see `SIDES`; empty for a key without one.
+            side: label of one camera of a pair; empty for a key without one.
+            shared: true if a key without a side counts for both cameras.
 
         Raises:
             ConfigurationError: the key occurs several times with different values.
         """
         for stem in stems:
-            for key in key_spellings(stem, side) if side else (stem,):
+            for key in _keys(stem, side):
                 found = self._found.get(key)
                 if found:
                     for other in found[1:]:
@@ -104,33 +155,80 @@ class CalibrationValues:
                                 f"{other.label}: expected what {found[0].label} says, got "
                                 f"something else"
                             )
-                    self.used.update(one.file for one in found)
+                    self.used.update((one.label, one.file) for one in found)
                     return found[0]
-        return None
+        return self.find(stems) if shared and side else None
 
     def sides(self) -> tuple[str, str] | None:
-        """Labels of the left and right camera in the keys; None unless there are two cameras."""
-        for left, right in SIDES:
-            if self.find(MATRIX, left) and self.find(MATRIX, right):
+        """Labels of the left and right camera in the keys; None unless there are two cameras.
+
+        Raises:
+            ConfigurationError: there are more than two.
+        """
+        for left, right in _NAMED_SIDES:
+            if self.has(MATRIX, left) and self.has(MATRIX, right):
                 return left, right
-        return None
+        numbers = [label for label in map(str, range(10)) if self.has(MATRIX, label)]
+        if len(numbers) > 2:
+            raise ConfigurationError(
+                f"{self.name}: expected one or two cameras, got those of {', '.join(numbers)} (as "
+                "in cam0): leave only the two that are the eyes in the file"
+            )
+        return (numbers[0], numbers[1]) if len(numbers) == 2 else None
+
+    def refuse_other_meanings(self) -> None:
+        """Refuse a value that changes the meaning of others and that is not supported."""
+        for found in (one for same in self._found.values() for one in same):
+            *_, key = found.label.removeprefix(f"{found.file}: ").split(".")
+            spaced = re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", key).lower()
+            words = [word for word in re.split(r"[^a-z]+", spaced) if word not in _SIDE_WORDS]
+            meaning = _OTHER_MEANING.get("".join(words))
+            numbers = parse_numbers(found.value)
+            off = str(found.value).lower() in ("false", "no", "none", "off", "")
+            if numbers is not None and "alpha" in words:
+                off = off or bool((numbers == -1.0).all())  # stereoRectify's default
+            if meaning and (off or (numbers is not None and not numbers.any())):
+                self.used[found.label] = ""  # said, of no effect
+            elif meaning:
+                raise ConfigurationError(
+                    f"{found.label}: expected a calibration of a pinhole or fisheye camera as "
+                    f"OpenCV has them, got {found.value!r:.60}: {meaning}; this is not supported"
+                )
+
+    def unread(self) -> list[str]:
+        """Labels of values that nothing has asked for, though they may be meant to count."""
+        return [
+            one.label
+            for key, found in self._found.items()
+            for one in found
+            if one.label not in self.used and not _NO_MATTER.search(key)
+        ]
 
 
-def refuse_unused_files(files: Iterable[str], used_files: Collection[str]) -> None:
+_SIDE_WORDS: Final = {"", "left", "right", "l", "r", "cam", "camera"}
+"""Words of a key that tell which camera it is of."""
+
+
+def _keys(stem: str, side: str) -> Iterable[str]:
+    return key_spellings(stem, side) if side else (stem,)
+
+
+def refuse_unused_files(files: Iterable[str], values: CalibrationValues) -> None:
     """Refuse files that contribute nothing: the user may have meant them to count.
 
     Args:
         files: names of all files given.
-        used_files: names of the files that contribute a value.
+        values: the values of all files, and which of them were found.
 
     Raises:
         ConfigurationError: some files are unused; the message names them.
     """
-    others = [name for name in files if name not in used_files]
+    used = set(values.used.values())
+    others = [name for name in files if name not in used]
     if others:
         raise ConfigurationError(
             f"{', '.join(others)}: expected files that belong together, got a calibration in "
-            f"{', '.join(name for name in files if name in used_files)} that uses nothing else"
+            f"{', '.join(name for name in files if name in used)} that uses nothing else"
         )
 
 

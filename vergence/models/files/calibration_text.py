@@ -20,8 +20,30 @@ from vergence.models.parts import FloatArray
 
 _MAX_FILE_BYTES: Final = 50_000_000
 """Largest size of a calibration file; a file with every image point has a few million (chosen)."""
+_LOOKED_AT: Final = 100_000
+"""Characters of a file in which another program's format is looked for (chosen)."""
 _MAX_DEPTH: Final = 100
 """Deepest nesting of values; the parsers would overflow the stack somewhere beyond (chosen)."""
+READ_FORMATS: Final = (
+    "calibrations are read as OpenCV (YAML, XML, JSON), ROS (camera_info), kalibr (camchain), "
+    "EuRoC (sensor.yaml) and ORB-SLAM2 (LEFT.K, RIGHT.K) write them"
+)
+"""The calibration files that are read, for messages."""
+_OTHER_TEXTS: Final[dict[str, str]] = {
+    r"^\s*\[(LEFT|RIGHT)_CAM_": "ZED's settings",
+    r"^# oST version|^\[image\]\s+width\s": "oST, of ROS's camera_calibration, which writes a YAML "
+    "file (ost.yaml) beside it",
+    r"^\s*\d+ +[A-Z_]+ +\d+ +\d+( +[-+\d.eE]+){3,}\s*$": "COLMAP's cameras.txt",
+    r'"cameraData"\s*:|"batchName"\s*:': "OAK's (DepthAI) calibration",
+    r'"value0"\s*:': "Basalt's calibration",
+    r'"(ppx|rect\.0\.fx|coeffs)"\s*:': "RealSense's intrinsics",
+    r"\b(mirror_parameters|projection_parameters)\s*:": "camodocal's (VINS) camera, without a "
+    "camera matrix",
+    r"^\s*Camera1?\.fx\s*:(?![\s\S]*^\s*LEFT\.K)": "ORB-SLAM's settings without LEFT.K",
+    r"^\s*(fc|KK|cc)(_left|_right)?\s*=\s*\[": "the MATLAB toolbox's Calib_Results.m",
+    r"<(calibration|sensor|Calibration)[ >]": "an XML file of another program (Agisoft's?)",
+}
+"""Calibration files of programs that are not read, by a pattern of their text."""
 _JSON_PART: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 """A string of JSON, or a bracket."""
 _NOT_FINITE: Final = re.compile(r"(?<![\w.])[+-]?(?:\.?nan|\.?inf)\b", re.IGNORECASE)
@@ -47,12 +69,19 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
         text = Path(name).read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not text in UTF-8"
-        raise ConfigurationError(f"{name}: {reason}; expected a calibration file") from error
+        more = "" if isinstance(error, OSError) else f"; {READ_FORMATS}"
+        raise ConfigurationError(f"{name}: {reason}; expected a calibration file{more}") from error
     if name.lower().endswith(".toml"):
         raise ConfigurationError(
             f"{name}: expected a calibration (YAML, XML or JSON), got a TOML file (a head file is "
             "none)"
         )
+    for pattern, program in _OTHER_TEXTS.items():
+        if re.search(pattern, text[:_LOOKED_AT], re.MULTILINE):
+            raise ConfigurationError(
+                f"{name}: expected a calibration file, got {program}, which is not read: "
+                f"{READ_FORMATS}"
+            )
     start = text.lstrip()[:1]
     kind = {"<": "XML", "{": "JSON"}.get(start, "YAML")
     try:
@@ -60,10 +89,12 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     except (ValueError, RecursionError, ElementTree.ParseError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ConfigurationError(
-            f"{name}: expected a calibration file in {kind}, got: {reason:.200}"
+            f"{name}: expected a calibration file in {kind}, got: {reason:.200}; {READ_FORMATS}"
         ) from error
     if not isinstance(parsed, Mapping) or not parsed:
-        raise ConfigurationError(f"{name}: expected keys with values, got {_kind_of(parsed)}")
+        raise ConfigurationError(
+            f"{name}: expected keys with values, got {_kind_of(parsed)}; {READ_FORMATS}"
+        )
     try:
         return {str(key): _with_matrices(value, f"{name}: {key}") for key, value in parsed.items()}
     except RecursionError as error:  # a file that contains itself by aliases

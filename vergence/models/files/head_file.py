@@ -44,8 +44,9 @@ def load_head(source: str | os.PathLike[str]) -> HeadModel:
 
     Raises:
         UnknownNameError: there is no such preset.
-        HeadFileError: the file is missing or is not a head; the message names the key, the
-            value and what was expected.
+        UnreadableFileError: the file is missing, or is no text.
+        HeadFileError: the file is not a head; the message names the key, the value and what was
+            expected.
 
     Examples:
         >>> import vergence

@@ -1,17 +1,15 @@
 """Import of a calibrated stereo pair as a head whose eyes do not move."""
 
 from dataclasses import asdict
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from vergence.models.calibrated import CalibrationRecord
 from vergence.models.files.head_toml import check_head_name
-from vergence.models.files.intrinsics import Intrinsics
 from vergence.models.files.stereo import StereoPair
 from vergence.models.files.toml_text import toml_text
 from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
 from vergence.models.response import CameraResponse
 
 _ASSUMED: Final[dict[str, dict[str, float | int]]] = {
@@ -78,13 +76,14 @@ def stereo_pair_to_head_toml(
     cameras = (pair.left, pair.right)
     positions = (np.zeros(3), pair.baseline_m)
     rotations = (np.eye(3), pair.rotation.T)
-    sizes = [{"width_px": camera.width, "height_px": camera.height} for camera in cameras]
+    sizes = [camera.size_fields() for camera in cameras]
     one_size = sizes[0] == sizes[1]
     eyes = [
         {"name": EYE_NAMES[eye]}
         | ({} if one_size else sizes[eye])
         | ({} if response is None else {"response": response})
-        | _eye(cameras[eye], positions[eye], rotations[eye])
+        | cameras[eye].fields()
+        | {"position_m": positions[eye].tolist(), "rotation": rotations[eye].tolist()}
         for eye in range(2)
     ]
     guesses = {
@@ -103,14 +102,3 @@ def stereo_pair_to_head_toml(
         | {"sensor": sensor, "eyes": eyes, "assumptions": {**reasons, **guesses}}
         | ({"calibration": asdict(calibration)} if calibration else {})
     )
-
-
-def _eye(camera: Intrinsics, position: FloatArray, rotation: FloatArray) -> dict[str, Any]:
-    return {
-        "focal_px": camera.focal.tolist(),
-        "principal_px": camera.principal.tolist(),
-        **({} if camera.lens == "brown-conrady" else {"lens": camera.lens}),
-        "distortion": camera.distortion.tolist(),
-        "position_m": position.tolist(),
-        "rotation": rotation.tolist(),
-    }

@@ -11,6 +11,7 @@ import numpy as np
 from vergence.errors import ConfigurationError, HeadFileError
 from vergence.models.files.head_rules import NAME
 from vergence.models.files.head_toml import check_head_name, parse_head
+from vergence.models.files.intrinsics import Lens
 from vergence.models.files.joints_toml import frame_between_cameras
 from vergence.models.files.robot_description.actuators import (
     Coupling,
@@ -62,6 +63,8 @@ class UrdfSource:
         acceleration: `RAD_S2` for all joints, `JOINT=RAD_S2` for one.
         couplings: motors that move both eyes but are missing in the file.
         intrinsics: files with the cameras' calibration.
+        size: (width, height) in pixels, for calibration files that do not give it.
+        lens: lens model, for calibration files that do not name it.
         name: name of the head; empty for the robot's name.
     """
 
@@ -75,6 +78,8 @@ class UrdfSource:
     acceleration: Sequence[str] = ()
     couplings: Sequence[Coupling] = ()
     intrinsics: Sequence[str | os.PathLike[str]] = ()
+    size: tuple[int, int] | None = None
+    lens: Lens | None = None
     name: str = ""
 
 
@@ -88,6 +93,7 @@ class ImportedHead:
         chains: the kinematic chains of the head in the robot description.
         motors: motors of the eyes; empty if each joint has its own.
         ignored: parts of the robot that the head leaves out, one phrase each.
+        guesses: doubtful or assumed values of the cameras' calibration, one phrase each.
     """
 
     head: HeadModel
@@ -95,6 +101,7 @@ class ImportedHead:
     chains: HeadChains
     motors: Sequence[EyeMotor]
     ignored: Sequence[str]
+    guesses: Sequence[str]
 
 
 def import_urdf(source: UrdfSource) -> ImportedHead:
@@ -108,7 +115,8 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         source: the file, and the selection of frames and joints.
 
     Raises:
-        HeadFileError: the file cannot be read, or what it describes cannot be a head.
+        UnreadableFileError: the file cannot be read.
+        HeadFileError: what it describes cannot be a head.
         ConfigurationError: the selection is wrong, or a head file cannot express it.
     """
     mechanism = read_mechanism(source.file)
@@ -152,10 +160,14 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     )
     moved = _motors(chains, eyes, ranges, source.couplings)
     assumed = _of_motors(assumed, moved)
-    images, why = find_eye_intrinsics(
-        [mechanism.frames[camera].camera for camera in cameras], source.intrinsics
+    calibrated, why = find_eye_intrinsics(
+        [mechanism.frames[camera].camera for camera in cameras],
+        source.intrinsics,
+        size=source.size,
+        lens=source.lens,
     )
-    one_size = images[0].size == images[1].size
+    images = (calibrated.left, calibrated.right)
+    one_size = images[0].size_fields() == images[1].size_fields()
     if one_size:
         size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
         why = {size.sub("image.", key): reason for key, reason in why.items()}
@@ -189,6 +201,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         chains=chains,
         motors=moved,
         ignored=_ignored(mechanism, chains),
+        guesses=calibrated.guesses if source.intrinsics else (),
     )
 
 
@@ -301,6 +314,11 @@ def _parsed(text: str) -> HeadModel:
 def _ignored(mechanism: Mechanism, chains: HeadChains) -> list[str]:
     others = len(mechanism.joints()) - len(chains.moved_part_of_joint) - len(chains.fixed_values)
     return [
+        *(
+            f"{name} (ties {', '.join(joints) or 'bodies'}; --actuators may tie eyes)"
+            for name, joints in mechanism.left_out
+            if not joints or not {*joints}.isdisjoint(chains.moved_part_of_joint)
+        ),
         *([f"{others} other joints"] if others else []),
         "shapes, masses, friction, efforts",
         "cameras and plugins of simulators other than MuJoCo",

@@ -4,14 +4,16 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.files.calibration_keys import (
     BINNING,
-    CAMERA_MODEL,
+    BODY_IN_CAMERA,
+    CAMERA_IN_BODY,
+    CHAINED,
     DISTORTION,
     FISHEYE,
     HEIGHT,
@@ -19,14 +21,18 @@ from vergence.models.files.calibration_keys import (
     MODEL,
     PROJECTION,
     REGION,
+    ROTATION,
+    SHAPE,
     SIZE,
+    TRANSLATION,
+    UNIT,
     WIDTH,
     CalibrationValues,
     FoundValue,
     flat_array_of,
     refuse_unused_files,
 )
-from vergence.models.files.calibration_text import parse_numbers, read_calibration
+from vergence.models.files.calibration_text import READ_FORMATS, parse_numbers, read_calibration
 from vergence.models.parts import FloatArray
 
 Lens = Literal["brown-conrady", "rational", "fisheye"]
@@ -35,22 +41,37 @@ COEFFICIENTS: Final[dict[Lens, int]] = {"brown-conrady": 5, "rational": 8, "fish
 """Number of distortion coefficients by lens model."""
 
 _MODELS: Final[dict[str, Lens | None]] = {
-    "plumbbob": "brown-conrady",
-    "radtan": "brown-conrady",
-    "radialtangential": "brown-conrady",
-    "brownconrady": "brown-conrady",
-    "rational": "rational",
-    "rationalpolynomial": "rational",
-    "fisheye": "fisheye",
-    "equidistant": "fisheye",
-    "equi": "fisheye",
-    "kannalabrandt": "fisheye",
-    "kannalabrandt4": "fisheye",
-    "none": None,
-    "pinhole": None,
-    "": None,
-}
+    **dict.fromkeys(
+        ("plumbbob", "radtan", "radialtangential", "brownconrady", "brown", "opencv"),
+        "brown-conrady",
+    ),
+    **dict.fromkeys(("rational", "rationalpolynomial", "fullopencv"), "rational"),
+    **dict.fromkeys(
+        ("fisheye", "equidistant", "equi", "kannalabrandt", "kannalabrandt4", "kannalabrandt8",
+         "kb4", "kb8", "opencvfisheye", "cv2fisheye"),
+        "fisheye",
+    ),
+    **dict.fromkeys(("none", "pinhole", "perspective", "rectilinear", ""), None),
+}  # fmt: skip
 """Lens model by the name that files use; None if the number of coefficients must decide."""
+_NAMES_A_LENS: Final = {
+    "distortionmodel", "lensmodel", "cameramodel", "projectionmodel", "modeltype", "distortiontype",
+}  # fmt: skip
+"""Keys whose value can be nothing but a lens model; of others, an unknown one may be a product."""
+_UNSUPPORTED: Final = re.compile(
+    r"omni|mei|ucm|unified|^ds$|doublesphere|catadioptric|ocam|scaramuzza|^fov|ftheta|thinprism"
+    r"|tilt|division|inverse|polynomial|stereographic|equisolid|orthographic|spherical"
+    r"|equirectangular|panoram|brown|conrady|radial|fisheye|brandt"
+)
+"""Part of a lens model's name that none of the supported ones has."""
+_MAX_CENTRE_OFFSET: Final = 0.2
+"""Distance of a principal point from the image centre, as a fraction of the image side, above
+which it is doubted (chosen: false doubts against missed wrong image sizes)."""
+_SWAPPED_OFFSET: Final = 0.1
+"""Such a distance above which the sides of an image may be swapped, if these fit twice as well
+(chosen: a 5:4 image with swapped sides has 0.125)."""
+_MAX_UNREAD: Final = 6
+"""Most keys that are named as not read (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,13 +93,136 @@ class Intrinsics:
     lens_assumption: str = ""
     """Assumption made about the lens because the file does not specify it; empty if none."""
 
+    def size_fields(self) -> dict[str, int]:
+        """Fields of the image size in a head file, for `[image]` or, if eyes differ, `[[eyes]]`."""
+        return {"width_px": self.width, "height_px": self.height}
+
+    def fields(self) -> dict[str, Any]:
+        """Fields of the other intrinsics in a head file, for `[[eyes]]`."""
+        return {
+            "focal_px": self.focal.tolist(),
+            "principal_px": self.principal.tolist(),
+            **({} if self.lens == "brown-conrady" else {"lens": self.lens}),
+            "distortion": self.distortion.tolist(),
+        }
+
+    @property
+    def guesses(self) -> tuple[str, ...]:
+        """Assumed or doubtful values, one phrase each."""
+        off = np.abs(_offset(self.principal, self.width, self.height)).max() > _MAX_CENTRE_OFFSET
+        doubt = (
+            f"principal point ({self.principal[0]:.0f}, {self.principal[1]:.0f}) far from the "
+            f"middle of {self.width} x {self.height} px: was the camera calibrated at this size?"
+        )
+        return tuple(text for text in (self.lens_assumption, doubt if off else "") if text)
+
+
+def _offset(principal: FloatArray, width: float, height: float) -> FloatArray:
+    """(2,) distance of a principal point from the image centre, as a fraction of the sides."""
+    size = np.array([width, height])
+    offset: FloatArray = (principal - (size - 1.0) / 2.0) / size
+    return offset
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CalibratedCameras:
+    """Cameras of the left and the right eye; one object if a single camera stands for both."""
+
+    left: Intrinsics
+    right: Intrinsics
+    notes: tuple[str, ...] = ()
+    """Assumptions about the files, one phrase each."""
+
+    @property
+    def guesses(self) -> tuple[str, ...]:
+        """Doubtful or assumed values that the user should check, one phrase each."""
+        if self.left is self.right:
+            return (*self.left.guesses, *self.notes)
+        cameras = {"left": self.left, "right": self.right}
+        said = (f"{eye} camera: {one}" for eye, camera in cameras.items() for one in camera.guesses)
+        return (*said, *self.notes)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CameraFiles:
+    """Cameras that calibration files hold, and the values to look their places up in.
+
+    Attributes:
+        names: the files.
+        values: all values.
+        cameras: one or two cameras, left first.
+        keys: values of each camera, and its label in their keys, empty in a file of its own.
+        apart: values of the files, if any, that hold no camera where each has a file of its own;
+            else all values.
+    """
+
+    names: Sequence[str]
+    values: CalibrationValues
+    cameras: Sequence[Intrinsics]
+    keys: Sequence[tuple[CalibrationValues, str]]
+    apart: CalibrationValues
+
+    def notes(self) -> tuple[str, ...]:
+        """Refuse files that nothing was read of, and name keys that nothing asked for."""
+        refuse_unused_files(self.names, self.values)
+        unread = self.values.unread()
+        if not unread:
+            return ()
+        more = f" and {len(unread) - _MAX_UNREAD} more" if len(unread) > _MAX_UNREAD else ""
+        return (
+            f"keys that are not read are of no matter: {', '.join(unread[:_MAX_UNREAD])}{more}",
+        )
+
+
+def read_camera_files(
+    paths: Sequence[str | os.PathLike[str]],
+    *,
+    size: tuple[int, int] | None = None,
+    lens: Lens | None = None,
+) -> CameraFiles:
+    """Read the cameras in calibration files, for `read_intrinsics` and `read_stereo`.
+
+    Args:
+        paths: the files.
+        size: see `read_intrinsics`.
+        lens: see `read_intrinsics`.
+
+    Raises:
+        ConfigurationError: a file cannot be read, or its cameras are not supported.
+    """
+    names = [os.fspath(path) for path in paths]
+    files = {name: read_calibration(name) for name in names}
+    if len(files) < len(names):
+        raise ConfigurationError(
+            f"{', '.join(names)}: expected different files, got one of them twice"
+        )
+    values = CalibrationValues(files)
+    values.refuse_other_meanings()
+    sides = values.sides()
+    apart = values
+    if sides is not None:
+        keys = [(values, side) for side in sides]
+    else:
+        own = [name for name in names if values.only([name]).has(MATRIX)]
+        keys = [(values.only([name]), "") for name in own]
+        if len(keys) == 2:
+            apart = values.only([name for name in names if name not in own])
+    if len(keys) not in (1, 2):
+        raise ConfigurationError(
+            f"{values.name}: expected the camera matrices of one or two cameras (such as "
+            f"cameraMatrix1 and cameraMatrix2, or camera_matrix in a file for each), got "
+            f"{len(keys)} of them; {READ_FORMATS}"
+        )
+    cameras = [find_intrinsics(each, side, size=size, lens=lens) for each, side in keys]
+    return CameraFiles(names=names, values=values, cameras=cameras, keys=keys, apart=apart)
+
 
 def read_intrinsics(
     paths: Sequence[str | os.PathLike[str]],
     *,
     size: tuple[int, int] | None = None,
     lens: Lens | None = None,
-) -> tuple[Intrinsics, Intrinsics]:
+) -> CalibratedCameras:
     """Read the cameras of the left and the right eye.
 
     Args:
@@ -95,25 +239,13 @@ def read_intrinsics(
         ConfigurationError: a file cannot be read or is unused, or the cameras or their order
             are invalid.
     """
-    files = {os.fspath(path): read_calibration(path) for path in paths}
-    together = CalibrationValues(files)
-    sides = together.sides()
-    if sides is not None:
-        left, right = (find_intrinsics(together, side, size=size, lens=lens) for side in sides)
-        refuse_unused_files(files, together.used)
-        return left, right
-    singles = [
-        keys for name in files if (keys := CalibrationValues({name: files[name]})).find(MATRIX)
-    ]
-    if len(singles) not in (1, 2):
-        raise ConfigurationError(
-            f"{together.name}: expected the camera matrices of one or two cameras (such as "
-            f"cameraMatrix1 and cameraMatrix2, or camera_matrix), got {len(singles)}"
-        )
-    cameras = [find_intrinsics(keys, size=size, lens=lens) for keys in singles]
-    _refuse_swapped(singles[0], singles[-1])
-    refuse_unused_files(files, set().union(*(keys.used for keys in singles)))
-    return cameras[0], cameras[-1]
+    found = read_camera_files(paths, size=size, lens=lens)
+    if found.apart is not found.values:
+        _refuse_swapped(*(keys for keys, _ in found.keys))
+    for keys, side in found.keys:  # their places are the robot's, and a head's own
+        for stems in (ROTATION, TRANSLATION, CHAINED, BODY_IN_CAMERA, CAMERA_IN_BODY, UNIT):
+            keys.find(stems, side, shared=True)
+    return CalibratedCameras(left=found.cameras[0], right=found.cameras[-1], notes=found.notes())
 
 
 def _refuse_swapped(left: CalibrationValues, right: CalibrationValues) -> None:
@@ -139,7 +271,7 @@ def find_intrinsics(
 
     Args:
         keys: values of the files.
-        side: label of the camera in a pair, see `SIDES`; empty for a single camera.
+        side: label of the camera in a pair; empty for a single camera.
         size: see `read_intrinsics`.
         lens: see `read_intrinsics`.
 
@@ -151,11 +283,7 @@ def find_intrinsics(
         raise ConfigurationError(f"{keys.name}: expected a camera matrix, got none")
     focal, principal = _pinhole(matrix)
     width, height = _image_size(keys, side, size)
-    if not (0.0 < principal[0] < width and 0.0 < principal[1] < height):
-        raise ConfigurationError(
-            f"{matrix.label}: expected a principal point inside the image of {width} x {height} "
-            f"px, got {principal.tolist()} (is the image size (width, height)?)"
-        )
+    _check_principal(principal, matrix.label, width, height)
     _refuse_part(keys, side, (width, height))
     model, distortion, guess = _lens(keys, side, lens)
     return Intrinsics(
@@ -191,19 +319,21 @@ def _pinhole(found: FoundValue) -> tuple[FloatArray, FloatArray]:
 def _image_size(
     keys: CalibrationValues, side: str, given: tuple[int, int] | None
 ) -> tuple[int, int]:
-    found = keys.find(SIZE, side) or (keys.find(SIZE) if side else None)
+    found = keys.find(SIZE, side, shared=True)
+    shape = None if found else keys.find(SHAPE, side, shared=True)
     if found is not None:
         sides = flat_array_of(found, (2,), "an image size, width and height in pixels")
         label = found.label
+    elif shape is not None:
+        expected = "an image's shape, its rows and columns"
+        sides, label = flat_array_of(shape, (2, 3), expected)[1::-1], shape.label
     else:
-        width = keys.find(WIDTH, side) or (keys.find(WIDTH) if side else None)
-        height = keys.find(HEIGHT, side) or (keys.find(HEIGHT) if side else None)
+        width, height = (keys.find(stems, side, shared=True) for stems in (WIDTH, HEIGHT))
         if width is None or height is None:
             if given is None:
                 raise ConfigurationError(
                     f"{keys.name}: expected the image size (image_width and image_height), got "
-                    "none: write these two into it, or give --size WIDTHxHEIGHT (of import stereo "
-                    "and detect)"
+                    "none: write these two into it, or give --size WIDTHxHEIGHT"
                 )
             return given
         parts = [flat_array_of(one, (1,), "an image's side in pixels") for one in (width, height)]
@@ -219,6 +349,24 @@ def _image_size(
             f"{size[0]} x {size[1]} (the calibration is of that size)"
         )
     return size
+
+
+def _check_principal(principal: FloatArray, label: str, width: int, height: int) -> None:
+    """Refuse an image size that the principal point contradicts."""
+    off, swapped = (
+        np.abs(_offset(principal, *sides)).max() for sides in ((width, height), (height, width))
+    )
+    if off > _SWAPPED_OFFSET and swapped < off / 2.0:
+        raise ConfigurationError(
+            f"{label}: expected a principal point near the middle of {width} x {height} px, got "
+            f"{principal.tolist()}, that of {height} x {width}: is the image size written as rows "
+            "by columns? It is (width, height)"
+        )
+    if off >= 0.5:
+        raise ConfigurationError(
+            f"{label}: expected a principal point inside the image of {width} x {height} px, got "
+            f"{principal.tolist()} (is the image size (width, height)?)"
+        )
 
 
 def _refuse_part(keys: CalibrationValues, side: str, size: tuple[int, int]) -> None:
@@ -244,7 +392,7 @@ def _counts(
     keys: CalibrationValues, side: str, every: Sequence[Sequence[str]]
 ) -> tuple[str, list[float]]:
     """Label of the largest value for messages, and the pixel counts; 0 for missing keys."""
-    found = [keys.find(stems, side) or (keys.find(stems) if side else None) for stems in every]
+    found = [keys.find(stems, side, shared=True) for stems in every]
     values = [
         float(flat_array_of(one, (1,), "a number of pixels")[0]) if one is not None else 0.0
         for one in found
@@ -298,21 +446,32 @@ def _lens(keys: CalibrationValues, side: str, given: Lens | None) -> tuple[Lens,
 
 def _named_lens(keys: CalibrationValues, side: str) -> Lens | None:
     """Lens model named in the files; None if there is none."""
-    for stems in (FISHEYE, MODEL, CAMERA_MODEL):
-        found = keys.find(stems, side) or (keys.find(stems) if side else None)
+    named: dict[Lens, str] = {}
+    flag = keys.find(FISHEYE, side, shared=True)
+    if flag is not None:
+        number = parse_numbers(flag.value)
+        if flag.value is True or (number is not None and number.size == 1 and number.item()):
+            named["fisheye"] = flag.label
+    for stem in MODEL:
+        found = keys.find((stem,), side, shared=True)
         if found is None:
             continue
-        if stems is FISHEYE:
-            flag = parse_numbers(found.value)
-            if found.value is True or (flag is not None and flag.size == 1 and flag.item()):
-                return "fisheye"
-            continue
         plain = re.sub(r"[^a-z0-9]", "", str(found.value).lower())
-        if plain not in _MODELS:
+        if plain not in _MODELS:  # such as pinhole-radtan
+            plain = plain.removeprefix("pinhole")
+        if plain in _MODELS:
+            if (lens := _MODELS[plain]) is not None:
+                named[lens] = found.label
+        elif stem in _NAMES_A_LENS or _UNSUPPORTED.search(plain):
             raise ConfigurationError(
                 f"{found.label}: expected a lens model such as plumb_bob, radtan, "
-                f"rational_polynomial, fisheye or equidistant, got {found.value!r:.80}"
+                f"rational_polynomial, fisheye or equidistant, got {found.value!r:.80}, which is "
+                "not supported"
             )
-        if _MODELS[plain] is not None:
-            return _MODELS[plain]
-    return None
+        else:
+            del keys.used[found.label]
+    if len(named) > 1:
+        raise ConfigurationError(
+            f"{' and '.join(named.values())}: expected one lens model, got {' and '.join(named)}"
+        )
+    return next(iter(named), None)

@@ -1,50 +1,61 @@
-"""Calibrated stereo pairs from files of OpenCV, ROS and kalibr."""
+"""Calibrated stereo pairs from files of OpenCV, ROS, kalibr, EuRoC and ORB-SLAM2."""
 
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Final
 
 import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.files.calibration_keys import (
-    KALIBR_TRANSFORM,
-    MATRIX,
+    BODY_IN_CAMERA,
+    CAMERA_IN_BODY,
+    CHAINED,
     PROJECTION,
     RECTIFICATION,
     ROTATION,
+    SQUARE,
     TRANSLATION,
+    UNIT,
     CalibrationValues,
     FoundValue,
     flat_array_of,
-    refuse_unused_files,
 )
-from vergence.models.files.calibration_text import read_calibration
-from vergence.models.files.intrinsics import Intrinsics, Lens, find_intrinsics
+from vergence.models.files.calibration_text import parse_numbers
+from vergence.models.files.intrinsics import CalibratedCameras, CameraFiles, Lens, read_camera_files
+from vergence.models.links import inverse_pose
 from vergence.models.parts import FloatArray
 
-Unit = Literal["m", "cm", "mm"]
-METRES: Final[dict[Unit, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Metres per unit."""
+_METRES: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Metres per unit (physical)."""
+_UNIT: Final = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)?\s*(mm|cm|m)\s*")
+"""A unit of length, or a length, such as that of a board's squares."""
+_UNIT_NAMES: Final = {
+    f"{prefix}{metre}{end}": f"{short}m"
+    for prefix, short in (("", ""), ("centi", "c"), ("milli", "m"))
+    for metre in ("metre", "meter")
+    for end in ("", "s")
+}
+"""Units by their names in files."""
 
 # Range of plausible baselines; others suggest a wrong unit (chosen).
 LEAST_BASELINE_M: Final = 0.01
 GREATEST_BASELINE_M: Final = 1.0
 
-_MAX_CENTRE_OFFSET: Final = 0.2
-"""Distance of a principal point from the image centre, as a fraction of the image side, above
-which it is doubted (chosen: false doubts against missed wrong image sizes)."""
+_LEAST_SQUARES: Final = 0.2
+"""Shortest baseline in squares of a board (chosen: a shorter one is in metres)."""
+_ODD_ROLL_DEG: Final = 45.0
+"""Roll of one camera against the other above which the mounting is doubted (chosen)."""
 _ROTATION_TOLERANCE: Final = 1e-3
 """Tolerance on the singular values of a rotation; files have as few as four decimals (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StereoPair:
+class StereoPair(CalibratedCameras):
     """Two calibrated cameras that do not move: `x_right = R x_left + T`, as in OpenCV."""
 
-    left: Intrinsics
-    right: Intrinsics
     rotation: FloatArray
     """(3, 3) R, orthonormal."""
     translation_m: FloatArray
@@ -58,38 +69,27 @@ class StereoPair:
     @property
     def guesses(self) -> tuple[str, ...]:
         """Doubtful or assumed values that the user should check, one phrase each."""
-        cameras = {"left": self.left, "right": self.right}
-        said = [
-            f"{eye} camera: {guess}"
-            for eye, camera in cameras.items()
-            for guess in (camera.lens_assumption, _far_from_middle(camera))
-            if guess
-        ]
+        said = list(super().guesses)
         across, along, _ = np.abs(self.baseline_m)
         if along > across:
             said.append(
                 "the cameras stand one above the other: N is turned so that its x axis points "
-                "from the left one to the right one"
+                "from the left one to the right one (are both turned about their optical axes?)"
+            )
+        roll = np.degrees(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]))
+        if abs(roll) > _ODD_ROLL_DEG:
+            said.append(
+                f"the right camera is turned by {abs(roll):.0f} degrees about its optical axis "
+                "against the left one: is that how it is mounted, and are its images as it "
+                "delivers them?"
             )
         return tuple(said)
-
-
-def _far_from_middle(camera: Intrinsics) -> str:
-    """Doubt about the image size if the principal point is far from the image centre."""
-    size = np.array([camera.width, camera.height])
-    if (np.abs(camera.principal - (size - 1.0) / 2.0) <= _MAX_CENTRE_OFFSET * size).all():
-        return ""
-    u, v = camera.principal
-    return (
-        f"principal point ({u:.0f}, {v:.0f}) far from the middle of {camera.width} x "
-        f"{camera.height} px: was the camera calibrated at this size?"
-    )
 
 
 def read_stereo(
     paths: Sequence[str | os.PathLike[str]],
     *,
-    unit: Unit = "m",
+    unit: str | None = None,
     size: tuple[int, int] | None = None,
     lens: Lens | None = None,
     swap: bool = False,
@@ -97,13 +97,17 @@ def read_stereo(
     """Read a calibrated stereo pair.
 
     The files are OpenCV's (`cameraMatrix1`, `distCoeffs1`, ..., `R`, `T`, or `M1`, `D1`, ... in
-    one file and `R`, `T` in another), two camera_info files of ROS, left first, or a camchain of
-    kalibr. For ROS, rotation and baseline follow from the rectification and projection matrices:
-    `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`.
+    one file and `R`, `T` in another), two camera_info files of ROS, left first, a camchain of
+    kalibr, two sensor.yaml files of EuRoC, or settings of ORB-SLAM2. For ROS and ORB-SLAM2,
+    rotation and baseline follow from the rectification and projection matrices:
+    `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`; for poses of
+    both cameras at a body they are those of `T_right_body T_left_body^-1`.
 
     Args:
         paths: the files, which together hold both cameras and their relative pose.
-        unit: unit of the translation in the files, given by the square size at calibration.
+        unit: unit of the translation in the files, `m`, `cm` or `mm`, or a length such as `25mm`
+            for a translation in squares of the calibration board; None for that in the files, else
+            metres.
         size: (width, height) in pixels, for files that do not give it.
         lens: the lens model, for files that do not name it.
         swap: true if the first camera of the files is the right one.
@@ -115,95 +119,140 @@ def read_stereo(
         ConfigurationError: a file cannot be read or is unused, a value is missing, or the pair
             is implausible.
     """
-    names = [os.fspath(path) for path in paths]
-    files = {name: read_calibration(name) for name in names}
-    if len(files) < len(names):
+    metres = None if unit is None else parse_unit(unit, "unit")
+    files = read_camera_files(paths, size=size, lens=lens)
+    if len(files.cameras) != 2:
         raise ConfigurationError(
-            f"{', '.join(names)}: expected different files, got one of them twice"
+            f"{files.values.name}: expected the camera matrices of a pair (such as cameraMatrix1 "
+            "and cameraMatrix2, or camera_matrix in a file for each), got 1 of them"
         )
-    together = CalibrationValues(files)
-    sides = together.sides()
-    if sides is not None:
-        left, right = (find_intrinsics(together, side, size=size, lens=lens) for side in sides)
-        placed = _placed(together)
-        used = together.used
-    else:
-        left_keys, right_keys = _single_cameras(files)
-        left, right = (
-            find_intrinsics(keys, size=size, lens=lens) for keys in (left_keys, right_keys)
-        )  # fmt: skip
-        others = {n: f for n, f in files.items() if not CalibrationValues({n: f}).find(MATRIX)}
-        apart = CalibrationValues(others)
-        placed = _placed(apart)
-        used = left_keys.used | right_keys.used | (apart.used if placed else set())
-        placed = placed or _rectified(left_keys, right_keys)
+    placed = _place(files)
     if placed is None:
+        one = files.values.find(ROTATION) or files.values.find(TRANSLATION)
         raise ConfigurationError(
-            f"{together.name}: expected the rotation R and the translation T from the left to "
-            f"the right camera, got {_without_place(together)}"
+            f"{files.values.name}: expected the rotation R and the translation T from the left to "
+            f"the right camera, got {f'{one.label} alone' if one else 'neither'}"
         )
-    refuse_unused_files(names, used)
     rotation, translation, label = placed
+    scale, doubts = _scale(files.values, metres, float(np.abs(translation).max()))
     pair = StereoPair(
-        left=left, right=right, rotation=rotation, translation_m=METRES[unit] * translation
+        left=files.cameras[0],
+        right=files.cameras[1],
+        rotation=rotation,
+        translation_m=scale * translation,
+        notes=(*doubts, *files.notes()),
     )
     if swap:
         pair = replace(
-            pair, left=right, right=left, rotation=rotation.T, translation_m=pair.baseline_m
-        )
-    _check(pair, label, unit, swap)
+            pair, left=pair.right, right=pair.left, rotation=rotation.T,
+            translation_m=pair.baseline_m,
+        )  # fmt: skip
+    _check(pair, label, scale, swap)
     return pair
 
 
-def _without_place(keys: CalibrationValues) -> str:
-    one = keys.find(ROTATION) or keys.find(TRANSLATION)
-    return f"{one.label} alone" if one else "neither"
+def parse_unit(text: str, owner: str) -> float:
+    """Metres of a unit such as `mm`, or of a length such as `25mm`.
 
+    Args:
+        text: the unit or length.
+        owner: name of its owner, for messages.
 
-def _single_cameras(
-    files: Mapping[str, Mapping[str, Any]],
-) -> tuple[CalibrationValues, CalibrationValues]:
-    """Values of the left and right camera from files with one camera each."""
-    singles = [
-        keys for name in files if (keys := CalibrationValues({name: files[name]})).find(MATRIX)
-    ]
-    if len(singles) != 2:
+    Raises:
+        ConfigurationError: it is neither.
+    """
+    match = _UNIT.fullmatch(text)
+    metres = _METRES[match[2]] * float(match[1] or 1.0) if match else 0.0
+    if not metres > 0.0:
         raise ConfigurationError(
-            f"{', '.join(files)}: expected the camera matrices of a pair (such as cameraMatrix1 "
-            f"and cameraMatrix2, or camera_matrix in a file for each), got {len(singles)} of them"
+            f"{owner}: expected m, cm or mm, or the length of a square such as 25mm, got {text!r}"
         )
-    return singles[0], singles[1]
+    return metres
 
 
-_Placed = tuple[FloatArray, FloatArray, str]
+def _scale(
+    keys: CalibrationValues, given: float | None, length: float
+) -> tuple[float, tuple[str, ...]]:
+    """Metres of a translation's unit, and doubts about it."""
+    said, square = keys.find(UNIT), keys.find(SQUARE)
+    if said is not None:
+        stated = parse_unit(_UNIT_NAMES.get(str(said.value).lower(), str(said.value)), said.label)
+        if given is not None and given != stated:
+            raise ConfigurationError(
+                f"{said.label}: expected the unit that was given, {given:g} m, got {said.value}"
+            )
+        return stated, ()
+    sides = None if square is None else parse_numbers(square.value)
+    sizeless = sides is not None and bool((sides == 1.0).all()) and length > _LEAST_SQUARES
+    if square is None or not sizeless or given not in (None, *_METRES.values()):
+        return given or 1.0, ()
+    if given is None:
+        raise ConfigurationError(
+            f"{square.label}: expected the size of the board's squares, got 1: the translation, "
+            f"{length:.4g} long, seems to be in squares: give the length of one as --unit, such as "
+            f"--unit 25mm ({0.025 * length:.4g} m), or --unit m, cm or mm if it is in that"
+        )
+    return given, (f"{square.label} is 1: is the translation in squares of the board?",)
+
+
+_Place = tuple[FloatArray, FloatArray, str]
 """R, T in the files' unit, and the label of T's source for messages."""
 
 
-def _placed(keys: CalibrationValues) -> _Placed | None:
-    """R and T from the first camera to the second, by their keys or kalibr's chain, if present."""
-    chain = keys.find(KALIBR_TRANSFORM)
-    if chain is not None:
-        if keys.find(MATRIX, "2"):
-            raise ConfigurationError(f"{keys.name}: expected two cameras, got cam2 as well")
-        pose = flat_array_of(chain, (16,), "a transform of 4 x 4 numbers").reshape(4, 4)
+def _place(files: CameraFiles) -> _Place | None:
+    """R and T from the left camera to the right one; None if the files do not have them."""
+    sides = [side for _, side in files.keys]
+    if sides[1] and (chain := files.values.find(CHAINED, sides[1])) is not None:
+        pose = _transform(chain)
         return _rotation(pose[:3, :3], chain.label), pose[:3, 3], chain.label
-    rotation, translation = keys.find(ROTATION), keys.find(TRANSLATION)
-    if rotation is None or translation is None:
-        return None
-    values = flat_array_of(rotation, (3, 9), "a rotation of 3 x 3 numbers, or a rotation vector")
-    shift = flat_array_of(translation, (3,), "a translation of 3 numbers")
-    if values.size == 3:
-        from scipy.spatial.transform import Rotation
+    both = files.apart.has(ROTATION) and files.apart.has(TRANSLATION)
+    rotation, translation = (
+        files.apart.find(stems) if both else None for stems in (ROTATION, TRANSLATION)
+    )
+    if rotation is not None and translation is not None:
+        values = flat_array_of(
+            rotation, (3, 9), "a rotation of 3 x 3 numbers, or a rotation vector"
+        )
+        shift = flat_array_of(translation, (3,), "a translation of 3 numbers")
+        if values.size == 3:
+            from scipy.spatial.transform import Rotation
 
-        return Rotation.from_rotvec(values).as_matrix(), shift, translation.label
-    return _rotation(values.reshape(3, 3), rotation.label), shift, translation.label
+            return Rotation.from_rotvec(values).as_matrix(), shift, translation.label
+        return _rotation(values.reshape(3, 3), rotation.label), shift, translation.label
+    return _at_body(files) or _rectified(files)
 
 
-def _rectified(left: CalibrationValues, right: CalibrationValues) -> _Placed | None:
-    """R and T from rectification and projection matrices of two camera_info files, if present."""
+def _transform(found: FoundValue) -> FloatArray:
+    """(4, 4) pose, its rotation orthonormal."""
+    pose = flat_array_of(found, (16,), "a transform of 4 x 4 numbers").reshape(4, 4)
+    if np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > _ROTATION_TOLERANCE:
+        raise ConfigurationError(
+            f"{found.label}: expected a transform with the last row 0 0 0 1, got {pose[3].tolist()}"
+        )
+    return np.block([[_rotation(pose[:3, :3], found.label), pose[:3, 3:]], [pose[3:]]])
+
+
+def _at_body(files: CameraFiles) -> _Place | None:
+    """R and T from the poses of both cameras at a body, if present."""
+    from_body = []
+    for keys, side in files.keys:
+        own = keys.find(BODY_IN_CAMERA, side)
+        its = None if own else keys.find(CAMERA_IN_BODY, side)
+        found = own or its
+        if found is None:
+            return None
+        pose = _transform(found)
+        from_body.append(pose if own else inverse_pose(pose))
+        label = found.label
+    pose = from_body[1] @ inverse_pose(from_body[0])
+    return pose[:3, :3], pose[:3, 3], label
+
+
+def _rectified(files: CameraFiles) -> _Place | None:
+    """R and T from rectification and projection matrices of both cameras, if present."""
     turns, shifts, label = [], [], ""
-    for keys in (left, right):
-        turn, projection = keys.find(RECTIFICATION), keys.find(PROJECTION)
+    for keys, side in files.keys:
+        turn, projection = keys.find(RECTIFICATION, side), keys.find(PROJECTION, side)
         if turn is None or projection is None:
             return None
         values = flat_array_of(turn, (9,), "a rectification of 3 x 3 numbers").reshape(3, 3)
@@ -242,7 +291,7 @@ def _rotation(matrix: FloatArray, label: str) -> FloatArray:
     return nearest
 
 
-def _check(pair: StereoPair, label: str, unit: Unit, swap: bool) -> None:
+def _check(pair: StereoPair, label: str, scale: float, swap: bool) -> None:
     """Refuse a pair whose geometry no head can have."""
     with np.errstate(over="ignore"):  # an infinite baseline is refused as too long
         right = pair.baseline_m
@@ -250,7 +299,7 @@ def _check(pair: StereoPair, label: str, unit: Unit, swap: bool) -> None:
     if not LEAST_BASELINE_M <= baseline <= GREATEST_BASELINE_M:
         raise ConfigurationError(
             f"{label}: expected a baseline of 0.01 to 1 m, got {baseline:.4g} m"
-            + _other_unit(baseline / METRES[unit], unit)
+            + _other_unit(baseline / scale, scale)
         )
     along = right / baseline
     if along[0] < 0.0 and abs(along[0]) > 0.5:
@@ -272,15 +321,13 @@ def _check(pair: StereoPair, label: str, unit: Unit, swap: bool) -> None:
         )
 
 
-def _other_unit(baseline: float, unit: Unit) -> str:
+def _other_unit(baseline: float, scale: float) -> str:
     """Hint at the unit in which a baseline would be plausible."""
-    fitting: list[Unit] = [
-        other
-        for other in ("mm", "cm", "m")
-        if other != unit and LEAST_BASELINE_M <= METRES[other] * baseline <= GREATEST_BASELINE_M
-    ]
-    names = {"mm": "millimetres", "cm": "centimetres", "m": "metres"}
-    if not fitting:
-        return " (was the calibration told how large the squares are?)"
-    first = fitting[0]
-    return f" (is it in {names[first]}? give --unit {first}: {METRES[first] * baseline:.4g} m)"
+    for unit, name in (("mm", "millimetres"), ("cm", "centimetres"), ("m", "metres")):
+        metres = _METRES[unit] * baseline
+        if _METRES[unit] != scale and LEAST_BASELINE_M <= metres <= GREATEST_BASELINE_M:
+            return (
+                f" (is it in {name}? give --unit {unit}: {metres:.4g} m; in squares of the board? "
+                "give --unit with the length of one, such as 25mm)"
+            )
+    return " (was the calibration told how large the squares are?)"

@@ -2,13 +2,13 @@
 
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.links import inverse_pose
 from vergence.models.mujoco.bodies import Bodies
+from vergence.models.mujoco.library import mujoco
 from vergence.models.mujoco.posture import EYE_RADIUS_M, RestPoses, n_and_camera_bodies, rest_poses
 from vergence.models.mujoco.shapes import (
     DARK,

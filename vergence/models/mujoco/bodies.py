@@ -3,13 +3,13 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import chain_end, rot_z
 from vergence.models.mujoco.inertia import link_inertia
+from vergence.models.mujoco.library import mujoco
 from vergence.models.parts import FloatArray
 
 _FROM_OPTICAL: Final = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -9,13 +9,13 @@ import functools
 from pathlib import Path
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from vergence._jit import subroutine
+from vergence.models.mujoco.library import mujoco
 
 _LIBRARIES: Final = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")
 """Names of MuJoCo's library in the folder of its Python package."""

@@ -4,11 +4,10 @@ import re
 import xml.etree.ElementTree as ET
 from typing import Any
 
-import mujoco
-
 from vergence.errors import UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import scene as mujoco_scene
+from vergence.models.mujoco.library import mujoco
 from vergence.models.mujoco.model import build_spec, head_spec
 from vergence.models.mujoco.urdf import to_urdf
 

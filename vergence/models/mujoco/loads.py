@@ -7,7 +7,6 @@ heavier or longer than such servos are made for.
 
 from typing import Final, NamedTuple
 
-import mujoco
 import numpy as np
 
 from vergence.models.head import HeadModel
@@ -18,6 +17,7 @@ from vergence.models.mujoco.drives import (
     joint_index_by_name,
     needs_rotor_bodies,
 )
+from vergence.models.mujoco.library import mujoco
 from vergence.models.parts import FloatArray
 
 NECK_ARMATURE: Final = 0.1

@@ -7,7 +7,6 @@ frames), the site `N` is frame N, and the cameras `left` and `right` look along 
 
 from typing import Any, Final, Literal, NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,6 +24,7 @@ from vergence.models.mujoco.drives import (
     rotor_couplings,
     transmissions_of,
 )
+from vergence.models.mujoco.library import mujoco
 from vergence.models.mujoco.loads import load_inertias
 from vergence.models.mujoco.servos import add_couplings, add_rotors, add_servos
 

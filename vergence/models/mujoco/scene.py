@@ -7,13 +7,13 @@ article's head.
 from typing import Any, Final, NamedTuple
 
 import cv2
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.models.boards import PlanarTarget, make_planar_target, texture
 from vergence.models.head import HeadModel
 from vergence.models.mujoco.bodies import pos_and_quat
+from vergence.models.mujoco.library import mujoco
 from vergence.models.mujoco.posture import rest_poses
 from vergence.models.mujoco.shapes import (
     COLOURS,

@@ -18,13 +18,13 @@ from collections.abc import Sequence
 from math import expm1
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.mujoco.bodies import stiff_solref
 from vergence.models.mujoco.drives import JointCoupling, Transmission
+from vergence.models.mujoco.library import mujoco
 from vergence.models.parts import FloatArray
 
 _RIGID_SOLIMP: Final = [0.9999, 0.9999, 0.001, 0.5, 2.0]

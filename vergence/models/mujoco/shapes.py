@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Any, Final
 
-import mujoco
 import numpy as np
+
+from vergence.models.mujoco.library import mujoco
 
 SHELL: Final = "shell"
 METAL: Final = "metal"

@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.april_grid import AprilGrid
-from vergence.vision.boards.april_search import CornerSearch, Tags, known_corner_mask
+from vergence.vision.boards.april_search import (
+    CornerSearch,
+    Tags,
+    count_other_tags,
+    known_corner_mask,
+)
 from vergence.vision.boards.april_tags import (
     SEARCH_SCALES,
     estimate_gap_ratio_and_edge_px,
@@ -18,6 +23,7 @@ from vergence.vision.boards.april_tags import (
 from vergence.vision.boards.homographies import origin_sigma_px
 from vergence.vision.boards.smoothness import fit_smooth_homography
 from vergence.vision.detection import Detection, Detector
+from vergence.vision.tags.library import FoundSquare
 
 _QUICK_METHODS: Final = (0, 1, 2)
 """Search methods of `SEARCH_SCALES` that are fast enough for a loop at camera rate (numerical:
@@ -29,6 +35,9 @@ _SUFFICIENT_FRACTION: Final = 0.97
 _LEAST_ARRANGED_FRACTION: Final = 0.5
 """Least fraction of the tags with the board's numbers that must be arranged as on the board
 (chosen)."""
+_MAX_OTHER_FRACTION: Final = 0.1
+"""Most tags on the board's grid that the board has elsewhere or not at all, as a fraction of its
+complete tags (chosen: stray tags against boards of other counts)."""
 _LEAST_TAGS: Final = 2
 """Least number of tags whose print must be confirmed (chosen)."""
 _LEAST_CONFIRMED_FRACTION: Final = 0.5
@@ -86,8 +95,10 @@ class AprilGridDetector(Detector[AprilGrid]):
         """Search a part of the image, at a shift in it, by some methods until one suffices."""
         best: Detection | None = None
         most = 0
+        read: list[list[FoundSquare]] = []
         for method_index in methods:
-            tags = self._tags(part, method_index)
+            read.append(find_grid_tags(part, method_index))
+            tags = self._tags(read[-1])
             found = None if tags is None else self._at(image, tags + shift)
             if found is not None:
                 seen = int(np.isfinite(found.corners_px[:, 0]).sum())
@@ -98,13 +109,24 @@ class AprilGridDetector(Detector[AprilGrid]):
                 or method_index >= _FIRST_PARTIAL_METHOD
             ):
                 break
-        return [] if best is None else [best]
+        if best is None or any(map(self._exceeded_by, read)):
+            return []
+        tags = best.corners_px.reshape(-1, 4, 2)
+        known = known_corner_mask(tags)
+        others = count_other_tags(image, self.target, self._flat(tags[known]), tags)
+        return [best] if others <= _MAX_OTHER_FRACTION * known.all(axis=1).sum() else []
 
-    def _tags(self, image: NDArray[np.uint8], method_index: int) -> Tags | None:
-        """Corners of the tags that are read and are arranged as on the board; None if too few."""
+    def _exceeded_by(self, found: list[FoundSquare]) -> bool:
+        """True if tags are arranged as on a board of as many columns but more rows."""
+        board = self.target
+        placed = largest_group_row_column(found, board.columns, board.spacing)
+        beyond = [each.id >= board.columns * board.rows for each, *_ in placed]
+        return any(beyond) and not all(beyond)
+
+    def _tags(self, found: list[FoundSquare]) -> Tags | None:
+        """Corners of the tags that are arranged as on the board; None if too few."""
         board = self.target
         count = board.columns * board.rows
-        found = find_grid_tags(image, method_index)
         placed = largest_group_row_column(found, board.columns, board.spacing)
         own = sum(each.id < count for each in found)
         if len(placed) < max(_LEAST_ARRANGED_FRACTION * own, 1) or any(

@@ -1,5 +1,7 @@
 """Search for the corners of an AprilGrid in an image, starting from some of its tags."""
 
+from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -33,6 +35,13 @@ _LEAST_RELATIVE_CONTRAST: Final = 0.25
 """Least contrast at a corner, as a fraction of the median of all corners (chosen)."""
 _LEAST_CORRELATION: Final = 0.6
 """Least correlation of a tag's bits with its print; another tag has at most 0.4 (chosen)."""
+_LEAST_OTHER_CORRELATION: Final = 0.7
+"""Least correlation of a tag's bits with any print of the family; noise reaches it at one place in
+100 (chosen)."""
+_LEAST_OTHER_CORNERS: Final = 2
+"""Least corners of a tag, found on the board's grid, that may show another board (chosen)."""
+_TAG_BITS: Final = len(AprilGrid().tag_bits(0))
+"""Bits along a tag's edge (physical: Kalibr's boards)."""
 _MAX_PREDICTING_CORNERS: Final = 12
 """Most corners that predict a neighbouring tag (chosen: averaging against lens distortion)."""
 _UNIT_SQUARE: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -125,23 +134,26 @@ class CornerSearch:
 
     def find_neighbouring_tags(self) -> None:
         """Search for tags next to those found, repeatedly outwards."""
-        places = self._board.tag_cells
         tried = np.asarray(known_corner_mask(self.found).any(axis=1), np.bool_)
         while True:
-            there = known_corner_mask(self.found)
-            whole = there.all(axis=1)
-            apart = np.abs(places[:, None] - places).max(axis=-1)
-            new = np.flatnonzero(~tried & ((apart <= 1) & whole).any(axis=1))
+            new = self.refine_neighbours_of_whole_tags(tried)
             if not len(new):
                 break
             tried[new] = True
-            # the near corners first, since a lens distorts less over a gap than over a tag
-            self._refine_beside(new, 1.01 * self._board.spacing * self._board.tag_m)
-            self._refine_beside(new, np.inf)
             seen = new[np.isfinite(self.predicted[new]).all(axis=(1, 2))]
             self.found[np.setdiff1d(new, seen[self.tags_matching_print(seen)])] = np.nan
         there = known_corner_mask(self.found)
         self._refine_beside(np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)), np.inf)
+
+    def refine_neighbours_of_whole_tags(self, tried: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Refine the corners of tags next to complete ones, except some; return their numbers."""
+        places, whole = self._board.tag_cells, known_corner_mask(self.found).all(axis=1)
+        apart = np.abs(places[:, None] - places).max(axis=-1)
+        new = np.flatnonzero(~tried & ((apart <= 1) & whole).any(axis=1))
+        # the near corners first, since a lens distorts less over a gap than over a tag
+        self._refine_beside(new, 1.01 * self._board.spacing * self._board.tag_m)
+        self._refine_beside(new, np.inf)
+        return new
 
     def _refine_beside(self, numbers: NDArray[np.intp], most_m: float) -> None:
         """Refine missing corners of some tags, predicted from the corners around them.
@@ -180,22 +192,19 @@ class CornerSearch:
         """Mask of the tags whose image agrees with their print."""
         if not len(tag_numbers):
             return np.zeros(0, bool)
-        printed = np.stack([self._board.tag_bits(int(number)) for number in tag_numbers]).astype(
-            float
-        )
-        size = printed.shape[-1]
-        code = slice(GRID_BORDER_BITS, size - GRID_BORDER_BITS)  # borders are equal in all tags
-        printed = printed[:, code, code]
-        middles = (np.arange(size)[code] + 0.5) / size
+        alike = (self._codes(tag_numbers) * _printed_codes()[tag_numbers]).sum(axis=1)
+        return np.asarray(alike > _LEAST_CORRELATION)
+
+    def read_numbers(self, tag_numbers: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Numbers that the image shows at some tags of the board, -1 where none can be read."""
+        alike = self._codes(tag_numbers) @ _printed_codes().T
+        return np.where(alike.max(axis=1) > _LEAST_OTHER_CORRELATION, alike.argmax(axis=1), -1)
+
+    def _codes(self, tag_numbers: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Grey levels of tags' codes, as `_printed_codes`."""
+        middles = (np.arange(GRID_BORDER_BITS, _TAG_BITS - GRID_BORDER_BITS) + 0.5) / _TAG_BITS
         cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
-        grey = self._grey(tag_numbers, cells)
-        wanted = printed.reshape(len(tag_numbers), -1)
-        grey = grey - grey.mean(axis=1, keepdims=True)
-        wanted = wanted - wanted.mean(axis=1, keepdims=True)
-        scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
-        return np.asarray(
-            (grey * wanted).sum(axis=1) > _LEAST_CORRELATION * np.maximum(scale, 1e-6)
-        )
+        return _normalised(self._grey(tag_numbers, cells))
 
     def sigmas(
         self,
@@ -247,3 +256,50 @@ class CornerSearch:
             )
             out[i] = cv2.perspectiveTransform(places[None], transform)[0]
         return out
+
+
+def count_other_tags(
+    image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | IdentityView, tags: Tags
+) -> int:
+    """Count tags next to found ones, on a board's grid, where the board has another tag or none.
+
+    Args:
+        image: grey levels, shape (height, width).
+        board: the board.
+        flat: undistorted plane around the tags.
+        tags: corners of the tags that are found.
+    """
+    columns = board.columns + 2
+    if columns * (board.rows + 2) > len(board.code.code_words):
+        return 0
+    around = replace(board, columns=columns, rows=board.rows + 2)
+    # the board in the middle of this one
+    numbers = np.full((board.rows + 2, columns), -1)
+    numbers[1:-1, 1:-1] = np.arange(len(tags)).reshape(board.rows, board.columns)
+    inner = np.flatnonzero(numbers >= 0)
+    search = CornerSearch(image, around, flat)
+    placed = np.full(search.found.shape, np.nan)
+    placed[inner] = tags
+    whole = np.asarray(known_corner_mask(placed).all(axis=1), np.bool_)
+    search.refine_corners_of(np.repeat(whole[:, None], 4, axis=1), placed)
+    beside = search.refine_neighbours_of_whole_tags(whole)
+    seen = beside[known_corner_mask(search.found[beside]).sum(axis=1) >= _LEAST_OTHER_CORNERS]
+    read = search.read_numbers(seen)
+    return int(((read >= 0) & (read != numbers.ravel()[seen])).sum())
+
+
+def _normalised(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Levels of each row, without their mean, as a vector of length 1."""
+    levels = levels - levels.mean(axis=1, keepdims=True)
+    return np.asarray(levels / np.maximum(np.linalg.norm(levels, axis=1, keepdims=True), 1e-6))
+
+
+@lru_cache(maxsize=1)
+def _printed_codes() -> NDArray[np.float64]:
+    """Codes of all tags of the family, row by row, normalised, shape (tags, bits)."""
+    board = AprilGrid()
+    code = slice(GRID_BORDER_BITS, _TAG_BITS - GRID_BORDER_BITS)  # borders are equal in all tags
+    every = [
+        board.tag_bits(number)[code, code].ravel() for number in range(len(board.code.code_words))
+    ]
+    return _normalised(np.array(every, float))

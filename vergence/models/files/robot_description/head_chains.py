@@ -79,6 +79,7 @@ def build_head_chains(
     on_way = list(dict.fromkeys(j.name for way in paths for j in (*way.up, *way.down)))
     shared = [j.name for j in paths[0].down if j.name in {k.name for k in paths[1].down}]
     _check_neck(mechanism, neck, on_way, shared, locked, paths)
+    _check_frames(mechanism, base, cameras)
     fixed = _stand_still(mechanism, on_way, neck, locked)
     for way in paths:
         for joint in way.up:
@@ -96,7 +97,6 @@ def build_head_chains(
                 raise ConfigurationError(
                     f"joint {joint.name}: expected an axis with a direction, got none"
                 )
-    _check_frames(mechanism, base, cameras)
     parts = _parts(paths, shared, neck, fixed)
     return HeadChains(
         chains=tuple(build_chain(mechanism, base, camera, fixed) for camera in cameras),  # type: ignore[arg-type]
@@ -180,8 +180,9 @@ def _stand_still(
             continue
         elif np.isnan(mimic.multiplier):
             raise ConfigurationError(
-                f"joint {name}: expected one that follows {mimic.master} by a straight line, which "
-                "is all that a head file can say, got a polynomial of higher degree"
+                f"joint {name}: expected one that follows one other joint by a straight line, "
+                f"which is all that a head file can say, got one that follows {mimic.master} "
+                "otherwise"
             )
         elif mimic.multiplier == 0.0:
             fixed[name] = mimic.offset

@@ -80,8 +80,13 @@ def _angles(joint: Joint) -> tuple[float, float, str]:
     return lower, upper, ""
 
 
+_PLACEHOLDER_RAD_S: Final = 40.0
+"""Speed limit of a file from which on it is a placeholder, such as 99 or 100, rad/s (chosen: a
+saccade reaches 16, the fastest robot eyes known to us some 35)."""
+
+
 def _is_real(velocity: float) -> bool:
-    return not np.isnan(velocity) and SPEED[0](velocity)
+    return not np.isnan(velocity) and SPEED[0](velocity) and velocity < _PLACEHOLDER_RAD_S
 
 
 def _velocity(joint: Joint, speeds: ValueByJoint) -> tuple[float, str]:
@@ -113,6 +118,6 @@ def _refuse_without_speed(joints: Sequence[Joint], speeds: ValueByJoint) -> None
             for name, value in lacking.items()
         )
         raise ConfigurationError(
-            f"speed: expected speed limits of 0 to 100 rad/s, got {said}: give real ones by "
-            f"--speed RAD_S (for all of these) or --speed {next(iter(lacking))}=RAD_S"
+            f"speed: expected speed limits of 0 to {_PLACEHOLDER_RAD_S:g} rad/s, got {said}: give "
+            f"real ones by --speed RAD_S (for all of these) or --speed {next(iter(lacking))}=RAD_S"
         )

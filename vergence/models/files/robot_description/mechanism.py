@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -115,6 +115,14 @@ class MimicJoint:
     offset: float
 
 
+class LeftOut(NamedTuple):
+    """Something that ties joints, and that no mechanism here has."""
+
+    name: str
+    joints: tuple[str, ...]
+    """The joints that it ties; empty if it ties bodies."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mechanism:
     """Frames, parents before children, with their joints and the couplings of these.
@@ -123,11 +131,13 @@ class Mechanism:
         name: the robot's name in the file.
         frames: the tree.
         mimic_joints: coupling by name of each coupled joint.
+        left_out: parts of the file that tie joints, and that the mechanism lacks.
     """
 
     name: str
     frames: tuple[Frame, ...]
     mimic_joints: Mapping[str, MimicJoint]
+    left_out: tuple[LeftOut, ...] = ()
 
     def joints(self) -> dict[str, Joint]:
         """All joints by name."""

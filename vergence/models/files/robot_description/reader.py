@@ -2,10 +2,10 @@
 
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 
 from vergence.errors import HeadFileError
@@ -13,6 +13,7 @@ from vergence.models.files.robot_description.mechanism import (
     Frame,
     Joint,
     JointKind,
+    LeftOut,
     Mechanism,
     MimicJoint,
     MjcfCamera,
@@ -26,6 +27,7 @@ from vergence.models.files.robot_description.robot_xml import (
     urdf_extras,
     urdf_mimic_joints,
 )
+from vergence.models.mujoco.library import mujoco
 from vergence.models.parts import FloatArray
 
 _KINDS: Final[dict[Any, JointKind]] = {
@@ -34,6 +36,7 @@ _KINDS: Final[dict[Any, JointKind]] = {
     mujoco.mjtJoint.mjJNT_BALL: "ball",
     mujoco.mjtJoint.mjJNT_FREE: "free",
 }
+_LOOPS: Final = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
 def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
@@ -49,7 +52,8 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
         The mechanism.
 
     Raises:
-        HeadFileError: the file cannot be read, or is neither URDF nor MJCF.
+        UnreadableFileError: the file cannot be read.
+        HeadFileError: it is neither URDF nor MJCF.
     """
     name = os.fspath(path)
     root = parse_xml(name)
@@ -76,7 +80,26 @@ def _mechanism(spec: Any, root: ET.Element) -> Mechanism:
             mimic_joints=urdf_mimic_joints(root),
         )
     frames = _frames(spec, "world", UrdfExtras({}, {}, {}))
-    return Mechanism(name=spec.modelname, frames=frames, mimic_joints=_mjcf_mimic_joints(spec))
+    mimic_joints = _mjcf_mimic_joints(spec)
+    tendons = {tendon.name: _coefficients(tendon) for tendon in spec.tendons}
+    tied = _tied_by_tendons(spec, tendons, mimic_joints)
+    return Mechanism(
+        name=spec.modelname,
+        frames=frames,
+        mimic_joints=mimic_joints,
+        left_out=(
+            *(
+                LeftOut(f"tendon {name or 'without a name'}", tuple(joints))
+                for name, joints in tendons.items()
+                if name not in tied
+            ),
+            *(
+                LeftOut(f"{equality.type.name[5:].lower()} of {equality.name1}", ())
+                for equality in spec.equalities
+                if equality.active and equality.type in _LOOPS
+            ),
+        ),
+    )
 
 
 def _unreadable(name: str, error: Exception) -> HeadFileError:
@@ -103,6 +126,48 @@ def _mjcf_mimic_joints(spec: Any) -> dict[str, MimicJoint]:
             offset -= factor * references.get(master, 0.0)
         mimic_joints[follower] = MimicJoint(follower, master, factor, offset)
     return mimic_joints
+
+
+def _coefficients(tendon: Any) -> dict[str, float]:
+    """Coefficient by joint of a fixed tendon; empty for a spatial one."""
+    wraps = [wrap for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT]
+    return {wrap.target.name: float(wrap.coef) for wrap in wraps}
+
+
+def _tied_by_tendons(
+    spec: Any, tendons: Mapping[str, Mapping[str, float]], mimic_joints: dict[str, MimicJoint]
+) -> set[str]:
+    """Add the couplings by active equalities of fixed tendons, and return these tendons' names.
+
+    For the tendons' changes x, y from the references: `y = a0 + a1 x`, or `y = a0` for one alone.
+    """
+    references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
+    tied = set()
+    for equality in spec.equalities:
+        if equality.type != mujoco.mjtEq.mjEQ_TENDON or not equality.active:
+            continue
+        names = [name for name in (equality.name1, equality.name2) if name]
+        if not all(tendons.get(name) for name in names):
+            continue
+        tied.update(names)
+        offset, factor, *higher = (float(value) for value in equality.data[:5])
+        terms = dict(tendons[names[0]])
+        for joint, coefficient in tendons[names[1]].items() if len(names) > 1 else ():
+            terms[joint] = terms.get(joint, 0.0) - factor * coefficient
+        terms = {joint: coefficient for joint, coefficient in terms.items() if coefficient}
+        free = [joint for joint in terms if joint not in mimic_joints]
+        if not free:
+            continue
+        follower = free[-1]
+        scale = terms.pop(follower)
+        offset = offset / scale + references[follower]
+        offset += sum(c / scale * references[joint] for joint, c in terms.items())
+        factors = [-coefficient / scale for coefficient in terms.values()] or [0.0]
+        straight = len(factors) == 1 and not (any(higher) and len(names) > 1)
+        mimic_joints[follower] = MimicJoint(
+            follower, " and ".join(terms), factors[0] if straight else np.nan, offset
+        )
+    return tied
 
 
 def _frames(spec: Any, world: str, extras: UrdfExtras) -> tuple[Frame, ...]:

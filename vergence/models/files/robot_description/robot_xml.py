@@ -2,6 +2,8 @@
 
 import xml.etree.ElementTree as ET
 from collections import Counter
+from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -22,7 +24,8 @@ def parse_xml(path: str) -> ET.Element:
     """Parse the XML of a URDF or MJCF and return its root.
 
     Raises:
-        HeadFileError: the file cannot be read, or is neither.
+        UnreadableFileError: the file cannot be read.
+        HeadFileError: it is neither.
     """
     try:
         content = Path(path).read_bytes()
@@ -50,15 +53,22 @@ def _is_xacro(root: ET.Element) -> bool:
 
 
 def check_urdf_names(path: str, root: ET.Element) -> None:
-    """Refuse a URDF with ambiguous names of joints or links, or with unknown links.
+    """Refuse a URDF with ambiguous names of joints or links, misspelt ones, or unknown links.
 
     Args:
         path: path of the file, for messages.
         root: root of the URDF.
 
     Raises:
-        HeadFileError: two joints or two links share a name, or a joint refers to an unknown link.
+        HeadFileError: two joints or two links share a name, a joint refers to an unknown link, or
+            an element's name is nearly joint or link.
     """
+    for part in root:
+        near = _near(str(part.tag), ("joint", "link"))
+        if near and part.tag != near:
+            raise HeadFileError(
+                path, UnquotedText(f"<{part.tag}>"), f"no such element (is <{near}> meant?)"
+            )
     for tag in ("joint", "link"):
         names = Counter(each.get("name") for each in root.findall(tag))
         for name, count in names.items():
@@ -110,7 +120,61 @@ def urdf_extras(root: ET.Element) -> UrdfExtras:
                 f"joint {name}: expected an origin with rpy in radians within one turn, got "
                 f"{angles!r:.80} (is it in degrees?)"
             )
+        if fault := _unread(joint):
+            extras.link_faults[link] = f"joint {name}: {fault}"
     return extras
+
+
+_ATTRIBUTES: Final[dict[str, dict[str, int]]] = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "limit": dict.fromkeys(
+        ("lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"), 1
+    ),
+    "mimic": {"joint": 0, "multiplier": 1, "offset": 1},
+    "parent": {"link": 0},
+    "child": {"link": 0},
+}
+"""Count of numbers in each attribute of the elements that place and limit a joint; 0 for a name."""
+
+_OTHER_ELEMENTS: Final = ("dynamics", "safety_controller", "calibration")
+
+
+def _unread(joint: ET.Element) -> str:
+    """Part of a joint that every reader would drop without a word, as a phrase; empty if none."""
+    for element in joint:
+        known = _ATTRIBUTES.get(element.tag)
+        if known is None and element.tag in _OTHER_ELEMENTS:
+            continue
+        if known is None:
+            if near := _near(str(element.tag), (*_ATTRIBUTES, *_OTHER_ELEMENTS)):
+                return (
+                    f"expected no element <{element.tag}>, which nothing reads (is <{near}> meant?)"
+                )
+            continue
+        if (element.text or "").strip():
+            return (
+                f"expected <{element.tag}> with attributes ({', '.join(known)}), got the text "
+                f"{(element.text or '').strip()!r:.80}, which nothing reads"
+            )
+        for attribute, text in element.attrib.items():
+            if attribute not in known:
+                return (
+                    f"expected <{element.tag}> with {', '.join(known)}, got the attribute "
+                    f"{attribute!r} = {text!r:.80}, which is not read"
+                )
+            numbers = [_number(word) for word in text.split()]
+            if known[attribute] and (len(numbers) != known[attribute] or np.isnan(numbers).any()):
+                return (
+                    f"expected {known[attribute]} numbers in {attribute} of "
+                    f"<{element.tag}>, got {text!r:.80}"
+                )
+    return ""
+
+
+def _near(name: str, known: Sequence[str]) -> str:
+    """The known name that another one is a slip of; empty if there is none."""
+    return next(iter(get_close_matches(name.lower(), known, n=1, cutoff=0.75)), "")
 
 
 _MAX_ORIGIN_ANGLE_RAD: Final = 6.29

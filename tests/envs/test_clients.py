@@ -1,0 +1,54 @@
+"""Other people's learners make and train on the environment as on any of Gymnasium's."""
+
+import gymnasium
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
+
+
+@pytest.fixture(params=["vergence/Gaze-v0", "vergence/GainSchedule-v0"])
+def id(request) -> str:
+    """An environment's id."""
+    return request.param
+
+
+def test_torchrl_makes_it_by_its_name(id) -> None:
+    envs = pytest.importorskip("torchrl.envs", reason="TorchRL is not installed")
+    env = envs.GymEnv(id, plant="kinematic")  # it tries a frameskip first
+    envs.check_env_specs(env)
+    assert env.rollout(5).shape == (5,)
+
+
+def test_torchrl_wraps_it(id) -> None:
+    envs = pytest.importorskip("torchrl.envs", reason="TorchRL is not installed")
+    envs.check_env_specs(envs.GymWrapper(gymnasium.make(id, plant="kinematic")))
+
+
+def test_gymnasiums_vector_wrappers_take_it(id) -> None:
+    wrappers = gymnasium.wrappers.vector
+    env = gymnasium.make_vec(id, num_envs=3, plant="kinematic", max_episode_steps=4)
+    env = wrappers.NormalizeReward(
+        wrappers.NormalizeObservation(wrappers.RecordEpisodeStatistics(env))
+    )
+    env.reset(seed=1)
+    for _ in range(4):
+        *_, info = env.step(env.action_space.sample())
+    assert info["episode"]["l"].tolist() == [4, 4, 4]
+    env.close()
+
+
+def test_rllibs_ppo_learns_on_it() -> None:
+    for name in ("ray", "tree", "lz4", "ormsgpack", "pydantic"):
+        pytest.importorskip(name, reason=f"RLlib needs {name}")
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.tune.registry import register_env
+
+    register_env("gaze", lambda _: gymnasium.make("vergence/Gaze-v0", plant="kinematic"))
+    config = PPOConfig().environment("gaze").env_runners(num_env_runners=0)
+    algorithm = config.training(
+        train_batch_size_per_learner=256, minibatch_size=128, num_epochs=1
+    ).build_algo()
+    try:
+        assert algorithm.train()["env_runners"]["num_env_steps_sampled"] >= 256
+    finally:
+        algorithm.stop()
