@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.calibration.rigs import BOARD, look, make_poses, make_rig
+from tests.calibration.rigs import BOARD, SIZE, look, make_poses, make_rig
 from vergence.calibration import cameras
 from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.calibrate import calibrate_views
+from vergence.calibration.coverage import advise_next_photographs
 from vergence.calibration.files import (
     head_file_text,
     right_camera_pose_covariance,
@@ -217,6 +218,13 @@ def test_what_gives_no_pair_is_refused(pair):
     ):
         with pytest.raises(ConfigurationError, match=message):
             calibrate_views(case, LENS)
+
+
+def test_a_right_camera_that_is_upside_down_is_said(pair):
+    pixels = pair[0].pixels.copy()
+    pixels[1] = np.subtract(SIZE, 1.0) - pixels[1]
+    said = advise_next_photographs(calibrate_views(replace(pair[0], pixels=pixels), LENS))
+    assert "the right camera is turned by 180 degrees" in said[-1]
 
 
 def test_boards_that_all_face_the_camera_are_refused():

@@ -358,9 +358,8 @@ def _refine_stray(
     least, most = _STRAY_WINDOW_PX
     half_side_px = int(min(max(round(_STRAY_WINDOW_SQUARES * square), least), most))
     again = refine_corners_robustly(image, corners, half_side_px)
-    found = np.isfinite(again).all(axis=1)
-    found[found] = _asymmetries(image, again[found], square) < _MAX_ASYMMETRY
-    return np.where(found[:, None], again, np.nan)
+    asymmetry = _asymmetries(image, np.where(np.isfinite(again), again, corners), square)
+    return np.where((asymmetry < _MAX_ASYMMETRY)[:, None], again, np.nan)
 
 
 def _asymmetries(
