@@ -1,15 +1,17 @@
 """Calibration from corners: the true cameras, bad views left out, what cannot be is refused."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.calibration.rigs import BOARD, look, make_poses, make_rig
+from tests.calibration.rigs import BOARD, SIZE, look, make_poses, make_rig
 from vergence.calibration import cameras
 from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.calibrate import calibrate_views
+from vergence.calibration.coverage import advise_next_photographs
 from vergence.calibration.files import (
     head_file_text,
     right_camera_pose_covariance,
@@ -141,6 +143,18 @@ def test_pairs_of_five_may_be_left_out(pair, bad):
     assert np.isfinite(found.held_out_px).all()
 
 
+def test_a_mistaken_corner_is_left_out_and_its_view_stays(pair):
+    seen, _ = pair
+    pixels = seen.pixels.copy()
+    view = int(both(seen)[2])
+    pixels[0, view, 8] += (30.0, -40.0)
+    found = calibrate_views(replace(seen, pixels=pixels), LENS)
+    assert found.fit.kept_views[view]
+    assert found.rms_alone_px[0] < 0.2
+    assert found.observations.remarks[0].startswith("1 corner left out")
+    assert re.search(rf"l{view}.png \((49|50)\.. px\)", found.observations.remarks[0])
+
+
 def test_views_of_a_board_at_rest_count_as_one(pair):
     seen, rng = picked(pair[0], np.repeat(both(pair[0]), 3)), np.random.default_rng(1)
     noisy = replace(seen, pixels=seen.pixels + 0.1 * rng.standard_normal(seen.pixels.shape))
@@ -204,6 +218,13 @@ def test_what_gives_no_pair_is_refused(pair):
     ):
         with pytest.raises(ConfigurationError, match=message):
             calibrate_views(case, LENS)
+
+
+def test_a_right_camera_that_is_upside_down_is_said(pair):
+    pixels = pair[0].pixels.copy()
+    pixels[1] = np.subtract(SIZE, 1.0) - pixels[1]
+    said = advise_next_photographs(calibrate_views(replace(pair[0], pixels=pixels), LENS))
+    assert "the right camera is turned by 180 degrees" in said[-1]
 
 
 def test_boards_that_all_face_the_camera_are_refused():

@@ -19,6 +19,7 @@ from vergence.calibration.cameras import (
     cross_validation_residuals,
     fit_camera,
     fit_consistent_views,
+    mistaken_corners_px,
 )
 from vergence.calibration.observations import BoardObservations, detect_board_corners
 from vergence.calibration.stereo import fit_camera_pair
@@ -230,6 +231,16 @@ def calibrate_views(
     errors = _errors(trials)
     chosen = choose_lens(errors)
     single_fits = tuple(trial.fit for trial in trials[chosen])
+    away_px = np.stack(
+        [
+            mistaken_corners_px(observations.problem.select_camera(camera), one.solution.rig, size)
+            for camera, (one, size) in enumerate(
+                zip(single_fits, observations.image_sizes, strict=True)
+            )
+        ]
+    )
+    if away_px.any():
+        return calibrate_views(observations.without_corners(away_px), lens, progress)
     for camera, one in enumerate(single_fits):
         _refuse_unsure(one.solution, camera, cameras)
     try:

@@ -58,6 +58,13 @@ _NOISY_VIEW_RATIO: Final = 1.2
 scatters by about 6 % by chance)."""
 _SIGMA_TOLERANCE: Final = 0.05
 """Relative change of a view's sigma that needs no further fit (numerical)."""
+_MISTAKEN_RATIO: Final = 10.0
+"""Ratio of a corner's residual to the larger of the medians of its view and of all views above
+which the corner is mistaken, if `_MISTAKEN_SIGMAS` is exceeded too (chosen: noise reaches 4)."""
+_MISTAKEN_SIGMAS: Final = 5.0
+"""Residual of a mistaken corner in its standard deviations, see `_MISTAKEN_RATIO` (chosen)."""
+_MOST_MISTAKEN_FRACTION: Final = 0.1
+"""Largest fraction of mistaken corners in a view; of others the pose is wrong (chosen)."""
 _LEAST_POSE_CORNERS: Final = 4
 """Fewest corners that determine a pose (physical: geometry of a planar target)."""
 _PLACEHOLDER_TRANSLATION: Final = np.array([0.0, 0.0, 1.0])
@@ -418,6 +425,43 @@ def drop_and_reweight_views(
         kept_views = chosen
         solution = weighted.select(kept_views).solve(solution.rig, poses.select(kept_views))
     return CameraFit(solution, kept_views, views)
+
+
+def mistaken_corners_px(
+    problem: BundleAdjustment, rig: CameraRig, size: tuple[int, int]
+) -> FloatArray:
+    """Find single corners that are far from where all others of their view put them.
+
+    Args:
+        problem: problem of one camera and all views.
+        rig: the camera.
+        size: width and height of its images, px.
+
+    Returns:
+        (v, n) distance of each mistaken corner, px; 0 for the others.
+    """
+    shown = problem.seen[0].any(axis=-1)
+    every = problem.select(shown)
+    poses, mistaken = estimate_board_poses(every, rig, size), np.zeros(every.seen[0].shape, bool)
+    sigma = np.sqrt((every.sigma[0] ** 2).mean(axis=-1))
+    for _ in range(_MOST_FITS):
+        rest = replace(every, pixels=np.where(mistaken[..., None], np.nan, every.pixels))
+        poses, linear = rest.fit_poses(rig, poses)
+        away = np.linalg.norm(pixel_residuals(rest, linear)[0], axis=-1)
+        usual = np.maximum(np.nanmedian(away, axis=1, keepdims=True), np.nanmedian(away))
+        over = np.nan_to_num(away / np.maximum(_MISTAKEN_RATIO * usual, _MISTAKEN_SIGMAS * sigma))
+        # a mistaken corner also pulls the pose, so that only the worst are taken per round
+        worst = (over > 1.0) & (over > 0.5 * over.max(axis=1, keepdims=True))
+        if not worst.any():
+            break
+        mistaken |= worst
+    few = mistaken.sum(axis=1) <= _MOST_MISTAKEN_FRACTION * every.seen[0].sum(axis=1)
+    linear = every.linearised(rig, poses, by_rig=False)
+    away_px = np.zeros(problem.pixels.shape[1:3])
+    away_px[shown] = np.where(
+        mistaken & few[:, None], np.linalg.norm(pixel_residuals(every, linear)[0], axis=-1), 0.0
+    )
+    return away_px
 
 
 def cross_validation_folds(views: int) -> list[NDArray[np.bool_]]:

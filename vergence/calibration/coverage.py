@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.cameras import camera_row_for_kernels
+from vergence.calibration.files import stereo_pair_of
 from vergence.calibration.uncertainty import board_points_in_camera, direction_sigma_px
 from vergence.models.camera import pixels_to_rays
 from vergence.models.joints import EYE_NAMES
@@ -180,11 +181,12 @@ def advise_next_photographs(calibration: Calibration) -> list[str]:
         calibration: the calibration.
 
     Returns:
-        Up to `MOST_SENTENCES` sentences, the most important first, then remarks on the light; empty
-        if nothing is lacking.
+        Up to `MOST_SENTENCES` sentences, the most important first, then remarks on the images and
+        doubts about how a pair stands; empty if nothing is lacking.
     """
     sentences = [text for rule in _RULES if (text := rule(calibration))]
-    return [*sentences[:MOST_SENTENCES], *calibration.observations.remarks]
+    doubts = stereo_pair_of(calibration).guesses if len(calibration.single_fits) > 1 else ()
+    return [*sentences[:MOST_SENTENCES], *calibration.observations.remarks, *doubts]
 
 
 def advise_on_pair_motion(calibration: Calibration) -> str:

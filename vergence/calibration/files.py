@@ -38,6 +38,16 @@ def intrinsics_of(calibration: Calibration, camera: int) -> Intrinsics:
     )  # fmt: skip
 
 
+def stereo_pair_of(calibration: Calibration) -> StereoPair:
+    """Extract the pair of a pair's calibration."""
+    return StereoPair(
+        left=intrinsics_of(calibration, 0),
+        right=intrinsics_of(calibration, 1),
+        rotation=calibration.rig.rotation,
+        translation_m=calibration.rig.translation,
+    )
+
+
 def head_file_text(
     calibration: Calibration, name: str, response: CameraResponse | None = None
 ) -> str:
@@ -51,14 +61,8 @@ def head_file_text(
     Raises:
         HeadFileError: the name is not valid.
     """
-    pair = StereoPair(
-        left=intrinsics_of(calibration, 0),
-        right=intrinsics_of(calibration, 1),
-        rotation=calibration.rig.rotation,
-        translation_m=calibration.rig.translation,
-    )
     return stereo_pair_to_head_toml(
-        pair,
+        stereo_pair_of(calibration),
         name,
         noise_px=pixel_noise_px(calibration),
         calibration=calibration_record(calibration),

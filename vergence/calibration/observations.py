@@ -141,6 +141,24 @@ class BoardObservations:
             alike_count=len(alike),
         )  # fmt: skip
 
+    def without_corners(self, away_px: FloatArray) -> "BoardObservations":
+        """Leave out mistaken corners, and remark on them.
+
+        Args:
+            away_px: (c, v, n) distance of each from where it should be, px; 0 for good ones.
+        """
+        said = join_first_names(
+            f"{Path(self.file_names[camera][view]).name} ({away_px[camera, view].max():.1f} px)"
+            for camera, view in np.argwhere(away_px.any(axis=-1)).tolist()
+        )
+        count = np.count_nonzero(away_px)
+        remark = (
+            f"{count} corner{'' if count == 1 else 's'} left out, far from where the others of the "
+            f"view put {'it' if count == 1 else 'them'}: {said}"
+        )
+        pixels = np.where((away_px > 0.0)[..., None], np.nan, self.pixels)
+        return replace(self, pixels=pixels, remarks=(remark, *self.remarks))
+
     @property
     def digest(self) -> str:
         """SHA-256 over the board and its corners, rounded to 1e-6 px."""

@@ -117,7 +117,8 @@ def _check_place(rig: CameraRig) -> None:
     if place[0] < 0.0 and abs(place[0]) > 0.5 * length:
         raise ConfigurationError(
             "expected the right camera on the right of the left one, got it "
-            f"{1000.0 * abs(place[0]):.1f} mm on its left: exchange --left and --right"
+            f"{1000.0 * abs(place[0]):.1f} mm on its left: exchange --left and --right "
+            "(or is the left camera upside down?)"
         )
     if not LEAST_BASELINE_M <= length <= GREATEST_BASELINE_M:
         raise ConfigurationError(

@@ -26,6 +26,7 @@ from tests.vision.scenes import (
 )
 from vergence.models.parts import Rendering
 from vergence.vision import Checkerboard, Detection, EyeCamera, make_detector
+from vergence.vision.boards.corners import crossing_asymmetries
 
 SIZES = [(3, 3), (5, 4), (4, 5), (6, 4), (5, 5), (9, 6), (12, 9)]
 """Columns and rows of inner corners; some look the same turned by half a turn, or by a quarter."""
@@ -533,6 +534,25 @@ def test_a_board_is_tracked_where_it_is_and_where_it_has_moved_to():
     for image, true in ((one.image, one), (other.image, other)):
         found = detector.track(image, before)
         assert found.corners_px == pytest.approx(true.corners, abs=0.2)
+
+
+def test_the_outer_corner_of_a_square_is_not_taken_for_one_where_four_meet():
+    target = board(9, 6)
+    one, detector = drawn(target, 0.1), detector_of(target)
+    seen = detector.detect(one.image)
+    wrong = seen.corners_px.copy()
+    wrong[0] = 2.0 * wrong[0] - wrong[10]  # across the outermost square
+    found = detector._at(one.image, wrong.reshape(6, 9, 2), 0.0)
+    assert found.corners_px == pytest.approx(seen.corners_px, abs=0.1)
+
+
+def test_asymmetry_tells_crossing_edges_from_a_square_and_an_edge():
+    image = np.zeros((60, 60), np.uint8)
+    image[:30, :30] = image[30:, 30:] = 255
+    image[45:] = 255
+    places = np.array([[29.5, 29.5], [29.5, 44.5], [10.0, 44.5]])
+    found = crossing_asymmetries(cv2.GaussianBlur(image, (0, 0), 0.8), places, 6)
+    assert found == pytest.approx([0.0, 4.0 / 3.0, 2.0], abs=0.15)
 
 
 def test_a_copy_through_pickle_says_the_same():

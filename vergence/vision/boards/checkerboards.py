@@ -11,6 +11,7 @@ from vergence.models.boards import Checkerboard
 from vergence.vision.boards.clusters import find_corner_clusters
 from vergence.vision.boards.corners import (
     corner_sigmas,
+    crossing_asymmetries,
     estimate_noise_grey,
     refine_corners,
     refine_corners_robustly,
@@ -70,6 +71,17 @@ _STRAY_WINDOW_PX: Final = (2, 12)  # its range
 _FATAL_RESIDUAL_PX: Final = 0.5
 _FATAL_RESIDUAL_SQUARES: Final = 0.07  # in squares
 _FATAL_RESIDUAL_RATIO: Final = 7.0  # ratio to the median residual
+
+_CROSSING_SQUARES: Final = 0.4
+"""Half side of the window in which edges have to cross, in squares (chosen)."""
+_CROSSING_PX: Final = (2, 10)
+"""Range of that half side, px (chosen)."""
+_MAX_ASYMMETRY: Final = 1.0
+"""Asymmetry of a corner from which on it is mistaken, see `crossing_asymmetries` (chosen: wrong
+ones have 1.3 or more, and those of public photographs up to 0.4)."""
+_CLEAR_ASYMMETRY: Final = 0.1
+"""Asymmetry up to which edges clearly cross at a corner, so that it is no stray even if a strongly
+distorting lens puts it far from its prediction (measured: 99 % in public photographs)."""
 
 _PREDICTION_ERROR_SQUARES: Final = 0.4
 """Prediction error of a tracked target that the second attempt allows for, in squares (chosen)."""
@@ -237,6 +249,12 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if stray.mean() > _MAX_STRAY_FRACTION:
             return None
         grid = refined.reshape(grid.shape)
+        mistaken = _asymmetries(image, refined, square) >= _MAX_ASYMMETRY
+        if mistaken.any():
+            again = _refine_stray(image, _by_neighbours(grid)[mistaken], square)
+            if not np.isfinite(again).all():
+                return None
+            refined[mistaken] = again
         if not is_even_unmirrored_grid(grid):
             return None
         if not squares_alternate(image, grid, upper_left_dark=first_dark):
@@ -309,12 +327,10 @@ def _refine_strays(
     squares readable. Such a corner is refined again, starting from the prediction by the others.
 
     Returns:
-        (n, 2) corners, px. (n,) residuals of those that were or are strays, px; 0 for the others.
+        (n, 2) corners, px. (n,) residuals of those that were or are strays, px; 0 for the others,
+        and for those at which edges clearly cross.
     """
     corners, strays = grid.reshape(-1, 2).copy(), np.zeros(grid[..., 0].size, bool)
-    half_side_px = int(
-        min(max(round(_STRAY_WINDOW_SQUARES * square), _STRAY_WINDOW_PX[0]), _STRAY_WINDOW_PX[1])
-    )
     for last in range(_MAX_STRAY_ROUNDS + 1):
         ideal = flat.to_plane(corners)
         left, spread = loo_residuals_and_scales(ideal.reshape(grid.shape))
@@ -325,13 +341,45 @@ def _refine_strays(
             break
         strays |= now
         start = flat.to_pixels((ideal - left)[strays])
-        again = refine_corners_robustly(image, start, half_side_px)
+        again = _refine_stray(image, start, square)
         corners[strays] = np.where(np.isfinite(again), again, corners[strays])
     if beside.max() > max(
         _FATAL_RESIDUAL_PX, _FATAL_RESIDUAL_SQUARES * square, _FATAL_RESIDUAL_RATIO * usual
     ):
         return None
-    return corners, np.where(strays | now, beside * spread, 0.0)
+    doubtful = (strays | now) & (_asymmetries(image, corners, square) > _CLEAR_ASYMMETRY)
+    return corners, np.where(doubtful, beside * spread, 0.0)
+
+
+def _refine_stray(
+    image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
+) -> NDArray[np.float64]:
+    """Refine corners from predictions; nan where no edges cross nearby."""
+    least, most = _STRAY_WINDOW_PX
+    half_side_px = int(min(max(round(_STRAY_WINDOW_SQUARES * square), least), most))
+    again = refine_corners_robustly(image, corners, half_side_px)
+    asymmetry = _asymmetries(image, np.where(np.isfinite(again), again, corners), square)
+    return np.where((asymmetry < _MAX_ASYMMETRY)[:, None], again, np.nan)
+
+
+def _asymmetries(
+    image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
+) -> NDArray[np.float64]:
+    """(n,) asymmetries of corners of squares with edges of a length."""
+    half_side_px = int(
+        min(max(round(_CROSSING_SQUARES * square), _CROSSING_PX[0]), _CROSSING_PX[1])
+    )
+    return crossing_asymmetries(image, np.ascontiguousarray(corners), half_side_px)
+
+
+def _by_neighbours(grid: Grid) -> NDArray[np.float64]:
+    """(n, 2) prediction of each corner as the fourth one of the parallelograms beside it."""
+    around = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    places = [
+        np.roll(around, (i, 0), (0, 1)) + np.roll(around, (0, j), (0, 1))
+        - np.roll(around, (i, j), (0, 1)) for i in (-1, 1) for j in (-1, 1)
+    ]  # fmt: skip
+    return np.asarray(np.nanmedian(np.stack(places)[:, 1:-1, 1:-1], axis=0).reshape(-1, 2))
 
 
 def _to_the_right(grid: Grid) -> float:

@@ -195,6 +195,39 @@ def _moves(image: NDArray[np.uint8], corners: FloatArray, half_side_px: int) -> 
     return out
 
 
+@compiled
+def crossing_asymmetries(
+    image: NDArray[np.uint8], corners: FloatArray, half_side_px: int
+) -> FloatArray:
+    """Differences of the image around each corner from its reverse, turned by 180 degrees.
+
+    Args:
+        image: grey levels, shape (height, width).
+        corners: corners, px, shape (n, 2).
+        half_side_px: half the side of the window, px.
+
+    Returns:
+        (n,) mean square difference over twice the variance: near 0 where two edges cross, 1 where
+        the halves have nothing in common, 4 / 3 at the corner of a square, 2 at an edge.
+    """
+    height, width = image.shape
+    out = np.empty(len(corners))
+    for n in range(len(corners)):
+        x2, y2 = int(2.0 * corners[n, 0] + 0.5), int(2.0 * corners[n, 1] + 0.5)
+        x, y = x2 // 2, y2 // 2
+        count = sum_ = squares = differences = 0.0
+        for row in range(max(y - half_side_px, 0), min(y + half_side_px, height - 1) + 1):
+            for column in range(max(x - half_side_px, 0), min(x + half_side_px, width - 1) + 1):
+                if 0 <= y2 - row < height and 0 <= x2 - column < width:
+                    level = float(image[row, column])
+                    difference = level - float(image[y2 - row, x2 - column])
+                    count, sum_, squares = count + 1.0, sum_ + level, squares + level * level
+                    differences += difference * difference
+        spread = squares - sum_ * sum_ / max(count, 1.0)
+        out[n] = differences / max(2.0 * spread, 1e-9)
+    return out
+
+
 def estimate_noise_grey(image: NDArray[np.uint8], flat_points_px: NDArray[np.float64]) -> float:
     """Estimate the pixel noise at points inside squares of one colour.
 
