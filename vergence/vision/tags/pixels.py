@@ -1,6 +1,6 @@
 """Gather the pixels near a tag's edges, which take part in a fit."""
 
-from math import sqrt
+from math import gcd, sqrt
 from typing import Final
 
 from vergence._jit import subroutine
@@ -78,6 +78,8 @@ def gather_edge_pixels(
         expected = max(expected, area)
     stride = int(expected / max_pixels) + 1
     phase = int(0.618 * stride + 0.5)
+    while gcd(phase, stride) > 1:  # it would leave out columns, perhaps all beside sharp edges
+        phase += 1
     # a cheap bound, loose enough for any perspective, rejects most pixels: they are far from edges
     away = band_half_width_px / (_LEAST_SCALE * 0.5 * shortest)
     nearest, farthest = 0.0 if whole_square or cell_edges else 1.0 - away, 1.0 + away
