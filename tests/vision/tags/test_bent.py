@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from benchmarks.real_light import Scene, in_space, on_sheet
+from tests.vision.scenes import rms
 from vergence.models.tag_families import tag_family
 from vergence.vision import TagFamily, make_detector
 from vergence.vision.tags.library import find_squares
@@ -16,16 +17,19 @@ BLUR_PX = 0.5
 GREYS = (40.0, 210.0)
 FAMILY = TagFamily(family="36h11")
 DETECTOR = make_detector(FAMILY)
+LINEAR = make_detector(FAMILY, response="linear")
 
 
-def bent_tag(seed):
-    """A sharp image of a tag on a cylinder, and its corners, px.
+def bent_tag(seed, sagitta_m=None):
+    """A sharp image of a tag on a cylinder, its number, and its corners and centre, px.
 
-    The cylinder bends 150 mm of paper by 4 to 7 mm about an axis that lies anywhere in its plane.
+    The cylinder bends 150 mm of paper by 4 to 7 mm, or as stated, about an axis that lies anywhere
+    in its plane.
     """
     rng = np.random.default_rng(seed)
     focal, number = float(rng.choice([600.0, 900.0])), int(rng.integers(587))
-    sagitta_m = rng.uniform(0.004, 0.007)
+    drawn_m = rng.uniform(0.004, 0.007)
+    sagitta_m = drawn_m if sagitta_m is None else sagitta_m
     pose = np.eye(4)
     pose[:3, :3] = cv2.Rodrigues(np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3)]))[0]
     pose[:3, 3] = [*rng.uniform(-0.04, 0.04, 2), rng.uniform(0.4, 1.0)]
@@ -47,9 +51,9 @@ def bent_tag(seed):
     image = cv2.resize(grey, IMAGE, interpolation=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (0, 0), BLUR_PX) + rng.normal(0.0, 1.5, image.shape)
 
-    seen = in_space(scene, HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
-    corners = focal * seen[:, :2] / seen[:, 2:] + middle
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8), number, corners
+    seen = in_space(scene, HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]]))
+    points = focal * seen[:, :2] / seen[:, 2:] + middle
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8), number, points
 
 
 def found_in(image, number):
@@ -60,7 +64,8 @@ def found_in(image, number):
     "seed", [29, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8, 15, 39, 73))]
 )
 def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
-    image, number, corners = bent_tag(seed)
+    image, number, points = bent_tag(seed)
+    corners = points[:4]
     assert number in [square.id for square in find_squares(image, FAMILY.family)]
     found = found_in(image, number)
     assert found is not None
@@ -68,6 +73,22 @@ def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
     assert (found.corners_sigma_px < 0.02 * np.ptp(corners)).all()
     # the point lies between the four corners, which err by themselves
     assert found.sigma_px == pytest.approx(found.corners_sigma_px.mean(axis=0) / 2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("sagitta_m", [0.0, 0.001, 0.002, 0.004])
+def test_the_point_of_a_bent_tag_is_the_middle_of_its_print(sagitta_m):
+    """The crossing of its diagonals lies 0.3 px per mm beside it."""
+    errors, sigmas = [], []
+    for seed in (0, 1, 3, 4, 5, 6):
+        image, _number, points = bent_tag(seed, sagitta_m)
+        found = LINEAR.detect(image, near_px=points[4])
+        errors.append(found.point_px - points[4])
+        sigmas.append(found.sigma_px)
+    errors, sigmas = np.array(errors), np.array(sigmas)
+    assert (np.abs(errors) < 3.5 * sigmas).all()
+    assert rms(errors / sigmas) < 1.3
+    assert rms(errors) < 0.08
+    assert rms(sigmas) < 0.01 + 60.0 * sagitta_m
 
 
 @pytest.mark.slow

@@ -69,7 +69,8 @@ tags are found at half size (chosen: coverage against time)."""
 class TagDetector(Detector[AprilTag | TagFamily]):
     """Detects one AprilTag, or all of a family; the measured point is the centre.
 
-    The centre is the crossing of the diagonals in the undistorted image plane.
+    The centre is the print's; on flat paper the diagonals cross there in the undistorted image
+    plane.
     """
 
     def __init__(

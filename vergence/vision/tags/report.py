@@ -15,6 +15,7 @@ from vergence.vision.tags.reading import CellReading, compare_cells
 from vergence.vision.tags.stages import TagScale
 from vergence.vision.tags.steps import PrintResiduals
 from vergence.vision.tags.workspace import (
+    BEND_START,
     MAX_UNKNOWNS,
     Blocks,
     FitBuffers,
@@ -44,6 +45,8 @@ class TagFit(NamedTuple):
 
 NO_FIT: Final = TagFit(0.0, 0.0, CellReading(0, 0, 0.0), 0.0, 0.0, 0.0)
 """Result of a fit that failed (numerical)."""
+_BEND_STEPS: Final = 4
+"""Steps of a fixed-point iteration that inverts a bend (numerical)."""
 _INSIDE_OFFSET_CELLS: Final = 0.5
 """Distance inside a side at which light is sampled, cells (chosen: the middle of the border)."""
 _OUTSIDE_OFFSET_CELLS: Final = 0.3
@@ -92,7 +95,7 @@ def report_fit(
     height, width = region.image.shape
     moved = largest = 0.0
     for k in range(5):
-        x, y = point_in_half_edges(k)
+        x, y = _before_bend(state.white_spread_and_bend, *point_in_half_edges(k))
         u, v = transform_point(state.H, x, y)
         a, b, c = _covariance_of(buffers.normal_matrix, unknown_count, state.G, u, v, x, y)
         more = (
@@ -113,6 +116,16 @@ def report_fit(
     share = explained / (explained + residuals.unexplained_squares)
     border_step = _step_across_sides(region, camera, tag, state) / residuals.contrast
     return TagFit(residuals.contrast, share, reading, moved, largest, border_step)
+
+
+@subroutine
+def _before_bend(white_spread_and_bend: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """Point of the plane that the bend moves to a point of the print, half edges."""
+    flat_x, flat_y = x, y
+    for _ in range(_BEND_STEPS):
+        dx, dy = bend_displacement(white_spread_and_bend, flat_x, flat_y)
+        flat_x, flat_y = x - dx, y - dy
+    return flat_x, flat_y
 
 
 @subroutine
@@ -246,6 +259,12 @@ def _covariance_of(
             by_x, by_y = -x * x, -x * y
         if j == 7:
             by_x, by_y = -x * y, -y * y
+        if j >= BEND_START:
+            bend = j - BEND_START
+            along = x if bend < 4 else y
+            by = 1.0 - x * x if bend % 2 == 0 else 1.0 - y * y
+            by = by * along if bend % 4 >= 2 else by
+            by_x, by_y = (by, 0.0) if bend < 4 else (0.0, by)
         J[0, j] = -(d * by_x - b * by_y) / det
         J[1, j] = -(a * by_y - c * by_x) / det
     first = across = second = 0.0
@@ -253,7 +272,7 @@ def _covariance_of(
         for j in range(MAX_UNKNOWNS):
             column[j] = J[r, j]
         cholesky_solve(factor, column, used)
-        for j in range(MAX_UNKNOWNS):
+        for j in range(used):
             if r == 0:
                 first += J[0, j] * column[j]
                 across += J[1, j] * column[j]
