@@ -73,11 +73,7 @@ class BoardPoses(NamedTuple):
         return BoardPoses(self.rotation[views], self.translation[views])
 
     def moved(self, steps: FloatArray) -> "BoardPoses":
-        """Apply a small step to each pose.
-
-        Args:
-            steps: (v, 6) rotation vector in the left camera's frame, rad, and translation, m.
-        """
+        """Apply (v, 6) small steps: rotation vector in the left camera, rad; translation, m."""
         turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
         return BoardPoses(turns @ self.rotation, self.translation + steps[:, 3:])
 
@@ -151,11 +147,7 @@ class CameraRig(NamedTuple):
         return np.concatenate([*known, others]) / _RATIONAL_PRIOR_SIGMA**2
 
     def names(self, eyes: Sequence[str]) -> list[str]:
-        """Name the parameters in the order of `packed`.
-
-        Args:
-            eyes: the name of each camera.
-        """
+        """Name the parameters in the order of `packed`, by the names of the cameras."""
         names = [
             f"{eye}.{name}"
             for eye, lens in zip(eyes, self.lenses, strict=True)
@@ -222,13 +214,7 @@ class BundleAdjustment:
     def linearised(
         self, rig: CameraRig, poses: BoardPoses, *, by_rig: bool = True
     ) -> LinearisedResiduals:
-        """Compute residuals and Jacobians at given cameras and poses.
-
-        Args:
-            rig: the cameras.
-            poses: poses of the board.
-            by_rig: True to compute the Jacobian by the rig's parameters; else it has no columns.
-        """
+        """Residuals and Jacobians at cameras and poses; by the rig's parameters if `by_rig`."""
         turned = self._turned(rig, poses)
         points = turned + poses.translation[:, None]
         views, corners = points.shape[:2]
@@ -270,15 +256,7 @@ class BundleAdjustment:
     def fit_poses(
         self, rig: CameraRig, start: BoardPoses
     ) -> tuple[BoardPoses, LinearisedResiduals]:
-        """Fit the board's pose in each view to given cameras, by Levenberg and Marquardt.
-
-        Args:
-            rig: the cameras.
-            start: initial poses.
-
-        Returns:
-            The poses, and the residuals and Jacobians by pose there.
-        """
+        """Fit the poses to given cameras (Levenberg and Marquardt); with residuals there."""
         size = np.ptp(self.board_corners, axis=0).max()
         damping = np.full(len(start.translation), _FIRST_DAMPING)
         poses, now = start, self.linearised(rig, start, by_rig=False)
@@ -309,16 +287,7 @@ class BundleAdjustment:
     def solve(
         self, start: CameraRig, poses: BoardPoses, tolerance: float = _TOLERANCE
     ) -> "BundleSolution":
-        """Find the cameras and poses with the least sum of squares.
-
-        Args:
-            start: initial cameras.
-            poses: initial poses of the board.
-            tolerance: relative tolerance of the sum of squares and of the parameters.
-
-        Raises:
-            LinAlgError: the start is behind a camera, or the views do not determine the parameters.
-        """
+        """Cameras and poses with the least squares; `LinAlgError` if they are not determined."""
         near = _Near(start.packed(), poses, None)
         last: dict[bytes, tuple[BoardPoses, LinearisedResiduals]] = {}
 

@@ -200,16 +200,7 @@ def calibrate_views(
     lens: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Calibrate from detected corners.
-
-    Args:
-        observations: corners of a board in the photographs of one camera or two.
-        lens: see `calibrate`.
-        progress: called with the fraction done.
-
-    Raises:
-        ConfigurationError: see `calibrate`.
-    """
+    """Calibrate from the detected corners of one camera or two, see `calibrate`."""
     report = progress or _ignore
     cameras = len(observations.file_names)
     lenses = tuple(LENSES) if lens is None else (lens,)

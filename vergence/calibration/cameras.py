@@ -110,12 +110,7 @@ class CameraFit:
 
 
 def compute_view_residuals(problem: BundleAdjustment, linear: LinearisedResiduals) -> ViewResiduals:
-    """Compute the size of each view's residuals.
-
-    Args:
-        problem: problem of all views.
-        linear: its residuals.
-    """
+    """Compute the size of each view's residuals."""
     count = problem.seen.sum(axis=(0, 2))
     squares = (linear.residuals**2).sum(axis=1)
     reduced_chi = np.sqrt(squares / np.where(count > 3, 2 * count - 6, np.nan))
@@ -127,10 +122,7 @@ def compute_view_residuals(problem: BundleAdjustment, linear: LinearisedResidual
 def camera_row_for_kernels(
     lens: str, camera_parameters: FloatArray, size: tuple[int, int]
 ) -> FloatArray:
-    """Convert a camera's parameters to the row that compiled kernels take.
-
-    The parameters are in the order of `camera_parameter_names`; the row is that of `pack_camera`.
-    """
+    """Row of `pack_camera` from parameters in the order of `camera_parameter_names`."""
     return np.asarray(
         pack_camera(
             size, camera_parameters[:2], camera_parameters[2:4], lens, camera_parameters[4:]
@@ -141,13 +133,7 @@ def camera_row_for_kernels(
 def estimate_board_poses(
     problem: BundleAdjustment, rig: CameraRig, size: tuple[int, int]
 ) -> BoardPoses:
-    """Find the board's pose in each view of one camera, without a start (`cv2.solvePnP`).
-
-    Args:
-        problem: problem of one camera; views without corners get a placeholder pose.
-        rig: the camera.
-        size: width and height of its images, px.
-    """
+    """Board's pose in each view of one camera (`cv2.solvePnP`); placeholders without corners."""
     rays = np.asarray(
         pixels_to_rays(
             problem.pixels[0], camera_row_for_kernels(rig.lenses[0], rig.camera_parameters[0], size)
@@ -175,13 +161,7 @@ def estimate_board_poses(
 def initial_camera_guesses(
     problem: BundleAdjustment, lens: str, size: tuple[int, int]
 ) -> list[FloatArray]:
-    """Find initial parameters of a camera with OpenCV's own calibration.
-
-    Args:
-        problem: problem of one camera.
-        lens: the lens model.
-        size: width and height of its images, px.
-    """
+    """Find initial parameters of a camera with OpenCV's own calibration; size in px."""
     boards, corners = _as_opencv(problem)
     flags = cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0
     found = []
@@ -214,18 +194,12 @@ def _values_of(matrix: FloatArray, coefficients: FloatArray, lens: str) -> Float
 
 
 def _by_angle(values: FloatArray) -> FloatArray:
-    """Approximate a Brown-Conrady camera near its axis by a fisheye.
-
-    tan(t) (1 + k1 tan(t)^2) = t (1 + (1/3 + k1) t^2 + ...).
-    """
+    """Fisheye near the axis: tan(t) (1 + k1 tan(t)^2) = t (1 + (1/3 + k1) t^2 + ...)."""
     return np.array([*values[:4], 1.0 / 3.0 + values[4], 0.0, 0.0, 0.0])
 
 
 def _fisheye_starts(problem: BundleAdjustment, size: tuple[int, int]) -> list[FloatArray]:
-    """Find initial parameters with `cv2.fisheye.calibrate`.
-
-    Its own start fails on wide views, so that a second try begins with a guess.
-    """
+    """Parameters by `cv2.fisheye.calibrate`, tried again with a guess, as wide views need."""
     boards, corners = _as_opencv(problem)
     focal = max(size) / np.pi
     guess = np.array([[focal, 0.0, 0.5 * size[0]], [0.0, focal, 0.5 * size[1]], [0.0, 0.0, 1.0]])
@@ -243,18 +217,7 @@ def _fisheye_starts(problem: BundleAdjustment, size: tuple[int, int]) -> list[Fl
 
 
 def fit_consistent_views(observations: BoardObservations) -> CameraFit:
-    """Find the photographs of a camera that agree with each other, and fit a camera to them.
-
-    Starts come from all views and from random samples of a few; the start that most views fit is
-    taken. The fit then uses only the best-fitting views (least trimmed squares), so that bad
-    photographs do not bias it.
-
-    Args:
-        observations: corners in the photographs of one camera.
-
-    Raises:
-        ConfigurationError: too few views have the board, or they give no camera.
-    """
+    """Fit a camera to photographs that agree: the best of random starts, least trimmed squares."""
     problem, size = observations.problem, observations.image_sizes[0]
     views = np.flatnonzero(observations.usable[0])
     if len(views) < LEAST_VIEWS:
@@ -327,16 +290,7 @@ def _best_start(
 
 
 def fit_camera(observations: BoardObservations, lens: str, consistent_fit: CameraFit) -> CameraFit:
-    """Find a camera with a given lens from the views that agree.
-
-    Args:
-        observations: corners in the photographs of one camera.
-        lens: the lens model.
-        consistent_fit: see `fit_consistent_views`.
-
-    Raises:
-        ConfigurationError: the model does not fit at all.
-    """
+    """Find a camera with a given lens from the views that agree, see `fit_consistent_views`."""
     problem, size = observations.problem, observations.image_sizes[0]
     mine = consistent_fit.solution.rig
     found = []
@@ -430,16 +384,7 @@ def drop_and_reweight_views(
 def mistaken_corners_px(
     problem: BundleAdjustment, rig: CameraRig, size: tuple[int, int]
 ) -> FloatArray:
-    """Find single corners that are far from where all others of their view put them.
-
-    Args:
-        problem: problem of one camera and all views.
-        rig: the camera.
-        size: width and height of its images, px.
-
-    Returns:
-        (v, n) distance of each mistaken corner, px; 0 for the others.
-    """
+    """(v, n) px from where others of a view put a mistaken corner; 0 for good ones."""
     shown = problem.seen[0].any(axis=-1)
     every = problem.select(shown)
     poses, mistaken = estimate_board_poses(every, rig, size), np.zeros(every.seen[0].shape, bool)
@@ -473,16 +418,7 @@ def cross_validation_folds(views: int) -> list[NDArray[np.bool_]]:
 def cross_validation_residuals(
     solution: BundleSolution, progress: Callable[[], None] | None = None
 ) -> FloatArray:
-    """Compute cross-validation residuals: each view by cameras that were found without it.
-
-    Args:
-        solution: solution of all views; each fold begins with it.
-        progress: called after each fold.
-
-    Returns:
-        (c, v, n, 2) px, each view's by the cameras of the other folds, with only the board's pose
-        fitted to the view itself; nan for corners that were not found.
-    """
+    """(c, v, n, 2) px, each view by cameras found without it, its pose fitted; nan if not found."""
     problem = solution.problem
     residuals = np.full(problem.pixels.shape, np.nan)
     for out in cross_validation_folds(problem.pixels.shape[1]):
@@ -498,16 +434,7 @@ def cross_validation_residuals(
 
 
 def cross_validation_mean_squares(fit: CameraFit, problem: BundleAdjustment) -> FloatArray:
-    """(v) mean square cross-validation error of each view, in units of sigma^2.
-
-    Kept views have the residuals of `cross_validation_residuals`; others have the residuals of the
-    fit, or `_UNSEEN_MEAN_SQUARE` if there are none. Sigma is the detector's, as the fit has
-    enlarged it for views that do not fit its own lens well.
-
-    Args:
-        fit: fit of one camera.
-        problem: problem of all views.
-    """
+    """(v) mean squares, sigma^2; of the fit, or `_UNSEEN_MEAN_SQUARE`, for views not kept."""
     errors = fit.views.reduced_chi**2
     sigma = problem.sigma[:, fit.kept_views]
     errors[fit.kept_views] = np.nanmean(

@@ -57,10 +57,7 @@ _BENT_SAG_RATIO: Final = 0.005
 
 
 class BoardSag(NamedTuple):
-    """Sag of a bent board, mm, and its standard deviation.
-
-    The sag is the height of the highest corner above the lowest, from the fitted curvatures.
-    """
+    """Sag of a bent board, mm: highest corner above the lowest by the fit, and its sigma."""
 
     mm: float
     sigma_mm: float
@@ -88,12 +85,7 @@ def camera_names(calibration: Calibration) -> tuple[str, ...]:
 
 
 def board_tilts(calibration: Calibration, camera: int) -> BoardTilts:
-    """Compute the tilts and distances of the board in front of a camera.
-
-    Args:
-        calibration: the calibration.
-        camera: index of the camera.
-    """
+    """Compute the tilts and distances of the board in front of a camera."""
     solution = calibration.fit.solution
     seen = solution.problem.seen[camera].any(axis=-1)
     normal = solution.poses.rotation[seen, :, 2]
@@ -115,15 +107,7 @@ def views_per_cell(calibration: Calibration, camera: int) -> NDArray[np.intp]:
 
 
 def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
-    """Count the views that have a corner in each cell of an image.
-
-    Args:
-        views: (v, n, 2) corners by view, px; nan for those that do not count.
-        size: width and height of the image, px.
-
-    Returns:
-        (CELLS, CELLS) row by row.
-    """
+    """(CELLS, CELLS) views with a corner in each cell, of (v, n, 2) corners, px or nan."""
     width, height = size
     cells = np.zeros((CELLS, CELLS), np.intp)
     for view in views:
@@ -135,16 +119,7 @@ def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]
 
 
 def direction_sigma_px_at(calibration: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
-    """Compute the uncertainty of a camera's directions at some pixels.
-
-    Args:
-        calibration: the calibration.
-        camera: index of the camera.
-        pixels: (n, 2) px.
-
-    Returns:
-        (n) standard deviation, px; nan where the lens has no inverse.
-    """
+    """(n,) sigma, px, of directions at (n, 2) pixels; nan where the lens has no inverse."""
     rig = calibration.rig
     row = camera_row_for_kernels(
         rig.lenses[camera],
@@ -175,15 +150,7 @@ def board_sag(calibration: Calibration) -> BoardSag:
 
 
 def advise_next_photographs(calibration: Calibration) -> list[str]:
-    """Advise on the next photographs.
-
-    Args:
-        calibration: the calibration.
-
-    Returns:
-        Up to `MOST_SENTENCES` sentences, the most important first, then remarks on the images and
-        doubts about how a pair stands; empty if nothing is lacking.
-    """
+    """Up to `MOST_SENTENCES`, the most important first, then remarks and doubts; maybe empty."""
     sentences = [text for rule in _RULES if (text := rule(calibration))]
     doubts = stereo_pair_of(calibration).guesses if len(calibration.single_fits) > 1 else ()
     return [*sentences[:MOST_SENTENCES], *calibration.observations.remarks, *doubts]
@@ -305,14 +272,7 @@ def advise_on_distances(calibration: Calibration) -> str:
 
 
 def median_and_corner_sigma_px(calibration: Calibration, camera: int) -> tuple[float, float]:
-    """Standard deviation of a camera's directions, px: the image's median, and the worst corner's.
-
-    It is infinite where the lens model has no inverse.
-
-    Args:
-        calibration: the calibration.
-        camera: index of the camera.
-    """
+    """Sigma of directions, px: the image's median and worst corner; inf without an inverse."""
     grid = pixel_grid(calibration.observations.image_sizes[camera], _SIGMA_GRID_COUNT).reshape(
         -1, 2
     )

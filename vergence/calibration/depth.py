@@ -20,10 +20,7 @@ FAR_M: Final = 5.0
 
 @dataclass(frozen=True, eq=False)
 class DepthSigma:
-    """Standard deviations of depth along the pair's middle axis.
-
-    They are nan for points outside either image.
-    """
+    """Standard deviations of depth along the pair's middle axis; nan outside either image."""
 
     distance_m: FloatArray
     """(n) distance from the middle of the baseline."""
@@ -51,15 +48,7 @@ def depths_to_plot_m(calibration: Calibration) -> FloatArray:
 
 
 def depth_sigma_at(calibration: Calibration, distance_m: FloatArray) -> DepthSigma:
-    """Predict the uncertainty of depth along the bisector of the optical axes.
-
-    Args:
-        calibration: a pair's calibration.
-        distance_m: (n) distances from the middle of the baseline.
-
-    Returns:
-        Standard deviations; nan if a point is outside either image.
-    """
+    """Uncertainty of depth along the bisector of the axes, (n) m from the baseline's middle."""
     rig = calibration.rig
     axis = np.array([0.0, 0.0, 1.0]) + rig.rotation[2]
     axis /= np.linalg.norm(axis)

@@ -218,12 +218,7 @@ def direction_sigma(calibration: Calibration, camera: int) -> Figure:
 
 
 def depth_sigma(depth: DepthSigma, in_percent: bool) -> Figure:
-    """Plot the standard deviation of depth: from calibration, from one pair's noise, from both.
-
-    Args:
-        depth: standard deviations along the middle axis.
-        in_percent: True for percent of the distance, False for millimetres.
-    """
+    """Plot the standard deviation of depth: from calibration, from one pair's noise, from both."""
     scale = 1e2 / depth.distance_m if in_percent else np.full(len(depth.distance_m), 1e3)
     with figure_style():
         figure = new_figure(CAMERA_FIGURE_WIDTH, 4.4)

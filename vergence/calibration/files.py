@@ -51,16 +51,7 @@ def stereo_pair_of(calibration: Calibration) -> StereoPair:
 def head_file_text(
     calibration: Calibration, name: str, response: CameraResponse | None = None
 ) -> str:
-    """Write the head file of a calibrated pair as TOML text.
-
-    Args:
-        calibration: a pair's calibration.
-        name: name of the head.
-        response: light by grey level of both cameras, if it was stated.
-
-    Raises:
-        HeadFileError: the name is not valid.
-    """
+    """Write the head file of a calibrated pair as TOML text."""
     return stereo_pair_to_head_toml(
         stereo_pair_of(calibration),
         name,
@@ -100,15 +91,7 @@ def calibration_record(calibration: Calibration) -> CalibrationRecord:
 
 
 def right_camera_pose_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
-    """Compute the covariance of the right camera's pose in the left camera's frame.
-
-    Args:
-        rig: two cameras.
-        covariance: (6, 6) covariance of R's rotation vector and T in `x_right = R x_left + T`.
-
-    Returns:
-        (6, 6) covariance of r and p of the pose `(R^T exp([r]), p)`, with `p = -R^T T`; rad and m.
-    """
+    """(6, 6) of r, p in (R^T exp([r]), p = -R^T T), rad, m, from `x_right = R x_left + T`."""
     vector = Rotation.from_matrix(rig.rotation).as_rotvec()
     by_vector = np.asarray(cv2.Rodrigues(vector)[1]).reshape(3, 3, 3)
     # R(v + d) = exp([J d]) R(v)
@@ -124,11 +107,7 @@ def right_camera_pose_covariance(rig: CameraRig, covariance: FloatArray) -> Floa
 
 
 def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
-    """Convert a camera's calibration to plain values with the keys of ROS's camera_info files.
-
-    Args:
-        calibration: one camera's calibration.
-    """
+    """Convert a camera's calibration to plain values with the keys of ROS's camera_info files."""
     camera = intrinsics_of(calibration, 0)
     (f_u, f_v), (u_0, v_0) = camera.focal.tolist(), camera.principal.tolist()
     names = camera_parameter_names(camera.lens)

@@ -32,14 +32,7 @@ _MOST_DOTS: Final = 4000
 def draw_residual_arrows(
     pixels: FloatArray, residuals: FloatArray, size: tuple[int, int], name: str
 ) -> Figure:
-    """Draw residuals over an image as magnified arrows, per corner and averaged in cells.
-
-    Args:
-        pixels: (n, 2) measured corners, px.
-        residuals: (n, 2) projected minus measured, px.
-        size: width and height of the image, px.
-        name: name of the camera.
-    """
+    """Draw residuals over an image as magnified arrows, per corner and averaged in cells."""
     width, height = size
     cell = width / _CELLS_ACROSS
     keys = np.floor((pixels + 0.5) / cell).astype(int)
@@ -76,14 +69,7 @@ def draw_residual_arrows(
 def draw_corner_coverage(
     views: FloatArray, size: tuple[int, int], name: str, colour: str
 ) -> Figure:
-    """Draw corners over an image, and the number of views with a corner in each part of it.
-
-    Args:
-        views: (v, n, 2) corners by view, px; nan for those that do not count.
-        size: width and height of the image, px.
-        name: name of the camera.
-        colour: colour of the dots.
-    """
+    """Draw corners over an image, and the number of views with a corner in each part of it."""
     width, height = size
     pixels = views[np.isfinite(views).all(axis=-1)]
     with figure_style():

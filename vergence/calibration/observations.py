@@ -37,16 +37,7 @@ alike (chosen: board and cameras at rest leave 0.2 to 1, and public sets' neares
 
 
 def parse_board(text: str, *, accept_single_tag: bool = False) -> PlanarTarget:
-    """Parse the name of a board.
-
-    Args:
-        text: see `vergence.vision.parse_target`.
-        accept_single_tag: True to accept a single tag, whose four corners are too few to calibrate
-            a camera.
-
-    Raises:
-        ConfigurationError: it is no board, a family of tags, or a tag that is not accepted.
-    """
+    """Parse the name of a board, or, if accepted, of a tag, too few corners for a camera."""
     target = parse_target(text)
     if accept_single_tag and isinstance(target, TagFamily):
         raise ConfigurationError(
@@ -120,10 +111,7 @@ class BoardObservations:
         )
 
     def without_alike_views(self) -> "BoardObservations":
-        """Exclude all but one of views that are alike, and remark on it.
-
-        Noise apart, their errors are the same, so that together they tell as much as one.
-        """
+        """Exclude all but one of alike views, which tell as much as one, and remark on it."""
         alike = alike_views(self.pixels, self.sigma)
         if not alike:
             return self
@@ -142,11 +130,7 @@ class BoardObservations:
         )  # fmt: skip
 
     def without_corners(self, away_px: FloatArray) -> "BoardObservations":
-        """Leave out mistaken corners, and remark on them.
-
-        Args:
-            away_px: (c, v, n) distance of each from where it should be, px; 0 for good ones.
-        """
+        """Leave out mistaken corners, (c, v, n) px away, 0 for good ones, and remark on them."""
         said = join_first_names(
             f"{Path(self.file_names[camera][view]).name} ({away_px[camera, view].max():.1f} px)"
             for camera, view in np.argwhere(away_px.any(axis=-1)).tolist()
@@ -183,21 +167,7 @@ def detect_board_corners(
     progress: Callable[[float], None] | None = None,
     responses: Sequence[CameraResponse | None] | None = None,
 ) -> tuple[BoardObservations, list[str]]:
-    """Find a board in photographs.
-
-    Args:
-        target: the board.
-        photographs: (c, v) the files of each camera, view by view.
-        progress: called with the fraction done.
-        responses: (c) light by grey level of each camera, see `make_detector`; None if unknown.
-
-    Returns:
-        The observations, and a line for each file that could not be read.
-
-    Raises:
-        ConfigurationError: no file can be read, one camera has images of several sizes, or the
-            board is in none of them.
-    """
+    """Find a board in (c, v) photographs; also a line for each file that could not be read."""
     every = [path for files in photographs for path in files]
     detectors = [
         make_detector(target, response=response)
@@ -253,11 +223,7 @@ def detect_board_corners(
 
 
 def _look(path: Path, detector: Detector[Any], check: LinearResponseCheck) -> _Seen | str:
-    """Detect the board in a photograph; a text says why the file cannot be read.
-
-    Large photographs are often soft from pixel to pixel. If the board is not found, they are
-    searched again at half the size, and so on down to `_LARGE_IMAGE_PX`.
-    """
+    """Detect the board, also at half sizes, as large images are soft; a text if unreadable."""
     try:
         image = read_pixels(path)
     except VergenceError as error:
@@ -280,15 +246,7 @@ def _look(path: Path, detector: Detector[Any], check: LinearResponseCheck) -> _S
 
 
 def alike_views(pixels: FloatArray, sigma: FloatArray) -> dict[int, int]:
-    """Find views whose corners are where another view has them, but for noise.
-
-    Args:
-        pixels: (c, v, n, 2) corners, px; nan for those that were not found.
-        sigma: (c, v, n, 2) their standard deviations, px.
-
-    Returns:
-        The view to keep for each that is like it: the one with the most corners.
-    """
+    """Fullest view for each like it but for noise, by (c, v, n, 2) corners, px or nan."""
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=(0, 2))
     kept: list[int] = []
     alike = {}

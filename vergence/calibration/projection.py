@@ -18,11 +18,7 @@ _SMALL_RADIUS: Final = 1e-9
 
 
 def camera_parameter_names(lens: str) -> tuple[str, ...]:
-    """Name a camera's parameters: the pinhole's, then the lens's coefficients.
-
-    Args:
-        lens: one of `vergence.models.cameras.LENSES`.
-    """
+    """Name a camera's parameters: the pinhole's, then the lens's coefficients."""
     return (*PINHOLE_VALUES, *LENSES[lens])
 
 
@@ -51,16 +47,7 @@ class _Bent(NamedTuple):
 def project_with_jacobians(
     lens: str, camera_parameters: FloatArray, points: FloatArray
 ) -> ProjectedPoints:
-    """Project points in the camera's frame.
-
-    Args:
-        lens: the lens model.
-        camera_parameters: (4 + n,) see `camera_parameter_names`.
-        points: (..., 3) metres; behind the camera the pixels are nan.
-
-    Returns:
-        Pixels with Jacobians, also for points beyond the lens's fold.
-    """
+    """Project (..., 3) points, m, also beyond the lens's fold; nan behind the camera."""
     z = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
     ideal = points[..., :2] / z
     bend = _bend_by_angle if lens == "fisheye" else _bend_by_radius

@@ -36,14 +36,7 @@ _DEPTHS_M: Final = (0.5, 1.0, 2.0, 2.5)
 
 
 def write_run(folder: Path, calibration: Calibration, file_text: str, file_name: str) -> None:
-    """Write a calibration's file, its tables and its report.
-
-    Args:
-        folder: the run folder.
-        calibration: the calibration.
-        file_text: content of the calibration's file.
-        file_name: name of that file.
-    """
+    """Write a calibration's file, its tables and its report."""
     (folder / file_name).write_text(file_text, encoding="utf-8")
     names = calibration.rig.names(EYE_NAMES[: len(calibration.single_fits)])
     write_json(
@@ -74,13 +67,7 @@ def write_run(folder: Path, calibration: Calibration, file_text: str, file_name:
 
 
 def write_report(folder: Path, calibration: Calibration, file_name: str) -> None:
-    """Write calibration.html, which is self-contained.
-
-    Args:
-        folder: the run folder.
-        calibration: the calibration.
-        file_name: name of the calibration's file.
-    """
+    """Write calibration.html, which is self-contained."""
     drawn = _figures(calibration).items()
     markup = {stem: inline_svg(svg_text(figure), stem, stem) for stem, figure in drawn}
     page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)

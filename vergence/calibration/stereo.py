@@ -31,22 +31,7 @@ _TRUSTED_ERROR_RATIO: Final = 3.0
 def fit_camera_pair(
     observations: BoardObservations, left: CameraFit, right: CameraFit
 ) -> tuple[BoardObservations, CameraFit]:
-    """Find both cameras and their relative pose from the views that agree.
-
-    The relative pose starts from the single pair with which most others agree.
-
-    Args:
-        observations: corners in the photographs of both cameras.
-        left: fit of the left camera alone.
-        right: fit of the right camera alone.
-
-    Returns:
-        The observations, with the corners of rotationally symmetric boards in one order in both
-        images; and the cameras, found without photographs that do not fit their own camera.
-
-    Raises:
-        ConfigurationError: the photographs were not taken by one pair of cameras.
-    """
+    """Both cameras and their pose from agreeing views; symmetric boards' corners in one order."""
     both = left.kept_views & right.kept_views
     if both.sum() < LEAST_VIEWS:
         raise ConfigurationError(

@@ -39,11 +39,7 @@ is used (chosen)."""
 
 
 def rig_covariance(solution: BundleSolution) -> FloatArray:
-    """(p, p) covariance of the rig's parameters, see `CameraRig.packed`.
-
-    Args:
-        solution: the solution of the bundle adjustment.
-    """
+    """(p, p) covariance of the rig's parameters, see `CameraRig.packed`."""
     gradients = np.einsum(
         "vmp,vm->vp", solution.reduced_rig_jacobian, solution.linearisation.residuals
     )
@@ -58,14 +54,7 @@ def rig_covariance(solution: BundleSolution) -> FloatArray:
 def clustered_covariance(
     information: FloatArray, gradients: FloatArray, reduced_chi: float, prior: FloatArray
 ) -> FloatArray:
-    """(p, p) covariance of parameters estimated from groups of measurements (CR2).
-
-    Args:
-        information: (v, p, p) S_v of each group; errors within a group may be correlated.
-        gradients: (v, p) J'_v^T r_v of each group.
-        reduced_chi: s, ratio of the residuals to sigma.
-        prior: (p, p) information matrix of the prior.
-    """
+    """(p, p) CR2, from (v, p, p) S_v and (v, p) J'_v^T r_v by group; `reduced_chi` is s."""
     total = information.sum(axis=0) + prior
     scale = 1.0 / np.sqrt(np.diagonal(total))
     values, vectors = np.linalg.eigh(scale[:, None] * total * scale)
@@ -132,18 +121,7 @@ def board_points_in_camera(solution: BundleSolution, camera: int) -> FloatArray:
 def triangulation_covariances(
     solution: BundleSolution, covariance: FloatArray, points: FloatArray, noise_px: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Compute the covariances of points triangulated by two cameras.
-
-    Args:
-        solution: the solution of a pair's bundle adjustment.
-        covariance: (p, p) see `rig_covariance`.
-        points: (n, 3) in the left camera's frame, metres.
-        noise_px: standard deviation of a detected pixel, each coordinate.
-
-    Returns:
-        Two covariances (n, 3, 3), m^2: from errors of the calibration, which are the same in every
-        image, and from the noise of one pair of images.
-    """
+    """(n, 3, 3) in the left camera, m^2: by the calibration's errors, and by one pair's noise."""
     one = BundleAdjustment(points[:1], np.zeros((2, 1, 1, 2)), np.ones((2, 1, 1, 2)))
     still = BoardPoses(np.eye(3)[None], np.zeros((1, 3)))
     of_calibration, of_noise = [], []

@@ -10,11 +10,7 @@ if TYPE_CHECKING:
 
 
 def check_robot_and_print(hardware: "HardwareConfig") -> None:
-    """Run all checks of a robot and print their results; raise an error if one has failed.
-
-    Raises:
-        ChecksFailedError: a check failed, so the robot must not move yet.
-    """
+    """Run all checks of a robot and print their results; raise an error if one has failed."""
     from vergence.hardware.checks.listing import check_robot
     from vergence.hardware.checks.servos import raise_errors
 

@@ -43,11 +43,7 @@ def print_to_stderr(text: str) -> None:
 
 @contextmanager
 def logging_to_stderr(verbosity: int) -> Iterator[None]:
-    """Print the package's log records from a thread, so that a slow terminal delays no robot.
-
-    Args:
-        verbosity: 0 for nothing, 1 for `logging.INFO`, more for `logging.DEBUG`.
-    """
+    """Print the package's log records from a thread, so that a slow terminal delays no robot."""
     logger = logging.getLogger("vergence")
     before = logger.level
     # a robot's log file records INFO in any case

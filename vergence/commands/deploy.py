@@ -63,11 +63,7 @@ class Deploy:
 
 
 class _StatusPrinter:
-    """Status of the running gaze, printed by a separate thread so that no terminal delays the loop.
-
-    Args:
-        config: options of the deployment.
-    """
+    """Status of the running gaze, printed by a thread so that no terminal delays the loop."""
 
     def __init__(self, config: DeployConfig) -> None:
         self._config = config

@@ -141,11 +141,7 @@ class Evaluate:
         return 2 if result.failures else 0
 
     def _check_robot(self) -> None:
-        """Refuse options that cannot be combined with trials on a robot.
-
-        Raises:
-            ConfigurationError: such an option is set.
-        """
+        """Refuse options that cannot be combined with trials on a robot."""
         others = {"out": self.out, "margins": self.margins or None}
         if self.resume is not None:
             unset = vars(EvaluateConfig())

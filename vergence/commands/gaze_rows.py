@@ -20,13 +20,7 @@ _LEGEND: Final = (
 
 
 def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -> None:
-    """Print a row for each gaze, and a summary line.
-
-    Args:
-        rows: results of each gaze, see `vergence.eval.robot.gazes.RobotGazes.rows`.
-        summary: see `vergence.eval.robot.gazes.RobotGazes.summary`; also holds the controller and
-            the faults.
-    """
+    """Print a row for each gaze, and a summary line."""
     if rows:
         cells = [
             [_cell(row[name], decimals) for name, (_, decimals) in _COLUMNS.items()] for row in rows

@@ -24,17 +24,7 @@ _FIXATED_PX: Final = 1.0
 
 
 def print_head_description(source: str, *, as_json: bool, figure: Path | None) -> None:
-    """Print the parts of a head, its reach and its depth errors.
-
-    Args:
-        source: a preset's name or the path of a TOML file.
-        as_json: True to print one JSON document instead of tables.
-        figure: the PNG file to draw the head to; None for none.
-
-    Raises:
-        VergenceError: there is no such head, or the file is no head file.
-        OSError: the figure cannot be written.
-    """
+    """Print the parts of a head, its reach and its depth errors."""
     from vergence.eval.head_summary import summarise_head
     from vergence.models.files.assumed_values import assumed_values
     from vergence.models.files.head_file import load_head

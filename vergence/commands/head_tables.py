@@ -24,12 +24,7 @@ _SIGMAS: Final = (
 
 
 def print_joints(title: str, joints: "Sequence[JointSummary]") -> None:
-    """Print joints or actuators: the eyes they move, their range, their limits.
-
-    Args:
-        title: line above the table.
-        joints: joints or actuators of a head; nothing is printed if there are none.
-    """
+    """Print joints or actuators: the eyes they move, their range, their limits."""
     if not joints:
         return
     rows = [
@@ -47,11 +42,7 @@ def print_joints(title: str, joints: "Sequence[JointSummary]") -> None:
 
 
 def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
-    """Print the cameras of the eyes: image sizes, intrinsics, fields of view, lens models.
-
-    Args:
-        eyes: eyes of a head.
-    """
+    """Print the cameras of the eyes: image sizes, intrinsics, fields of view, lens models."""
     rows = [
         [
             eye.name,
@@ -68,11 +59,7 @@ def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
 
 
 def print_calibration_record(record: "CalibrationRecord") -> None:
-    """Print how a head was calibrated, and the standard deviations except those of the lens.
-
-    Args:
-        record: calibration record of the head file.
-    """
+    """Print how a head was calibrated, and the standard deviations except those of the lens."""
     rows = [
         ["board", f"{record.target}, {record.views} views"],
         ["rms", f"{record.rms_px:.3f} px, of views held out {record.rms_heldout_px:.3f} px"],
@@ -89,11 +76,7 @@ def print_calibration_record(record: "CalibrationRecord") -> None:
 
 
 def warn_of_lens_folds(eyes: "Sequence[EyeSummary]") -> None:
-    """Warn of images with parts that no ray reaches, because the lens model folds back there.
-
-    Args:
-        eyes: eyes of a head.
-    """
+    """Warn of images with parts that no ray reaches, because the lens model folds back there."""
     for eye in eyes:
         if eye.folds:
             print_to_stderr(
@@ -105,11 +88,7 @@ def warn_of_lens_folds(eyes: "Sequence[EyeSummary]") -> None:
 
 
 def print_assumptions(assumptions: "Sequence[AssumedValue]") -> None:
-    """Print the values that are assumed, not measured: keys, values and reasons.
-
-    Args:
-        assumptions: assumptions of a head; nothing is printed if there are none.
-    """
+    """Print the values that are assumed, not measured: keys, values and reasons."""
     rows = [[", ".join(keys), value, why] for keys, value, why in assumptions]
     if rows:
         columns = ["assumed, not measured", "value", "why"]
@@ -117,11 +96,7 @@ def print_assumptions(assumptions: "Sequence[AssumedValue]") -> None:
 
 
 def warn_of_zero_outside_range(joints: "Sequence[JointSummary]") -> None:
-    """Warn of joints whose range excludes zero, the angle of rest.
-
-    Args:
-        joints: joints of a head.
-    """
+    """Warn of joints whose range excludes zero, the angle of rest."""
     for joint in joints:
         if joint.lower_deg > 0.0 or joint.upper_deg < 0.0:
             print_to_stderr(

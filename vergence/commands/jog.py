@@ -68,25 +68,13 @@ class Jog:
 
 
 class JogSession:
-    """Interpreter for the interactive commands of `vergence jog`.
-
-    Args:
-        jog: interface that moves the joints.
-        path: configuration that `write` writes to.
-        step_rad: initial step, rad.
-        say: prints a line.
-
-    Attributes:
-        name: joint that commands apply to.
-        failed: True if a command could not be carried out.
-        wrote: True if the configuration was written.
-    """
+    """Interpreter for the interactive commands of `vergence jog`; `say` prints a line."""
 
     def __init__(
         self, jog: "Joints", path: Path, step_rad: float, say: Callable[[str], None]
     ) -> None:
-        self.name = next(iter(jog.servos))
-        self.failed = self.wrote = False
+        self.name = next(iter(jog.servos))  # joint that commands apply to
+        self.failed = self.wrote = False  # a command failed; the configuration was written
         self._jog, self._path, self._step_rad, self._say = jog, path, step_rad, say
         self._written = dict(jog.servos)
 

@@ -32,23 +32,7 @@ def watch_camera(
     camera_response: "CameraResponse | None",
     as_json: bool,
 ) -> int:
-    """Watch a camera until Ctrl-C, the end of a video, or a time limit.
-
-    Args:
-        source: camera or video, see `vergence.vision.video.open_video`.
-        targets: targets to detect.
-        camera: model of the camera; None if it is not known.
-        seconds: time limit, s; None for none.
-        camera_response: light as a function of grey level; None for the camera's, see
-            `make_detector`.
-        as_json: True to print the summary as JSON.
-
-    Returns:
-        The exit code: 1 if no target was found.
-
-    Raises:
-        ConfigurationError: the camera cannot be opened, or gives images of another size.
-    """
+    """Watch until Ctrl-C, the end of a video or a time, s; exit code 1 if no target was found."""
     from vergence.perception.finders import make_live_finders
     from vergence.perception.live import LiveStatistics, watch_targets
     from vergence.vision.video import is_local_camera, open_video

@@ -12,11 +12,7 @@ from vergence.perception.target_finder import tag_number
 
 
 def print_located_targets(result: LocateResult) -> None:
-    """Print a table for each board, and one for all tags of one family and size.
-
-    Args:
-        result: result of `vergence.perception.locate.locate`.
-    """
+    """Print a table for each board, and one for all tags of one family and size."""
     for every in result.located_by_target():
         of_tags = tag_number(every[0].target) is not None
         head = ["pair", "tag" if of_tags else "found"]

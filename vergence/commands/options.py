@@ -67,20 +67,12 @@ class TableOptions:
     """Also write tables as Parquet, beside the CSV (needs the extra parquet)."""
 
     def check(self) -> None:
-        """Refuse, before any work is done, a format that cannot be written.
-
-        Raises:
-            ConfigurationError: pyarrow is not installed.
-        """
+        """Refuse, before any work is done, a format that cannot be written."""
         if self.parquet:
             require_modules("parquet", "pyarrow")
 
     def convert(self, *tables: Path) -> None:
-        """Also write finished CSV files as Parquet, if requested.
-
-        Raises:
-            ConfigurationError: a file cannot be written.
-        """
+        """Also write finished CSV files as Parquet, if requested."""
         if self.parquet:
             from vergence.eval.reporting.parquet import write_parquet
 
@@ -107,14 +99,7 @@ class RunFolder:
         self.saved = False
 
     def save(self, write: Callable[[Path], None]) -> bool:
-        """Write the folder, at another path if its own is taken by now; report that or a failure.
-
-        Args:
-            write: called with the folder to write to.
-
-        Returns:
-            True if it is written. If not, a command still prints its results.
-        """
+        """Write the folder, elsewhere if taken by now; report that or a failure. True if done."""
         from vergence.eval.reporting.runs import save_run_at_free_path
 
         try:
@@ -135,14 +120,7 @@ class RunFolder:
         *,
         as_json: bool,
     ) -> None:
-        """Save the folder, and print the results even if that fails.
-
-        Args:
-            write: see `save`.
-            result: returns the result as plain values.
-            print_text: prints the result as text.
-            as_json: True to print the result as JSON, and nothing else.
-        """
+        """Save the folder, and print text, or JSON alone, even if that fails."""
         self.save(write)
         if as_json:
             print(json.dumps(result(), indent=2, allow_nan=False))
@@ -154,18 +132,7 @@ class RunFolder:
 
 @contextmanager
 def claimed_run_folder(folder: Path) -> Iterator[RunFolder]:
-    """Claim the run folder of a command until its end, and report its path on an interrupt.
-
-    Args:
-        folder: path of the run folder.
-
-    Yields:
-        The folder, to be saved.
-
-    Raises:
-        ConfigurationError: it cannot be written, or another process is writing to it.
-        KeyboardInterrupt: states the path if the folder was written.
-    """
+    """Claim a command's run folder until its end, and report its path on an interrupt."""
     from vergence.eval.reporting.runs import locked_run_folder
 
     found = RunFolder(folder)
@@ -179,30 +146,14 @@ def claimed_run_folder(folder: Path) -> Iterator[RunFolder]:
 
 
 def check_writable(out: Path) -> None:
-    """Refuse, before any work is done, a file that cannot be written.
-
-    Args:
-        out: the file; missing parent folders are made when it is written.
-
-    Raises:
-        ConfigurationError: its nearest existing parent is no folder, or cannot be written.
-    """
+    """Refuse, before any work is done, a file that cannot be written."""
     there = next(parent for parent in out.absolute().parents if parent.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
         raise ConfigurationError(f"out: expected a folder that can be written, got {there}")
 
 
 def check_figure(path: Path, inputs: Iterable[Path] = ()) -> None:
-    """Refuse, before any work is done, a figure that cannot be written.
-
-    Args:
-        path: path of the figure.
-        inputs: files that it must not replace, or folders of such files.
-
-    Raises:
-        ConfigurationError: it is no .png, its folder is missing or cannot be written, or it is a
-            folder or one of the inputs.
-    """
+    """Refuse, before any work is done, a figure that cannot be written."""
     if path.suffix.lower() != ".png":
         raise ConfigurationError(f"figure: expected a name that ends in .png, got {path}")
     try:
@@ -223,11 +174,7 @@ def check_figure(path: Path, inputs: Iterable[Path] = ()) -> None:
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:
-    """Width and height stated by a text such as 640x480, pixels; None for None.
-
-    Raises:
-        ConfigurationError: the text is no size.
-    """
+    """Width and height stated by a text such as 640x480, pixels; None for None."""
     if text is None:
         return None
     match = re.fullmatch(r"(\d{2,5})[xX](\d{2,5})", text)

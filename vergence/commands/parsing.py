@@ -22,15 +22,7 @@ class Runnable(Protocol):
 
 
 def parse_command(words: list[str]) -> Runnable:
-    """Parse the words of a command line into a command.
-
-    Args:
-        words: words after the program's name.
-
-    Raises:
-        SystemExit: with 0 after --help and --version; with 2 if there are no words (prints the
-            help) or wrong words (prints one line).
-    """
+    """Parse words into a command; `SystemExit` 0 after help, version; 2 for none or wrong ones."""
     if words == ["--version"]:
         from vergence import __version__
 
@@ -53,11 +45,7 @@ def parse_command(words: list[str]) -> Runnable:
 
 
 def split_verbosity(words: list[str]) -> tuple[list[str], int]:
-    """Remove -v, -vv and --verbose from words, at any position.
-
-    Returns:
-        The other words, and the verbosity: the number of v's and --verbose's.
-    """
+    """Other words, and the number of -v, -vv and --verbose among them, at any position."""
     asked = [word for word in words if re.fullmatch(r"-v+|--verbose", word)]
     others = [word for word in words if word not in asked]
     return others, sum(1 if word == "--verbose" else len(word) - 1 for word in asked)
@@ -112,14 +100,7 @@ def _command_of(words: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _reason(parser_output: str, path: list[str], commands: list[str], words: list[str]) -> str:
-    """Reason why words are not a valid command.
-
-    Args:
-        parser_output: error output of the parser, framed by box characters.
-        path: commands before the words.
-        commands: subcommands, one of which has to follow; empty if none has to.
-        words: words after the path.
-    """
+    """Reason why words are not a valid command."""
     if commands:
         if words and not words[0].startswith("-"):
             return str(UnknownNameError("command", words[0], commands))

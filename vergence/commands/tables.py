@@ -24,17 +24,7 @@ def print_table(
     shortenable: Sequence[int] = (),
     console: Console | None = None,
 ) -> None:
-    """Print a table, or a card for each row if the terminal is too narrow for a table.
-
-    Args:
-        columns: headings of the columns.
-        rows: cells of each row.
-        title: line above the table; empty for none.
-        wrapped: indices of the columns that wrap between words; all others are right-aligned and
-            never broken.
-        shortenable: indices of the columns whose cells may be shortened to their end.
-        console: console to print on; standard output by default.
-    """
+    """Print rows, as cards on a narrow terminal; wrapped and shortenable are columns' indices."""
     console = console or Console(highlight=False)
     for cells in (rows, _with_short(rows, shortenable)):
         for stacked_heads, padding in ((False, 2), (True, 2), (True, 1)):
@@ -49,14 +39,7 @@ def print_table(
 def print_cards(
     columns: Row, rows: Sequence[Row], *, title: str = "", console: Console | None = None
 ) -> None:
-    """Print each row as a card: its first cell, and below it a line for each other cell.
-
-    Args:
-        columns: headings of the columns.
-        rows: cells of each row; empty ones are left out.
-        title: line above the first card; empty for none.
-        console: console to print on; standard output by default.
-    """
+    """Print each row as a card: its first cell, and below it a line for each other cell."""
     console = console or Console(highlight=False)
     lines = _fitted(title, console.width, "")
     for first, *others in rows:

@@ -93,11 +93,7 @@ class Tune:
         return 0
 
     def _check_training(self) -> None:
-        """Refuse options that cannot be combined with a kind of training.
-
-        Raises:
-            ConfigurationError: an extra is missing, or such an option is set.
-        """
+        """Refuse options that cannot be combined with a kind of training."""
         require_modules("train", "torch", "stable_baselines3", "tensorboard")
         options = {"write": self.write, "write-package": self.write_package}
         for name, value in {**options, "cluster": self.machines.cluster}.items():
@@ -149,12 +145,7 @@ class Tune:
 
 
 def repeat_command(config: TuneConfig, *, with_trials: bool) -> str:
-    """Command line that repeats a search, from any folder.
-
-    Args:
-        config: options of the search.
-        with_trials: True to state the number of points; a grid defines it by itself.
-    """
+    """Command line that repeats a search, from any folder; a grid defines its number of points."""
     from vergence.models.files.head_file import absolute_source
 
     words = ["vergence", "tune", config.controller, "--scenario", config.scenario]

@@ -163,16 +163,7 @@ def assemble_actuation(
     sensor: SensorModel,
     actuators: Actuators | None,
 ) -> Actuation:
-    """Assemble the actuation of a head.
-
-    Args:
-        joints: (7,) names; empty for a missing joint, the same name twice for a shared joint.
-        limits: limits of the joints.
-        timing: timing of the head; supplies the lag of actuators that state none.
-        sensor: sensors of the head; supply the quantisation and backlash of actuators that state
-            none.
-        actuators: actuators of the eyes; None if each named eye joint has its own motor.
-    """
+    """Assemble the actuation of (7,) joints; timing and sensor supply what actuators leave out."""
     own = [(name, i) for i, name in enumerate(joints[EYES]) if name]
     names = tuple(dict.fromkeys(name for name, _ in own))
     seven: dict[str, FloatArray] = {}

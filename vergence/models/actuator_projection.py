@@ -33,16 +33,7 @@ def actuator_least_squares(
     use_right: bool,
     out: FloatArray,
 ) -> None:
-    """Solve for the actuators' motions that best give the wanted motions of both images.
-
-    Args:
-        p: a packed head.
-        jacobian: (2, 2, 2) by eye, image axis and joint of that eye, px/rad.
-        image_motions: (2, 2) by eye and image axis, px or px/s.
-        use_left: True if the left eye's wanted motion counts.
-        use_right: True if the right eye's wanted motion counts.
-        out: (4,) result, rad or rad/s.
-    """
+    """Motions (4,) of actuators that best give (2, 2) wanted motions of the images of used eyes."""
     rows = np.zeros((4, SLOTS))
     for eye in range(2):
         if not (use_right if eye else use_left):

@@ -347,16 +347,7 @@ def outline_m(target: PlanarTarget) -> NDArray[np.float64]:
 def board_pose(
     point: ArrayLike, facing: Literal["head", "forward"] = "head"
 ) -> NDArray[np.float64]:
-    """The pose of a board whose measured point is at a point of N.
-
-    Args:
-        point: (3,) in N, m.
-        facing: `head` for a board perpendicular to the line from N's origin, `forward` for one
-            parallel to N's xy plane.
-
-    Returns:
-        (4, 4) T_N_T: x right and y down as seen from the head, z into the board.
-    """
+    """(4, 4) T_N_T of a board at a point of N, m, facing N's origin or parallel to N's xy plane."""
     point = np.asarray(point, dtype=np.float64)
     pose = np.eye(4)
     pose[:3, 3] = point
@@ -377,19 +368,7 @@ def texture(
     rim_px: int = 0,
     blur_px: float = 0.0,
 ) -> NDArray[np.uint8]:
-    """Render the board as an image.
-
-    Args:
-        target: the board.
-        texels_per_cell: pixels of the image along a cell.
-        surround: grey level around the board.
-        rim_px: width of the surround on each side, pixels.
-        blur_px: standard deviation of a Gaussian blur, in pixels of the image; 0 for none.
-
-    Returns:
-        Grey levels, 0 for black and 255 for white, shape
-        (rows * texels + 2 rim, columns * texels + 2 rim).
-    """
+    """Grey levels of the board, (rows * texels + 2 rim, columns * texels + 2 rim), blur in px."""
     image = target.cells.repeat(texels_per_cell, axis=0).repeat(texels_per_cell, axis=1)
     image = np.pad(image, rim_px, constant_values=surround)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px) if blur_px > 0 else image, np.uint8)

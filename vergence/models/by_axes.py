@@ -15,16 +15,7 @@ _DROPPED_KEY_PREFIXES: Final = ("links", "eyes")
 
 
 def dh_to_joint_axes(head: HeadModel) -> HeadModel:
-    """Convert a head with Denavit-Hartenberg links to one with a free axis per joint.
-
-    Its geometry does not change; a head that has such axes is returned as it is.
-
-    D-H numbers cannot rotate a joint about the y axis, nor shift it along y, if the joint is
-    parallel to the one before it, as the article's tilts are to its neck's pitch.
-
-    Args:
-        head: one head, not a population.
-    """
+    """Convert a head with D-H links to one with a free axis per joint; its geometry stays."""
     if isinstance(head.links, JointAxes):
         return head
     bodies = head.links.bodies()

@@ -42,15 +42,7 @@ _EXCLUDED: Final = ("name", "names", "assumptions", "calibration")
 
 
 def digest_of(head: Any) -> str:
-    """Compute the digest of a head.
-
-    Args:
-        head: a dataclass whose fields are the head's name and its parts, each a dataclass of
-            numbers or an array.
-
-    Returns:
-        64 hexadecimal digits.
-    """
+    """64 hexadecimal digits for a dataclass of the head's name and its parts."""
     sha = hashlib.sha256()
     by_axes = isinstance(getattr(head, "links", None), JointAxes)
     for part in dataclasses.fields(head):

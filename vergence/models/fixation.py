@@ -64,11 +64,7 @@ def fixation_newton_step(
 
 @inlined
 def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[float, float]:
-    """Solve for the joint angles of one eye by Newton's method on the bearing, starting at rest.
-
-    Returns:
-        The angles of the eye's two joints, rad; nan if no angles fixate the point.
-    """
+    """Newton's method on the bearing, from rest: the eye's two angles, rad; nan if none fixate."""
     tilt, pan = 0.0, 0.0
     for _ in range(_MAX_ITERATIONS):
         dt, dp = fixation_newton_step(p, eye, tilt, pan, x, y, z)
@@ -135,18 +131,7 @@ def _aim_error(
 
 @subroutine
 def fixate_coupled(p: PackedHead, x: float, y: float, z: float, joints: FloatArray) -> bool:
-    """Find the eyes' joint angles that minimise the sum of squared pixel errors, coupled joints.
-
-    Args:
-        p: a packed head.
-        x: x of the point in N, m.
-        y: y of the point in N, m.
-        z: z of the point in N, m.
-        joints: (4,) result, rad; nan if there is no solution.
-
-    Returns:
-        True if there is a solution.
-    """
+    """Write (4,) angles, rad or nan, of least squared pixel errors; True if there is a solution."""
     own, step = np.zeros(SLOTS), np.zeros(SLOTS)
     error, rate = np.zeros((2, 2)), np.zeros((2, 2, 2))
     bearings, found, size = True, False, 0.0

@@ -27,17 +27,7 @@ belong to rays within about 1e-6 of a right angle from the axis (numerical)."""
 
 
 def pack_lens(lens: str, distortion: FloatArray) -> FloatArray:
-    """Pack a lens for kernels.
-
-    Args:
-        lens: the model, see `vergence.models.cameras.LENSES`.
-        distortion: (..., n) its coefficients in OpenCV's order, padded with zeros.
-
-    Returns:
-        (..., 11) k1, k2, p1, p2, k3, k4, k5, k6, the model's number, and two squared ideal radii:
-        the radius of the fold, inf if there is none, and a radius within which the model's
-        derivative is guaranteed to be positive definite.
-    """
+    """(..., 11) k1, k2, p1, p2, k3-k6, model, squared radii: of the fold or inf, and safe."""
     numbers = np.zeros((*distortion.shape[:-1], LENS_NUMBERS))
     if lens == "fisheye":
         numbers[..., 0:2], numbers[..., 4:6] = distortion[..., 0:2], distortion[..., 2:4]
@@ -61,10 +51,7 @@ def pack_lens(lens: str, distortion: FloatArray) -> FloatArray:
 
 
 def _safe_radius_squared(lens: str, numbers: FloatArray) -> FloatArray:
-    """Squared radius within which the derivative is positive definite.
-
-    It is the fold's without tangential terms: only these can turn the image over before the fold.
-    """
+    """Squared radius of a positive definite derivative; the fold's without tangential terms."""
     fold = numbers[..., 9]
     tangential = np.hypot(numbers[..., 2], numbers[..., 3])
     if not tangential.any():
@@ -108,11 +95,7 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _first_root(powers: FloatArray) -> FloatArray:
-    """Least positive root of polynomials, inf if there is none.
-
-    Args:
-        powers: (..., n) coefficients, the highest power first; the last is 1.
-    """
+    """Least positive root, or inf, of polynomials (..., n), highest power first, the last 1."""
     out = np.full(powers.shape[:-1], np.inf)
     used = powers.reshape(-1, powers.shape[-1]).any(axis=0)
     degree = powers.shape[-1] - 1 - int(np.argmax(used))

@@ -27,11 +27,7 @@ zero at critical damping (numerical)."""
 
 
 class HeldResponse(NamedTuple):
-    """Coefficients of the response to a command held for a fixed time, split into equal parts.
-
-    Over a part, the state changes linearly: the acceleration, and the gap v - u between velocity
-    and command.
-    """
+    """State changes over equal parts of a held command: acceleration, and gap v - u."""
 
     lag_s: float
     """Lag l, s."""
@@ -72,14 +68,7 @@ def _transition(lag: float, square: float, t: float) -> tuple[float, float, floa
 def prepare_held_response(
     lag_s: float, build_up_ratio: float, max_acceleration: float, hold_s: float
 ) -> HeldResponse:
-    """Prepare the coefficients of the response to a command that is held for a time.
-
-    Args:
-        lag_s: l, s, above 0.
-        build_up_ratio: build-up m.
-        max_acceleration: greatest acceleration, rad/s^2, inf for none.
-        hold_s: hold time of a command, s.
-    """
+    """Coefficients for lag l above 0, s, build-up m, acceleration limit (or inf), rad/s^2."""
     if build_up_ratio < _MIN_BUILD_UP or hold_s <= 0.0:
         return HeldResponse(
             lag_s, 0.0, max_acceleration, hold_s, 1, lag_decay(hold_s, lag_s), 0.0, 0.0, 0.0

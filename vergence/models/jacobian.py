@@ -41,19 +41,7 @@ def pixel_rate(
 def eye_jacobian(
     p: PackedHead, eye: int, frames: EyeFrames, ideal_u: float, ideal_v: float, depth: float
 ) -> tuple[float, float, float, float]:
-    """The 2x2 image Jacobian by one eye's tilt and pan, row by row.
-
-    Args:
-        p: a packed head.
-        eye: 0 for left, 1 for right.
-        frames: the frames of that eye.
-        ideal_u: horizontal coordinate of the ideal pixel.
-        ideal_v: vertical coordinate of the ideal pixel.
-        depth: the point's z in the camera frame, m.
-
-    Returns:
-        du/dtilt, du/dpan, dv/dtilt, dv/dpan in px/rad.
-    """
+    """du/dtilt, du/dpan, dv/dtilt, dv/dpan, px/rad, at an ideal pixel and depth z, m."""
     camera = camera_of(p, eye)
     x, y = pinhole_ray(camera, ideal_u, ideal_v)
     px, py, pz = point_to_outer(frames.camera, x * depth, y * depth, depth)

@@ -43,20 +43,7 @@ def lag_decay(time: float, tau: float) -> float:
 def follow_joint(
     q: float, v: float, u: float, tau: float, max_acceleration: float, period: float, decay: float
 ) -> tuple[float, float]:
-    """Move one joint by a period, without position limits; for use inside kernels.
-
-    Args:
-        q: angle, rad.
-        v: velocity, rad/s.
-        u: velocity command, rad/s.
-        tau: time constant, s; 0 for no lag.
-        max_acceleration: greatest acceleration, rad/s^2; inf for no limit.
-        period: the period, s.
-        decay: `lag_decay(period, tau)`; callers compute it once for many joints.
-
-    Returns:
-        Angle and velocity, rad and rad/s.
-    """
+    """Angle and velocity a period on, unlimited; rad and s; tau 0: no lag; `decay`: `lag_decay`."""
     gap = u - v
     side = 1.0 if gap >= 0.0 else -1.0
     # duration of the acceleration at its limit; 0 without a limit
@@ -101,21 +88,7 @@ def follow_torque_limited_joint(
     torque_falloff: float,
     period: float,
 ) -> tuple[float, float]:
-    """`follow_joint` for a motor whose torque falls with its speed.
-
-    Args:
-        q: angle, rad.
-        v: velocity, rad/s.
-        u: velocity command, rad/s.
-        tau: time constant, s; 0 for no lag.
-        max_acceleration: greatest acceleration at rest, rad/s^2.
-        torque_falloff: fraction of `max_acceleration` lost per rad/s of speed, times any speed
-            below 1.
-        period: the period, s.
-
-    Returns:
-        Angle and velocity, rad and rad/s.
-    """
+    """`follow_joint` for a torque that falls with speed, by `torque_falloff` per rad/s."""
     if v * u < 0.0:  # braking first
         turn = time_to_reversal(v, u, tau, max_acceleration)
         if turn >= period:

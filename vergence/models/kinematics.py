@@ -48,18 +48,7 @@ FOUR_ELEMENTS: Final = np.zeros(4)
 def pack_head(
     links: Links, head_eye: FloatArray, cameras: Cameras, actuation: Actuation
 ) -> FloatArray:
-    """Pack a head's constants into one row of numbers per head.
-
-    Args:
-        links: the joint axes, batched or not.
-        head_eye: (..., 2, 4, 4) poses of the cameras in the eyes' last links.
-        cameras: the two cameras, batched or not.
-        actuation: the head's actuators.
-
-    Returns:
-        (..., PACKED) read-only array, see `vergence.models.packed`; its leading shape is the
-        broadcast shape of the parts.
-    """
+    """(..., PACKED) read-only rows of a head's constants, see `vergence.models.packed`."""
     poses = links.constant_poses()
     for eye in range(2):
         poses[6 + 3 * eye] = poses[6 + 3 * eye] @ head_eye[..., eye, :, :]
@@ -118,10 +107,7 @@ def neck_frame(p: PackedHead, q1: float, q2: float, q3: float) -> Pose:
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:,:])"], f"(7),({PACKED}),(4)->(4,4)")
 def frame_n_in_base(q: FloatArray, p: PackedHead, _four: FloatArray, out: FloatArray) -> None:
-    """T_0_N of a packed head: pose of frame N in the base frame 0.
-
-    `_four` only sets the result's dimension.
-    """
+    """T_0_N of a packed head; `_four` only sets the result's dimension."""
     store_pose(out, neck_frame(p, q[0], q[1], q[2]))
 
 

@@ -166,10 +166,7 @@ def _radial_and_tangential(
 
 @subroutine
 def _distort_generic(camera: CameraRow, x: float, y: float) -> DistortedPoint:
-    """Distort by any model; for the fisheye, x and y are the angles (x, y) t / r.
-
-    In these the fisheye is a polynomial too. Without coefficients of a denominator, it is 1.
-    """
+    """Distort by any model; for the fisheye, a polynomial too, x and y are angles (x, y) t / r."""
     k1, k2, k3 = camera.k1, camera.k2, camera.k3
     k4, below_k1 = (camera.k4, 0.0) if camera.lens == FISHEYE else (0.0, camera.k4)
     r2 = x * x + y * y

@@ -56,21 +56,10 @@ class Links(Protocol):
         """A copy of these links with other parameters: the inverse of `fields`."""
 
     def constant_poses(self) -> list[FloatArray]:
-        """Ten constants (..., 4, 4): B_0 to B_3 of the neck, M_0 to M_2 of the left, right eye.
-
-        M_2 does not include the head-eye transform, which is its last factor.
-        """
+        """(..., 4, 4) B_0-B_3 of the neck, M_0-M_2 of each eye; M_2 without head-eye."""
 
     def twists(self, reference: Any) -> FloatArray:
-        """Exact derivatives of the eyes' `constant_poses` by the parameters, for one head.
-
-        Args:
-            reference: the links that rotations are relative to, see `fields`.
-
-        Returns:
-            (n, 6, 6) by parameter, by constant (M_0 to M_2 of the left eye, then of the right) and
-            by component of the body twist `M^-1 dM` (rotation, then translation).
-        """
+        """(n, 6, 6) body twists `M^-1 dM` by parameter and by M_0-M_2, left then right."""
 
     def bodies(self) -> tuple[Body, ...]:
         """The bodies that the joints carry, parents first; for one head, not for a population."""
@@ -241,17 +230,7 @@ def twist_vector(matrix: FloatArray) -> FloatArray:
 
 
 def pose_parameter_twists(reference_pose: FloatArray, rotation_vector: FloatArray) -> FloatArray:
-    """Body twists `inv(T) dT/dx` of a pose T by each component x of its parameters r and p.
-
-    T has the rotation `R exp([r])` and the position p; the twists are in its own frame.
-
-    Args:
-        reference_pose: (4, 4) pose with the rotation R.
-        rotation_vector: (3,) the rotation vector r.
-
-    Returns:
-        (6, 6) one twist (rotation, then translation) per row, for r, then for p.
-    """
+    """(6, 6) rows `inv(T) dT/dx` (rotation, translation) for r, then p, of T = (R exp([r]), p)."""
     angle = float(np.linalg.norm(rotation_vector))
     x, y, z = rotation_vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -274,11 +253,7 @@ def map_arrays(links: Any, pick: Callable[[FloatArray, int], FloatArray]) -> Any
 
 
 def multiply_poses(*poses: FloatArray) -> FloatArray:
-    """(..., 4, 4) the product of poses, bit for bit equal on every machine.
-
-    Linear algebra libraries sum in an order that depends on the processor; the digest of a head
-    must not, see `vergence.models.digest`.
-    """
+    """(..., 4, 4) product, equal bit for bit on every machine, unlike BLAS, as digests need."""
     made, *others = poses
     for other in others:
         terms = [made[..., :, k, None] * other[..., None, k, :] for k in range(4)]

@@ -46,18 +46,7 @@ def pack_constants(
     actuation: Actuation,
     batch_shape: tuple[int, ...],
 ) -> FloatArray:
-    """Pack heads into one row of numbers each.
-
-    Args:
-        poses: (..., 4, 4) each: the four constants of the neck, the three of the left eye, and the
-            three of the right eye, in the order of `neck_constant_pose` and `eye_constant_pose`.
-        cameras: the two cameras, batched or not.
-        actuation: the head's actuators.
-        batch_shape: the leading shape; all parts broadcast to it.
-
-    Returns:
-        (*batch, PACKED) read-only array.
-    """
+    """(*batch, PACKED) read-only rows; `poses` are ten (..., 4, 4): neck, left eye, right eye."""
     packed = np.zeros((*batch_shape, PACKED))
     for i, pose in enumerate(poses):
         rows = pose[..., :3, :]
@@ -75,14 +64,7 @@ def pack_constants(
 
 
 def pack_cameras(cameras: Cameras) -> FloatArray:
-    """Pack the two cameras into rows for `camera_at`.
-
-    Args:
-        cameras: the two cameras, batched or not.
-
-    Returns:
-        (..., 2, 17); the leading shape is the broadcast shape of the cameras' parts.
-    """
+    """Pack the two cameras into rows (..., 2, 17) for `camera_at`."""
     size, focal, principal, lens = cameras.size, cameras.focal, cameras.principal, cameras.lens
     if lens[0] == lens[1]:
         return pack_camera(size, focal, principal, lens[0], cameras.distortion)
@@ -96,18 +78,7 @@ def pack_cameras(cameras: Cameras) -> FloatArray:
 def pack_camera(
     size: ArrayLike, focal: FloatArray, principal: FloatArray, lens: str, distortion: FloatArray
 ) -> FloatArray:
-    """Pack cameras of one lens model into rows for `camera_at`.
-
-    Args:
-        size: (..., 2) image width and height, px.
-        focal: (..., 2) focal lengths, px.
-        principal: (..., 2) principal points, px.
-        lens: the model, see `vergence.models.cameras.LENSES`.
-        distortion: (..., n) coefficients of the lens.
-
-    Returns:
-        (..., 17); the leading shape is the broadcast shape of all arguments except the size.
-    """
+    """Pack cameras of one lens model into rows (..., 17) for `camera_at`; size and focal in px."""
     batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
     rows = np.empty((*batch, CAMERA_LENGTH))
     numbers = pack_lens(lens, distortion)

@@ -56,16 +56,7 @@ class Parameters(NamedTuple):
 
 
 def parameters_of(geometry: Geometry, reference: Geometry | None = None) -> Parameters:
-    """Flatten a geometry to a vector.
-
-    Args:
-        geometry: geometry of one head or a population.
-        reference: the reference geometry for rotation vectors; None for `geometry` itself, whose
-            rotation vectors are then zero.
-
-    Returns:
-        Names, units and values; `geometry_with(reference, values)` is the inverse.
-    """
+    """Flatten a geometry; rotation vectors are relative to `reference`, by default to itself."""
     parameters = _parameters(geometry)
     fields = _fields(geometry, geometry if reference is None else reference)
     batch = np.broadcast_shapes(*(field.shape[:-1] for field in fields.values()))
@@ -80,19 +71,7 @@ def parameters_of(geometry: Geometry, reference: Geometry | None = None) -> Para
 
 
 def geometry_with(reference: Geometry, values: ArrayLike) -> Geometry:
-    """Rebuild a geometry from a vector: the inverse of `parameters_of`.
-
-    Args:
-        reference: geometry of one head, the reference for rotation vectors; parts that the vector
-            does not hold, such as the neck, are copied from it.
-        values: (..., n) in the order of `parameters_of`.
-
-    Returns:
-        A geometry with the batch shape of the values.
-
-    Raises:
-        ConfigurationError: the vector has the wrong length.
-    """
+    """Rebuild a geometry from (..., n) `parameters_of`; the neck is copied from the reference."""
     parameters = _parameters(reference)
     vector = as_operand("values", values, len(parameters))
     batch = vector.shape[:-1]

@@ -29,16 +29,7 @@ def is_name_tuple(value: object) -> bool:
 
 
 def replace_fields(part: T, part_name: str, fields: Mapping[str, Any]) -> T:
-    """Copy a head, or a part of one, with some fields changed.
-
-    Args:
-        part: the dataclass to copy.
-        part_name: its name in error messages.
-        fields: new values; a mapping as the value of a part changes fields of that part.
-
-    Raises:
-        ConfigurationError: a field is unknown, or a value has the wrong type.
-    """
+    """Copy a head or a part with some fields changed; a mapping changes fields of a part."""
     known: Any = part
     refuse_unknown(part_name, fields, [field.name for field in dataclasses.fields(known)])
     new = {}

@@ -83,15 +83,7 @@ class ModelErrors:
 
 
 def as_model_errors(errors: Mapping[str, float] | ModelErrors, name: str) -> ModelErrors:
-    """Make model errors from a mapping.
-
-    Args:
-        errors: standard deviations by the fields of `ModelErrors`.
-        name: name of the errors in messages.
-
-    Raises:
-        ConfigurationError: a field is unknown, or a value is invalid.
-    """
+    """Make model errors from standard deviations by field; `name` is theirs in messages."""
     if isinstance(errors, ModelErrors):
         return errors
     if not isinstance(errors, Mapping):
@@ -168,17 +160,7 @@ DEVIATES: Final = sum(len(names) for _error, names in _DEVIATE_LAYOUT)
 def perturb_geometry(
     nominal: Geometry, rng: np.random.Generator, errors: ModelErrors, shape: tuple[int, ...]
 ) -> Geometry:
-    """Draw geometries that differ from the nominal one by random errors.
-
-    Args:
-        nominal: the geometry of one head.
-        rng: the source of randomness.
-        errors: standard deviations of the errors.
-        shape: the population's shape, () for one head.
-
-    Returns:
-        A geometry with the batch shape `shape`.
-    """
+    """Draw geometries of batch shape `shape` that differ from the nominal one by random errors."""
     draws = [
         # this error was added last: heads drawn without it stay as they were before
         np.zeros((*shape, len(names)))
@@ -190,16 +172,7 @@ def perturb_geometry(
 
 
 def perturb_by_deviates(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> Geometry:
-    """Perturb the nominal geometry by given standard normal numbers.
-
-    Args:
-        nominal: the geometry of one head.
-        errors: standard deviations of the errors.
-        deviates: (..., DEVIATES) standard normal numbers, one vector per head.
-
-    Returns:
-        A geometry with the batch shape of the deviates.
-    """
+    """Perturb the nominal geometry by (..., DEVIATES) standard normal numbers."""
     names, _units, values = parameters_of(nominal)
     sources, places, relative = _sources(names)
     sigma = np.array([getattr(errors, source, 0.0) for source in sources])
@@ -218,15 +191,7 @@ def perturb_by_deviates(nominal: Geometry, errors: ModelErrors, deviates: FloatA
 
 
 def standard_deviations(nominal: Geometry, errors: ModelErrors) -> FloatArray:
-    """Standard deviation of each parameter of a geometry, without the common tilt.
-
-    Args:
-        nominal: the geometry of one head.
-        errors: standard deviations of the errors.
-
-    Returns:
-        (n,) in the order of `parameters_of`; 0 for parameters that no error moves.
-    """
+    """(n,) in the order of `parameters_of`, without the common tilt; 0 where no error moves."""
     names, _units, values = parameters_of(nominal)
     sources, _places, relative = _sources(names)
     sigma = np.array([getattr(errors, source, 0.0) for source in sources])

@@ -23,10 +23,7 @@ _ROUNDING_RAD: Final = 1e-9
 
 
 class FixationBounds(NamedTuple):
-    """Limits of the points passed to `HeadModel.fixate`, and of the joint angles it returns.
-
-    They are Python floats: comparing eight of these takes less time than one NumPy call.
-    """
+    """Limits of points and angles of `HeadModel.fixate`: floats, compared faster than arrays."""
 
     zero_disparity_m: float
     """Distance from which the disparity does not distinguish a point from one at infinity, m."""
@@ -60,16 +57,7 @@ class FixationBounds(NamedTuple):
 
 
 def warn_of_point(bounds: FixationBounds, point: ArrayLike, q: FloatArray) -> None:
-    """Warn the caller's caller if a point seems to be in millimetres or is beyond the limits.
-
-    A point of at least 1000 x `bounds.far_m`, such as a star, is not taken for millimetres: it
-    would be far away in that unit too.
-
-    Args:
-        bounds: bounds of the head.
-        point: (3,) in N, m.
-        q: (7,) joint angles that fixate it, rad; nan gives no warning.
-    """
+    """Warn of a point in millimetres (not beyond 1000 x far_m, as a star) or out of reach."""
     x, y, z = np.asarray(point, dtype=np.float64).tolist()
     distance = hypot(x, y, z)
     if bounds.zero_disparity_m < distance < _MM_PER_M * bounds.zero_disparity_m:
@@ -96,17 +84,7 @@ def warn_of_point(bounds: FixationBounds, point: ArrayLike, q: FloatArray) -> No
 def describe_beyond_limits(
     joints: tuple[str, ...], limits: JointLimits, actuation: Actuation, q: FloatArray
 ) -> str:
-    """Describe the first of the eyes' actuators or joints that would be beyond its limits.
-
-    Args:
-        joints: (7,) names of the joints.
-        limits: limits of the joints.
-        actuation: the head's actuators.
-        q: (7,) joint angles, rad.
-
-    Returns:
-        A phrase such as `left_pan would be at 60.0 degrees, outside -54.0 to 54.0`; empty for none.
-    """
+    """Phrase on the first actuator or joint of the eyes beyond its limits at (7,) q; or empty."""
     for names, angles, ends in (
         (actuation.names, actuation.actuators_of(q), actuation),
         (joints[EYES], q, limits),

@@ -15,13 +15,7 @@ _CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
 
 
 def pick_geometry(geometry: Geometry, batch_shape: tuple[int, ...], index: Any) -> Geometry:
-    """Select one geometry, or several, of a population.
-
-    Args:
-        geometry: geometry of the population.
-        batch_shape: shape of the population.
-        index: NumPy index for an array of that shape.
-    """
+    """Select one geometry, or several, of a population by a NumPy index for its shape."""
 
     def taken(values: FloatArray, own: int) -> FloatArray:
         full = np.broadcast_to(values, (*batch_shape, *values.shape[values.ndim - own :]))
@@ -36,11 +30,7 @@ def pick_geometry(geometry: Geometry, batch_shape: tuple[int, ...], index: Any) 
 
 
 def stack_geometries(geometries: Sequence[Geometry]) -> Geometry:
-    """Stack geometries of equal shape to a population.
-
-    Raises:
-        ConfigurationError: the geometries have different lens models or different joints.
-    """
+    """Stack geometries of equal shape to a population."""
     first = geometries[0]
     lenses = [geometry.cameras.lens for geometry in geometries]
     if any(lens != lenses[0] for lens in lenses):

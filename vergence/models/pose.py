@@ -134,12 +134,7 @@ def point_to_outer(m: Pose, x: float, y: float, z: float) -> Vector:
 def point_rate_in_camera(
     joint_frame: Pose, camera_pose: Pose, x: float, y: float, z: float
 ) -> Vector:
-    """Motion of a point in the camera's frame per radian of a joint that turns the camera.
-
-    The point and both poses are given in one outer frame, in which the point is fixed.
-
-    `-R_C_N (z_i x (P - o_i))`: the camera turns about the axis, the point stays.
-    """
+    """`-R_C_N (z_i x (P - o_i))`: a fixed point's motion in the camera per radian of a joint."""
     rx, ry, rz = x - joint_frame.x, y - joint_frame.y, z - joint_frame.z
     wx = joint_frame.zz * ry - joint_frame.yz * rz
     wy = joint_frame.xz * rz - joint_frame.zz * rx

@@ -68,27 +68,12 @@ def parse_response(value: Any, name: str = "response") -> CameraResponse:
 
 
 def default_response(*, colour: bool) -> CameraResponse:
-    """Default response of an image from a camera without a stated response.
-
-    Nearly all colour cameras, and the files saved from them, follow sRGB. Most grey images come
-    from industrial cameras or from rendering, without a gamma encoding.
-
-    Args:
-        colour: True for an image in colour: an array with three or four channels.
-    """
+    """Response if none is stated: sRGB for colour, linear for grey, from industry or rendering."""
     return SRGB if colour else LINEAR
 
 
 def to_light(grey_fraction: ArrayLike, response: CameraResponse) -> FloatArray:
-    """Convert grey levels to light.
-
-    Args:
-        grey_fraction: levels as fractions of the greatest, 0 to 1.
-        response: see `parse_response`.
-
-    Returns:
-        Light of the same shape, 0 to 1.
-    """
+    """Convert grey levels to light, both as fractions of the greatest, 0 to 1."""
     grey_fraction = np.asarray(grey_fraction, np.float64)
     if response == LINEAR:
         return grey_fraction
@@ -105,14 +90,7 @@ def to_light(grey_fraction: ArrayLike, response: CameraResponse) -> FloatArray:
 
 @lru_cache(maxsize=32)
 def light_table(response: CameraResponse) -> FloatArray:
-    """Light of each grey level of 8 bits.
-
-    Args:
-        response: see `parse_response`.
-
-    Returns:
-        (256,) from 0 to 255, read-only.
-    """
+    """(256,) read-only light of each grey level of 8 bits."""
     light = 255.0 * to_light(np.linspace(0.0, 1.0, _LEVELS), response)
     light.setflags(write=False)
     return light

@@ -77,17 +77,7 @@ class TagFamilyCode:
         return cells
 
     def cells(self, identity: int) -> NDArray[np.uint8]:
-        """Draw the tag of an id.
-
-        Args:
-            identity: id of the tag, 0 to `len(code_words)` - 1.
-
-        Returns:
-            Cells, shape (total, total): 0 black, 255 white, `UNPRINTED` outside bits and borders.
-
-        Raises:
-            ConfigurationError: the family has no such tag.
-        """
+        """Cells of a tag, (total, total): 0 black, 255 white, `UNPRINTED` outside bits, borders."""
         if not 0 <= identity < len(self.code_words):
             raise ConfigurationError(
                 f"AprilTag id: expected 0 to {len(self.code_words) - 1} in the family {self.name}, "
@@ -104,14 +94,7 @@ class TagFamilyCode:
 
 @cache
 def tag_family(name: str) -> TagFamilyCode:
-    """Load the family of a name.
-
-    Args:
-        name: a name such as 36h11, tag36h11 or Standard41h12, in any letter case.
-
-    Raises:
-        UnknownNameError: the AprilTag library has no such family.
-    """
+    """Load the family of a name such as 36h11, tag36h11 or Standard41h12, in any letter case."""
     known = {each.lower(): each for each in CORRECTED_BITS}
     proper = known.get(name.lower().removeprefix("tag"))
     if proper is None:

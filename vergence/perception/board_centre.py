@@ -12,18 +12,7 @@ from vergence.vision import Detection, EyeCamera
 
 
 def centre_weights(corners_m: FloatArray, found_mask: NDArray[np.bool_]) -> FloatArray:
-    """Weights whose weighted mean of a board's corners is its centre.
-
-    They follow from the best affine fit to the corners found: the mean if all were found.
-
-    Args:
-        corners_m: (n, 2) the board's corners.
-        found_mask: (n,) True for corners that were found.
-
-    Returns:
-        (n,) weights that sum to 1, zero for corners that were not found; nan if those that were
-        found lie on a line.
-    """
+    """(n,) weights whose mean is the centre by the affine fit; nan for corners on a line."""
     weights = np.zeros(len(corners_m))
     from_middle = (corners_m - corners_m.mean(axis=0))[found_mask]
     design = np.column_stack([np.ones(len(from_middle)), from_middle / np.ptp(corners_m)])
@@ -34,12 +23,7 @@ def centre_weights(corners_m: FloatArray, found_mask: NDArray[np.bool_]) -> Floa
 
 
 def weighted_sum(values: FloatArray, weights: FloatArray) -> FloatArray:
-    """Weighted sum of rows; rows with weight 0 are ignored, even if they are nan.
-
-    Args:
-        values: (n, ...) one row per corner.
-        weights: (n,) see `centre_weights`.
-    """
+    """Weighted sum of rows; rows with weight 0 are ignored, even if they are nan."""
     used = weights != 0.0
     return np.asarray(np.tensordot(weights[used], values[used], axes=1))
 
@@ -47,18 +31,7 @@ def weighted_sum(values: FloatArray, weights: FloatArray) -> FloatArray:
 def target_centre_px(
     detection: Detection, camera: EyeCamera | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Pixel of a target's centre in an image.
-
-    For a tag it is the measured point. For a board, a homography fitted to its corners maps the
-    centre to the image, through undistorted rays if the camera is known.
-
-    Args:
-        detection: the detection.
-        camera: the eye; None for a pinhole.
-
-    Returns:
-        (2,) the pixel and (2,) its standard deviation; nan if the corners do not determine it.
-    """
+    """(2,) pixel of a target's centre, for a board by a homography, and (2,) its sigma; or nan."""
     target = detection.target
     if isinstance(target, AprilTag):
         return detection.point_px, detection.sigma_px

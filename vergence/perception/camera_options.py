@@ -17,23 +17,7 @@ def load_camera(
     size: tuple[int, int] | None = None,
     lens: Lens | None = None,
 ) -> tuple[EyeCamera | None, tuple[str, ...]]:
-    """Load the camera that command-line options name.
-
-    Args:
-        head: a preset's name or the path of a TOML file.
-        calibration: a calibration file of OpenCV, ROS or kalibr.
-        eye: `left` or `right`; not needed for a calibration of one camera.
-        size: image size (width, height), px, for a calibration file without one.
-        lens: lens model, for a calibration file that does not name it.
-
-    Returns:
-        The camera, None if neither a head nor a calibration is given; and doubtful or assumed
-        values of the calibration, one phrase each.
-
-    Raises:
-        VergenceError: head and calibration are both given, the eye, the image size or the lens is
-            missing or is given without them, or a file cannot be read.
-    """
+    """Load the camera that options name, None if none, and phrases on its doubtful values."""
     if head is not None and calibration is not None:
         raise ConfigurationError("camera: expected either --head or --camera, got both")
     for option, given in (("size", size), ("lens", lens)):

@@ -62,20 +62,7 @@ def detect_in_photographs(
     progress: Callable[[float], None] | None = None,
     on_photograph: Callable[[Photograph], None] | None = None,
 ) -> DetectResult:
-    """Find targets in photographs.
-
-    Args:
-        paths: images and folders of images.
-        finder: finds the targets.
-        progress: called with the fraction done after every image.
-        on_photograph: called with each image.
-
-    Returns:
-        The result.
-
-    Raises:
-        VergenceError: there are no images, or none of them can be read or has the camera's size.
-    """
+    """Find targets in photographs."""
     if not paths:
         raise ConfigurationError("expected images or folders of images, got none")
     every = list_photographs(paths)

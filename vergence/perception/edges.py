@@ -63,22 +63,7 @@ def mean_edge_sigma(
     points: FloatArray,
     pixel_noise_covariances: FloatArray,
 ) -> float:
-    """Standard deviation of the mean distance between neighbouring corners.
-
-    Pixel errors are independent between corners. Joint errors are common to all corners: an error
-    of the vergence angle scales the board as a whole.
-
-    Args:
-        head: the head.
-        q: (7,) joint angles at the exposure, rad.
-        target: the board.
-        pixels: (n, 2, 2) its corners, by corner and eye.
-        points: (n, 3) its corners in space, metres; nan for corners without a solution.
-        pixel_noise_covariances: (n, 3, 3) their covariance from pixel noise alone, m^2.
-
-    Returns:
-        Metres; nan if no two neighbours have a solution.
-    """
+    """Sigma of a board's mean edge, m; pixel errors are independent, joint errors common."""
     first, second = neighbour_pairs(target).T
     apart = points[first] - points[second]
     there = np.isfinite(apart).all(axis=1)
@@ -106,15 +91,7 @@ def mean_edge_sigma(
 
 
 def describe_wrong_edges(name: str, mean_edges: Sequence[MeanEdge]) -> str:
-    """Message about targets whose edges differ from the stated size.
-
-    Args:
-        name: name of the targets.
-        mean_edges: edges of all of them in all pairs; they share one stated size.
-
-    Returns:
-        One line; empty if all are as stated.
-    """
+    """Message about targets whose edges differ from the stated size; empty if none do."""
     mean_edges = [each for each in mean_edges if np.isfinite(each.mean_m)]
     off = [each for each in mean_edges if each.differs_from_stated]
     if not off:

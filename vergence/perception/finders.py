@@ -28,13 +28,7 @@ def make_live_finders(
     camera: EyeCamera | None = None,
     response: CameraResponse | None = None,
 ) -> list[LiveFinder]:
-    """Make a finder for each target in live images.
-
-    Args:
-        targets: targets to find.
-        camera: the eye; None if unknown.
-        response: light by grey level; None for the camera's, see `make_detector`.
-    """
+    """Make a finder for each target in live images."""
     return [_finder(make_detector(target, camera, response)) for target in targets]
 
 
@@ -57,15 +51,7 @@ class _Track(NamedTuple):
 
 
 class FamilyTracker:
-    """Tracks all tags of a family, each near its predicted position.
-
-    Searching a whole image takes many times as long as tracking. The tracker searches in full while
-    a tag was lost within the last 15 images, and in every 15th image for new tags. If it has no
-    tag to track, it searches every image in the quick ways, and in full if these find a tag.
-
-    Args:
-        detector: detector of the family.
-    """
+    """Tracks a family's tags; searches in full every 15th image and for 15 after a loss."""
 
     def __init__(self, detector: Detector[Any]) -> None:
         self._detector = detector

@@ -28,23 +28,7 @@ def eyes_move(head: HeadModel) -> bool:
 def read_joint_angles(
     head: HeadModel, file: Path | None, pairs: Sequence[str]
 ) -> Mapping[str, FloatArray]:
-    """Read the joint angles of each pair.
-
-    Args:
-        head: the head.
-        file: JSON, CSV or TOML with columns named after the head's joints or its actuators, in rad
-            (optional suffix `_rad`) or, with suffix `_deg`, in degrees. If it has several rows, a
-            column `pair` holds the name of each left image, with or without the file extension.
-            None for a head at rest.
-        pairs: names of the pairs.
-
-    Returns:
-        (7,) joint angles by pair, rad.
-
-    Raises:
-        ConfigurationError: the file cannot be read, a joint is missing or unknown, an angle is
-            invalid, or a pair has no row.
-    """
+    """Joint angles (7,) by pair, rad, from JSON, CSV or TOML; a head at rest without a file."""
     if file is None:
         return dict.fromkeys(pairs, head.rest())
     rows = read_pair_rows(file, pairs)
@@ -52,18 +36,7 @@ def read_joint_angles(
 
 
 def read_pair_rows(file: Path, pairs: Sequence[str]) -> Mapping[str, Row]:
-    """Read the row of each pair, see `read_joint_angles`.
-
-    Args:
-        file: JSON, CSV or TOML.
-        pairs: names of the pairs.
-
-    Returns:
-        Rows by pair, without the column `pair`.
-
-    Raises:
-        ConfigurationError: the file cannot be read, or a pair has no row.
-    """
+    """Rows by pair, without the column `pair`, see `read_joint_angles`."""
     rows = read_table_rows(file)
     if len(rows) == 1 and PAIR not in rows[0]:
         return dict.fromkeys(pairs, rows[0])
@@ -91,19 +64,7 @@ def read_pair_rows(file: Path, pairs: Sequence[str]) -> Mapping[str, Row]:
 
 
 def parse_joint_angles(head: HeadModel, row: Row, where: str) -> FloatArray:
-    """Joint angles of a row, see `read_joint_angles`.
-
-    Args:
-        head: the head.
-        row: angles by the names of joints or actuators.
-        where: name of the row in messages.
-
-    Returns:
-        (7,) rad.
-
-    Raises:
-        ConfigurationError: a joint is missing or unknown, or an angle is invalid.
-    """
+    """(7,) rad, of a row by joints or actuators (`_deg`: degrees); `where` is for messages."""
     given = _radians(head, row, where)
     own = head.actuation
     joints = [name for name in dict.fromkeys(head.joints[EYES]) if name]
@@ -156,15 +117,7 @@ def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
 
 
 def parse_finite_number(value: Any, where: str) -> float:
-    """Convert a table's value to a finite number.
-
-    Args:
-        value: the value as it was read.
-        where: name of its place in messages.
-
-    Raises:
-        ConfigurationError: the value is not a finite number.
-    """
+    """Convert a table's value to a finite number."""
     if not isinstance(value, bool) and isinstance(value, int | float | str):
         try:
             number = float(value)

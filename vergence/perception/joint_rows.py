@@ -17,21 +17,7 @@ _FORMATS: Final = "JSON, CSV or TOML (by its ending)"
 
 
 def read_table_rows(path: Path) -> list[Row]:
-    """Read the rows of a file.
-
-    A JSON or TOML file holds one row as a table; several as a list, as a table whose only value is
-    a list, or as a table of tables by the names of their pairs. A CSV file has a header.
-
-    Args:
-        path: the file.
-
-    Returns:
-        The rows, at least one; values of a CSV file are strings.
-
-    Raises:
-        UnreadableFileError: the file does not exist or is not text.
-        ConfigurationError: the file has another format, or holds no rows.
-    """
+    """Rows, at least one, of JSON or TOML (table, list, or tables by pair) or CSV (strings)."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:

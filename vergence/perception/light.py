@@ -47,10 +47,7 @@ a lens out of focus (measured: benchmarks.responses)."""
 
 
 class LinearResponseCheck:
-    """Checks by the edges of found targets if levels stated as linear look encoded as sRGB.
-
-    The reverse is not checked: cameras that encode also sharpen, which changes edges as well.
-    """
+    """Tells by edges if levels stated as linear look encoded as sRGB; not the reverse."""
 
     def __init__(self) -> None:
         self._ratios: list[float] = []
@@ -58,13 +55,7 @@ class LinearResponseCheck:
     def add(
         self, image: ArrayLike, detections: Iterable[Detection], stated_response: CameraResponse
     ) -> None:
-        """Add the edges of an image, until there are enough.
-
-        Args:
-            image: any image that `as_grey` takes.
-            detections: detections of targets in it.
-            stated_response: response with which it was read.
-        """
+        """Add the edges of an image, read with the stated response, until there are enough."""
         if stated_response == LINEAR and len(self._ratios) < _MAX_EDGES_IN_TOTAL:
             self._ratios += srgb_fit_log_ratios(measurement_channel(image), detections)
 
@@ -83,16 +74,7 @@ class LinearResponseCheck:
 
 
 def srgb_fit_log_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> list[float]:
-    """Compare how well the responses "linear" and "srgb" fit the edges of targets.
-
-    Args:
-        image: (height, width) levels.
-        detections: detections of targets in it.
-
-    Returns:
-        For each edge the logarithm of the ratio of the residual sums of squares of "linear" and
-        "srgb": above 0 if sRGB fits better.
-    """
+    """By edge, log ratio of residual squares of "linear" to "srgb"; above 0 if sRGB fits better."""
     ratios = []
     for found in detections:
         corners = found.corners_px[neighbour_pairs(found.target)]

@@ -115,12 +115,7 @@ class _Sums:
 
 
 class LiveStatistics:
-    """Statistics over a sliding window and over the whole run.
-
-    Args:
-        targets: targets that are listed from the start, found or not.
-        window_s: length of the window, s.
-    """
+    """Statistics over a sliding window, s, and over the whole run."""
 
     def __init__(self, targets: Iterable[Target] = (), window_s: float = WINDOW_S) -> None:
         self._window_s = window_s
@@ -132,13 +127,7 @@ class LiveStatistics:
         }
 
     def add(self, time_s: float, detection_s: float, detections: Sequence[Detection]) -> None:
-        """Add an image.
-
-        Args:
-            time_s: time at which detection ended.
-            detection_s: duration of the detection.
-            detections: detections in the image.
-        """
+        """Add the detections of an image that ended at a time."""
         if not self._took_s:
             self._begun_s, self._first_s = time_s - detection_s, time_s
         self._now_s = time_s
@@ -188,22 +177,7 @@ def watch_targets(
     time_limit_s: float | None = None,
     on_update: Callable[[LiveSummary], None] | None = None,
 ) -> bool:
-    """Find targets in images until there are no more, or until the time is over.
-
-    Args:
-        images: images in sequence, see `open_video`.
-        finders: find the targets.
-        statistics: updated with every image; valid even after an interruption.
-        clock: returns seconds of a monotonic clock.
-        time_limit_s: time after which to end; None for no limit.
-        on_update: called about once per second with the current statistics.
-
-    Returns:
-        True if the time was over, False if the images were.
-
-    Raises:
-        ConfigurationError: the images have another size than the camera's.
-    """
+    """Find targets until no image or time is left; True if it is the time. Updates each second."""
     begun = shown = clock()
     for image in images:
         before = clock()

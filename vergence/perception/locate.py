@@ -173,20 +173,7 @@ class LocateResult:
 
 
 def locate(config: LocateConfig, progress: Callable[[float], None] | None = None) -> LocateResult:
-    """Find targets in pairs of photographs and triangulate them.
-
-    Args:
-        config: images, head and targets.
-        progress: called with the fraction done after every pair.
-
-    Returns:
-        The result.
-
-    Raises:
-        VergenceError: a target, a response or the head is invalid, there are no pairs, a single
-            pair cannot be read or has another size than the head's images, none of several pairs
-            can be read, or the joint angles of a pair are missing.
-    """
+    """Find targets in pairs of photographs and triangulate them."""
     targets = parse_targets(config.target)
     response = None if config.response is None else parse_response(config.response)
     head = load_head(config.head)

@@ -103,15 +103,7 @@ class LocatedTarget:
 def locate_target(
     head: HeadModel, q: FloatArray, pair: str, left: Detection, right: Detection
 ) -> LocatedTarget:
-    """Triangulate a target that both eyes see.
-
-    Args:
-        head: the head.
-        q: (7,) joint angles at the exposure, rad.
-        pair: name of the pair.
-        left: the target in the left image.
-        right: this target in the right image.
-    """
+    """Triangulate a target that both eyes see, at (7,) angles, rad."""
     target = left.target
     own = Noise.of(head)
     turned = [_turned(right, order) for order in equivalent_corner_orders(target)]

@@ -48,17 +48,7 @@ class PairedImages(NamedTuple):
 
 
 def pair_up(left: Path, right: Path) -> PairedImages:
-    """Pair two images, or the images of two folders.
-
-    Args:
-        left: an image, or a folder of the left eye's images.
-        right: an image, or a folder of the right eye's images. It may be the same folder if the
-            names have words for the sides.
-
-    Raises:
-        ConfigurationError: one does not exist, one is a file and the other a folder, a folder has
-            no images, no image has a partner, or one has two.
-    """
+    """Pair two images, or those of two folders (or of one, by words for the sides in names)."""
     for place in (left, right):
         require_existing(place)
     if not left.is_dir() and not right.is_dir():
@@ -78,17 +68,7 @@ def pair_up(left: Path, right: Path) -> PairedImages:
 def pair_images(
     lefts: Sequence[Path], rights: Sequence[Path], *, one_folder: bool = False
 ) -> PairedImages:
-    """Pair the images of two lists.
-
-    Args:
-        lefts: images of the left eye.
-        rights: images of the right eye.
-        one_folder: True if both lists hold the same images, so that names must have a word for
-            the side.
-
-    Raises:
-        ConfigurationError: no image has a partner, or one has two.
-    """
+    """Pair the images of two lists; with `one_folder`, names need a word for the side."""
     by_key: dict[str, list[Path]] = {}
     for path in rights:
         for key in _keys(path, 1, one_folder):
@@ -130,13 +110,7 @@ def pair_images(
 
 
 def _keys(path: Path, eye: int, side_required: bool) -> list[str]:
-    """Possible keys of an image: its name without the word for the side, the likeliest first.
-
-    Args:
-        path: the image.
-        eye: 0 for left, 1 for right.
-        side_required: True if the name must have a word for the side.
-    """
+    """Possible keys of an image: its name without the word for the side, the likeliest first."""
     keys = [] if side_required else [path.stem]
     for words in _SIDE_WORDS:
         for start, end in _places(path.stem, words[eye]):

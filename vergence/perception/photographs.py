@@ -25,14 +25,7 @@ def natural_sort_key(path: Path) -> tuple[object, ...]:
 
 
 def photographs_in_folder(folder: Path) -> list[Path]:
-    """List the image files directly in a folder, sorted by `natural_sort_key`.
-
-    Args:
-        folder: a folder.
-
-    Raises:
-        ConfigurationError: the folder has no images, or cannot be read.
-    """
+    """List the image files directly in a folder, sorted by `natural_sort_key`."""
     try:
         there = [path for path in folder.iterdir() if not path.name.startswith(".")]
     except OSError as error:
@@ -49,11 +42,7 @@ def photographs_in_folder(folder: Path) -> list[Path]:
 
 
 def require_existing(path: Path) -> None:
-    """Raise an error if a path does not exist.
-
-    Raises:
-        ConfigurationError: the path does not exist.
-    """
+    """Raise an error if a path does not exist."""
     try:
         there = path.exists()
     except (OSError, ValueError):  # e.g. a name that is too long: reading it raises a clear error
@@ -65,15 +54,7 @@ def require_existing(path: Path) -> None:
 
 
 def list_photographs(paths: Sequence[Path]) -> list[Path]:
-    """List given files, the photographs of given folders, and files that match given patterns.
-
-    Args:
-        paths: files, folders, and patterns such as `photos/*.jpg` that no shell has expanded.
-
-    Raises:
-        ConfigurationError: a folder has no photographs, a path does not exist, or no file matches a
-            pattern.
-    """
+    """List given files, photographs in given folders, and files that match unexpanded patterns."""
     found: list[Path] = []
     for place in paths:
         if glob.has_magic(str(place)) and not place.exists():

@@ -28,16 +28,7 @@ against the time of a dozen searches in 12 megapixels)."""
 def describe_similar_targets(
     image: NDArray[np.uint8], requested: Sequence[Target], camera: EyeCamera | None = None
 ) -> str:
-    """Search an image for targets similar to those that were asked for.
-
-    Args:
-        image: (height, width) grey levels, in which none of the targets was found.
-        requested: targets that were asked for.
-        camera: the eye; None if unknown.
-
-    Returns:
-        Part of a sentence, such as ``tag:36h11:3 is there``; empty if there is nothing similar.
-    """
+    """Phrase such as ``tag:36h11:3 is there`` on targets like those that were missed; or empty."""
     image, camera = _reduced(image, camera)
     there: list[str] = []
     if any(isinstance(target, AprilTag | TagFamily) for target in requested):

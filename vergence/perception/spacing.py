@@ -58,27 +58,14 @@ def neighbour_pairs(target: PlanarTarget) -> NDArray[np.intp]:
 
 
 def neighbour_distances_m(target: PlanarTarget, points: FloatArray) -> FloatArray:
-    """Distances between neighbouring corners.
-
-    Args:
-        target: the board.
-        points: (n, 3) its corners in space, metres; nan for corners without a solution.
-
-    Returns:
-        (k,) metres, for pairs of neighbours that both have a solution.
-    """
+    """(k,) distances between neighbouring corners, m, of (n, 3) points, nan where unsolved."""
     first, second = neighbour_pairs(target).T
     apart = np.linalg.norm(points[first] - points[second], axis=-1)
     return np.asarray(apart[np.isfinite(apart)])
 
 
 def measure_spacing(target: PlanarTarget, points: Iterable[FloatArray]) -> EdgeSpacing:
-    """Mean and standard deviation of the distances over one or several views of a target.
-
-    Args:
-        target: the board.
-        points: (n, 3) its corners in each view, metres.
-    """
+    """Mean and standard deviation of the distances over views, (n, 3) points each, m."""
     apart = np.concatenate([np.empty(0), *(neighbour_distances_m(target, each) for each in points)])
     stated = stated_edge_m(target) if target.size_known else np.nan
     if not len(apart):

@@ -26,11 +26,7 @@ class Photograph(NamedTuple):
 
 
 def parse_targets(texts: Sequence[str]) -> list[Target]:
-    """Parse targets from texts, see `vergence.vision.parse_target`.
-
-    Raises:
-        ConfigurationError: there is no text, or one is invalid.
-    """
+    """Parse targets from texts, see `vergence.vision.parse_target`."""
     if not texts:
         raise ConfigurationError(
             "target: expected at least one, such as --target tag:36h11:5:120 or "
@@ -69,12 +65,7 @@ against false remarks)."""
 
 
 def is_white_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
-    """True if the white of a target is clipped.
-
-    Args:
-        image: (height, width) grey levels.
-        detection: a target in it.
-    """
+    """True if the white of a target is clipped."""
     corners = detection.corners_px[np.isfinite(detection.corners_px).all(axis=1)]
     u0, v0 = np.maximum(corners.min(axis=0).astype(int), 0)
     u1, v1 = corners.max(axis=0).astype(int) + 1
@@ -82,11 +73,7 @@ def is_white_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
 
 
 class PhotographNotes:
-    """Keeps track of targets that no image has shown so far, and of images with clipped white.
-
-    Args:
-        targets: targets that were asked for.
-    """
+    """Keeps track of targets that no image has shown so far, and of images with clipped white."""
 
     def __init__(self, targets: Sequence[Target]) -> None:
         self._unseen = list(targets)
@@ -115,13 +102,7 @@ class PhotographNotes:
 
 
 class TargetFinder:
-    """Finds all targets in images of one eye.
-
-    Args:
-        targets: targets to find; a tag that matches several of them is reported for the first.
-        camera: the eye, whose lens and image size are taken into account; None if unknown.
-        response: light by grey level; None for the camera's, see `make_detector`.
-    """
+    """Finds all targets in images of one eye, each tag for the first that it matches."""
 
     def __init__(
         self,
@@ -135,14 +116,7 @@ class TargetFinder:
         self._detectors = [make_detector(target, camera, response) for target in targets]
 
     def find(self, image: ArrayLike) -> list[Detection]:
-        """Find all targets, in the order of `targets`, tags sorted by their numbers.
-
-        Args:
-            image: any image that `as_grey` takes.
-
-        Raises:
-            ConfigurationError: the image has another size than the camera's.
-        """
+        """Find all targets, in the order of `targets`, tags sorted by their numbers."""
         found: list[Detection] = []
         for detector in self._detectors:
             known = {target_key(one.target) for one in found}
@@ -152,18 +126,7 @@ class TargetFinder:
         return found
 
     def find_in_file(self, path: Path) -> Photograph:
-        """Read an image and find all targets in it.
-
-        Args:
-            path: the image's file.
-
-        Returns:
-            The image and the targets found in it.
-
-        Raises:
-            ConfigurationError: the image has another size than the camera's.
-            UnreadableFileError: the file cannot be read.
-        """
+        """Read an image and find all targets in it."""
         pixels = read_pixels(path)
         try:
             return Photograph(path, as_grey(pixels), self.find(pixels))

@@ -73,11 +73,7 @@ class MeasurementWeights(NamedTuple):
 
 
 class ReducedNormalEquations(NamedTuple):
-    """Normal equations of the shared unknowns, linearised at a state.
-
-    The reading errors of single frames are eliminated (Schur complement) and follow from a step by
-    `frame_error_sensitivity` and `negative_frame_step`.
-    """
+    """Normal equations of shared unknowns; single frames' errors eliminated (Schur complement)."""
 
     cost: float
     """Weighted sum of squares."""
@@ -102,13 +98,7 @@ class ReducedNormalEquations(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HeadAdjustment:
-    """The adjustment problem: a nominal head, its prior, and its frames.
-
-    Args:
-        nominal_head: the nominal head, from its file; rotations are relative to it.
-        prior_sigma: (p,) prior standard deviations of its parameters; 0 for fixed ones.
-        frames: frames of the board.
-    """
+    """Problem: nominal head, (p,) prior sigmas of its parameters (0: fixed), and frames."""
 
     nominal_head: HeadModel
     prior_sigma: FloatArray
@@ -216,13 +206,7 @@ class HeadAdjustment:
     def linearised(
         self, state: HeadUnknowns, weights: MeasurementWeights, *, keep_frame_parts: bool = False
     ) -> ReducedNormalEquations:
-        """Assemble the normal equations at a state.
-
-        Args:
-            state: values of the unknowns.
-            weights: weights of corners and angles.
-            keep_frame_parts: True to return each frame's contributions as well.
-        """
+        """Assemble the normal equations at a state, maybe with each frame's contributions."""
         chain, q = (
             ParametricHead(self.nominal_head, state.head_parameters),
             self.joint_angles(state),
@@ -351,11 +335,7 @@ class HeadAdjustment:
         return replace(self, frames=self.frames.select(frames), terms=self.terms.select(frames))
 
     def start(self, boards: BoardPoses) -> HeadUnknowns:
-        """Make the initial state: the nominal head in front of given boards.
-
-        Args:
-            boards: (b or more) poses of the board in frame 0.
-        """
+        """Make the initial state: the nominal head in front of given boards (frame 0)."""
         return HeadUnknowns(
             self.prior_mean.copy(),
             np.zeros(CURVATURE_COUNT),

@@ -21,12 +21,7 @@ _FAR_M: Final = 1.5
 
 
 def image_coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
-    """(2,) by eye, percentage of the cells of the image that have had a corner.
-
-    Args:
-        head: the head whose images they are.
-        frames: frames of the board.
-    """
+    """(2,) by eye, percentage of the cells of the image that have had a corner."""
     found = []
     for eye in range(2):
         seen = frames.pixels[eye][frames.seen[eye]]
@@ -38,13 +33,7 @@ def image_coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
 def advise_recording(
     head: HeadModel, recording: CollectedRecording, frames: HeadFrames
 ) -> list[str]:
-    """Advise how to make the recording more informative, a line each.
-
-    Args:
-        head: the nominal head, from its file.
-        recording: the recording.
-        frames: all of its frames.
-    """
+    """Advise how to make the recording more informative, a line each."""
     lines = []
     there = np.array([bool(name) for name in head.joints[NECK]])
     ranges = np.ptp(frames.joint_positions[:, NECK], axis=0)

@@ -15,14 +15,7 @@ def without_backlash(head: HeadModel) -> HeadModel:
 
 
 def with_backlash(head: HeadModel, actuator_backlash_rad: FloatArray) -> HeadModel:
-    """Set the backlash between the motors, whose angles are read, and the joints.
-
-    Args:
-        head: any head.
-        actuator_backlash_rad: (7,) whole width of the backlash by actuator. A head model cannot
-            hold the neck's. If each joint of the eyes has its own motor, the largest width applies
-            to all.
-    """
+    """Set (7,) backlash by actuator, whole widths; no neck's; the largest if joints have motors."""
     eyes = actuator_backlash_rad[EYES][: head.actuation.count]
     one = head.actuators is None
     sensor: dict[str, float | str] = {"backlash_rad": float(eyes.max(initial=0.0)) if one else 0.0}

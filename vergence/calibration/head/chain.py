@@ -47,12 +47,7 @@ class ProjectedBoard(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ParametricHead:
-    """Kinematic chains of a head with given parameters.
-
-    Args:
-        nominal_head: the head to which rotations are relative.
-        values: (p,) see `HeadModel.parameters`.
-    """
+    """Chains of a head with (p,) `HeadModel.parameters` relative to the nominal head."""
 
     nominal_head: HeadModel
     values: FloatArray
@@ -106,14 +101,7 @@ class ParametricHead:
     def project_board(
         self, eye: int, q: FloatArray, points: FloatArray, offsets: FloatArray
     ) -> ProjectedBoard:
-        """Project points in frame 0, with Jacobians.
-
-        Args:
-            eye: 0 for left, 1 for right.
-            q: (f, 7) true joint angles, rad.
-            points: (f, n, 3) metres, in frame 0.
-            offsets: (f, n, 3) offsets of these points from the board's origin, in frame 0.
-        """
+        """Project (f, n, 3) points in frame 0, m, at (f, 7) q; offsets are from the board's."""
         B, M = self.constant_poses[:4], self.constant_poses[4 + 3 * eye : 7 + 3 * eye]
         after = [(B[0], q[:, 0]), (B[1], q[:, 1]), (B[2], q[:, 2]), (B[3], None)]
         after += [(M[0], q[:, 3 + 2 * eye]), (M[1], q[:, 4 + 2 * eye]), (M[2], None)]
@@ -181,13 +169,7 @@ def adjoint(pose: FloatArray) -> FloatArray:
 def board_points_and_offsets(
     corners: FloatArray, boards: BoardPoses, pose_index: IntArray
 ) -> tuple[FloatArray, ...]:
-    """Compute the corners of boards in frame 0, and their offsets from each board's origin there.
-
-    Args:
-        corners: (n, 3) metres.
-        boards: (b) poses in frame 0.
-        pose_index: (f,) index of the board pose that each frame shows.
-    """
+    """Corners (n, 3) of boards in frame 0, m, and offsets from each board's origin, by frame."""
     turned = corners @ boards.rotation[pose_index].transpose(0, 2, 1)
     return turned + boards.translation[pose_index][:, None], turned
 

@@ -289,11 +289,7 @@ class _Run:
 
 
 def _keep(log: LogWriter, board_view: BoardView) -> None:
-    """Write a view to the log and to disk.
-
-    Raises:
-        ConfigurationError: writing failed.
-    """
+    """Write a view to the log and to disk."""
     nothing, unknown = np.empty((0, 2)), np.full(2, np.nan)
     for eye, name in enumerate(EYE_NAMES):
         corners, sigma = board_view.corners_px[eye], board_view.sigma_px[eye]

@@ -17,10 +17,7 @@ with a square far below 1 (numerical)."""
 
 @dataclass(frozen=True, eq=False)
 class DepthErrors:
-    """Errors of points that both eyes fixate; nan if a point is out of reach or not visible.
-
-    Depth is measured along the line from midway between the eyes to the point.
-    """
+    """Errors along the line from midway between the eyes to fixated points; nan if out of reach."""
 
     distance_m: FloatArray
     """(n,) distance from midway between the eyes."""

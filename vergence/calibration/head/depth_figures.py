@@ -52,22 +52,13 @@ def depth_error_by_distance(calibration: HeadCalibration) -> Figure:
 
 
 def depth_error_map_points(distance_m: float) -> FloatArray:
-    """(n, 3) points of a map, m, row by row from above, relative to midway between the eyes.
-
-    Args:
-        distance_m: distance of all points.
-    """
+    """(n, 3) points of a map, m, row by row from above, relative to midway between the eyes."""
     right, down = np.meshgrid(np.radians(_ANGLES_DEG), np.radians(_ANGLES_DEG))
     return points_at_angles(distance_m, right.ravel(), down.ravel())
 
 
 def depth_error_maps(calibration: HeadCalibration, distance_m: float) -> Figure:
-    """Draw maps of depth errors by direction, before and after, in percent of the distance.
-
-    Args:
-        calibration: the calibration.
-        distance_m: distance from midway between the eyes.
-    """
+    """Draw maps of depth errors by direction, before and after, in percent of the distance."""
     depth = predict_depth_errors(calibration, depth_error_map_points(distance_m))
     with figure_style():
         figure = new_figure(_PAGE_WIDTH, 5.0)

@@ -74,14 +74,7 @@ def residuals_over_time(calibration: HeadCalibration) -> Figure:
 
 
 def normalised_view_rms(calibration: HeadCalibration) -> FloatArray:
-    """(2, f) rms residual of each view in units of sigma: of its kept corners, or of all if none.
-
-    Args:
-        calibration: the calibration.
-
-    Returns:
-        nan for a view without corners, inf for a view with corners predicted behind the camera.
-    """
+    """(2, f) rms of kept corners (or all), in sigma; nan without corners, inf behind the camera."""
     counted = kept_or_found_corners(calibration)
     squares = np.nan_to_num(calibration.solution.squares, nan=np.inf)
     total = np.where(counted, squares, 0.0).sum(axis=-1)
@@ -91,33 +84,20 @@ def normalised_view_rms(calibration: HeadCalibration) -> FloatArray:
 
 
 def kept_or_found_corners(calibration: HeadCalibration) -> NDArray[np.bool_]:
-    """(2, f, n) True for the kept corners of each view, or for all found ones if none was kept.
-
-    Args:
-        calibration: the calibration.
-    """
+    """(2, f, n) True for the kept corners of each view, or for all found ones if none was kept."""
     return np.where(
         calibration.kept_views[..., None], calibration.kept_corners, calibration.frames.seen
     )
 
 
 def residuals_px(calibration: HeadCalibration) -> FloatArray:
-    """(2, f, n, 2) residuals projected minus measured, px; nan for corners that were not kept.
-
-    Args:
-        calibration: the calibration.
-    """
+    """(2, f, n, 2) residuals projected minus measured, px; nan for corners that were not kept."""
     left = calibration.solution.normal.residuals * calibration.frames.sigma
     return np.where(calibration.kept_corners[..., None], left, np.nan)
 
 
 def corner_coverage(calibration: HeadCalibration, eye: int) -> Figure:
-    """Draw the kept corners over an eye's image.
-
-    Args:
-        calibration: the calibration.
-        eye: 0 for left, 1 for right.
-    """
+    """Draw the kept corners over an eye's image."""
     views = np.where(
         calibration.kept_corners[eye][..., None], calibration.frames.pixels[eye], np.nan
     )
@@ -127,12 +107,7 @@ def corner_coverage(calibration: HeadCalibration, eye: int) -> Figure:
 
 
 def residual_field(calibration: HeadCalibration, eye: int) -> Figure:
-    """Draw residuals over an eye's image as magnified arrows.
-
-    Args:
-        calibration: the calibration.
-        eye: 0 for left, 1 for right.
-    """
+    """Draw residuals over an eye's image as magnified arrows."""
     kept = calibration.kept_corners[eye]
     return draw_residual_arrows(
         calibration.frames.pixels[eye][kept], residuals_px(calibration)[eye][kept],
@@ -210,11 +185,7 @@ def _common(left: str, right: str) -> str:
 
 
 def correlated_parameters(calibration: HeadCalibration) -> NDArray[np.intp]:
-    """Find the estimated parameters with strong correlations, the strongest if there are many.
-
-    Args:
-        calibration: the calibration.
-    """
+    """Find the estimated parameters with strong correlations, the strongest if there are many."""
     free = np.flatnonzero(calibration.solution.problem.prior_sigma > 0.0)
     size = np.abs(_correlation(calibration)[np.ix_(free, free)])
     np.fill_diagonal(size, 0.0)
@@ -229,11 +200,7 @@ def _correlation(calibration: HeadCalibration) -> FloatArray:
 
 
 def parameter_correlations(calibration: HeadCalibration) -> Figure:
-    """Draw the correlations between parameters that the recording hardly separates.
-
-    Args:
-        calibration: a calibration with such parameters, see `correlated_parameters`.
-    """
+    """Draw the correlations between parameters that the recording hardly separates."""
     chosen = correlated_parameters(calibration)
     names = [calibration.nominal_head.parameters().names[k] for k in chosen]
     values = _correlation(calibration)[np.ix_(chosen, chosen)]
@@ -259,14 +226,7 @@ def parameter_correlations(calibration: HeadCalibration) -> Figure:
 
 
 def determined_reading_errors(calibration: HeadCalibration) -> dict[str, FloatArray]:
-    """Collect the estimated errors (n,) of single readings by actuator name, rad.
-
-    Readings that the images do not determine (posterior variance above half of the prior one) are
-    left out.
-
-    Args:
-        calibration: the calibration.
-    """
+    """(n,) errors by actuator, rad, of readings whose variance the images at least halve."""
     own = calibration.solution.problem.reading_error_unknowns.has_frame_error
     determined = calibration.solution.reading_variance_ratio < _MOST_VARIANCE_RATIO
     errors = {}
@@ -278,11 +238,7 @@ def determined_reading_errors(calibration: HeadCalibration) -> dict[str, FloatAr
 
 
 def reading_error_histograms(calibration: HeadCalibration) -> Figure:
-    """Draw histograms of reading errors by actuator, with the uniform density of quantisation.
-
-    Args:
-        calibration: a calibration with errors of single readings, see `determined_reading_errors`.
-    """
+    """Draw histograms of reading errors by actuator, with the uniform density of quantisation."""
     errors, names = determined_reading_errors(calibration), actuator_names(calibration)
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)

@@ -22,16 +22,7 @@ _REPLACED_ASSUMPTIONS: Final = (
 
 
 def calibrated_head(calibration: HeadCalibration, sha256: str, name: str) -> HeadModel:
-    """Make a calibrated head with the origin and the uncertainty of its parameters.
-
-    Args:
-        calibration: the calibration.
-        sha256: digest of the measurements.
-        name: name of the head.
-
-    Raises:
-        HeadFileError: the name is not valid.
-    """
+    """Make a calibrated head with origin (`sha256` of measurements) and uncertainty."""
     check_head_name(name)
     names, prior_sigma = (
         calibration.nominal_head.parameters().names,

@@ -41,17 +41,7 @@ def fit_robustly(
     inlier_views: NDArray[np.bool_],
     start: HeadUnknowns | None = None,
 ) -> HeadFit:
-    """Fit a head robustly, first to the views that agree on the board's pose.
-
-    Args:
-        problem: the adjustment problem.
-        initial_boards: (b) initial poses of the board in frame 0.
-        inlier_views: (2, f) True for views that agree on these.
-        start: initial parameters and bend; None for the nominal head.
-
-    Raises:
-        LinAlgError: no views agree, or the start is behind a camera.
-    """
+    """Fit a head robustly, first to the (2, f) inlier views that agree on (b) boards in frame 0."""
     eligible = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
     begin = problem.start(initial_boards)
     if start is not None:
@@ -69,14 +59,7 @@ def fit_robustly(
 
 
 def refit_inliers_and_scatter(solution: HeadSolution) -> HeadFit:
-    """Refine a head on its inliers, with readings weighted by their scatter.
-
-    Args:
-        solution: initial solution, from mostly correct corners.
-
-    Raises:
-        LinAlgError: no views agree.
-    """
+    """Refine a solution on its inliers, with readings weighted by their scatter."""
     problem = solution.problem
     eligible = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
     kept, scatter_ratio = np.zeros_like(eligible), np.ones(7)
@@ -120,19 +103,13 @@ def _inliers(
 
 
 def _typical_square(solution: HeadSolution, eligible: NDArray[np.bool_]) -> float:
-    """Typical mean square of a corner's residuals, in units of sigma^2; at least 1.
-
-    If most views are wrong, the robust fit's value is smaller than their median, and is taken.
-    """
+    """Mean square of a corner, sigma^2, at least 1; the robust fit's if below the views' median."""
     counted = eligible & (solution.weights.corners > 0.0)
     return min(max(float(np.median(solution.squares[counted])), 1.0), solution.weights.cauchy_scale)
 
 
 def reading_scatter_ratio(solution: HeadSolution) -> FloatArray:
-    """(7,) ratio of each actuator's reading scatter to its expectation, at least 1.
-
-    The expectation comes from quantisation and backlash.
-    """
+    """(7,) scatter of readings over that of quantisation and backlash, at least 1."""
     own, already = solution.problem.reading_error_unknowns, solution.problem.scatter_ratio
     known = np.ones(7) if already is None else already
     found = np.ones(7)

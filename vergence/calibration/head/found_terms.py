@@ -29,12 +29,7 @@ class FittedTerm(NamedTuple):
 
 
 def fitted_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[FittedTerm, ...]:
-    """List the parameters of a solution's reading-error terms.
-
-    Args:
-        solution: solution of a head.
-        covariance: covariance of its parameters, see `head_and_term_covariance`.
-    """
+    """List the parameters of a solution's reading-error terms."""
     p = len(solution.problem.prior_mean)
     sigma = np.sqrt(np.diagonal(covariance)[p:]).tolist()
     numbers = zip(

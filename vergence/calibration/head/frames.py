@@ -78,11 +78,7 @@ class HeadFrames:
 
 @dataclass(frozen=True, eq=False)
 class ReadingErrorUnknowns:
-    """Layout of the unknown reading errors.
-
-    It says which actuator angle of which frame has an error of its own, shares one with other
-    frames, or has none. It holds the readings and their sigma, not the values of the errors.
-    """
+    """Layout of errors: each angle of each frame has its own, shares one, or has none."""
 
     actuator_readings: FloatArray
     """(f, 7) actuator angles that were read, rad; the mean reading for resting joints."""
@@ -97,12 +93,7 @@ class ReadingErrorUnknowns:
 
     @classmethod
     def of(cls, head: HeadModel, frames: HeadFrames) -> "ReadingErrorUnknowns":
-        """Find the unknown reading errors of frames.
-
-        Args:
-            head: the head whose quantisation and backlash apply.
-            frames: frames in the order of time.
-        """
+        """Unknown reading errors of frames in time, by the head's quantisation and backlash."""
         own = head.actuation
         angles = own.actuators_of(frames.joint_positions)
         sigma = np.asarray(Noise.of(head).joint_rad)

@@ -108,16 +108,7 @@ class _Views(NamedTuple):
 
 
 def solve_each_eye(head: HeadModel, frames: HeadFrames) -> HeadEyeFit:
-    """Find each eye's transform separately, in closed form, robust to bad views.
-
-    Args:
-        head: the nominal head; its own head-eye transforms are not used.
-        frames: frames of the board.
-
-    Raises:
-        ConfigurationError: too few views of an eye show the board, or the eye does not turn about
-            two axes between them.
-    """
+    """Find each eye's transform separately, in closed form, robust to bad views."""
     views = _Views.of(head, frames)
     found, kept, predicted = [], np.zeros_like(views.seen), np.array(views.boards)
     for eye, name in enumerate(EYE_NAMES):
@@ -132,16 +123,7 @@ def solve_each_eye(head: HeadModel, frames: HeadFrames) -> HeadEyeFit:
 
 
 def solve_both_eyes(head: HeadModel, frames: HeadFrames) -> HeadEyeFit:
-    """Find both transforms at once, in closed form, robust to bad views: ITPC-style, reconstructed.
-
-    Args:
-        head: the nominal head; its own head-eye transforms are not used.
-        frames: frames of the board; only frames in which both eyes see it are used.
-
-    Raises:
-        ConfigurationError: too few frames show the board to both eyes, or the eyes do not turn
-            against each other about two axes.
-    """
+    """Find both transforms at once, in closed form, robust to bad views (ITPC, reconstructed)."""
     views = _Views.of(head, frames)
     both = views.seen.all(axis=0)
     left, right = views.boards[:, both]
@@ -157,18 +139,7 @@ def solve_both_eyes(head: HeadModel, frames: HeadFrames) -> HeadEyeFit:
 
 
 def refine_by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEyeFit) -> HeadEyeFit:
-    """Refine both transforms, and no other parameter of the head, on the corners of all views.
-
-    The board's pose in frame 0 and the encoders' reading errors are estimated too.
-
-    Args:
-        head: the nominal head, from its file.
-        frames: frames of the board.
-        start: initial transforms; rotations are relative to them.
-
-    Raises:
-        LinAlgError: the frames do not determine the board's pose, or do not agree.
-    """
+    """Refine both transforms alone on all corners, with the board's pose and reading errors."""
     start_head = head.replace(head_eye=start.head_eye)
     parameters = start_head.parameters()
     prior_sigma = np.zeros(len(parameters.names))

@@ -30,14 +30,7 @@ class CrossValidationErrors(NamedTuple):
 def cross_validate_by_pose(
     solution: HeadSolution, kept_corners: NDArray[np.bool_], scatter_ratio: FloatArray | None = None
 ) -> CrossValidationErrors:
-    """Judge views and their joint readings by heads that were calibrated without their poses.
-
-    Args:
-        solution: solution of all frames.
-        kept_corners: (2, f, n) True for the corners that count.
-        scatter_ratio: (7,) ratio of reading scatter to its expectation, for judging readings, see
-            `HeadAdjustment`; None for the solution's.
-    """
+    """Judge views and readings by heads calibrated without their poses; (2, f, n) kept corners."""
     problem, pose = solution.problem, solution.problem.frames.pose
     views = np.full(kept_corners.shape[:2], np.nan)
     poses = np.full(int(pose.max()) + 1, np.nan)

@@ -54,11 +54,7 @@ class HeadJob:
     recording_path: str
 
     def __call__(self, progress: Callable[[float], None] | None = None) -> HeadOutcome:
-        """Calibrate the head and make its files.
-
-        Args:
-            progress: called with the fraction done.
-        """
+        """Calibrate the head and make its files."""
         recorded = self.recording
         try:
             found = calibrate_head(

@@ -40,14 +40,7 @@ its angles it causes 0.1 mrad, a fifteenth of a 12-bit encoder's step)."""
 
 
 def list_logs(path: Path) -> list[Path]:
-    """List a log, or the logs directly in a folder, in the order of their names.
-
-    Args:
-        path: path of the log or the folder.
-
-    Raises:
-        ConfigurationError: there is none in the folder.
-    """
+    """List a log, or the logs directly in a folder, in the order of their names."""
     if not path.is_dir():
         return [path]
     found = sorted((one for one in path.iterdir() if one.suffix == SUFFIX), key=natural_sort_key)
@@ -65,17 +58,7 @@ def read_logs(
     target: PlanarTarget | None,
     progress: Callable[[float], None] | None = None,
 ) -> RawRecording:
-    """Read the board views of logs, one log after the other.
-
-    Args:
-        paths: paths of the logs.
-        head: the nominal head, from its file.
-        target: the board; None for the board named in the logs.
-        progress: called with the fraction done.
-
-    Raises:
-        VergenceError: none can be read, or one has another board or another kind of head.
-    """
+    """Read the board views of logs, one after the other; by default of the board they name."""
     board_views: list[BoardView] = []
     placement: list[int] = []
     files, remarks, failures = [], [], []
@@ -207,10 +190,7 @@ class _Still:
         self._angles = self._own.actuators_of(angles[known][order])
 
     def at(self, time_s: float, positions: FloatArray) -> bool:
-        """Return True if all joints rest around a time at which they had these positions.
-
-        A reading that alternates between two quantisation steps is no motion.
-        """
+        """True if joints rest around a time at positions; one quantisation step is no motion."""
         if self._trusted:
             return True
         first, last = np.searchsorted(

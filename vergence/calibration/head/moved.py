@@ -46,15 +46,7 @@ class FramesWithNewPlacement(NamedTuple):
 def find_new_placement(
     solution: HeadSolution, kept_corners: NDArray[np.bool_]
 ) -> FramesWithNewPlacement | None:
-    """Find a placement of the board on which left-out views agree.
-
-    Args:
-        solution: solution of the kept views.
-        kept_corners: (2, f, n) True for their corners.
-
-    Returns:
-        All frames, with the placements found; None if the left-out views agree on no other one.
-    """
+    """All frames with the board's placements on which left-out views agree; None if on no other."""
     frames = solution.problem.frames
     views = np.asarray(kept_corners.any(axis=-1))
     enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
@@ -96,15 +88,7 @@ def find_new_placement(
 
 
 def find_small_board_motion(solution: HeadSolution) -> FramesWithNewPlacement | None:
-    """Find the moment of a small motion of the board, if one step of its pose explains much.
-
-    Args:
-        solution: solution of all inliers.
-
-    Returns:
-        The frames with another placement from that moment on, with initial poses of the board;
-        None if no step explains enough.
-    """
+    """Frames with a new placement from the moment a small motion explains much; else None."""
     problem = solution.problem
     frames = problem.frames
     normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)

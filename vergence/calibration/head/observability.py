@@ -63,11 +63,7 @@ class UnobservableDirection(NamedTuple):
 
 
 def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirection, ...]:
-    """Describe the directions that a recording does not determine.
-
-    Args:
-        solution: solution of the head.
-    """
+    """Describe the directions that a recording does not determine."""
     prior_sigma = solution.problem.prior_sigma
     free = np.flatnonzero(prior_sigma > 0.0)
     S = prior_sigma[free]
@@ -149,12 +145,7 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
 
 
 def _share_of_rigid(moved: FloatArray, rigid: FloatArray) -> FloatArray | None:
-    """(m,) combination of directions that makes a rigid motion; None if there is none.
-
-    Args:
-        moved: (r, m) effects of unobserved directions, px per prior standard deviation.
-        rigid: (r,) effects of the rigid motion, px/rad or px/m.
-    """
+    """(m,) combination of (r, m) effects, px per prior sigma, that is a rigid motion; or None."""
     if not moved.shape[1]:
         return None
     share = np.asarray(np.linalg.lstsq(moved, rigid, rcond=None)[0])

@@ -34,19 +34,7 @@ def read_photographs(
     target: PlanarTarget | None,
     progress: Callable[[float], None] | None = None,
 ) -> RawRecording:
-    """Read the board views of a folder's photographs.
-
-    Args:
-        path: folder with the folders `left` and `right`, whose images are named alike, and one of
-            `TABLES`.
-        head: the nominal head, from its file.
-        target: the board.
-        progress: called with the fraction done.
-
-    Raises:
-        ConfigurationError: the board is not known or in no image, a table or a row of it is
-            missing, or images do not have the size of the head's.
-    """
+    """Read views of a folder with `left` and `right`, images named alike, and one of `TABLES`."""
     if target is None:
         raise ConfigurationError(
             f"{path}: expected the board of these photographs as --target, got none"

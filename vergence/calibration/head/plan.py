@@ -50,15 +50,7 @@ class EstimatedBoard(NamedTuple):
 
 
 def estimate_board_by_last_views(head: HeadModel, frames: HeadFrames) -> EstimatedBoard:
-    """Estimate the board's position by the last view of each eye, through the nominal head.
-
-    An eye's error recurs in its next view. Therefore each eye keeps the position by its own view;
-    an eye without a view takes the other eye's.
-
-    Args:
-        head: the nominal head, from its file.
-        frames: frames with at least one view of four corners.
-    """
+    """Board by the last view of each eye, whose error recurs in its next; else the other's."""
     enough = frames.seen.sum(axis=-1) >= 4
     T_0_N = head.base_pose(frames.joint_positions)
     T_0_C = T_0_N[:, None] @ head.camera_poses(frames.joint_positions)
@@ -75,30 +67,14 @@ def estimate_board_by_last_views(head: HeadModel, frames: HeadFrames) -> Estimat
 
 
 class PosePlanner:
-    """Chooser of postures, one after the other.
-
-    Args:
-        rng: the source of randomness.
-        dither_rad: amplitude of each actuator's dither about a posture, rad.
-        used: (k, 7) joint angles of earlier postures.
-    """
+    """Chooser of postures unlike (k, 7) earlier ones, with a dither of each actuator, rad."""
 
     def __init__(self, rng: np.random.Generator, dither_rad: float, used: FloatArray) -> None:
         self._rng, self._keep = rng, dither_rad + _LIMIT_DISTANCE_RAD
         self._used = list(used)
 
     def next_pose(self, scene: EstimatedBoard) -> FloatArray:
-        """Choose the posture most different from earlier ones with the board inside both images.
-
-        Args:
-            scene: estimated position of the board.
-
-        Returns:
-            (7,) joint angles, rad.
-
-        Raises:
-            ConfigurationError: no candidate has the board inside both images.
-        """
+        """(7,) rad, most different from earlier postures, the board inside both images."""
         size = scene.head.cameras.size
         q = self._candidates(scene)
         pixels = scene.pixels(q)

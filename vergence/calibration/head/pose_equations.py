@@ -55,18 +55,7 @@ class PoseSolution(NamedTuple):
 
 
 def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, part_name: str) -> PoseSolution:
-    """Find X and Y with A_i X = Y B_i for most i, robust to outliers.
-
-    Args:
-        A: (n, 4, 4) poses from joint angles, metres.
-        B: (n, 4, 4) poses from images, metres.
-        group: (n,) group of each pose, the index of its Y.
-        part_name: name of the rotating part, for messages.
-
-    Raises:
-        ConfigurationError: there are too few poses, they do not turn about two axes, or A and B do
-            not belong to each other.
-    """
+    """X and Y with A_i X = Y B_i, (n, 4, 4) in m, for most i; `group` is the index of each Y."""
     if len(A) < _LEAST_POSES:
         raise ConfigurationError(
             f"expected at least {_LEAST_POSES} poses of {part_name}, better 60, got {len(A)}"
@@ -96,10 +85,7 @@ def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, part_name: str) -
 
 
 def _mismatch(a: Rotation, b: Rotation, group: IntArray) -> FloatArray:
-    """(n,) by pose, median difference between its rotation angles to others by A and by B, rad.
-
-    For any X and Y, the angle between two A equals the angle between the two B.
-    """
+    """(n,) median difference, rad, of angles between poses by A and B: equal for any X and Y."""
     angles = [
         2.0 * np.arccos(np.clip(np.abs(q @ q.T), 0.0, 1.0)) for q in (a.as_quat(), b.as_quat())
     ]

@@ -39,16 +39,7 @@ class CalibrationPreview(NamedTuple):
 def preview_calibration(
     head: HeadModel, frames: HeadFrames, previous: CalibrationPreview | None = None
 ) -> CalibrationPreview | None:
-    """Fit a head to the frames so far, as a preview of the calibration.
-
-    Args:
-        head: the nominal head, from its file.
-        frames: frames so far, in the order of time, placements numbered without gaps.
-        previous: result of fewer of these frames, as a start.
-
-    Returns:
-        The preliminary calibration; None if the frames do not determine a head yet.
-    """
+    """Fit a head to frames so far, from `previous`; None if they do not determine a head yet."""
     try:
         begin = estimate_consensus_board_poses(head, frames)
         problem = HeadAdjustment(head, parameter_prior_sigma(head), begin.frames)
@@ -71,18 +62,7 @@ def preview_calibration(
 def depth_sigma_m(
     nominal_head: HeadModel, values: FloatArray, covariance: FloatArray
 ) -> FloatArray:
-    """Compute the depth uncertainty of fixated points from the head's parameters alone.
-
-    Pixels and joint angles are taken as exact; the neck is at rest.
-
-    Args:
-        nominal_head: the head to which rotations are relative.
-        values: (p,) see `HeadModel.parameters`.
-        covariance: (p, p) covariance of the values.
-
-    Returns:
-        (2,) standard deviations of the distances along N's z axis of points `DEPTHS_M` ahead, m.
-    """
+    """(2,) sigma, m, along N's z of points `DEPTHS_M` ahead, from (p, p) covariance alone."""
     head = nominal_head.with_parameters(values)
     ahead = np.array([[0.0, 0.0, depth_m] for depth_m in DEPTHS_M])
     points = ahead + head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)

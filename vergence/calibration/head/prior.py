@@ -30,14 +30,7 @@ _OTHER_COEFFICIENT_SIGMA: Final = 0.1
 
 
 def parameter_prior_sigma(head: HeadModel, estimate_cameras: bool = True) -> FloatArray:
-    """(p,) prior standard deviations of a head's parameters, see `HeadModel.parameters`.
-
-    Camera parameters take them from the head's calibration record, if it has them.
-
-    Args:
-        head: the nominal head.
-        estimate_cameras: True to estimate the cameras too; else their deviations are 0.
-    """
+    """(p,) prior sigmas of parameters; cameras' from the head's record if any, or 0: fixed."""
     names = head.parameters().names
     spreads = standard_deviations(head.geometry, PRIOR)
     record = head.calibration

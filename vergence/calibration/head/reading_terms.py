@@ -54,13 +54,7 @@ class ReadingErrorTerms:
     def of_frames(
         cls, head: HeadModel, frames: HeadFrames, kinds: Collection[str]
     ) -> "ReadingErrorTerms":
-        """Make terms for all actuators that move.
-
-        Args:
-            head: the head with the actuators.
-            frames: frames in the order of time.
-            kinds: some of `TERM_KINDS`.
-        """
+        """Make terms of some `TERM_KINDS` for all actuators that move, frames in time."""
         readings = head.actuation.actuators_of(frames.joint_positions)
         every = np.arange(len(readings))
         return replace(NO_TERMS, actuator_readings=readings, frame_index=every).with_terms(
@@ -147,10 +141,7 @@ def _harmonic(name: str, angles: FloatArray) -> FloatArray:
 
 
 def _backlash_offset(angles: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(F, k) offsets of joints from motors (F, k) with backlash (k,), and the derivatives by it.
-
-    The first frame is in the middle of the backlash. A negative width reverses the offset's sign.
-    """
+    """(F, k) offsets of joints from motors, and by width (k,); the first frame is in the middle."""
     half = 0.5 * np.abs(width)
     away, by = np.zeros_like(angles), np.zeros_like(angles)
     for frame in range(1, len(angles)):

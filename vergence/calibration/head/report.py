@@ -62,16 +62,7 @@ def write_run(
     head_file_name: str,
     provenance: Mapping[str, str],
 ) -> None:
-    """Write a calibration's head file, its tables and its report.
-
-    Args:
-        folder: the run folder.
-        calibration: the calibration.
-        unobservable: unobservable directions of the recording.
-        head_file_text: content of the head file.
-        head_file_name: name of that file.
-        provenance: facts on the origin of the frames, by name.
-    """
+    """Write a calibration's head file, its tables and its report."""
     (folder / head_file_name).write_text(head_file_text, encoding="utf-8")
     names, units, before = calibration.nominal_head.parameters()
     own = calibration.solution.problem
@@ -106,12 +97,7 @@ def write_run(
 def result_document(
     calibration: HeadCalibration, unobservable: Sequence[UnobservableDirection]
 ) -> dict[str, Any]:
-    """Convert the result to plain values for JSON.
-
-    Args:
-        calibration: the calibration.
-        unobservable: unobservable directions of the recording.
-    """
+    """Convert the result to plain values for JSON."""
     depth = predict_depth_errors(calibration, points_ahead(np.array(DEPTHS_M)))
     table = {
         "distance_m": depth.distance_m,
@@ -154,11 +140,7 @@ def _heldout(calibration: HeadCalibration) -> float:
 
 
 def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
-    """List the views that show corners and were left out, in the order of time.
-
-    Args:
-        calibration: the calibration.
-    """
+    """List the views that show corners and were left out, in the order of time."""
     frames, residuals = calibration.frames, figures.normalised_view_rms(calibration)
     usual = float(np.median(residuals[calibration.kept_views]))
     count = frames.seen.sum(axis=-1)
@@ -216,15 +198,7 @@ def write_report(
     head_file_name: str,
     provenance: Mapping[str, str],
 ) -> None:
-    """Write calibration.html, which is self-contained.
-
-    Args:
-        folder: the run folder.
-        calibration: the calibration.
-        unobservable: unobservable directions of the recording.
-        head_file_name: name of the calibration's head file.
-        provenance: facts on the origin of the frames, by name.
-    """
+    """Write calibration.html, which is self-contained."""
     drawn = _figures(calibration).items()
     depth = predict_depth_errors(calibration, points_ahead(np.array(_SUMMARY_DISTANCES_M)))
     page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)

@@ -37,18 +37,7 @@ def count_eyes_seeing_board(looker: Looker, board_view: BoardView) -> int:
 
 
 def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> HeadFrames:
-    """Look around until an eye sees the board, then turn both eyes to it.
-
-    Args:
-        looker: the head.
-        first_guesses: (7,) joint angles to try first.
-
-    Returns:
-        One frame, of both eyes if they can both look there.
-
-    Raises:
-        ConfigurationError: the board was found nowhere.
-    """
+    """Look around, at guesses (7,) first, until an eye sees the board; one frame of both eyes."""
     looks = 0
     for q in (*first_guesses, *_directions(looker.head)):
         looks += 1

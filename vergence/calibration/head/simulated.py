@@ -46,15 +46,7 @@ class JointReadingErrors:
     def output_angles(
         self, motors: FloatArray, previous: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Compute the actuators' output angles, one frame after the other.
-
-        Args:
-            motors: (f, 7) motor angles, rad.
-            previous: (7,) previous output angles behind the backlash, rad.
-
-        Returns:
-            (f, 7) output angles, and (7,) the last ones behind the backlash without harmonics, rad.
-        """
+        """(f, 7) angles of (f, 7) motors, rad, and (7,) the last behind the backlash."""
         behind = []
         for motor in motors:
             previous = np.clip(

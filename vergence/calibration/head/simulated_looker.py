@@ -27,16 +27,7 @@ _LEAST_SIGMA_PX: Final = 1e-3
 
 
 def board_ahead(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
-    """Place a board in front of a head at rest, upright to some degrees.
-
-    Args:
-        head: the head that looks.
-        target: the board; its middle is straight ahead.
-        distance_m: distance from midway between the cameras, m.
-
-    Returns:
-        (4, 4) T_0_T.
-    """
+    """(4, 4) T_0_T, m, of a board ahead of a head at rest, upright to some degrees."""
     q = head.rest()
     left, right = head.base_pose(q) @ head.camera_poses(q)
     ahead = left[:3, 2] + right[:3, 2]

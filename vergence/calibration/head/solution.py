@@ -92,19 +92,7 @@ def solve(
     cauchy_scale: float = np.inf,
     tolerance: float = _COST_TOLERANCE,
 ) -> HeadSolution:
-    """Find the unknowns with the least sum of squares, by Levenberg and Marquardt.
-
-    Args:
-        problem: the adjustment problem.
-        start: initial values of the unknowns.
-        weights: weights of corners and angles; 0 leaves one out.
-        cauchy_scale: typical mean square of a corner's residuals at the start, in sigma^2: corners
-            and angles that fit much worse count for less (Cauchy's loss); inf for least squares.
-        tolerance: change of the cost below which the adjustment ends.
-
-    Raises:
-        LinAlgError: the start is behind a camera, or the normal matrix is not positive definite.
-    """
+    """Levenberg and Marquardt; a finite `cauchy_scale`, sigma^2, lets misfits count less."""
     robust = np.isfinite(cauchy_scale)
     weights = weights._replace(cauchy_scale=cauchy_scale)
     state, now = start, problem.linearised(start, weights)

@@ -56,15 +56,7 @@ class InitialBoardPoses(NamedTuple):
 
 
 def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> InitialBoardPoses:
-    """Find the poses of the board on which most views agree, through a given head.
-
-    Args:
-        head: the head, nominal or estimated.
-        frames: frames of the board.
-
-    Raises:
-        LinAlgError: a placement has no view that determines the board's pose.
-    """
+    """Find the poses of the board on which most views agree, through a given head."""
     places, turns, shifts = board_corners_and_poses_in_base(head, frames)
     orders = equivalent_corner_orders(frames.target)
     enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
@@ -98,12 +90,7 @@ def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> Initi
 def board_corners_and_poses_in_base(
     head: HeadModel, frames: HeadFrames
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute the board's pose in frame 0 from each single view.
-
-    Returns:
-        (2, f, n, 3) its corners, m; (2, f, 3, 3) and (2, f, 3) its pose. They are placeholders for
-        views without the board.
-    """
+    """(2, f, n, 3) corners, m, and pose (2, f, 3, 3), (2, f, 3) in frame 0, or placeholders."""
     T_0_C = head.base_pose(frames.joint_positions)[:, None] @ head.camera_poses(
         frames.joint_positions
     )
@@ -121,13 +108,7 @@ def board_corners_and_poses_in_base(
 def _medoid(
     places: FloatArray, here: NDArray[np.intp], orders: Sequence[NDArray[np.intp]]
 ) -> tuple[tuple[int, int], FloatArray, NDArray[np.intp]]:
-    """Find the medoid view, the views' distances to it, and their corner orders.
-
-    Args:
-        places: (2, f, n, 3) see `board_corners_and_poses_in_base`.
-        here: (v, 2) eye and frame of the views to compare.
-        orders: possible orders of the corners.
-    """
+    """Find the medoid view, the views' distances to it, and their corner orders."""
     some = here[:: -(-len(here) // _MOST_CANDIDATES)]
     sets = places[some[:, 0], some[:, 1]]
     most = np.ptp(sets[0], axis=0).max()

@@ -54,11 +54,7 @@ _SIGNIFICANT_SIGMAS: Final = 2.0
 
 
 def parse_terms(text: str) -> tuple[str, ...]:
-    """Parse terms: `none`, `auto`, or some of `TERMS` with commas between them.
-
-    Raises:
-        ConfigurationError: it is none of these.
-    """
+    """Parse terms: `none`, `auto`, or some of `TERMS` with commas between them."""
     terms = tuple(dict.fromkeys(text.split(","))) if text != "none" else ()
     if terms != (AUTO,) and not set(terms) <= set(TERMS):
         raise ConfigurationError(
@@ -68,11 +64,7 @@ def parse_terms(text: str) -> tuple[str, ...]:
 
 
 def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
-    """Convert a head to the form in which a calibration can estimate some terms.
-
-    `axes` need joint axes instead of D-H links; `play` needs a head without backlash of its own,
-    which is then estimated.
-    """
+    """Convert a head for terms: `axes` need joint axes, `play` a head without backlash."""
     head = dh_to_joint_axes(head) if "axes" in terms else head
     return without_backlash(head) if "play" in terms else head
 
@@ -89,12 +81,7 @@ class ChosenTerms(NamedTuple):
 
 
 def choose_terms(fit: HeadFit, estimate_cameras: bool) -> ChosenTerms:
-    """Add the terms that a recording calls for, most significant first.
-
-    Args:
-        fit: fit of the head without terms.
-        estimate_cameras: True if the cameras are estimated, see `parameter_prior_sigma`.
-    """
+    """Add the terms that a recording calls for, most significant first."""
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
     while left:
@@ -169,10 +156,7 @@ def _extended(
 def _gains(
     solution: HeadSolution, chosen: tuple[str, ...], left: Collection[str], cameras: bool
 ) -> dict[str, float]:
-    """Compute each term's reduction of the sum of squares by one step, relative to chance.
-
-    Only terms with a larger reduction than chance, and worth a trial, are returned.
-    """
+    """Reduction of squares by one step relative to chance, of terms worth a trial."""
     gains: dict[str, float] = {}
     chance: dict[str, float] = {}
     new = [term for term in TERM_KINDS if term in left]
@@ -225,10 +209,7 @@ def _chance(numbers: int) -> float:
 
 
 def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
-    """Return True if a head with a term predicts held-out poses significantly better.
-
-    The mean gain in the logarithm of a pose's error has to reach `least`.
-    """
+    """True if a term's mean log gain on held-out poses is significant and reaches `least`."""
     kept = richer.kept_corners & simpler.kept_corners
     # judge the readings of both heads by the richer head's sigma
     rich, simple = richer.solution.problem, simpler.solution.problem

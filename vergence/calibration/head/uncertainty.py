@@ -14,11 +14,7 @@ from vergence.models.parts import FloatArray
 
 
 def head_and_term_covariance(solution: HeadSolution) -> FloatArray:
-    """(p + t, p + t) covariance of `HeadModel.parameters`, then of the reading-error terms.
-
-    Args:
-        solution: solution of the head.
-    """
+    """(p + t, p + t) covariance of `HeadModel.parameters`, then of the reading-error terms."""
     problem = solution.problem
     normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
     assert normal.frame_contributions is not None

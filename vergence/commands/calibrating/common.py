@@ -44,14 +44,7 @@ class CalibrationOptions:
     endings: ClassVar[tuple[str, ...]] = ()
 
     def check(self, out: Path) -> None:
-        """Refuse an output file that cannot be written, before any work is done.
-
-        Args:
-            out: the file to write.
-
-        Raises:
-            ConfigurationError: its ending is wrong, its folder cannot be written, or it exists.
-        """
+        """Refuse an output file that cannot be written, before any work is done."""
         if out.suffix.lower() not in self.endings:
             raise ConfigurationError(
                 f"out: expected a name that ends in {' or '.join(self.endings)}, got {out}"
@@ -63,11 +56,7 @@ class CalibrationOptions:
             )
 
     def parsed_response(self) -> "CameraResponse | None":
-        """Camera response given by --response; None if it is not given.
-
-        Raises:
-            ConfigurationError: the text is no response.
-        """
+        """Camera response given by --response; None if it is not given."""
         from vergence.models.response import parse_response
 
         return None if self.response is None else parse_response(self.response)
@@ -78,13 +67,7 @@ class CalibrationOptions:
         out: Path,
         text: Callable[["Calibration"], str],
     ) -> int:
-        """Calibrate, write the result and its run folder, and print the result.
-
-        Args:
-            photographs: (c, v) photographs of each camera.
-            out: the file to write.
-            text: returns the content of that file.
-        """
+        """Calibrate, write the result and its run folder, and print the result."""
         from vergence.calibration.calibrate import calibrate
         from vergence.calibration.coverage import advise_next_photographs
         from vergence.calibration.observations import parse_board

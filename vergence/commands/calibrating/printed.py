@@ -11,12 +11,7 @@ if TYPE_CHECKING:
 
 
 def print_calibration(calibration: "Calibration", out: Path) -> None:
-    """Print a calibration: values, residuals, views left out, and the path of its file.
-
-    Args:
-        calibration: the calibration.
-        out: the file that it is written to.
-    """
+    """Print a calibration: values, residuals, views left out, and the path of its file."""
     from vergence.calibration.adjustment import rms_length
     from vergence.calibration.projection import camera_parameter_names
     from vergence.models.joints import EYE_NAMES

@@ -10,12 +10,7 @@ if TYPE_CHECKING:
 
 
 def print_head_calibration(outcome: "HeadOutcome", out: Path) -> None:
-    """Print a head's calibration and the path of its file.
-
-    Args:
-        outcome: calibration of one recording.
-        out: the file that it is written to.
-    """
+    """Print a head's calibration and the path of its file."""
     told = outcome.document
     rows = [
         [
@@ -44,12 +39,7 @@ def print_head_calibration(outcome: "HeadOutcome", out: Path) -> None:
 
 
 def print_head_calibrations(outcomes: "list[HeadOutcome]", outs: list[Path]) -> None:
-    """Print a line for each of several heads.
-
-    Args:
-        outcomes: calibrations of the recordings.
-        outs: the files that they are written to.
-    """
+    """Print a line for each of several heads."""
     rows = []
     for outcome, out in zip(outcomes, outs, strict=True):
         if outcome.refusal:

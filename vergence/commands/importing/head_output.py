@@ -32,11 +32,7 @@ class HeadOutput:
     """Draw the head for a visual check, as .png beside the head file."""
 
     def check(self) -> None:
-        """Refuse output files that cannot be written, before anything is written.
-
-        Raises:
-            ConfigurationError: the head file is no .toml, or a file exists already.
-        """
+        """Refuse output files that cannot be written, before anything is written."""
         if self.out.suffix != ".toml":
             raise ConfigurationError(f"out: expected a name that ends in .toml, got {self.out}")
         for path in (self.out, *([self._drawing] if self.figure else [])):
@@ -46,17 +42,7 @@ class HeadOutput:
                 )
 
     def write(self, text: str, head: "HeadModel") -> None:
-        """Write the head file and its drawing, each atomically.
-
-        Call it before anything is printed: a closed pipe on standard output ends the program.
-
-        Args:
-            text: content of the head file; its folder is made if it is missing.
-            head: the head that the text describes.
-
-        Raises:
-            OSError: a file cannot be written.
-        """
+        """Write head file and drawing atomically; before printing, as a closed pipe ends all."""
         from vergence.files import write_atomic
 
         self.out.parent.mkdir(parents=True, exist_ok=True)

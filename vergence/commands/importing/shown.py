@@ -27,12 +27,7 @@ _T = TypeVar("_T")
 
 
 def print_imported_head(imported: ImportedHead, path: Path) -> None:
-    """Print a short summary of a head imported from a robot's description, and what to check.
-
-    Args:
-        imported: the head; its file has every value and every assumption.
-        path: path of that file.
-    """
+    """Print a short summary of a head imported from a robot's description, and what to check."""
     head, chains = imported.head, imported.chains
     joints, eyes = joint_summaries(head), eye_summaries(head)
     warn_of_zero_outside_range(joints)

@@ -89,16 +89,7 @@ def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
 def joint_limits(
     links: JointAxes, limits_in_file: Sequence[FloatArray | None], actuators: Actuators | None
 ) -> JointLimits:
-    """Limits of the seven joints: those in the file, or else the range that the actuators reach.
-
-    Args:
-        links: the joints.
-        limits_in_file: (4,) limits of each joint in the order of `JOINT_LIMITS`, or None.
-        actuators: the actuators of the eye joints; None if each joint has its own.
-
-    Raises:
-        HeadFileError: a joint has neither limits nor an actuator to derive them from.
-    """
+    """Limits of the seven joints: those in the file, or else the range that the actuators reach."""
     seven = np.zeros((4, len(JOINTS)))
     seven[3] = np.inf
     for name, places, own in zip(links.names, links.joint_indices, limits_in_file, strict=True):

@@ -35,11 +35,7 @@ class AssumedValue(NamedTuple):
 
 
 def assumed_values(head: HeadModel) -> list[AssumedValue]:
-    """List the assumptions of a head with their values.
-
-    Args:
-        head: one head, not a population.
-    """
+    """List the assumptions of a head with their values."""
     document = tomllib.loads(head_to_toml(head))
     found: dict[tuple[str, str], list[str]] = {}
     for key, why in head.assumptions.items():

@@ -101,18 +101,11 @@ def key_spellings(stem: str, side: str) -> Iterator[str]:
 
 
 class CalibrationValues:
-    """Values of one or several calibration files, found under any known spelling of their keys.
-
-    Args:
-        files: content of each file by name, from `read_calibration`.
-
-    Attributes:
-        used: labels of the values that have been found, each with the name of its file.
-    """
+    """Values of one or several calibration files, found under any known spelling of their keys."""
 
     def __init__(self, files: Mapping[str, Mapping[str, Any]]) -> None:
         self.name = ", ".join(files)
-        self.used: dict[str, str] = {}
+        self.used: dict[str, str] = {}  # name of the file by label of each value found
         self._found: dict[str, list[FoundValue]] = {}
         for name, content in files.items():
             for key, value in flatten_keys(_unwrapped(content)):
@@ -135,16 +128,7 @@ class CalibrationValues:
     def find(
         self, stems: Sequence[str], side: str = "", *, shared: bool = False
     ) -> FoundValue | None:
-        """Find the value of the first spelling that is present; None if there is none.
-
-        Args:
-            stems: possible spellings of the key, without a side.
-            side: label of one camera of a pair; empty for a key without one.
-            shared: true if a key without a side counts for both cameras.
-
-        Raises:
-            ConfigurationError: the key occurs several times with different values.
-        """
+        """Find the value of the first spelling; None if absent. A `shared` one needs no side."""
         for stem in stems:
             for key in _keys(stem, side):
                 found = self._found.get(key)
@@ -160,11 +144,7 @@ class CalibrationValues:
         return self.find(stems) if shared and side else None
 
     def sides(self) -> tuple[str, str] | None:
-        """Labels of the left and right camera in the keys; None unless there are two cameras.
-
-        Raises:
-            ConfigurationError: there are more than two.
-        """
+        """Labels of the left and right camera in the keys; None unless there are two cameras."""
         for left, right in _NAMED_SIDES:
             if self.has(MATRIX, left) and self.has(MATRIX, right):
                 return left, right
@@ -214,15 +194,7 @@ def _keys(stem: str, side: str) -> Iterable[str]:
 
 
 def refuse_unused_files(files: Iterable[str], values: CalibrationValues) -> None:
-    """Refuse files that contribute nothing: the user may have meant them to count.
-
-    Args:
-        files: names of all files given.
-        values: the values of all files, and which of them were found.
-
-    Raises:
-        ConfigurationError: some files are unused; the message names them.
-    """
+    """Refuse files that contribute nothing: the user may have meant them to count."""
     used = set(values.used.values())
     others = [name for name in files if name not in used]
     if others:
@@ -250,16 +222,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def flat_array_of(found: FoundValue, allowed_counts: Sequence[int], expected: str) -> FloatArray:
-    """Numbers of a value, flattened to one dimension.
-
-    Args:
-        found: the value.
-        allowed_counts: allowed counts of numbers.
-        expected: description of the expected value, for messages.
-
-    Raises:
-        ConfigurationError: the value is not numeric or not finite, or has another count.
-    """
+    """Finite numbers of a value, in one dimension and in one of the allowed counts."""
     values = parse_numbers(found.value)
     if values is not None and values.size in allowed_counts and np.isfinite(values).all():
         return values.reshape(-1)

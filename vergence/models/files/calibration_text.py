@@ -52,18 +52,7 @@ _NOT_FINITE: Final = re.compile(r"(?<![\w.])[+-]?(?:\.?nan|\.?inf)\b", re.IGNORE
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """Read a calibration file into nested mappings, whatever its keys are.
-
-    Args:
-        path: a YAML, XML or JSON file; the format follows from the content.
-
-    Returns:
-        Values by key: numbers, strings, lists, nested mappings, and arrays for OpenCV's
-        matrices (mappings with `data` and `rows` or `sizes`).
-
-    Raises:
-        ConfigurationError: the file cannot be read, or is in none of the three formats.
-    """
+    """Read YAML, XML or JSON into nested mappings, with arrays for OpenCV's matrices."""
     name = os.fspath(path)
     try:
         if os.path.getsize(name) > _MAX_FILE_BYTES:
@@ -220,12 +209,7 @@ def _matrix(value: Mapping[str, Any], where: str) -> FloatArray:
 
 
 def parse_numbers(value: Any) -> FloatArray | None:
-    """Convert a value to a float array; None if it is not numeric.
-
-    Args:
-        value: a number, nested lists or an array; numbers may be strings, since YAML 1.1 reads
-            `1e-5` as a string.
-    """
+    """Convert a value to a float array, or None; strings too: YAML 1.1 reads `1e-5` as a string."""
     if isinstance(value, bool | Mapping) or value is None:
         return None
     try:

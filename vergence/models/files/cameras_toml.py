@@ -15,11 +15,7 @@ from vergence.models.response import EXPECTED, CameraResponse, parse_response
 
 
 def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
-    """Cameras of a head file, and (2, 4, 4) the pose of each in its eye's last link.
-
-    Raises:
-        HeadFileError: a value of a camera is missing or invalid.
-    """
+    """Cameras of a head file, and (2, 4, 4) the pose of each in its eye's last link."""
     image = _parse_size(root.table("image"), closing=True) if root.has("image") else None
     size, lens, focal, principal, distortion = [], [], [], [], np.zeros((2, 8))
     response: list[CameraResponse | None] = []
@@ -126,13 +122,7 @@ def _parse_mount(table: Table) -> FloatArray:
 def eyes_to_toml(
     cameras: Cameras, head_eye: FloatArray, rotation_position_keys: tuple[str, str]
 ) -> dict[str, Any]:
-    """Write the table `eyes`, and the table `image` if both eyes have images of one size.
-
-    Args:
-        cameras: cameras of one head.
-        head_eye: (2, 4, 4) pose of each camera in its eye's last link, metres.
-        rotation_position_keys: the keys of rotation and position.
-    """
+    """Write the tables `eyes` and, for images of one size, `image`; (2, 4, 4) poses in metres."""
     sizes = [{"width_px": width, "height_px": height} for width, height in cameras.size.tolist()]
     one_size = sizes[0] == sizes[1]
     eyes = [

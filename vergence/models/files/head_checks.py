@@ -23,12 +23,7 @@ _ANGLE_STEP_RAD: Final = 1e-5
 
 
 def refuse_unusable_head(head: HeadModel) -> None:
-    """Refuse a head that cannot triangulate or servo at rest.
-
-    Raises:
-        HeadFileError: the eyes are in one place or exchanged, an eye joint's range is far from
-            zero, or an actuator hardly moves the images.
-    """
+    """Refuse a head that cannot triangulate or servo at rest."""
     _refuse_far_ranges(head)
     poses = head.camera_poses(head.rest())
     _refuse_places(poses)

@@ -154,11 +154,7 @@ def _parse_calibration(root: Table) -> CalibrationRecord | None:
 
 
 def check_head_name(name: object) -> None:
-    """Refuse a head name that cannot be part of a file name on every system.
-
-    Raises:
-        HeadFileError: the name is invalid.
-    """
+    """Refuse a head name that cannot be part of a file name on every system."""
     accepted, expected = NAME
     if not isinstance(name, str) or not accepted(name):
         raise HeadFileError("name", name, expected)
@@ -259,17 +255,7 @@ def _flat_to_toml(part: LoopTiming | SensorModel) -> dict[str, Any]:
 
 
 def head_to_toml(head: HeadModel) -> str:
-    """Write one head as TOML text; `parse_head` reads an equal head back.
-
-    Args:
-        head: one head, not a population.
-
-    Returns:
-        The text.
-
-    Raises:
-        HeadFileError: the head is a population, or has an invalid name.
-    """
+    """Write one head as TOML text; `parse_head` reads an equal head back."""
     if head.batch_shape:
         raise HeadFileError("head", f"a population of shape {head.batch_shape}", "one head")
     check_head_name(head.name)

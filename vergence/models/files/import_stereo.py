@@ -54,24 +54,7 @@ def stereo_pair_to_head_toml(
     calibration: CalibrationRecord | None = None,
     response: CameraResponse | None = None,
 ) -> str:
-    """Convert a stereo pair to the TOML text of a head.
-
-    The cameras define frame N: its origin is midway between them, z along the mean of the optical
-    axes.
-
-    Args:
-        pair: the calibrated pair.
-        name: name of the head.
-        noise_px: measured standard deviation of detected pixels; None to assume it.
-        calibration: record of the pair's calibration, if known.
-        response: response curve of both cameras (light by grey level), if known.
-
-    Returns:
-        The text; values that nobody has measured are listed in `[assumptions]`.
-
-    Raises:
-        HeadFileError: the name is invalid.
-    """
+    """TOML text of a pair's head; N is midway between the cameras, z along the mean axis."""
     check_head_name(name)
     cameras = (pair.left, pair.right)
     positions = (np.zeros(3), pair.baseline_m)

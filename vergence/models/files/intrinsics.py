@@ -145,22 +145,13 @@ class CalibratedCameras:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraFiles:
-    """Cameras that calibration files hold, and the values to look their places up in.
-
-    Attributes:
-        names: the files.
-        values: all values.
-        cameras: one or two cameras, left first.
-        keys: values of each camera, and its label in their keys, empty in a file of its own.
-        apart: values of the files, if any, that hold no camera where each has a file of its own;
-            else all values.
-    """
+    """Cameras that calibration files hold, and the values to look their places up in."""
 
     names: Sequence[str]
     values: CalibrationValues
-    cameras: Sequence[Intrinsics]
-    keys: Sequence[tuple[CalibrationValues, str]]
-    apart: CalibrationValues
+    cameras: Sequence[Intrinsics]  # one or two, left first
+    keys: Sequence[tuple[CalibrationValues, str]]  # of each camera, with its label or ""
+    apart: CalibrationValues  # values of files without a camera, else all
 
     def notes(self) -> tuple[str, ...]:
         """Refuse files that nothing was read of, and name keys that nothing asked for."""
@@ -180,16 +171,7 @@ def read_camera_files(
     size: tuple[int, int] | None = None,
     lens: Lens | None = None,
 ) -> CameraFiles:
-    """Read the cameras in calibration files, for `read_intrinsics` and `read_stereo`.
-
-    Args:
-        paths: the files.
-        size: see `read_intrinsics`.
-        lens: see `read_intrinsics`.
-
-    Raises:
-        ConfigurationError: a file cannot be read, or its cameras are not supported.
-    """
+    """Read the cameras in calibration files, for `read_intrinsics` and `read_stereo`."""
     names = [os.fspath(path) for path in paths]
     files = {name: read_calibration(name) for name in names}
     if len(files) < len(names):
@@ -223,22 +205,7 @@ def read_intrinsics(
     size: tuple[int, int] | None = None,
     lens: Lens | None = None,
 ) -> CalibratedCameras:
-    """Read the cameras of the left and the right eye.
-
-    Args:
-        paths: one file with both cameras; two files, left first; or one file with a single
-            camera, used for both eyes.
-        size: (width, height) in pixels, for files that do not give it.
-        lens: the lens model, for files that do not name it; None to infer it from the number
-            of coefficients.
-
-    Returns:
-        The left and the right camera.
-
-    Raises:
-        ConfigurationError: a file cannot be read or is unused, or the cameras or their order
-            are invalid.
-    """
+    """Read the left and the right camera: from one file, two (left first), or one for both eyes."""
     found = read_camera_files(paths, size=size, lens=lens)
     if found.apart is not found.values:
         _refuse_swapped(*(keys for keys, _ in found.keys))
@@ -267,17 +234,7 @@ def find_intrinsics(
     size: tuple[int, int] | None = None,
     lens: Lens | None = None,
 ) -> Intrinsics:
-    """Intrinsics of one camera in calibration files.
-
-    Args:
-        keys: values of the files.
-        side: label of the camera in a pair; empty for a single camera.
-        size: see `read_intrinsics`.
-        lens: see `read_intrinsics`.
-
-    Raises:
-        ConfigurationError: a value is missing or invalid.
-    """
+    """Intrinsics of one camera in calibration files; `side` is its label in a pair, or empty."""
     matrix = keys.find(MATRIX, side)
     if matrix is None:
         raise ConfigurationError(f"{keys.name}: expected a camera matrix, got none")

@@ -46,14 +46,7 @@ class ParsedJoints(NamedTuple):
 
 
 def parse_joints(root: Table) -> ParsedJoints:
-    """Parse the joints of a head file.
-
-    Args:
-        root: the whole file.
-
-    Raises:
-        HeadFileError: a joint is invalid, or out of order.
-    """
+    """Parse the joints of a head file."""
     names: list[str] = []
     parts: list[str] = []
     poses: list[FloatArray] = []
@@ -138,12 +131,7 @@ def _z_to(axis: FloatArray) -> FloatArray:
 
 
 def parse_pose(table: Table, position_key: str) -> FloatArray:
-    """(4, 4) a pose from a position and an optional `rotation` (3, 3) or `rpy_rad` (3,).
-
-    Args:
-        table: table that holds the pose.
-        position_key: key of the position, metres.
-    """
+    """(4, 4) a pose, m, from a position and an optional `rotation` (3, 3) or `rpy_rad` (3,)."""
     pose = np.eye(4)
     pose[:3, 3] = table.numbers(position_key, (3,), LENGTH)
     if table.has("rpy_rad"):
@@ -197,20 +185,7 @@ def parse_frame_n(root: Table) -> FloatArray | None:
 
 
 def frame_between_cameras(camera_poses: FloatArray) -> FloatArray:
-    """(4, 4) default frame N: midway between the cameras, along their mean optical axis.
-
-    Args:
-        camera_poses: (2, 4, 4) poses of both cameras at the zero posture, in the frame that N
-            is to be fixed to.
-
-    Returns:
-        The pose of N: z is the mean of the optical axes, x the direction from the left camera to
-        the right one made orthogonal to z.
-
-    Raises:
-        HeadFileError: the eyes look in opposite directions, are in one place, or one is in front
-            of the other.
-    """
+    """(4, 4) default N of (2, 4, 4) cameras: midway, z along their mean axis, x to the right."""
     forward = camera_poses[:, :3, 2].sum(axis=0)
     across = camera_poses[1, :3, 3] - camera_poses[0, :3, 3]
     length = max(float((forward * forward).sum()), 1e-12)

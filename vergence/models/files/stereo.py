@@ -152,15 +152,7 @@ def read_stereo(
 
 
 def parse_unit(text: str, owner: str) -> float:
-    """Metres of a unit such as `mm`, or of a length such as `25mm`.
-
-    Args:
-        text: the unit or length.
-        owner: name of its owner, for messages.
-
-    Raises:
-        ConfigurationError: it is neither.
-    """
+    """Metres of a unit such as `mm`, or of a length such as `25mm`."""
     match = _UNIT.fullmatch(text)
     metres = _METRES[match[2]] * float(match[1] or 1.0) if match else 0.0
     if not metres > 0.0:

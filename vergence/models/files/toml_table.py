@@ -23,15 +23,7 @@ _UNIT_FACTORS: Final = {"degrees": np.pi / 180.0, "millimetres": 1e-3, "millisec
 
 
 class Table:
-    """A TOML table that is consumed key by key and must be empty at the end.
-
-    Methods raise `HeadFileError` with the key, the value and what was expected.
-
-    Args:
-        values: value found in place of the table; refused unless it is a mapping.
-        path: dotted name of the table; empty for the whole document.
-        expected: description of the expected value, for messages.
-    """
+    """A TOML table consumed key by key, empty at the end; else `HeadFileError` names the key."""
 
     def __init__(self, values: object, path: str, expected: str = "a table") -> None:
         if not isinstance(values, Mapping):
@@ -132,11 +124,7 @@ class Table:
             raise HeadFileError(self.key(name), value, said)
 
     def close(self, known: Sequence[str] = ()) -> None:
-        """Refuse the keys that remain.
-
-        Args:
-            known: keys that will be consumed later.
-        """
+        """Refuse the keys that remain, but for those that will be consumed later."""
         for name, value in self._values.items():
             if name not in known:
                 near = get_close_matches(

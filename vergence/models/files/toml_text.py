@@ -13,11 +13,7 @@ _NUMBERS: Final = re.compile(r"\[\n((?:[ ]+[-+.\w]+,\n)+)[ ]*\]")
 
 
 def toml_text(document: Mapping[str, Any]) -> str:
-    """Write plain values as TOML.
-
-    Args:
-        document: tables, lists, numbers and strings by key.
-    """
+    """Write plain values as TOML."""
     return _NUMBERS.sub(_on_one_line, tomli_w.dumps(document))
 
 

@@ -48,17 +48,7 @@ class HeadEyeConfig:
 
 
 def run(config: HeadEyeConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
-    """Calibrate every head of a population.
-
-    Args:
-        config: settings of the experiment.
-        seed: seed of heads, movements and noise.
-        mapper: runs the jobs, one per head.
-
-    Returns:
-        A row per head, stage (see `STAGES`), joint reading during the fixation (exact, or by the
-        encoders) and point of Table 5, with the depth error in mm.
-    """
+    """Calibrate every head of a population; a row per head, stage, reading and point of Table 5."""
     nominal = load_head(config.head)
     heads = draw_heads(nominal, config.errors, config.heads, seed)
     jobs: list[Job] = [

@@ -45,39 +45,23 @@ class MotionLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class EyeMotor:
-    """A motor and the eye joints that it moves: `joint = factor * motor + offset`.
-
-    Attributes:
-        name: name of the motor.
-        joint_factors: factor by joint name.
-        joint_offsets: offset by joint name, where it is not 0, rad.
-        limits: limits of the motor.
-        assumption_reason: reason why some limits are assumed; empty if all are from the file.
-        assumed_keys: keys of the head file that the reason applies to.
-    """
+    """A motor and the eye joints that it moves: `joint = factor * motor + offset`."""
 
     name: str
-    joint_factors: Mapping[str, float]
-    joint_offsets: Mapping[str, float]
+    joint_factors: Mapping[str, float]  # factor by joint name
+    joint_offsets: Mapping[str, float]  # rad, by joint name, where not 0
     limits: MotionLimits
-    assumption_reason: str = ""
-    assumed_keys: Sequence[str] = ("lower_rad", "upper_rad")
+    assumption_reason: str = ""  # empty if no limit is assumed
+    assumed_keys: Sequence[str] = ("lower_rad", "upper_rad")  # keys of the head file it is for
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EyeJoint:
-    """A joint of an eye.
-
-    Attributes:
-        name: name of the joint.
-        moved_eyes: both, left or right.
-        axis: (3,) its axis at zero, in the axes of the mean camera: x right, y down, z forward.
-        limits: limits of the joint.
-    """
+    """A joint of an eye."""
 
     name: str
-    moved_eyes: str
-    axis: FloatArray
+    moved_eyes: str  # both, left or right
+    axis: FloatArray  # (3,) at zero, in the mean camera's axes: right, down, forward
     limits: MotionLimits
 
     @property
@@ -92,17 +76,7 @@ def find_eye_motors(
     couplings: Sequence[Coupling],
     baseline_m: float,
 ) -> list[EyeMotor]:
-    """Motors of the eyes, in the order of their first joints.
-
-    Args:
-        joints: joints of the eyes.
-        mimic_joints: couplings among these joints in the file.
-        couplings: additional couplings of both eyes.
-        baseline_m: distance between the cameras.
-
-    Raises:
-        ConfigurationError: a coupling does not fit these joints, or leaves an empty range.
-    """
+    """Motors of the eyes, in the order of their first joints."""
     by_name = {joint.name: joint for joint in joints}
     found = [
         _free(joint, mimic_joints, by_name)
@@ -197,11 +171,7 @@ def _common_tilt(left: EyeMotor, right: EyeMotor, by_name: Mapping[str, EyeJoint
 def _version_vergence(
     left: EyeMotor, right: EyeMotor, by_name: Mapping[str, EyeJoint], baseline_m: float
 ) -> list[EyeMotor]:
-    """Motors of version and vergence; the eyes turn to the right by `version +- vergence / 2`.
-
-    The ranges of both are the largest within the joints' ranges such that vergence begins at 0,
-    parallel eyes, and reaches at least the nearest point to fixate.
-    """
+    """Motors of version and vergence (eyes: `version +- vergence / 2`) with the largest ranges."""
     signs = [float(np.sign(by_name[motor.name].axis[1])) for motor in (left, right)]
     turned = [
         m.limits.limits_of_master(MimicJoint("", "", s, 0.0))

@@ -25,14 +25,7 @@ image (chosen: tilted mounts are accepted, wrong frames refused)."""
 
 
 def rotation_of_axes(right_down_forward: str) -> FloatArray:
-    """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`.
-
-    Args:
-        right_down_forward: three axes of the frame with their signs.
-
-    Raises:
-        ConfigurationError: the text does not name three axes, or the frame is left-handed.
-    """
+    """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`."""
     names = [name.strip().lower().removeprefix("+") for name in right_down_forward.split(",")]
     expected = (
         "camera-axes: expected the axes of the camera's frame that point right in the image, down "
@@ -53,30 +46,15 @@ def rotation_of_axes(right_down_forward: str) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EyeAtZeroAngles:
-    """A camera and its joint axes at zero, in the base's frame, to check the camera's axes.
-
-    Attributes:
-        name: name of the camera's frame, as given.
-        pose: (4, 4) pose of the camera, its axes taken as right, down, forward.
-        joint_axes: (J, 3) axes of the joints that move this eye.
-    """
+    """A camera and its joint axes at zero, in the base's frame, to check the camera's axes."""
 
     name: str
-    pose: FloatArray
-    joint_axes: FloatArray
+    pose: FloatArray  # (4, 4) of the camera, with axes right, down, forward
+    joint_axes: FloatArray  # (J, 3) of the joints that move this eye
 
 
 def check_camera_axes(eyes: Sequence[EyeAtZeroAngles], up: FloatArray) -> None:
-    """Refuse cameras unless, at zero, they are side by side, look ahead and are upright.
-
-    Args:
-        eyes: the left and the right eye.
-        up: (3,) upward direction: the z axis of the file's root.
-
-    Raises:
-        ConfigurationError: the axes cannot be right, down and forward; the message proposes
-            axes that would fit.
-    """
+    """Refuse cameras unless, at zero, they are side by side, look ahead and are upright."""
     across = eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]
     distance = float(np.linalg.norm(across))
     if not distance > 1e-3:

@@ -11,29 +11,18 @@ from vergence.models.parts import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class ChainJoint:
-    """A moving joint.
-
-    Attributes:
-        joint: the joint in the file.
-        origin: (4, 4) pose at its zero, in the link that the previous joint moves, or the base.
-    """
+    """A moving joint."""
 
     joint: Joint
-    origin: FloatArray
+    origin: FloatArray  # (4, 4) at its zero, in the previous joint's link, or the base
 
 
 @dataclass(frozen=True, eq=False)
 class KinematicChain:
-    """The moving joints from the base to a camera frame.
+    """The moving joints from the base to a camera frame."""
 
-    Attributes:
-        joints: the joints from the base up.
-        camera_in_last_link: (4, 4) pose of the camera frame in the link that the last joint moves,
-            or the base.
-    """
-
-    joints: tuple[ChainJoint, ...]
-    camera_in_last_link: FloatArray
+    joints: tuple[ChainJoint, ...]  # from the base up
+    camera_in_last_link: FloatArray  # (4, 4) in the last joint's link, or the base
 
     def pose(self, values: Mapping[str, float]) -> FloatArray:
         """T_base_frame, (4, 4), of the camera frame, at joint angles by name, rad."""
@@ -76,15 +65,7 @@ def find_joint_path(mechanism: Mechanism, base: int, camera: int) -> JointPath:
 def build_chain(
     mechanism: Mechanism, base: int, camera: int, fixed_values: Mapping[str, float]
 ) -> KinematicChain:
-    """Build the chain from a base to a camera.
-
-    Args:
-        mechanism: the robot.
-        base: index of the base's frame.
-        camera: index of the camera's frame.
-        fixed_values: values of fixed joints by name, radians or metres; all other joints on the way
-            down are hinges.
-    """
+    """Build the chain of hinges from a base to a camera; fixed values in rad or m, by name."""
     above, below = mechanism.ancestors(base), mechanism.ancestors(camera)
     pending = np.linalg.inv(_still(mechanism, [i for i in above if i not in below], fixed_values))
     joints = []

@@ -18,18 +18,7 @@ _METRES_PER_UNIT: Final = {"m": 1.0, "mm": 1e-3}
 
 
 def parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
-    """Parse values of locked joints from `JOINT=DEG`, `JOINT=1.5rad`, `JOINT=0.1m`.
-
-    Args:
-        texts: the texts, as given.
-        joints: the robot's joints by name.
-
-    Returns:
-        Values by joint name, radians or metres.
-
-    Raises:
-        ConfigurationError: a text is malformed, a joint is unknown, or is given twice.
-    """
+    """Parse values, rad or m, from `JOINT=DEG`, `JOINT=1.5rad`, `JOINT=0.1m`."""
     found: dict[str, float] = {}
     for word in texts:
         name, equals, text = word.rpartition("=")
@@ -53,15 +42,10 @@ def parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> di
 
 @dataclass(frozen=True)
 class ValueByJoint:
-    """Numbers that the user gives for joints.
+    """Numbers that the user gives for joints."""
 
-    Attributes:
-        each: number by joint name.
-        others: number for all other joints; None if not given.
-    """
-
-    each: Mapping[str, float]
-    others: float | None
+    each: Mapping[str, float]  # by joint name
+    others: float | None  # for all other joints; None if not given
 
 
 def parse_per_joint(
@@ -71,18 +55,7 @@ def parse_per_joint(
     is_valid: Callable[[float], bool],
     expected: str,
 ) -> ValueByJoint:
-    """Parse numbers from `NUMBER` and `JOINT=NUMBER`.
-
-    Args:
-        option: name of the option, for messages.
-        texts: the texts, as given.
-        joints: joints that may be named.
-        is_valid: predicate of valid numbers.
-        expected: description of a valid number, for messages.
-
-    Raises:
-        ConfigurationError: a text is malformed, a joint is unknown, or is given twice.
-    """
+    """Parse numbers from `NUMBER` and `JOINT=NUMBER`."""
     each: dict[str, float] = {}
     others: float | None = None
     for word in texts:

@@ -30,20 +30,12 @@ _SIDES: Final = ("left", "right")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadChains:
-    """Kinematic chains of both eyes, and the role of each joint.
+    """Kinematic chains of both eyes, and the role of each joint."""
 
-    Attributes:
-        chains: chains of the left and the right eye.
-        moved_part_of_joint: part by name of each moving joint, from the base up: neck, both, left
-            or right.
-        mimic_joints: eye joints coupled to another eye joint.
-        fixed_values: values of the fixed joints on the path by name, radians or metres.
-    """
-
-    chains: tuple[KinematicChain, KinematicChain]
-    moved_part_of_joint: Mapping[str, str]
-    mimic_joints: tuple[MimicJoint, ...]
-    fixed_values: Mapping[str, float]
+    chains: tuple[KinematicChain, KinematicChain]  # left, right
+    moved_part_of_joint: Mapping[str, str]  # neck, both, left or right; from the base up
+    mimic_joints: tuple[MimicJoint, ...]  # eye joints coupled to another
+    fixed_values: Mapping[str, float]  # on the path, by name, rad or m
 
     def joint(self, name: str) -> ChainJoint:
         """Return a moving joint by name."""
@@ -62,19 +54,7 @@ def build_head_chains(
     neck: Sequence[str],
     locked: Mapping[str, float],
 ) -> HeadChains:
-    """Determine the role of each joint between the base and the cameras.
-
-    Args:
-        mechanism: the robot.
-        base: index of the frame that the neck is mounted on.
-        cameras: indices of the frames of the left and the right camera.
-        neck: names of up to three joints that move both cameras.
-        locked: values of locked joints on the path by name, radians or metres.
-
-    Raises:
-        ConfigurationError: a name is unknown, a joint is neither of the neck, locked nor of an
-            eye, or a head file cannot express the mechanism; the message says why.
-    """
+    """Determine the role of each joint between the base and the cameras."""
     paths = tuple(find_joint_path(mechanism, base, camera) for camera in cameras)
     on_way = list(dict.fromkeys(j.name for way in paths for j in (*way.up, *way.down)))
     shared = [j.name for j in paths[0].down if j.name in {k.name for k in paths[1].down}]

@@ -13,16 +13,7 @@ from vergence.models.parts import FloatArray
 
 
 def pose_fields(position_key: str, pose: FloatArray, name: str) -> dict[str, Any]:
-    """Fields of a pose: its position and, unless it is the identity, its rotation.
-
-    Args:
-        position_key: key of the position.
-        pose: (4, 4) the pose, metres.
-        name: name of the posed element, for messages.
-
-    Raises:
-        ConfigurationError: the position is beyond the range of a head file.
-    """
+    """Fields of a pose: its position and, unless it is the identity, its rotation."""
     # restore values that only rounding has moved from 0 or 1
     near = np.round(pose)
     clean = np.where(np.abs(pose - near) < 1e-15, near, pose) + 0.0

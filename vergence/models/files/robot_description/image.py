@@ -31,20 +31,7 @@ def find_eye_intrinsics(
     size: tuple[int, int] | None = None,
     lens: Lens | None = None,
 ) -> tuple[CalibratedCameras, dict[str, str]]:
-    """Determine the intrinsics of both eyes.
-
-    Args:
-        cameras: image parameters in the robot's file, left and right.
-        files: calibration files, which take precedence.
-        size: (width, height) in pixels, for calibration files that do not give it.
-        lens: the lens model, for calibration files that do not name it.
-
-    Returns:
-        The cameras of both eyes, and the reason for each assumption by its dotted key.
-
-    Raises:
-        ConfigurationError: the calibration cannot be read, or a camera cannot serve as an eye.
-    """
+    """Intrinsics of both eyes, files before cameras, and reasons of assumptions by dotted key."""
     for eye, camera in zip(EYE_NAMES, cameras, strict=True):
         if camera is not None and camera.fault:
             raise ConfigurationError(

@@ -19,20 +19,7 @@ the weight of a small camera)."""
 def joint_motion_limits(
     joints: Sequence[Joint], speed: Sequence[str], acceleration: Sequence[str]
 ) -> tuple[dict[str, MotionLimits], dict[str, str]]:
-    """Determine the limits of the moving joints.
-
-    Args:
-        joints: the moving joints.
-        speed: `RAD_S` for all joints whose limit is missing or a placeholder, `JOINT=RAD_S` for
-            one.
-        acceleration: `RAD_S2` for all joints, `JOINT=RAD_S2` for one.
-
-    Returns:
-        The limits by joint, and the reason for each assumed limit by its dotted key.
-
-    Raises:
-        ConfigurationError: a limit in the file is invalid, or a speed is missing.
-    """
+    """Limits by moving joint, and the reason for each assumed one by its dotted key."""
     names = [joint.name for joint in joints]
     speeds = parse_per_joint("speed", speed, names, *SPEED)
     accelerations = parse_per_joint("acceleration", acceleration, names, *ACCELERATION)

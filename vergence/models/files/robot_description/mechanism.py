@@ -16,28 +16,16 @@ FrameKind = Literal["body", "site", "camera"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint:
-    """A joint that moves a frame relative to its parent; angles in radians, slides in metres.
+    """A joint that moves a frame relative to its parent; angles in radians, slides in metres."""
 
-    Attributes:
-        name: name of the joint; derived from its frame if the file gives none.
-        kind: hinge (URDF: revolute, continuous), slide (prismatic), ball or free (MJCF), planar
-            or floating (URDF).
-        anchor: (3,) a point on the axis, in the moving frame.
-        axis: (3,) unit vector of the axis, in the moving frame.
-        reference: joint value at which the frame is at `Frame.pose`.
-        lower: lower limit; nan if the file has none.
-        upper: upper limit; nan if the file has none.
-        velocity: speed limit; nan if the file has none.
-    """
-
-    name: str
-    kind: JointKind
-    anchor: FloatArray
-    axis: FloatArray
-    reference: float = 0.0
-    lower: float = np.nan
+    name: str  # derived from its frame if the file gives none
+    kind: JointKind  # URDF's planar and floating, too
+    anchor: FloatArray  # (3,) point on the axis, in the moving frame
+    axis: FloatArray  # (3,) unit vector in the moving frame
+    reference: float = 0.0  # joint value at which the frame is at `Frame.pose`
+    lower: float = np.nan  # nan if the file has none, as those below
     upper: float = np.nan
-    velocity: float = np.nan
+    velocity: float = np.nan  # speed limit
 
     def motion(self, value: float) -> FloatArray:
         """(4, 4) pose of the frame at a joint value, relative to its pose at the reference."""
@@ -61,53 +49,31 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MjcfCamera:
-    """Image parameters of a camera in an MJCF; None if not given.
+    """Image parameters of a camera in an MJCF; None if not given."""
 
-    Attributes:
-        size: width and height, pixels.
-        focal: (2,) focal lengths, pixels; None if only `fovy_deg` is given.
-        fovy_deg: vertical field of view, degrees.
-        principal: (2,) principal point, pixels; pixel centres at integers.
-        fault: reason why the camera cannot serve as an eye; empty if it can.
-    """
-
-    size: tuple[int, int] | None
-    focal: FloatArray | None
-    fovy_deg: float
-    principal: FloatArray | None
-    fault: str = ""
+    size: tuple[int, int] | None  # width and height, px
+    focal: FloatArray | None  # (2,) px; None if only `fovy_deg` is given
+    fovy_deg: float  # vertical field of view
+    principal: FloatArray | None  # (2,) px; pixel centres at integers
+    fault: str = ""  # reason why it cannot serve as an eye, or empty
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
-    """A frame of the tree.
-
-    Attributes:
-        name: name in the file.
-        kind: a body (a link of a URDF), or a site or camera fixed to one.
-        parent: index of the parent frame; -1 for the root.
-        pose: (4, 4) pose in its parent, its joints at their references.
-        joints: its joints, in the order in which they are applied.
-        camera: image parameters, for a camera.
-        fault: reason why no path to a camera may pass this frame; empty if one may.
-    """
+    """A frame of the tree."""
 
     name: str
-    kind: FrameKind
-    parent: int
-    pose: FloatArray
-    joints: tuple[Joint, ...] = ()
+    kind: FrameKind  # body (link of a URDF), or a site or camera fixed to one
+    parent: int  # index; -1 for the root
+    pose: FloatArray  # (4, 4) in its parent, joints at their references
+    joints: tuple[Joint, ...] = ()  # in the order in which they are applied
     camera: MjcfCamera | None = None
-    fault: str = ""
+    fault: str = ""  # why no path to a camera may pass, or empty
 
 
 @dataclass(frozen=True)
 class MimicJoint:
-    """Coupling of a joint to another: `joint = multiplier * master + offset`.
-
-    The multiplier is 0, and the master irrelevant, if the joint is held in place. It is nan if the
-    relation is not linear.
-    """
+    """`joint = multiplier * master + offset`: 0 if held in place, nan if not linear."""
 
     joint: str
     master: str
@@ -125,36 +91,19 @@ class LeftOut(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mechanism:
-    """Frames, parents before children, with their joints and the couplings of these.
-
-    Attributes:
-        name: the robot's name in the file.
-        frames: the tree.
-        mimic_joints: coupling by name of each coupled joint.
-        left_out: parts of the file that tie joints, and that the mechanism lacks.
-    """
+    """Frames, parents before children, with their joints and the couplings of these."""
 
     name: str
     frames: tuple[Frame, ...]
-    mimic_joints: Mapping[str, MimicJoint]
-    left_out: tuple[LeftOut, ...] = ()
+    mimic_joints: Mapping[str, MimicJoint]  # by name of the coupled joint
+    left_out: tuple[LeftOut, ...] = ()  # parts of the file that tie joints
 
     def joints(self) -> dict[str, Joint]:
         """All joints by name."""
         return {joint.name: joint for frame in self.frames for joint in frame.joints}
 
     def find_frame(self, name: str, option: str, prefer: tuple[FrameKind, ...]) -> int:
-        """Find the index of a frame by name.
-
-        Args:
-            name: name of a body, site or camera; a prefix such as `site:NAME` selects one kind
-                if several share the name.
-            option: name of the option that gave the name, for messages.
-            prefer: kinds of frames, in order of search.
-
-        Raises:
-            ConfigurationError: there is no such frame.
-        """
+        """Index of a frame by name, or by `site:NAME`; `prefer` orders the search among kinds."""
         kind, colon, rest = name.partition(":")
         if colon and kind in prefer:
             prefer, name = (kind,), rest
@@ -178,14 +127,7 @@ class Mechanism:
         return found[::-1]
 
     def pose(self, frame: int, base: int, values: Mapping[str, float]) -> FloatArray:
-        """T_base_frame, (4, 4).
-
-        Args:
-            frame: index of the frame.
-            base: index of the frame in which the pose is expressed.
-            values: joint values by name, radians and metres; any other joint follows its
-                coupling, or else is at its reference.
-        """
+        """T_base_frame, (4, 4); joints not in `values` follow couplings, or are at references."""
         return np.linalg.inv(self._in_root(base, values)) @ self._in_root(frame, values)
 
     def _in_root(self, index: int, values: Mapping[str, float]) -> FloatArray:
@@ -206,13 +148,7 @@ class Mechanism:
         return mimic.multiplier * values.get(mimic.master, 0.0) + mimic.offset
 
     def mimic_of(self, joint: str) -> MimicJoint | None:
-        """Coupling of a joint to the independent joint at the end of its chain of couplings.
-
-        None if the joint itself is independent.
-
-        Raises:
-            ConfigurationError: the couplings form a cycle.
-        """
+        """Coupling to the joint at the end of the chain; None if the joint is independent."""
         master, factor, offset = joint, 1.0, 0.0
         seen = {joint}
         while (mimic := self.mimic_joints.get(master)) is not None:

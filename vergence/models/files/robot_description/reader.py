@@ -40,21 +40,7 @@ _LOOPS: Final = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
 def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
-    """Read the frames and joints of a URDF or MJCF.
-
-    MuJoCo parses the file without compiling it, so meshes may be missing and fixed frames stay.
-    Values of a URDF that its parser drops or changes, such as speed limits, come from the XML.
-
-    Args:
-        path: the file.
-
-    Returns:
-        The mechanism.
-
-    Raises:
-        UnreadableFileError: the file cannot be read.
-        HeadFileError: it is neither URDF nor MJCF.
-    """
+    """Read the frames and joints of a URDF or MJCF, uncompiled; from the XML what MuJoCo drops."""
     name = os.fspath(path)
     root = parse_xml(name)
     if root.tag == "robot":

@@ -21,12 +21,7 @@ EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
 
 
 def parse_xml(path: str) -> ET.Element:
-    """Parse the XML of a URDF or MJCF and return its root.
-
-    Raises:
-        UnreadableFileError: the file cannot be read.
-        HeadFileError: it is neither.
-    """
+    """Parse the XML of a URDF or MJCF and return its root."""
     try:
         content = Path(path).read_bytes()
         root = ET.fromstring(content)
@@ -53,16 +48,7 @@ def _is_xacro(root: ET.Element) -> bool:
 
 
 def check_urdf_names(path: str, root: ET.Element) -> None:
-    """Refuse a URDF with ambiguous names of joints or links, misspelt ones, or unknown links.
-
-    Args:
-        path: path of the file, for messages.
-        root: root of the URDF.
-
-    Raises:
-        HeadFileError: two joints or two links share a name, a joint refers to an unknown link, or
-            an element's name is nearly joint or link.
-    """
+    """Refuse a URDF with ambiguous names of joints or links, misspelt ones, or unknown links."""
     for part in root:
         near = _near(str(part.tag), ("joint", "link"))
         if near and part.tag != near:
