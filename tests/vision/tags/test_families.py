@@ -11,6 +11,7 @@ from tests.grids import some_of
 from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import Scene, rig, scene, several
+from vergence.models.boards import texture
 from vergence.models.tag_families import CORRECTED_BITS, tag_family
 from vergence.vision import AprilTag, TagFamily, make_detector
 
@@ -49,6 +50,19 @@ def test_a_family_finds_its_tags_and_says_which():
             one = drawn(tag(family, last))
             (found,) = make_detector(TagFamily(family=family, edge_m=0.1)).detect_all(one.image)
             assert found.target == AprilTag(family=family, id=last, edge_m=0.1)
+
+
+@pytest.mark.parametrize(("family", "cell_px", "black"), some_of(FAMILIES, [3, 7, 25, 36], [0, 3]))
+def test_a_drawing_is_found_with_a_sigma_as_small_as_its_error(family, cell_px, black):
+    """White of 255 is a drawing's white here, not a camera's that is clipped."""
+    target, rim_px = tag(family), 12
+    image = np.maximum(texture(target, cell_px, rim_px=rim_px), black).astype(np.uint8)
+    place = np.array(target.origin_cells) * cell_px - 0.5 + rim_px
+    found = make_detector(target).detect(image)
+    assert found.corners_px == pytest.approx(
+        target.corners_m / target.cell_m * cell_px + place, abs=0.05
+    )
+    assert found.corners_sigma_px.max() < 0.1
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -1,6 +1,6 @@
 """Gather the pixels near a tag's edges, which take part in a fit."""
 
-from math import sqrt
+from math import gcd, sqrt
 from typing import Final
 
 from vergence._jit import subroutine
@@ -19,6 +19,11 @@ _MAX_CLIPPED_FRACTION: Final = 0.02
 _BESIDE_CLIPPED_GREY: Final = 240
 """Grey level from which on pixels are left out if white is clipped (measured:
 benchmarks.real_light)."""
+_DRAWN_BLACK_GREY: Final = 3
+"""Grey level up to which black is a drawing's (chosen: just above 0; file formats round)."""
+_LEAST_DRAWN_BLACK_FRACTION: Final = 0.2
+"""Fraction of such pixels above which the image is a drawing (chosen: drawings that are blurred
+against photographs with deep shadows)."""
 _LEAST_QUIET_FRACTION: Final = 0.45
 """Fraction of the quiet zone's width that is always used (chosen: evidence on the outer edges
 against objects behind the zone)."""
@@ -73,6 +78,8 @@ def gather_edge_pixels(
         expected = max(expected, area)
     stride = int(expected / max_pixels) + 1
     phase = int(0.618 * stride + 0.5)
+    while gcd(phase, stride) > 1:  # it would leave out columns, perhaps all beside sharp edges
+        phase += 1
     # a cheap bound, loose enough for any perspective, rejects most pixels: they are far from edges
     away = band_half_width_px / (_LEAST_SCALE * 0.5 * shortest)
     nearest, farthest = 0.0 if whole_square or cell_edges else 1.0 - away, 1.0 + away
@@ -129,11 +136,16 @@ def drop_clipped_pixels(samples: FloatArray, pixel_count: int, light_by_grey: Fl
     """Remove pixels that may be clipped, in place; return the number left.
 
     If white is clipped, demosaicking and compression have changed the neighbouring pixels as well.
+    Nothing is removed from a drawing, which has the smallest and the largest grey level.
     """
-    clipped = 0
+    clipped = black = 0
     for n in range(pixel_count):
         if samples[n, 2] >= light_by_grey[_CLIPPED_GREY]:
             clipped += 1
+        if samples[n, 2] <= light_by_grey[_DRAWN_BLACK_GREY]:
+            black += 1
+    if black > _LEAST_DRAWN_BLACK_FRACTION * pixel_count:
+        return pixel_count
     limit = light_by_grey[
         _CLIPPED_GREY if clipped <= _MAX_CLIPPED_FRACTION * pixel_count else _BESIDE_CLIPPED_GREY
     ]
