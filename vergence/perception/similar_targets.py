@@ -13,11 +13,25 @@ from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 from vergence.vision import EyeCamera, make_detector
 from vergence.vision.boards.april_layout import alternative_grids
+from vergence.vision.boards.charuco import find_markers
+from vergence.vision.detection import Detection
 from vergence.vision.tags.library import families_in
 
 _SIZE_OFFSETS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
 """Columns and rows to add to the size asked for; first the error of counting squares instead of
 inner corners (chosen: likely mistakes against time)."""
+_MARKER_COUNTS: Final = (50, 100, 250, 1000)
+"""Sizes of OpenCV's dictionaries of one name; smaller ones begin larger ones (physical: OpenCV)."""
+_MARKERS: Final = (
+    *(f"DICT_{bits}X{bits}_1000" for bits in range(4, 8)),
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_ARUCO_MIP_36h12",
+    "DICT_APRILTAG_36h11",
+)
+"""Dictionaries of markers that are tried (chosen: those in use)."""
+_LEAST_MARKERS: Final = 4
+"""Least markers that show a board, and least missing first ids that show that its ids begin later
+(chosen: boards against clutter and hidden markers)."""
 _MAX_NAMED_TARGETS: Final = 5
 """Most targets that a hint names (chosen: completeness against length)."""
 _MAX_IMAGE_SIDE_PX: Final = 1280
@@ -42,12 +56,12 @@ def describe_similar_targets(
         if isinstance(target, Checkerboard):
             there += _boards(image, target, camera)
         elif isinstance(target, CharucoBoard):
-            there += _turned(image, target, camera)
+            there += _charuco(image, target, camera)
         elif isinstance(target, AprilGrid):
             there += _grids(image, target, camera) or _single_border(image, camera)
     there = list(dict.fromkeys(there))
     if not there:
-        return ""
+        return _changed(image, requested, camera)
     more = f" and {len(there) - _MAX_NAMED_TARGETS} more" if len(there) > _MAX_NAMED_TARGETS else ""
     verb = "is" if len(there) == 1 else "are"
     return f"{', '.join(there[:_MAX_NAMED_TARGETS])}{more} {verb} there"
@@ -116,8 +130,51 @@ def _single_border(image: NDArray[np.uint8], camera: EyeCamera | None) -> list[s
     return [f"{each} (a single tag, its border one bit wide)" for each in found[:1]]
 
 
-def _turned(image: NDArray[np.uint8], target: CharucoBoard, camera: EyeCamera | None) -> list[str]:
-    """The board with columns and rows exchanged."""
-    other = replace(target, columns=target.rows, rows=target.columns)
-    found = other != target and make_detector(other, camera).detect(image) is not None
-    return [str(other)] if found else []
+def _charuco(image: NDArray[np.uint8], target: CharucoBoard, camera: EyeCamera | None) -> list[str]:
+    """Board with other counts or another dictionary; if it is none of these, its markers' ids."""
+    for dictionary in dict.fromkeys([target.dictionary, *_MARKERS]):
+        seen = find_markers(image, getattr(cv2.aruco, dictionary))
+        if len(seen) >= _LEAST_MARKERS:
+            break
+    else:
+        return []
+    name, size = dictionary.rsplit("_", 1)
+    if dictionary != target.dictionary and size == "1000":  # smaller ones begin with its markers
+        dictionary = f"{name}_{min(n for n in _MARKER_COUNTS if n > max(seen))}"
+    best: list[Detection] = []
+    for more_columns, more_rows in ((0, 0), *_SIZE_OFFSETS):
+        for columns, rows in ((target.columns, target.rows), (target.rows, target.columns)):
+            columns, rows = columns + more_columns, rows + more_rows
+            if max(seen) >= columns * rows // 2:
+                continue
+            try:
+                other = replace(target, columns=columns, rows=rows, dictionary=dictionary)
+            except ConfigurationError:  # too few squares, or too many for the dictionary
+                continue
+            if other != target:
+                found = make_detector(other, camera).search(image)
+                best += [] if found is None else [found]
+    if best:
+        most = max(best, key=lambda each: int(np.isfinite(each.corners_px[:, 0]).sum()))
+        return [str(most.target)]
+    own = dictionary.removeprefix("DICT_")
+    if min(seen) >= _LEAST_MARKERS and max(seen) - min(seen) < 2 * len(seen):
+        return [f"a board of {own} whose ids begin at {min(seen)} in place of 0"]
+    return [] if dictionary == target.dictionary else [f"a board of {own}"]
+
+
+def _changed(
+    image: NDArray[np.uint8], requested: Sequence[Target], camera: EyeCamera | None
+) -> str:
+    """A requested target that the mirrored image or its negative shows; empty if there is none."""
+    for name, other in (
+        ("mirrored", np.ascontiguousarray(image[:, ::-1])),
+        ("white on black", 255 - image),
+    ):
+        for target in requested:
+            if isinstance(target, Checkerboard):  # looks alike mirrored or as a negative
+                continue
+            found = make_detector(target, camera).detect(other)
+            if found is not None:
+                return f"{found.target} is there, {name}"
+    return ""

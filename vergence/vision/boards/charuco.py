@@ -209,11 +209,26 @@ def _markers(image: NDArray[np.uint8], board: CharucoBoard) -> tuple[Any, Any]:
         every.markerSize,
         every.maxCorrectionBits,
     )
+    return _markers_of(image, own)
+
+
+def _markers_of(image: NDArray[np.uint8], markers: cv2.aruco.Dictionary) -> tuple[Any, Any]:
     parameters = cv2.aruco.DetectorParameters()
     least = _LEAST_PERIMETER_PX / max(image.shape)
     parameters.minMarkerPerimeterRate = max(_LEAST_PERIMETER, least)
-    corners, numbers, _ = cv2.aruco.ArucoDetector(own, parameters).detectMarkers(image)
+    corners, numbers, _ = cv2.aruco.ArucoDetector(markers, parameters).detectMarkers(image)
     return corners, numbers
+
+
+def find_markers(image: NDArray[np.uint8], dictionary: int) -> list[int]:
+    """Numbers of the markers in an image.
+
+    Args:
+        image: grey levels, shape (height, width).
+        dictionary: OpenCV's constant of the dictionary.
+    """
+    _, numbers = _markers_of(image, cv2.aruco.getPredefinedDictionary(dictionary))
+    return [] if numbers is None else np.ravel(numbers).tolist()
 
 
 def _most(found: list[Detection]) -> list[Detection]:

@@ -1,0 +1,51 @@
+"""Hints at the cause if a board or a tag is not found."""
+
+import cv2
+import numpy as np
+import pytest
+
+from vergence.models.boards import CharucoBoard, texture
+from vergence.perception.similar_targets import describe_similar_targets
+from vergence.perception.target_finder import parse_targets
+
+
+def drawn(name):
+    (target,) = parse_targets([name])
+    cells_px = 3 if isinstance(target, CharucoBoard) else 12
+    return texture(target, cells_px, rim_px=20, blur_px=0.7)
+
+
+def hint(image, asked):
+    return describe_similar_targets(image, parse_targets([asked]))
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        "charuco:5x4:40:30:4X4_50",  # its inner corners
+        "charuco:5x6:40:30:4X4_50",
+        "charuco:7x5:40:30:4X4_50",
+        "charuco:6x5:40:30:6X6_250",
+    ],
+)
+def test_a_charuco_board_of_other_counts_or_markers_is_named(asked):
+    there = "charuco:6x5:40:30:4X4_50 is there"
+    assert hint(drawn("charuco:6x5:40:30:4X4_50"), asked) == there
+
+
+def test_markers_that_begin_at_another_id_are_said():
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    board = cv2.aruco.CharucoBoard((6, 5), 0.04, 0.03, dictionary, np.arange(20, 35))
+    image = np.asarray(board.generateImage((600, 500), marginSize=20))
+    there = "a board of 4X4_50 whose ids begin at 20 in place of 0 is there"
+    assert hint(image, "charuco:6x5:40:30:4X4_50") == there
+
+
+@pytest.mark.parametrize(
+    "asked", ["tag:36h11:5", "tag:36h11", "charuco:6x5:40:30:4X4_50", "aprilgrid:4x3:40:0.3"]
+)
+def test_a_mirrored_image_and_a_negative_are_said(asked):
+    image = drawn(asked if asked != "tag:36h11" else "tag:36h11:5")
+    assert hint(np.ascontiguousarray(image[:, ::-1]), asked).endswith(" is there, mirrored")
+    assert hint(255 - image, asked).endswith(" is there, white on black")
+    assert hint(np.full((200, 200), 120, np.uint8), asked) == ""
