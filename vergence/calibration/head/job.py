@@ -103,8 +103,8 @@ class HeadJob:
         )
 
 
-def calibrated_head(calibration: HeadCalibration, sha256: str, name: str) -> HeadModel:
-    """Make a calibrated head with origin (`sha256` of measurements) and uncertainty."""
+def head_file_text(calibration: HeadCalibration, sha256: str, name: str) -> str:
+    """TOML text of a calibrated head, with origin (`sha256` of measurements) and uncertainty."""
     check_head_name(name)
     names, prior_sigma = (
         calibration.nominal_head.parameters().names,
@@ -133,9 +133,6 @@ def calibrated_head(calibration: HeadCalibration, sha256: str, name: str) -> Hea
         ),
         sigma=sigma,
     )
-    return replace(calibration.head, name=name, assumptions=assumptions, calibration=record)
-
-
-def head_file_text(calibration: HeadCalibration, sha256: str, name: str) -> str:
-    """Write the head file of `calibrated_head` as TOML text."""
-    return head_to_toml(calibrated_head(calibration, sha256, name))
+    return head_to_toml(
+        replace(calibration.head, name=name, assumptions=assumptions, calibration=record)
+    )
