@@ -434,7 +434,7 @@ def cross_validation_residuals(
 
 
 def cross_validation_mean_squares(fit: CameraFit, problem: BundleAdjustment) -> FloatArray:
-    """(v) mean squares, sigma^2; of the fit, or `_UNSEEN_MEAN_SQUARE`, for views not kept."""
+    """(v,) mean squares, sigma^2; of the fit, or `_UNSEEN_MEAN_SQUARE`, for views not kept."""
     errors = fit.views.reduced_chi**2
     sigma = problem.sigma[:, fit.kept_views]
     errors[fit.kept_views] = np.nanmean(

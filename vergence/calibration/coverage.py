@@ -150,7 +150,7 @@ def board_sag(calibration: Calibration) -> BoardSag:
 
 
 def advise_next_photographs(calibration: Calibration) -> list[str]:
-    """Up to `MOST_SENTENCES`, the most important first, then remarks and doubts; maybe empty."""
+    """Advise on the next photographs: up to `MOST_SENTENCES`, then remarks on images and doubts."""
     sentences = [text for rule in _RULES if (text := rule(calibration))]
     doubts = stereo_pair_of(calibration).guesses if len(calibration.single_fits) > 1 else ()
     return [*sentences[:MOST_SENTENCES], *calibration.observations.remarks, *doubts]

@@ -246,7 +246,7 @@ def _look(path: Path, detector: Detector[Any], check: LinearResponseCheck) -> _S
 
 
 def alike_views(pixels: FloatArray, sigma: FloatArray) -> dict[int, int]:
-    """Fullest view for each like it but for noise, by (c, v, n, 2) corners, px or nan."""
+    """View to keep, the fullest, by each that is like it but for noise; (c, v, n, 2) px or nan."""
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=(0, 2))
     kept: list[int] = []
     alike = {}

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models import camera, fixation, jacobian, kinematics, population
+from vergence.models import camera, fixation, jacobian, kinematics
 from vergence.models.actuation import Actuation, Actuators, assemble_actuation
 from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import Cameras
 from vergence.models.digest import digest_of
-from vergence.models.links import Links
+from vergence.models.links import Links, map_arrays
 from vergence.models.parameters import Geometry, Parameters, geometry_with, parameters_of
 from vergence.models.parts import (
     FloatArray,
@@ -33,6 +33,7 @@ from vergence.operands import as_operand
 
 _COUPLING_TOLERANCE_RAD: Final = 1e-9
 """Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
+_CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,7 +147,7 @@ class HeadModel:
 
     def __getitem__(self, index: Any) -> "HeadModel":
         """Select one head, or several, of a population."""
-        return self._with(population.pick_geometry(self.geometry, self.batch_shape, index))
+        return self._with(pick_geometry(self.geometry, self.batch_shape, index))
 
     @staticmethod
     def stack(heads: Sequence["HeadModel"]) -> "HeadModel":
@@ -155,7 +156,7 @@ class HeadModel:
         Raises:
             ConfigurationError: the heads have different lens models or different joints.
         """
-        return heads[0]._with(population.stack_geometries([head.geometry for head in heads]))
+        return heads[0]._with(stack_geometries([head.geometry for head in heads]))
 
     def _with(self, geometry: Geometry) -> "HeadModel":
         # the calibration record does not apply to another geometry
@@ -410,3 +411,46 @@ class HeadModel:
     def camera_in_last_link(self, eye: int) -> FloatArray:
         """(4, 4) pose of an eye's camera in the frame of the last body of its chain, metres."""
         return np.asarray(self.links.camera_mount(eye) @ self.head_eye[eye])
+
+
+def pick_geometry(geometry: Geometry, batch_shape: tuple[int, ...], index: Any) -> Geometry:
+    """Select one geometry, or several, of a population by a NumPy index for its shape."""
+
+    def taken(values: FloatArray, own: int) -> FloatArray:
+        full = np.broadcast_to(values, (*batch_shape, *values.shape[values.ndim - own :]))
+        return np.asarray(full[index])
+
+    cameras: Any = {name: taken(getattr(geometry.cameras, name), 2) for name in _CAMERA_FIELDS}
+    return Geometry(
+        map_arrays(geometry.links, taken),
+        taken(geometry.head_eye, 3),
+        dataclasses.replace(geometry.cameras, **cameras),
+    )
+
+
+def stack_geometries(geometries: Sequence[Geometry]) -> Geometry:
+    """Stack geometries of equal shape to a population."""
+    first = geometries[0]
+    lenses = [geometry.cameras.lens for geometry in geometries]
+    if any(lens != lenses[0] for lens in lenses):
+        raise ConfigurationError(
+            f"stack: expected heads with the lenses of the first, {lenses[0]}, got {lenses!r:.80}"
+        )
+    joints = [geometry.links.joints for geometry in geometries]
+    if any(names != joints[0] for names in joints):
+        raise ConfigurationError(
+            f"stack: expected heads with the joints of the first, {joints[0]}, got {joints!r:.80}"
+        )
+    links: Any = {
+        name: np.stack([geometry.links.arrays()[name][0] for geometry in geometries])
+        for name in first.links.arrays()
+    }
+    cameras: Any = {
+        name: np.stack([getattr(geometry.cameras, name) for geometry in geometries])
+        for name in _CAMERA_FIELDS
+    }
+    return Geometry(
+        replace_fields(first.links, "links", links),
+        np.stack([geometry.head_eye for geometry in geometries]),
+        dataclasses.replace(first.cameras, **cameras),
+    )

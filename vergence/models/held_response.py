@@ -27,7 +27,7 @@ zero at critical damping (numerical)."""
 
 
 class HeldResponse(NamedTuple):
-    """State changes over equal parts of a held command: acceleration, and gap v - u."""
+    """Coefficients of the response to a held command, in equal parts with linear changes."""
 
     lag_s: float
     """Lag l, s."""

@@ -43,7 +43,7 @@ def lag_decay(time: float, tau: float) -> float:
 def follow_joint(
     q: float, v: float, u: float, tau: float, max_acceleration: float, period: float, decay: float
 ) -> tuple[float, float]:
-    """Angle and velocity a period on, unlimited; rad and s; tau 0: no lag; `decay`: `lag_decay`."""
+    """Angle and velocity a period later, without position limits; `decay` is `lag_decay`'s."""
     gap = u - v
     side = 1.0 if gap >= 0.0 else -1.0
     # duration of the acceleration at its limit; 0 without a limit

@@ -191,7 +191,7 @@ def perturb_by_deviates(nominal: Geometry, errors: ModelErrors, deviates: FloatA
 
 
 def standard_deviations(nominal: Geometry, errors: ModelErrors) -> FloatArray:
-    """(n,) in the order of `parameters_of`, without the common tilt; 0 where no error moves."""
+    """(n,) sigma in the order of `parameters_of`, without the common tilt; 0 if none moves it."""
     names, _units, values = parameters_of(nominal)
     sources, _places, relative = _sources(names)
     sigma = np.array([getattr(errors, source, 0.0) for source in sources])

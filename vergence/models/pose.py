@@ -134,7 +134,7 @@ def point_to_outer(m: Pose, x: float, y: float, z: float) -> Vector:
 def point_rate_in_camera(
     joint_frame: Pose, camera_pose: Pose, x: float, y: float, z: float
 ) -> Vector:
-    """`-R_C_N (z_i x (P - o_i))`: a fixed point's motion in the camera per radian of a joint."""
+    """`-R_C_N (z_i x (P - o_i))`: motion of a fixed point in the camera per radian of a joint."""
     rx, ry, rz = x - joint_frame.x, y - joint_frame.y, z - joint_frame.z
     wx = joint_frame.zz * ry - joint_frame.yz * rz
     wy = joint_frame.xz * rz - joint_frame.zz * rx

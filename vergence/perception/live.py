@@ -127,7 +127,7 @@ class LiveStatistics:
         }
 
     def add(self, time_s: float, detection_s: float, detections: Sequence[Detection]) -> None:
-        """Add the detections of an image that ended at a time."""
+        """Add the detections of an image, with the time at which they ended and their duration."""
         if not self._took_s:
             self._begun_s, self._first_s = time_s - detection_s, time_s
         self._now_s = time_s

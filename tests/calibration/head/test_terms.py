@@ -9,7 +9,7 @@ import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights
 from vergence.calibration.head.backlash import with_backlash
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.files import head_file_text
+from vergence.calibration.head.job import head_file_text
 from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.reading_terms import ReadingErrorTerms
 from vergence.calibration.head.simulated import JointReadingErrors, simulate_recording

@@ -98,7 +98,7 @@ class ReducedNormalEquations(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HeadAdjustment:
-    """Problem: nominal head, (p,) prior sigmas of its parameters (0: fixed), and frames."""
+    """The adjustment problem: a nominal head, its (p,) prior sigmas (0: fixed), its frames."""
 
     nominal_head: HeadModel
     prior_sigma: FloatArray

@@ -15,7 +15,7 @@ def without_backlash(head: HeadModel) -> HeadModel:
 
 
 def with_backlash(head: HeadModel, actuator_backlash_rad: FloatArray) -> HeadModel:
-    """Set (7,) backlash by actuator, whole widths; no neck's; the largest if joints have motors."""
+    """Set (7,) widths of backlash, not the neck's; one, the largest, if joints have own motors."""
     eyes = actuator_backlash_rad[EYES][: head.actuation.count]
     one = head.actuators is None
     sensor: dict[str, float | str] = {"backlash_rad": float(eyes.max(initial=0.0)) if one else 0.0}

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from vergence.calibration.adjustment import rms_length
-from vergence.calibration.head import depth_figures, figures
+from vergence.calibration.head import figures
 from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.head.depth import DepthErrors, points_ahead, predict_depth_errors
 from vergence.calibration.head.observability import UnobservableDirection
@@ -237,9 +237,9 @@ def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
 
 def _figures(calibration: HeadCalibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
-    drawn = {"depth": depth_figures.depth_error_by_distance(calibration)}
+    drawn = {"depth": figures.depth_error_by_distance(calibration)}
     for distance in _MAP_DISTANCES_M:
-        drawn[f"map-{distance:g}"] = depth_figures.depth_error_maps(calibration, distance)
+        drawn[f"map-{distance:g}"] = figures.depth_error_maps(calibration, distance)
     drawn["views"] = figures.residuals_over_time(calibration)
     for eye, name in enumerate(EYE_NAMES):
         drawn[f"residuals-{name}"] = figures.residual_field(calibration, eye)

@@ -92,7 +92,7 @@ def solve(
     cauchy_scale: float = np.inf,
     tolerance: float = _COST_TOLERANCE,
 ) -> HeadSolution:
-    """Levenberg and Marquardt; a finite `cauchy_scale`, sigma^2, lets misfits count less."""
+    """Least squares by Levenberg and Marquardt; `cauchy_scale`, sigma^2, damps misfits."""
     robust = np.isfinite(cauchy_scale)
     weights = weights._replace(cauchy_scale=cauchy_scale)
     state, now = start, problem.linearised(start, weights)

@@ -17,6 +17,7 @@ from vergence.commands.options import (
     claimed_run_folder,
     dated_run_folder,
 )
+from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -163,11 +164,6 @@ class CalibrateHead:
                 return mapper(jobs)
 
     def _show(self, outs: list[Path], outcomes: "list[HeadOutcome]", run: "RunFolder") -> None:
-        from vergence.commands.calibrating.printed_head import (
-            print_head_calibration,
-            print_head_calibrations,
-        )
-
         if self.json:
             documents = [
                 {"refused": one.refusal} if one.refusal else dict(one.document) for one in outcomes
@@ -203,3 +199,59 @@ def _save(folder: Path, outs: list[Path], outcomes: "list[HeadOutcome]") -> None
             (own / name).write_bytes(content)
         if outcome.refusal:
             (own / "refused.txt").write_text(outcome.refusal + "\n", encoding="utf-8")
+
+
+def print_head_calibration(outcome: "HeadOutcome", out: Path) -> None:
+    """Print a head's calibration and the path of its file."""
+    told = outcome.document
+    rows = [
+        [
+            f"{each['distance_m']:g} m",
+            *(_fixed(each[key]) for key in ("before_mm", "after_sigma_mm", "floor_mm")),
+        ]
+        for each in told["depth"]
+    ]
+    print_table(
+        ["distance", "file is off by (mm)", "sigma now (mm)", "one fixation's sigma (mm)"],
+        rows, title="depth straight ahead", wrapped=(0,),
+    )  # fmt: skip
+    print(
+        f"{told['views']} of {told['views'] + told['left_out']} views in {told['poses']} poses, "
+        f"{told['placements']} placement{'s' if told['placements'] > 1 else ''} of the board; "
+        f"{told['rms_px']:.3f} px (length, rms) are left, {told['noise']:.2f} times what the "
+        "detector says\n"
+    )
+    if outcome.unobservable:
+        print_table(
+            ["not determined by this recording", "cure", "cost"],
+            [[one.what, one.remedy or "none needed", one.cost] for one in outcome.unobservable],
+            wrapped=(0, 1, 2), shortenable=(0, 1, 2),
+        )  # fmt: skip
+    print(out)
+
+
+def print_head_calibrations(outcomes: "list[HeadOutcome]", outs: list[Path]) -> None:
+    """Print a line for each of several heads."""
+    rows = []
+    for outcome, out in zip(outcomes, outs, strict=True):
+        if outcome.refusal:
+            rows.append([str(out), "refused", "", "", ""])
+            continue
+        told = outcome.document
+        last = told["depth"][-1]
+        views = f"{told['views']} of {told['views'] + told['left_out']}"
+        rows.append(
+            [str(out), views, f"{told['rms_px']:.3f}", _fixed(last["before_mm"]),
+             _fixed(last["after_sigma_mm"])]
+        )  # fmt: skip
+    far = next(
+        (f"{one.document['depth'][-1]['distance_m']:g} m" for one in outcomes if one.document), ""
+    )
+    print_table(
+        ["head", "views", "rms (px)", f"file off at {far} (mm)", "sigma now (mm)"],
+        rows, wrapped=(0, 1), shortenable=(0,),
+    )  # fmt: skip
+
+
+def _fixed(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"

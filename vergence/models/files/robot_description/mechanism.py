@@ -73,7 +73,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class MimicJoint:
-    """`joint = multiplier * master + offset`: 0 if held in place, nan if not linear."""
+    """`joint = multiplier * master + offset`; the multiplier is 0 if held, nan if not linear."""
 
     joint: str
     master: str
