@@ -659,8 +659,8 @@ def test_what_ties_joints_and_no_head_has_is_said_to_be_left_out(head_of):
     )
     options = {"cameras": ("left", "right"), "neck": ("yaw", "pitch"), "speed": ("5",)}
     said = "; ".join(head_of(text, **options).ignored)
-    assert "tendon t (ties lt, rt; " in said
-    assert "weld of le (ties bodies; " in said
+    assert "tendon t (ties lt, rt: see --actuators)" in said
+    assert "weld of le, which may tie bodies" in said
 
 
 def test_a_tie_of_three_joints_says_so(head_of):

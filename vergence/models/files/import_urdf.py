@@ -305,13 +305,19 @@ def _parsed(text: str) -> HeadModel:
 
 
 def _ignored(mechanism: Mechanism, chains: HeadChains) -> list[str]:
+    moved = chains.moved_part_of_joint
+    ties = [
+        f"{name} (ties {', '.join(joints)}: see --actuators)"
+        for name, joints in mechanism.left_out
+        if not moved.keys().isdisjoint(joints)
+    ]
+    bodies = [name for name, joints in mechanism.left_out if not joints]
+    if bodies:
+        more = f" and {len(bodies) - 1} more" if len(bodies) > 1 else ""
+        ties.append(f"{bodies[0]}{more}, which may tie bodies")
     others = len(mechanism.joints()) - len(chains.moved_part_of_joint) - len(chains.fixed_values)
     return [
-        *(
-            f"{name} (ties {', '.join(joints) or 'bodies'}; --actuators may tie eyes)"
-            for name, joints in mechanism.left_out
-            if not joints or not {*joints}.isdisjoint(chains.moved_part_of_joint)
-        ),
+        *ties,
         *([f"{others} other joints"] if others else []),
         "shapes, masses, friction, efforts",
         "cameras and plugins of simulators other than MuJoCo",
