@@ -160,7 +160,7 @@ class CameraFiles:
         if not unread:
             return ()
         more = f" and {len(unread) - _MAX_UNREAD} more" if len(unread) > _MAX_UNREAD else ""
-        return (f"without these keys, which are not read: {', '.join(unread[:_MAX_UNREAD])}{more}",)
+        return (f"these keys are not read: {', '.join(unread[:_MAX_UNREAD])}{more}",)
 
 
 def read_camera_files(
