@@ -23,6 +23,7 @@ from tests.vision.scenes import (
 )
 from vergence.models.boards import board_pose
 from vergence.models.response import light_table
+from vergence.models.tag_families import tag_family
 from vergence.vision import AprilTag, Detection, EyeCamera, make_detector
 
 TAG = AprilTag()
@@ -315,6 +316,17 @@ def test_edges_are_fitted_in_the_light_that_levels_stand_for():
     assert rms(errors) < 0.04
     assert 0.5 < rms(np.array(errors) / np.array(sigmas)) < 1.5
     assert rms(unaware) > 1.1 * rms(sigmas)
+
+
+@pytest.mark.parametrize("number", [1, 4, 13])
+def test_black_that_blur_makes_lighter_than_midway_in_grey_levels_is_read(number):
+    """In light it is nearer to black: a row of cells 3.4 px high is smeared over 4.2 px."""
+    cells = np.pad(tag_family("36h11").cells(number)[1:-1, 1:-1], 3, constant_values=255)
+    fine = np.kron(np.where(cells > 0, 110.0, 1.0), np.ones((34, 34)))[:470, :470]
+    light = cv2.GaussianBlur(cv2.blur(fine, (1, 42)), (0, 0), 3)[5::10, 5::10]
+    image = np.rint(np.interp(light, light_table("srgb"), np.arange(256))).astype(np.uint8)
+    detector = make_detector(AprilTag(id=number), response="srgb")
+    assert detector.detect(image) is not None
 
 
 def test_clipped_white_counts_for_nothing():

@@ -72,7 +72,7 @@ def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
     assert (np.abs(found.corners_px - corners) < 3.0 * found.corners_sigma_px).all()
     assert (found.corners_sigma_px < 0.02 * np.ptp(corners)).all()
     # the point lies between the four corners, which err by themselves
-    assert found.sigma_px == pytest.approx(found.corners_sigma_px.mean(axis=0) / 2.0, rel=0.1)
+    assert found.sigma_px == pytest.approx(found.corners_sigma_px.mean(axis=0) / 2.0, rel=0.25)
 
 
 @pytest.mark.parametrize("sagitta_m", [0.0, 0.001, 0.002, 0.004])
@@ -89,6 +89,17 @@ def test_the_point_of_a_bent_tag_is_the_middle_of_its_print(sagitta_m):
     assert rms(errors / sigmas) < 1.3
     assert rms(errors) < 0.08
     assert rms(sigmas) < 0.01 + 60.0 * sagitta_m
+
+
+def test_the_point_of_a_tag_with_a_trimmed_border_has_a_sigma_that_covers_both_middles():
+    """No paper bends so far that the print's middle would lie there."""
+    code = np.kron(tag_family(FAMILY.family).cells(5)[1:-1, 1:-1], np.ones((6, 6), np.uint8))
+    image, black, trimmed = np.full((144, 144), 210, np.uint8), slice(48, 96), 4
+    image[black, black] = np.where(code > 0, 210, 40)
+    image[96 - trimmed :] = 210
+    found = LINEAR.detect(cv2.GaussianBlur(image, (0, 0), 0.8))
+    assert found.point_px == pytest.approx([71.5, 71.5 - 0.5 * trimmed], abs=0.2)
+    assert (found.sigma_px > 0.5 * trimmed).all()
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ def test_a_half_hidden_tag_is_none_neither_found_nor_tracked(side, roll, grey):
 
 @pytest.mark.parametrize(("side", "beyond_px"), some_of(SIDES, [2.0, 12.0]))
 def test_a_tag_that_the_images_edge_cuts_is_none(side, beyond_px):
-    """A corner that is not in the image is nowhere."""
+    """A side that is not in the image is nowhere."""
     camera, rendering = rig("simulated")
     half_px = 0.5 * TAG.edge_m * camera.focal_px[0]
     size = np.array([camera.width, camera.height])
@@ -52,12 +52,26 @@ def test_a_tag_that_the_images_edge_cuts_is_none(side, beyond_px):
     ("x", "z", "turn"),
     [(0.307, 0.403, (-0.775, -0.054, 2.857)), (0.339, 0.451, (-0.264, -0.360, 0.445))],
 )
-def test_a_tilted_tag_that_the_images_edge_cuts_is_not_found_with_its_corner_drawn_in(x, z, turn):
-    """The AprilTag library reads both."""
+def test_a_corner_just_beyond_the_images_edge_is_found_there_and_not_drawn_in(x, z, turn):
+    """The AprilTag library draws it in."""
     camera, rendering = rig("simulated")
     one = scene(camera, TAG, pose(x, 0.02, z, turn), rendering)
     assert (one.corners[:, 0] > camera.width - 0.5).sum() == 1
-    assert make_detector(TAG, camera).detect(one.image) is None
+    found = make_detector(TAG, camera).detect(one.image)
+    assert found.corners_px == pytest.approx(one.corners, abs=0.05)
+
+
+@pytest.mark.parametrize("away_px", [-1, 0, 1, 3])
+def test_a_tag_at_the_images_edge_is_found_with_a_sigma_as_large_as_its_error(away_px):
+    camera, rendering = rig("simulated")
+    rng, detector, errors = np.random.default_rng(4), make_detector(TAG), []
+    for z in (0.4, 0.8):
+        for turn in rng.uniform(-0.4, 0.4, (4, 3)):
+            one = scene(camera, TAG, pose(0.0, 0.0, z, turn), rendering, rng)
+            end = int(one.corners[:, 0].max() + 0.5) + 1 + away_px
+            found = detector.detect(np.ascontiguousarray(one.image[:, :end]))
+            errors.append((found.corners_px - one.corners) / found.corners_sigma_px)
+    assert 0.5 < rms(errors) < 1.6
 
 
 @pytest.mark.parametrize("side", SIDES)

@@ -138,8 +138,8 @@ def fit_tag(
         sigmas: (5, 2) result: their standard deviations, px.
 
     Returns:
-        Quality of the fit; `NO_FIT`, with a contrast of 0, if the square is too small or not all
-        in the image, or if the fit fails.
+        Quality of the fit; `NO_FIT`, with a contrast of 0, if the square is too small or too
+        far outside of the image, or if the fit fails.
     """
     shortest, longest, _ = side_lengths(start_corners)
     if not (shortest >= _LEAST_EDGE_PX and longest < inf):

@@ -48,6 +48,7 @@ class CellReading(NamedTuple):
 @subroutine
 def compare_cells(
     image: NDArray[np.uint8],
+    light_by_grey: FloatArray,
     H: FloatArray,
     white_spread_and_bend: FloatArray,
     camera: CameraRow,
@@ -66,6 +67,7 @@ def compare_cells(
 
     Args:
         image: grey levels.
+        light_by_grey: (256,) light of each grey level, or that level to compare these.
         H: (3, 3) homography to the image, see `square_to_image_homography`, from the
             rectangle that `left_cells`, `top_cells`, `width_cells` and `height_cells` define.
         white_spread_and_bend: (9,) the sheet's spread and bend, see `bend_displacement`.
@@ -106,7 +108,10 @@ def compare_cells(
                 dx, dy = bend_displacement(white_spread_and_bend, x, y)
                 u, v = transform_point(H, x - dx, y - dy)
                 u, v = distorted_pixel(camera, view, u, v)
-                greys[j, i] += 0.2 * grey_at(image, u, v)
+                grey = grey_at(image, u, v)
+                level = int(grey) if grey < 255.0 else 254
+                light, next_light = light_by_grey[level], light_by_grey[level + 1]
+                greys[j, i] += 0.2 * (light + (grey - level) * (next_light - light))
     wrong = frame = 0
     unclear, compared = np.zeros(4), np.zeros(4)
     sharp = 0.5 - _EDGE_BLURS * blur_cells >= _PROBE_CELLS[0]

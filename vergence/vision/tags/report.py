@@ -1,6 +1,6 @@
 """Report a tag's fit: points and their sigmas in the distorted image, and the cells read."""
 
-from math import inf, sqrt
+from math import hypot, inf, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -47,6 +47,17 @@ NO_FIT: Final = TagFit(0.0, 0.0, CellReading(0, 0, 0.0), 0.0, 0.0, 0.0)
 """Result of a fit that failed (numerical)."""
 _BEND_STEPS: Final = 4
 """Steps of a fixed-point iteration that inverts a bend (numerical)."""
+_BENT_CENTRE_VARIANCE: Final = 6.0
+"""Factor by which a pixel's variance is larger for the centre of a bent tag: compression and
+sharpening look like small bends (measured: flat sheets of tags in public photographs)."""
+_MAX_CENTRE_BEND: Final = 0.09
+"""Largest distance from the crossing of the diagonals to the middle of a bent tag, half edges;
+beyond it the print is not as assumed, and the centre is the crossing, with this distance in its
+sigma. Tags bent by 7 mm in 150 have up to 0.086 (measured: tests/vision/tags/test_bent.py)."""
+_MAX_OUTSIDE_CELLS: Final = 0.4
+"""Largest distance of a corner beyond the image's side, cells: the middle of the border's cells is
+still in the image, and the edges' lines give the corner (chosen: tags at the side against cut
+ones)."""
 _INSIDE_OFFSET_CELLS: Final = 0.5
 """Distance inside a side at which light is sampled, cells (chosen: the middle of the border)."""
 _OUTSIDE_OFFSET_CELLS: Final = 0.3
@@ -90,21 +101,27 @@ def report_fit(
         sigmas: (5, 2) result: their standard deviations, px.
 
     Returns:
-        Quality of the fit; `NO_FIT` if a point is outside of the image or undetermined.
+        Quality of the fit; `NO_FIT` if a point is too far outside of the image or undetermined.
     """
     height, width = region.image.shape
     moved = largest = 0.0
+    reach = 0.5 + _MAX_OUTSIDE_CELLS * scale.cell_px
     for k in range(5):
         x, y = _before_bend(state.white_spread_and_bend, *point_in_half_edges(k))
+        variance, more = pixel_variance, extra_corner_variance
+        if k == 4:
+            more *= 0.25  # the centre lies between four corners
+            if unknown_count == MAX_UNKNOWNS:
+                variance *= _BENT_CENTRE_VARIANCE
+            if hypot(x, y) > _MAX_CENTRE_BEND:
+                more += (x * x + y * y) * (0.5 * scale.shortest_edge_px) ** 2
+                x = y = 0.0
         u, v = transform_point(state.H, x, y)
         a, b, c = _covariance_of(buffers.normal_matrix, unknown_count, state.G, u, v, x, y)
-        more = (
-            extra_corner_variance if k < 4 else 0.25 * extra_corner_variance
-        )  # the centre lies between four corners
-        a, b, c = pixel_variance * a + more, pixel_variance * b, pixel_variance * c + more
+        a, b, c = variance * a + more, variance * b, variance * c + more
         u, v, sigma_u, sigma_v = _to_image(camera, region.undistorted_view, u, v, a, b, c)
         points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
-        if not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
+        if not (-reach < u < width - 1.0 + reach and -reach < v < height - 1.0 + reach):
             return NO_FIT
         if not sigma_u + sigma_v < inf:
             return NO_FIT
@@ -175,22 +192,30 @@ def _explained(blocks: Blocks, block_count: int) -> float:
 def _read(
     region: SearchRegion, camera: CameraRow, tag: TagPrint, scale: TagScale, state: FitState
 ) -> CellReading:
-    """Read a tag's cells; without the quiet zone's levels if fewer cells are wrong without."""
+    """Read a tag's cells; without the quiet zone's levels, or by light, if fewer are wrong so.
+
+    Blur averages light: between white cells, black is lighter in grey levels than midway.
+    """
     cells, border = tag.cells, float(tag.side_cells)
     offset = 0.5 * (len(cells) - tag.side_cells)
     ring, greys = 1 if len(cells) == tag.side_cells + 2 else 0, np.empty(cells.shape)
     blur = max(state.blurs_px[0], state.blurs_px[1]) / scale.cell_px
     reading = CellReading(0, 0, 0.0)
-    for way in range(2):
+    levels = np.arange(256.0)
+    for way in range(3):
+        if way == 1 and ring == 0:
+            continue
+        if way == 2:
+            levels[:] = region.light_by_grey
         other = compare_cells(
-            region.image, state.H, state.white_spread_and_bend, camera, region.undistorted_view,
-            cells, blur,
+            region.image, levels, state.H, state.white_spread_and_bend, camera,
+            region.undistorted_view, cells, blur,
             offset,
-            offset, border, border, ring, way == 0, greys,
+            offset, border, border, ring, way != 1, greys,
         )  # fmt: skip
         if way == 0 or other.wrong_cells < reading.wrong_cells:
             reading = other
-        if reading.wrong_cells == 0 or ring == 0:
+        if reading.wrong_cells == 0:
             break
     return reading
 
