@@ -6,7 +6,7 @@ import pytest
 
 import vergence
 from tests.hardware.test_config import document, load
-from vergence.errors import ConfigurationError, HeadFileError
+from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.hardware import eyes, plant
 from vergence.hardware.gaze import EPISODE_S, GazeHardwareEnv
 
@@ -30,7 +30,7 @@ def make(**options):
 def test_it_needs_a_configuration():
     with pytest.raises(ConfigurationError, match="config: expected the path of a TOML file"):
         make()
-    with pytest.raises(HeadFileError, match=r"none\.toml: No such file"):
+    with pytest.raises(UnreadableFileError, match=r"none\.toml: No such file"):
         make(config="none.toml")
 
 

@@ -44,6 +44,8 @@ def describe_similar_targets(
 ) -> str:
     """Phrase such as ``tag:36h11:3 is there`` on targets like those that were missed; or empty."""
     image, camera = _reduced(image, camera)
+    if changed := _changed(image, requested, camera):
+        return changed
     there: list[str] = []
     if any(isinstance(target, AprilTag | TagFamily) for target in requested):
         asked = [target.family for target in requested if isinstance(target, AprilTag)]
@@ -61,7 +63,7 @@ def describe_similar_targets(
             there += _grids(image, target, camera) or _single_border(image, camera)
     there = list(dict.fromkeys(there))
     if not there:
-        return _changed(image, requested, camera)
+        return ""
     more = f" and {len(there) - _MAX_NAMED_TARGETS} more" if len(there) > _MAX_NAMED_TARGETS else ""
     verb = "is" if len(there) == 1 else "are"
     return f"{', '.join(there[:_MAX_NAMED_TARGETS])}{more} {verb} there"

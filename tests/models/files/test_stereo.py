@@ -208,8 +208,11 @@ def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path):
         ({"R": -R}, "expected a rotation matrix"),
         ({"R": np.eye(2)}, "expected a rotation of 3 x 3 numbers"),
         ({"T": np.zeros(3)}, "how large the squares are"),
-        ({"T": np.array([-np.nan, 0.0, 0.0])}, r"expected \[3\] numbers"),
-        ({"cameraMatrix1": np.nan * K_LEFT}, r"expected \[3, 3\] numbers, got .* not finite"),
+        (
+            {"T": np.array([-np.nan, 0.0, 0.0])},
+            "translation of 3 numbers, .* not all of them finite",
+        ),
+        ({"cameraMatrix1": np.nan * K_LEFT}, "3 x 3 numbers, .* not all of them finite"),
         ({"T": np.array([-2.0, 0.0])}, "expected a translation of 3 numbers"),
         ({"T": np.array([0.0, 0.0, 0.1])}, "side by side"),
         ({"T": np.array([-1e300, 0.0, 0.0])}, "how large the squares are"),
@@ -236,6 +239,7 @@ def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path):
         "- 1\n- 2\n",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2]\n",
+        "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 1\n   data: [ ]\n",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: -1\n   cols: x\n   data: [1, 2]\n",
         "a: &a {b: *a}\n",
         "rows: 1\ncols: 1\ndata: [1.0]\n",
@@ -412,6 +416,8 @@ def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(tmp_path)
         ({"flip_left": "horizontal"}, "flip_left: .* mirrored images"),
         ({"rotate": 180}, "rotate: .* turned images"),
         ({"camera_model": "omni", "distortion_model": "radtan"}, "camera_model: .* got 'omni'"),
+        ({"model_name": "MEI"}, "model_name: .* got 'MEI'"),
+        ({"mirrored_images": True}, "mirrored_images: .* mirrored images"),
         ({"model_type": "MEI"}, "model_type: .* got 'MEI'"),
         ({"model": "double_sphere"}, "model: .* not supported"),
         ({"lens_type": "FOV"}, "lens_type: .* not supported"),
@@ -444,9 +450,23 @@ def test_the_lens_model_is_read_under_the_names_of_other_programs(tmp_path):
 
 
 def test_keys_that_nothing_reads_are_named(tmp_path):
-    more = {"model": "Logitech C920", "downscale": 2, "rms": 0.2, "R1": np.eye(3).tolist()}
-    (guess,) = read_intrinsics([written(tmp_path / "one.json", camera(**more))]).guesses
-    assert guess.endswith(f"{tmp_path / 'one.json'}: model, {tmp_path / 'one.json'}: downscale")
+    path = tmp_path / "one.json"
+    more = {"camera_model": "OmniVision OV2311", "image_scale": 2, "rms": 0.2, "k1": 0.1}
+    more |= {"R1": np.eye(3).tolist()}
+    (guess,) = read_intrinsics([written(path, camera(**more))]).guesses
+    assert guess.endswith(f"{path}: camera_model, {path}: image_scale, {path}: k1")
+
+
+def test_a_key_that_stands_twice_is_refused(tmp_path):
+    path = camera_info(tmp_path / "both.yaml", 0)
+    path.write_text(path.read_text("utf-8") * 2, "utf-8")
+    with pytest.raises(ConfigurationError, match="the key 'image_width' twice"):
+        read_intrinsics([path])
+
+
+def test_numbers_that_nothing_reads_need_not_be_finite(tmp_path):
+    errors = {"perViewReprojectionErrors": np.array([0.1, np.nan, np.inf])}
+    check(read_stereo([write_opencv(tmp_path / "pair.yml", opencv_pair(**errors))]))
 
 
 def test_files_of_three_cameras_are_refused(tmp_path):

@@ -22,7 +22,8 @@ DISTORTION: Final = (
 )  # fmt: skip
 MODEL: Final = (
     "distortionmodel", "lensmodel", "cameramodel", "projectionmodel", "modeltype", "distortiontype",
-    "lenstype", "lens", "model", "cameratype", "camtype", "type",
+    "lenstype", "lens", "model", "cameratype", "camtype", "type", "modelname", "cameramodelname",
+    "lensname", "lensmodelname", "distortionmodelname",
 )  # fmt: skip
 FISHEYE: Final = ("fisheyemodel", "isfisheye", "usefisheye", "fisheye")
 SIZE: Final = ("imagesize", "imgsize", "resolution", "imageresolution", "size")
@@ -59,21 +60,18 @@ _OTHER_MEANING: Final[dict[str, str]] = {
     "alphac": "skew (calibrate with it fixed)",
     "skew": "skew (calibrate with it fixed)",
     **dict.fromkeys(
-        ("mirror", "mirrored", "flip", "flipped", "hflip", "vflip", "fliphorizontal",
-         "flipvertical", "flipx", "flipy", "flipimage", "mirrorimage", "isflipped", "ismirrored"),
-        "mirrored images (calibrate with those that the camera delivers)",
-    ),
-    **dict.fromkeys(
         ("rotate", "rotated", "rotateimage", "imagerotation"),
         "turned images (calibrate with those that the camera delivers)",
     ),
 }  # fmt: skip
 """Values, by key, that change what the others mean, and that no camera here can have."""
+_MIRRORED: Final = "mirrored images (calibrate with those that the camera delivers)"
 _NO_MATTER: Final = re.compile(
     r"avg|mean|total|perview|reproj|rms|error|date|time|stamp|header|seq|frame|flag|fix|aspect"
     r"|point|board|pattern|corner|square|grid|marker|rostopic|overlap|name|serial|comment|version"
-    r"|calibrationsigma|calibrationviews|rectif|projectionmatrix|roi|views|image(s|list|path)"
-    r"|sensortype|ratehz|^(nr|num|n)?(of)?(images|pairs|shots)|^(e|f|q|[rph][0-9]?)$"
+    r"|calibrationsigma|calibrationviews|rectif|projectionmatrix|roi|views|imagelist|imagepath|^images$"
+    r"|sensortype|ratehz|rvec|tvec|criteria|extrinsicparameters|orbextractor|^viewer"
+    r"|tcamimu|timucam|^(nr|num|n)?(of)?(images|pairs|shots)$|^(e|f|q|[rph][0-9]?)$"
     r"|(left|right|l|r|cam[0-9])[rp]$|^[rp](left|right|l|r)$|stereo(e|f|q)$"
 )
 """Plain keys of a file that say nothing of cameras and their places, or follow from the others."""
@@ -110,6 +108,8 @@ class CalibrationValues:
         for name, content in files.items():
             for key, value in flatten_keys(_unwrapped(content)):
                 plain = re.sub(r"[^a-z0-9]", "", key.lower())
+                if re.search(r"k\d$", plain) and isinstance(value, int | float | str):
+                    plain = f"coefficient{plain}"  # of a lens; K1 is a matrix
                 self._found.setdefault(plain, []).append(FoundValue(value, f"{name}: {key}", name))
 
     def only(self, names: Collection[str]) -> "CalibrationValues":
@@ -163,6 +163,8 @@ class CalibrationValues:
             spaced = re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", key).lower()
             words = [word for word in re.split(r"[^a-z]+", spaced) if word not in _SIDE_WORDS]
             meaning = _OTHER_MEANING.get("".join(words))
+            if any(re.match(r"mirror|[hv]?flip", word) for word in words):
+                meaning = _MIRRORED
             numbers = parse_numbers(found.value)
             off = str(found.value).lower() in ("false", "no", "none", "off", "")
             if numbers is not None and "alpha" in words:

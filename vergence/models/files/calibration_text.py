@@ -7,6 +7,7 @@ kalibr write ordinary YAML, which FileStorage does not read.
 import json
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
@@ -126,6 +127,13 @@ def _parse_yaml(text: str) -> Any:
     class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
         """Loader that drops unknown tags, such as `!!opencv-matrix`, and keeps their values."""
 
+        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+            """Refuse a key that stands twice, as where two files were joined."""
+            for key, count in Counter(key.value for key, _ in node.value).items():
+                if count > 1:
+                    raise ValueError(f"the key {key!r:.80} twice")
+            return super().construct_mapping(node, deep)
+
     def untagged(loader: Any, suffix: str, node: Any) -> Any:
         if isinstance(node, yaml.MappingNode):
             return loader.construct_mapping(node, deep=True)
@@ -200,10 +208,8 @@ def _matrix(value: Mapping[str, Any], where: str) -> FloatArray:
         sides = []
     count = int(np.prod(sides)) if sides and min(sides) > 0 else 0
     # an element may hold several numbers, such as the two of an image point
-    if data is None or (data.size % count if count else data.size):
+    if data is None or (data.size % count or not data.size if count else data.size):
         got = f"{data.size} numbers" if data is not None else "no numbers"
-        if data is None and _NOT_FINITE.search(str(value["data"])):
-            got = "some that are not finite"
         raise ConfigurationError(f"{where}: expected {sides or shape!r:.60} numbers, got {got}")
     return data.reshape([*sides, -1] if count and data.size > count else sides)
 
@@ -212,6 +218,13 @@ def parse_numbers(value: Any) -> FloatArray | None:
     """Convert a value to a float array, or None; strings too: YAML 1.1 reads `1e-5` as a string."""
     if isinstance(value, bool | Mapping) or value is None:
         return None
+    if isinstance(value, list):  # OpenCV's .Nan and .Inf
+        value = [
+            float(one.replace(".", ""))
+            if isinstance(one, str) and _NOT_FINITE.fullmatch(one)
+            else one
+            for one in value
+        ]
     try:
         return np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

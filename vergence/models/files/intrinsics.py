@@ -55,12 +55,13 @@ _MODELS: Final[dict[str, Lens | None]] = {
 }  # fmt: skip
 """Lens model by the name that files use; None if the number of coefficients must decide."""
 _NAMES_A_LENS: Final = {
-    "distortionmodel", "lensmodel", "cameramodel", "projectionmodel", "modeltype", "distortiontype",
+    "distortionmodel", "lensmodel", "projectionmodel", "distortiontype", "lensmodelname",
+    "distortionmodelname",
 }  # fmt: skip
 """Keys whose value can be nothing but a lens model; of others, an unknown one may be a product."""
 _UNSUPPORTED: Final = re.compile(
-    r"omni|mei|ucm|unified|^ds$|doublesphere|catadioptric|ocam|scaramuzza|^fov|ftheta|thinprism"
-    r"|tilt|division|inverse|polynomial|stereographic|equisolid|orthographic|spherical"
+    r"omni(?!vision)|^mei|ucm|unified|^ds$|doublesphere|catadioptric|ocam|scaramuzza|^fov|ftheta|thinprism"
+    r"|division|inverse|polynomial|stereographic|equisolid|orthographic|spherical"
     r"|equirectangular|panoram|brown|conrady|radial|fisheye|brandt"
 )
 """Part of a lens model's name that none of the supported ones has."""
@@ -233,6 +234,7 @@ def find_intrinsics(
     lens: Lens | None = None,
 ) -> Intrinsics:
     """Intrinsics of one camera in calibration files; `side` is its label in a pair, or empty."""
+    _named_lens(keys, side)  # an unsupported one explains what else is odd
     matrix = keys.find(MATRIX, side)
     if matrix is None:
         raise ConfigurationError(f"{keys.name}: expected a camera matrix, got none")

@@ -168,7 +168,9 @@ def _scale(
     """Metres of a translation's unit, and doubts about it."""
     said, square = keys.find(UNIT), keys.find(SQUARE)
     if said is not None:
-        stated = parse_unit(_UNIT_NAMES.get(str(said.value).lower(), str(said.value)), said.label)
+        stated = parse_unit(
+            _UNIT_NAMES.get(str(said.value).lower(), str(said.value).lower()), said.label
+        )
         if given is not None and given != stated:
             raise ConfigurationError(
                 f"{said.label}: expected the unit that was given, {given:g} m, got {said.value}"

@@ -254,7 +254,8 @@ def _servo_speeds(spec: Any) -> dict[str, float]:
 
 def _placed(spec: Any, element: Any) -> FloatArray:
     """(4, 4) pose of an element in its body or, for a body, in its parent."""
-    return np.asarray(_frames_around(spec, element) @ _pose(spec, element))
+    with np.errstate(invalid="ignore"):  # an infinite one is refused later
+        return np.asarray(_frames_around(spec, element) @ _pose(spec, element))
 
 
 def _frames_around(spec: Any, element: Any) -> FloatArray:

@@ -123,6 +123,10 @@ _ATTRIBUTES: Final[dict[str, dict[str, int]]] = {
 }
 """Count of numbers in each attribute of the elements that place and limit a joint; 0 for a name."""
 
+_POSES: Final = (
+    "pose", "position", "transform", "offset", "translation", "rotation", "orientation",
+    "quaternion",
+)  # fmt: skip
 _OTHER_ELEMENTS: Final = ("dynamics", "safety_controller", "calibration")
 
 
@@ -132,25 +136,35 @@ def _unread(joint: ET.Element) -> str:
         known = _ATTRIBUTES.get(element.tag)
         if known is None and element.tag in _OTHER_ELEMENTS:
             continue
+        if element.tag in _POSES:
+            return f"expected a pose as <origin xyz rpy>, got <{element.tag}>, which is not read"
         if known is None:
             if near := _near(str(element.tag), (*_ATTRIBUTES, *_OTHER_ELEMENTS)):
                 return (
                     f"expected no element <{element.tag}>, which nothing reads (is <{near}> meant?)"
                 )
             continue
+        if len(element):
+            return f"expected <{element.tag}> with attributes, got <{element[0].tag}> in it"
         if (element.text or "").strip():
             return (
                 f"expected <{element.tag}> with attributes ({', '.join(known)}), got the text "
                 f"{(element.text or '').strip()!r:.80}, which nothing reads"
             )
         for attribute, text in element.attrib.items():
+            if "}" in attribute:  # of a namespace, such as Drake's
+                continue
             if attribute not in known:
                 return (
                     f"expected <{element.tag}> with {', '.join(known)}, got the attribute "
                     f"{attribute!r} = {text!r:.80}, which is not read"
                 )
             numbers = [_number(word) for word in text.split()]
-            if known[attribute] and (len(numbers) != known[attribute] or np.isnan(numbers).any()):
+            if known[attribute] and (
+                len(numbers) != known[attribute]
+                or np.isnan(numbers).any()
+                or (element.tag != "limit" and np.isinf(numbers).any())
+            ):
                 return (
                     f"expected {known[attribute]} numbers in {attribute} of "
                     f"<{element.tag}>, got {text!r:.80}"
