@@ -40,6 +40,7 @@ def test_gymnasiums_vector_wrappers_take_it(id) -> None:
 def test_rllibs_ppo_learns_on_it() -> None:
     for name in ("ray", "tree", "lz4", "ormsgpack", "pydantic"):
         pytest.importorskip(name, reason=f"RLlib needs {name}")
+    import ray
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.tune.registry import register_env
 
@@ -52,3 +53,4 @@ def test_rllibs_ppo_learns_on_it() -> None:
         assert algorithm.train()["env_runners"]["num_env_steps_sampled"] >= 256
     finally:
         algorithm.stop()
+        ray.shutdown()
