@@ -1,5 +1,8 @@
 """Other people's learners make and train on the environment as on any of Gymnasium's."""
 
+import subprocess
+import sys
+
 import gymnasium
 import pytest
 
@@ -37,20 +40,24 @@ def test_gymnasiums_vector_wrappers_take_it(id) -> None:
     env.close()
 
 
+RLLIB = """
+import gymnasium, vergence
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.tune.registry import register_env
+register_env("gaze", lambda _: gymnasium.make("vergence/Gaze-v0", plant="kinematic"))
+config = PPOConfig().environment("gaze").env_runners(num_env_runners=0)
+config = config.training(train_batch_size_per_learner=256, minibatch_size=128, num_epochs=1)
+algorithm = config.build_algo()
+assert algorithm.train()["env_runners"]["num_env_steps_sampled"] >= 256
+algorithm.stop()
+"""
+"""A round of RLlib's PPO; in a process of its own, as Ray is one for a process."""
+
+
 def test_rllibs_ppo_learns_on_it() -> None:
     for name in ("ray", "tree", "lz4", "ormsgpack", "pydantic"):
         pytest.importorskip(name, reason=f"RLlib needs {name}")
-    import ray
-    from ray.rllib.algorithms.ppo import PPOConfig
-    from ray.tune.registry import register_env
-
-    register_env("gaze", lambda _: gymnasium.make("vergence/Gaze-v0", plant="kinematic"))
-    config = PPOConfig().environment("gaze").env_runners(num_env_runners=0)
-    algorithm = config.training(
-        train_batch_size_per_learner=256, minibatch_size=128, num_epochs=1
-    ).build_algo()
-    try:
-        assert algorithm.train()["env_runners"]["num_env_steps_sampled"] >= 256
-    finally:
-        algorithm.stop()
-        ray.shutdown()
+    done = subprocess.run(
+        [sys.executable, "-c", RLLIB], capture_output=True, text=True, timeout=240, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
