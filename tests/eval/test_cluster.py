@@ -40,6 +40,8 @@ class Nodes(NamedTuple):
 
 @pytest.fixture(scope="module")
 def nodes() -> Iterator[Nodes]:
+    import ray  # noqa: F401 - as TorchRL does: too late for a variable that Ray reads then
+
     # not pytest's folder: the path of a socket is limited to 107 characters
     folder = Path(tempfile.mkdtemp(prefix="vergence-"))
     (folder / "ray").mkdir()

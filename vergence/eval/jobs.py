@@ -281,14 +281,16 @@ def _join(address: str) -> ModuleType:
         "RAY_py_gcs_connect_timeout_s": str(_CLUSTER_TIMEOUT_S),
     }
     try:
-        if socket.gethostbyname(host).startswith("127."):
-            # on Linux, Ray would replace a loopback address by this machine's external one, where a
-            # cluster that listens only on loopback is not found
-            settings["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
         for name, value in settings.items():
             os.environ.setdefault(name, value)  # read when Ray is imported
         import ray
+        from ray._private import ray_constants
 
+        if socket.gethostbyname(host).startswith("127."):
+            # on Linux, Ray would replace a loopback address by this machine's external one, where a
+            # cluster that listens only on loopback is not found; its variable would come too late
+            # where another package, such as TorchRL, has imported Ray
+            ray_constants.ENABLE_RAY_CLUSTER = False
         # if nothing listens at the address, Ray itself would retry for minutes
         socket.create_connection((host, int(port)), timeout=_CLUSTER_TIMEOUT_S).close()
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
