@@ -7,6 +7,7 @@ import pytest
 from vergence.models.boards import CharucoBoard, texture
 from vergence.perception.similar_targets import describe_similar_targets
 from vergence.perception.target_finder import parse_targets
+from vergence.vision import make_detector
 
 
 def drawn(name):
@@ -31,6 +32,30 @@ def hint(image, asked):
 def test_a_charuco_board_of_other_counts_or_markers_is_named(asked):
     there = "charuco:6x5:40:30:4X4_50 is there"
     assert hint(drawn("charuco:6x5:40:30:4X4_50"), asked) == there
+
+
+@pytest.mark.parametrize(
+    ("shown", "asked", "there"),
+    [
+        ("6x6", "6x6:L", "6x6"),  # not the taller board of the same numbers
+        ("6x6:L", "6x5", "6x6:L"),
+        ("6x6:L", "7x6:L", "6x6:L"),
+        ("5x6", "5x5:L", "5x6"),
+        ("5x6:L", "5x5", "5x6:L"),
+        ("5x6", "8x8", "5x6"),
+        ("7x5", "7x4:L", "7x5"),
+        ("7x5:L", "9x4:L", "7x5"),
+    ],
+)
+def test_a_named_charuco_board_has_the_layout_that_is_there(shown, asked, there):
+    def spelled(name):
+        counts, _, legacy = name.partition(":")
+        return f"charuco:{counts}:40:30:4X4_50{':legacy' if legacy else ''}"
+
+    image = drawn(spelled(shown))
+    assert make_detector(*parse_targets([spelled(asked)])).detect(image) is None
+    assert hint(image, spelled(asked)) == f"{spelled(there)} is there"
+    assert make_detector(*parse_targets([spelled(there)])).detect(image) is not None
 
 
 def test_markers_that_begin_at_another_id_are_said():

@@ -19,6 +19,7 @@ from vergence.models.response import CameraResponse
 from vergence.perception.light import LinearResponseCheck
 from vergence.perception.photographs import join_first_names, remark_on_orientation_tags
 from vergence.perception.similar_targets import describe_similar_targets
+from vergence.perception.unseen_rows import UnseenRowCheck
 from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
 
@@ -175,9 +176,9 @@ def detect_board_corners(
     ]
     views = len(photographs[0])
     seen: list[_Seen | str] = []
-    check = LinearResponseCheck()
+    check, rows = LinearResponseCheck(), UnseenRowCheck()
     for number, path in enumerate(every, 1):
-        seen.append(_look(path, detectors[(number - 1) // views], check))
+        seen.append(_look(path, detectors[(number - 1) // views], check, rows))
         if number == _MISSES_BEFORE_CHECK:
             _refuse_another(target, every[:number], seen)
         if progress is not None:
@@ -188,11 +189,11 @@ def detect_board_corners(
             f"expected images that can be read, got none in {len(every)}"
             + (f"; the first: {failures[0]}" if failures else "")
         )
-    rows = [seen[start : start + views] for start in range(0, len(seen), views)]
-    sizes = tuple(_one_size(files, row) for files, row in zip(photographs, rows, strict=True))
+    by_camera = [seen[start : start + views] for start in range(0, len(seen), views)]
+    sizes = tuple(_one_size(files, row) for files, row in zip(photographs, by_camera, strict=True))
     shape = (len(photographs), views, len(target.corners_m), 2)
     pixels, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
-    for camera, row in enumerate(rows):
+    for camera, row in enumerate(by_camera):
         for view, one in enumerate(row):
             if isinstance(one, _Seen) and one.corners_px is not None:
                 pixels[camera, view], sigma[camera, view] = one.corners_px, one.sigma_px
@@ -208,21 +209,23 @@ def detect_board_corners(
         pixels=pixels,
         sigma=sigma,
         excluded=excluded,
-        remarks=(*check.notes(), *remark_on_orientation_tags(every)),
+        remarks=(*rows.notes(), *check.notes(), *remark_on_orientation_tags(every)),
     )
     seen = np.isfinite(pixels).any()
-    if len(rows) > 1 and seen and np.array_equal(pixels[0], pixels[1], equal_nan=True):
+    if len(by_camera) > 1 and seen and np.array_equal(pixels[0], pixels[1], equal_nan=True):
         raise ConfigurationError(
             "expected photographs of two cameras, got the same ones for the left and the right"
         )
-    for files, usable, row in zip(photographs, found.usable, rows, strict=True):
+    for files, usable, row in zip(photographs, found.usable, by_camera, strict=True):
         if not usable.any():
             _refuse_another(target, files, row)
             raise _not_found(target, files, "")
     return found, failures
 
 
-def _look(path: Path, detector: Detector[Any], check: LinearResponseCheck) -> _Seen | str:
+def _look(
+    path: Path, detector: Detector[Any], check: LinearResponseCheck, row_check: UnseenRowCheck
+) -> _Seen | str:
     """Detect the board, also at half sizes, as large images are soft; a text if unreadable."""
     try:
         image = read_pixels(path)
@@ -240,6 +243,7 @@ def _look(path: Path, detector: Detector[Any], check: LinearResponseCheck) -> _S
     if found is None:
         return _Seen((width, height), None, None)
     check.add(image, [found], detector.response_of(image))
+    row_check.add(found, image.shape)
     # pixel centres are at integers
     corners = scale * (found.corners_px + 0.5) - 0.5
     return _Seen((width, height), corners, scale * found.corners_sigma_px)

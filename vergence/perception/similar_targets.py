@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
+from vergence.perception.unseen_rows import UnseenRowCheck, rows_seen_and_in_view
 from vergence.vision import EyeCamera, make_detector
 from vergence.vision.boards.april_layout import alternative_grids
 from vergence.vision.boards.charuco import find_markers
+from vergence.vision.boards.charuco_layout import alternative_charuco
 from vergence.vision.detection import Detection
 from vergence.vision.tags.library import families_in
 
@@ -119,11 +121,20 @@ def _grids(
 ) -> list[str]:
     """Grid with other counts or another spacing; any grid if no target is given."""
     for other in alternative_grids(image, target):
-        if make_detector(other, camera).detect(image) is not None:
+        found = make_detector(other, camera).detect(image)
+        if found is not None:
+            other = _without_unseen_rows(found, image)
             size = "" if target is None else f"{1000 * target.tag_m:g}"
             name = f"aprilgrid:{other.columns}x{other.rows}:{size or 'TAG'}:{other.spacing:g}"
             return [f"{name} (tags, and their gap by their edge)"]
     return []
+
+
+def _without_unseen_rows(found: Detection, image: NDArray[np.uint8]) -> Any:
+    """The target found, or the board of fewer rows that fits the image better."""
+    check = UnseenRowCheck()
+    check.add(found, image.shape)
+    return check.fitting_boards().get(found.target, found.target)
 
 
 def _single_border(image: NDArray[np.uint8], camera: EyeCamera | None) -> list[str]:
@@ -135,7 +146,9 @@ def _single_border(image: NDArray[np.uint8], camera: EyeCamera | None) -> list[s
 def _charuco(image: NDArray[np.uint8], target: CharucoBoard, camera: EyeCamera | None) -> list[str]:
     """Board with other counts or another dictionary; if it is none of these, its markers' ids."""
     for dictionary in dict.fromkeys([target.dictionary, *_MARKERS]):
-        seen = find_markers(image, getattr(cv2.aruco, dictionary))
+        corners, seen = find_markers(
+            image, cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+        )
         if len(seen) >= _LEAST_MARKERS:
             break
     else:
@@ -143,22 +156,12 @@ def _charuco(image: NDArray[np.uint8], target: CharucoBoard, camera: EyeCamera |
     name, size = dictionary.rsplit("_", 1)
     if dictionary != target.dictionary and size == "1000":  # smaller ones begin with its markers
         dictionary = f"{name}_{min(n for n in _MARKER_COUNTS if n > max(seen))}"
-    best: list[Detection] = []
-    for more_columns, more_rows in ((0, 0), *_SIZE_OFFSETS):
-        for columns, rows in ((target.columns, target.rows), (target.rows, target.columns)):
-            columns, rows = columns + more_columns, rows + more_rows
-            if max(seen) >= columns * rows // 2:
-                continue
-            try:
-                other = replace(target, columns=columns, rows=rows, dictionary=dictionary)
-            except ConfigurationError:  # too few squares, or too many for the dictionary
-                continue
-            if other != target:
-                found = make_detector(other, camera).search(image)
-                best += [] if found is None else [found]
-    if best:
-        most = max(best, key=lambda each: int(np.isfinite(each.corners_px[:, 0]).sum()))
-        return [str(most.target)]
+    other = alternative_charuco(corners, seen, target, dictionary)
+    found = None if other in (None, target) else make_detector(other, camera).search(image)
+    if found is not None:
+        there, in_view = rows_seen_and_in_view(found, image.shape)
+        if not in_view[: np.flatnonzero(there)[0]].any():  # else its ids begin later
+            return [str(_without_unseen_rows(found, image))]
     own = dictionary.removeprefix("DICT_")
     if min(seen) >= _LEAST_MARKERS and max(seen) - min(seen) < 2 * len(seen):
         return [f"a board of {own} whose ids begin at {min(seen)} in place of 0"]

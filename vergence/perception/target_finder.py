@@ -12,6 +12,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.boards import AprilTag, CharucoBoard, PlanarTarget, TagFamily, Target
 from vergence.models.response import CameraResponse
 from vergence.perception.light import LinearResponseCheck
+from vergence.perception.unseen_rows import UnseenRowCheck
 from vergence.vision import Detection, EyeCamera, as_grey, make_detector, parse_target
 from vergence.vision.image import read_pixels
 
@@ -73,12 +74,13 @@ def is_white_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
 
 
 class PhotographNotes:
-    """Keeps track of targets that no image has shown so far, and of images with clipped white."""
+    """Keeps track of targets and rows that no image has shown, and of images with clipped white."""
 
     def __init__(self, targets: Sequence[Target]) -> None:
         self._unseen = list(targets)
         self._asked = len(self._unseen)
         self._images = self._clipped = 0
+        self._rows = UnseenRowCheck()
 
     def add(self, photograph: Photograph) -> None:
         """Add an image."""
@@ -86,13 +88,16 @@ class PhotographNotes:
         found = photograph.detections
         self._unseen = [t for t in self._unseen if not any(is_of_target(d, t) for d in found)]
         self._clipped += any(is_white_clipped(photograph.image, each) for each in found)
+        for each in found:
+            self._rows.add(each, photograph.image.shape)
 
     def notes(self) -> list[str]:
-        """One line per target that is in no image although others are, and one on clipped white."""
+        """One line per target or last row in no image although others are, one on clipped white."""
         if len(self._unseen) == self._asked:
             return []  # callers report themselves that nothing was found
         images = f"{self._images} image{'' if self._images == 1 else 's'}"
         said = [f"{target}: found in 0 of {images}" for target in self._unseen]
+        said += self._rows.notes()
         if self._clipped:
             said.append(
                 f"white is clipped in {self._clipped} of {images}: its pixels count for nothing, "

@@ -2,6 +2,7 @@
 
 import pickle
 
+import cv2
 import numpy as np
 import pytest
 
@@ -141,6 +142,26 @@ def test_another_board_is_none():
         assert found is None or isinstance(other, Checkerboard)
     mirrored = np.ascontiguousarray(one.image[:, ::-1])
     assert detector_of(BOARDS["7x5"]).detect(mirrored) is None
+
+
+@pytest.mark.parametrize("name", ["7x5", "6x4", "6x4 legacy", "5x6 legacy"])
+@pytest.mark.parametrize("more", [(0, -1), (1, 0), (-1, 0), (1, -1), (-1, 1), (2, 0), (-2, 0)])
+def test_a_board_of_similar_counts_is_none(name, more):
+    """A part of the markers is where the board asked for has them, others beside it."""
+    board = BOARDS[name]
+    columns, rows = board.columns + more[0], board.rows + more[1]
+    one = drawn(board, 0.3)
+    assert detector_of(CharucoBoard(columns=columns, rows=rows)).detect(one.image) is None
+
+
+def test_another_board_of_the_same_dictionary_beside_it_hides_no_board():
+    one = drawn(BOARDS["6x4"], z=1.0)
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    other = cv2.aruco.CharucoBoard((3, 4), 0.04, 0.03, markers, np.arange(12, 18))
+    image = one.image.copy()
+    image[10:170, 10:130] = other.generateImage((120, 160))
+    found = detector_of(BOARDS["6x4"]).detect(image)
+    assert found.corners_px == pytest.approx(one.corners, abs=0.25)
 
 
 def test_a_board_is_tracked_and_a_copy_through_pickle_says_the_same():

@@ -57,6 +57,14 @@ _MAX_ENLARGED_PIXELS: Final = 2_000_000
 search time)."""
 _LEAST_CONFIRMED_FRACTION: Final = 0.5
 """Least fraction of the markers beside the corners whose print must be confirmed (chosen)."""
+_MAX_LATTICE_ERROR_SQUARES: Final = 0.25
+"""Largest distance of a corner of a marker from its place in a square of the lattice, in squares
+(chosen: lens distortion against markers of others)."""
+_MAX_WRONG_MARKERS: Final = 0.1
+"""Most markers on the board whose numbers are not the board's, as a fraction of those that are
+(chosen: misread markers against boards of other counts)."""
+_CORNER_SIGNS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+"""Directions from a marker's middle to its corners (numerical)."""
 _DEFAULT_SIGMA_PX: Final = 0.1
 """Standard deviation of corners too few to estimate their noise, px (chosen)."""
 
@@ -123,21 +131,54 @@ class CharucoDetector(Detector[CharucoBoard]):
         """Detection in the layout with most corners, in a part of the image at a shift in it."""
         found = []
         markers, numbers = _markers(part, self.target)
+        own = numbers < self.target.columns * self.target.rows // 2
         ids: Any
-        if not markers:  # OpenCV would search for them again
+        if not own.any():  # OpenCV would search for them again
             return []
         for board in self._layouts:
             search = cv2.aruco.CharucoDetector(board.opencv_board())
-            corners, ids, *_ = search.detectBoard(part, markerCorners=markers, markerIds=numbers)
+            corners, ids, *_ = search.detectBoard(
+                part, markerCorners=list(markers[own]), markerIds=numbers[own]
+            )
             if ids is None or len(ids) < _LEAST_CORNERS:
                 continue
             places = np.full((len(board.corners_m), 2), np.nan)
             known = (np.reshape(corners, (-1, 2)).astype(float) + 0.5) / scale - 0.5
             places[np.ravel(ids)] = known + shift
             detection = self._at(image, board, places)
-            if detection is not None:
+            seen = (markers.astype(float) + 0.5) / scale - 0.5 + shift
+            if detection is not None and not self._is_of_another(detection, seen, numbers):
                 found.append(detection)
         return _most(found)
+
+    def _is_of_another(
+        self, found: Detection, markers: NDArray[np.float64], numbers: NDArray[np.intp]
+    ) -> bool:
+        """True if markers on the board's lattice, or next to it, are not those of the board."""
+        board = found.target
+        assert isinstance(board, CharucoBoard)
+        known = np.isfinite(found.corners_px).all(axis=1)
+        flat = self._flat(found.corners_px[known])
+        to_board = fit_homography(
+            flat.to_plane(found.corners_px[known]), board.corners_m[known] / board.square_m
+        )
+        if to_board is None:
+            return False
+        counts = np.array([board.columns, board.rows])
+        corners = flat.to_plane(markers.reshape(-1, 2))
+        corners = cv2.perspectiveTransform(corners[None], to_board)[0] + 0.5 * counts
+        corners = corners.reshape(-1, 4, 2)
+        square = np.floor(corners.mean(axis=1))
+        half = 0.5 * board.marker_m / board.square_m
+        printed = square[:, None] + 0.5 + half * _CORNER_SIGNS
+        on = (np.abs(corners - printed) < _MAX_LATTICE_ERROR_SQUARES).all(axis=(1, 2))
+        on &= ((square >= -1) & (square <= counts)).all(axis=1)
+        inside = ((square >= 0) & (square < counts)).all(axis=1)
+        own = np.floor(marker_corners_m(board).mean(axis=1) / board.square_m)
+        right = (own[np.minimum(numbers, len(own) - 1)] == square).all(axis=1)
+        right &= numbers < len(own)
+        wrong = int((on & inside & ~right).sum())
+        return bool((on & ~inside).any() or wrong > _MAX_WRONG_MARKERS * int((on & right).sum()))
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
         assert isinstance(predicted.target, CharucoBoard)
@@ -201,34 +242,44 @@ class CharucoDetector(Detector[CharucoBoard]):
         return Detection(board, flat.to_pixels(point[None])[0], out, sigma, sigmas)
 
 
-def _markers(image: NDArray[np.uint8], board: CharucoBoard) -> tuple[Any, Any]:
-    """Corners and numbers of the markers that the board has, in any layout."""
+def _markers(
+    image: NDArray[np.uint8], board: CharucoBoard
+) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """Corners and numbers of the markers of boards up to two columns and rows larger."""
     every = board.opencv_board().getDictionary()
     own = cv2.aruco.Dictionary(
-        every.bytesList[: board.columns * board.rows // 2],
+        every.bytesList[: (board.columns + 2) * (board.rows + 2) // 2],
         every.markerSize,
         every.maxCorrectionBits,
     )
-    return _markers_of(image, own)
+    return find_markers(image, own)
 
 
-def _markers_of(image: NDArray[np.uint8], markers: cv2.aruco.Dictionary) -> tuple[Any, Any]:
-    parameters = cv2.aruco.DetectorParameters()
-    least = _LEAST_PERIMETER_PX / max(image.shape)
-    parameters.minMarkerPerimeterRate = max(_LEAST_PERIMETER, least)
-    corners, numbers, _ = cv2.aruco.ArucoDetector(markers, parameters).detectMarkers(image)
-    return corners, numbers
-
-
-def find_markers(image: NDArray[np.uint8], dictionary: int) -> list[int]:
-    """Numbers of the markers in an image.
+def find_markers(
+    image: NDArray[np.uint8], dictionary: cv2.aruco.Dictionary
+) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """Find the markers of a dictionary in an image.
 
     Args:
         image: grey levels, shape (height, width).
-        dictionary: OpenCV's constant of the dictionary.
+        dictionary: the markers to find.
+
+    Returns:
+        (n, 4, 2) their corners, px, from the upper left of the print, clockwise; (n,) numbers.
     """
-    _, numbers = _markers_of(image, cv2.aruco.getPredefinedDictionary(dictionary))
-    return [] if numbers is None else np.ravel(numbers).tolist()
+    parameters = cv2.aruco.DetectorParameters()
+    least = _LEAST_PERIMETER_PX / max(image.shape)
+    parameters.minMarkerPerimeterRate = max(_LEAST_PERIMETER, least)
+    corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
+    if not corners:
+        return np.zeros((0, 4, 2), np.float32), np.zeros(0, np.intp)
+    return np.reshape(np.asarray(corners, np.float32), (-1, 4, 2)), np.ravel(numbers)
+
+
+def marker_corners_m(board: CharucoBoard) -> NDArray[np.float64]:
+    """Corners of the markers by number, (n, 4, 2), m right and down from the upper left."""
+    points = np.asarray(board.opencv_board().getObjPoints(), float)
+    return np.asarray(points[..., :2])
 
 
 def _most(found: list[Detection]) -> list[Detection]:
