@@ -20,7 +20,7 @@ from vergence.vision.tags.workspace import (
 _WEAK_SIGMA: Final = 0.1
 """Standard deviation of a weak prior on the spread, px, and on the bend's coefficients, half edges;
 any evidence in the pixels outweighs it (numerical)."""
-_LEAST_BEND_SIGNIFICANCES: Final = ((8, 2.25), (12, 5.0))
+_LEAST_BEND_SIGNIFICANCES: Final = ((8, 2.25), (12, 8.0))
 """Numbers of coefficients, the first ones, and ratios to its expectation by noise of the squared
 Mahalanobis norm of so many, of which one must be exceeded (chosen: one flat tag in 16 exceeds the
 first; the last four coefficients follow other errors of small tags, too)."""

@@ -96,6 +96,9 @@ _MAX_QUADRATIC_AND_CROSS: Final = 0.016
 """Largest root mean square of both a bend's quadratic and its last four coefficients, half edges:
 sheets bent by 4 mm in 150 have 0.010, flat tags with a covered corner mostly 0.017 and more
 (measured: drawn cylinders against tests/vision/tags/test_accuracy.py)."""
+_LEAST_CROSS_PX: Final = 0.8
+"""Size of the last four coefficients, px, below which noise may be their cause (chosen: small bent
+tags against covered ones)."""
 _UNMODELLED_BEND_RATIO: Final = 0.35
 """Standard deviation of the corner error that the bend's polynomials do not model, as a ratio to
 the expected size of the next order's coefficients (measured: drawn cylinders and waves)."""
@@ -226,13 +229,16 @@ def fit_tag(
             )
     shrunk = min(abs(state.white_spread_and_bend[5]), abs(state.white_spread_and_bend[8]))
     quadratic, cubic = rms_bend_coefficients(state.white_spread_and_bend)
+    half_edge_px = 0.5 * scale.shortest_edge_px
     cross = sqrt(np.square(state.white_spread_and_bend[9:]).mean())
-    covered = shrunk > _MAX_INNER_SCALING or min(quadratic, cross) > _MAX_QUADRATIC_AND_CROSS
+    covered = shrunk > _MAX_INNER_SCALING or (
+        min(quadratic, cross) > _MAX_QUADRATIC_AND_CROSS and cross * half_edge_px > _LEAST_CROSS_PX
+    )
     if covered or not corner_step_px < _CONVERGED_STEP_PX:
         return NO_FIT
     # the next order, if each is smaller than the last by one ratio
     quartic = cubic * cubic / max(hypot(quadratic, cubic), 1e-9)
-    unmodelled_variance = (_UNMODELLED_BEND_RATIO * quartic * 0.5 * scale.shortest_edge_px) ** 2
+    unmodelled_variance = (_UNMODELLED_BEND_RATIO * quartic * half_edge_px) ** 2
     return report_fit(
         region, camera, tag, scale, state, buffers, residuals,
         stage.blocks_per_edge * stage.blocks_per_edge, used, variance, unmodelled_variance,
