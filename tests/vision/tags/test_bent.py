@@ -41,6 +41,14 @@ def bent_tag(seed, sagitta_m=None):
     x, y = np.meshgrid((u - middle[0]) / focal, (v - middle[1]) / focal)
     paper, hit = on_sheet(scene, np.stack([x, y, np.ones_like(x)], axis=-1))
 
+    image = drawn_sheet(paper, hit, number) + rng.normal(0.0, 1.5, IMAGE[::-1])
+    seen = in_space(scene, HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]]))
+    points = focal * seen[:, :2] / seen[:, 2:] + middle
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8), number, points
+
+
+def drawn_sheet(paper, hit, number):
+    """Image of the points of the paper, m, that the rays hit."""
     code = tag_family(FAMILY.family)
     cells = np.pad(code.cells(number), 1, constant_values=255) / 255.0
     place = np.floor(paper / (SIZE_M / code.width_at_border) + 0.5 * len(cells)).astype(int)
@@ -49,11 +57,7 @@ def bent_tag(seed, sagitta_m=None):
     black, white = GREYS
     grey[there] = black + (white - black) * cells[place[there][:, 1], place[there][:, 0]]
     image = cv2.resize(grey, IMAGE, interpolation=cv2.INTER_AREA)
-    image = cv2.GaussianBlur(image, (0, 0), BLUR_PX) + rng.normal(0.0, 1.5, image.shape)
-
-    seen = in_space(scene, HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]]))
-    points = focal * seen[:, :2] / seen[:, 2:] + middle
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8), number, points
+    return cv2.GaussianBlur(image, (0, 0), BLUR_PX)
 
 
 def found_in(image, number):
@@ -89,6 +93,20 @@ def test_the_point_of_a_bent_tag_is_the_middle_of_its_print(sagitta_m):
     assert rms(errors / sigmas) < 1.3
     assert rms(errors) < 0.08
     assert rms(sigmas) < 0.01 + 60.0 * sagitta_m
+
+
+@pytest.mark.parametrize("along", [0, 1])
+def test_the_corners_of_a_wavy_sheet_are_where_it_has_them(along):
+    """The wave runs along one side, and shifts points along the other."""
+    u, v = np.meshgrid(*(np.arange(n * FINER) / FINER + 0.5 / FINER - 0.5 for n in IMAGE))
+    place = np.stack([0.98 * (u - 320) - 0.2 * (v - 240), 0.2 * (u - 320) + 0.98 * (v - 240)], -1)
+    place /= 60.0
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 60.0
+    corners = np.linalg.solve([[0.98, -0.2], [0.2, 0.98]], corners.T).T + (320, 240)
+    other = place[..., 1 - along]
+    place[..., along] += 0.03 * other * (1.0 - other**2)
+    found = LINEAR.detect(drawn_sheet(HALF_M * place, True, 5).astype(np.uint8), near_px=(320, 240))
+    assert rms(found.corners_px - corners) < 0.1
 
 
 def test_the_point_of_a_tag_with_a_trimmed_border_has_a_sigma_that_covers_both_middles():

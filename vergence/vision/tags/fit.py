@@ -13,9 +13,9 @@ tag also has its own dark level a_k and contrast b_k, so that shadows and light 
 move edges. These levels are eliminated (variable projection, Golub and Pereyra 1973); Gauss-Newton
 steps are composed with G (Baker and Matthews 2004).
 
-If the edges are bowed, as on bent paper, a bend d is fitted as well: eight polynomials that vanish
-at the corners, with a common prior variance of their coefficients (empirical Bayes). Pixels of
-clipped white are left out.
+If the edges are bowed, as on bent paper, a bend d is fitted as well: twelve polynomials that vanish
+at the corners and, with the homography, make up all cubic ones. The quadratic and the cubic
+coefficients have a prior variance each (empirical Bayes). Pixels of clipped white are left out.
 
 The covariance of the corners is the inverse of the normal matrix, scaled by a variance that
 includes correlation of the residuals within each block (`block_squares_and_dof`).
@@ -24,7 +24,7 @@ Corners come from the edges because blur moves the corner of a print inwards, bu
 meet there.
 """
 
-from math import inf
+from math import hypot, inf, sqrt
 from typing import Final
 
 import numpy as np
@@ -40,7 +40,7 @@ from vergence.vision.plane import (
     set_view_along,
     undistorted_point,
 )
-from vergence.vision.tags.bend import estimate_bend_prior_sigma, rms_bend_coefficient
+from vergence.vision.tags.bend import estimate_bend_prior_sigmas, rms_bend_coefficients
 from vergence.vision.tags.normal import block_squares_and_dof
 from vergence.vision.tags.report import NO_FIT, TagFit, report_fit
 from vergence.vision.tags.stages import ALL, BEND, NARROW, WIDE, FitStage, begin_stage, tag_scale
@@ -92,9 +92,16 @@ _MAX_INNER_SCALING: Final = 0.06
 """Largest size of both coefficients that scale the tag's inside along x and along y, half edges;
 no bend has more. A tag with a border of two cells, taken for one with a border of one, has 0.2
 (chosen: between both)."""
-_UNMODELLED_BEND_RATIO: Final = 0.3
+_MAX_QUADRATIC_AND_CROSS: Final = 0.016
+"""Largest root mean square of both a bend's quadratic and its last four coefficients, half edges:
+sheets bent by 4 mm in 150 have 0.010, flat tags with a covered corner mostly 0.017 and more
+(measured: drawn cylinders against tests/vision/tags/test_accuracy.py)."""
+_LEAST_CROSS_PX: Final = 0.8
+"""Size of the last four coefficients, px, below which noise may be their cause (chosen: small bent
+tags against covered ones)."""
+_UNMODELLED_BEND_RATIO: Final = 0.35
 """Standard deviation of the corner error that the bend's polynomials do not model, as a ratio to
-the standard deviation of their coefficients (measured: benchmarks.real_light)."""
+the expected size of the next order's coefficients (measured: drawn cylinders and waves)."""
 _PRIOR_SQUARES: Final = 4.0
 """Number of squared residuals of single pixels that are added to those of the blocks, which are
 few, in the estimate of the variance (chosen: steadiness against correlated residuals)."""
@@ -160,11 +167,12 @@ def fit_tag(
         max(max_pixels[0], max_pixels[1]), scale.max_blocks_per_edge * scale.max_blocks_per_edge
     )
     stage, residuals = FitStage(0, 0, False), PrintResiduals(0.0, 0.0, 0.0)
-    corner_step_px = variance = bend_sigma = 0.0
+    corner_step_px = variance = 0.0
+    bend_sigmas = 0.0, 0.0
     used = BEND_START
     for which in range(4):
         if which == BEND:
-            if bend_sigma == 0.0:
+            if max(bend_sigmas[0], bend_sigmas[1]) == 0.0:
                 break
             used = MAX_UNKNOWNS
         elif max_steps[which] == 0:
@@ -189,16 +197,17 @@ def fit_tag(
             )
             if worse and used == BEND_START:
                 # inner edges do not lie where the outer ones predict: the sheet is bent
-                bend_sigma, used = _LARGE_BEND_SIGMA, MAX_UNKNOWNS
+                bend_sigmas, used = (_LARGE_BEND_SIGMA, _LARGE_BEND_SIGMA), MAX_UNKNOWNS
             # a weak prior holds blurs near their last values
             hold = _LATER_BLUR_WEIGHT if fine else 1.0
             blur_weight = hold * residuals.contrast * residuals.contrast * stage.pixel_count
             spread_sigma_px = _SPREAD_SIGMA_PX if which >= ALL else _NO_SPREAD_SIGMA_PX
             spread_weight = residuals.pixel_variance / spread_sigma_px**2
-            bend_weight = residuals.pixel_variance / max(bend_sigma, 1e-9) ** 2
+            quadratic_weight = residuals.pixel_variance / max(bend_sigmas[0], 1e-9) ** 2
+            cubic_weight = residuals.pixel_variance / max(bend_sigmas[1], 1e-9) ** 2
             corner_step_px, blur_step = gauss_newton_step(
                 state, buffers, stage.pixel_count, block_count, used, blur_weight, spread_weight,
-                bend_weight, scale.max_blur_px,
+                quadratic_weight, cubic_weight, scale.max_blur_px,
             )  # fmt: skip
             if not corner_step_px < _DIVERGED_STEP_PX + 0.5 * scale.cell_px:
                 return NO_FIT
@@ -213,15 +222,23 @@ def fit_tag(
                 independent + _PRIOR_SQUARES
             )
         if which == ALL and used == MAX_UNKNOWNS:
-            bend_sigma = rms_bend_coefficient(state.white_spread_and_bend)
+            bend_sigmas = rms_bend_coefficients(state.white_spread_and_bend)
         elif which == ALL and corner_step_px < _CONVERGED_STEP_PX:
-            bend_sigma = estimate_bend_prior_sigma(
+            bend_sigmas = estimate_bend_prior_sigmas(
                 buffers, stage.pixel_count, block_count, state.white_spread_and_bend, variance
             )
-    shrunk = min(abs(state.white_spread_and_bend[3]), abs(state.white_spread_and_bend[8]))
-    if not corner_step_px < _CONVERGED_STEP_PX or shrunk > _MAX_INNER_SCALING:
+    shrunk = min(abs(state.white_spread_and_bend[5]), abs(state.white_spread_and_bend[8]))
+    quadratic, cubic = rms_bend_coefficients(state.white_spread_and_bend)
+    half_edge_px = 0.5 * scale.shortest_edge_px
+    cross = sqrt(np.square(state.white_spread_and_bend[9:]).mean())
+    covered = shrunk > _MAX_INNER_SCALING or (
+        min(quadratic, cross) > _MAX_QUADRATIC_AND_CROSS and cross * half_edge_px > _LEAST_CROSS_PX
+    )
+    if covered or not corner_step_px < _CONVERGED_STEP_PX:
         return NO_FIT
-    unmodelled_variance = (_UNMODELLED_BEND_RATIO * bend_sigma * 0.5 * scale.shortest_edge_px) ** 2
+    # the next order, if each is smaller than the last by one ratio
+    quartic = cubic * cubic / max(hypot(quadratic, cubic), 1e-9)
+    unmodelled_variance = (_UNMODELLED_BEND_RATIO * quartic * half_edge_px) ** 2
     return report_fit(
         region, camera, tag, scale, state, buffers, residuals,
         stage.blocks_per_edge * stage.blocks_per_edge, used, variance, unmodelled_variance,

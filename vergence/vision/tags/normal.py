@@ -5,7 +5,7 @@ import numpy as np
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.tags.cholesky import forward_substitute
-from vergence.vision.tags.workspace import MAX_UNKNOWNS, WHITE_SPREAD_INDEX, Blocks
+from vergence.vision.tags.workspace import CUBIC_START, MAX_UNKNOWNS, WHITE_SPREAD_INDEX, Blocks
 
 
 @subroutine
@@ -80,7 +80,7 @@ def build_normal_equations(
 def add_priors(
     matrix: FloatArray, right_side: FloatArray, white_spread_and_bend: FloatArray,
     blur_weight: float,
-    white_spread_weight: float, bend_weight: float, unknown_count: int,
+    white_spread_weight: float, quadratic_weight: float, cubic_weight: float, unknown_count: int,
 ) -> None:  # fmt: skip
     """Add Gaussian priors to normal equations: blurs stay, white spread and bend are near 0.
 
@@ -89,7 +89,9 @@ def add_priors(
     matrix[8, 8] += blur_weight
     matrix[9, 9] += blur_weight
     for k in range(WHITE_SPREAD_INDEX, unknown_count):
-        weight = white_spread_weight if k == WHITE_SPREAD_INDEX else bend_weight
+        weight = quadratic_weight if k < CUBIC_START else cubic_weight
+        if k == WHITE_SPREAD_INDEX:
+            weight = white_spread_weight
         matrix[k, k] += weight
         right_side[k] -= weight * white_spread_and_bend[k - WHITE_SPREAD_INDEX]
 

@@ -70,7 +70,7 @@ def compare_cells(
         light_by_grey: (256,) light of each grey level, or that level to compare these.
         H: (3, 3) homography to the image, see `square_to_image_homography`, from the
             rectangle that `left_cells`, `top_cells`, `width_cells` and `height_cells` define.
-        white_spread_and_bend: (9,) the sheet's spread and bend, see `bend_displacement`.
+        white_spread_and_bend: (13,) the sheet's spread and bend, see `bend_displacement`.
         camera: the eye's camera.
         view: the undistorted plane.
         cells: (rows, columns) 0 black to 1 white, nan not compared.

@@ -9,7 +9,7 @@ from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import UndistortedView, distorted_pixel, grey_at, transform_point
-from vergence.vision.tags.bend import bend_displacement
+from vergence.vision.tags.bend import bend_by_coefficient, bend_displacement
 from vergence.vision.tags.cholesky import cholesky_solve
 from vergence.vision.tags.reading import CellReading, compare_cells
 from vergence.vision.tags.stages import TagScale
@@ -47,9 +47,10 @@ NO_FIT: Final = TagFit(0.0, 0.0, CellReading(0, 0, 0.0), 0.0, 0.0, 0.0)
 """Result of a fit that failed (numerical)."""
 _BEND_STEPS: Final = 4
 """Steps of a fixed-point iteration that inverts a bend (numerical)."""
-_BENT_CENTRE_VARIANCE: Final = 6.0
-"""Factor by which a pixel's variance is larger for the centre of a bent tag: compression and
-sharpening look like small bends (measured: flat sheets of tags in public photographs)."""
+_SHARPENED_RESIDUAL: Final = 0.03
+"""Residual, as a fraction of the contrast, at which the variance of a bent tag's centre is doubled:
+sharpening and compression, which leave large residuals, look like small bends (measured: flat
+sheets of tags in public photographs against drawn ones)."""
 _MAX_CENTRE_BEND: Final = 0.09
 """Largest distance from the crossing of the diagonals to the middle of a bent tag, half edges;
 beyond it the print is not as assumed, and the centre is the crossing, with this distance in its
@@ -112,7 +113,9 @@ def report_fit(
         if k == 4:
             more *= 0.25  # the centre lies between four corners
             if unknown_count == MAX_UNKNOWNS:
-                variance *= _BENT_CENTRE_VARIANCE
+                variance *= (
+                    1.0 + residuals.pixel_variance / (_SHARPENED_RESIDUAL * residuals.contrast) ** 2
+                )
             if hypot(x, y) > _MAX_CENTRE_BEND:
                 more += (x * x + y * y) * (0.5 * scale.shortest_edge_px) ** 2
                 x = y = 0.0
@@ -285,11 +288,7 @@ def _covariance_of(
         if j == 7:
             by_x, by_y = -x * y, -y * y
         if j >= BEND_START:
-            bend = j - BEND_START
-            along = x if bend < 4 else y
-            by = 1.0 - x * x if bend % 2 == 0 else 1.0 - y * y
-            by = by * along if bend % 4 >= 2 else by
-            by_x, by_y = (by, 0.0) if bend < 4 else (0.0, by)
+            by_x, by_y = bend_by_coefficient(j - BEND_START, x, y)
         J[0, j] = -(d * by_x - b * by_y) / det
         J[1, j] = -(a * by_y - c * by_x) / det
     first = across = second = 0.0

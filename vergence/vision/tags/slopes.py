@@ -3,9 +3,9 @@
 from math import sqrt
 
 from vergence._jit import subroutine
-from vergence.vision.tags.bend import bend_derivatives, bend_displacement
+from vergence.vision.tags.bend import bend_by_coefficient, bend_displacement
 from vergence.vision.tags.printed import sample_print
-from vergence.vision.tags.workspace import MAX_UNKNOWNS, FitBuffers, FitState, TagPrint
+from vergence.vision.tags.workspace import BEND_START, MAX_UNKNOWNS, FitBuffers, FitState, TagPrint
 
 
 @subroutine
@@ -69,7 +69,9 @@ def evaluate_print(
         pixels[n, 6], pixels[n, 7], pixels[n, 8] = by_y * x, by_y * y, by_y
         pixels[n, 9], pixels[n, 10] = turn * x, turn * y
         pixels[n, 11], pixels[n, 12], pixels[n, 13] = at.by_log_blur_x, at.by_log_blur_y, ridge
-        bend_derivatives(flat_x, flat_y, x, y, by_x, by_y, pixels, n)
+        for k in range(MAX_UNKNOWNS - BEND_START):
+            dx, dy = bend_by_coefficient(k, flat_x, flat_y)
+            pixels[n, 3 + BEND_START + k] = by_x * dx + by_y * dy
         share = 0.5 * blocks_per_edge / (half + 1.0)
         column = min(max(int((x * half + half + 1.0) * share), 0), blocks_per_edge - 1)
         row = min(max(int((y * half + half + 1.0) * share), 0), blocks_per_edge - 1)

@@ -88,7 +88,8 @@ def gauss_newton_step(
     unknown_count: int,
     blur_weight: float,
     white_spread_weight: float,
-    bend_weight: float,
+    quadratic_weight: float,
+    cubic_weight: float,
     max_blur_px: float,
 ) -> tuple[float, float]:
     """Take a Gauss-Newton step, shortened if the previous one overshot.
@@ -105,7 +106,8 @@ def gauss_newton_step(
         unknown_count: number of unknowns that are sought, the first ones.
         blur_weight: weight that holds the blurs at their last values, see `add_priors`.
         white_spread_weight: weight that holds the spread at 0.
-        bend_weight: weight that holds the bend at 0.
+        quadratic_weight: weight that holds the bend's quadratic coefficients at 0.
+        cubic_weight: weight that holds its cubic coefficients at 0.
         max_blur_px: largest blur, px.
 
     Returns:
@@ -122,7 +124,8 @@ def gauss_newton_step(
         state.white_spread_and_bend,
         blur_weight,
         white_spread_weight,
-        bend_weight,
+        quadratic_weight,
+        cubic_weight,
         unknown_count,
     )
     slope, fraction, start_slope, last = (

@@ -11,13 +11,15 @@ from vergence.models.parts import FloatArray
 from vergence.vision.plane import UndistortedView
 from vergence.vision.tags.printed import MAX_BLURRED_CELLS
 
-MAX_UNKNOWNS: Final = 19
+MAX_UNKNOWNS: Final = 23
 """Unknowns of a fit: eight of the homography, two logarithms of blurs, the spread of white into
-black, eight of a bend (numerical)."""
+black, twelve of a bend (numerical)."""
 WHITE_SPREAD_INDEX: Final = 10
 """Index of the spread, px, among the unknowns (numerical)."""
 BEND_START: Final = 11
 """Index of the bend's first coefficient, half edges, see `bend_displacement` (numerical)."""
+CUBIC_START: Final = 15
+"""Index of the first cubic coefficient of the bend, half edges (numerical)."""
 PIXEL_COLUMNS: Final = 3 + MAX_UNKNOWNS
 """Columns of a pixel: its light, its block, the print, and the derivatives (numerical)."""
 
@@ -64,7 +66,7 @@ class FitState(NamedTuple):
     blurs_px: FloatArray
     """(2,) across the edges along x and along y, px."""
     white_spread_and_bend: FloatArray
-    """(9,) the spread, px, and the bend's coefficients, see `bend_displacement`."""
+    """(13,) the spread, px, and the bend's coefficients, see `bend_displacement`."""
 
 
 class Blocks(NamedTuple):
