@@ -16,7 +16,7 @@ REAL_TIME = [
     # A loop stops, as it should, where the machine leaves its process no time for 0.1 s: these
     # tests run alone, after all others, and again where a machine is busy with other work.
     pytest.mark.real_time,
-    pytest.mark.flaky(reruns=2),
+    pytest.mark.flaky(reruns=3, reruns_delay=15),
 ]
 """Marks of tests whose emulated head and loop keep real time."""
 

@@ -145,9 +145,13 @@ def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: P
             controllers=("ibvs-tuned",), plants=("hardware", "kinematic"), hardware=desk,
             scenarios=("workspace",), episodes=2,
         )  # fmt: skip
-        with pytest.raises(HardwareError):
-            evaluate_on_robot(config, run, progress=pull)
-    assert ran == [0, 1]
+        for attempt in range(5):  # what a busy machine stops before, goes on as well
+            with pytest.raises(HardwareError):
+                evaluate_on_robot(config, run, progress=pull, resume=attempt > 0)
+            if 1 in ran:
+                break
+    assert ran[-2:] == [0, 1]
+    begun = len(ran)
     desk.write_text(desk.read_text().replace("[cameras.left]", "[cameras.left]\nlatency_s = 0.01"))
     with pytest.raises(ConfigurationError, match=r"resume: expected cameras of .*0\.01"):
         evaluate_on_robot(read_begun_config(run), run, resume=True)
@@ -155,7 +159,7 @@ def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: P
         found = evaluate_on_robot(
             read_begun_config(run), run, progress=lambda done, total: ran.append(done), resume=True
         )
-    assert ran == [0, 1, 1, 2]
+    assert ran[begun:] == [1, 2]
     trials = found.trials()
     assert len(trials) == 4
     settled = trials.dropna(subset=["settle_2px_s"])  # a starved machine may miss one's end
