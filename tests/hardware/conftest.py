@@ -35,12 +35,12 @@ def serve():
 
 @pytest.fixture(autouse=True)
 def idle_core(request):
-    """Tests of real time wait, for a minute at most, until other work leaves them a core."""
+    """Tests of real time wait, for 20 s at most, until other work leaves them a core."""
 
     def ticks():
         return [int(word) for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:]]
 
-    end_s = time.monotonic() + 60.0
+    end_s = time.monotonic() + 20.0
     while request.node.get_closest_marker("real_time") and time.monotonic() < end_s:
         before = ticks()
         time.sleep(0.5)
