@@ -25,11 +25,11 @@ BENCH := $(VENV)/.bench
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run view robot test check lint kernels wheel format dev bench clean
+.PHONY: help run view robot test test-all check lint kernels wheel format dev bench clean
 .DELETE_ON_ERROR:
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 run: $(BASE) ## bring the gaze to a point and triangulate it (options: make run ARGS="--help")
 	@$(BIN)/vergence gaze $(ARGS)
@@ -40,15 +40,19 @@ view: $(VIEW) ## a simulated head in the browser: drag its target (options: make
 robot: $(ROBOT) ## a robot's functions on an emulated head: checks, gazes, a fault, a replayed log
 	@$(BIN)/python -m benchmarks.tour
 
-test: $(TEST) ## lint, type-check and run all tests (options: make test ARGS="-k triangulation")
+test: $(TEST) ## lint, type-check and run the tests (options: make test ARGS="-k triangulation")
 	@$(MAKE) -j2 lint kernels
-	@$(PYTEST) -n $(JOBS) --dist worksteal -m "not real_time" $(ARGS) || $(NO_TESTS_SELECTED)
-	@$(PYTEST) -m real_time $(ARGS) || $(NO_TESTS_SELECTED)
+	@$(PYTEST) -n $(JOBS) --dist worksteal -m "not real_time and not nightly" $(ARGS) || $(NO_TESTS_SELECTED)
+	@$(PYTEST) -m "real_time and not nightly" $(ARGS) || $(NO_TESTS_SELECTED)
+
+test-all: test ## what `make test` does, and the tests of many seconds that it leaves out
+	@$(PYTEST) -n $(JOBS) --dist worksteal -m "nightly and not real_time" $(ARGS) || $(NO_TESTS_SELECTED)
+	@$(PYTEST) -m "nightly and real_time" $(ARGS) || $(NO_TESTS_SELECTED)
 
 check: $(TEST) ## lint and the quick tests of what differs from main, or of rooms (ROOM="models eval")
 	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && $(MAKE) lint && \
 	  echo "pytest $$places" && \
-	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow" $(ARGS) $$places || $(NO_TESTS_SELECTED); }
+	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow and not nightly" $(ARGS) $$places || $(NO_TESTS_SELECTED); }
 
 lint: $(TEST) ## ruff and mypy
 	$(BIN)/ruff check .
