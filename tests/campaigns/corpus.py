@@ -8,7 +8,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from tests.faults.harness import fresh, run
+from tests.campaigns.harness import fresh, run
 from tests.hardware.test_config import document
 from tests.heads import text_of
 from tests.recording.logged import log_trials

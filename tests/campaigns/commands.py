@@ -1,7 +1,7 @@
 """Fuzzing of the command line and of every file that it reads.
 
-    python -m tests.faults.fuzz                 # ten minutes
-    python -m tests.faults.fuzz --minutes 1 --seed 7
+    python -m tests.campaigns commands                 # ten minutes
+    python -m tests.campaigns commands --minutes 1 --seed 7
 
 Words are drawn and files are damaged by hypothesis. No command may show a stack trace, end with
 another exit code than 0, 1, 2 or 130, or leave something half-written. A command that takes
@@ -11,7 +11,6 @@ longer than the limit is stopped and counted, which is no fault: a person may as
 import argparse
 import re
 import shutil
-import sys
 import tempfile
 import time
 import zipfile
@@ -23,8 +22,8 @@ from typing import Any, Final
 
 from hypothesis import strategies as st
 
-from tests.faults import corpus
-from tests.faults.harness import Outcome, fresh, load, run, try_each, warm
+from tests.campaigns import corpus
+from tests.campaigns.harness import Outcome, fresh, load, run, try_each, warm
 from vergence.files import PARTIAL_PREFIX
 
 _WORDS: Final = 24
@@ -381,9 +380,11 @@ class Fuzz:
                 shutil.copytree(self._case, self._keep / f"{len(self.faults):03d}", symlinks=True)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str]) -> int:
     """Fuzz; 1 if there was a fault."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        "tests.campaigns commands", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--limit-s", type=float, default=20.0, help="of a command")
@@ -414,7 +415,3 @@ def _round(fuzz: Fuzz, number: int, only: str | None) -> None:
     for place, name in enumerate(FILES):
         if only in (None, name):
             try_each(damages(), partial(fuzz.file, name), 97 * number + place, _DAMAGES)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,7 @@
 """Kills, full disks and lost permission at random moments of the commands that take long.
 
-    python -m tests.faults.interruptions                    # 50 moments of each fault and command
-    python -m tests.faults.interruptions --moments 5 --commands tune --faults kill
+    python -m tests.campaigns interruptions  # 50 moments each
+    python -m tests.campaigns interruptions --moments 5 --commands tune --faults kill
 
 A moment is a time, or just before the command's n-th change of its files, which is where faults
 do harm. After it nothing may be half-written under its own name; with the disk full or closed
@@ -28,8 +28,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from tests.faults import corpus
-from tests.faults.harness import Outcome, fresh, load, run, warm
+from tests.campaigns import corpus
+from tests.campaigns.harness import Outcome, fresh, load, run, warm
 from vergence.files import PARTIAL_PREFIX
 
 FAULTS: Final = ("kill", "full", "permission")
@@ -387,9 +387,11 @@ def disk(folder: Path, fault: str) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(work)], check=False)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str]) -> int:
     """Interrupt; 1 if something was wrong."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        "tests.campaigns interruptions", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument("--moments", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--commands", nargs="+", choices=list(COMMANDS), default=list(COMMANDS)[:4])
@@ -429,7 +431,3 @@ def _moments(fault: str, command: str, moments: int, seed: int) -> int:
         print(f"{fault} {command}: {wrong} of {moments} wrong; exit codes {shown} "
               f"({alone}; {taken:.0f} s)", flush=True)  # fmt: skip
     return wrong
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,22 +1,25 @@
-"""The scripts that look for faults see the faults that they look for."""
+"""The campaigns see the faults that they look for, and still run."""
 
 import json
 
-from tests.faults.fuzz import damage
-from tests.faults.harness import Outcome
-from tests.faults.interruptions import Reference, check
+import pytest
+
+pytest.importorskip("mcap")
+
+from tests.campaigns.commands import damage
+from tests.campaigns.harness import Outcome, try_each
+from tests.campaigns.interruptions import Reference, check
+from tests.campaigns.robot import FaultError, Inputs, watched
 from tests.naming import named
+from vergence.errors import ConfigurationError
 
 
 def outcome(code=0, out="", err=""):
     return Outcome(words=("gaze",), code=code, seconds=1.0, out=out, err=err)
 
 
-def test_a_command_that_ends_as_it_should_has_no_fault():
+def test_what_nobody_should_see_of_a_command_is_a_fault():
     assert outcome(2, err="vergence: error: head: expected a file, got x\n").faults() == []
-
-
-def test_what_nobody_should_see_is_a_fault():
     for ended, fault in (
         (outcome(1, err="Traceback (most recent call last):\n"), "a stack trace"),
         (outcome(0, out='  File "x.py", line 3, in f\n'), "a stack trace"),
@@ -37,26 +40,41 @@ def test_each_damage_changes_the_file(tmp_path):
         assert not path.is_file() or path.read_bytes() != content, kind
 
 
-def test_a_folder_that_lacks_a_file_is_half_written(tmp_path):
+def test_what_is_half_written_is_a_fault(tmp_path):
     (tmp_path / "e").mkdir()
     (tmp_path / "e" / "evaluation.json").write_text("{}")
     files = frozenset(("evaluation.json", "report.html"))
     reference = Reference(seconds=1.0, changes=1, files=files, same=b"")
     assert check("evaluate", tmp_path, reference) == ["e lacks ['report.html']"]
-
-
-def test_a_truncated_file_is_damaged(tmp_path):
     for name in ("a.json", "a.toml", "a.csv", "a.svg", "a.html", "a.png", "a.db"):
         with named(name):
-            run = tmp_path / name.replace(".", "-")
+            run = tmp_path / f".{name}"
             (run / "e").mkdir(parents=True)
             (run / "e" / name).write_bytes(b'a,b\n1,"2' if name == "a.csv" else b'{"half')
             (found,) = check("evaluate", run, None)
             assert found.startswith(f"{name} is damaged")
-
-
-def test_an_experiment_marked_as_finished_has_its_table_and_figures(tmp_path):
-    (tmp_path / "r" / "experiments").mkdir(parents=True)
-    (tmp_path / "r" / "experiments" / "x.json").write_text(json.dumps({"figures": ["fig"]}))
+    (tmp_path / "e" / "experiments").mkdir()
+    (tmp_path / "e" / "experiments" / "x.json").write_text(json.dumps({"figures": ["fig"]}))
     found = check("reproduce", tmp_path, None)
     assert found == ["x.json without x.csv", "x.json without fig.svg"]
+
+
+def test_what_nobody_should_see_of_an_input_is_a_fault(tmp_path):
+    def raises(error):
+        with watched(tmp_path):
+            raise error
+
+    for error in (ValueError("x"), *map(ConfigurationError, ("a\nb", "\x1b[31m", "", 5000 * "a"))):
+        with pytest.raises(FaultError):
+            raises(error)
+    raises(ConfigurationError("one line"))
+
+
+@pytest.mark.nightly
+def test_whatever_a_robot_is_given_is_an_answer_or_one_error_of_ours(tmp_path):
+    inputs = Inputs(tmp_path)
+    for name, count in (("config", 60), ("log", 60), ("line", 60), ("stream", 1)):
+        cases, attempt = inputs.attempts()[name]
+        before = inputs.ended.total()
+        try_each(cases, attempt, 20261125, count)
+        assert inputs.ended.total() > before, name

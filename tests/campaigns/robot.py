@@ -1,7 +1,7 @@
 """Fuzzing of what a robot is given: its configuration, its log, and its streams.
 
-    python -m tests.faults.robot_inputs                 # five minutes of each
-    python -m tests.faults.robot_inputs --minutes 1 --seed 7 --only log
+    python -m tests.campaigns robot                 # five minutes of each
+    python -m tests.campaigns robot --minutes 1 --seed 7 --only log
 
 Whatever comes, there is an answer or one error of the package, each of whose lines is a line; no
 warning, no hang, no memory without bound, and nothing that the input names is run.
@@ -27,9 +27,9 @@ from unittest import mock
 
 from hypothesis import strategies as st
 
-from tests.faults import forged_logs, forged_streams
-from tests.faults.fuzz import damage, damages
-from tests.faults.harness import try_each
+from tests.campaigns import forged_logs, forged_streams
+from tests.campaigns.commands import damage, damages
+from tests.campaigns.harness import try_each
 from tests.hardware.fakes import HEAD, TAG, camera_config
 from vergence.controllers.controller import CONTROLLERS
 from vergence.errors import VergenceError
@@ -342,9 +342,11 @@ def _look(script: forged_streams.Script) -> str:
         return f"FAULT {traceback.format_exc()}"
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str]) -> int:
     """Fuzz; 1 if there was a fault."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        "tests.campaigns robot", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument("--minutes", type=float, default=5.0, help="for each input")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
     parser.add_argument("--only", choices=("config", "log", "stream", "line"))
@@ -398,7 +400,3 @@ def _fuzz(
         rounds += 1
     said = ", ".join(f"{one}: {count}" for one, count in sorted(inputs.ended.items()))
     print(f"{name}: {inputs.ended.total()} in {options.minutes:g} minutes; {said}", flush=True)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
