@@ -90,9 +90,10 @@ $(CREATED):
 	@touch $@
 
 # $(call install,extras): pip checks every requirement, but fetches only what is not there yet.
+# Python compiles what it imports, which is far less than what is installed.
 define install
 	@echo "Installing vergence$(1) into $(VENV) (a few minutes the first time)"
-	@$(PIP) install -c $(CONSTRAINTS) -e '.$(1)'
+	@$(PIP) install --no-compile -c $(CONSTRAINTS) -e '.$(1)'
 	@touch $@
 endef
 

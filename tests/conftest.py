@@ -15,6 +15,7 @@ os.environ["VERGENCE_TUNED"] = os.path.join(os.sep, "no-such-folder", "tuned.tom
 from pathlib import Path
 
 import pytest
+from _pytest.runner import runtestprotocol
 from hypothesis import settings
 
 # No deadline: the first example of a property may compile a kernel.
@@ -43,3 +44,39 @@ def undrawn(monkeypatch):
 def silent_kernels(monkeypatch):
     """Commands do not say that kernels are compiled, which depends on what has run before."""
     monkeypatch.setattr("vergence.cli._tell_of_kernels", lambda: None)
+
+
+QUICK_S = 2.0
+"""Longest that a test may take that no marker calls slow (chosen: six times what is usual)."""
+UNHURRIED = frozenset({"slow", "nightly", "real_time", "flaky"})
+
+
+def pytest_runtest_protocol(item, nextitem):
+    """Run a test without a marker again if it took long, and fail it if it does so twice.
+
+    The first time may have compiled a kernel or imported a library. Fixtures do not count.
+    """
+    if UNHURRIED.intersection(mark.name for mark in item.iter_markers()):
+        return None
+
+    def run():
+        reports = runtestprotocol(item, nextitem=nextitem, log=False)
+        called = [report for report in reports if report.when == "call" and report.passed]
+        return reports, called[0] if called and called[0].duration > QUICK_S else None
+
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    reports, slow = run()
+    if slow is not None:
+        item._initrequest()  # new fixtures
+        first_s = slow.duration
+        reports, slow = run()
+        if slow is not None:
+            slow.outcome = "failed"
+            slow.longrepr = (
+                f"expected at most {QUICK_S:g} s, got {first_s:.1f} s and {slow.duration:.1f} s: "
+                "make it quicker, or mark it slow or nightly, see CONTRIBUTING.md"
+            )
+    for report in reports:
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True

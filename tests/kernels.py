@@ -74,7 +74,7 @@ def gaze(name: str) -> None:
 
 def info(name: str) -> None:
     """A head is described with what its eyes see."""
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
         cli.main(["info", "--head", name])
 
 
