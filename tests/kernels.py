@@ -15,6 +15,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
@@ -35,7 +36,8 @@ from vergence.eval.trials.scenarios import load_scenario
 from vergence.vision import Checkerboard, make_detector
 
 DONE: Final = "compiled-for-tests"
-"""The file in the kernels' folder that says that all is there."""
+"""The file in the kernels' folder that names the sources for which all is there."""
+PACKAGE: Final = SHIPPED.parent
 SCENARIOS: Final = ("workspace", "hardware", "fast", "double-step", "wander")
 """One of each kind of target and of loop."""
 
@@ -129,7 +131,10 @@ def main(words: list[str]) -> int:
             piece()
         return 0
     folder = cache_folder()
-    if folder is None or (folder / DONE).exists():
+    sources = [path.read_bytes() for path in sorted(PACKAGE.rglob("*.py"))]
+    version = sha256(b"".join(text for text in sources if b"_jit" in text)).hexdigest()
+    done = None if folder is None else folder / DONE
+    if done is None or (done.exists() and done.read_text() == version):
         return 0
     print("compiling the kernels, once")
     command = [sys.executable, "-m", "tests.kernels"]
@@ -137,7 +142,7 @@ def main(words: list[str]) -> int:
     ended = [process.wait() for process in running]
     if any(ended):
         return 1
-    (folder / DONE).touch()
+    done.write_text(version)
     return 0
 
 

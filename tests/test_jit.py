@@ -36,6 +36,13 @@ def inverse(x):
     return ratio(1.0, scale(x))
 """
 PRINT = "from heads.kernels import *; print(scaled([1.0, 2.0]), inverse(2.0), inverse(0.0))"
+OTHERS = """
+from heads import _jit
+
+@_jit.compiled
+def apart(x):
+    return x + 1.0
+"""
 WATCH = """
 import fcntl
 from heads import _jit, _kernel_cache
@@ -66,6 +73,7 @@ def package(tmp_path):
         (folder / Path(module.__file__).name).write_text(text)
     (folder / "helper.py").write_text(HELPER.format(factor=2.0))
     (folder / "kernels.py").write_text(KERNELS)
+    (folder / "others.py").write_text(OTHERS)
     return folder
 
 
@@ -130,12 +138,6 @@ def said_by_a_call() -> list[str]:
     finally:
         _kernel_cache.set_compile_reporter(None)
     return said
-
-
-@pytest.mark.slow
-def test_importing_compiles_nothing(package):
-    assert run(package, "import heads.kernels; print()") == ""
-    assert not compiled_files(package)
 
 
 def test_a_kernel_is_pickled_by_its_name():
@@ -205,31 +207,26 @@ def test_a_damaged_cache_is_compiled_again_once(monkeypatch, tmp_path, damaged):
 
 
 @pytest.mark.slow
-def test_a_second_process_compiles_nothing(package):
-    first = run(package)
-    compiled = {path: path.stat().st_mtime_ns for path in compiled_files(package)}
-    assert compiled
-    assert run(package) == first == "[2. 4.] 0.25 inf"
-    assert {path: path.stat().st_mtime_ns for path in compiled_files(package)} == compiled
+def test_kernels_are_compiled_once_and_follow_the_sources_that_they_import(package):
+    def apart():
+        return {path for path in compiled_files(package) if "others" in str(path)}
 
-
-@pytest.mark.slow
-def test_a_kernel_follows_a_change_in_another_module(package):
-    assert run(package) == "[2. 4.] 0.25 inf"
-    outdated = compiled_files(package)
+    code = f"import heads.kernels; print()\n{PRINT}; import heads.others; heads.others.apart(1.0)"
+    assert run(package, "import heads.kernels; print()") == ""
+    assert not compiled_files(package)  # importing compiles nothing
+    assert run(package, code) == "[2. 4.] 0.25 inf"
+    first, others = compiled_files(package), apart()
+    assert len(first) > len(others) == 1
+    times = {path: path.stat().st_mtime_ns for path in first}
+    assert run(package, code) == "[2. 4.] 0.25 inf"
+    assert {path: path.stat().st_mtime_ns for path in compiled_files(package)} == times
     (package / "helper.py").write_text(HELPER.format(factor=4.0))
-    assert run(package) == "[4. 8.] 0.125 inf"
-    assert not outdated & compiled_files(package)
-
-
-@pytest.mark.slow
-def test_kernels_follow_a_change_of_the_compiler(package):
-    run(package)
-    outdated = compiled_files(package)
+    assert run(package, code) == "[4. 8.] 0.125 inf"
+    assert first & compiled_files(package) == apart() == others  # nothing old is kept, nor lost
     with (package / "_jit.py").open("a") as compiler:
         compiler.write("_OPTIMISATION = 2\n")
-    run(package)
-    assert not outdated & compiled_files(package)
+    run(package, code)
+    assert not others & compiled_files(package)
 
 
 @pytest.mark.slow

@@ -2,9 +2,10 @@
 
 Numba stores machine code beside a function's source and recompiles if that file changes. It does
 not notice a change in another module whose function or constant was compiled in, so a kernel would
-keep running the old code of an edited helper. Here the cache's folder is named by a digest of
-`vergence._jit` and the modules that name it, so that a change of any of them discards the cache. A
-constant that is compiled in must therefore be in such a module.
+keep running the old code of an edited helper. Here the folder of a module's kernels is named by a
+digest of the module and of what it imports, directly or not, as far as that names `vergence._jit`:
+a change costs the kernels that it may touch, and no others. A constant that is compiled in must
+therefore be in such a module.
 
 A wheel may carry compiled kernels in a second folder, which is only read; `make wheel` fills it. It
 serves the sources, Python and numba that it was made with, on every processor of its kind;
@@ -48,7 +49,7 @@ SHIPPED: Final = _PACKAGE / "kernels"
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Folder of the machine code of this version of the sources.
+    """Folder of the machine code, with one inside for each version of a module.
 
     It is in the first of these that can be written: ``NUMBA_CACHE_DIR``, the package's own
     ``__pycache__``, the user's cache folder.
@@ -59,17 +60,13 @@ def cache_folder() -> Path | None:
     if not Path(__file__).is_file():  # imported from an archive, whose files numba cannot check
         return None
     place = hashlib.sha256(os.fsencode(_PACKAGE)).hexdigest()[:8]
-    name = f"kernels-{place}-{_source_digest()}"
     for parent in _cache_parents():
-        folder = parent / name
+        folder = parent / f"kernels-{place}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
         except OSError:
             continue
-        for outdated in parent.glob(f"kernels-{place}-*"):
-            if outdated != folder:
-                shutil.rmtree(outdated, ignore_errors=True)
         return folder
     return None
 
@@ -87,9 +84,9 @@ _X86_64_V3: Final = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
 
 
 def shipped_name() -> str:
-    """Name of the folder of shipped kernels for these sources, this Python, numba and machine."""
+    """Name of the folder of shipped kernels for this Python, numba and machine."""
     made_with = f"{sys.implementation.cache_tag}-numba-{numba.__version__}"
-    return f"{_source_digest()}-{made_with}-{sys.platform}-{platform.machine()}"
+    return f"{made_with}-{sys.platform}-{platform.machine()}"
 
 
 @functools.cache
@@ -118,25 +115,60 @@ def _cache_parents() -> Iterator[Path]:
 
 
 @functools.cache
-def _discard_mixed_at_exit(folder: Path) -> None:
-    """Delete the cache at exit if the sources have changed while this process compiled them."""
+def _written() -> dict[str, Path]:
+    """Folders that this process writes, by module; at exit it deletes those of changed sources."""
+    folders: dict[str, Path] = {}
 
-    def discard() -> None:
-        if _source_digest() != _source_digest.__wrapped__():
-            shutil.rmtree(folder, ignore_errors=True)
+    def discard_mixed() -> None:
+        _source.cache_clear()
+        for module, folder in folders.items():
+            if not folder.name.endswith(_digest.__wrapped__(module)):
+                shutil.rmtree(folder, ignore_errors=True)
 
-    atexit.register(discard)
+    atexit.register(discard_mixed)
+    return folders
+
+
+_IMPORT: Final = re.compile(
+    rb"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|.*)|import[ \t]+([\w.]+))",
+    re.MULTILINE,
+)
+"""An import statement: the module, the names taken from it, the module of the second form."""
 
 
 @functools.cache
-def _source_digest() -> str:
-    """Digest of the compiler's module and of all that may be compiled: those that name it."""
+def _source(module: str) -> tuple[bytes, frozenset[str]]:
+    """Text of a module of this package, or of a loaded one, and the modules it may import of it."""
+    place = _PACKAGE.parent.joinpath(*module.split("."))
+    paths = [place.with_suffix(".py"), place / "__init__.py"]
+    if module.partition(".")[0] != _PACKAGE.name:
+        paths = [Path(getattr(sys.modules.get(module), "__file__", None) or "")]
+    text = b""
+    for path in paths:
+        with contextlib.suppress(OSError):
+            text = path.read_bytes()
+            break
+    found = set()
+    for origin, names, alone in _IMPORT.findall(text):
+        found.add((origin or alone).decode())
+        found.update(f"{origin.decode()}.{name.decode()}" for name in re.findall(rb"\w+", names))
+    return text, frozenset(name for name in found if name.partition(".")[0] == _PACKAGE.name)
+
+
+@functools.cache
+def _digest(module: str) -> str:
+    """Digest of the sources that a module's kernels may be compiled from."""
+    found, waiting = {}, [module]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found[name], imported = _source(name)
+            waiting += imported
     digest = hashlib.sha256()
-    for source in sorted(_PACKAGE.rglob("*.py")):
-        text = source.read_bytes()
-        if source.stem == "_jit" or b"_jit" in text:
-            digest.update(source.relative_to(_PACKAGE).as_posix().encode())
-            digest.update(text)
+    for name, text in sorted(found.items()):
+        named = name.encode() + text
+        if text and (name == module or b"_jit" in named):
+            digest.update(named)
     return digest.hexdigest()[:16]
 
 
@@ -170,6 +202,7 @@ class KernelCache(Cache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._py_func = function
+        self._module = function.__module__
         name = re.sub("[<>]", "", function.__qualname__)
         self._file_name = f"{name}-{function.__code__.co_firstlineno}{self._suffix}"
         self.enable()  # type: ignore[no-untyped-call]
@@ -198,22 +231,28 @@ class KernelCache(Cache):
         reduced = None if folder is None else self._reduced(data)
         if folder is None or reduced is None:
             return
-        _discard_mixed_at_exit(folder)
+        place = self._place(folder)
+        _written()[self._module] = place
         try:
-            (folder / self._py_func.__module__).mkdir(parents=True, exist_ok=True)
+            for outdated in folder.glob(f"{self._module}-*"):
+                if outdated != place:
+                    shutil.rmtree(outdated, ignore_errors=True)
+            place.mkdir(parents=True, exist_ok=True)
             self._file(folder).save(self._index_key(sig, data.codegen), reduced)  # type: ignore[no-untyped-call]
         except OSError as error:
             _REPORTER.not_kept(error)
 
     def _discard(self, folder: Path) -> None:
         """Delete a kernel's files."""
-        for path in (folder / self._py_func.__module__).glob(f"{self._file_name}.*nb?"):
+        for path in self._place(folder).glob(f"{self._file_name}.*nb?"):
             with contextlib.suppress(OSError):
                 path.unlink()
 
+    def _place(self, folder: Path) -> Path:
+        return folder / f"{self._module}-{_digest(self._module)}"
+
     def _file(self, folder: Path) -> IndexDataCacheFile:
-        place = str(folder / self._py_func.__module__)
-        return IndexDataCacheFile(place, self._file_name, source_stamp="")
+        return IndexDataCacheFile(str(self._place(folder)), self._file_name, source_stamp="")
 
     def _reduced(self, data: Any) -> Any:
         """Data for the file; None if the code holds an address of this process."""
