@@ -34,7 +34,7 @@ def test_recipes_are_judged_by_short_trainings_that_leave_nothing_behind(tmp_pat
         grid=False,
         storage=str(tmp_path / "study.db"),
         study="test",
-        steps=256,
+        steps=128,
     )
 
     def small(options):
