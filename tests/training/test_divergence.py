@@ -7,6 +7,7 @@ import shutil
 import pytest
 import torch
 
+from tests.naming import named
 from tests.test_cli import call
 from tests.training.runs import PPO, SMALL, STEPS, Silent, small
 from tests.training.test_resume import content_of, different
@@ -50,34 +51,26 @@ def test_the_command_ends_a_diverged_training_with_one_line(tmp_path, capsys):
     assert lines[-1].startswith("vergence: error: training diverged")
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A run that nothing has happened to."""
-    return train(tmp_path_factory.mktemp("runs") / "whole", *small(), Silent()).folder
-
-
-@pytest.fixture(scope="module")
-def stopped(tmp_path_factory):
-    """Folder of a run stopped after a quarter of its steps; tests must not change it."""
-    folder = tmp_path_factory.mktemp("runs") / "stopped"
-    train(folder, *small(), Silent(stop_after=2))
-    return folder
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("number", "call_number"),
-    [(errno.ENOSPC, 0), (errno.EACCES, 1), (errno.ENOSPC, 2), (errno.ENOSPC, 3)],
-)
 def test_a_disk_that_fails_in_mid_training_costs_nothing_that_was_saved(
-    number, call_number, whole, stopped, tmp_path, monkeypatch
+    whole, begun, tmp_path, monkeypatch
 ):
-    folder = shutil.copytree(stopped, tmp_path / "run")
+    for number, good in [(errno.ENOSPC, 0), (errno.EACCES, 1), (errno.ENOSPC, 2)]:
+        with named(number, good):
+            folder = shutil.copytree(begun, tmp_path / f"run-{good}")
+            _fail_to_rename(folder, number, good, monkeypatch)
+    resume(folder, Silent())
+    ours, theirs = (read_checkpoint(f / "checkpoints" / "last.pt") for f in (folder, whole.folder))
+    assert different(ours["parameters"], theirs["parameters"]) == []
+
+
+def _fail_to_rename(folder, number, good, monkeypatch):
+    """Resume a run on a disk that fails after so many good renames."""
     saved = read_checkpoint(folder / "checkpoints" / "last.pt")
     calls = iter(range(10**6))
 
     def replace(source, target):
-        if next(calls) >= call_number:
+        if next(calls) >= good:
             raise OSError(number, os.strerror(number))
         return rename(source, target)
 
@@ -89,17 +82,13 @@ def test_a_disk_that_fails_in_mid_training_costs_nothing_that_was_saved(
     assert os.strerror(number) in str(caught.value)
     assert f"vergence train --resume {folder} goes on" in str(caught.value)
     assert not list(folder.rglob(f"{files.PARTIAL_PREFIX}*"))
-    last = read_checkpoint(folder / "checkpoints" / "last.pt")
-    assert last["steps"] >= saved["steps"]
-    resume(folder, Silent())
-    ours, theirs = (read_checkpoint(f / "checkpoints" / "last.pt") for f in (folder, whole))
-    assert different(ours["parameters"], theirs["parameters"]) == []
+    assert read_checkpoint(folder / "checkpoints" / "last.pt")["steps"] >= saved["steps"]
 
 
 def test_a_folder_that_cannot_be_written_any_more_is_said_in_one_line(
-    stopped, tmp_path, monkeypatch, capsys
+    begun, tmp_path, monkeypatch, capsys
 ):
-    folder = shutil.copytree(stopped, tmp_path / "run")
+    folder = shutil.copytree(begun, tmp_path / "run")
     before = content_of(folder)
 
     def mkdtemp(*_words, **_more):

@@ -1,9 +1,12 @@
 """Exported networks do what the trained ones do, and the command writes them as bundles."""
 
+import shlex
+
 import gymnasium
 import numpy as np
 import pytest
 import torch
+import tyro
 from gymnasium.spaces import Box
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
@@ -13,6 +16,7 @@ from tests.heads import text_of
 from tests.test_cli import call
 from tests.training.runs import Silent
 from vergence import load_head, make_controller
+from vergence.commands.train import Train
 from vergence.controllers.gain_schedule import gains_from_action
 from vergence.controllers.networks.bundle import read_bundle
 from vergence.controllers.networks.environments import decode_velocity_action
@@ -23,7 +27,9 @@ from vergence.errors import BundleError, ConfigurationError
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.training.choices import resolve_config
+from vergence.training.config import load_run
 from vergence.training.export import export_run
+from vergence.training.learner import load_learner
 from vergence.training.networks import JointwisePolicy
 from vergence.training.onnx_export import (
     TOLERANCE,
@@ -159,13 +165,22 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def bundle(run, tmp_path_factory):
+    """The bundle that the command makes of the run's last checkpoint, in the place of a file."""
+    out = tmp_path_factory.mktemp("bundles") / "mine.vgp"
+    out.write_text("mine")
+    words = (str(run), str(out), "--checkpoint", "last")
+    assert call("export", "bundle", *words) == 2
+    assert out.read_text() == "mine"
+    assert call("export", "bundle", *words, "--force") == 0
+    return out
+
+
 @pytest.mark.slow
-def test_a_run_is_exported_to_a_bundle_that_runs(run, tmp_path, capsys):
-    out = tmp_path / "mine.vgp"
-    assert call("export", "bundle", str(run), str(out), "--checkpoint", "last") == 0
-    printed = capsys.readouterr().out
-    assert "mine.vgp: policy after 128 steps" in printed
-    manifest = read_bundle(out).manifest
+def test_a_run_is_exported_to_a_bundle_that_runs(bundle):
+    manifest = read_bundle(bundle).manifest
+    assert manifest.kind == "policy"
     assert manifest.training["seed"] == 5
     assert manifest.training["steps"] == 128
     assert manifest.training["checkpoint"] == {"name": "last", "step": 128}
@@ -174,12 +189,15 @@ def test_a_run_is_exported_to_a_bundle_that_runs(run, tmp_path, capsys):
     assert "torch" in manifest.training["versions"]
     assert manifest.metrics["onnx_difference"] <= 1e-5
     assert set(manifest.metrics["validation"]) >= {"headline", "settled_fraction"}
-    controller = make_controller("learned-policy", load_head("simulated"), bundle=out)
+    controller = make_controller("learned-policy", load_head("simulated"), bundle=bundle)
     assert np.isfinite(controller.predict(np.zeros((3, 27), "f4"))[0]).all()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "actions"), [("policy", 3), ("gain-schedule", 4)])
+@pytest.mark.parametrize(
+    ("kind", "actions"),
+    [("policy", 3), pytest.param("gain-schedule", 4, marks=pytest.mark.nightly)],
+)
 def test_a_network_is_learned_and_exported_for_a_head_with_tied_joints(tmp_path, kind, actions):
     (tmp_path / "tied.toml").write_text(text_of("tied"))
     changes = ["evaluations=1", "episodes=2", "network=[16]"]
@@ -201,13 +219,10 @@ def test_a_network_is_learned_and_exported_for_a_head_with_tied_joints(tmp_path,
     assert not trials.command[..., 3:].any()  # it has three actuators
 
 
-def test_the_exported_network_acts_as_the_learner_does(run, tmp_path):
-    from vergence.training.learner import load_learner
-
-    export_run(run, tmp_path / "a.vgp", "last")
+def test_the_exported_network_acts_as_the_learner_does(run, bundle):
     learned = load_learner(run, "last")
     head = load_head("simulated")
-    bundled = make_controller("learned-policy", head, bundle=tmp_path / "a.vgp")
+    bundled = make_controller("learned-policy", head, bundle=bundle)
     layout = bundled.layout
     rng = np.random.default_rng(0)
     seen = rng.uniform(layout.low(), layout.high(), (200, layout.size)).astype("f4")
@@ -217,23 +232,13 @@ def test_the_exported_network_acts_as_the_learner_does(run, tmp_path):
     assert bundled.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.slow
-def test_the_command_in_the_manifest_makes_the_same_configuration(run, tmp_path):
-    import shlex
-
-    import tyro
-
-    from vergence.commands.train import Train
-    from vergence.training.config import load_run
-
-    command = export_run(run, tmp_path / "a.vgp", "last").training["command"]
-    program, name, *words = shlex.split(command)
+def test_the_command_in_the_manifest_makes_the_same_configuration(run, bundle):
+    program, name, *words = shlex.split(read_bundle(bundle).manifest.training["command"])
     assert (program, name) == ("vergence", "train")
     config, _head = resolve_config(tyro.cli(Train, args=words).options)
     assert config == load_run(run)[0]
 
 
-@pytest.mark.slow
 def test_the_command_refuses_in_one_line(run, tmp_path, capsys):
     taken = tmp_path / "taken.vgp"
     taken.write_text("mine")
@@ -248,7 +253,4 @@ def test_the_command_refuses_in_one_line(run, tmp_path, capsys):
         assert out == ""
         assert len(err.strip().splitlines()) == 1
         assert said in err
-    assert taken.read_text() == "mine"
     assert [p.name for p in tmp_path.iterdir()] == ["taken.vgp"]
-    assert call("export", "bundle", str(run), str(taken), "--force") == 0
-    assert read_bundle(taken).manifest.kind == "policy"

@@ -10,7 +10,7 @@ from vergence.models import load_head
 from vergence.training.networks import JointwisePolicy
 
 
-@pytest.fixture(params=["predicted", "to_go", "error", "history"])
+@pytest.fixture(params=["to_go", "history"])
 def inputs(request) -> Inputs:
     return Inputs.of(request.param, load_head("simulated"))
 

@@ -6,6 +6,7 @@ import shutil
 import tomllib
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import tomli_w
 import torch
@@ -14,20 +15,24 @@ from tests.naming import named
 from tests.training.runs import STEPS, Silent, drawn, run_small, small
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import load_scenario
+from vergence.files import PARTIAL_PREFIX
 from vergence.models import load_head
 from vergence.models.files.head_file import save_head
 from vergence.training.checkpoint import read_checkpoint
+from vergence.training.config import load_run
 from vergence.training.export import export_run
 from vergence.training.learner import load_learner
 from vergence.training.run import resume, train
 
 RUNS = {
-    "schedule": lambda: small(),
-    "policy, mujoco, normalised inputs": lambda: small(
-        "policy", "normalise_inputs=true", plant="mujoco", randomise=True, steps=512
-    ),
-    "policy, history, without images of faults": lambda: small(
-        "policy", inputs="history", scenario="workspace", steps=512
+    "gain-schedule": lambda: small(),
+    "policy": lambda: small(
+        "policy",
+        "normalise_inputs=true",
+        inputs="history",
+        plant="mujoco",
+        randomise=True,
+        steps=512,
     ),
 }
 
@@ -70,30 +75,67 @@ def content_of(folder):
     }
 
 
+class Killed(BaseException):
+    """Ends a run in mid-rollout, without a word to anything that would save it."""
+
+
+class KillsAt(Silent):
+    """A listener at which the run dies after so many steps."""
+
+    def __init__(self, steps: int) -> None:
+        super().__init__()
+        self._last = steps
+
+    def step(self, done: int, total: int) -> None:
+        if done >= self._last:
+            raise Killed
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", RUNS)
-def test_a_resumed_run_ends_as_the_uninterrupted_one_to_the_last_bit(kind, tmp_path):
-    whole = train(tmp_path / "whole", *RUNS[kind](), Silent())
+def test_a_killed_and_a_stopped_run_end_as_the_uninterrupted_one_to_the_last_bit(
+    kind, tmp_path, request
+):
+    config, head = RUNS[kind]()
+    if kind == "gain-schedule":
+        whole = request.getfixturevalue("whole")
+    else:
+        whole = train(tmp_path / "whole", config, head, Silent())
     parts = tmp_path / "parts"
-    train(parts, *RUNS[kind](), Silent(stop_after=2))
-    listener = Silent(stop_after=1)
-    resume(parts, listener)
-    assert 0 < listener.went_on_from < whole.steps
-    resume(parts, Silent())
+    stopped = train(parts, config, head, Silent(stop_after=2))
+    assert (stopped.finished, stopped.steps) == (False, config.steps // 4)
+    listener = KillsAt(config.steps - 64)  # after the last checkpoint but one, in mid-rollout
+    with pytest.raises(Killed):
+        resume(parts, listener)
+    assert listener.went_on_from == stopped.steps
+    left = parts / "checkpoints" / f"{PARTIAL_PREFIX}abc"  # as a kill amid a write leaves it
+    left.mkdir()
+    (left / "last.pt").write_bytes(b"half")
+    listener = Silent()
+    assert resume(parts, listener).finished
+    assert stopped.steps < listener.went_on_from < config.steps
+    assert not left.exists()
     for which in ("last", "best"):
         ours, theirs = (
             read_checkpoint(folder / "checkpoints" / f"{which}.pt")
             for folder in (whole.folder, parts)
         )
         assert different(ours, theirs) == []
+    curves = [pd.read_csv(f / "curve.csv") for f in (whole.folder, parts)]
+    pd.testing.assert_frame_equal(
+        *(curve.drop(columns="steps_per_s") for curve in curves), check_exact=True
+    )
 
 
 @pytest.mark.slow
-def test_more_steps_mean_the_learning_rate_of_a_run_that_was_to_have_as_many(tmp_path):
+def test_a_run_goes_on_to_more_steps_at_the_learning_rate_of_a_run_of_as_many(
+    tmp_path,
+):
     config, head = small("gain-schedule", "final_learning_rate=1e-5", steps=256)
     first, last = config.algorithm["learning_rate"], config.final_learning_rate
     train(tmp_path / "run", config, head, Silent())
-    resume(tmp_path / "run", Silent(), steps=512)
+    assert resume(tmp_path / "run", Silent(), steps=512).finished
+    assert load_run(tmp_path / "run")[0].steps == 512
     content = read_checkpoint(tmp_path / "run" / "checkpoints" / "last.pt")
     optimizer = content["parameters"]["policy.optimizer"]
     assert optimizer["param_groups"][0]["lr"] == pytest.approx(last, rel=1e-6)
@@ -152,9 +194,8 @@ def test_a_kill_between_the_names_of_last_and_best_loses_neither(tmp_path):
     assert different(read_checkpoint(best), before) == []
 
 
-@pytest.mark.parametrize("which", ["last", "best"])
-def test_a_flipped_bit_anywhere_in_a_checkpoint_is_found(which, mine):
-    path = mine / "checkpoints" / f"{which}.pt"
+def test_a_flipped_bit_anywhere_in_a_checkpoint_is_found(mine):
+    path = mine / "checkpoints" / "last.pt"
     whole = bytearray(path.read_bytes())
     places = {*range(64), *range(len(whole) - 160, len(whole)), *range(0, len(whole), 997)}
     for place in sorted(places):
@@ -236,17 +277,16 @@ def test_another_number_of_steps_is_no_other_run(mine):
     assert resume(mine, Silent(), steps=STEPS - 128).finished
 
 
-@pytest.mark.parametrize("consistent", [False, True])
-def test_another_head_is_refused(consistent, mine):
+def test_another_head_is_refused(mine):
     other = load_head("physical")
     save_head(other, mine / "head.toml")
-    if consistent:  # as one would who copies a folder together
-        text = (mine / "config.toml").read_text()
-        ours = load_scenario("hardware").model().digest
-        (mine / "config.toml").write_text(text.replace(ours, other.digest))
-    for way in (lambda: resume(mine, Silent()), lambda: export_run(mine, mine / "mine.vgp")):
-        with pytest.raises(ConfigurationError, match=r"head\.toml: expected the head that"):
-            way()
+    text = (mine / "config.toml").read_text()
+    consistent = text.replace(load_scenario("hardware").model().digest, other.digest)
+    for content in (text, consistent):  # the latter of one who copies a folder together
+        (mine / "config.toml").write_text(content)
+        for way in (lambda: resume(mine, Silent()), lambda: export_run(mine, mine / "mine.vgp")):
+            with pytest.raises(ConfigurationError, match=r"head\.toml: expected the head that"):
+                way()
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """Training runs: what they write, that they repeat, and that they go on."""
 
-import json
 import tomllib
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from tests.training.runs import STEPS, Silent, drawn, run_small, small
+from tests.training.runs import STEPS, Silent, run_small, small
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models import load_head
 from vergence.training.checkpoint import read_checkpoint, write_checkpoint
@@ -18,14 +17,10 @@ from vergence.training.curve import COLUMNS
 from vergence.training.learner import load_learner
 from vergence.training.run import resume, train
 
-WITHOUT_CLOCK = [name for name in COLUMNS if name != "steps_per_s"]
-
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "run"
-    with drawn():
-        return run_small(folder)
+def run(whole):
+    return whole
 
 
 def parameters(folder, which="last"):
@@ -71,34 +66,12 @@ def test_tensorboard_has_the_validation(run):
     assert "train/value_loss" in events.Tags()["scalars"]
 
 
-def test_the_same_seed_gives_the_same_curve_and_the_same_network(run, tmp_path):
-    again = run_small(tmp_path / "again")
-    ours, theirs = (pd.read_csv(r.folder / "curve.csv")[WITHOUT_CLOCK] for r in (run, again))
-    pd.testing.assert_frame_equal(ours, theirs, check_exact=True)
-    for name, tensor in parameters(run.folder)["policy"].items():
-        assert torch.equal(tensor, parameters(again.folder)["policy"][name])
-
-
 @pytest.mark.slow
-def test_another_seed_gives_another_network(run, tmp_path):
-    other = run_small(tmp_path / "other", seed=1)
-    assert any(
-        not torch.equal(tensor, parameters(other.folder)["policy"][name])
-        for name, tensor in parameters(run.folder)["policy"].items()
-    )
-
-
-@pytest.mark.slow
-def test_a_stopped_run_goes_on_to_the_same_number_of_steps(run, tmp_path):
-    folder = tmp_path / "run"
-    stopped = train(folder, *small(), Silent(stop_after=2))
-    assert (stopped.finished, stopped.steps) == (False, STEPS // 4)
-    result = resume(folder, Silent())
-    assert (result.finished, result.steps) == (True, STEPS)
-    assert [row["step"] for row in result.rows] == [row["step"] for row in run.rows]
-    # until it stopped it was the run that was not stopped
-    for ours, theirs in zip(result.rows[:2], run.rows, strict=False):
-        assert {k: ours[k] for k in WITHOUT_CLOCK} == {k: theirs[k] for k in WITHOUT_CLOCK}
+def test_another_seed_gives_another_network(begun, tmp_path):
+    train(tmp_path / "other", *small(seed=1), Silent(stop_after=2))
+    others = parameters(tmp_path / "other")["policy"]
+    for name, tensor in parameters(begun)["policy"].items():
+        assert not torch.equal(tensor, others[name]) or not tensor.any(), name
 
 
 def test_what_is_restored_is_what_was_saved(run):
@@ -138,8 +111,8 @@ def test_the_controller_of_a_run_settles_as_the_curve_says(run):
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", [("normalise_inputs=true",), ("inputs=observation",)])
 def test_a_policy_is_learned_from_normalised_and_from_raw_inputs(changes, tmp_path):
-    result = run_small(tmp_path / "run", *changes, kind="policy", steps=256, randomise=True)
-    assert result.steps == 256
+    result = run_small(tmp_path / "run", *changes, kind="policy", steps=128, randomise=True)
+    assert result.steps == 128
     learner = load_learner(result.folder, "last")
     moments = learner.normalisation.obs_rms
     assert (np.abs(moments.mean).max() > 0.0) == ("normalise_inputs=true" in changes)
@@ -151,28 +124,9 @@ def test_a_finished_run_does_not_go_on_but_to_more_steps(run):
         resume(run.folder, Silent())
 
 
-@pytest.mark.slow
-def test_a_run_can_go_on_to_more_steps(tmp_path):
-    run_small(tmp_path / "run", steps=256)
-    result = resume(tmp_path / "run", Silent(), steps=512)
-    assert (result.finished, result.steps) == (True, 512)
-    assert load_run(tmp_path / "run")[0].steps == 512
-
-
 def test_a_run_folder_is_never_trained_in_anew(run):
     with pytest.raises(ConfigurationError, match=f"--resume {run.folder}"):
         train(run.folder, *small(), Silent())
-
-
-def test_a_checkpoint_that_is_none_is_refused(run, tmp_path):
-    path = tmp_path / "last.pt"
-    with pytest.raises(ConfigurationError, match="No such file"):
-        read_checkpoint(path)
-    whole = (run.folder / "checkpoints" / "last.pt").read_bytes()
-    for content in (b"", b"nonsense", whole[: len(whole) // 2], json.dumps({}).encode()):
-        path.write_bytes(content)
-        with pytest.raises(ConfigurationError, match="expected a checkpoint"):
-            read_checkpoint(path)
 
 
 class Evil:
@@ -184,6 +138,8 @@ class Evil:
 
 def test_a_checkpoint_runs_nothing(tmp_path, capsys):
     path = tmp_path / "last.pt"
+    with pytest.raises(ConfigurationError, match="No such file"):
+        read_checkpoint(path)
     torch.save({"format": 1, "steps": Evil()}, path)
     with pytest.raises(ConfigurationError, match="expected a checkpoint"):
         read_checkpoint(path)

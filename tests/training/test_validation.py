@@ -1,7 +1,10 @@
 """Baselines of a controller in training, and messages on the comparison."""
 
+import dataclasses
+
 import pytest
 
+from tests.naming import named
 from vergence import make_controller
 from vergence.commands.train import _end, _Watch
 from vergence.eval.trials.run import run_trials
@@ -39,23 +42,29 @@ def test_settling_counts_in_the_band_that_leads_the_scenario():
         assert ValidationScore.of(trials).mean == pytest.approx(settle.mean())
 
 
-@pytest.mark.parametrize(
-    ("gain", "unit", "said"),
-    [
+def test_the_trials_are_those_of_the_validation_split_with_the_runs_seed():
+    scenario = dataclasses.replace(load_scenario("hardware"), duration_s=0.5)
+    controller = make_controller("saccade", scenario.model())
+    validation = Validation(scenario, scenario.model(), "kinematic", 3, 2)
+    trials = run_trials(controller, scenario, episodes=2, seed=3, split="validation")
+    assert validation.score(controller) == ValidationScore.of(trials)
+
+
+def test_a_run_is_compared_with_the_best_baseline_by_its_name(tmp_path, capsys):
+    score = ValidationScore(headline=0.7, mean=0.7, settled_fraction=1.0)
+    for gain, unit, said in [
         (2.0, "s", "2.00 times faster than"),
         (0.185, "s", "5.41 times slower than"),
         (2.0, "px", "2.00 times nearer than"),
         (0.5, "px", "2.00 times farther than"),
         (1.001, "s", "neither faster nor slower than"),
-    ],
-)
-def test_a_run_is_compared_with_the_best_baseline_by_its_name(tmp_path, capsys, gain, unit, said):
-    watch = _Watch(tmp_path)
-    score = ValidationScore(headline=0.7, mean=0.7, settled_fraction=1.0)
-    watch.begin({"ibvs-tuned (untuned for this head)": score}, unit)
-    row = {"step": 1, "headline": 0.7 / gain, "settled_fraction": 1.0, "steps_per_s": 9}
-    watch.row({**row, "gain": gain})
-    assert f"{said} ibvs-tuned (untuned for this head)," in capsys.readouterr().err
+    ]:
+        with named(gain, unit):
+            watch = _Watch(tmp_path)
+            watch.begin({"ibvs-tuned (untuned for this head)": score}, unit)
+            row = {"step": 1, "headline": 0.7 / gain, "settled_fraction": 1.0, "steps_per_s": 9}
+            watch.row({**row, "gain": gain})
+            assert f"{said} ibvs-tuned (untuned for this head)," in capsys.readouterr().err
 
 
 def test_the_end_of_a_run_says_who_is_slower_than_the_best_baseline(capsys, tmp_path):
