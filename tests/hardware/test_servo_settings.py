@@ -163,7 +163,7 @@ def test_a_slow_eeprom_is_waited_for(robot):
 
 @pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning")
 def test_lost_packets_do_not_end_a_start(monkeypatch):
-    for seed in range(10):
+    for seed in range(3):
         robot = VirtualRobot(monkeypatch)
         robot.world._rng = np.random.default_rng(seed)
         robot.fault(what="lost", probability=0.02)
