@@ -202,11 +202,6 @@ def test_a_joint_that_nobody_has_asked_for_long_may_be_anywhere():
     assert servos.update({i: answer(1.2) for i in range(1, 5)}, 5.0) == {1, 2, 3, 4}
 
 
-def test_a_neck_without_servos_is_at_its_rest():
-    servos = ServoAngles(configs(TURRETS), TURRETS)
-    assert servos.joint_angles_and_speeds()[0][:3].tolist() == TURRETS.rest()[:3].tolist()
-
-
 def test_ticks_per_radian_have_the_sign_of_the_servo():
     one = configs(TURRETS)[0]
     assert one.ticks_per_rad * 2.0 * np.pi == pytest.approx(4096)
