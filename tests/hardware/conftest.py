@@ -18,6 +18,14 @@ collect_ignore = NEED if sys.platform == "win32" else []
 
 
 @pytest.fixture
+def robot(monkeypatch):
+    """An emulated robot in simulated time."""
+    from tests.hardware.virtual import VirtualRobot
+
+    return VirtualRobot(monkeypatch)
+
+
+@pytest.fixture
 def serve():
     """Serve servos on a pseudo-terminal until the test ends."""
     from tests.hardware.line import served_line

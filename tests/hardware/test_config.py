@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vergence import load_head
@@ -325,6 +325,7 @@ GARBAGE = st.recursive(
 )
 
 
+@settings(max_examples=15)
 @given(st.data())
 def test_no_document_is_a_fault_of_the_program(tmp_path_factory, data):
     values = copy.deepcopy(document())

@@ -1,6 +1,6 @@
 """At rest within its bound after each fault, at drawn moments, by the emulator's own record."""
 
-import os
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,14 +8,65 @@ import pytest
 
 from benchmarks.faults import GOES_ON, Bounds, Mover, cases
 from tests.hardware.virtual import LIMIT_RAD, VirtualRobot, virtual_config
+from tests.naming import named
 from vergence.hardware.dynamixel import control_table as table
 
-pytestmark = pytest.mark.slow
-
-MOMENTS = int(os.environ.get("VERGENCE_FAULT_MOMENTS", "10"))
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning"),  # before the stop
+]
+QUICK, MORE = range(2), range(2, 10)
 BOUNDS = Bounds(virtual_config())
-LINE = ("doubled", "lost")
-STOPS = {name: case for name, case in cases(BOUNDS).items() if "eye" not in case.request}
+
+
+def emulated(request):
+    """A fault of the emulator, while the policy goes on."""
+
+    def happen(now):
+        now.robot.fault(**request)
+        now.drive(6.0)
+
+    return happen
+
+
+def of_eye(eye, name):
+    """An eye that fails from now on."""
+
+    def happen(now):
+        setattr(now.robot.eyes[eye], name, now.robot.clock())
+        now.drive(3.0)
+
+    return happen
+
+
+def sleep(now):
+    now.robot.clock.sleep(1.0)
+    now.drive(0.1)
+
+
+def stand_still(now):
+    now.robot.clock.stand_still(1.0)
+    now.drive(0.1)
+
+
+STOPS = {
+    name: (emulated(case.request), case.reason, case.bound_s)
+    for name, case in cases(BOUNDS).items()
+    if "eye" not in case.request
+} | {
+    "no new image of the left": (of_eye(0, "stalled_s"), "a new image", BOUNDS.image_s),
+    "no new image of the right": (of_eye(1, "stalled_s"), "a new image", BOUNDS.image_s),
+    "a stream that ends": (
+        of_eye(1, "ended_s"), "the stream ended", BOUNDS.period_s + BOUNDS.leave_s,
+    ),
+    "a command that is no number": (
+        lambda now: now.robot.plant.step(np.full((1, 7), np.nan)), "nan", BOUNDS.leave_s,
+    ),
+    "a policy that sleeps": (sleep, "of silence", BOUNDS.alone_s),
+    "a process that stands still": (stand_still, "of silence", BOUNDS.alone_s),
+    "the end": (lambda now: now.robot.plant.close(), "", BOUNDS.rest_s),
+}  # fmt: skip
+"""By name: what happens, a part of the reason of the stop, and the bound, s."""
 
 
 @pytest.fixture
@@ -36,100 +87,58 @@ def moment(monkeypatch):
         drive(rng.uniform(0.3, 1.5))
         assert robot.plant.fault == ""
         robot.clock.sleep(rng.uniform(0.0, BOUNDS.period_s))
-        return SimpleNamespace(robot=robot, drive=drive, since_s=robot.clock())
+        return SimpleNamespace(robot=robot, drive=drive)
 
     return make
 
 
-def rested_s(now):
-    """After how long from the moment on the joints rested; for 0.5 s nobody speaks any more."""
-    now.robot.clock.sleep(0.5)
-    return now.robot.rested_s(now.since_s)
+def assert_rests(moment, name, seeds):
+    """Each time the joints rest within the bound; for 0.5 s nobody speaks any more."""
+    happen, reason, bound_s = STOPS[name]
+    for seed in seeds:
+        with named(name, seed):
+            now = moment(seed)
+            since_s = now.robot.clock()
+            happen(now)
+            assert reason in now.robot.plant.fault
+            now.robot.clock.sleep(0.5)
+            assert now.robot.rested_s(since_s) <= bound_s
 
 
-@pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning")  # before the stop
-@pytest.mark.parametrize("name", STOPS)
-def test_a_fault_brings_the_joints_to_rest_within_its_bound(moment, name):
-    case = STOPS[name]
-    for seed in range(MOMENTS):
-        now = moment(seed)
-        now.robot.fault(**case.request)
-        now.drive(6.0)
-        assert case.reason in now.robot.plant.fault, seed
-        assert rested_s(now) <= case.bound_s, seed
+@pytest.mark.parametrize("part", range(4))
+def test_a_fault_brings_the_joints_to_rest_within_its_bound(moment, part):
+    for name in list(STOPS)[part::4]:
+        assert_rests(moment, name, QUICK)
 
 
-@pytest.mark.parametrize("eye", [0, 1])
-def test_a_camera_that_gives_nothing_new_stops(moment, eye):
-    for seed in range(MOMENTS):
-        now = moment(seed)
-        now.robot.eyes[eye].stalled_s = now.robot.clock()
-        now.drive(3.0)
-        assert "expected a new image" in now.robot.plant.fault
-        assert rested_s(now) <= BOUNDS.image_s, seed
+@pytest.mark.nightly
+@pytest.mark.parametrize("part", range(4))
+def test_at_more_moments_a_fault_brings_the_joints_to_rest_within_its_bound(moment, part):
+    for name in list(STOPS)[part::4]:
+        assert_rests(moment, name, MORE)
 
 
-def test_a_stream_that_ends_stops(moment):
-    for seed in range(MOMENTS):
-        now = moment(seed)
-        now.robot.eyes[1].ended_s = now.robot.clock()
-        now.drive(3.0)
-        assert "the stream ended" in now.robot.plant.fault
-        assert rested_s(now) <= BOUNDS.period_s + BOUNDS.leave_s, seed
+@pytest.mark.parametrize("seeds", [[1], pytest.param(MORE, marks=pytest.mark.nightly)])
+def test_a_policy_that_pauses_passes_no_limit(moment, seeds):
+    for seed, pause_s in itertools.product(seeds, (0.03, 0.1, 0.2)):
+        with named(pause_s, seed):
+            robot = moment(seed).robot
+            for _ in range(12 + 2 * seed):
+                robot.plant.step(np.full((1, 7), np.inf))
+            robot.clock.sleep(pause_s)
+            robot.world.advance_to(robot.clock())
+            assert max(one.q for one in robot.world.servos.values()) < LIMIT_RAD
 
 
-def test_a_command_that_is_no_number_stops(moment):
-    for seed in range(MOMENTS):
-        now = moment(seed)
-        now.robot.plant.step(np.full((1, 7), np.nan))
-        assert "nan" in now.robot.plant.fault
-        assert rested_s(now) <= BOUNDS.leave_s, seed
-
-
-def test_a_policy_that_sleeps_is_stopped(moment):
-    for seed in range(MOMENTS):
-        now = moment(seed)
-        now.robot.clock.sleep(1.0)
-        now.drive(0.1)
-        assert "of silence" in now.robot.plant.fault
-        assert rested_s(now) <= BOUNDS.alone_s, seed
-
-
-@pytest.mark.parametrize("pause_s", [0.03, 0.1, 0.2])
-def test_a_policy_that_pauses_passes_no_limit(moment, pause_s):
-    fast = np.full((1, 7), np.inf)
-    for seed in range(MOMENTS):
-        now = moment(seed)
-        for _ in range(12 + 2 * seed):
-            now.robot.plant.step(fast)
-        now.robot.clock.sleep(pause_s)
-        now.robot.world.advance_to(now.robot.clock())
-        assert max(one.q for one in now.robot.world.servos.values()) < LIMIT_RAD, seed
-
-
-def test_a_process_that_stands_still_is_stopped_by_the_servos(moment):
-    for seed in range(MOMENTS):
-        now = moment(seed)
-        now.robot.clock.stand_still(1.0)
-        now.drive(0.1)
-        assert "of silence" in now.robot.plant.fault
-        assert rested_s(now) <= BOUNDS.alone_s, seed
-
-
-def test_closing_brings_the_joints_to_rest_at_once(moment):
-    for seed in range(MOMENTS):
-        now = moment(seed)
-        now.robot.plant.close()
-        assert rested_s(now) <= BOUNDS.rest_s, seed
-
-
-@pytest.mark.parametrize("fault", [one for one in GOES_ON.values() if one["what"] in LINE])
-def test_a_line_that_is_not_clean_goes_on(moment, fault):
-    for seed in range(MOMENTS):
-        now = moment(seed)
-        now.robot.fault(**fault)
-        now.drive(1.5)
-        assert now.robot.plant.fault == "", seed
+@pytest.mark.parametrize("seeds", [QUICK, pytest.param(MORE, marks=pytest.mark.nightly)])
+def test_a_line_that_is_not_clean_goes_on(moment, seeds):
+    for fault in (one for one in GOES_ON.values() if one["what"] in ("doubled", "lost")):
+        for seed in seeds:
+            with named(fault, seed):
+                now = moment(seed)
+                now.robot.fault(**fault)
+                now.drive(1.5)
+                assert now.robot.plant.fault == ""
 
 
 def test_a_stop_keeps_the_torque_but_for_servos_that_are_hot(moment):
@@ -140,6 +149,7 @@ def test_a_stop_keeps_the_torque_but_for_servos_that_are_hot(moment):
     assert torque == {1: 1, 2: 0, 3: 1, 4: 1}
 
 
+@pytest.mark.filterwarnings("default::vergence.errors.VergenceWarning")
 def test_warm_servos_are_told_of_and_go_on(moment):
     now = moment(0)
     now.robot.fault(what="temperature", ids=[2], value=64)

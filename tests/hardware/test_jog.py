@@ -121,10 +121,7 @@ def test_a_joint_that_is_pushed_is_stopped(desk, by_rad, said):
 
 
 def test_a_servo_that_falls_silent_is_named(desk):
-    def fall_silent():
-        desk.servos[0].silent = True
-
-    desk.meanwhile = fall_silent
+    desk.meanwhile = lambda: setattr(desk.servos[0], "silent", True)
     with pytest.raises(HardwareError, match="left_pan: expected an answer of the id 1, got none"):
         desk.jog.step("left_pan", 0.1)
 
@@ -309,18 +306,18 @@ def test_what_is_not_written_is_told_in_the_end(jog):
     assert load_hardware(path).servos[0].sign == 1
 
 
-@pytest.mark.parametrize("word", ["left_pam", "step", "step 3", "step nan", "+ 5", "zero left_pan"])
-def test_a_word_that_cannot_be_is_told_and_fails_a_script(jog, word):
-    code, out, _err, _path, _servos = jog([word, "help"])
+def test_words_that_cannot_be_are_told_and_fail_a_script(jog):
+    words = ["left_pam", "step", "step 3", "step nan", "+ 5", "zero left_pan"]
+    code, out, *_ = jog([*words, "help"])
     assert code == 1
-    assert "error: " in out
+    assert out.count("error: ") == len(words)
     assert "turn it by a step" in out
 
 
 @pytest.mark.slow
 def test_plus_and_minus_turn_the_joint_by_the_step(jog):
-    _code, out, _err, _path, servos = jog(["step 0.2", "+", "+", "-", "off"])
-    assert servos[0].q == pytest.approx(0.2, rel=0.3)
+    _code, out, _err, _path, servos = jog(["step 0.06", "+", "+", "-", "off"])
+    assert servos[0].q == pytest.approx(0.06, rel=0.3)
     assert "left_pan: torque is off" in out
     assert servos[0].get(table.TORQUE_ENABLE) == 0
 

@@ -5,16 +5,12 @@ import logging
 import numpy as np
 import pytest
 
-from tests.hardware.virtual import VirtualRobot
-
 STILL = np.zeros((1, 7))
 
 
-@pytest.fixture
-def robot(monkeypatch, caplog):
-    """A robot whose lines are kept from DEBUG on."""
+@pytest.fixture(autouse=True)
+def all_lines(caplog):
     caplog.set_level(logging.DEBUG, "vergence")
-    return VirtualRobot(monkeypatch)
 
 
 def test_a_trial_says_what_opens_drives_begins_and_closes(robot, caplog):

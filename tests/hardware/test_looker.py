@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 from tests.hardware.fakes import HEAD, TAG
-from tests.hardware.virtual import VirtualRobot
 from vergence.errors import HardwareError
 from vergence.hardware import looker as module
 from vergence.hardware.looker import RobotLooker
-
-
-@pytest.fixture
-def robot(monkeypatch):
-    return VirtualRobot(monkeypatch)
 
 
 @pytest.fixture

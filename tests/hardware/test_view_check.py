@@ -7,6 +7,7 @@ import pytest
 
 from tests.hardware.fakes import HEAD, TAG, blank, with_tag
 from tests.hardware.virtual import VirtualRobot, WatchedWorld, virtual_config
+from tests.naming import named
 from vergence import load_head
 from vergence.errors import ChecksFailedError, HardwareError
 from vergence.hardware.dynamixel import control_table as table
@@ -60,24 +61,21 @@ def offset(slot, by_rad):
 
 
 @pytest.mark.parametrize("head", [HEAD, ICUB], ids=["turrets", "icub"])
-def test_a_right_head_passes(head):
+def test_a_right_head_passes_and_exchanged_cameras_are_named(head):
     assert seen(head) == []
-
-
-@pytest.mark.parametrize("head", [HEAD, ICUB], ids=["turrets", "icub"])
-def test_exchanged_cameras_are_named(head):
     finding = only(seen(head, pixels=lambda pixels: pixels[::-1]))
     assert finding.part == "cameras"
     assert "the cameras are exchanged" in finding.problem
     assert not finding.warning
 
 
-@pytest.mark.parametrize("name", SLOTS)
-def test_a_wrong_sign_is_named_with_its_joint(name):
-    finding = only(seen(angles=with_sign(SLOTS[name])))
-    assert finding.part == f"servos: {name}"
-    assert "its sign is wrong" in finding.problem
-    assert finding.cure.startswith("sign = -1")
+def test_a_wrong_sign_is_named_with_its_joint():
+    for name, slot in SLOTS.items():
+        with named(name):
+            finding = only(seen(angles=with_sign(slot)))
+            assert finding.part == f"servos: {name}"
+            assert "its sign is wrong" in finding.problem
+            assert finding.cure.startswith("sign = -1")
 
 
 def test_exchanged_ids_are_named():
@@ -169,7 +167,7 @@ def robot_before_a_target(monkeypatch, head=HEAD, motors=None, config=None, **op
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("head", [HEAD, ICUB], ids=["turrets", "icub"])
+@pytest.mark.parametrize("head", [HEAD, pytest.param(ICUB, marks=pytest.mark.nightly)])
 def test_a_right_robot_with_friction_and_play_begins(monkeypatch, head):
     motors = MotorOptions(friction=0.06, gravity=0.1, backlash_rad=0.004, speed_gain=0.87)
     robot = robot_before_a_target(monkeypatch, head, motors)

@@ -318,3 +318,7 @@ class VirtualRobot:
         """After how long from a time on all joints rested, s; inf if one turns now."""
         rested_s = self.world.rest_report(since_s, self.clock())["rested_s"]
         return np.inf if rested_s is None else rested_s - since_s
+
+    def registers(self, register):
+        """Value of a register of each servo."""
+        return [servo.get(register) for servo in self.world.servos.values()]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.hardware.virtual import VirtualRobot, WatchedWorld, virtual_config
+from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.hardware.delay.measure import actuator_slot, measure_loop
 from vergence.hardware.delay.samples import SampleCollector
@@ -13,28 +14,15 @@ from vergence.models.files.head_file import load_head
 TURRETS = load_head("turrets")
 
 
-def name_of(head, slot):
-    return head.actuation.names[slot - 3]
-
-
 def test_an_eye_is_turned_by_what_moves_its_own_image():
-    assert [name_of(TURRETS, actuator_slot(TURRETS, eye)) for eye in (0, 1)] == [
-        "left_pan",
-        "right_pan",
-    ]
-    assert name_of(TURRETS, actuator_slot(TURRETS, 1, "right_tilt")) == "right_tilt"
-
-
-@pytest.mark.parametrize("name", ["right_pan", "left_roll", ""])
-def test_an_actuator_that_does_not_turn_the_eye_is_refused(name):
-    with pytest.raises(ConfigurationError, match="left_pan or left_tilt, got"):
-        actuator_slot(TURRETS, 0, name)
-
-
-def test_an_actuator_that_eyes_share_turns_both():
-    head = load_head("icub")
-    shared = {actuator_slot(head, eye, name) for eye in (0, 1) for name in ("eyes_tilt",)}
-    assert len(shared) == 1
+    # left_pan, left_tilt, right_pan, right_tilt
+    assert [actuator_slot(TURRETS, eye) for eye in (0, 1)] == [3, 5]
+    assert actuator_slot(TURRETS, 1, "right_tilt") == 6
+    for name in ("right_pan", "left_roll", ""):
+        with named(name), pytest.raises(ConfigurationError, match="left_pan or left_tilt, got"):
+            actuator_slot(TURRETS, 0, name)
+    icub = load_head("icub")
+    assert actuator_slot(icub, 0, "eyes_tilt") == actuator_slot(icub, 1, "eyes_tilt") == 3
 
 
 def test_a_reading_is_dated_to_within_its_exchange():
@@ -48,16 +36,31 @@ def test_a_reading_is_dated_to_within_its_exchange():
     )
 
 
-@pytest.mark.slow  # a minute of a robot
-def test_friction_is_not_taken_for_play_or_latency():
-    motors = MotorOptions(friction=0.05, gravity=0.1, command_latency_s=0.01)
+def measured(monkeypatch, motors, actuator):
+    """The loop of the left eye of a robot whose images are 70 ms late."""
     world = WatchedWorld(TURRETS, np.array([0.0, -0.1, 1.0]), motors, latency_s=0.07)
-    with pytest.MonkeyPatch.context() as patch:
-        robot = VirtualRobot(patch, world, virtual_config(TURRETS, latency_s=0.08))
-        found = measure_loop(
-            robot.config, ("left",), actuator="left_tilt", clock=robot.clock,
-            sleep=robot.clock.sleep,
-        )  # fmt: skip
+    robot = VirtualRobot(monkeypatch, world, virtual_config(TURRETS, latency_s=0.08))
+    return measure_loop(
+        robot.config, ("left",), actuator=actuator, clock=robot.clock, sleep=robot.clock.sleep,
+        view_check=actuator is not None,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_loop_is_found_in_the_motion_of_one_eye(monkeypatch):
+    motors = MotorOptions(command_latency_s=0.01, speed_gain=0.9, backlash_rad=0.004)
+    (eye,) = measured(monkeypatch, motors, None).eyes
+    assert eye.actuator == "left_pan"
+    assert eye.image_fit.least_latency_s == pytest.approx(0.07, abs=2e-3)
+    assert eye.image_fit.backlash_rad == pytest.approx(0.004, abs=5e-4)
+    assert eye.joint_fit.motor.latency_s == pytest.approx(0.01, abs=2e-3)
+    assert eye.joint_fit.motor.gain == pytest.approx(0.9, abs=0.01)
+
+
+@pytest.mark.nightly
+def test_friction_is_not_taken_for_play_or_latency(monkeypatch):
+    motors = MotorOptions(friction=0.05, gravity=0.1, command_latency_s=0.01)
+    found = measured(monkeypatch, motors, "left_tilt")
     (eye,) = found.eyes
     assert eye.image_fit.least_latency_s == pytest.approx(0.07, abs=1e-3)
     assert eye.image_fit.backlash_rad < 3e-4

@@ -232,7 +232,7 @@ def test_a_search_turns_both_eyes_slowly_over_the_field_of_view():
     robot = Robot(lost_s=0.3, search=True)
     robot.prove()
     seen = []
-    for _ in range(round(30.0 / PERIOD_S)):
+    for _ in range(round(16.0 / PERIOD_S)):
         robot.step(target_visible=False)
         assert np.abs(robot.speeds).max() < 1.0
         seen.append(robot.angles[3:].copy())
