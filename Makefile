@@ -50,7 +50,7 @@ test-all: test ## what `make test` does, and the tests of many seconds that it l
 	@$(PYTEST) -m "nightly and real_time" $(ARGS) || $(NO_TESTS_SELECTED)
 
 check: $(TEST) ## lint and the quick tests of what differs from main, or of rooms (ROOM="models eval")
-	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && $(MAKE) lint && \
+	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && $(MAKE) -j2 lint kernels && \
 	  echo "pytest $$places" && \
 	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow and not nightly" $(ARGS) $$places || $(NO_TESTS_SELECTED); }
 

@@ -13,7 +13,7 @@ import pytest
 
 from tests.naming import named
 from vergence.cli import main
-from vergence.controllers.controller import CONTROLLERS, default_options
+from vergence.controllers.controller import default_options
 from vergence.models import load_head
 
 
@@ -90,6 +90,17 @@ def test_the_same_seed_gives_the_same_result(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_a_controller_has_its_own_gain_or_none(tmp_path):
+    for controller in ("pid", "saccade"):
+        folder = tmp_path / controller
+        words = ("--controller", controller, "--plant", "kinematic", "--out", str(folder))
+        assert call("gaze", *words) == 0
+        gain = default_options(controller).get("gain")
+        assert json.loads((folder / "result.json").read_text())["gain"] == gain
+        assert tomllib.loads((folder / "config.toml").read_text())["config"].get("gain") == gain
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_the_table_shows_truth_methods_sigma_and_errors(tmp_path, capsys):
     call("gaze", "--plant", "kinematic", "--out", str(tmp_path / "run"))
     printed = capsys.readouterr().out
@@ -97,6 +108,7 @@ def test_the_table_shows_truth_methods_sigma_and_errors(tmp_path, capsys):
         assert word in printed
 
 
+@pytest.mark.slow
 def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words, said in (
@@ -155,19 +167,6 @@ def test_eyes_that_do_not_settle_are_written_and_end_in_exit_code_1(tmp_path, ca
     assert json.loads((folder / "result.json").read_text())["settle_1px_s"] is None
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("controller", CONTROLLERS)
-def test_every_controller_turns_the_eyes_with_its_own_gain(controller, tmp_path):
-    folder = tmp_path / "run"
-    words = ("--controller", controller, "--plant", "kinematic", "--out", str(folder))
-    assert call("gaze", *words) == 0
-    result = json.loads((folder / "result.json").read_text())
-    assert result["gain"] == default_options(controller).get("gain")
-    config = tomllib.loads((folder / "config.toml").read_text())["config"]
-    assert config.get("gain") == result["gain"]
-
-
 def test_a_gain_is_refused_by_a_controller_that_has_none(tmp_path, capsys):
     words = ("--controller", "saccade", "--plant", "kinematic", "--out", str(tmp_path / "run"))
     assert call("gaze", "--gain", "3", *words) == 2
@@ -213,17 +212,7 @@ def test_info_shows_versions_presets_and_optional_parts(capsys):
         assert word in printed
 
 
-@pytest.mark.slow
-def test_help_exits_with_0_in_a_fresh_process():
-    done = subprocess.run(
-        [sys.executable, "-m", "vergence", "--help"], capture_output=True, text=True
-    )
-    assert done.returncode == 0
-    for word in ("gaze", "export", "info"):
-        assert word in done.stdout
-
-
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reproduce_runs_one_experiment_and_prints_the_articles_figures_beside_ours(
     tmp_path, capsys
 ):
