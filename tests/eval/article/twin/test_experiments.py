@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from tests.eval.article.checks import backwards, stale_names, uncaptioned, unjudged
-from tests.eval.article.twin.small import NAMES, small, table_of
+from tests.eval.article.twin.small import NAMES, small, table_of, tiny_table
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.jobs import SerialMapper
 
@@ -24,15 +24,10 @@ every = pytest.mark.parametrize(
 
 @pytest.mark.slow
 @every
-def test_who_runs_the_jobs_and_when_does_not_change_a_bit(name):
-    again = load_experiment(name).run(small(name), 0, backwards)
-    pd.testing.assert_frame_equal(table_of(name), again, check_exact=True)
-
-
-@pytest.mark.slow
-@every
-def test_another_seed_gives_other_heads(name):
-    assert not load_experiment(name).run(small(name), 1, SerialMapper()).equals(table_of(name))
+def test_the_seed_draws_the_heads_and_who_runs_the_jobs_does_not_change_a_bit(name):
+    one, again = (tiny_table(name, 0, mapper) for mapper in (SerialMapper(), backwards))
+    pd.testing.assert_frame_equal(one, again, check_exact=True)
+    assert not one.equals(tiny_table(name, 1, SerialMapper()))
 
 
 @pytest.mark.slow
