@@ -9,7 +9,7 @@ from vergence.eval.margins.measure import MarginMeasurement
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 
-TRIALS = 60
+TRIALS = 20
 STOOD = {
     "command_latency_s": [0.025, 0.05],
     "feedback_latency_s": [0.02],
@@ -37,13 +37,12 @@ def test_it_stands_one_imperfection_of_a_robot_at_a_time(workspace, name) -> Non
         return run_trials(controller, scenario, episodes=TRIALS, seed=3)
 
     measure = MarginMeasurement(run, workspace, name)
-    # a trial in sixty is within what a 99 % margin lets pass now and then
-    assert all(measure(value).settled >= TRIALS - 1 for value in STOOD[name])
+    assert all(measure(value).settled == TRIALS for value in STOOD[name])
 
 
 @pytest.mark.parametrize(
     ("name", "ratio"),
-    [("pursuit", 10.0), ("saccade", 60.0), ("pursuit", 100.0), ("saccade", 100.0)],
+    [("saccade", 60.0), ("pursuit", 100.0)],
 )
 def test_motors_that_a_head_file_knows_nothing_of_are_found(workspace, name, ratio) -> None:
     parts = {"limits": {"acceleration": np.array([120.0] * 3 + [2.0] * 4)}}

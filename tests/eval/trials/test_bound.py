@@ -69,7 +69,7 @@ def test_brute_force_over_all_switch_times_finds_nothing_faster(angle, lag, acce
     # the other beyond it, by no more than a step at full speed there and back
     too_late = entered[furthest <= far + 2 * 6.0 * step].min()
     assert too_late - step - 1e-9 <= got <= best
-    assert best - too_late < 0.001
+    assert best - too_late < 0.002
 
 
 def test_the_grid_of_bounds_is_whole_periods_after_the_delay() -> None:
