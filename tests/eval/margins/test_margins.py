@@ -95,7 +95,10 @@ def test_who_was_not_asked_for_does_not_run(measured):
 
 
 @pytest.mark.slow
-def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(measured, known):
+def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
+    measured, known, monkeypatch
+):
+    monkeypatch.setattr("vergence.eval.margins.search.BISECTIONS", 1)
     known(duration_s=0.2)
     margins = measured(toy=KnowsTheWay(5), episodes=1)
     assert [row["imperfection"] for row in margins.rows()] == [

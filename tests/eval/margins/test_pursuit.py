@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence import make_controller
 from vergence.envs.plants.variation import Variation
 from vergence.eval.margins.measure import MarginMeasurement
@@ -29,15 +30,17 @@ def workspace() -> Scenario:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(STOOD))
-def test_it_stands_one_imperfection_of_a_robot_at_a_time(workspace, name) -> None:
+def test_it_stands_one_imperfection_of_a_robot_at_a_time(workspace) -> None:
     controller = make_controller("pursuit", workspace.model())
 
     def run(scenario):
         return run_trials(controller, scenario, episodes=TRIALS, seed=3)
 
-    measure = MarginMeasurement(run, workspace, name)
-    assert all(measure(value).settled == TRIALS for value in STOOD[name])
+    for name, values in STOOD.items():
+        measure = MarginMeasurement(run, workspace, name)
+        for value in values:
+            with named(name, value):
+                assert measure(value).settled == TRIALS
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from tests.eval.trials import oracle
 from tests.eval.trials.oracle import begin
 from tests.heads import MOVING, head_of
 from tests.joint_motion import respond
+from tests.naming import named
 from vergence import make_controller
 from vergence.envs.plants.simulation import TrialStart
 from vergence.envs.targets.motion import motion_rows
@@ -35,26 +36,40 @@ def test_a_joint_of_the_default_rig_stops_on_its_target_in_these_times():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("angle", "lag", "acceleration"),
-    [
+def test_brute_force_over_all_switch_times_finds_nothing_faster() -> None:
+    for case in [
         (0.5, 0.03, 120.0),
         (0.01, 0.03, 120.0),
         (0.17, 0.06, 120.0),  # the lag forbids the greatest deceleration below 1.2 rad/s
         (0.2, 0.05, np.inf),
         (0.2, 0.0, 120.0),
-    ],
-)
-def test_brute_force_over_all_switch_times_finds_nothing_faster(angle, lag, acceleration) -> None:
-    # every switch of a fine grid at once, each a joint followed through tiny periods
-    step, count = 1e-4, 5000
+    ]:
+        with named(case):
+            angle, lag, acceleration = case
+            near, far = angle - BAND_RAD, angle + BAND_RAD
+            got = least_entry_time(near, far, lag, acceleration, 6.0, 0.0)
+            step, entered, furthest = every_switch(near, lag, acceleration)
+            best = entered[furthest <= far].min()
+            # the best switch lies between two of the grid, one of which stops short of the far edge
+            # and the other beyond it, by no more than a step at full speed there and back
+            too_late = entered[furthest <= far + 2 * 6.0 * step].min()
+            assert too_late - step - 1e-9 <= got <= best
+            assert best - too_late < 0.002
+
+
+def every_switch(near: float, lag: float, acceleration: float) -> tuple[float, Array, Array]:
+    """Joints that reverse at every time of a grid, each followed through tiny periods.
+
+    Returns:
+        The grid's step; when each joint enters the band, s, and how far it gets, rad.
+    """
+    step = 1e-4
     switch = np.arange(0.0, 0.15, step)
     num = len(switch)
     q, v = np.zeros((2, num))
-    near, far = angle - BAND_RAD, angle + BAND_RAD
     entered, furthest = np.full(num, np.inf), np.zeros(num)
     stopped = np.zeros(num, dtype=bool)
-    for k in range(count):
+    for k in range(5000):
         command = np.where(k * step < switch - step / 2, 6.0, -6.0)
         q, v = respond(q, v, command, lag, acceleration, step)
         entered = np.where((q >= near) & ~stopped, np.minimum(entered, (k + 1) * step), entered)
@@ -63,13 +78,7 @@ def test_brute_force_over_all_switch_times_finds_nothing_faster(angle, lag, acce
         if stopped.all():
             break
     assert stopped.all()
-    best = entered[furthest <= far].min()
-    got = least_entry_time(near, far, lag, acceleration, 6.0, 0.0)
-    # the best switch lies between two of the grid, one of which stops short of the far edge and
-    # the other beyond it, by no more than a step at full speed there and back
-    too_late = entered[furthest <= far + 2 * 6.0 * step].min()
-    assert too_late - step - 1e-9 <= got <= best
-    assert best - too_late < 0.002
+    return step, entered, furthest
 
 
 def test_the_grid_of_bounds_is_whole_periods_after_the_delay() -> None:
@@ -150,20 +159,18 @@ def test_no_controller_beats_the_bound(name: str, scenario: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("shape", "scenario"),
-    [(shape, ("workspace", "robust")[number % 2]) for number, shape in enumerate(MOVING)],
-)
-def test_an_oracle_meets_the_bound_of_any_head(shape: str, scenario: str) -> None:
-    described = load_scenario(scenario)
-    task = begin(described.task(30, head=head_of(shape)), described.seed("validation"))
-    bound, least = settle_bound(task), least_reachable_error(task, task.truth().target)
-    time, error = oracle.run(task, 80, 0.5)
-    late = np.round((settle_time(time, error - least, 1.0) - bound) / PERIOD)
-    assert (late >= 0).all()
-    # an actuator that is nearly there may wait for the other eye's: its band is a relaxation
-    assert (late <= 2).all()
-    assert (late <= 1).mean() > 0.9
+def test_an_oracle_meets_the_bound_of_any_head() -> None:
+    for number, shape in enumerate(MOVING):
+        with named(shape):
+            described = load_scenario(("workspace", "robust")[number % 2])
+            task = begin(described.task(30, head=head_of(shape)), described.seed("validation"))
+            bound, least = settle_bound(task), least_reachable_error(task, task.truth().target)
+            time, error = oracle.run(task, 80, 0.5)
+            late = np.round((settle_time(time, error - least, 1.0) - bound) / PERIOD)
+            assert (late >= 0).all()
+            # an actuator that is nearly there may wait for the other eye's: its band is a relaxation
+            assert (late <= 2).all()
+            assert (late <= 1).mean() > 0.9
 
 
 def test_eyes_that_look_there_already_need_no_time() -> None:

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from tests.eval.trials import oracle
-from tests.eval.trials.linear_program import Actuator, is_in_time
 from tests.eval.trials.oracle import begin
 from vergence import make_controller
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
-from vergence.eval.trials.bands import eye_settling_bands
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.metrics import settle_time
 from vergence.eval.trials.run import run_trials
@@ -57,34 +55,6 @@ def test_with_play_an_oracle_comes_as_near_and_never_below() -> None:
     late = lateness(task_of("hardware", 40, torque_falloff=(0.0, 0.5)), 0.5)
     assert (late >= 0).all()
     assert (late <= 2).mean() >= 0.9
-
-
-@pytest.mark.nightly
-def test_a_linear_program_agrees_with_the_bound_to_a_period() -> None:
-    num = 6
-    task = task_of("hardware", num, backlash_rad=None)
-    simulation, period = simulation_of(task.plant), task.head.timing.period_s
-    truth, conditions = simulation.truth_at_rest(), simulation.conditions
-    bound = settle_bound(task, 2.0) + simulation.onset_s()
-    goal, half_band = np.empty((2, num, 4))
-    eye_settling_bands(conditions.heads, task.head.packed, truth.target, 2.0, goal, half_band)
-    first = np.ceil(simulation.first_detection_times()[0] / period - 1e-6) * period
-    own = simulation.true_head.actuation
-    for n in range(num):
-        actuators = [
-            Actuator(
-                turn=goal[n, k] - truth.positions[n, 3 + k],
-                half_band=half_band[n, k],
-                lag=conditions.lag_s[n] * own.lag_ratio[3 + k],
-                acceleration=conditions.acceleration_ratio[n] * own.acceleration[3 + k],
-                top=conditions.speed_gain[n, 3 + k] * own.velocity[3 + k],
-            )
-            for k in range(4)
-        ]
-        moving_s = bound[n] - first[n] - conditions.command_latency_s[n]
-        # a period earlier some actuator cannot be there; a period later all of them can
-        assert not all(is_in_time(one, moving_s - period, period) for one in actuators)
-        assert all(is_in_time(one, moving_s + period, period) for one in actuators)
 
 
 @pytest.mark.parametrize(("plant", "target"), [("kinematic", "random"), ("mujoco", "step")])
