@@ -1,6 +1,14 @@
 """Fixtures of the evaluation's tests."""
 
+from collections.abc import Callable
+
 import pytest
+
+from tests.eval.trials.toys import STEP, ideal_head
+from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evaluate
+from vergence.eval.comparison.folder import write_evaluation
+from vergence.eval.trials.scenarios import SCENARIOS, Scenario
+from vergence.models.files.head_file import save_head
 
 
 def toy_alone(patch: pytest.MonkeyPatch) -> None:
@@ -16,3 +24,40 @@ def toy_alone(patch: pytest.MonkeyPatch) -> None:
 def toy(monkeypatch):
     """The registry of experiments holds the toy experiment alone."""
     toy_alone(monkeypatch)
+
+
+@pytest.fixture
+def known(monkeypatch, tmp_path) -> Callable[..., None]:
+    """Registers a scenario "known" on a head without lag, where toys settle at known times."""
+    save_head(ideal_head(), tmp_path / "ideal.toml")
+
+    def register(**fields: object) -> None:
+        options: dict = {"target": STEP.target, "duration_s": 0.5} | fields
+        scenario = Scenario(
+            name="known", description="a step", head=str(tmp_path / "ideal.toml"), **options
+        )
+        monkeypatch.setitem(SCENARIOS, "known", scenario)
+
+    register()
+    return register
+
+
+@pytest.fixture(scope="session")
+def few() -> Evaluation:
+    """An evaluation of the article's law and the baseline; no test changes it."""
+    return evaluate(EvaluateConfig(controllers=("ibvs", "ibvs-tuned"), episodes=12))
+
+
+@pytest.fixture(scope="session")
+def few_folder(few, tmp_path_factory):
+    """The run folder of that evaluation, figures and all; no test changes it."""
+    folder = tmp_path_factory.mktemp("evaluation") / "first run"
+    folder.mkdir()
+    write_evaluation(folder, few)
+    return folder
+
+
+def row_of(evaluation: Evaluation, controller: str) -> dict:
+    """The one row of a controller."""
+    (row,) = (row for row in evaluation.rows() if row["controller"] == controller)
+    return row

@@ -5,20 +5,27 @@ import signal
 import sys
 import warnings
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
 from vergence.envs.plants.threads import bounds
-from vergence.errors import ConfigurationError
-from vergence.eval.jobs import ProcessMapper, RayMapper, SerialMapper, open_mapper
+from vergence.errors import ConfigurationError, VergenceError
+from vergence.eval import jobs
+from vergence.eval.jobs import (
+    ProcessMapper,
+    RayMapper,
+    SerialMapper,
+    _run_single_threaded,
+    open_mapper,
+)
 
 JOBS = [partial(pow, number, 2) for number in range(7)]
 MAPPERS = [SerialMapper, pytest.param(partial(ProcessMapper, 2), marks=pytest.mark.slow)]
 
 
-@pytest.mark.parametrize("make", MAPPERS)
-def test_no_jobs_give_no_results(make):
-    assert make()([]) == []
+def test_no_jobs_give_no_results():
+    assert SerialMapper()([]) == []
 
 
 @pytest.mark.parametrize("make", MAPPERS)
@@ -35,11 +42,6 @@ def test_a_jobs_error_is_raised_as_it_is(make):
         make()([*JOBS, partial(int, "no number"), *JOBS])
 
 
-@pytest.mark.slow
-def test_a_worker_steps_its_batches_in_one_thread():
-    assert ProcessMapper(2)([partial(bounds, 4096, 1)] * 2) == [(0, 4096)] * 2
-
-
 def test_there_is_at_least_one_worker():
     with pytest.raises(ConfigurationError, match="workers: expected at least 1, got 0"):
         ProcessMapper(0)
@@ -51,11 +53,108 @@ def test_a_cluster_without_ray_says_what_to_install(monkeypatch):
         RayMapper("127.0.0.1:6379")
 
 
-@pytest.mark.parametrize(("workers", "kind"), [(1, SerialMapper), (3, ProcessMapper)])
-def test_one_worker_is_this_process(workers, kind):
-    with open_mapper(workers) as mapper:
-        assert type(mapper) is kind
-        assert mapper.workers == workers
+def test_one_worker_is_this_process():
+    for workers, kind in ((1, SerialMapper), (3, ProcessMapper)):
+        with open_mapper(workers) as mapper:
+            assert type(mapper) is kind
+            assert mapper.workers == workers
+
+
+def test_a_job_runs_single_threaded_and_prints_beside_the_results(capfd):
+    assert _run_single_threaded(partial(bounds, 4096, 1)) == (0, 4096)
+    _run_single_threaded(partial(print, "imported"))
+    assert capfd.readouterr() == ("", "imported\n")
+
+
+class NoRay:
+    """Stands for Ray and its cluster: runs tasks here, the last one first, when they are asked for.
+
+    Attributes:
+        ran: the jobs that have run.
+        joined: True as long as the cluster has not been left.
+    """
+
+    class exceptions:  # noqa: N801  as Ray has it
+        class RayError(Exception):
+            pass
+
+        class RayTaskError(RayError):
+            def __init__(self, cause):
+                super().__init__(str(cause))
+                self.cause = cause
+
+    def __init__(self, lost=False):
+        self.ran, self.joined, self._lost = [], True, lost
+
+    def cluster_resources(self):
+        return {"CPU": 2.0}
+
+    def is_initialized(self):
+        return self.joined
+
+    def remote(self, **options):
+        assert options["max_retries"] > 0
+        return lambda task: SimpleNamespace(remote=lambda *words: partial(task, *words))
+
+    def wait(self, pending, num_returns):
+        assert num_returns == 1
+        return pending[-1:], pending[:-1]
+
+    def get(self, reference):
+        self.ran.append(reference)
+        if self._lost:
+            raise self.exceptions.RayError("node lost")
+        try:
+            return reference()
+        except Exception as error:
+            raise self.exceptions.RayTaskError(error) from error
+
+    def shutdown(self):
+        self.joined = False
+
+
+@pytest.fixture
+def cluster(monkeypatch):
+    """Opens a mapper on a cluster that is none, and returns both."""
+
+    def opened(**words):
+        ray = NoRay(**words)
+        monkeypatch.setattr(jobs, "_join", lambda _address: setattr(ray, "joined", True) or ray)
+        return RayMapper("127.0.0.1:1"), ray
+
+    return opened
+
+
+def test_a_cluster_runs_every_job_once_and_gives_the_results_in_their_order(cluster):
+    mapper, ray = cluster()
+    assert mapper.workers == 2
+    assert mapper(JOBS) == [0, 1, 4, 9, 16, 25, 36]
+    assert len(ray.ran) == len(set(ray.ran)) == 7
+
+
+def test_a_cluster_is_left_after_a_jobs_own_error_and_joined_again(cluster):
+    mapper, ray = cluster()
+    with pytest.raises(ValueError, match=r"^invalid literal for int"):
+        mapper([partial(int, "no number")])
+    assert not ray.joined
+    assert mapper([partial(pow, 2, 3)]) == [8]
+
+
+def test_a_job_whose_nodes_are_all_lost_is_an_error_of_the_cluster(cluster):
+    with pytest.raises(VergenceError, match="expected every job to finish on some node, got node"):
+        cluster(lost=True)[0](JOBS)
+
+
+def test_a_node_with_other_versions_is_refused(monkeypatch):
+    monkeypatch.setattr(jobs, "package_versions", lambda: {"numpy": "0.1", "scipy": "1"})
+    with pytest.raises(ConfigurationError, match=r"same versions on every node .* of numpy$"):
+        jobs._remote(partial(pow, 2, 2), {"numpy": "0.2", "scipy": "1"})
+
+
+def test_the_address_of_a_cluster_is_a_host_and_a_port():
+    for address in ("", "auto", "127.0.0.1", "host:port", "host:99999"):
+        with pytest.raises(ConfigurationError, match="expected HOST:PORT"):
+            RayMapper(address)
 
 
 def test_a_mapper_is_closed_also_after_a_failure(monkeypatch):

@@ -14,14 +14,15 @@ import pytest
 import tomli_w
 
 from tests.eval.conftest import toy_alone
+from tests.eval.mappers import Backwards
 from tests.eval.refusals import not_refused
+from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.folder import write_folder_report
 from vergence.eval.article.overrides import read_overrides
 from vergence.eval.article.reported import reported_results
 from vergence.eval.article.reproduce import reproduce
-from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.reporting.parquet import write_parquet
 from vergence.eval.reporting.report import ReportSection, count_verdicts
 from vergence.eval.reporting.text import format_number
@@ -100,16 +101,12 @@ def test_the_resolved_config_and_seed_are_saved(tmp_path):
 
 def test_the_report_has_the_ratio_of_our_figure_to_the_articles(finished):
     (row,) = json.loads((finished / "summary.json").read_text())
-    ratio = format_number(row["ours_low"] / row["article_low"])
-    assert f'data-label="ratio">{ratio}</td>' in (finished / "report.html").read_text()
-
-
-def test_the_summary_has_the_articles_figures_beside_ours(finished):
-    (row,) = json.loads((finished / "summary.json").read_text())
     assert set(row) == {
         "experiment", "quantity", "method", "axis", "unit", "article_low", "article_high",
         "ours_low", "ours_high", "verdict",
     }  # fmt: skip
+    ratio = format_number(row["ours_low"] / row["article_low"])
+    assert f'data-label="ratio">{ratio}</td>' in (finished / "report.html").read_text()
 
 
 def test_a_second_call_keeps_what_is_finished(tmp_path):
@@ -194,33 +191,40 @@ def damage(path, how) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("file", "how"),
-    [
-        *(("experiments/toy.json", how) for how in ("cut", "another type", "nested", "edited")),
+def test_an_experiment_with_a_missing_or_damaged_file_runs_again_and_says_so(tmp_path, run):
+    whole = {path: path.read_bytes() for path in run.rglob("*.*")}
+    for file, how in [
+        ("experiments/toy.json", "cut"),
+        ("experiments/toy.json", "edited"),
         ("tables/toy.csv", "removed"),
         ("tables/toy.csv", "cut"),
-        ("figures/toy-values.svg", "removed"),
         ("figures/toy-values.svg", "cut"),
         ("figures/toy-values.png", "cut"),
-        ("figures/toy-values.png", "made a folder"),
-    ],
-)
-def test_an_experiment_with_a_missing_or_damaged_file_runs_again_and_says_so(
-    tmp_path, run, file, how
-):
-    expected = (run / file).read_bytes()
-    damage(run / file, how)
-    listener = Warned()
-    if how == "made a folder":  # nothing of ours, so it is not removed
-        with pytest.raises(ConfigurationError, match="toy cannot be written"):
+    ]:
+        with named(file, how):
+            damage(run / file, how)
+            listener = Warned()
             reproduce(config(tmp_path), listener)
-    else:
-        reproduce(config(tmp_path), listener)
-        assert listener.ran == ["toy"]
-        assert (run / file).read_bytes() == expected
-    (said,) = listener.said
-    assert said.startswith(f"toy runs anew: {file}")
+            assert listener.ran == ["toy"]
+            assert (run / file).read_bytes() == whole[run / file]
+            (said,) = listener.said
+            assert said.startswith(f"toy runs anew: {file}")
+
+
+def test_a_record_of_an_experiment_that_is_none_is_said(run):
+    for how in ("another type", "nested"):
+        damage(run / "experiments/toy.json", how)
+        listener = Warned()
+        assert write_folder_report(run, listener.warn) == []
+        (said,) = listener.said
+        assert said.startswith("toy experiments/toy.json")
+
+
+def test_a_folder_in_the_place_of_a_figure_is_left_alone(tmp_path, run):
+    damage(run / "figures/toy-values.png", "made a folder")
+    with pytest.raises(ConfigurationError, match="toy cannot be written"):
+        reproduce(config(tmp_path), Warned())
+    assert (run / "figures/toy-values.png").is_dir()
 
 
 def test_a_damaged_experiment_that_is_not_asked_for_is_left_out_of_the_report(run):
@@ -234,20 +238,16 @@ def test_a_damaged_experiment_that_is_not_asked_for_is_left_out_of_the_report(ru
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
+def test_an_experiment_that_replaces_a_finished_one_says_why(tmp_path, run):
+    for change, said in [
         ({"seed": 1}, "another seed"),
-        ({"quick": True}, "another config"),
-        ({"overrides": {"toy": {"scale": 3.0}}}, "another config"),
-    ],
-)
-@pytest.mark.usefixtures("run")
-def test_an_experiment_that_replaces_a_finished_one_says_why(tmp_path, change, said):
-    listener = Warned()
-    reproduce(config(tmp_path, **change), listener)
-    assert listener.ran == ["toy"]
-    assert [said in line for line in listener.said] == [True]
+        ({"quick": True, "seed": 1}, "another config"),
+        ({"quick": True, "seed": 1, "overrides": {"toy": {"scale": 3.0}}}, "another config"),
+    ]:
+        listener = Warned()
+        reproduce(config(tmp_path, **change), listener)
+        assert listener.ran == ["toy"]
+        assert [said in line for line in listener.said] == [True]
 
 
 @pytest.mark.slow
@@ -289,12 +289,10 @@ def test_what_another_version_kept_is_as_if_it_were_not_there(tmp_path):
     assert "conclusion" not in json.loads(marker.read_text())
 
 
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path):
-    for workers, mapper in (("1", SerialMapper()), ("2", ProcessMapper(2))):
-        reproduce(ReproduceConfig(out=tmp_path / workers), mapper=mapper)
+def test_the_same_seed_gives_the_same_bytes_whoever_runs_the_jobs(tmp_path, finished):
+    reproduce(config(tmp_path), mapper=Backwards())
     for name in ("tables/toy.csv", "figures/toy-values.svg", "figures/toy-values.png"):
-        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+        assert (tmp_path / "run" / name).read_bytes() == (finished / name).read_bytes()
 
 
 class Reader(HTMLParser):
@@ -341,7 +339,7 @@ def test_a_quick_report_says_first_that_it_is_quick_as_long_as_a_part_of_it_is(t
     assert "toy: draws 2" in first
     assert "The mean of 2 values" in said
     assert "The mean of 5 values" not in said
-    again = reproduce(config(tmp_path, quick=True, seed=0))
+    again = reproduce(config(tmp_path, quick=True))
     assert again[0].quick
     assert "This is a quick run." in report_text(tmp_path)
     reproduce(config(tmp_path))

@@ -66,7 +66,8 @@ def draw(table: pd.DataFrame, config: ToyConfig) -> dict[str, Figure]:
     figure = new_figure()
     axes = figure.add_subplot()
     axes.plot(table["index"], table["value_mm"], "o")
-    axes.set(xlabel="job", ylabel="value (mm)", title="a <title> & more")
+    # ticks take longer to draw than all else
+    axes.set(xlabel="job", ylabel="value (mm)", title="a <title> & more", xticks=[], yticks=[])
     return {"toy-values": figure}
 
 

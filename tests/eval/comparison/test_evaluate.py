@@ -1,18 +1,18 @@
 """Evaluations: every controller on the same trials, nothing dropped, the same numbers anywhere."""
 
-import dataclasses
 import json
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from tests.eval.conftest import row_of
+from tests.eval.mappers import Backwards
 from tests.eval.refusals import not_refused
-from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, Shaking, ideal_head
+from tests.eval.trials.toys import PERIOD_S, KnowsTheWay, Shaking, ideal_head
 from vergence.controllers.controller import CONTROLLERS
 from vergence.errors import BundleError, ConfigurationError
-from vergence.eval.comparison import evaluate as module
-from vergence.eval.comparison.contestants import make_contestants
+from vergence.eval.comparison.contestants import Contestant, make_contestants
 from vergence.eval.comparison.evaluate import (
     BASELINE,
     BOUND,
@@ -21,44 +21,19 @@ from vergence.eval.comparison.evaluate import (
     evaluate,
     row_fields,
 )
-from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.summary import bound_trials, imputed_trial_values
 from vergence.eval.comparison.tables import describe_evaluation, report_tables
-from vergence.eval.jobs import ProcessMapper
-from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.eval.trials.settling import ONE_PX
-from vergence.models.files.head_file import save_head
 
 FEW = EvaluateConfig(controllers=("ibvs", BASELINE), episodes=12)
 
 
-@pytest.fixture(scope="module")
-def few() -> Evaluation:
-    return evaluate(FEW)
+KNOWN = EvaluateConfig(scenarios=("known",), episodes=20)
 
 
-def row_of(evaluation: Evaluation, controller: str) -> dict:
-    (row,) = (row for row in evaluation.rows() if row["controller"] == controller)
-    return row
-
-
-@pytest.fixture
-def known(monkeypatch, tmp_path):
-    """A scenario on a head without lag, where a controller can settle at a known time."""
-    save_head(ideal_head(), tmp_path / "ideal.toml")
-    scenario = Scenario(
-        name="known",
-        description="a step",
-        target=STEP.target,
-        duration_s=0.5,
-        head=str(tmp_path / "ideal.toml"),
-    )
-    monkeypatch.setitem(SCENARIOS, "known", scenario)
-    return EvaluateConfig(scenarios=("known",), episodes=20)
-
-
-def test_a_controller_with_a_known_settle_time_gets_exactly_that(known):
-    row = row_of(evaluate(known, {"toy": KnowsTheWay(20)}), "toy")
+@pytest.mark.usefixtures("known")
+def test_a_controller_with_a_known_settle_time_gets_exactly_that():
+    row = row_of(evaluate(KNOWN, {"toy": KnowsTheWay(20)}), "toy")
     assert row["settled_fraction"] == 1.0
     assert row["settle_1px_median_s"] == pytest.approx(21 * PERIOD_S, abs=1e-12)
     assert row["settle_1px_p95_s"] == pytest.approx(21 * PERIOD_S, abs=1e-12)
@@ -67,9 +42,10 @@ def test_a_controller_with_a_known_settle_time_gets_exactly_that(known):
     assert row["tracking_rms_px"] is None
 
 
-def test_trials_that_never_settle_are_counted_as_the_whole_trial(known):
+@pytest.mark.usefixtures("known")
+def test_trials_that_never_settle_are_counted_as_the_whole_trial():
     toys = {"some": KnowsTheWay(20, never=(0, 5)), "most": KnowsTheWay(20, never=tuple(range(11)))}
-    evaluation = evaluate(known, toys)
+    evaluation = evaluate(KNOWN, toys)
     some, most = row_of(evaluation, "some"), row_of(evaluation, "most")
     assert some["trials"] == most["trials"] == 20
     assert some["settled_fraction"] == pytest.approx(0.9)
@@ -80,11 +56,10 @@ def test_trials_that_never_settle_are_counted_as_the_whole_trial(known):
     assert table[table["controller"] == "most"]["settle_1px_s"].isna().sum() == 11
 
 
-def test_trials_that_swing_are_counted_and_have_not_settled(known, monkeypatch):
-    held = dataclasses.replace(SCENARIOS["known"], duration_s=2.0, band_px=8.0)
-    monkeypatch.setitem(SCENARIOS, "known", held)
+def test_trials_that_swing_are_counted_and_have_not_settled(known):
+    known(duration_s=2.0, band_px=8.0)
     shaking = Shaking(KnowsTheWay(20), 0.03, 10.0, (0, 5))
-    evaluation = evaluate(known, {"calm": KnowsTheWay(20), "shaking": shaking})
+    evaluation = evaluate(KNOWN, {"calm": KnowsTheWay(20), "shaking": shaking})
     calm, row = row_of(evaluation, "calm"), row_of(evaluation, "shaking")
     assert (calm["swinging_trials"], row["swinging_trials"]) == (0, 2)
     (summary,) = (one for one in evaluation.summaries() if one["controller"] == "shaking")
@@ -115,7 +90,6 @@ def test_the_rows_are_those_of_the_controllers_and_the_bound_with_exactly_the_ag
     assert 0.05 < bound["settle_1px_median_s"] < row_of(few, "ibvs")["settle_1px_median_s"]
 
 
-@pytest.mark.slow
 def test_the_bound_of_a_target_is_the_least_of_its_trials(few):
     tables = [one.trials for one in few.outcomes]
     name = ONE_PX.bound_s_column
@@ -124,9 +98,9 @@ def test_the_bound_of_a_target_is_the_least_of_its_trials(few):
     assert least == pytest.approx([tables[0][name].iloc[0], *later[name].iloc[1:]])
 
 
-def test_two_workers_find_the_same_as_one(few):
+def test_whoever_runs_the_jobs_finds_the_same(few):
     timed = ("predict_us",)
-    again = evaluate(FEW, mapper=ProcessMapper(2))
+    again = evaluate(FEW, mapper=Backwards())
     for one, other in zip(few.rows(), again.rows(), strict=True):
         assert {k: v for k, v in one.items() if k not in timed} == {
             k: v for k, v in other.items() if k not in timed
@@ -135,9 +109,19 @@ def test_two_workers_find_the_same_as_one(few):
 
 
 @pytest.mark.slow
-def test_the_whole_ladder_runs_by_default_and_never_beats_the_bound():
-    evaluation = evaluate(EvaluateConfig(episodes=12))
+def test_the_whole_ladder_runs_by_default_and_leaves_out_whose_package_is_missing(monkeypatch):
+    def missing(self, head, layout, options):
+        if self.source == "adaptive":
+            raise ConfigurationError("expected somepackage, got none")
+        return original(self, head, layout, options)
+
+    original = Contestant.make
+    monkeypatch.setattr(Contestant, "make", missing)
+    with pytest.raises(ConfigurationError, match="expected somepackage"):
+        evaluate(EvaluateConfig(controllers=("adaptive",), episodes=2))
+    evaluation = evaluate(EvaluateConfig(episodes=4))
     there = {one.controller for one in evaluation.outcomes}
+    assert "adaptive" not in there
     assert there >= {"ibvs", BASELINE}
     for name in set(CONTROLLERS) - there:
         assert any(note.startswith(f"{name} is left out") for note in evaluation.notes)
@@ -146,33 +130,13 @@ def test_the_whole_ladder_runs_by_default_and_never_beats_the_bound():
         assert (ratio >= 1.0 - 1e-9).all(), one.controller
 
 
-def test_the_baseline_runs_without_being_asked_for():
-    evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), episodes=2))
-    assert [one.controller for one in evaluation.outcomes] == ["ibvs", BASELINE]
-    summary = evaluation.summaries()
-    assert summary[1]["faster"] == 1.0
+@pytest.fixture(scope="module")
+def fast() -> Evaluation:
+    return evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("fast",), episodes=4))
 
 
-@pytest.mark.slow
-def test_a_controller_whose_package_is_missing_is_an_error_only_if_asked_for(monkeypatch):
-    def missing(self, head, layout, options):
-        if self.source == "adaptive":
-            raise ConfigurationError("expected somepackage, got none")
-        return original(self, head, layout, options)
-
-    from vergence.eval.comparison.contestants import Contestant
-
-    original = Contestant.make
-    monkeypatch.setattr(Contestant, "make", missing)
-    evaluation = evaluate(EvaluateConfig(episodes=2))
-    assert "adaptive" not in {one.controller for one in evaluation.outcomes}
-    assert any("adaptive is left out" in note for note in evaluation.notes)
-    with pytest.raises(ConfigurationError, match="expected somepackage"):
-        evaluate(EvaluateConfig(controllers=("adaptive",), episodes=2))
-
-
-def test_a_moving_target_is_judged_by_tracking_and_has_no_bound():
-    evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("fast",), episodes=4))
+def test_a_moving_target_is_judged_by_tracking_and_has_no_bound(fast):
+    evaluation = fast
     assert BOUND not in {row["controller"] for row in evaluation.rows()}
     row = row_of(evaluation, "ibvs")
     assert row["tracking_rms_px"] > 1.0
@@ -184,7 +148,11 @@ def test_an_entry_point_of_ones_own_is_a_controller():
     config = EvaluateConfig(controllers=("vergence.controllers.ibvs:IBVS",), episodes=3)
     evaluation = evaluate(config)
     own = row_of(evaluation, "vergence.controllers.ibvs:IBVS")
-    same = row_of(evaluate(EvaluateConfig(controllers=("ibvs",), episodes=3)), "ibvs")
+    # the baseline runs without being asked for
+    plain = evaluate(EvaluateConfig(controllers=("ibvs",), episodes=3))
+    assert [one.controller for one in plain.outcomes] == ["ibvs", BASELINE]
+    assert plain.summaries()[1]["faster"] == 1.0
+    same = row_of(plain, "ibvs")
     assert own["settle_1px_median_s"] == same["settle_1px_median_s"]
 
 
@@ -222,19 +190,18 @@ def test_two_controllers_of_one_label_are_refused():
 
 
 @pytest.mark.slow
-def test_a_run_folder_holds_tables_figures_and_a_report(tmp_path, few):
-    write_evaluation(tmp_path, few)
-    assert json.loads((tmp_path / "evaluation.json").read_text()) == few.rows()
-    assert len(pd.read_csv(tmp_path / "trials.csv")) == 24
-    summary = pd.read_csv(tmp_path / "summary.csv")
+def test_a_run_folder_holds_tables_figures_and_a_report(few_folder, few):
+    assert json.loads((few_folder / "evaluation.json").read_text()) == few.rows()
+    assert len(pd.read_csv(few_folder / "trials.csv")) == 24
+    summary = pd.read_csv(few_folder / "summary.csv")
     ibvs = summary[summary["controller"] == "ibvs"].iloc[0]
     assert ibvs["settle_1px_median_s_low"] <= ibvs["settle_1px_median_s"]
     assert ibvs["settle_1px_median_s"] <= ibvs["settle_1px_median_s_high"]
     assert json.loads(ibvs["options"]) == {"gain": 4.0}
     for name in ("settle-times", "errors", "gains", "triangulation"):
         for suffix in ("svg", "png"):
-            assert (tmp_path / "figures" / f"{name}-workspace-kinematic.{suffix}").stat().st_size
-    report = (tmp_path / "report.html").read_text()
+            assert (few_folder / "figures" / f"{name}-workspace-kinematic.{suffix}").stat().st_size
+    report = (few_folder / "report.html").read_text()
     assert "<svg" in report
     assert 'src="http' not in report
     assert "times the time-optimal bound" in report
@@ -248,19 +215,18 @@ def test_the_text_states_the_best_numbers_and_the_least_share_that_settles(few):
     assert "settles in 100 % of the trials, and every controller in at least" in found
 
 
-def test_the_text_is_true_where_nothing_settles(known):
+@pytest.mark.usefixtures("known")
+def test_the_text_is_true_where_nothing_settles():
     # half a second is too short for ibvs-tuned too
     found = describe_evaluation(
-        evaluate(known, {"toy": KnowsTheWay(20, never=tuple(range(20)))})
+        evaluate(KNOWN, {"toy": KnowsTheWay(20, never=tuple(range(20)))})
     ).found
     assert "settles in 0 % of the trials, and every controller in at least 0 %." in found
 
 
-def test_the_text_of_a_moving_target_states_error_and_lag():
-    config = EvaluateConfig(controllers=("ibvs",), scenarios=("fast",), episodes=4)
-    evaluation = evaluate(config)
-    found = describe_evaluation(evaluation).found
-    lag = min(evaluation.summaries(), key=lambda row: row["tracking_rms_px"])
+def test_the_text_of_a_moving_target_states_error_and_lag(fast):
+    found = describe_evaluation(fast).found
+    lag = min(fast.summaries(), key=lambda row: row["tracking_rms_px"])
     assert found.startswith("fast on kinematic: the smallest median tracking error is that of")
     assert f"a median lag of {1000.0 * lag['tracking_lag_median_s']:.1f} ms" in found
 
@@ -280,10 +246,6 @@ def test_trials_of_robust_say_what_they_ran_with():
     assert 0.03 - 1e-9 <= latencies.min() < 0.06
     assert 0.1 < latencies.max() <= 0.13 + 1e-9
     assert np.array_equal(latencies, evaluation.outcomes[1].trials["latency_s"])
-
-
-def test_every_name_that_the_module_offers_is_there():
-    assert all(hasattr(module, name) for name in module.__all__)
 
 
 @pytest.mark.parametrize("kind", ["gain-schedule", "policy"])

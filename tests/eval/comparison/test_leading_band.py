@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from tests.eval.trials.toys import PERIOD_S, STEP, InTwoTurns, KnowsTheWay, ideal_head
+from tests.eval.conftest import row_of
+from tests.eval.trials.toys import PERIOD_S, InTwoTurns, KnowsTheWay
 from vergence.eval.comparison.evaluate import (
     BOUND,
     EvaluateConfig,
@@ -15,9 +16,7 @@ from vergence.eval.comparison.evaluate import (
 )
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.summary import speed_up
-from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.eval.trials.settling import SettlingBand
-from vergence.models.files.head_file import save_head
 
 NEAR = InTwoTurns(20, 50, 1.5)
 """Within 2 px after 21 periods, within 1 px after 51."""
@@ -31,28 +30,14 @@ TWO_PX = (
 
 
 @pytest.fixture
-def run(monkeypatch, tmp_path):
+def run(known):
     """Evaluates toys in a scenario of a leading band."""
-    save_head(ideal_head(), tmp_path / "ideal.toml")
 
     def evaluated(band_px: float = 1.0, **toys: object) -> Evaluation:
-        scenario = Scenario(
-            name="known",
-            description="a step",
-            target=STEP.target,
-            duration_s=0.5,
-            head=str(tmp_path / "ideal.toml"),
-            band_px=band_px,
-        )
-        monkeypatch.setitem(SCENARIOS, "known", scenario)
+        known(band_px=band_px)
         return evaluate(EvaluateConfig(scenarios=("known",), episodes=20), toys)
 
     return evaluated
-
-
-def row_of(evaluation: Evaluation, controller: str) -> dict:
-    (row,) = (row for row in evaluation.rows() if row["controller"] == controller)
-    return row
 
 
 def outcome_of(evaluation: Evaluation, controller: str):
@@ -111,7 +96,7 @@ def test_the_leading_band_decides_who_is_faster(run, band_px, faster) -> None:
     assert found["faster"] == pytest.approx(faster)
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("band_px", [0.5, 3.0])
 def test_any_band_may_lead(run, band_px, tmp_path) -> None:
     evaluation = run(band_px, near=InTwoTurns(20, 50, 0.8 * band_px))

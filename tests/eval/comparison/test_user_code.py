@@ -91,10 +91,10 @@ def test_a_file_that_was_edited_is_read_anew(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("word", ["mine_d:Gentle", "mine_d.py:Gentle"])
-def test_worker_processes_find_it_too(tmp_path, word):
+def test_worker_processes_find_it_too(tmp_path):
     write(tmp_path / "mine_d.py")
-    assert compared(word, mapper=ProcessMapper(2)) == [word, "ibvs-tuned"]
+    words = ["mine_d:Gentle", "mine_d.py:Gentle"]
+    assert compared(*words, mapper=ProcessMapper(2)) == [*words, "ibvs-tuned"]
 
 
 def test_what_is_wrong_in_the_file_is_said_with_its_place_in_one_line(tmp_path, capsys):
@@ -201,12 +201,11 @@ def test_where_nothing_but_the_baseline_is_left_nothing_is_written(tmp_path, cap
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("keep_going", [True, False])
-def test_an_exception_that_cannot_leave_a_worker_process_is_said_as_well(tmp_path, keep_going):
+def test_an_exception_that_cannot_leave_a_worker_process_is_said_as_well(tmp_path):
     write(tmp_path / "mine_j.py", first=TWO, acting=LATER)
     config = EvaluateConfig(controllers=("mine_j.py:Gentle",), episodes=2)
     with pytest.raises(UserControllerError, match=r"mine_j\.py:16 in predict: Two: late"):
-        evaluate(config, mapper=ProcessMapper(2), keep_going=keep_going)
+        evaluate(config, mapper=ProcessMapper(2), keep_going=True)
 
 
 def test_a_robots_fault_is_not_blamed_on_the_controller():
@@ -253,8 +252,7 @@ def test_a_helper_of_the_users_is_the_place_and_not_the_library_below_it(tmp_pat
         compared("mine_k:Gentle")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.nightly)])
 def test_what_a_controller_prints_is_no_part_of_the_json(tmp_path, capfd, workers):
     write(tmp_path / "mine_p.py", first="print('imported')", making="print('made')")
     words = ["evaluate", "mine_p:Gentle", "--episodes", "2", "--workers", workers, "--json"]

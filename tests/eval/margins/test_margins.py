@@ -1,17 +1,16 @@
 """Margins of controllers: known ones, their rows, and their run folder."""
 
 import json
-import pickle
 import tomllib
 
 import pandas as pd
 import pytest
 
+from tests.eval.mappers import Backwards
 from tests.eval.refusals import not_refused
-from tests.eval.trials.toys import AFTER, BEFORE, PERIOD_S, STEP, KnowsTheWay, ideal_head
+from tests.eval.trials.toys import AFTER, BEFORE, PERIOD_S, KnowsTheWay, ideal_head
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.errors import ConfigurationError, UserControllerError
-from vergence.eval.jobs import SerialMapper
 from vergence.eval.margins.config import MarginsConfig
 from vergence.eval.margins.folder import write_margins
 from vergence.eval.margins.margins import MARGIN_ROW_FIELDS, Margins
@@ -20,25 +19,14 @@ from vergence.eval.margins.run import measure_margins
 from vergence.eval.margins.search import BISECTIONS, GRID_FRACTIONS
 from vergence.eval.margins.tables import report_tables
 from vergence.eval.reporting.section import SECTION_FILE, read_section
-from vergence.eval.trials.scenarios import SCENARIOS, Scenario
-from vergence.models.files.head_file import save_head
 
 
 @pytest.fixture
-def known(monkeypatch, tmp_path):
+def measured(known):
     """Measures toys in a scenario whose settling times are known."""
-    save_head(ideal_head(), tmp_path / "ideal.toml")
-    scenario = Scenario(
-        name="known",
-        description="a step",
-        target=STEP.target,
-        duration_s=0.5,
-        head=str(tmp_path / "ideal.toml"),
-    )
-    monkeypatch.setitem(SCENARIOS, "known", scenario)
 
     def measure(
-        *imperfections: str, keep_going: bool = False, episodes: int = 8, **toys: object
+        *imperfections: str, keep_going: bool = False, episodes: int = 4, **toys: object
     ) -> Margins:
         config = MarginsConfig(scenarios=("known",), episodes=episodes, imperfections=imperfections)
         return measure_margins(config, toys, keep_going=keep_going)
@@ -57,11 +45,11 @@ def fineness(name: str, share: float) -> float:
     )
 
 
-def test_the_range_of_a_gain_is_what_the_band_allows(known):
+def test_the_range_of_a_gain_is_what_the_band_allows(measured):
     head = ideal_head()
     off = head.project(head.fixate(BEFORE), AFTER) - head.cameras.principal
     first_px = max(float((one @ one) ** 0.5) for one in off)
-    (row,) = known("speed_gain", toy=KnowsTheWay(20)).rows()
+    (row,) = measured("speed_gain", toy=KnowsTheWay(20)).rows()
     # turned by the gain's share too far, the error is that share of the first one
     room = 1.0 / first_px
     for end, limit in (("settles_low", 1.0 - room), ("settles_high", 1.0 + room)):
@@ -71,8 +59,8 @@ def test_the_range_of_a_gain_is_what_the_band_allows(known):
     assert (row["doubles_low"], row["doubles_high"]) == (row["settles_low"], row["settles_high"])
 
 
-def test_the_median_has_doubled_once_the_commands_are_as_late_as_the_trial_was_long(known):
-    (row,) = known("command_latency_s", toy=KnowsTheWay(5)).rows()
+def test_the_median_has_doubled_once_the_commands_are_as_late_as_the_trial_was_long(measured):
+    (row,) = measured("command_latency_s", toy=KnowsTheWay(5)).rows()
     # settled after 6 periods; 6 more are too many, and a part of one counts as all of it
     limit = 5 * PERIOD_S
     assert 0.0 <= limit - row["doubles_high"] <= fineness("command_latency_s", limit / 0.1)
@@ -80,18 +68,18 @@ def test_the_median_has_doubled_once_the_commands_are_as_late_as_the_trial_was_l
     assert row["settles_high"] == IMPERFECTION_RANGES["command_latency_s"].highest
 
 
-def test_a_controller_that_settles_nowhere_has_no_range(known):
-    margins = known("command_latency_s", toy=KnowsTheWay(5, never=tuple(range(8))))
+def test_a_controller_that_settles_nowhere_has_no_range(measured):
+    margins = measured("command_latency_s", toy=KnowsTheWay(5, never=tuple(range(4))))
     (row,) = margins.rows()
     assert all(row[end] is None for end in MARGIN_ROW_FIELDS[4:])
     (table,) = report_tables(margins)
     assert table.rows[0][-2:] == ["nowhere", "nowhere"]
-    assert "0 of 8 trials settle untouched" in table.title
+    assert "0 of 4 trials settle untouched" in table.title
 
 
 @pytest.mark.slow
 def test_a_higher_gain_bears_less_delay():
-    config = MarginsConfig(controllers=("ibvs",), episodes=2, imperfections=("latency_s",))
+    config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=("latency_s",))
     one, other = (
         measure_margins(config, options={"ibvs": {"gain": gain}}).rows()[0]["settles_high"]
         for gain in (4.0, 8.0)
@@ -100,15 +88,19 @@ def test_a_higher_gain_bears_less_delay():
 
 
 @pytest.mark.slow
-def test_who_was_not_asked_for_does_not_run(known):
-    assert [row["controller"] for row in known("lag_s", toy=KnowsTheWay(5)).rows()] == ["toy"]
+def test_who_was_not_asked_for_does_not_run(measured):
+    assert [row["controller"] for row in measured("lag_s", toy=KnowsTheWay(5)).rows()] == ["toy"]
     config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=("frame_phase",))
     assert [row["controller"] for row in measure_margins(config).rows()] == ["ibvs"]
 
 
 @pytest.mark.slow
-def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(known):
-    margins = known(toy=KnowsTheWay(5), episodes=1)
+def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
+    measured, known, monkeypatch
+):
+    monkeypatch.setattr("vergence.eval.margins.search.BISECTIONS", 1)
+    known(duration_s=0.2)
+    margins = measured(toy=KnowsTheWay(5), episodes=1)
     assert [row["imperfection"] for row in margins.rows()] == [
         name for name in IMPERFECTION_RANGES if not IMPERFECTIONS[name].probability
     ]
@@ -123,8 +115,8 @@ def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
 
 
 @pytest.mark.slow
-def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(known):
-    margins = known("lag_s", "frame_phase", "command_latency_s", toy=KnowsTheWay(20))
+def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(measured):
+    margins = measured("lag_s", "frame_phase", "command_latency_s", toy=KnowsTheWay(20))
     by_name = {one.imperfection: one for one in margins.margins}
     assert by_name["command_latency_s"].is_open("settles_high")
     assert not by_name["command_latency_s"].is_open("settles_low")
@@ -135,9 +127,12 @@ def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(known):
 
 
 @pytest.mark.slow
-def test_the_run_folder_is_what_strict_readers_and_reports_can_read(known, tmp_path):
-    margins = known(
-        "command_latency_s", "speed_gain", toy=KnowsTheWay(5), never=KnowsTheWay(5, never=(0,) * 8)
+def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tmp_path):
+    margins = measured(
+        "command_latency_s",
+        "speed_gain",
+        toy=KnowsTheWay(5),
+        never=KnowsTheWay(5, never=tuple(range(4))),
     )
     folder = tmp_path / "run"
     folder.mkdir()
@@ -165,7 +160,7 @@ def test_the_run_folder_is_what_strict_readers_and_reports_can_read(known, tmp_p
     points = pd.read_csv(folder / "points.csv")
     assert len(points) == sum(len(one.points) for one in margins.margins)
     config = tomllib.loads((folder / "config.toml").read_text())
-    assert config["config"]["episodes"] == 8
+    assert config["config"]["episodes"] == 4
     assert "known" in config["heads"]
     section = read_section(folder / SECTION_FILE)
     assert [figure.name for figure in section.figures] == ["margins-known.svg"]
@@ -173,17 +168,11 @@ def test_the_run_folder_is_what_strict_readers_and_reports_can_read(known, tmp_p
     assert "command latency" in (folder / "report.html").read_text()
 
 
-class Pickling(SerialMapper):
-    """Runs jobs as a worker would: from bytes."""
-
-    def _results(self, jobs):
-        return super()._results(pickle.loads(pickle.dumps(list(jobs))))
-
-
 @pytest.mark.slow
 def test_jobs_find_the_same_elsewhere():
-    config = MarginsConfig(controllers=("ibvs",), episodes=3, imperfections=("backlash_rad",))
-    assert measure_margins(config).rows() == measure_margins(config, mapper=Pickling()).rows()
+    names = ("frame_phase", "backlash_rad")
+    config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=names)
+    assert measure_margins(config).rows() == measure_margins(config, mapper=Backwards()).rows()
 
 
 class Tires(KnowsTheWay):
@@ -199,16 +188,16 @@ class Tires(KnowsTheWay):
         return super().predict(observation, state, episode_start, deterministic)
 
 
-def test_a_controller_that_raises_is_left_out_and_named(known):
-    margins = known("frame_phase", keep_going=True, mine=Tires(5), toy=KnowsTheWay(5))
+def test_a_controller_that_raises_is_left_out_and_named(measured):
+    margins = measured("frame_phase", keep_going=True, mine=Tires(5), toy=KnowsTheWay(5))
     assert [row["controller"] for row in margins.rows()] == ["toy"]
     (failure,) = margins.failures
     assert "controller mine: predict, call 300" in failure
     assert "tired" in failure
     with pytest.raises(UserControllerError, match="tired"):
-        known("frame_phase", mine=Tires(5))
+        measured("frame_phase", mine=Tires(5))
     with pytest.raises(UserControllerError, match="tired"):
-        known("frame_phase", keep_going=True, mine=Tires(5))
+        measured("frame_phase", keep_going=True, mine=Tires(5))
 
 
 def test_what_a_plant_cannot_have_is_left_out_with_a_note():

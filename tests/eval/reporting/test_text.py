@@ -37,6 +37,7 @@ def test_decimals_can_be_fixed():
     assert format_fixed(2.0, 2) == "2.00"
     assert format_fixed(1150.0) == "1150"
     assert format_fixed(float("nan"), 2) == "–"
+    assert [format_fixed(v, 1, signed=True) for v in (1.0, -1.0)] == ["+1.0", "-1.0"]
 
 
 def test_what_rounds_to_zero_has_no_sign():
@@ -44,10 +45,6 @@ def test_what_rounds_to_zero_has_no_sign():
         assert format_fixed(value, 3) == "0.000"
         assert format_fixed(value, 3, signed=True) == "0.000"
     assert format_input_value(-0.0) == format_number(-0.0) == "0"
-
-
-def test_a_sign_is_shown_on_request():
-    assert [format_fixed(v, 1, signed=True) for v in (1.0, -1.0)] == ["+1.0", "-1.0"]
 
 
 def test_a_template_may_have_a_headline_and_captions():
@@ -59,12 +56,8 @@ def test_a_template_may_have_a_headline_and_captions():
 
 
 def test_a_given_number_keeps_its_digits():
-    assert [format_input_value(value) for value in (0.3, 4.0, 650.0, 0.057)] == [
-        "0.3",
-        "4",
-        "650",
-        "0.057",
-    ]
+    given = {0.3: "0.3", 4.0: "4", 650.0: "650", 0.057: "0.057"}
+    assert {value: format_input_value(value) for value in given} == given
 
 
 TEMPLATE = """

@@ -20,7 +20,14 @@ from vergence.models.head import HeadModel
 from vergence.models.joint_response import follow_torque_limited_joint
 
 Array = NDArray[np.float64]
-HALVINGS = 40
+HALVINGS = 30
+
+
+def begin(task: GazeTask, seed: int) -> GazeTask:
+    """Begin a trial of a seed in every place."""
+    trials = np.arange(task.num, dtype=np.uint64)
+    task.begin(np.arange(task.num), np.full(task.num, seed, np.uint64), trials)
+    return task
 
 
 class Joints(NamedTuple):

@@ -6,28 +6,14 @@ import numpy as np
 import pytest
 
 from tests.eval.trials import oracle
-from tests.eval.trials.linear_program import Actuator, is_in_time
-from tests.grids import some_of
+from tests.eval.trials.oracle import begin
 from vergence import make_controller
-from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
-from vergence.errors import BundleError, ConfigurationError
-from vergence.eval.trials.bands import eye_settling_bands
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.metrics import settle_time
 from vergence.eval.trials.run import run_trials
-from vergence.eval.trials.scenarios import Scenario, load_scenario
-
-LOOPS = ("hardware", "webcam")
-EASY = ("ibvs", "delay-compensated", "pid", "fuzzy")
-"""Controllers that settle to 2 px in some trials of such loops."""
-
-
-def begin(task: GazeTask, seed: int) -> GazeTask:
-    trials = np.arange(task.num, dtype=np.uint64)
-    task.begin(np.arange(task.num), np.full(task.num, seed, np.uint64), trials)
-    return task
+from vergence.eval.trials.scenarios import load_scenario
 
 
 def task_of(name: str, num: int, plant: str = "kinematic", **varied: object) -> GazeTask:
@@ -53,10 +39,9 @@ def lateness(task: GazeTask, beyond_px: float = 1.0) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
-@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize(("name", "plant"), [("hardware", "kinematic"), ("webcam", "mujoco")])
 def test_an_oracle_comes_within_periods_of_the_bound_and_never_below(name, plant) -> None:
-    late = lateness(task_of(name, 100, plant, backlash_rad=None, torque_falloff=(0.0, 0.5)))
+    late = lateness(task_of(name, 40, plant, backlash_rad=None, torque_falloff=(0.0, 0.5)))
     assert (late >= 0).all()  # nan, a trial that did not settle, fails too
     # commands that hold for a period and have steps cannot switch where they would like to
     assert (late <= 4).all()
@@ -65,44 +50,14 @@ def test_an_oracle_comes_within_periods_of_the_bound_and_never_below(name, plant
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", LOOPS)
-def test_with_play_an_oracle_comes_as_near_and_never_below(name) -> None:
+def test_with_play_an_oracle_comes_as_near_and_never_below() -> None:
     # a motor that has passed its goal comes back, and leaves its joint beyond
-    late = lateness(task_of(name, 100, torque_falloff=(0.0, 0.5)), 0.5)
+    late = lateness(task_of("hardware", 40, torque_falloff=(0.0, 0.5)), 0.5)
     assert (late >= 0).all()
     assert (late <= 2).mean() >= 0.9
 
 
-@pytest.mark.slow
-def test_a_linear_program_agrees_with_the_bound_to_a_period() -> None:
-    num = 6
-    task = task_of("hardware", num, backlash_rad=None)
-    simulation, period = simulation_of(task.plant), task.head.timing.period_s
-    truth, conditions = simulation.truth_at_rest(), simulation.conditions
-    bound = settle_bound(task, 2.0) + simulation.onset_s()
-    goal, half_band = np.empty((2, num, 4))
-    eye_settling_bands(conditions.heads, task.head.packed, truth.target, 2.0, goal, half_band)
-    first = np.ceil(simulation.first_detection_times()[0] / period - 1e-6) * period
-    own = simulation.true_head.actuation
-    for n in range(num):
-        actuators = [
-            Actuator(
-                turn=goal[n, k] - truth.positions[n, 3 + k],
-                half_band=half_band[n, k],
-                lag=conditions.lag_s[n] * own.lag_ratio[3 + k],
-                acceleration=conditions.acceleration_ratio[n] * own.acceleration[3 + k],
-                top=conditions.speed_gain[n, 3 + k] * own.velocity[3 + k],
-            )
-            for k in range(4)
-        ]
-        moving_s = bound[n] - first[n] - conditions.command_latency_s[n]
-        # a period earlier some actuator cannot be there; a period later all of them can
-        assert not all(is_in_time(one, moving_s - period, period) for one in actuators)
-        assert all(is_in_time(one, moving_s + period, period) for one in actuators)
-
-
-@pytest.mark.parametrize("target", ["random", "step"])
-@pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
+@pytest.mark.parametrize(("plant", "target"), [("kinematic", "random"), ("mujoco", "step")])
 def test_the_first_sight_is_when_the_target_is_seen_first(plant, target) -> None:
     faults = {
         "latency_s": (0.03, 0.13),
@@ -199,22 +154,20 @@ def test_what_hinders_a_motor_never_makes_it_faster() -> None:
         assert (bounds[-1] > bounds[0] + 1e-3).mean() > 0.1, name
 
 
-def makes(name: str, scenario: Scenario) -> bool:
-    """True if a controller runs on a scenario's head without training."""
-    try:
-        make_controller(name, scenario.model())
-    except (BundleError, ConfigurationError):
-        return False
-    return True
-
-
-@pytest.mark.parametrize(("name", "scenario"), some_of(list(CONTROLLERS), [*LOOPS, "double-step"]))
+@pytest.mark.parametrize(
+    ("name", "scenario"),
+    [
+        ("delay-compensated", "hardware"),
+        ("learned-policy", "hardware"),
+        ("pid", "webcam"),
+        ("saccade", "webcam"),
+        ("pursuit", "double-step"),
+    ],
+)
 def test_no_controller_beats_the_bound(name: str, scenario: str) -> None:
     described = load_scenario(scenario)
-    if not makes(name, described):
-        pytest.skip("needs a network that was trained for this head")
     trials = run_trials(
-        make_controller(name, described.model()), described, episodes=36, split="validation"
+        make_controller(name, described.model()), described, episodes=24, split="validation"
     )
     for settled, bound in (
         (trials.settle_s(), trials.bound_s),
@@ -222,7 +175,7 @@ def test_no_controller_beats_the_bound(name: str, scenario: str) -> None:
     ):
         done = np.isfinite(settled)
         assert (settled[done] >= bound[done] - 1e-9).all()
-    if scenario == "double-step" or name in EASY:
+    if scenario == "double-step" or name in ("delay-compensated", "pid"):
         assert np.isfinite(trials.settle_s(2.0)).any()
     assert (trials.bounds_s[2.0] <= trials.bound_s + 1e-9).all()
     assert np.isfinite(trials.bound_s).mean() > 0.9

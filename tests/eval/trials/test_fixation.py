@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, Shaking, ideal_head
+from tests.naming import named
 from vergence.envs.plant import PLANTS
 from vergence.eval.margins.measure import MarginMeasurement
 from vergence.eval.trials.fixation import (
@@ -47,15 +48,9 @@ def error(px) -> np.ndarray:
     return out
 
 
-def test_a_long_trial_is_judged_by_its_last_five_seconds():
+def test_a_trial_is_judged_by_its_last_seconds_or_half_once_the_eyes_could_approach():
     assert fixation_window_start([0.0, 0.6], 8.0) == pytest.approx([3.0, 3.0])
-
-
-def test_a_short_trial_is_judged_by_the_second_half_since_its_onset():
     assert fixation_window_start([0.0, 0.6], 3.0) == pytest.approx([1.5, 1.8])
-
-
-def test_eyes_have_two_seconds_to_approach_where_there_is_time():
     assert fixation_window_start(0.0, 6.0) == pytest.approx(2.0)
 
 
@@ -86,19 +81,15 @@ def test_a_trial_that_is_over_by_then_has_no_speed():
     assert np.isnan(worst_joint_speed_rms(TIME, speeds(1.0), 3.5))
 
 
-@pytest.mark.parametrize(
-    ("hertz", "least"), [(2.0, 40.0), (3.0, 23.5), (5.0, 20.0), (10.0, 20.0), (30.0, 20.0)]
-)
-def test_a_sinusoid_swings_from_a_peak_to_peak_on(hertz: float, least: float):
-    assert detect_oscillation(TIME, sinusoid(1.05 * least, hertz), 0.0)
-    assert not detect_oscillation(TIME, sinusoid(0.95 * min(least, 20.0), hertz), 0.0)
+def test_a_sinusoid_swings_from_a_peak_to_peak_on():
+    for hertz, least in [(2.0, 40.0), (3.0, 23.5), (5.0, 20.0), (10.0, 20.0), (30.0, 20.0)]:
+        with named(hertz):
+            assert detect_oscillation(TIME, sinusoid(1.05 * least, hertz), 0.0)
+            assert not detect_oscillation(TIME, sinusoid(0.95 * min(least, 20.0), hertz), 0.0)
 
 
-def test_one_turn_of_half_a_second_is_no_swing():
+def test_neither_one_turn_of_half_a_second_nor_a_slow_drift_is_a_swing():
     assert not detect_oscillation(TIME, pulse(1.2, 0.5), 0.0)
-
-
-def test_a_slow_drift_is_no_swing():
     assert not detect_oscillation(TIME, speeds(np.linspace(-30.0, 30.0, 360)), 0.0)
 
 
@@ -128,29 +119,21 @@ def test_a_trial_too_short_to_tell_does_not_swing():
     assert not detect_oscillation(TIME[:100], sinusoid(200.0, 5.0)[:99], 0.0)
 
 
-def test_a_trial_that_leaves_and_returns_has_left_again():
-    assert detect_band_exits(TIME, error([9.0] * 20 + [0.5] * 30 + [3.0] * 10 + [0.5]), 1.0, 0.0)
-
-
-def test_a_trial_that_stays_has_not_left_again():
-    assert not detect_band_exits(TIME, error([9.0] * 20 + [0.5]), 1.0, 0.0)
-
-
-def test_crossing_the_band_on_the_way_is_not_to_leave_it():
-    # overshoot: ten periods in the band, less than a tenth of a second
-    assert not detect_band_exits(
-        TIME, error([9.0] * 20 + [0.5] * 10 + [-3.0] * 10 + [0.5]), 1.0, 0.0
-    )
+def test_a_trial_has_left_again_if_it_was_in_the_band_for_a_while():
+    way = [9.0] * 20
+    for after, left in [
+        ([0.5] * 30 + [3.0] * 10 + [0.5], True),
+        ([0.5] * 30 + [np.nan] * 3 + [0.5], True),  # lost sight of the target
+        ([0.5], False),
+        ([0.5] * 10 + [-3.0] * 10 + [0.5], False),  # overshoot: less than a tenth of a second
+    ]:
+        assert detect_band_exits(TIME, error(way + after), 1.0, 0.0) == left
 
 
 def test_what_was_held_before_the_onset_does_not_count():
     held = error([0.5] * 60 + [9.0] * 20 + [0.5])
     assert detect_band_exits(TIME, held, 1.0, 0.0)
     assert not detect_band_exits(TIME, held, 1.0, 60 * PERIOD_S)
-
-
-def test_to_lose_sight_of_the_target_is_to_leave_it():
-    assert detect_band_exits(TIME, error([9.0] * 20 + [0.5] * 30 + [np.nan] * 3 + [0.5]), 1.0, 0.0)
 
 
 HELD = dataclasses.replace(STEP, duration_s=2.0, band_px=8.0)
@@ -231,14 +214,7 @@ def test_a_point_of_margins_tells_how_many_swing_and_counts_none_of_them():
     whose += [1, 3]
     point = measure(0.01)
     assert (point.trials, point.settled, point.swinging) == (4, 2, 2)
-
-
-def test_where_nothing_settles_untouched_a_point_tells_of_swings_all_the_same():
-    scenario = Scenario(name="known", description="a step", target=STEP.target, duration_s=2.0)
-
-    def run(scenario: Scenario):
-        law = Shaking(KnowsTheWay(5), SHARE, 10.0, (0, 1, 2, 3))
-        return run_trials(law, scenario, episodes=4, head=ideal_head())
-
+    # where nothing settles untouched too
+    whose += [0, 2]
     point = MarginMeasurement(run, scenario, "command_latency_s")(0.01)
     assert (point.trials, point.settled, point.swinging) == (0, 0, 4)

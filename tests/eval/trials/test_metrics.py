@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence.eval.trials.metrics import (
     binocular_rms_error,
     command_energy,
@@ -26,26 +27,18 @@ def both(values) -> np.ndarray:
 TIME = np.arange(6) / 10.0
 
 
-def test_settling_is_when_the_error_enters_the_band_to_stay():
-    assert settle_time(TIME, both([9, 0.5, 2, 0.5, 0.4, 0.3]), 1.0) == pytest.approx(0.3)
-
-
-def test_the_slower_eye_counts():
+def test_settling_is_when_the_slower_eyes_error_enters_the_band_to_stay():
+    for values, settled in [
+        ([9, 0.5, 2, 0.5, 0.4, 0.3], 0.3),
+        ([9, 0, 0, 0, 0, 1.0], np.nan),  # it leaves at the end
+        ([9, 0, 0, 0, 0, np.nan], np.nan),  # it is not seen
+        ([0.1] * 6, 0.0),
+    ]:
+        with named(values):
+            assert settle_time(TIME, both(values), 1.0) == pytest.approx(settled, nan_ok=True)
     error = both([9, 0.5, 0.5, 0.5, 0.5, 0.5])
     error[:4, 1, 0] = 3.0
     assert settle_time(TIME, error, 1.0) == pytest.approx(0.4)
-
-
-def test_an_error_that_leaves_the_band_at_the_end_never_settled():
-    assert np.isnan(settle_time(TIME, both([9, 0, 0, 0, 0, 1.0]), 1.0))
-
-
-def test_an_unseen_target_is_not_settled():
-    assert np.isnan(settle_time(TIME, both([9, 0, 0, 0, 0, np.nan]), 1.0))
-
-
-def test_an_error_within_the_band_throughout_settles_at_time_zero():
-    assert settle_time(TIME, both([0.1] * 6), 1.0) == 0.0
 
 
 def test_trials_are_judged_one_by_one():
@@ -55,26 +48,18 @@ def test_trials_are_judged_one_by_one():
     assert np.isnan(times[1])
 
 
-def test_overshoot_is_the_largest_excursion_beyond_zero_by_the_initial_error():
-    assert overshoot_fraction(both([10, 5, -0.3, -0.2, 0.1, 0])) == pytest.approx(0.03)
-
-
-def test_an_error_that_only_falls_does_not_overshoot():
-    assert overshoot_fraction(both([10, 5, 3, 2, 1, 0.5])) == 0.0
-
-
-def test_the_worse_eye_counts_for_overshoot():
+def test_overshoot_is_the_worse_eyes_largest_excursion_beyond_zero_by_its_initial_error():
+    for values, overshoot in [
+        ([10, 5, -0.3, -0.2, 0.1, 0], 0.03),
+        ([10, 5, 3, 2, 1, 0.5], 0.0),
+        ([0, 5, 1, 0, 0, 0], 0.0),  # no error to reduce
+        ([10, np.nan, -1, 0, 0, 0], 0.1),  # out of sight for a while
+    ]:
+        with named(values):
+            assert overshoot_fraction(both(values)) == pytest.approx(overshoot)
     error = both([10, 5, 1, 0, 0, 0])
     error[3, 1, 1] = -1.0
     assert overshoot_fraction(error) == pytest.approx(0.1)
-
-
-def test_an_eye_without_an_error_to_reduce_cannot_overshoot():
-    assert overshoot_fraction(both([0, 5, 1, 0, 0, 0])) == 0.0
-
-
-def test_a_target_behind_the_camera_for_a_while_leaves_the_overshoot_what_it_is():
-    assert overshoot_fraction(both([10, np.nan, -1, 0, 0, 0])) == pytest.approx(0.1)
 
 
 def test_overshoot_counts_from_each_trials_own_onset():
@@ -88,6 +73,7 @@ def test_overshoot_counts_from_each_trials_own_onset():
 def test_tracking_counts_from_each_trials_own_time():
     errors = np.stack([both([50, 50, 3, 3, 3, 3]), both([50, 50, 50, 50, 4, 4])], axis=1)
     assert tracking_rms(TIME, errors, 100.0, after_s=[0.2, 0.4]) == pytest.approx([3.0, 4.0])
+    assert np.isnan(tracking_rms(TIME, both([1] * 6), 100.0, after_s=9.0))
     velocity = np.ones_like(errors)
     lags = tracking_lag(TIME, errors, velocity, after_s=[0.2, 0.4])
     assert lags == pytest.approx([1.5, 2.0])  # along v alone, of u and v
@@ -102,11 +88,6 @@ def test_an_error_that_is_missing_counts_as_the_stated_size():
     error = both([0, 0, 0, 0, 0, np.nan])
     assert tracking_rms(TIME, error, 100.0, after_s=0.45) == pytest.approx(100.0)
     assert np.isnan(binocular_rms_error(error[-1], 100.0)).sum() == 0
-
-
-def test_tracking_counts_from_the_catch_up_on():
-    assert tracking_rms(TIME, both([50, 50, 3, 3, 3, 3]), 100.0, after_s=0.2) == pytest.approx(3)
-    assert np.isnan(tracking_rms(TIME, both([1] * 6), 100.0, after_s=9.0))
 
 
 def test_the_lag_is_the_error_by_the_velocity_and_a_constant_bias_of_a_turn_does_not_count():

@@ -26,6 +26,9 @@ def test_the_settle_time_of_a_controller_that_knows_the_way_is_exact():
         # the command given after `wait` periods has done its work one period later
         assert trials.settle_s() == pytest.approx([(wait + 1) * PERIOD_S] * 3, abs=1e-12)
         assert headline_metric(trials) == pytest.approx((wait + 1) * PERIOD_S)
+    batches = run_trials(KnowsTheWay(4), STEP, episodes=4, batch_size=2)
+    # a state starts anew with every batch
+    assert batches.settle_s() == pytest.approx([5 * PERIOD_S] * 4, abs=1e-12)
 
 
 def test_a_trial_that_never_settles_counts_as_the_whole_trial():
@@ -121,11 +124,6 @@ def test_without_truth_the_residual_is_the_model_s_where_it_sees_the_target(monk
     measured = run_trials(controller, scenario, episodes=1, plant="blind")
     assert measured.residual == pytest.approx(true.residual, abs=0.02)
     assert measured.settle_s() == pytest.approx(true.settle_s(), abs=2 * PERIOD_S)
-
-
-def test_a_state_starts_anew_with_every_batch():
-    trials = run_trials(KnowsTheWay(4), STEP, episodes=4, batch_size=2)
-    assert trials.settle_s() == pytest.approx([5 * PERIOD_S] * 4, abs=1e-12)
 
 
 def test_without_truth_the_measured_errors_stand_at_their_exposure(monkeypatch):

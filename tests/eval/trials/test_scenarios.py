@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.grids import some_of
-from tests.heads import MOVING, head_of, text_of
+from tests.heads import head_of, text_of
+from tests.naming import named
 from vergence.controllers import make_controller
 from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for
 from vergence.envs.streams import RandomStreams
@@ -22,26 +22,10 @@ from vergence.eval.trials.twin_errors import TWIN_ERRORS, TWIN_SPREADS
 from vergence.models import parse_head
 
 NAMES = [
-    "hardware",
-    "webcam",
-    "desk",
-    "step",
-    "workspace",
-    "circle",
-    "line",
-    "fast",
-    "double-step",
-    "occluded",
-    "wander",
-    "robust",
-    "physical",
-    "hardware-fast",
-    "hardware-wander",
-    "hardware-occluded",
-    "hardware-double-step",
-    "webcam-fast",
-    "webcam-wander",
-]
+    "hardware", "webcam", "desk", "step", "workspace", "circle", "line", "fast", "double-step",
+    "occluded", "wander", "robust", "physical", "hardware-fast", "hardware-wander",
+    "hardware-occluded", "hardware-double-step", "webcam-fast", "webcam-wander",
+]  # fmt: skip
 LOOPS = tuple(name for name in NAMES if name.startswith(("hardware", "webcam", "desk")))
 DEGREE = np.pi / 180
 
@@ -83,15 +67,26 @@ def test_every_scenario_runs_on_each_of_its_plants(plant: str) -> None:
         task.close()
 
 
-@pytest.mark.parametrize(("name", "shape"), some_of(NAMES, MOVING))
-def test_every_scenario_runs_with_any_head(name: str, shape: str) -> None:
-    scenario, head = load_scenario(name), head_of(shape)
-    trials = run_trials(make_controller("ibvs", head), scenario, episodes=4, head=head)
-    if name in LOOPS and not scenario.target_moves:
-        # outliers, noise and play move eyes that have arrived
-        assert (trials.steady_px < 8.0).all()
-        return
-    assert np.isfinite(trials.tracking_px if scenario.target_moves else trials.settle_s()).all()
+@pytest.mark.slow
+def test_scenarios_run_with_any_head() -> None:
+    for name, shape in [
+        ("hardware", "tied"),
+        ("webcam-fast", "mis"),
+        ("desk", "panfirst"),
+        ("step", "common"),
+        ("robust", "vergeonly"),
+        ("occluded", "common"),
+        ("double-step", "vergeonly"),
+    ]:
+        with named(name, shape):
+            scenario, head = load_scenario(name), head_of(shape)
+            trials = run_trials(make_controller("ibvs", head), scenario, episodes=4, head=head)
+            if name in LOOPS and not scenario.target_moves:
+                # outliers, noise and play move eyes that have arrived
+                assert (trials.steady_px < 8.0).all()
+                continue
+            found = trials.tracking_px if scenario.target_moves else trials.settle_s()
+            assert np.isfinite(found).all()
 
 
 def test_a_target_that_a_head_cannot_look_at_is_told_with_its_scenario() -> None:
@@ -105,7 +100,7 @@ def test_a_target_that_a_head_cannot_look_at_is_told_with_its_scenario() -> None
 
 
 def test_both_eyes_see_the_target_at_the_start() -> None:
-    seen = {name: begin(load_scenario(name), 500).truth().image_visible.all() for name in NAMES}
+    seen = {name: begin(load_scenario(name), 200).truth().image_visible.all() for name in NAMES}
     assert seen == dict.fromkeys(NAMES, True)
 
 
@@ -144,7 +139,7 @@ def test_seeds_of_splits_and_runs_never_meet() -> None:
         scenario.seed("exam")
 
 
-@pytest.mark.parametrize("name", ["workspace", "robust", "physical"])
+@pytest.mark.parametrize("name", ["workspace", "physical"])
 def test_the_workspace_is_what_it_promises(name: str) -> None:
     scenario = load_scenario(name)
     head = scenario.model()
@@ -178,7 +173,7 @@ def test_the_workspace_is_uniform_in_eccentricity_and_inverse_depth() -> None:
 def test_fast_targets_are_as_fast_as_drawn_and_within_reach() -> None:
     scenario = load_scenario("fast")
     head = scenario.model()
-    rows, q = motions(scenario, 300)
+    rows, q = motions(scenario, 150)
     t = np.linspace(0.0, scenario.duration_s, 1921)
     points = target_position(rows[:, None], t)
     middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
@@ -202,12 +197,6 @@ def test_fast_targets_are_as_fast_as_drawn_and_within_reach() -> None:
     swing = np.ptp(points[..., 2], axis=1)
     assert swing.max() > 0.3
     assert np.quantile(swing, 0.2) < 0.1
-
-
-def test_occluded_targets_are_the_fast_ones() -> None:
-    occluded, fast = (motions(load_scenario(name), 50)[0] for name in ("occluded", "fast"))
-    t = np.linspace(0.0, 4.0, 33)
-    assert np.array_equal(target_position(occluded[:, None], t), target_position(fast[:, None], t))
 
 
 def test_robust_trials_draw_the_delays_of_the_issue() -> None:
@@ -253,13 +242,12 @@ def test_a_plant_that_looks_at_the_world_cannot_draw_a_scenarios_targets() -> No
         load_scenario("step").task(1, "tests.envs.robot:Robot")
 
 
-@pytest.mark.parametrize("law", ["ibvs-tuned", "pid"])
-@pytest.mark.parametrize("name", ["hardware", "webcam"])
+@pytest.mark.parametrize(("name", "law"), [("hardware", "pid"), ("webcam", "ibvs-tuned")])
 def test_the_tuned_laws_settle_in_two_pixels_through_a_robots_loop(name, law) -> None:
     scenario = load_scenario(name)
     head = scenario.model()
     entry = find_tuned_or_fallback(law, name, head)
     assert is_tuned_for(entry, head)
     controller = make_controller(law, head, **entry.options)
-    trials = run_trials(controller, scenario, episodes=100, split="validation")
+    trials = run_trials(controller, scenario, episodes=40, split="validation")
     assert np.isfinite(trials.settle_s(2.0)).mean() >= 0.95

@@ -13,6 +13,7 @@ from optuna.exceptions import StorageInternalError
 from optuna.samplers import RandomSampler
 from sqlalchemy.exc import OperationalError
 
+from tests.eval.mappers import Backwards
 from tests.test_cli import call
 from vergence.commands.tune import repeat_command
 from vergence.controllers.controller import make_controller
@@ -62,7 +63,7 @@ def test_failures_are_not_given_up_for_a_shorter_median(tmp_path):
         settled = 1.0 - 0.2 * max(0.0, x)
         return {"headline": 1.0 - 0.1 * x, "mean": 0.0, "settled_fraction": settled}
 
-    attempts = run_search(search(tmp_path, 40), hasty)
+    attempts = run_search(search(tmp_path, 18), hasty)
     best = min(attempts, key=lambda attempt: attempt.rank)
     assert best.results["settled_fraction"] > 0.97
     assert min(attempts, key=lambda attempt: attempt.results["headline"]).rank > best.rank
@@ -70,15 +71,6 @@ def test_failures_are_not_given_up_for_a_shorter_median(tmp_path):
 
 def points(attempts):
     return [attempt.options for attempt in attempts]
-
-
-@pytest.mark.slow
-def test_a_search_finds_the_bottom_of_a_bowl(tmp_path):
-    attempts = run_search(search(tmp_path, 30), bowl)
-    assert len(attempts) == 30
-    found = [attempt.results["headline"] for attempt in attempts]
-    # the first ten are drawn uniformly; what is known guides the rest
-    assert np.median(found[10:]) < 0.5 * np.median(found[:10])
 
 
 @pytest.mark.slow
@@ -91,9 +83,9 @@ def test_a_stopped_search_tries_what_one_that_was_not_stopped_tries(tmp_path):
 
 @pytest.mark.slow
 def test_a_search_that_is_done_tries_nothing(tmp_path):
-    first = run_search(search(tmp_path, 5), bowl)
+    first = run_search(search(tmp_path, 3), bowl)
     calls = []
-    again = run_search(search(tmp_path, 5), lambda options: calls.append(options) or bowl(options))
+    again = run_search(search(tmp_path, 3), lambda options: calls.append(options) or bowl(options))
     assert calls == []
     assert points(again) == points(first)
 
@@ -123,8 +115,8 @@ def test_points_that_cannot_be_are_passed_over(tmp_path):
             raise ConfigurationError("x: expected 0 or more")
         return bowl(options)
 
-    attempts = run_search(search(tmp_path, 12), picky)
-    assert 0 < len(attempts) < 12
+    attempts = run_search(search(tmp_path, 6), picky)
+    assert 0 < len(attempts) < 6
     assert all(options["x"] >= 0.0 for options in points(attempts))
 
 
@@ -226,7 +218,7 @@ def postgres(tmp_path_factory):
     server.cleanup()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_several_processes_share_a_study_on_postgresql(postgres, tmp_path):
     root = str(Path(__file__).parents[3])
     workers = [
@@ -271,11 +263,23 @@ def config(**changes):
 def test_a_gain_is_judged_by_the_headline_metric_on_training_trials():
     scenario = load_scenario("workspace")
     head = scenario.model()
-    found = controller_objective(config(), scenario, head)({"gain": 4.0})
+    found = controller_objective(config(seed=3), scenario, head)({"gain": 4.0})
     controller = make_controller("ibvs", head, gain=4.0)
-    trials = run_trials(controller, scenario, episodes=6, split="train", seed=0)
+    trials = run_trials(controller, scenario, episodes=6, split="train", seed=3)
     assert found["headline"] == headline_metric(trials)
     assert found["mean"] == trials.settle_or_trial_s().mean()
+
+
+def test_a_gain_is_judged_alike_by_whoever_runs_the_parts_of_its_trials(monkeypatch):
+    monkeypatch.setattr("vergence.eval.tuning.objective._LEAST_JOB_TRIALS", 2)
+    scenario = load_scenario("robust")
+    found = [
+        controller_objective(config(scenario="robust"), scenario, scenario.model(), mapper)(
+            {"gain": 4.0}
+        )
+        for mapper in (None, Backwards())
+    ]
+    assert found[0] == found[1]
 
 
 def test_a_gain_is_judged_by_the_band_that_leads_and_with_the_gate_of_the_baseline():
@@ -410,19 +414,18 @@ def test_the_packages_table_is_for_maintainers_and_for_presets(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("name", ["hardware", "webcam"])
 def test_options_are_found_for_the_head_of_the_scenario_with_its_own_parts(
-    name, three_gains, tmp_path, user_table, package_table
+    three_gains, tmp_path, user_table, package_table
 ):
-    words = ["--scenario", name, "--write", "--write-package"]
+    words = ["--scenario", "hardware", "--write", "--write-package"]
     assert tuned_ibvs(tmp_path, *words) == 0
-    head = load_scenario(name).model()
-    key = ("ibvs", name, head.digest)
+    head = load_scenario("hardware").model()
+    key = ("ibvs", "hardware", head.digest)
     (entry,) = load_tuned(user_table).values()
     assert entry.key == key
-    assert entry.command == f"vergence tune ibvs --scenario {name} --episodes 4 --seed 2"
+    assert entry.command == "vergence tune ibvs --scenario hardware --episodes 4 --seed 2"
     assert load_tuned(package_table)[key] == entry
-    assert find_tuned_or_fallback("ibvs-tuned", name, head) == entry
+    assert find_tuned_or_fallback("ibvs-tuned", "hardware", head) == entry
 
 
 def test_a_damaged_table_is_refused_before_the_search_and_kept(tmp_path, user_table, capsys):
@@ -449,15 +452,12 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, mo
     for words, said in [
         (["nonsense"], "'nonsense'"),
         (["ibvs", "--scenario", "nonsense"], "'nonsense'"),
-        (["ibvs", "--plant", "nonsense"], "'nonsense'"),
-        (["ibvs", "--head", "nonsense"], "nonsense"),
         (["ibvs", "--episodes", "0"], "episodes"),
         (["adaptive", "--trials", "0"], "trials"),
         (["adaptive", "--grid"], "slope_zero"),
         (["policy", "--write"], "write"),
         (["policy", "--cluster", "127.0.0.1:6379"], "cluster"),
         (["ibvs", "--workers", "0"], "workers"),
-        (["ibvs", "--seed", "-1"], "-1"),
     ]:
         assert call("tune", *words) == 2, words
         out, err = capsys.readouterr()

@@ -19,7 +19,7 @@ def table():
 
 @pytest.mark.slow
 def test_gaze_trails_a_moving_target_by_its_velocity_over_the_gain():
-    config = small(EXPERIMENT.name, heads=20, settle_s=2.0, speed_m_s=0.03)
+    config = small(EXPERIMENT.name, heads=8, settle_s=2.0, speed_m_s=0.06)
     numbers = EXPERIMENT.numbers(EXPERIMENT.run(config, 0, SerialMapper()), config)
     velocity = np.array(config.end_mm) - np.array(config.origin_mm)
     velocity *= 1000.0 * config.speed_m_s / np.linalg.norm(velocity)

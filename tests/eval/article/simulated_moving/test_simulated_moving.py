@@ -12,7 +12,7 @@ from vergence.eval.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("simulated-moving")
-CONFIG = SimulatedMovingConfig(samples=120)
+CONFIG = SimulatedMovingConfig(samples=60, settle_s=1.6)
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def table():
 
 
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit():
-    few = SimulatedMovingConfig(samples=12)
+    few = SimulatedMovingConfig(samples=2, settle_s=0.1)
     tables = [EXPERIMENT.run(few, 1, mapper) for mapper in (SerialMapper(), backwards)]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 

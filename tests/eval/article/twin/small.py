@@ -8,9 +8,14 @@ from vergence.eval.jobs import SerialMapper
 
 _HEADS: Final = {"heads": 4, "scale": 0.4, "noise_poses": 1, "noise_frames": 3}
 _SMALL: Final[dict[str, dict[str, Any]]] = {
-    "physical-static": {"imaged_every": 10, "samples": 4, "offsets_px": [0.0, 200.0]},
+    "physical-static": {"imaged_every": 20, "samples": 4, "offsets_px": [0.0, 200.0]},
     "physical-moving": {"speed_m_s": 0.5, "settle_s": 0.5, "table_every": 4},
     "fixed-pair": {"samples": 4, "settle_s": 0.5},
+}
+_TINY: Final[dict[str, dict[str, Any]]] = {
+    "physical-static": {"samples": 2},
+    "physical-moving": {"speed_m_s": 2.0},
+    "fixed-pair": {"samples": 2},
 }
 NAMES: Final = sorted(_SMALL)
 
@@ -24,6 +29,12 @@ def small(name: str, **changes: Any) -> Any:
 def table_of(name):
     """The table of a small run; whoever changes it copies it first."""
     return load_experiment(name).run(small(name), 0, SerialMapper())
+
+
+def tiny_table(name, seed, mapper):
+    """The table of a run that is too short for anything but a comparison of tables."""
+    config = small(name, heads=2, noise_frames=2, settle_s=0.1, **_TINY[name])
+    return load_experiment(name).run(config, seed, mapper)
 
 
 def scaled(table, column, factor, rows):

@@ -27,14 +27,14 @@ from vergence.eval.jobs import SerialMapper
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("uncertainty")
 CONFIG = UncertaintyConfig(
-    draws=120,
+    draws=60,
     point_step=20,
     gains=(2.0, 4.0),
     heads=40,
-    loop_samples=300,
+    loop_samples=200,
     image_gains=(4.0,),
-    image_samples=240,
-    reach_draws=20,
+    image_samples=100,
+    reach_draws=8,
     averaging_depths_m=(1.5, 2.5),
     frames=64,
     replicates=2,
@@ -48,8 +48,9 @@ def table():
 
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit():
     few = dataclasses.replace(
-        CONFIG, draws=12, heads=4, loop_samples=30, image_samples=24, reach_draws=4, frames=8
-    )
+        CONFIG, draws=4, point_step=21, gains=(4.0,), heads=2, loop_samples=5, image_samples=4,
+        reach_draws=2, averaging_depths_m=(1.5,), frames=4, replicates=1,
+    )  # fmt: skip
     tables = [EXPERIMENT.run(few, 1, mapper) for mapper in (SerialMapper(), backwards)]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 
