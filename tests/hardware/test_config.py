@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.naming import named
 from vergence import load_head
 from vergence.cli import main
 from vergence.errors import (
@@ -19,11 +20,10 @@ from vergence.errors import (
     UnreadableFileError,
     VergenceError,
 )
-from vergence.hardware.config import actuator_slots, load_hardware, refuse_other_head
+from vergence.hardware.config import actuator_slots, load_hardware
 from vergence.models.boards import AprilTag
-from vergence.models.files.head_file import presets, save_head
+from vergence.models.files.head_file import save_head
 from vergence.models.files.toml_text import toml_text
-from vergence.models.joints import NECK
 
 
 def document(head="turrets"):
@@ -151,12 +151,13 @@ REFUSED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("place", "value", "said"), REFUSED)
-def test_a_value_that_cannot_be_is_named(tmp_path, place, value, said):
-    with pytest.raises(VergenceError) as refused:
-        load(tmp_path, edited(place, value))
-    assert str(refused.value).startswith(f"{tmp_path / 'robot.toml'}: ")
-    assert said in str(refused.value)
+def test_a_value_that_cannot_be_is_named(tmp_path):
+    for place, value, said in REFUSED:
+        with named(place, value):
+            with pytest.raises(VergenceError) as refused:
+                load(tmp_path, edited(place, value))
+            assert str(refused.value).startswith(f"{tmp_path / 'robot.toml'}: ")
+            assert said in str(refused.value)
 
 
 def wrong_everywhere():
@@ -185,14 +186,7 @@ def test_the_mistakes_of_all_tables_are_told_at_once(tmp_path):
     assert len(lines) == len(told) == len(refused.value.mistakes)
     for line, key in zip(lines, told, strict=True):
         assert line.startswith(f"{tmp_path / 'robot.toml'}: {key}")
-
-
-def test_mistakes_survive_pickling(tmp_path):
-    values, _told = wrong_everywhere()
-    with pytest.raises(MistakesError) as refused:
-        load(tmp_path, values)
-    copied = pickle.loads(pickle.dumps(refused.value))
-    assert str(copied) == str(refused.value)
+    assert str(pickle.loads(pickle.dumps(refused.value))) == str(refused.value)
 
 
 def test_a_wrong_head_hides_no_mistake_that_does_not_depend_on_it(tmp_path):
@@ -227,23 +221,10 @@ def test_each_joint_needs_a_servo(tmp_path):
         load(tmp_path, values)
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"head = ", "no TOML"),
-        (b"a = " + b"[" * 5000, "no TOML"),
-        (b"a = " + b"9" * 5000, "no TOML"),
-        (b"\xff\xfe\x00", "not text in UTF-8"),
-    ],
-)
-def test_a_file_that_is_no_toml_is_refused(tmp_path, content, said):
-    path = tmp_path / "robot.toml"
-    path.write_bytes(content)
-    with pytest.raises(UnreadableFileError, match=rf"robot\.toml: {said}"):
-        load_hardware(path)
-
-
-def test_a_path_with_no_file_is_refused(tmp_path):
+def test_a_path_with_no_file_of_toml_is_refused(tmp_path):
+    (tmp_path / "robot.toml").write_text("head = ")
+    with pytest.raises(UnreadableFileError, match=r"robot\.toml: no TOML"):
+        load_hardware(tmp_path / "robot.toml")
     with pytest.raises(UnreadableFileError, match=r"none\.toml: No such file"):
         load_hardware(tmp_path / "none.toml")
     with pytest.raises(UnreadableFileError, match="the TOML file of a robot's configuration"):
@@ -273,32 +254,16 @@ def test_a_fault_in_the_head_file_names_that_file(tmp_path):
         load(tmp_path, edited("head", "own.toml"))
 
 
-@pytest.mark.parametrize("name", presets())
-def test_servos_are_those_of_the_neck_and_of_the_eyes_actuators(tmp_path, name):
-    values, head = document(name), load_head(name)
+def test_a_tied_head_has_servos_for_its_neck_and_actuators(tmp_path):
+    values, head = document("icub"), load_head("icub")
     for servo in values["servos"]:
         servo["gear_ratio"] = 0.5
     config = load(tmp_path, values)
-    joints = [joint for joint in head.joints[NECK] if joint]
-    assert [one.name for one in config.servos] == joints + list(head.actuation.names)
-    for one in config.servos:
-        assert head.actuation.velocity[one.slot] > 0.0
-        assert one.upper_rad == head.actuation.upper[one.slot]
-
-
-def test_a_tied_head_has_servos_for_its_actuators(tmp_path):
-    config = load(tmp_path, document("icub"))
+    assert [one.upper_rad for one in config.servos] == head.actuation.upper[:6].tolist()
     assert {one.name: one.slot for one in config.servos} == {
         "neck_pitch": 0, "neck_roll": 1, "neck_yaw": 2,
         "eyes_tilt": 3, "eyes_version": 4, "eyes_vergence": 5,
     }  # fmt: skip
-
-
-def test_another_head_is_refused(tmp_path):
-    config = load(tmp_path, document())
-    refuse_other_head(config, load_head("turrets"))
-    with pytest.raises(ConfigurationError, match=r"head: expected the head of .*robot\.toml, turr"):
-        refuse_other_head(config, load_head("physical"))
 
 
 def places(values):

@@ -1,10 +1,12 @@
 """Messages on a robot's failure in a gaze: one line that names the part, and exit status 1."""
 
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +21,11 @@ pytestmark = REAL_TIME
 
 
 @pytest.fixture
-def head(tmp_path: Path):
-    """The configuration of an emulated head, and its world."""
-    with emulated(tmp_path) as (desk, _process):
-        world = WorldClient(load_hardware(desk).emulator_address)
+def head(emulated_desk: Path, tmp_path: Path):
+    """A configuration of its own of the emulated head, and its world."""
+    desk = Path(shutil.copy(emulated_desk, tmp_path))
+    with closing(WorldClient(load_hardware(desk).emulator_address)) as world:
         yield desk, world
-        world.close()
 
 
 def start(desk: Path, *options: str, **process: Any) -> subprocess.Popen[str]:
@@ -65,14 +66,18 @@ def speed_after(world: WorldClient, seconds: float) -> float:
     return float(np.abs(world.ask({"state": None})["velocities"]).max())
 
 
-def test_a_pulled_cable(head) -> None:
-    desk, world = head
-    process = start(desk, "--target", "100", "-200", "700")
-    wait_until_moving(world)
-    world.ask({"unplug": None})
-    assert "gone" in failure(process)
-    # by the servos' own watchdog
-    assert speed_after(world, 0.5) < 0.02
+@pytest.mark.nightly
+def test_a_pulled_cable(tmp_path: Path) -> None:
+    with (
+        emulated(tmp_path) as (desk, _process),
+        closing(WorldClient(load_hardware(desk).emulator_address)) as world,
+    ):
+        process = start(desk, "--target", "100", "-200", "700")
+        wait_until_moving(world)
+        world.ask({"unplug": None})
+        assert "gone" in failure(process)
+        # by the servos' own watchdog
+        assert speed_after(world, 0.5) < 0.02
 
 
 def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(head) -> None:
@@ -94,6 +99,7 @@ def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(head) -> None
     assert rested_s - since_s < 0.5
 
 
+@pytest.mark.nightly
 def test_a_stream_that_ends(head) -> None:
     desk, world = head
     text = desk.read_text()
@@ -104,6 +110,7 @@ def test_a_stream_that_ends(head) -> None:
     assert speed_after(world, 0.3) < 0.02
 
 
+@pytest.mark.nightly
 def test_a_wrong_id(head) -> None:
     desk, world = head
     desk.write_text(desk.read_text().replace("id = 4", "id = 9"))

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from tests.hardware.desk import ready_servos
+from tests.naming import named
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.health import (
@@ -63,10 +64,6 @@ def test_a_servo_that_does_not_answer_has_no_health(bus):
     assert list(read_health(line, limits)) == [1]
 
 
-def judge(**values):
-    return HealthWatch(LIMITS).judge(Health(**FINE | values))
-
-
 JUDGED = [
     ({}, HealthLevel.OK, False),
     ({"load": math.nan}, HealthLevel.OK, False),
@@ -83,11 +80,12 @@ JUDGED = [
 ]
 
 
-@pytest.mark.parametrize(("values", "level", "hot"), JUDGED)
-def test_a_reading_is_judged_by_its_limits(values, level, hot):
-    verdict = judge(**values)
-    assert (verdict.level, verdict.must_release_torque) == (level, hot)
-    assert bool(verdict.text) is (level is not HealthLevel.OK)
+def test_a_reading_is_judged_by_its_limits():
+    for values, level, hot in JUDGED:
+        verdict = HealthWatch(LIMITS).judge(Health(**FINE | values))
+        with named(values):
+            assert (verdict.level, verdict.must_release_torque) == (level, hot)
+            assert bool(verdict.text) is (level is not HealthLevel.OK)
 
 
 def test_the_worst_decides_and_all_are_told():

@@ -1,7 +1,6 @@
 """A robot that looks at a board, on an emulated head that differs from its model."""
 
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.looker import RobotLooker
 from vergence.recording.looking import Looker
 
-pytestmark = REAL_TIME
+pytestmark = [*REAL_TIME, pytest.mark.nightly]
 
 BOARD = parse_sized_board("checkerboard:9x6:24")
 HEAD = load_head("turrets")
@@ -30,34 +29,16 @@ TURNS = np.array([[0, 0, 0, 0], [0.1, 0.05, 0.1, -0.1], [0.104, 0.046, 0.1, -0.1
 ASIDE = np.array([0, 0, 0, 1.2, 0, 0, 0])
 
 
-@pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The configuration of an emulated head before a board."""
-    options = ["--board", str(BOARD), "--errors", str(SCALE), "--seed", str(SEED)]
-    with emulated(tmp_path_factory.mktemp("desk"), *options) as (path, _process):
-        yield path
-
-
 def projected(q: np.ndarray) -> np.ndarray:
     """(2, n, 2) px, where the true head has the board's corners."""
     points = CORNERS @ T_0_T.T @ np.linalg.inv(TRUE.base_pose(q)).T
     return np.stack([TRUE.project(q, point[:3]) for point in points], axis=1)
 
 
-@contextmanager
-def unhurried() -> Iterator[None]:
-    """Skip where other work starves an emulated head, which runs in real time."""
-    try:
-        yield
-    except HardwareError as error:
-        if any(text in str(error) for text in ("expected an answer", "expected images", "late")):
-            pytest.skip(f"this machine is too busy for an emulated head: {error}")
-        raise
-
-
-def test_sights_are_those_of_the_true_head_at_its_angles(desk: Path) -> None:
+def test_sights_are_those_of_the_true_head_at_its_angles(tmp_path: Path) -> None:
+    options = ["--board", str(BOARD), "--errors", str(SCALE), "--seed", str(SEED)]
     with (
-        unhurried(),
+        emulated(tmp_path, *options) as (desk, _process),
         closing(WorldClient(load_hardware(desk).emulator_address)) as world,
         closing(RobotLooker(desk, BOARD)) as looker,
     ):

@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 
 from tests.hardware.test_config import document, load
+from tests.naming import named
 from vergence.errors import HeadFileError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.config_edit import write_loop
@@ -55,9 +56,8 @@ def test_an_eye_that_was_not_measured_and_what_was_not_reached_are_not_written(d
     assert [camera.latency_s for camera in config.cameras] == [0.07, right_s]
 
 
-@pytest.mark.parametrize(
-    ("changes", "key"),
-    [
+def test_a_loop_that_cannot_be_is_refused_by_its_key(tmp_path):
+    for changes, key in (
         ({"lag": 0.03}, "loop.lag"),
         ({"lag_s": 45.0}, "loop.lag_s"),
         ({"lag_s": None}, "loop.lag_s"),
@@ -68,12 +68,11 @@ def test_an_eye_that_was_not_measured_and_what_was_not_reached_are_not_written(d
         ({"measured": None}, "loop.measured"),
         ({"sigma": {"lag_s": -1.0}}, "loop.sigma.lag_s"),
         ({"sigma": {"play": 1.0}}, "loop.sigma.play"),
-    ],
-)
-def test_a_loop_that_cannot_be_is_refused_by_its_key(tmp_path, changes, key):
-    with pytest.raises(HeadFileError) as refused:
-        load(tmp_path, document() | {"loop": table(**changes)})
-    assert refused.value.key == key
+    ):
+        with named(changes):
+            with pytest.raises(HeadFileError) as refused:
+                load(tmp_path, document() | {"loop": table(**changes)})
+            assert refused.value.key == key
 
 
 def test_simulation_has_what_was_measured_and_the_rest_from_the_head(desk):

@@ -10,6 +10,7 @@ import pytest
 
 from tests.hardware.desk import desk_config
 from tests.hardware.fakes import HEAD, blank
+from tests.naming import named
 from vergence.cli import main
 from vergence.errors import ConfigurationError
 from vergence.hardware.checks import cameras as camera_checks
@@ -110,14 +111,15 @@ FOUND = [
 ]
 
 
-@pytest.mark.parametrize(("values", "said", "warning"), FOUND)
-def test_a_camera_that_gives_something_else_is_one_finding(values, said, warning):
-    _states, found = Desk(at0={}, at2=values).check(pixel_format="MJPG", exposure_s=0.008)
-    (finding,) = found
-    assert finding.part == "cameras.right"
-    assert said in finding.problem
-    assert finding.cure
-    assert finding.warning == bool(warning)
+def test_a_camera_that_gives_something_else_is_one_finding():
+    for values, said, warning in FOUND:
+        with named(values):
+            _states, found = Desk(at0={}, at2=values).check(pixel_format="MJPG", exposure_s=0.008)
+            (finding,) = found
+            assert finding.part == "cameras.right"
+            assert said in finding.problem
+            assert finding.cure
+            assert finding.warning == bool(warning)
 
 
 def test_an_automatic_exposure_is_a_warning_where_none_is_asked_for():
@@ -152,14 +154,14 @@ def test_a_camera_that_starts_only_alone_is_the_controllers_limit():
     assert "cameras.right 0 (30 alone)" in finding.problem
 
 
-@pytest.mark.parametrize("wrong", [{"rate_hz": 12.0}, {"rate_hz": 0.0}, {"size": (320, 240)}])
-def test_the_cures_of_a_stream_are_those_of_its_server(wrong):
-    desk = Desk(**{"athttp://left": wrong})
+def test_the_cures_of_a_stream_are_those_of_its_server():
     request = CameraRequest(name="left", source="http://left", **ASKED, exposure_s=0.01)
-    _states, (finding,) = check_cameras([request], open=desk.open_capture, clock=desk.clock)
-    for word in ("v4l2-ctl", "MJPG", "exposure", "cable"):
-        assert word not in finding.cure
-    assert finding.cure
+    for wrong in ({"rate_hz": 12.0}, {"rate_hz": 0.0}, {"size": (320, 240)}):
+        desk = Desk(**{"athttp://left": wrong})
+        _states, (finding,) = check_cameras([request], open=desk.open_capture, clock=desk.clock)
+        for word in ("v4l2-ctl", "MJPG", "exposure", "cable"):
+            assert word not in finding.cure, wrong
+        assert finding.cure
 
 
 def test_a_streams_settings_are_not_judged():
@@ -214,15 +216,13 @@ def test_the_command_tells_errors_before_warnings_and_fails_by_errors_alone(monk
     assert run("0") == 0
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_words_that_cannot_be_are_misuse(capsys):
+    for words, said in (
         ([], "expected either --config PATH or cameras"),
         (["0", "--rate", "0"], "rate: expected images a second"),
         (["0", "--pixel-format", "MJPEG"], "pixel-format: expected four letters"),
         (["--config", "none.toml", "--rate", "30"], "expected with cameras, got --config"),
-    ],
-)
-def test_words_that_cannot_be_are_misuse(capsys, words, said):
-    assert run(*words) == 2
-    assert said in capsys.readouterr().err
+    ):
+        with named(words):
+            assert run(*words) == 2
+            assert said in capsys.readouterr().err

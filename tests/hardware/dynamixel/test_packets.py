@@ -8,6 +8,7 @@ from dynamixel_sdk import Protocol2PacketHandler
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.hardware.dynamixel.packets import (
     BROADCAST,
@@ -99,11 +100,11 @@ def test_no_packet_comes_out_of_random_bytes_behind_headers_that_fit():
     # the checksum lets one in 65,536 through, so what is drawn is few enough, and fixed
     rng = random.Random(0)
     parser = PacketParser()
-    for _ in range(8192):
+    for _ in range(2048):
         length = rng.randrange(3, 64)
         frame = bytes((rng.randrange(253),)) + length.to_bytes(2, "little")
         assert parser.feed(HEADER + frame + rng.randbytes(length)) == []
-    assert parser.rejected == 8192
+    assert parser.rejected == 2048
 
 
 @given(data=st.binary(max_size=2000))
@@ -140,12 +141,9 @@ def test_an_instruction_is_no_status():
     assert Packet(1, Instruction.READ, bytes(4)).status is None
 
 
-@pytest.mark.parametrize("id", [-1, 253, 255])
-def test_ids_that_no_servo_has_are_refused(id):
-    with pytest.raises(ConfigurationError, match="expected 0 to 252 or 254"):
-        instruction_packet(id, Instruction.PING)
-
-
-def test_more_than_a_packet_takes_is_refused():
+def test_packets_that_cannot_be_are_refused():
+    for id in (-1, 253, 255):
+        with named(id), pytest.raises(ConfigurationError, match="expected 0 to 252 or 254"):
+            instruction_packet(id, Instruction.PING)
     with pytest.raises(ConfigurationError, match="at most 381 bytes"):
         instruction_packet(1, Instruction.WRITE, bytes(MOST_LENGTH))

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from tests.commands.test_failures import call
+from tests.naming import named
 from vergence.errors import HeadFileError
 from vergence.hardware.emulator.fault import load_faults, parse_fault
 
@@ -35,9 +36,8 @@ def test_a_fault_of_cameras_alone_is_of_both_eyes_unless_told_otherwise():
     assert not parsed(what="torn", eye="left").affects(1)
 
 
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
+def test_what_is_no_fault_is_refused_with_what_there_is():
+    for values, said in (
         ({}, r"fault\.what: expected one of bad-crc, .*out-of-step"),
         ({"what": "losst"}, r"fault\.what: expected one of bad-crc, .*, got 'losst'"),
         ({"what": "lost", "id": 1}, r"fault\.id: .* lost takes: what, ids, for_s, probability"),
@@ -52,11 +52,9 @@ def test_a_fault_of_cameras_alone_is_of_both_eyes_unless_told_otherwise():
         ({"what": "voltage"}, r"fault\.value: expected V"),
         ({"what": "lost", "at_s": 1.0}, r"fault\.at_s: "),
         (5, "fault: expected a table"),
-    ],
-)
-def test_what_is_no_fault_is_refused_with_what_there_is(values, said):
-    with pytest.raises(HeadFileError, match=said):
-        parse_fault(values, IDS, timed=False)
+    ):
+        with named(values), pytest.raises(HeadFileError, match=said):
+            parse_fault(values, IDS, timed=False)
 
 
 def test_a_script_says_when_faults_begin(tmp_path):
@@ -67,22 +65,18 @@ def test_a_script_says_when_faults_begin(tmp_path):
     assert [(one.what, one.at_s) for one in load_faults(path, IDS)] == [("lost", 2), ("unplug", 5)]
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (None, "No such file"),
+def test_a_wrong_script_is_refused_in_a_line_before_anything_starts(capsys, tmp_path):
+    path = tmp_path / "faults.toml"
+    for text, said in (
         ("[[fault", "no TOML"),
         ("", "fault: expected tables"),
         ('[[fault]]\nwhat = "lost"', "fault[0].at_s: expected seconds since torque"),
         ('[[fault]]\nwhat = "lost"\nat_s = 1\nids = [9]', "fault[0].ids: "),
         ('[[faults]]\nwhat = "lost"\nat_s = 1', "is it meant by faults?"),
-    ],
-)
-def test_a_wrong_script_is_refused_in_a_line_before_anything_starts(capsys, tmp_path, text, said):
-    path = tmp_path / "faults.toml"
-    if text is not None:
+    ):
         path.write_text(text)
-    assert call("emulate", "--faults", str(path)) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
-    assert str(path) in line
+        with named(text):
+            assert call("emulate", "--faults", str(path)) == 2
+            (line,) = capsys.readouterr().err.splitlines()
+            assert said in line
+            assert str(path) in line

@@ -11,7 +11,7 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.emulator.client import WorldClient
 
-pytestmark = REAL_TIME
+pytestmark = [*REAL_TIME, pytest.mark.nightly]
 
 IDS = (1, 2, 3, 4)
 WATCHDOG_S = 0.2

@@ -4,6 +4,7 @@ import pytest
 
 from tests.hardware.emulator.questions import ask, read, turning, write
 from tests.hardware.line import make_servo
+from tests.naming import named
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import (
     BROADCAST,
@@ -71,24 +72,21 @@ def test_a_joint_without_torque_comes_to_rest_with_its_lag():
     assert line.positions()[0] - place == pytest.approx(speed * line.servos[0].lag_s)
 
 
-@pytest.mark.parametrize(
-    ("register", "value", "bit", "torque"),
-    [
+def test_what_leaves_its_limits_is_an_error_and_takes_torque_by_the_mask():
+    for register, value, bit, torque in (
         (table.PRESENT_TEMPERATURE, 72, 0, 1),
         (table.PRESENT_TEMPERATURE, 73, 1 << 2, 0),
         (table.PRESENT_INPUT_VOLTAGE, 60, 0, 1),
         (table.PRESENT_INPUT_VOLTAGE, 59, 1 << 0, 1),
         (table.PRESENT_INPUT_VOLTAGE, 141, 1 << 0, 1),
-    ],
-)
-def test_what_leaves_its_limits_is_an_error_and_takes_torque_by_the_mask(
-    register, value, bit, torque
-):
-    line = turning()
-    line.servos[0].set(register, value)
-    assert read(line, 0.1, 1, table.HARDWARE_ERROR_STATUS) == bit
-    assert read(line, 0.1, 1, table.TORQUE_ENABLE) == torque
-    assert ask(line, 0.1, PING)[0].alert == (bit != 0)
+    ):
+        line = turning()
+        line.servos[0].set(register, value)
+        with named(register.name, value):
+            assert read(line, 0.1, 1, table.HARDWARE_ERROR_STATUS) == bit
+            assert read(line, 0.1, 1, table.TORQUE_ENABLE) == torque
+            (status,) = ask(line, 0.1, PING)
+            assert (status.alert, status.error) == (bit != 0, 0)
 
 
 def test_the_mask_of_shutdown_is_the_users():

@@ -7,6 +7,7 @@ import pytest
 
 from tests.commands.test_failures import call
 from tests.hardware.emulator.served import POINT, Served
+from tests.naming import named
 from vergence import load_head
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError, HardwareError
@@ -89,12 +90,15 @@ GARBAGE = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("request_line", GARBAGE)
-def test_a_request_that_is_none_is_answered_with_an_error(served, request_line):
+def test_a_request_that_is_none_is_answered_with_an_error(served):
     host, port = served.server.address.split(":")
-    with socket.create_connection((host, int(port)), timeout=5.0) as connection:
-        connection.sendall(request_line + b"\n")
-        assert b"error" in connection.makefile("rb").readline()
+    for request_line in GARBAGE:
+        with (
+            named(request_line),
+            socket.create_connection((host, int(port)), timeout=5.0) as connection,
+        ):
+            connection.sendall(request_line + b"\n")
+            assert b"error" in connection.makefile("rb").readline()
     assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
 
 
@@ -131,8 +135,8 @@ def test_a_tied_heads_joints_are_its_actuators():
     assert state["pixels"] == [pytest.approx(eye) for eye in head.project(q, state["target"])]
 
 
-@pytest.mark.parametrize("name", ["turrets", "icub"])
-def test_a_controller_reads_the_configuration(tmp_path, name):
+def test_a_controller_reads_the_configuration(tmp_path):
+    name = "icub"
     world = World(load_head(name), POINT)
     server = EmulatorServer(world)
     try:
@@ -152,9 +156,8 @@ def test_a_controller_reads_the_configuration(tmp_path, name):
         server.close()
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_the_command_refuses_wrong_numbers_in_a_line(capsys):
+    for words, said in (
         (("--jitter", "-0.1"), "jitter: expected seconds, 0 to 10, got -0.1"),
         (("--latency", "nan"), "latency: expected seconds, 0 to 10, got nan"),
         (("--right-late", "16"), "right-late: expected seconds, 0 to 10, got 16.0"),
@@ -162,9 +165,8 @@ def test_a_controller_reads_the_configuration(tmp_path, name):
         (("--port", "70000"), "port: expected 0 to 65535, got 70000"),
         (("--target", "0", "nan", "1"), "target: expected three finite numbers"),
         (("--head", "turret"), "did you mean turrets?"),
-    ],
-)
-def test_the_command_refuses_wrong_numbers_in_a_line(capsys, words, said):
-    assert call("emulate", *words) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
+    ):
+        with named(words):
+            assert call("emulate", *words) == 2
+            (line,) = capsys.readouterr().err.splitlines()
+            assert said in line
