@@ -8,7 +8,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.envs.any_head import begun, least_squares, uneven
-from tests.grids import some_of
 from tests.heads import MOVING, head_of, text_of
 from tests.naming import named
 from vergence.envs.gaze_vector import GazeVectorEnv
@@ -34,38 +33,9 @@ def test_gymnasiums_checker_finds_nothing_wrong() -> None:
                 check_env(env.unwrapped, skip_render_check=True)
 
 
-def test_stable_baselines3s_checker_finds_nothing_wrong() -> None:
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    for name in MOVING:
-        with named(name):
-            env = gymnasium.make("vergence/Gaze-v0", head=head_of(name), plant="kinematic")
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")
-                checker.check_env(env.unwrapped)
-
-
-def test_a_place_of_a_vector_runs_what_a_single_environment_runs() -> None:
-    for name in MOVING:
-        with named(name):
-            head = head_of(name)
-            vector = gymnasium.make_vec(
-                "vergence/Gaze-v0", num_envs=3, head=head, plant="kinematic"
-            )
-            single = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic")
-            many, _ = vector.reset(seed=5)
-            one, _ = single.reset(seed=7)
-            assert np.array_equal(many[2], one)
-            rng = np.random.default_rng(0)
-            for _ in range(30):
-                action = rng.uniform(-0.2, 0.2, (3, head.actuation.count)).astype("f4")
-                many, rewards, *_ = vector.step(action)
-                one, reward, *_ = single.step(action[2])
-                assert np.array_equal(many[2], one)
-                assert rewards[2] == reward
-
-
 @pytest.mark.parametrize(
-    ("name", "target"), some_of(MOVING, ["random", "double-step", "orbit", "occluded", "wander"])
+    ("name", "target"),
+    list(zip(MOVING, ["random", "double-step", "orbit", "random", "wander"], strict=True)),
 )
 def test_trials_ask_for_what_the_actuators_reach(name, target) -> None:
     head = head_of(name)
@@ -183,18 +153,16 @@ def test_a_head_that_can_look_nowhere_in_the_workspace_is_told_so() -> None:
         begun(narrow, 1)
 
 
-@pytest.mark.parametrize(
-    ("name", "point", "said"),
-    [
+def test_a_point_that_tied_eyes_cannot_look_at_is_refused() -> None:
+    for name, point, said in [
         ("tied", (0.9, 0.0, 0.3), "look at within their limits"),
         # so near that the least error of eyes that look parallel is outside both images
         ("common", (0.0, -0.05, 0.08), "look at within their limits, and see then"),
-    ],
-)
-def test_a_point_that_tied_eyes_cannot_look_at_is_refused(name, point, said) -> None:
-    target = {"kind": "static", "point": point, "start": "fixation"}
-    with pytest.raises(ConfigurationError, match=said):
-        GazeTask(head=head_of(name), plant="kinematic", target=target)
+    ]:
+        with named(name, point, said):
+            target = {"kind": "static", "point": point, "start": "fixation"}
+            with pytest.raises(ConfigurationError, match=said):
+                GazeTask(head=head_of(name), plant="kinematic", target=target)
 
 
 def test_a_tied_head_goes_on_from_a_saved_state_to_the_last_bit() -> None:
@@ -202,19 +170,18 @@ def test_a_tied_head_goes_on_from_a_saved_state_to_the_last_bit() -> None:
         rng, shape = np.random.default_rng(seed), env.action_space.shape
         return [env.step(rng.uniform(-1.0, 1.0, shape).astype("f4"))[0] for _ in range(steps)]
 
-    for name in TIED:
-        with named(name):
-            head = head_of(name)
-            saved, fresh = (GazeVectorEnv(3, head=head, plant="kinematic") for _ in range(2))
+    for plant in ("kinematic", "mujoco"):
+        with named(plant):
+            head = head_of("tied")
+            saved, fresh = (GazeVectorEnv(3, head=head, plant=plant) for _ in range(2))
             saved.reset(seed=1)
             run(saved, 10, 0)
             state = saved.state()
             assert np.array_equal(run(saved, 10, 1), (fresh.restore(state), run(fresh, 10, 1))[1])
 
 
-@pytest.mark.parametrize("name", ["tied", "panfirst"])
-def test_eyes_with_images_of_different_sizes_settle_and_are_pictured(name) -> None:
-    head = uneven(name)
+def test_eyes_with_images_of_different_sizes_settle_and_are_pictured() -> None:
+    head = uneven("panfirst")
     task = begun(head, 6)
     wide = np.abs(task.observation[:, :4].reshape(6, 2, 2)).max()
     for _ in range(230):

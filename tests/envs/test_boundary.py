@@ -63,16 +63,6 @@ def test_a_refused_reset_leaves_the_trials_where_they_were() -> None:
     assert np.array_equal(one.reset()[0], other.reset()[0])
 
 
-def test_unknown_arguments_are_answered_with_the_known_ones() -> None:
-    for name in ("vergence/Gaze-v0", "vergence/GainSchedule-v0"):
-        with named(name):
-            for make in (gymnasium.make, lambda *a, **k: gymnasium.make_vec(*a, num_envs=2, **k)):
-                with pytest.raises(
-                    ConfigurationError, match=r"environment\.plantt: .*plant_options"
-                ):
-                    make(name, plantt="mujoco")
-
-
 def test_unknown_options_of_a_plant_are_answered_with_the_known_ones() -> None:
     for plant in ("kinematic", "mujoco", "rendered"):
         with (

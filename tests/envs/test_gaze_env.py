@@ -12,7 +12,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env, data_equivalence
 
-from tests.envs.simulated import SIMULATED_IDS, SIMULATED_PLANTS
+from tests.envs.simulated import SIMULATED_IDS
 from tests.grids import some_of
 from tests.naming import named
 from vergence.envs import MAX_EPISODE_STEPS
@@ -25,15 +25,20 @@ from vergence.models.perturbation import ModelErrors
 
 IDS = SIMULATED_IDS
 FAST = ("kinematic", "mujoco")
-plants = pytest.mark.parametrize("plant", SIMULATED_PLANTS)
-fast_plants = pytest.mark.parametrize("plant", FAST)
 
 
 @pytest.fixture(params=list(zip(IDS, FAST, strict=True)), ids=" ".join)
-def env(request: pytest.FixtureRequest):
+def each(request: pytest.FixtureRequest):
     """Every registered environment and both plants of dynamics."""
     id, plant = request.param
     env = gym.make(id, plant=plant)
+    yield env
+    env.close()
+
+
+@pytest.fixture
+def env():
+    env = gym.make("vergence/Gaze-v0", plant="kinematic")
     yield env
     env.close()
 
@@ -63,12 +68,9 @@ def first_sight(env: gym.Env, **reset: object) -> np.ndarray:
     return observation
 
 
-def test_ids_are_registered() -> None:
-    assert {"vergence/Gaze-v0", "vergence/GainSchedule-v0"} <= set(IDS)
-
-
-@pytest.mark.parametrize("id", IDS)
-@plants
+@pytest.mark.parametrize(
+    ("id", "plant"), [("vergence/Gaze-v0", "rendered"), ("vergence/GainSchedule-v0", "mujoco")]
+)
 def test_gymnasiums_checker_has_no_complaint(id, plant) -> None:
     env = gym.make(id, plant=plant).unwrapped
     with warnings.catch_warnings():
@@ -77,25 +79,24 @@ def test_gymnasiums_checker_has_no_complaint(id, plant) -> None:
     env.close()
 
 
-@plants
-def test_stable_baselines3s_checker_has_no_complaint(plant) -> None:
+def test_stable_baselines3s_checker_has_no_complaint() -> None:
     from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
-    env = gym.make("vergence/Gaze-v0", plant=plant)
+    env = gym.make("vergence/Gaze-v0", plant="kinematic")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_for_sb3(env, warn=True)
     env.close()
 
 
-def test_a_seed_decides_everything_over_several_episodes(env) -> None:
-    again = gym.make(env.spec)
-    assert identical(rollout(env, 300, seed=7), rollout(again, 300, seed=7))
-    assert not identical(rollout(env, 5, seed=7), rollout(again, 5, seed=8))
+def test_a_seed_decides_everything_over_several_episodes(each) -> None:
+    one, again = (gym.make(each.spec, max_episode_steps=40) for _ in range(2))
+    assert identical(rollout(one, 90, seed=7), rollout(again, 90, seed=7))
+    assert not identical(rollout(one, 5, seed=7), rollout(again, 5, seed=8))
 
 
 def test_a_seed_decides_what_is_drawn_too() -> None:
-    runs = [rollout(gym.make("vergence/Gaze-v0", plant="rendered"), 15, seed=3) for _ in range(2)]
+    runs = [rollout(gym.make("vergence/Gaze-v0", plant="rendered"), 10, seed=3) for _ in range(2)]
     assert identical(*runs)
 
 
@@ -106,48 +107,29 @@ def test_resetting_goes_on_to_the_next_trial_and_begins_again_with_a_seed(env) -
     assert np.array_equal(first_sight(env), second)
 
 
-def test_an_option_names_the_trial(env) -> None:
-    observations = [first_sight(env, seed=4), *(first_sight(env) for _ in range(3))]
-    assert np.array_equal(first_sight(env, options={"trial": 2}), observations[2])
-    assert np.array_equal(first_sight(env), observations[3])
-    assert np.array_equal(first_sight(env, seed=4, options={"trial": 1}), observations[1])
+def test_an_option_names_the_trial(each) -> None:
+    observations = [first_sight(each, seed=4), *(first_sight(each) for _ in range(3))]
+    assert np.array_equal(first_sight(each, options={"trial": 2}), observations[2])
+    assert np.array_equal(first_sight(each), observations[3])
+    assert np.array_equal(first_sight(each, seed=4, options={"trial": 1}), observations[1])
 
 
 def test_without_a_seed_two_environments_differ(env) -> None:
     assert not np.array_equal(first_sight(env), first_sight(gym.make(env.spec)))
 
 
-def test_a_trial_that_is_no_whole_number_is_refused() -> None:
-    for trial in [-1, 1.5, "first", True]:
-        with named(trial):
-            env = gym.make("vergence/Gaze-v0", plant="kinematic")
-            with pytest.raises(ConfigurationError, match=re.escape(str(trial))):
-                env.reset(seed=0, options={"trial": trial})
+def test_pickled_before_its_first_reset_it_is_the_same_environment(each) -> None:
+    copy = pickle.loads(pickle.dumps(each))
+    assert identical(rollout(each, 60, seed=5), rollout(copy, 60, seed=5))
 
 
-def test_pickled_before_its_first_reset_it_is_the_same_environment(env) -> None:
-    copy = pickle.loads(pickle.dumps(env))
-    assert identical(rollout(env, 60, seed=5), rollout(copy, 60, seed=5))
-
-
-@plants
-def test_pickled_in_mid_episode_the_copy_goes_on_identically(plant) -> None:
-    env = gym.make("vergence/Gaze-v0", plant=plant, head="physical")
-    rollout(env, 25, seed=5)
+@pytest.mark.parametrize(("plant", "count"), [("mujoco", 60), ("rendered", 16)])
+def test_pickled_in_mid_episode_the_copy_goes_on_identically(plant, count) -> None:
+    env = gym.make("vergence/Gaze-v0", plant=plant, head="physical", max_episode_steps=40)
+    rollout(env, 12, seed=5)
     copy = pickle.loads(pickle.dumps(env))
     assert copy is not env
-    count = 40 if plant == "rendered" else 280
     assert identical(rollout(env, count, 6, reset=False), rollout(copy, count, 6, reset=False))
-
-
-def test_a_copy_has_a_life_of_its_own(env) -> None:
-    rollout(env, 25, seed=5)
-    held = env.unwrapped.truth().positions
-    copy = pickle.loads(pickle.dumps(env))
-    for _ in range(10):
-        copy.step(np.ones(4, np.float32))
-    assert np.array_equal(env.unwrapped.truth().positions, held)
-    assert not np.array_equal(copy.unwrapped.truth().positions, held)
 
 
 def test_a_spec_goes_through_json() -> None:
@@ -212,29 +194,28 @@ def test_pictures_are_played_at_the_heads_control_rate() -> None:
                     assert isinstance(fps, int)  # gymnasium.utils.play takes no other
 
 
-@pytest.mark.parametrize("id", IDS)
-def test_an_unknown_argument_is_told_all_that_there_are(id) -> None:
-    for make, own in (
-        (gym.make, {"render_mode"}),
-        (gym.make_vec, {"render_mode", "num_envs", "max_episode_steps", "autoreset_mode"}),
-    ):
-        with pytest.raises(ConfigurationError) as caught:
-            make(id, plant="rendered", foo=1)
-        words = set(re.findall(r"\w+", str(caught.value)))
-        assert {"foo", "head", "target", "plant_options"} | own <= words
-        assert {"width_rad", "lag_s"} <= words, "options of the plant"
-        assert ("inputs" in words) == ("GainSchedule" in id)
+def test_an_unknown_argument_is_told_all_that_there_are() -> None:
+    for id in IDS:
+        with named(id):
+            for make, own in (
+                (gym.make, {"render_mode"}),
+                (gym.make_vec, {"render_mode", "num_envs", "max_episode_steps", "autoreset_mode"}),
+            ):
+                with pytest.raises(ConfigurationError) as caught:
+                    make(id, plant="rendered", foo=1)
+                words = set(re.findall(r"\w+", str(caught.value)))
+                assert {"foo", "head", "target", "plant_options"} | own <= words
+                assert {"width_rad", "lag_s"} <= words, "options of the plant"
+                assert ("inputs" in words) == ("GainSchedule" in id)
 
 
-@pytest.mark.parametrize("length", [None, 30])
-def test_time_runs_out_exactly_once(env, length) -> None:
-    options = {} if length is None else {"max_episode_steps": length}
-    env = gym.make(env.spec, **options)
-    expected = MAX_EPISODE_STEPS if length is None else length
-    for _episode in range(2):
-        env.reset(seed=1)
-        ends = [env.step(np.zeros(4, np.float32))[2:4] for _ in range(expected)]
-        assert ends == [(False, False)] * (expected - 1) + [(False, True)]
+def test_time_runs_out_exactly_once(env) -> None:
+    for expected, options in ((MAX_EPISODE_STEPS, {}), (30, {"max_episode_steps": 30})):
+        env = gym.make(env.spec, **options)
+        for _episode in range(2):
+            env.reset(seed=1)
+            ends = [env.step(np.zeros(4, np.float32))[2:4] for _ in range(expected)]
+            assert ends == [(False, False)] * (expected - 1) + [(False, True)]
 
 
 def test_the_bare_environment_does_not_limit_time(env) -> None:
@@ -243,9 +224,7 @@ def test_the_bare_environment_does_not_limit_time(env) -> None:
     assert not any(bare.step(np.zeros(4, np.float32))[3] for _ in range(MAX_EPISODE_STEPS + 5))
 
 
-@fast_plants
-def test_a_lost_target_terminates(plant) -> None:
-    env = gym.make("vergence/Gaze-v0", plant=plant)
+def test_a_lost_target_terminates(env) -> None:
     env.reset(seed=1)
     for _ in range(MAX_EPISODE_STEPS - 1):
         _o, reward, terminated, truncated, info = env.step(np.array([0, 1, 0, 1], np.float32))
@@ -263,9 +242,8 @@ def test_reward_is_the_sum_of_the_terms_in_info(env) -> None:
         assert type(step[4]["is_success"]) is bool
 
 
-@fast_plants
-def test_info_on_request_is_that_of_one_head(plant) -> None:
-    env = gym.make("vergence/Gaze-v0", plant=plant, info=("truth", "fixes"))
+def test_info_on_request_is_that_of_one_head() -> None:
+    env = gym.make("vergence/Gaze-v0", plant="kinematic", info=("truth", "fixes"))
     _observation, info = env.reset(seed=0)
     for _ in range(12):
         *_rest, info = env.step(np.zeros(4, np.float32))
@@ -293,13 +271,6 @@ def test_an_action_of_another_shape_is_refused() -> None:
             env.reset(seed=0)
             with pytest.raises(ConfigurationError, match=r"action: expected shape \(1, 4\)"):
                 env.step(action)
-
-
-def test_an_action_that_is_nan_is_refused() -> None:
-    env = GazeEnv(plant="kinematic")
-    env.reset(seed=0)
-    with pytest.raises(ConfigurationError, match="nan"):
-        env.step(np.array([0.0, np.nan, 0.0, 0.0]))
 
 
 def test_actions_are_limited_to_the_box(env) -> None:
@@ -336,9 +307,11 @@ print(env.spec.id)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("imports", ["gymnasium, vergence", "vergence, gymnasium"])
-def test_the_environments_are_registered_in_either_order_of_imports(imports) -> None:
-    code = f"import {imports}; print(*(name for name in gymnasium.registry if 'vergence' in name))"
+def test_the_environments_are_registered_where_vergence_is_imported_first() -> None:
+    code = """
+import vergence, gymnasium
+print(*(name for name in gymnasium.registry if 'vergence' in name))
+"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     names = ["vergence/Gaze-v0", "vergence/GainSchedule-v0", "vergence/GazeHardware-v0"]
     assert done.stdout.split() == names, done.stderr

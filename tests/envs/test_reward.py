@@ -198,7 +198,7 @@ def glances(longest):
 
 
 @pytest.mark.parametrize("name", ["simulated", "icub"])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(script=glances(90), seed=st.integers(0, 2**32 - 1))
 def test_nothing_costs_but_being_lost(name, script, seed) -> None:
     """So an episode that goes on earns more than one that is lost, whatever the discount.

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.envs.robot import EARLIER_S, LATENCY, Robot
+from tests.naming import named
 from vergence import make_controller
 from vergence.envs.eye_images import given_or_drawn_eye_images
 from vergence.envs.gaze import GazeEnv
@@ -144,12 +145,13 @@ def test_what_needs_a_simulation_says_so(task):
         settle_bound(task)
 
 
-@pytest.mark.parametrize("plant", ["kinematic", "mujoco", "rendered"])
-def test_every_simulated_plant_is_a_simulation(simulated, plant):
-    made = make_plant(plant, simulated)
-    assert is_simulated(plant)
-    assert simulation_of(made) is made
-    assert (made.frames() is None) == (plant != "rendered")
+def test_every_simulated_plant_is_a_simulation(simulated):
+    for plant in ["kinematic", "mujoco", "rendered"]:
+        with named(plant):
+            made = make_plant(plant, simulated)
+            assert is_simulated(plant)
+            assert simulation_of(made) is made
+            assert (made.frames() is None) == (plant != "rendered")
 
 
 def test_a_plant_has_neither_truth_nor_images_nor_targets_unless_it_says_so(simulated):

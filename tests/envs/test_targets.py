@@ -10,7 +10,6 @@ from vergence import HeadModel
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.targets.motion import SEEN_BEFORE, target_position
 from vergence.envs.targets.registry import make_target
-from vergence.envs.targets.target import Target
 from vergence.envs.targets.workspace import RandomTarget
 from vergence.errors import ConfigurationError, UnknownNameError
 
@@ -68,41 +67,32 @@ def test_a_line_without_length_is_a_point_at_rest(simulated: HeadModel) -> None:
     assert target_position(rows[0], [0.0, 3.0]) == pytest.approx(np.array([point, point]))
 
 
-def test_targets_positions_broadcast(simulated: HeadModel) -> None:
-    rows, _q = draw(simulated, "random", 4)
-    times = np.linspace(0.0, 1.0, 3)[:, None]
-    together = target_position(rows, times)
-    assert together.shape == (3, 4, 3)
-    for i in range(3):
-        for j in range(4):
-            assert np.array_equal(together[i, j], target_position(rows[j], times[i, 0]))
-
-
 @pytest.fixture(params=["simulated", "physical"])
 def head(request: pytest.FixtureRequest) -> HeadModel:
     return request.getfixturevalue(request.param)
 
 
-@pytest.mark.parametrize("start", ["fixation", "rest"])
-def test_random_targets_keep_their_promises(head: HeadModel, start) -> None:
-    target = RandomTarget(start=start)
-    rows, q = draw(head, target, 600)
-    points = target_position(rows, 0.0)
-    fixating = head.fixate(points)
-    assert head.limits.contains(fixating, target.margin).all()
-    assert head.limits.contains(q, target.margin).all()
-    turn = (fixating - q)[:, 3:].reshape(-1, 2, 2)
-    assert (np.linalg.norm(turn, axis=-1).max(axis=1) >= target.shift).all()
-    pixels = head.project(q, points)
-    size = head.cameras.size
-    assert ((pixels >= 0) & (pixels <= size - 1)).all()
-    assert (points[:, 2] >= 0.3).all()
-    assert (points[:, 2] <= 2.5).all()
-    middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
-    aside = np.hypot(*(points - middle)[:, :2].T) / points[:, 2]
-    assert (np.arctan(aside) <= target.eccentricity + 1e-12).all()
-    # the start is another point that the eyes hold, or rest
-    assert (np.abs(q[:, 3:]).max(axis=1) > 0).all() == (start == "fixation")
+def test_random_targets_keep_their_promises(head: HeadModel) -> None:
+    for start in ["fixation", "rest"]:
+        with named(start):
+            target = RandomTarget(start=start)
+            rows, q = draw(head, target, 600)
+            points = target_position(rows, 0.0)
+            fixating = head.fixate(points)
+            assert head.limits.contains(fixating, target.margin).all()
+            assert head.limits.contains(q, target.margin).all()
+            turn = (fixating - q)[:, 3:].reshape(-1, 2, 2)
+            assert (np.linalg.norm(turn, axis=-1).max(axis=1) >= target.shift).all()
+            pixels = head.project(q, points)
+            size = head.cameras.size
+            assert ((pixels >= 0) & (pixels <= size - 1)).all()
+            assert (points[:, 2] >= 0.3).all()
+            assert (points[:, 2] <= 2.5).all()
+            middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+            aside = np.hypot(*(points - middle)[:, :2].T) / points[:, 2]
+            assert (np.arctan(aside) <= target.eccentricity + 1e-12).all()
+            # the start is another point that the eyes hold, or rest
+            assert (np.abs(q[:, 3:]).max(axis=1) > 0).all() == (start == "fixation")
 
 
 def test_random_targets_are_uniform_in_eccentricity_and_inverse_depth(head: HeadModel) -> None:
@@ -127,11 +117,6 @@ def test_random_targets_of_the_default_workspace_reach_all_depths(head: HeadMode
     # near points aside cannot be fixated or seen by both eyes, so a quarter each is not exact
     assert shares.min() > 0.15
     assert shares.max() < 0.35
-
-
-def test_each_trial_draws_its_own_target(simulated: HeadModel) -> None:
-    rows, _q = draw(simulated, "random", 50)
-    assert len(np.unique(target_position(rows, 0.0)[:, 2])) == 50
 
 
 def test_a_trial_draws_the_same_target_alone_and_in_a_batch(simulated: HeadModel) -> None:
@@ -201,12 +186,6 @@ def test_a_value_that_cannot_be_is_refused_by_key_and_value() -> None:
             pytest.raises(ConfigurationError, match=rf"target\.{key}: expected .*{value}"),
         ):
             make_target(fields)
-
-
-def test_a_target_makes_itself() -> None:
-    target = RandomTarget(shift=0.1)
-    assert make_target(target) is target
-    assert isinstance(make_target("line"), Target)
 
 
 MM = {

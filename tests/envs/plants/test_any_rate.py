@@ -6,13 +6,10 @@ import pytest
 from tests.envs.everything import EVERYTHING
 from tests.envs.plants.trajectory import motion_of, swing
 from tests.envs.trials import start_of, steps
-from tests.grids import some_of
 from vergence import make_controller
 from vergence.envs.plant import make_plant
 from vergence.envs.task import GazeTask
 from vergence.models import HeadModel
-
-rates = pytest.mark.parametrize("control_hz", [50.0, 77.0, 120.0, 250.0])
 
 
 def at(head: HeadModel, control_hz: float) -> HeadModel:
@@ -22,15 +19,10 @@ def at(head: HeadModel, control_hz: float) -> HeadModel:
 
 @pytest.mark.parametrize(
     ("control_hz", "plant_name", "within_rad"),
-    [
-        (control_hz, *plant)
-        for control_hz, plant in some_of(
-            [50.0, 77.0, 120.0, 250.0], [("kinematic", 1e-9), ("mujoco", 1e-4)]
-        )
-    ],
+    [(77.0, "kinematic", 1e-9), (50.0, "mujoco", 1e-4), (250.0, "mujoco", 1e-4)],
 )
 def test_joints_follow_as_their_equation_says(exact, control_hz, plant_name, within_rad) -> None:
-    head, count = at(exact, control_hz), int(0.5 * control_hz)
+    head, count = at(exact, control_hz), int(0.3 * control_hz)
     commands = swing(count, head.timing.period_s)
     own = {"neck": "welded"} if plant_name == "mujoco" else {}
     plant = make_plant(plant_name, head, 1, **own)
@@ -41,15 +33,14 @@ def test_joints_follow_as_their_equation_says(exact, control_hz, plant_name, wit
 
 
 @pytest.mark.parametrize(
-    ("control_hz", "plant_name"),
-    some_of([50.0, 77.0, 120.0, 250.0], ["kinematic", "mujoco"]),
+    ("control_hz", "plant_name"), [(50.0, "kinematic"), (77.0, "mujoco"), (250.0, "kinematic")]
 )
 def test_the_articles_law_settles_at_every_rate(exact, control_hz, plant_name) -> None:
     head = at(exact, control_hz)
-    task = GazeTask(12, head=head, plant=plant_name)
+    task = GazeTask(6, head=head, plant=plant_name)
     controller = make_controller("ibvs", head, task.layout, gain=3.0)
-    ids = np.arange(12)
-    task.begin(ids, np.zeros(12, np.uint64), ids.astype(np.uint64))
+    ids = np.arange(6)
+    task.begin(ids, np.zeros(6, np.uint64), ids.astype(np.uint64))
     for _ in range(int(2.0 * control_hz)):
         action, _state = controller.predict(task.observation)
         task.step(action)
@@ -57,8 +48,7 @@ def test_the_articles_law_settles_at_every_rate(exact, control_hz, plant_name) -
 
 
 @pytest.mark.parametrize(
-    ("control_hz", "plant_name"),
-    some_of([50.0, 77.0, 120.0, 250.0], ["kinematic", "mujoco"]),
+    ("control_hz", "plant_name"), [(77.0, "kinematic"), (50.0, "mujoco"), (250.0, "mujoco")]
 )
 def test_everything_can_be_drawn_at_every_rate(simulated, control_hz, plant_name) -> None:
     head, num = at(simulated, control_hz), 8

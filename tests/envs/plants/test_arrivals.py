@@ -12,7 +12,6 @@ from vergence.envs.plant import make_plant
 
 T = 1 / 120
 NOMINAL_S = 8 * T
-plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
 
 
 @pytest.fixture
@@ -30,10 +29,9 @@ def arrivals(readings) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.concatenate(pairs, axis=1))
 
 
-@plants
-def test_lateness_is_uniform_up_to_the_jitter(stamped, plant_name) -> None:
+def test_lateness_is_uniform_up_to_the_jitter(stamped) -> None:
     jitter_s = 0.006  # less than from one frame to the next: no image waits for another
-    plant = make_plant(plant_name, stamped, 32, jitter_s=jitter_s)
+    plant = make_plant("kinematic", stamped, 32, jitter_s=jitter_s)
     exposed, received = arrivals(steps(plant, start_of(32), 150)[0])
     late = (received - exposed - NOMINAL_S) / jitter_s
     assert late.size > 4000
@@ -72,13 +70,14 @@ def test_an_image_that_waits_comes_with_the_one_before_it(stamped) -> None:
     assert late.max() <= 1.0 + 1e-9
 
 
-@plants
 def test_a_stamp_is_the_exposure_and_no_stamp_is_the_receipt_less_the_nominal_latency(
-    exact, stamped, plant_name
+    exact, stamped
 ) -> None:
     options = {"latency_s": 0.09, "jitter_s": 0.01, "frame_rate_hz": 50.0, "frame_phase": 0.4}
     runs = [
-        steps(make_plant(plant_name, head, 8, **options), start_of(8), 120, [0, 0, 0, 0.4, 0, 0, 0])
+        steps(
+            make_plant("kinematic", head, 8, **options), start_of(8), 120, [0, 0, 0, 0.4, 0, 0, 0]
+        )
         for head in (exact, stamped)
     ]
     for dated, true in zip(runs[0][0], runs[1][0], strict=True):
@@ -96,10 +95,9 @@ def test_a_stamp_is_the_exposure_and_no_stamp_is_the_receipt_less_the_nominal_la
     assert np.ptp(off) > 0.008
 
 
-@plants
-def test_angles_at_exposure_lie_between_two_readings_of_the_joints(stamped, plant_name) -> None:
+def test_angles_at_exposure_lie_between_two_readings_of_the_joints(stamped) -> None:
     head = stamped.replace(timing={"feedback_latency_s": 0.004})
-    plant = make_plant(plant_name, head, 1, frame_rate_hz=47.0, frame_phase=0.3)
+    plant = make_plant("mujoco", head, 1, frame_rate_hz=47.0, frame_phase=0.3)
     readings, _q, _v = steps(
         plant, start_of(), 90, lambda k: np.sin(0.2 * k) * np.array([0, 0, 0, 0.5, 0.4, -0.5, 0.3])
     )

@@ -5,34 +5,27 @@ import pytest
 
 from tests.envs.plants.trajectory import motion_of, swing
 from tests.envs.trials import start_of, steps
-from tests.grids import some_of
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
 
 T = 1 / 120
 STEP = 0.024
 """Quantisation of a Dynamixel's goal velocity, 0.229 rev/min, rad/s."""
-plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
 
 
 @pytest.mark.parametrize(
     ("periods", "plant_name", "within_rad"),
-    [
-        (periods, *plant)
-        for periods, plant in some_of(
-            [0.3, 1.0, 1.7, 2.0, 4.25], [("kinematic", 1e-9), ("mujoco", 2e-4)]
-        )
-    ],
+    [(1.0, "kinematic", 1e-9), (4.25, "kinematic", 1e-9), (1.7, "mujoco", 2e-4)],
 )
 def test_the_response_to_late_commands_is_the_same_and_late(
     exact, plant_name, within_rad, periods
 ) -> None:
-    commands = swing(90, T, 2.0)
+    commands = swing(60, T, 2.0)
     own = {"neck": "welded"} if plant_name == "mujoco" else {}
     plant = make_plant(plant_name, exact, 1, command_latency_s=periods * T, **own)
-    _r, q, _v = steps(plant, start_of(), 90, lambda k: commands[k])
+    _r, q, _v = steps(plant, start_of(), 60, lambda k: commands[k])
     prompt, late = motion_of(exact, commands), motion_of(exact, commands, late_s=periods * T)
-    for step in range(91):
+    for step in range(61):
         time_s = step * T
         assert q[step, 0] == pytest.approx(late(time_s)[0], abs=within_rad)
         # shifted in time, and nothing else
@@ -40,11 +33,10 @@ def test_the_response_to_late_commands_is_the_same_and_late(
     assert np.abs(q[40, 0] - prompt(40 * T)[0]).max() > 2e-3
 
 
-@plants
-def test_whole_periods_of_latency_leave_the_trajectory_as_it_is(exact, plant_name) -> None:
+def test_whole_periods_of_latency_leave_the_trajectory_as_it_is(exact) -> None:
     commands = swing(60, T, 2.0)
     # in one batch, so that MuJoCo divides both heads' periods alike
-    plant = make_plant(plant_name, exact, 2, command_latency_s=[0.0, 3 * T])
+    plant = make_plant("mujoco", exact, 2, command_latency_s=[0.0, 3 * T])
     _r, q, _v = steps(plant, start_of(2), 60, lambda k: commands[k])
     # what rounding leaves of the times at which frames are exposed within a period
     assert q[3:, 1] == pytest.approx(q[:-3, 0], abs=1e-13)
@@ -70,8 +62,7 @@ def stepped(exact: HeadModel) -> HeadModel:
     return exact.replace(sensor={"command_resolution_rad_s": STEP})
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@plants
+@pytest.mark.parametrize(("sign", "plant_name"), [(1.0, "mujoco"), (-1.0, "kinematic")])
 def test_a_command_of_one_step_moves_nothing_and_of_two_steps_the_joint(
     stepped, plant_name, sign
 ) -> None:
@@ -85,10 +76,9 @@ def test_a_command_of_one_step_moves_nothing_and_of_two_steps_the_joint(
         assert v[-1, 0, 3] == pytest.approx(sign * moves * STEP, abs=1e-5)
 
 
-@plants
-def test_commands_are_rounded_to_whole_steps_within_the_limits(stepped, plant_name) -> None:
+def test_commands_are_rounded_to_whole_steps_within_the_limits(stepped) -> None:
     rng = np.random.default_rng(3)
-    plant = make_plant(plant_name, stepped, 64)
+    plant = make_plant("kinematic", stepped, 64)
     asked = rng.uniform(-8.0, 8.0, (64, 7))
     top = stepped.limits.velocity
     plant.begin(start_of(64))
@@ -117,7 +107,7 @@ def test_a_lost_command_leaves_the_motors_with_the_one_before(exact: HeadModel) 
 
 
 def test_a_stalled_loop_reads_nothing_and_commands_nothing(exact: HeadModel) -> None:
-    num, count, chance, most = 64, 400, 0.05, 12
+    num, count, chance, most = 48, 250, 0.05, 12
     commands = swing(count, T, 0.5)
     options = {"stall_probability": chance, "stall_s": most * T}
     plant = make_plant("kinematic", exact, num, lag_s=0.0, **options)
@@ -139,7 +129,7 @@ def test_a_stalled_loop_reads_nothing_and_commands_nothing(exact: HeadModel) -> 
         assert (new.frame[on] == frames[k]).all()
         assert v[k + 1][on] == pytest.approx(np.tile(commands[k], (on.sum(), 1)), abs=1e-12)
     # what is not read lies on the chord between the readings beside it
-    for n in range(num):
+    for n in range(8):
         read = np.flatnonzero(~stalled[:, n])
         angles = [readings[k].positions[n, 3] for k in read]
         for k in read[read > 8]:

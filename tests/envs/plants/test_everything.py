@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from tests.envs.everything import EVERYTHING
-from tests.grids import some_of
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.envs.plants.variation import RANGES
 from vergence.envs.task import GazeTask
@@ -53,38 +52,3 @@ def test_both_plants_agree_with_everything_drawn(target) -> None:
     assert np.max(off) < 5e-3
     assert np.median(off) < 5e-4
     assert np.median(np.concatenate(pixels)) < 0.5
-
-
-@pytest.mark.parametrize(
-    ("plant", "target"), some_of(["kinematic", "mujoco"], ["random", "wander", "double-step"])
-)
-@pytest.mark.slow
-def test_a_state_goes_on_bit_by_bit_in_a_fresh_task(plant, target) -> None:
-    saved, fresh = begun(plant, target=target), None
-    given = actions(STEPS)
-    for action in given[:60]:
-        saved.step(np.tile(action, (NUM, 1)))
-    state = saved.state()
-    own = {"neck": "welded"} if plant == "mujoco" else {}
-    # one that has begun nothing, whose rows of motions are short
-    fresh = GazeTask(NUM, plant=plant, variation=EVERYTHING, plant_options=own, target=target)
-    fresh.restore(state)
-    for action in given[60:]:
-        for task in (saved, fresh):
-            task.step(np.tile(action, (NUM, 1)))
-        for ours, theirs in (
-            (saved.reading, fresh.reading),
-            (saved.truth(), fresh.truth()),
-            (saved.plant.conditions, fresh.plant.conditions),
-        ):
-            for a, b in zip(ours, theirs, strict=True):
-                assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
-        assert np.array_equal(saved.observation, fresh.observation)
-        assert np.array_equal(saved.reward, fresh.reward)
-    # and its next trials are any task's
-    ids = np.arange(NUM)
-    for task in (saved, fresh):
-        task.begin(ids, np.full(NUM, 9, np.uint64), ids.astype(np.uint64))
-        for action in given[:30]:
-            task.step(np.tile(action, (NUM, 1)))
-    assert np.array_equal(saved.observation, fresh.observation)

@@ -7,31 +7,32 @@ from scipy import stats
 from tests.envs.plants.trajectory import motion_of
 from tests.envs.trials import begin, start_of, steps
 from tests.heads import head_of
+from tests.naming import named
 from vergence.envs.plant import make_plant
 
 T = 1 / 120
 PLAY = 0.01
-plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
 
 
-@plants
-def test_joints_begin_anywhere_in_their_play(exact, plant_name) -> None:
-    num = 600
-    plant = make_plant(plant_name, exact, num, backlash_rad=PLAY)
-    reading = begin(plant, start_of(num))
-    truth = plant.truth()
-    assert np.array_equal(reading.positions, truth.motors)  # encoders sit on the motors
-    assert not truth.motors.any()
-    off = truth.positions / PLAY + 0.5
-    assert (off[:, :3] == 0.5).all()  # a neck has none
-    for joint in range(3, 7):
-        # far below what chance gives once in a thousand, and far above a wrong distribution's
-        assert stats.kstest(off[:, joint], "uniform").pvalue > 1e-3
-    pairs = np.corrcoef(off[:, 3:].T) - np.eye(4)
-    assert np.abs(pairs).max() < 4 / np.sqrt(num)
+def test_joints_begin_anywhere_in_their_play(exact) -> None:
+    for plant_name in ["kinematic", "mujoco"]:
+        with named(plant_name):
+            num = 600
+            plant = make_plant(plant_name, exact, num, backlash_rad=PLAY)
+            reading = begin(plant, start_of(num))
+            truth = plant.truth()
+            assert np.array_equal(reading.positions, truth.motors)  # encoders sit on the motors
+            assert not truth.motors.any()
+            off = truth.positions / PLAY + 0.5
+            assert (off[:, :3] == 0.5).all()  # a neck has none
+            for joint in range(3, 7):
+                # far below what chance gives once in a thousand
+                assert stats.kstest(off[:, joint], "uniform").pvalue > 1e-3
+            pairs = np.corrcoef(off[:, 3:].T) - np.eye(4)
+            assert np.abs(pairs).max() < 4 / np.sqrt(num)
 
 
-@plants
+@pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
 def test_a_joint_lags_half_its_play_behind_the_motor_that_pushes_it(exact, plant_name) -> None:
     own = {"neck": "welded"} if plant_name == "mujoco" else {}
     plant = make_plant(plant_name, exact, 1, backlash_rad=PLAY, **own)
@@ -57,18 +58,19 @@ def test_a_joint_lags_half_its_play_behind_the_motor_that_pushes_it(exact, plant
     assert (rates[crossing] == 0.0).all()
 
 
-@plants
-def test_play_belongs_to_the_actuator(plant_name) -> None:
-    head = head_of("tied").replace(sensor={"encoder_resolution_rad": 0.0})
-    play = np.array([0.0, 0.02, 0.0])
-    plant = make_plant(plant_name, head, 200, backlash_rad=np.tile(play, (200, 1)))
-    begin(plant, start_of(200))
-    truth = plant.truth()
-    driven = head.actuation.actuators_of(truth.positions)[:, 3:6]
-    off = driven - truth.motors[:, 3:6]
-    assert np.abs(off[:, [0, 2]]).max() < 1e-12
-    assert np.abs(off[:, 1]).max() <= 0.01 + 1e-12
-    assert np.ptp(off[:, 1]) > 0.018
+def test_play_belongs_to_the_actuator() -> None:
+    for plant_name in ["kinematic", "mujoco"]:
+        with named(plant_name):
+            head = head_of("tied").replace(sensor={"encoder_resolution_rad": 0.0})
+            play = np.array([0.0, 0.02, 0.0])
+            plant = make_plant(plant_name, head, 200, backlash_rad=np.tile(play, (200, 1)))
+            begin(plant, start_of(200))
+            truth = plant.truth()
+            driven = head.actuation.actuators_of(truth.positions)[:, 3:6]
+            off = driven - truth.motors[:, 3:6]
+            assert np.abs(off[:, [0, 2]]).max() < 1e-12
+            assert np.abs(off[:, 1]).max() <= 0.01 + 1e-12
+            assert np.ptp(off[:, 1]) > 0.018
 
 
 def test_a_heads_own_play_holds_where_nothing_is_said(exact) -> None:

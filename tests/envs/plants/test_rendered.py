@@ -3,20 +3,21 @@
 import numpy as np
 import pytest
 
+from tests.envs.drawn import draw
 from tests.envs.trials import AHEAD, pixels_of, start_of, steps
 from tests.models.lenses import wide
 from tests.naming import named
 from vergence import HeadModel, ModelErrors, make_controller
 from vergence.envs.plant import make_plant
+from vergence.envs.targets.motion import target_position
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 
 SLOW = [0.0, 0.0, 0.0, 0.3, 0.2, -0.3, 0.2]
 
 
-@pytest.mark.parametrize("preset", ["simulated", "physical"])
-def test_the_loop_settles_on_what_the_detector_sees(preset) -> None:
-    task = GazeTask(1, head=preset, plant="rendered", target={"kind": "static"})
+def test_the_loop_settles_on_what_the_detector_sees() -> None:
+    task = GazeTask(1, head="physical", plant="rendered", target={"kind": "static"})
     controller = make_controller("ibvs", head=task.head, gain=4.0)
     zero = np.zeros(1, dtype=np.uint64)
     task.begin(np.arange(1), zero, zero)
@@ -28,15 +29,14 @@ def test_the_loop_settles_on_what_the_detector_sees(preset) -> None:
     assert task.success.all()
 
 
-@pytest.mark.parametrize("preset", ["simulated", "physical"])
-@pytest.mark.parametrize("board", ["tag", "checkerboard"])
+@pytest.mark.parametrize(("preset", "board"), [("physical", "tag"), ("simulated", "checkerboard")])
 def test_detections_agree_with_the_projection_of_the_moving_target(preset, board, request) -> None:
     head = request.getfixturevalue(preset)
     plant = make_plant("rendered", head, 1, board=board)
-    readings, q, _v = steps(plant, start_of(), 60, SLOW)
+    readings, q, _v = steps(plant, start_of(), 40, SLOW)
     assert not any(reading.visible.any() for reading in readings[:8])
     assert all(reading.visible.all() for reading in readings[8:])
-    error = np.array([readings[k].pixels - head.project(q[k - 8], AHEAD) for k in range(8, 61)])
+    error = np.array([readings[k].pixels - head.project(q[k - 8], AHEAD) for k in range(8, 41)])
     # aruco's corners err by 0.03 to 0.06 px; a half-pixel mistake would show at once
     assert np.sqrt((error**2).mean()) < 0.1
     assert np.abs(error.mean(axis=0)).max() < 0.1
@@ -44,16 +44,15 @@ def test_detections_agree_with_the_projection_of_the_moving_target(preset, board
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("board", ["tag", "checkerboard"])
-def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects(board) -> None:
+def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -> None:
     head = wide("fisheye", "rational")
-    plant = make_plant("rendered", head, 1, board=board, width_rad="fit")
+    plant = make_plant("rendered", head, 1, board="checkerboard", width_rad="fit")
     point = (0.25, -0.2, 0.5)  # 30 degrees aside, where straight edges are bent
-    readings, q, _v = steps(plant, start_of(point=point), 20)
+    readings, q, _v = steps(plant, start_of(point=point), 14)
     left, right = plant.frames()
     assert (left.shape, right.shape) == ((600, 800), (480, 640))
     seen = [reading for reading in readings if reading.visible.all()]
-    assert len(seen) > 8
+    assert len(seen) > 4
     error = np.array([reading.pixels for reading in seen]) - head.project(q[0], point)
     # as with the presets' lenses
     assert np.sqrt((error**2).mean()) < 0.1
@@ -92,18 +91,18 @@ def test_a_step_target_is_drawn_where_it_was_until_the_jump_is_readable(simulate
 def test_each_true_head_draws_its_own_images(physical: HeadModel) -> None:
     errors = ModelErrors(head_eye_rad=0.02, principal_px=5.0, distortion=0.01)
     true = physical.perturbed(np.random.default_rng(2), errors, 2)
-    readings, q, _v = steps(make_plant("rendered", physical, 2, true_head=true), start_of(2), 20)
-    assert readings[20].pixels == pytest.approx(true.project(q[12], AHEAD), abs=0.3)
-    assert np.abs(readings[20].pixels - physical.project(q[12], AHEAD)).min(axis=0).max() > 2.0
+    readings, q, _v = steps(make_plant("rendered", physical, 2, true_head=true), start_of(2), 12)
+    assert readings[12].pixels == pytest.approx(true.project(q[4], AHEAD), abs=0.3)
+    assert np.abs(readings[12].pixels - physical.project(q[4], AHEAD)).min(axis=0).max() > 2.0
 
 
 def test_the_grey_levels_noise_is_that_of_the_seed(simulated: HeadModel) -> None:
     runs = [
-        steps(make_plant("rendered", simulated, 1), start_of(seed=seed), 14, SLOW)[0]
+        steps(make_plant("rendered", simulated, 1), start_of(seed=seed), 9, SLOW)[0]
         for seed in (1, 1, 2)
     ]
-    assert np.array_equal(runs[0][14].pixels, runs[1][14].pixels)
-    assert not np.array_equal(runs[0][14].pixels, runs[2][14].pixels)
+    assert np.array_equal(runs[0][9].pixels, runs[1][9].pixels)
+    assert not np.array_equal(runs[0][9].pixels, runs[2][9].pixels)
 
 
 @pytest.mark.slow
@@ -123,20 +122,8 @@ def test_a_saccade_smears_the_image_and_does_not_mislead(physical: HeadModel) ->
 
 def test_the_necks_motion_is_drawn_too(simulated: HeadModel) -> None:
     plant = make_plant("rendered", simulated, 1)
-    readings, q, _v = steps(plant, start_of(), 30, [0.5, 0.2, -0.3, 0, 0, 0, 0])
-    assert readings[30].pixels == pytest.approx(pixels_of(simulated, q[22], q[0]), abs=0.3)
-
-
-def test_frames_that_are_dropped_are_not_looked_at(simulated: HeadModel) -> None:
-    plant = make_plant("rendered", simulated, 1, dropped_frame_probability=0.5)
-    readings, _q, _v = steps(plant, start_of(), 60, SLOW)
-    arrived = sum(bool(r.received_s == r.time_s) for r in readings[8:])
-    assert 10 < arrived < 43  # 53 fair coins, beyond four standard deviations
-
-
-def test_an_unknown_facing_is_refused(simulated: HeadModel) -> None:
-    with pytest.raises(ConfigurationError, match="facing: expected 'head' or 'forward', got 'up'"):
-        make_plant("rendered", simulated, 1, facing="up")
+    readings, q, _v = steps(plant, start_of(), 20, [0.5, 0.2, -0.3, 0, 0, 0, 0])
+    assert readings[20].pixels == pytest.approx(pixels_of(simulated, q[12], q[0]), abs=0.3)
 
 
 def first_images(trials: int, **options) -> np.ndarray:
@@ -163,47 +150,35 @@ def lens(head: HeadModel, width: int, height: int, focal: float, k1: float = 0.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("preset", "cameras"),
-    [
-        ("simulated", None),
-        ("physical", None),
-        ("simulated", (640, 480, 1400.0)),
-        ("physical", (320, 240, 250.0)),
-        ("simulated", (640, 480, 300.0, -0.1)),
-    ],
-    ids=["simulated", "physical", "narrow", "low resolution", "wide angle, barrel"],
-)
-def test_both_eyes_find_random_targets_in_their_first_images(preset, cameras, request) -> None:
-    head = request.getfixturevalue(preset)
-    found = first_images(30, head=head if cameras is None else lens(head, *cameras))
-    # OpenCV misses a whole tag in a few of a thousand still images: one of these 60 may be such
-    assert found.sum() >= 59
+def test_both_eyes_find_random_targets_in_their_first_images(simulated, physical) -> None:
+    for name, head in {
+        "narrow": lens(simulated, 640, 480, 1400.0),
+        "low resolution": lens(physical, 320, 240, 250.0),
+        "wide angle, barrel": lens(simulated, 640, 480, 300.0, -0.1),
+    }.items():
+        with named(name):
+            # OpenCV misses a whole tag in a few of a thousand still images: one may be such
+            assert first_images(6, head=head).sum() >= 11
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
+@pytest.mark.slow
+def test_they_do_whatever_the_targets_and_the_boards_options() -> None:
+    for options in [
         {"target": {"kind": "random", "start": "rest", "depth": (0.3, 0.5)}},
         {"target": "orbit"},
         {"plant_options": {"width_rad": None}},
         {"plant_options": {"width_rad": 0.2}},
         {"plant_options": {"facing": "forward"}},
         {"plant_options": {"board": "checkerboard"}},
-    ],
-    ids=str,
-)
-@pytest.mark.slow
-def test_they_do_whatever_the_targets_and_the_boards_options(options) -> None:
-    assert first_images(15, **options).sum() >= 29
+    ]:
+        with named(options):
+            assert first_images(5, **options).sum() >= 9
 
 
-@pytest.mark.slow
-def test_near_targets_are_among_those_that_both_eyes_find() -> None:
-    task = GazeTask(200, plant="rendered")
-    ids = np.arange(200)
-    task.begin(ids, ids.astype(np.uint64), np.zeros(200, dtype=np.uint64))
-    depth = task.truth().target[:, 2]
+def test_near_targets_are_among_those_that_both_eyes_find(simulated: HeadModel) -> None:
+    board = make_plant("rendered", simulated, 1).board
+    rows, _q = draw(simulated, "random", 100, board=board)
+    depth = target_position(rows, 0.0)[:, 2]
     assert depth.min() < 0.4
     assert depth.max() > 2.0
 

@@ -59,13 +59,13 @@ def test_faults_are_those_of_the_other_plants(simulated: HeadModel) -> None:
 
 
 def test_outliers_lie_on_top_of_what_the_detector_found(simulated: HeadModel) -> None:
-    plain = rendered(simulated, 2, 50)
-    beside = rendered(simulated, 2, 50, outlier_probability=0.2, outlier_px=60.0)
+    plain = rendered(simulated, 2, 30)
+    beside = rendered(simulated, 2, 30, outlier_probability=0.2, outlier_px=60.0)
     moved = np.array([b.pixels - a.pixels for a, b in zip(plain, beside, strict=True)])[8:]
     away = np.linalg.norm(moved, axis=-1)
     hit = away > 1e-9
-    # 172 detections, four standard deviations
-    assert hit.mean() == pytest.approx(0.2, abs=0.125)
+    # 92 detections, four standard deviations
+    assert hit.mean() == pytest.approx(0.2, abs=0.17)
     assert away.max() <= 60.0
     assert away[hit].max() > 20.0
     assert (hit[..., 0] != hit[..., 1]).any()
@@ -76,7 +76,7 @@ def test_images_are_drawn_at_their_own_instants(simulated: HeadModel) -> None:
     options = {"frame_rate_hz": 47.0, "frame_phase": 0.37}
     command = [0.0, 0.0, 0.0, 0.4, 0.3, -0.4, 0.3]
     runs = [
-        steps(make_plant(name, head, 1, **options), start_of(), 60, command)[0]
+        steps(make_plant(name, head, 1, **options), start_of(), 45, command)[0]
         for name in ("rendered", "mujoco")
     ]
     errors = []
@@ -84,7 +84,7 @@ def test_images_are_drawn_at_their_own_instants(simulated: HeadModel) -> None:
         assert np.array_equal(one.exposure_s, other.exposure_s)
         errors.append(one.pixels - other.pixels)
     seen = np.isfinite(errors).all(axis=(1, 2, 3))
-    assert seen.sum() > 40
+    assert seen.sum() > 30
     # the detector's errors and the other's noise; a millisecond is 0.3 px of these motions
     assert np.abs(np.mean(np.array(errors)[seen], axis=0)).max() < 0.1
 
@@ -93,13 +93,13 @@ def test_a_trial_with_everything_drawn_is_the_same_alone_and_in_a_vector() -> No
     refused = ("detection_noise_px", "skew_s")
     variation = {name: span for name, span in LOOP.items() if name not in refused}
     runs = []
-    for num, place in ((1, 0), (3, 2)):
+    for num, place in ((1, 0), (2, 1)):
         task = GazeTask(num, plant="rendered", target="step", variation=variation)
         trials = np.arange(num, dtype=np.uint64)
         trials[place] = 7
         task.begin(np.arange(num), np.full(num, 3, np.uint64), trials)
         seen = []
-        for k in range(30):
+        for k in range(24):
             task.step(np.full((num, 4), 0.1 * np.sin(0.2 * k)))
             seen.append(np.append(task.observation[place], task.reading.pixels[place]))
         task.close()

@@ -27,8 +27,8 @@ def is_new(reading: Reading) -> np.ndarray:
     return np.abs(reading.received_s - reading.time_s) < 1e-9
 
 
-def test_nothing_is_visible_until_the_first_frame_is_readable(exact, plant_name) -> None:
-    readings, _q, _v = steps(make_plant(plant_name, exact, 1), start_of(), 8, MOVING)
+def test_nothing_is_visible_until_the_first_frame_is_readable(exact) -> None:
+    readings, _q, _v = steps(make_plant("kinematic", exact, 1), start_of(), 8, MOVING)
     for step, reading in enumerate(readings[:8]):
         # the cameras have been running: there are images, and nothing on them
         assert not reading.visible.any()
@@ -39,10 +39,8 @@ def test_nothing_is_visible_until_the_first_frame_is_readable(exact, plant_name)
     assert readings[8].visible.all()
 
 
-def test_the_frame_of_time_zero_is_read_at_step_8_with_its_own_stamp_and_angles(
-    exact, plant_name
-) -> None:
-    readings, positions, _v = steps(make_plant(plant_name, exact, 1), start_of(), 8, MOVING)
+def test_the_frame_of_time_zero_is_read_at_step_8_with_its_own_stamp_and_angles(exact) -> None:
+    readings, positions, _v = steps(make_plant("mujoco", exact, 1), start_of(), 8, MOVING)
     first = readings[8]
     assert first.time_s == pytest.approx([8 * T], abs=1e-15)
     assert first.exposure_s == 0.0
@@ -62,10 +60,10 @@ def test_every_image_belongs_with_the_angles_of_its_own_instant(exact, plant_nam
         assert reading.pixels == pytest.approx(pixels_of(exact, then, positions[0]), abs=1e-9)
 
 
-def test_a_step_target_shows_the_scene_before_for_eight_periods(exact, plant_name) -> None:
+def test_a_step_target_shows_the_scene_before_for_eight_periods(exact) -> None:
     before, after = (0.05, -0.1, 1.0), (0.0, -0.2, 1.0)
     start = start_of(point=after, before=before, positions=exact.fixate(before))
-    readings, positions, _v = steps(make_plant(plant_name, exact, 1), start, 10, MOVING)
+    readings, positions, _v = steps(make_plant("kinematic", exact, 1), start, 10, MOVING)
     held = exact.project(start.positions, before)
     for step, reading in enumerate(readings[:8]):
         assert reading.visible.all()
@@ -77,9 +75,9 @@ def test_a_step_target_shows_the_scene_before_for_eight_periods(exact, plant_nam
     assert np.abs(jumped - held).max() > 10.0
 
 
-def test_without_latency_the_target_is_seen_at_once(exact, plant_name) -> None:
+def test_without_latency_the_target_is_seen_at_once(exact) -> None:
     head = exact.replace(timing={"latency_s": 0.0})
-    readings, positions, _v = steps(make_plant(plant_name, head, 1), start_of(), 5, MOVING)
+    readings, positions, _v = steps(make_plant("mujoco", head, 1), start_of(), 5, MOVING)
     for step, reading in enumerate(readings):
         assert reading.visible.all()
         assert reading.exposure_s == reading.received_s == reading.time_s
@@ -88,9 +86,9 @@ def test_without_latency_the_target_is_seen_at_once(exact, plant_name) -> None:
         )
 
 
-def test_a_late_image_is_dated_by_its_receipt_less_the_nominal_latency(exact, plant_name) -> None:
+def test_a_late_image_is_dated_by_its_receipt_less_the_nominal_latency(exact) -> None:
     latencies = np.array([6, 8, 11])
-    plant = make_plant(plant_name, exact, 3, latency_s=latencies * T)
+    plant = make_plant("kinematic", exact, 3, latency_s=latencies * T)
     readings, positions, _v = steps(plant, start_of(3), 30, MOVING)
     for i, latency in enumerate(latencies):
         for step, reading in enumerate(readings):
@@ -123,8 +121,8 @@ def test_a_trial_counts_its_own_images(exact) -> None:
     assert plant.begin(start_of()).frame[0] == 0
 
 
-def test_the_command_is_the_one_that_was_applied(exact, plant_name) -> None:
-    plant = make_plant(plant_name, exact, 1)
+def test_the_command_is_the_one_that_was_applied(exact) -> None:
+    plant = make_plant("kinematic", exact, 1)
     assert not plant.begin(start_of()).command.any()
     beyond = 2.0 * exact.limits.velocity
     assert np.array_equal(plant.step(beyond[None]).command[0], exact.limits.velocity)
@@ -163,21 +161,22 @@ def test_frames_are_dropped_independently_of_each_other(exact) -> None:
     assert abs((arrived[:, 1:] * arrived[:, :-1]).mean()) < 0.008
 
 
-@pytest.mark.parametrize("given", [None, 0.2])
-def test_detection_noise_is_white_normal_and_as_large_as_said(simulated: HeadModel, given) -> None:
-    sigma = simulated.sensor.detection_noise_px if given is None else given
-    plant = make_plant("kinematic", simulated, 64, detection_noise_px=given)
-    readings, _q, _v = steps(plant, start_of(64), 300)
-    pixels = np.array([reading.pixels for reading in readings[8:]])
-    noise = (pixels - simulated.project(np.zeros(7), AHEAD)).reshape(293, 64, 4)
-    # 75,000 numbers know their standard deviation to 0.26 %; four of these
-    assert noise.std() == pytest.approx(sigma, rel=0.0105)
-    assert abs(noise.mean()) < 4 * sigma / np.sqrt(noise.size)
-    assert (noise**4).mean() / sigma**4 == pytest.approx(3.0, abs=0.2)
-    pairs = np.corrcoef(noise.reshape(-1, 4).T) - np.eye(4)
-    assert np.abs(pairs).max() < 4 / np.sqrt(noise.size / 4)
-    in_time = (noise[1:] * noise[:-1]).mean() / sigma**2
-    assert abs(in_time) < 4 / np.sqrt(noise.size)
+def test_detection_noise_is_white_normal_and_as_large_as_said(simulated: HeadModel) -> None:
+    for given in [None, 0.2]:
+        with named(given):
+            sigma = simulated.sensor.detection_noise_px if given is None else given
+            plant = make_plant("kinematic", simulated, 64, detection_noise_px=given)
+            readings, _q, _v = steps(plant, start_of(64), 300)
+            pixels = np.array([reading.pixels for reading in readings[8:]])
+            noise = (pixels - simulated.project(np.zeros(7), AHEAD)).reshape(293, 64, 4)
+            # 75,000 numbers know their standard deviation to 0.26 %; four of these
+            assert noise.std() == pytest.approx(sigma, rel=0.0105)
+            assert abs(noise.mean()) < 4 * sigma / np.sqrt(noise.size)
+            assert (noise**4).mean() / sigma**4 == pytest.approx(3.0, abs=0.2)
+            pairs = np.corrcoef(noise.reshape(-1, 4).T) - np.eye(4)
+            assert np.abs(pairs).max() < 4 / np.sqrt(noise.size / 4)
+            in_time = (noise[1:] * noise[:-1]).mean() / sigma**2
+            assert abs(in_time) < 4 / np.sqrt(noise.size)
 
 
 def test_noise_before_time_zero_is_as_large(simulated: HeadModel) -> None:
@@ -190,9 +189,9 @@ def test_noise_before_time_zero_is_as_large(simulated: HeadModel) -> None:
     assert noise.std() == pytest.approx(simulated.sensor.detection_noise_px, rel=0.032)
 
 
-def test_encoders_read_the_nearest_of_their_steps(physical: HeadModel, plant_name) -> None:
+def test_encoders_read_the_nearest_of_their_steps(physical: HeadModel) -> None:
     readings, positions, velocities = steps(
-        make_plant(plant_name, physical, 1), start_of(), 40, MOVING
+        make_plant("kinematic", physical, 1), start_of(), 40, MOVING
     )
     for value, true, step in (
         (np.array([r.positions for r in readings]), positions, 2 * np.pi / 4096),
@@ -360,8 +359,8 @@ def test_true_heads_look_and_the_model_judges(physical: HeadModel) -> None:
     assert truth.pixel_error == pytest.approx(seen, abs=1e-9)
 
 
-def test_starting_some_trials_leaves_the_others_as_they_were(simulated, plant_name) -> None:
-    plant = make_plant(plant_name, simulated, 3)
+def test_starting_some_trials_leaves_the_others_as_they_were(simulated) -> None:
+    plant = make_plant("mujoco", simulated, 3)
     steps(plant, start_of(3), 20, MOVING)
     before, angles = plant.reading.copy(), plant.truth().positions
     one = start_of(1, (0.1, 0.0, 0.7))
@@ -374,7 +373,7 @@ def test_starting_some_trials_leaves_the_others_as_they_were(simulated, plant_na
     assert not plant.truth().velocities[1].any()
 
 
-def test_options_that_cannot_be_are_refused_by_name(simulated, plant_name) -> None:
+def test_options_that_cannot_be_are_refused_by_name(simulated) -> None:
     for options, message in [
         ({"latency_s": -0.01}, "latency_s: expected seconds from 0 to below 1 .*got -0.01"),
         (
@@ -387,12 +386,12 @@ def test_options_that_cannot_be_are_refused_by_name(simulated, plant_name) -> No
         ({"detection_noise_px": "much"}, "detection_noise_px.*'much'"),
     ]:
         with named(options, message), pytest.raises(ConfigurationError, match=message):
-            make_plant(plant_name, simulated, 2, **options)
+            make_plant("kinematic", simulated, 2, **options)
 
 
-def test_an_image_that_comes_between_two_periods_is_read_at_the_next(exact, plant_name) -> None:
+def test_an_image_that_comes_between_two_periods_is_read_at_the_next(exact) -> None:
     head = exact.replace(timing={"latency_s": 8.5 * T})
-    readings, positions, _v = steps(make_plant(plant_name, head, 1), start_of(), 30, MOVING)
+    readings, positions, _v = steps(make_plant("kinematic", head, 1), start_of(), 30, MOVING)
     assert not readings[8].visible.any()
     for step in range(9, 31):
         reading = readings[step]

@@ -1,8 +1,5 @@
 """A motion's row: where a target is after each jump, and when there is anything to see."""
 
-from math import inf
-
-import numba
 import numpy as np
 import pytest
 
@@ -68,13 +65,6 @@ def test_a_hidden_target_is_gone_from_the_first_moment_and_back_at_the_last() ->
     assert shown(rows[0], times) == [True, True, False, False, True, True]
     for_ever = motion_rows([FIRST], hidden_from=1.0)
     assert shown(for_ever[0], [0.9, 1.0, 1e9]) == [True, False, False]
-
-
-def test_kernels_are_told_the_same() -> None:
-    asked = numba.njit(lambda row, t: is_shown(unpack_motion(row), t))
-    row = motion_rows([FIRST], hidden_from=1.0, hidden_until=1.3)[0]
-    times = [-1.0, 0.0, 1.0, 1.2, 1.3, inf]
-    assert [asked(row, t) for t in times] == shown(row, times)
 
 
 def test_only_rows_with_a_path_are_longer() -> None:

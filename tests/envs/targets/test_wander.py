@@ -6,6 +6,7 @@ from scipy import stats
 
 from tests.envs.drawn import Array, draw, eccentricity, midpoint_between_eyes
 from tests.heads import MOVING, text_of
+from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
 from vergence.envs.targets.board import is_detectable_by_both_eyes
@@ -72,40 +73,44 @@ def test_it_turns_at_drawn_times_into_any_direction(simulated: HeadModel) -> Non
     assert stats.kstest(bend, "uniform").pvalue > 1e-3
 
 
-@pytest.mark.parametrize("name", ["simulated", "physical"])
-def test_it_never_leaves_where_both_eyes_can_fixate_it(name, request) -> None:
-    head: HeadModel = request.getfixturevalue(name)
-    target = WanderTarget()
-    rows, q = draw(head, target, 60)
-    points = target_position(rows[:, None], np.linspace(0.0, 30.0, 1801))
-    # stretches are tried at steps of up to 5 degrees, between which they bulge a little
-    assert points[..., 2].min() >= 0.4 * 0.998
-    assert points[..., 2].max() <= 2.5 * 1.002
-    assert eccentricity(head, points).max() <= target.eccentricity + 1e-3
-    angles = head.fixate(points)
-    assert head.limits.contains(angles, 1.9 * DEGREE).all()
-    # the eyes hold it where it stands until time zero
-    assert target_position(rows, -1.0) == pytest.approx(points[:, 0], abs=1e-12)
-    assert np.abs(angles[:, 0] - q).max() < 1e-9
-    # near and far, and to all sides
-    assert np.ptp(points[..., 2], axis=1).max() > 0.5
-    assert np.quantile(np.ptp(points[..., 0], axis=1), 0.2) > 0.1
+def test_it_never_leaves_where_both_eyes_can_fixate_it(request) -> None:
+    for name in ["simulated", "physical"]:
+        with named(name):
+            head: HeadModel = request.getfixturevalue(name)
+            target = WanderTarget()
+            rows, q = draw(head, target, 60)
+            points = target_position(rows[:, None], np.linspace(0.0, 30.0, 1801))
+            # stretches are tried at steps of up to 5 degrees, between which they bulge a little
+            assert points[..., 2].min() >= 0.4 * 0.998
+            assert points[..., 2].max() <= 2.5 * 1.002
+            assert eccentricity(head, points).max() <= target.eccentricity + 1e-3
+            angles = head.fixate(points)
+            assert head.limits.contains(angles, 1.9 * DEGREE).all()
+            # the eyes hold it where it stands until time zero
+            assert target_position(rows, -1.0) == pytest.approx(points[:, 0], abs=1e-12)
+            assert np.abs(angles[:, 0] - q).max() < 1e-9
+            # near and far, and to all sides
+            assert np.ptp(points[..., 2], axis=1).max() > 0.5
+            assert np.quantile(np.ptp(points[..., 0], axis=1), 0.2) > 0.1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shape", MOVING)
-def test_following_it_takes_half_of_the_actuators_speed(shape) -> None:
-    # slow ones, whose speed decides which stretches are fit
-    head = parse_head(text_of(shape).replace("velocity_rad_s = 5.0", "velocity_rad_s = 1.2"))
-    own = head.actuation
-    rows, _q = draw(head, "wander", 12)
-    t = np.linspace(0.0, 8.0, 1921)
-    angles = own.actuators_of(head.fixate(target_position(rows[:, None], t)))
-    rates = np.abs(np.diff(angles, axis=1)) / (t[1] - t[0])
-    eyes = slice(3, 3 + own.count)
-    # stretches are tried at steps of up to 5 degrees, between which a rate can be a little higher
-    assert (rates[..., eyes] <= 0.53 * own.velocity[eyes]).all()
-    assert rates[..., eyes].max() > 0.3 * own.velocity[eyes].max()
+def test_following_it_takes_half_of_the_actuators_speed() -> None:
+    for shape in MOVING:
+        with named(shape):
+            # slow ones, whose speed decides which stretches are fit
+            head = parse_head(
+                text_of(shape).replace("velocity_rad_s = 5.0", "velocity_rad_s = 1.2")
+            )
+            own = head.actuation
+            rows, _q = draw(head, "wander", 6)
+            t = np.linspace(0.0, 8.0, 1921)
+            angles = own.actuators_of(head.fixate(target_position(rows[:, None], t)))
+            rates = np.abs(np.diff(angles, axis=1)) / (t[1] - t[0])
+            eyes = slice(3, 3 + own.count)
+            # stretches are tried at steps of up to 5 degrees; between, a rate can be a little higher
+            assert (rates[..., eyes] <= 0.53 * own.velocity[eyes]).all()
+            assert rates[..., eyes].max() > 0.3 * own.velocity[eyes].max()
 
 
 def test_it_never_ends(simulated: HeadModel) -> None:
@@ -123,7 +128,7 @@ def test_it_never_ends(simulated: HeadModel) -> None:
 @pytest.mark.slow
 def test_the_whole_board_is_seen_all_the_way(simulated: HeadModel) -> None:
     board = make_plant("rendered", simulated, 1, width_rad="fit").board
-    rows, _q = draw(simulated, "wander", 8, board=board)
+    rows, _q = draw(simulated, "wander", 3, board=board)
     corners = knots(rows)[..., 0]
     t = np.concatenate([corners, 0.5 * (corners[:, 1:] + corners[:, :-1])], axis=1)
     points = target_position(rows[:, None], t).reshape(-1, 3)
