@@ -38,11 +38,7 @@ def desk_config(port, baud_rate=1_000_000, **servo_values):
 
 
 class TimelessLine:
-    """A serial line whose servos answer at once, by a clock of the test's own.
-
-    Attributes:
-        servos: on it.
-    """
+    """A serial line whose servos answer at once, by a clock of the test's own."""
 
     port, baud = "/dev/ttyNONE", 1_000_000
 

@@ -12,11 +12,7 @@ from vergence.models.boards import AprilTag
 
 
 class FakeClock:
-    """Time that stands still until it is told to go on.
-
-    Attributes:
-        now: s.
-    """
+    """Time that stands still until it is told to go on."""
 
     def __init__(self, now=100.0):
         self.now = now
@@ -75,12 +71,7 @@ class ScriptedCapture:
 
 
 class LiveCapture:
-    """A camera that shows one image at a rate, in real time, until it is released or ends.
-
-    Args:
-        image: image to show.
-        rate_hz: frame rate, Hz.
-    """
+    """A camera that shows one image at a rate, in real time, until it is released or ends."""
 
     def __init__(self, image, rate_hz):
         self._image, self._period_s, self._count = image, 1.0 / rate_hz, 0

@@ -26,17 +26,7 @@ def make_servo(id=1, **options):
 
 
 class ServedLine:
-    """A `ServoLine` behind a serial port, with the servos' own delays.
-
-    Args:
-        line: the servos.
-        hears_rate: True if servos receive only packets at their own baud rate.
-        echo: True if packets are echoed, as by adapters for half-duplex lines.
-        alter: gives what is sent in place of the answers to a packet.
-
-    Attributes:
-        port: the device to open.
-    """
+    """A `ServoLine` behind a serial port, with the servos' own delays."""
 
     def __init__(self, line, echo=False, alter=lambda packet, answers: answers, hears_rate=False):
         self.line, self.echo, self.alter, self.hears_rate = line, echo, alter, hears_rate

@@ -68,6 +68,7 @@ def test_the_thread_ends_with_the_drive(robot):
     assert not drive.is_alive()
 
 
+@pytest.mark.slow
 def test_a_process_that_stands_still_leads_no_joint_beyond_its_limit(monkeypatch):
     for steps in (4, 13, 25):
         robot = VirtualRobot(monkeypatch)
@@ -79,6 +80,7 @@ def test_a_process_that_stands_still_leads_no_joint_beyond_its_limit(monkeypatch
         assert 0.3 < max(one.q for one in robot.world.servos.values()) < LIMIT_RAD, steps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["lost", "silent", "unplug", "stuck"])
 def test_a_fault_of_the_line_leads_no_joint_beyond_its_limit(monkeypatch, what):
     for steps in (8, 20):
@@ -126,6 +128,7 @@ def test_a_servo_that_does_not_confirm_to_be_at_rest_keeps_its_watchdog(robot):
     assert [watchdog > 0 for watchdog in robot.registers(table.BUS_WATCHDOG)] == [0, 1, 0, 0]
 
 
+@pytest.mark.slow
 def test_a_command_that_is_held_back_is_not_repeated_either(monkeypatch):
     robot = VirtualRobot(monkeypatch, search=True, overruns=1.0)
     robot.begin()

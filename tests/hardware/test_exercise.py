@@ -30,8 +30,7 @@ def test_a_target_that_appears_is_not_seen_in_images_of_before(monkeypatch, appe
     assert robot.plant.reading.time_s[0] > timing.latency_s - timing.period_s
 
 
-def test_joints_are_exercised_within_the_bounds_and_rest_afterwards(monkeypatch):
-    robot = VirtualRobot(monkeypatch)
+def test_joints_are_exercised_within_the_bounds_and_rest_afterwards(robot):
     robot.begin()
     robot.plant.exercise(velocities(0.15, 60))
     assert robot.world.servos["left_pan"].q == pytest.approx(0.15, abs=0.02)
@@ -42,8 +41,7 @@ def test_joints_are_exercised_within_the_bounds_and_rest_afterwards(monkeypatch)
     assert 1.0 < robot.world.servos["left_pan"].q <= 1.4
 
 
-def test_what_stops_a_robot_that_is_exercised_stays_its_fault(monkeypatch):
-    robot = VirtualRobot(monkeypatch)
+def test_what_stops_a_robot_that_is_exercised_stays_its_fault(robot):
     robot.begin()
 
     def until_the_cable_is_pulled():

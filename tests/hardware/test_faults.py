@@ -1,6 +1,5 @@
 """Messages on a robot's failure in a gaze: one line that names the part, and exit status 1."""
 
-import re
 import shutil
 import signal
 import subprocess
@@ -97,24 +96,3 @@ def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(head) -> None
     rested_s = world.rest_start_s(since_s)
     assert rested_s is not None
     assert rested_s - since_s < 0.5
-
-
-@pytest.mark.nightly
-def test_a_stream_that_ends(head) -> None:
-    desk, world = head
-    text = desk.read_text()
-    desk.write_text(re.sub(r'(/right)"', r'\1?images=100"', text))
-    process = start(desk, "--duration", "20")
-    assert "cameras.right" in (line := failure(process))
-    assert "ended" in line
-    assert speed_after(world, 0.3) < 0.02
-
-
-@pytest.mark.nightly
-def test_a_wrong_id(head) -> None:
-    desk, world = head
-    desk.write_text(desk.read_text().replace("id = 4", "id = 9"))
-    line = failure(start(desk))
-    assert "right_tilt" in line
-    assert "there are the ids 1, 2, 3, 4" in line
-    assert speed_after(world, 0.0) == 0.0

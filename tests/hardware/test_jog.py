@@ -160,15 +160,6 @@ def test_a_profile_that_would_slow_a_step_is_set_and_told_of(desk):
     assert desk.servos[0].get(table.PROFILE_ACCELERATION) == 0
 
 
-def test_a_watchdog_that_needs_a_torque_cycle_gets_one(desk):
-    servo = desk.servos[0]
-    servo.trip_needs_torque_cycle = True
-    servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
-    servo.set(table.TORQUE_ENABLE, 1)
-    servo._trip()
-    assert desk.jog.step("left_pan", 0.05) == pytest.approx(0.05, rel=0.1)
-
-
 def test_a_flip_takes_the_other_direction(desk):
     desk.jog.flip_sign("left_pan")
     desk.jog.step("left_pan", 0.1)
@@ -181,13 +172,6 @@ def test_a_zero_is_the_present_posture_within_a_turn(desk):
     desk.jog.set_zero("left_pan")
     assert 0 <= desk.jog.servos["left_pan"].zero_ticks < table.TICKS_PER_TURN
     assert desk.jog.angle("left_pan") == pytest.approx(0.0, abs=1e-9)
-
-
-def test_off_lets_go_of_one_joint(desk):
-    for name in ("left_pan", "right_pan"):
-        desk.jog.step(name, 0.05)
-    desk.jog.torque_off("left_pan")
-    assert desk.registers(table.TORQUE_ENABLE) == [0, 0, 1, 0]
 
 
 CONFIG = """\

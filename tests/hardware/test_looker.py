@@ -28,6 +28,7 @@ def angles(robot):
     return np.array(robot.world.state(robot.clock())["positions"])
 
 
+@pytest.mark.slow
 def test_a_turn_of_some_milliradians_is_made(robot, looker):
     for way in (0.0, 0.005, -0.002):
         q = turned(0.2 + way, -0.1, 0.1, 0.1 - way)
@@ -36,6 +37,7 @@ def test_a_turn_of_some_milliradians_is_made(robot, looker):
         assert np.abs(sight.positions - angles(robot)).max() < 0.0016
 
 
+@pytest.mark.slow
 def test_what_is_seen_was_exposed_at_rest_after_the_look_was_asked_for(robot, looker):
     for pan in (0.3, -0.3, -0.301):
         asked_s = robot.clock()
@@ -44,6 +46,7 @@ def test_what_is_seen_was_exposed_at_rest_after_the_look_was_asked_for(robot, lo
         assert sight.corners_px == (None, None)  # these eyes see the measured point alone
 
 
+@pytest.mark.slow
 def test_an_eye_without_images_is_said_and_stops_nothing(robot, looker):
     looker.look(turned(0, 0, 0, 0))
     robot.eyes[1].stalled_s = robot.clock()

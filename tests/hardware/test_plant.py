@@ -150,6 +150,7 @@ def test_a_watchdog_that_trips_ends_a_trial_but_not_the_wait_before_it(robot):
     assert robot.registers(table.BUS_WATCHDOG) == [0] * 4
 
 
+@pytest.mark.slow
 def test_a_stop_brakes_before_step_returns_and_latches_until_released(robot):
     robot.begin()
     for _ in range(6):

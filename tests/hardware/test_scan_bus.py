@@ -30,11 +30,6 @@ def test_servos_are_found_at_their_own_rates(serve):
     assert shares == [0.0, 0.5]
 
 
-def test_ids_are_asked_one_by_one_where_they_are_given(serve):
-    found = scan_for_servos(serve(ready_servos()).port, single_ping_ids=range(3, 5), **QUICK)
-    assert [one.id for one in found.servos] == [3, 4]
-
-
 def test_servos_that_tell_only_their_model_are_listed(serve):
     own = ready_servos()[:2]
     own[0].set(table.MODEL_NUMBER, 12)

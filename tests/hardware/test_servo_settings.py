@@ -152,6 +152,7 @@ def test_a_slow_eeprom_is_waited_for(robot):
     assert robot.registers(table.OPERATING_MODE) == [table.VELOCITY_MODE] * 4
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning")
 def test_lost_packets_do_not_end_a_start(monkeypatch):
     for seed in range(3):

@@ -24,13 +24,7 @@ PORT = "/dev/null"  # one that is there
 
 
 class VirtualLine:
-    """The servos' line of a world, in place of `SerialLine`.
-
-    Args:
-        world: has the servos.
-        clock: goes on while somebody waits for an answer.
-        baud: bit/s.
-    """
+    """The servos' line of a world, in place of `SerialLine`."""
 
     def __init__(self, world, clock, baud):
         self.port, self._world, self._clock, self._baud = PORT, world, clock, baud
@@ -127,14 +121,7 @@ class WatchedWorld(World):
 
 
 class VirtualCamera:
-    """An eye of a `WatchedWorld`, in place of `EyeThread`.
-
-    Args:
-        clock: the present.
-        config: the camera.
-        images: images of the world, see `WatchedWorld.seen`.
-        transform: map of pixels; None leaves them.
-    """
+    """An eye of a `WatchedWorld`, in place of `EyeThread`."""
 
     ready, frame = True, None
 
@@ -211,11 +198,7 @@ class VirtualEye:
 
 
 class VirtualClock(FakeClock):
-    """Time in which a robot's drive has its say while somebody else sleeps.
-
-    Attributes:
-        drive: drive whose `send_if_late` moves the joints; None without one.
-    """
+    """Time in which a robot's drive has its say while somebody else sleeps."""
 
     drive = None
 

@@ -25,18 +25,7 @@ def open_log(path, **facts):
 def log_trials(
     path, law="state-feedback", trials=2, steps=STEPS, planned=None, fault=False, facts=None, **more
 ):
-    """Log trials of a law on a kinematic head; what was recorded of each.
-
-    Args:
-        path: path of the log.
-        law: a controller's name.
-        trials: number of trials.
-        steps: control periods of each.
-        planned: control periods of a whole one, as text.
-        fault: True if a fault stops the head at the end.
-        facts: replacements of some facts.
-        **more: further facts.
-    """
+    """Log trials of a law on a kinematic head; what was recorded of each."""
     more |= {} if planned is None else {"steps": planned}
     policy = make_controller(law, HEAD)
     task = GazeTask(1, head=HEAD, plant="kinematic", target={"kind": "random", "start": "rest"})

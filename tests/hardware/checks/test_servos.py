@@ -18,7 +18,6 @@ from vergence.hardware.checks.servos import check_servos, raise_errors
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
-from vergence.hardware.servo_memory import describe_fault_bits
 
 
 @pytest.fixture
@@ -72,14 +71,6 @@ def test_a_register_that_must_not_be_so_is_one_finding_of_its_servo(check):
             assert said in finding.problem
             assert finding.cure
             assert finding.warning is warning
-
-
-def test_a_voltage_outside_the_servos_limits_is_found_beside_the_fault_that_it_makes(check):
-    own = ready_servos()
-    own[1].set(table.PRESENT_INPUT_VOLTAGE, 59)
-    voltage, fault = check(own)
-    assert "expected 6.0 to 14.0 V, got 5.9 V" in voltage.problem
-    assert "got one of input voltage" in fault.problem
 
 
 def test_small_servos_with_a_weak_watchdog_are_a_warning(check):
@@ -225,13 +216,6 @@ def test_warnings_alone_refuse_nothing(check):
     own[0].set(table.VELOCITY_LIMIT, 200)
     found = check(own)
     assert raise_errors(found) == found
-
-
-def test_faults_are_told_in_words():
-    assert describe_fault_bits(0b111101) == (
-        "input voltage, overheating, motor encoder, electrical shock, overload"
-    )
-    assert describe_fault_bits(0b10) == "unknown fault 1"
 
 
 def test_an_exchange_takes_its_bytes_delays_and_latency():

@@ -53,6 +53,7 @@ def test_an_acceleration_that_was_not_reached_is_not_told(greatest_rad_s2, seed)
     assert 50.0 < found.peak_acceleration_rad_s2 < 105.0
 
 
+@pytest.mark.slow
 def test_a_servo_that_overshoots_is_beside_a_lag():
     sent_s, sent, joints_s, _ = samples(GUESS)
     times = np.arange(sent_s[0], joints_s[-1], 1e-3)
@@ -66,6 +67,7 @@ def test_a_servo_that_overshoots_is_beside_a_lag():
     assert found.misfit_rad > 4e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("latency_s", "jitter_s", "backlash_rad", "focal"),
     [(0.12, 0.01, 0.003, 1.0), (0.07, 0.0, 0.001, 0.85)],

@@ -69,9 +69,3 @@ def test_a_script_pulls_the_cable_and_the_watchdogs_bring_the_joints_to_rest(hea
         assert time.monotonic() < until_s
     # the watchdog, and three time constants of the joints from 0.5 to 0.024 rad/s
     assert WATCHDOG_S - 0.05 < rested_s - spoken_s < WATCHDOG_S + 0.3
-
-
-def test_late_answers_of_one_servo_hold_up_no_other(head):
-    bus, world = head
-    world.begin_fault(what="late", ids=[2], value=1.0, for_s=0.5)
-    assert set(bus.sync_read(IDS, table.PRESENT_POSITION.address, 4)) == {1, 3, 4}

@@ -34,11 +34,6 @@ def test_a_ping_finds_the_model(port):
     assert PACKETS.ping(port, 2) == (1060, COMM_SUCCESS, 0)
 
 
-def test_what_is_written_is_read(port):
-    assert PACKETS.write4ByteTxRx(port, 1, 104, -7 & 0xFFFFFFFF) == (COMM_SUCCESS, 0)
-    assert PACKETS.read4ByteTxRx(port, 1, 104) == (-7 & 0xFFFFFFFF, COMM_SUCCESS, 0)
-
-
 def test_bytes_that_look_like_a_header_are_written_and_read(port):
     assert PACKETS.writeTxRx(port, 1, 224, 6, [255, 255, 253, 255, 255, 253])[0] == COMM_SUCCESS
     assert PACKETS.readTxRx(port, 1, 224, 6)[0] == [255, 255, 253, 255, 255, 253]
@@ -65,9 +60,3 @@ def test_the_eeprom_is_locked_under_torque(port):
     result, error = PACKETS.write1ByteTxRx(port, 1, 11, VELOCITY_MODE)
     assert result == COMM_SUCCESS
     assert "not available" in PACKETS.getRxPacketError(error)
-
-
-def test_a_servo_reboots(port):
-    PACKETS.write1ByteTxRx(port, 1, 64, 1)
-    assert PACKETS.reboot(port, 1) == (COMM_SUCCESS, 0)
-    assert PACKETS.read1ByteTxRx(port, 1, 64) == (0, COMM_SUCCESS, 0)

@@ -117,13 +117,6 @@ def test_a_servo_that_is_still_hot_fails_again_after_a_reboot():
     assert read(line, 0.1, 1, table.HARDWARE_ERROR_STATUS) == 1 << 2
 
 
-def test_a_stuck_joint_stands_still_against_its_command():
-    line = turning()
-    line.servos[0].stuck = True
-    line.advance_to(0.5)
-    assert (line.positions()[0], line.velocities()[0]) == (0.0, 0.0)
-
-
 def test_a_joint_the_wrong_way_turns_against_its_command():
     right, wrong = turning(), turning()
     wrong.servos[0].goal_scale = -1.0

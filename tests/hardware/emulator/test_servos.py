@@ -32,15 +32,12 @@ def test_a_joint_follows_its_velocity_goal_with_its_lag():
 
 
 def test_a_joint_comes_to_its_position_goal():
-    line = turning(mode=table.POSITION_MODE)
-    write(line, 0.0, 1, table.GOAL_POSITION, 2348)
-    assert read(line, 3.0, 1, table.PRESENT_POSITION) == 2348
-
-
-def test_torque_in_position_mode_moves_nothing():
-    line = turning(mode=table.POSITION_MODE, position_rad=0.5)
+    line = turning(mode=table.POSITION_MODE, position_rad=0.25)
     line.advance_to(1.0)
-    assert line.positions() == pytest.approx(0.5, abs=TICK_RAD)
+    assert line.positions() == pytest.approx(0.25, abs=TICK_RAD)  # torque alone moves nothing
+    assert write(line, 1.0, 1, table.GOAL_POSITION, 4096)[0].error == ErrorNumber.DATA_LIMIT
+    write(line, 1.0, 1, table.GOAL_POSITION, 2348)
+    assert read(line, 4.0, 1, table.PRESENT_POSITION) == 2348
 
 
 def test_a_joint_stops_at_its_end_stop():
@@ -118,11 +115,6 @@ def test_writes_under_torque_are_checked():
         with named(register.name, value):
             assert write(line, 0.0, 1, register, value)[0].error == error
             assert (bytes(line.servos[0].memory.bytes) == before) == (error != 0)
-
-
-def test_position_goals_stay_within_their_limits():
-    line = turning(mode=table.POSITION_MODE)
-    assert write(line, 0.0, 1, table.GOAL_POSITION, 4096)[0].error == ErrorNumber.DATA_LIMIT
 
 
 def test_the_status_return_level_says_what_is_answered():

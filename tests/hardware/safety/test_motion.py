@@ -16,7 +16,8 @@ TURRETS = load_head("turrets")
 LOWER, UPPER = TURRETS.actuation.lower, TURRETS.actuation.upper
 
 
-@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 200), marks=NIGHTLY)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 200), marks=NIGHTLY)])
 def test_no_command_leads_beyond_a_bound(seeds):
     for seed, style in itertools.product(seeds, POLICIES):
         with named(seed, style):

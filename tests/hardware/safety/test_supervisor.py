@@ -178,6 +178,7 @@ def test_a_forbidden_posture_stops():
     assert "'the frame'" in robot.supervisor.fault
 
 
+@pytest.mark.slow
 def test_missed_periods_stop_beyond_their_share():
     robot = Robot(overruns=0.3)
     assert robot.run(4.0, missed_periods=0) is None
@@ -228,6 +229,7 @@ def test_a_lost_target_holds_until_it_is_seen_again():
     assert robot.supervisor.fault == ""
 
 
+@pytest.mark.slow
 def test_a_search_turns_both_eyes_slowly_over_the_field_of_view():
     robot = Robot(lost_s=0.3, search=True)
     robot.prove()
