@@ -6,19 +6,16 @@ import pytest
 from matplotlib.text import Text
 
 from tests.envs.robot import WORLD, Robot
-from tests.eval.trials.toys import ToyScenario
 from tests.heads import text_of
 from vergence.commands.gaze import _print_gaze
 from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
-from vergence.envs.reading import Truth
 from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.gaze import GazeConfig, gaze_result, run_gaze
 from vergence.eval.gaze_figure import compose_gaze, draw_gaze
 from vergence.eval.gaze_trajectory import write_trajectory
-from vergence.eval.trials.run import run_trials
 from vergence.models.files.head_file import load_head
 from vergence.recording import Recorder
 
@@ -58,12 +55,6 @@ def test_a_robot_that_knows_the_truth_is_judged_by_it():
     assert 0.0 < result.settle_1px_s < 1.5
 
 
-@pytest.mark.slow
-def test_without_truth_a_picture_is_drawn(on_robot, tmp_path):
-    draw_gaze(on_robot, tmp_path / "gaze.png")
-    assert (tmp_path / "gaze.png").stat().st_size > 10_000
-
-
 class RobotWithCameras(Robot):
     """The robot, with images that nobody could draw."""
 
@@ -101,15 +92,6 @@ def test_both_eyes_are_magnified_alike():
     assert places[0] == pytest.approx(places[1])
 
 
-def test_each_curve_is_named_in_its_colour(on_robot):
-    errors, axes = compose_gaze(on_robot).axes[2:]
-    for panel in (errors, axes):
-        named = {text.get_text(): text.get_color() for text in panel.texts}
-        for line in panel.get_lines():
-            if not line.get_label().startswith("_"):
-                assert named[line.get_label()] == line.get_color()
-
-
 def test_without_images_none_is_shown(on_robot):
     figure = compose_gaze(on_robot)
     assert on_robot.images is None
@@ -126,23 +108,12 @@ def test_a_robot_s_own_images_are_shown_as_they_are(monkeypatch):
         assert axes.get_title().endswith("last image")
 
 
-@pytest.mark.parametrize(("plant", "drawn"), [("kinematic", True), ("rendered", False)])
-def test_an_image_that_no_camera_took_says_that_it_is_drawn(plant, drawn):
-    result = run_gaze(GazeConfig(plant=plant, duration_s=0.2))
-    for axes in compose_gaze(result).axes[:2]:
-        assert ("drawn" in axes.get_title()) == drawn
-        assert axes.images
-
-
-def test_without_truth_trials_have_the_measured_errors_and_null_metrics(on_robot):
-    controller = make_controller("ibvs", head=load_head("simulated"))
-    scenario = ToyScenario("static", duration_s=2.0)
-    trials = run_trials(controller, scenario, episodes=1, plant="robot")
-    assert np.isfinite(trials.error).all()
-    assert np.isfinite(trials.settle_s()).all()
-    assert trials.conditions == {}
-    for metric in (trials.bound_s, trials.fix_error_at_settling_m(), trials.tracking_lag_s):
-        assert np.isnan(metric).all()
+def test_an_image_that_no_camera_took_says_that_it_is_drawn():
+    for plant, drawn in {"kinematic": True, "rendered": False}.items():
+        result = run_gaze(GazeConfig(plant=plant, duration_s=0.2))
+        for axes in compose_gaze(result).axes[:2]:
+            assert ("drawn" in axes.get_title()) == drawn
+            assert axes.images
 
 
 def test_in_a_simulation_the_errors_are_true_and_the_command_is_what_was_applied():
@@ -183,11 +154,8 @@ def test_a_gaze_has_the_joints_and_actuators_of_its_head(file_of):
     ]  # fmt: skip
     commands = [name for name in table if name.startswith("command_")]
     assert commands == ["command_tilt_rad_s", "command_version_rad_s", "command_vergence_rad_s"]
-
-
-def test_a_joint_that_a_head_lacks_is_left_out(file_of):
-    table = gaze_of(file_of("vergeonly"), duration_s=0.1).trajectory
-    positions = [name for name in table if name.startswith("position_")]
+    lacking = gaze_of(file_of("vergeonly"), duration_s=0.1).trajectory
+    positions = [name for name in lacking if name.startswith("position_")]
     assert positions == ["position_pan_rad", "position_left_pan_rad", "position_right_pan_rad"]
 
 
@@ -212,10 +180,6 @@ def test_eyes_that_cannot_converge_are_pictured_with_the_error_that_they_keep(fi
     assert "cannot look at the target" in errors.get_title()
 
 
-def test_a_head_whose_eyes_have_two_motors_each_has_no_residual_of_a_gaze():
-    assert gaze_of("simulated", duration_s=0.1).residual_px == 0.0
-
-
 def test_a_target_out_of_reach_is_told_by_its_actuator(file_of):
     narrow = text_of("tied").replace("upper_rad = 1.2", "upper_rad = 0.05")
     with pytest.raises(
@@ -231,29 +195,18 @@ def test_a_fixed_pair_has_no_gaze(file_of):
         gaze_of(file_of("pair"))
 
 
-def test_an_unknown_controller_is_refused_before_a_plant_is_opened():
+def test_unknown_names_are_refused_before_a_plant_is_opened_or_a_head_is_loaded():
     with pytest.raises(UnknownNameError, match="controller"):
         run_gaze(GazeConfig(controller="magic", plant="no such plant"))
-
-
-def test_an_unknown_plant_is_refused_before_a_head_is_loaded_which_compiles_kernels():
     with pytest.raises(UnknownNameError, match="plant"):
         run_gaze(GazeConfig(plant="no such plant", head="no such head"))
 
 
-def test_a_truth_that_nobody_knows_is_nan():
-    truth = Truth.unknown(2)
-    assert all(np.isnan(part).all() for part in truth[:-1])
-    assert not truth.image_visible.any()
-
-
-@pytest.mark.parametrize(
-    ("target", "asked"), [((0.0, -0.1, 1.0), True), ((0.0, -100.0, -1000.0), False)]
-)
-def test_a_target_in_metres_is_asked_about(target, asked):
-    with pytest.raises(ConfigurationError, match="target: expected") as caught:
-        run_gaze(GazeConfig(target_mm=target, plant="kinematic"))
-    assert ("is it in metres?" in str(caught.value)) == asked
+def test_a_target_in_metres_is_asked_about():
+    for target, asked in {(0.0, -0.1, 1.0): True, (0.0, -100.0, -1000.0): False}.items():
+        with pytest.raises(ConfigurationError, match="target: expected") as caught:
+            run_gaze(GazeConfig(target_mm=target, plant="kinematic"))
+        assert ("is it in metres?" in str(caught.value)) == asked
 
 
 class LastImageAlone(Robot):

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.controllers.networks.graphs import bundle_of, perceptron
 from tests.eval.conftest import row_of
 from tests.eval.mappers import Backwards
 from tests.eval.refusals import not_refused
@@ -248,20 +249,16 @@ def test_trials_of_robust_say_what_they_ran_with():
     assert np.array_equal(latencies, evaluation.outcomes[1].trials["latency_s"])
 
 
-@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
-def test_a_bundle_takes_part_under_its_files_name(tmp_path, kind):
-    from tests.controllers.networks.graphs import bundle_of
-
-    path = bundle_of(tmp_path, kind)
-    evaluation = evaluate(EvaluateConfig(controllers=(str(path),), episodes=2))
-    row = row_of(evaluation, path.name)
-    assert row["trials"] == 2
-    assert 0.0 <= row["settled_fraction"] <= 1.0
+def test_a_bundle_takes_part_under_its_files_name(tmp_path):
+    paths = [bundle_of(tmp_path, kind) for kind in ("gain-schedule", "policy")]
+    evaluation = evaluate(EvaluateConfig(controllers=tuple(map(str, paths)), episodes=2))
+    for path in paths:
+        row = row_of(evaluation, path.name)
+        assert row["trials"] == 2
+        assert 0.0 <= row["settled_fraction"] <= 1.0
 
 
 def test_a_bare_network_takes_part_and_a_damaged_one_is_refused(tmp_path):
-    from tests.controllers.networks.graphs import perceptron
-
     (tmp_path / "mine.onnx").write_bytes(perceptron())
     config = EvaluateConfig(controllers=(str(tmp_path / "mine.onnx"),), episodes=2)
     assert row_of(evaluate(config), "mine.onnx")["trials"] == 2

@@ -23,14 +23,11 @@ def test_the_interval_of_a_mean_is_that_of_the_normal_approximation():
     assert interval.value - interval.low == pytest.approx(half, rel=0.15)
 
 
-def test_a_fraction_lies_between_nothing_and_all():
+def test_an_interval_is_nothing_for_equal_values_and_within_0_and_1_for_a_fraction():
+    assert Bootstrap(50).interval(np.full(50, 2.0), median) == (2.0, 2.0, 2.0)
     interval = Bootstrap(100).interval(np.arange(100) < 97, mean)
     assert interval.value == 0.97
     assert 0.9 < interval.low < 0.97 < interval.high <= 1.0
-
-
-def test_values_that_are_all_alike_leave_nothing_uncertain():
-    assert Bootstrap(50).interval(np.full(50, 2.0), median) == (2.0, 2.0, 2.0)
 
 
 def test_infinite_values_count_and_do_not_spoil_the_rest():
@@ -38,6 +35,7 @@ def test_infinite_values_count_and_do_not_spoil_the_rest():
     assert Bootstrap(100).interval(values, median).value == 1.0
     assert np.isinf(Bootstrap(100).interval(values, p95).value)
     assert not np.isnan(Bootstrap(100).interval(values, p95).low)
+    assert p95(np.arange(1.0, 101.0)) == 96.0
 
 
 def test_the_ratio_of_paired_trials_is_certain_where_one_is_a_multiple_of_the_other():
@@ -51,10 +49,6 @@ def test_resampling_in_blocks_covers_all_resamples():
     bootstrap = Bootstrap(30_000, resamples=100)
     assert len(bootstrap._blocks) > 1
     assert len(bootstrap._resampled(np.arange(30_000.0), mean)) == 100
-
-
-def test_the_95th_percentile_is_a_value_that_occurred():
-    assert p95(np.arange(1.0, 101.0)) == 96.0
 
 
 def test_a_thousand_of_a_thousand_do_not_prove_a_certainty():

@@ -58,7 +58,7 @@ def test_all_else_stays_as_the_trial_draws_it():
             np.testing.assert_array_equal(values, other.conditions[name])
 
 
-def test_ninety_nine_of_a_hundred_settle():
+def test_a_margin_ends_where_one_in_a_hundred_fails_or_the_median_has_doubled():
     def point(trials: int, settled: int) -> MarginPoint:
         return MarginPoint(0.0, 1.0, trials, settled, 0.2, 0.2)
 
@@ -67,9 +67,6 @@ def test_ninety_nine_of_a_hundred_settle():
     assert point(99, 99).settles
     assert not point(99, 98).settles
     assert not point(0, 0).settles
-
-
-def test_the_median_has_doubled_where_it_is_twice_that_of_the_untouched():
     for median_s, keeps in {0.39: True, 0.4: False, inf: False}.items():
         assert MarginPoint(0.0, 1.0, 10, 10, median_s, 0.2).median_not_doubled is keeps
 
@@ -103,7 +100,7 @@ def test_a_late_command_adds_to_the_settling_time():
     assert point.median_s == pytest.approx(24 * PERIOD_S)
 
 
-def test_noise_widens_the_band_to_three_deviations_for_both_sides_of_the_comparison():
+def test_noise_alone_widens_the_band_to_three_deviations_for_both_sides_of_the_comparison():
     assert noise_widened_band_px(KNOWN, "detection_noise_px", 0.2) == 1.0
     assert noise_widened_band_px(KNOWN, "detection_noise_px", 1.0) == 3.0
     # within 1.5 px after 21 periods, within 1 px after 31
@@ -113,9 +110,6 @@ def test_noise_widens_the_band_to_three_deviations_for_both_sides_of_the_compari
     assert quiet.untouched_median_s == quiet.median_s == pytest.approx(31 * PERIOD_S)
     assert noisy.band_px == 3.0
     assert noisy.untouched_median_s == noisy.median_s == pytest.approx(21 * PERIOD_S)
-
-
-def test_nothing_else_widens_the_band():
     bands = {
         name: noise_widened_band_px(KNOWN, name, one.highest)
         for name, one in IMPERFECTION_RANGES.items()

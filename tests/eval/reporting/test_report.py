@@ -16,17 +16,17 @@ def profile(tmp_path_factory):
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
-@pytest.mark.parametrize("width", [400, 1400])
 @pytest.mark.usefixtures("toy")
-def test_the_report_shows_every_figure_and_overflows_nowhere(tmp_path, width, profile):
+def test_the_report_shows_every_figure_and_overflows_nowhere(tmp_path, profile):
     (section,) = reproduce(ReproduceConfig(out=tmp_path / "run"))
-    page = open_page(tmp_path / "run" / "report.html", width, profile)
-    assert page.console == []
-    assert page.facts["inner"] == pytest.approx(width, abs=20)
-    assert page.facts["scroll"] <= page.facts["inner"]
-    assert page.facts["wide"] == []
-    assert len(page.facts["drawn"]) == len(section.figures)
-    assert all(w > 0.8 * min(width, 960) - 40 and h > 80 for w, h in page.facts["drawn"])
+    for width in (400, 1400):
+        page = open_page(tmp_path / "run" / "report.html", width, profile)
+        assert page.console == []
+        assert page.facts["inner"] == pytest.approx(width, abs=20)
+        assert page.facts["scroll"] <= page.facts["inner"]
+        assert page.facts["wide"] == []
+        assert len(page.facts["drawn"]) == len(section.figures)
+        assert all(w > 0.8 * min(width, 960) - 40 and h > 80 for w, h in page.facts["drawn"])
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open a page in")
@@ -42,6 +42,7 @@ def test_the_browser_check_sees_errors_and_overflow(tmp_path, profile):
     assert page.facts["scroll"] > page.facts["inner"]
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
 def test_a_report_of_the_articles_experiments_shows_all_figures_at_both_widths(tmp_path, profile):
     names = ("gain-sweep", "time-response")

@@ -21,6 +21,10 @@ def test_a_folder_appears_when_its_content_is_complete(tmp_path):
         (partial / "x").write_text("1")
         assert not folder.exists()
     assert (folder / "x").read_text() == "1"
+    (tmp_path / "run").mkdir()
+    with run_folder(tmp_path / "run") as partial:
+        (partial / "x").write_text("1")
+    assert (tmp_path / "run" / "x").exists()
 
 
 def test_nothing_is_left_of_a_run_that_failed(tmp_path):
@@ -32,20 +36,6 @@ def test_nothing_is_left_of_a_run_that_failed(tmp_path):
     with pytest.raises(RuntimeError):
         fail()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_empty_folder_may_be_used(tmp_path):
-    (tmp_path / "run").mkdir()
-    with run_folder(tmp_path / "run") as partial:
-        (partial / "x").write_text("1")
-    assert (tmp_path / "run" / "x").exists()
-
-
-def test_a_file_in_the_way_is_named(tmp_path):
-    (tmp_path / "run").write_text("mine")
-    with pytest.raises(ConfigurationError, match="a file"), run_folder(tmp_path / "run"):
-        pass
-    assert (tmp_path / "run").read_text() == "mine"
 
 
 def test_json_never_holds_what_json_has_no_word_for(tmp_path):
@@ -102,10 +92,14 @@ def test_the_run_folder_of_a_command_is_called_that(tmp_path):
             check_folder_free(folder)
 
 
-def test_what_lies_in_any_other_folder_is_named(tmp_path):
+def test_a_file_in_the_way_or_in_another_folder_is_named(tmp_path):
     (tmp_path / "thesis.tex").touch()
     with pytest.raises(ConfigurationError, match=r"a folder with thesis\.tex in it"):
         check_folder_free(tmp_path)
+    (tmp_path / "run").write_text("mine")
+    with pytest.raises(ConfigurationError, match="a file"), run_folder(tmp_path / "run"):
+        pass
+    assert (tmp_path / "run").read_text() == "mine"
 
 
 def test_a_name_that_no_folder_can_have_is_refused(tmp_path):

@@ -61,7 +61,7 @@ def test_a_place_that_the_eyes_cannot_look_at_is_refused():
         make_stage("places", dataclasses.replace(DESK, measured_targets=behind))
 
 
-@pytest.mark.parametrize("name", ["fast", "double-step", "circle"])
-def test_a_robot_is_shown_no_target_that_moves(name):
-    with pytest.raises(ConfigurationError, match="expected one whose target stands still"):
-        make_stage("still", DESK).target(load_scenario(name))
+def test_a_robot_is_shown_no_target_that_moves():
+    for name in ("fast", "double-step"):
+        with pytest.raises(ConfigurationError, match="expected one whose target stands still"):
+            make_stage("still", DESK).target(load_scenario(name))

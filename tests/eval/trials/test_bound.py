@@ -168,7 +168,7 @@ def test_an_oracle_meets_the_bound_of_any_head() -> None:
             time, error = oracle.run(task, 80, 0.5)
             late = np.round((settle_time(time, error - least, 1.0) - bound) / PERIOD)
             assert (late >= 0).all()
-            # an actuator that is nearly there may wait for the other eye's: its band is a relaxation
+            # an actuator that is nearly there may wait for the other eye's: a relaxed band
             assert (late <= 2).all()
             assert (late <= 1).mean() > 0.9
 

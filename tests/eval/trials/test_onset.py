@@ -83,12 +83,6 @@ def test_the_leading_band_is_the_scenarios() -> None:
     assert times == pytest.approx({1.0: 71 * PERIOD_S, 2.0: 21 * PERIOD_S})
 
 
-def test_trials_that_never_settle_have_no_ratio() -> None:
-    trials = run(KnowsTheWay(20, never=(0, 2)), late(0.0, 0.0), 4)
-    assert np.isinf(trials.ratio_to_bound()).tolist() == [True, False, True, False]
-    assert np.isinf(trials.ratio_to_bound(2.0)).tolist() == [True, False, True, False]
-
-
 def test_batches_are_joined_with_their_onsets_and_bounds() -> None:
     whole = run(KnowsTheWay(60), late(0.1, 0.4), 7)
     parts = [

@@ -40,13 +40,6 @@ def test_the_gain_is_searched_on_a_grid_of_at_most_a_twentieth():
     assert spans["gain"].step <= 0.05
 
 
-def test_the_constants_of_the_state_feedback_are_searched_from_its_own():
-    spans = search_space("state-feedback")
-    assert (spans["gain"].low, spans["gain"].high, spans["gain"].scale) == (5.0, 100.0, "log")
-    assert (spans["damping"].low, spans["damping"].high) == (0.0, 1.5)
-    assert default_point("state-feedback", spans) is not None
-
-
 def test_a_controller_with_one_set_of_options_is_not_tuned_and_that_is_said():
     for name in ("pursuit", "saccade"):
         with pytest.raises(ConfigurationError, match=rf"got '{name}', which runs in every"):

@@ -81,25 +81,6 @@ def test_a_stopped_search_tries_what_one_that_was_not_stopped_tries(tmp_path):
     assert points(rest) == points(whole)
 
 
-@pytest.mark.slow
-def test_a_search_that_is_done_tries_nothing(tmp_path):
-    first = run_search(search(tmp_path, 3), bowl)
-    calls = []
-    again = run_search(search(tmp_path, 3), lambda options: calls.append(options) or bowl(options))
-    assert calls == []
-    assert points(again) == points(first)
-
-
-@pytest.mark.slow
-def test_an_interrupted_attempt_does_not_count(tmp_path):
-    def interrupted(options):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_search(search(tmp_path, 3), interrupted)
-    assert len(run_search(search(tmp_path, 3), bowl)) == 3
-
-
 def test_the_first_point_is_the_one_to_improve_on(tmp_path):
     first = {"x": 0.5, "y": 2.0}
     for attempts in (2, 3):
@@ -159,15 +140,6 @@ def test_a_grid_has_every_point_once_across_calls(tmp_path):
     attempts = run_search(grid, until(None))
     assert sorted(tried) == pytest.approx(list(np.linspace(0.5, 1.0, 6)))
     assert sorted(o["x"] for o in points(attempts)) == sorted(tried)
-
-
-def test_a_grid_needs_steps(tmp_path):
-    with pytest.raises(ConfigurationError, match="y without one"):
-        search(
-            tmp_path,
-            search_ranges={"x": SearchRange(0.0, 1.0, "linear", 0.5), "y": SearchRange(1.0, 2.0)},
-            grid=True,
-        )
 
 
 def test_a_password_is_never_shown(tmp_path):

@@ -7,7 +7,6 @@ from tests.eval.refusals import not_refused
 from vergence.eval.article.common.closed_loop import (
     ClosedLoop,
     corrected_gaze_fix,
-    detection_sigma,
     dither_references_px,
     gaze_uncertainty_mm,
     hold_gaze,
@@ -86,12 +85,6 @@ def test_dithering_covers_a_pixel_evenly():
         # the phases within a pixel are a comb: harmonics below its order average to nothing
         for order in range(1, side):
             assert np.abs(np.exp(2j * np.pi * order * offsets).mean(axis=0)).max() < 1e-12
-
-
-def test_detection_sigma_is_the_sample_standard_deviation():
-    pixels = np.zeros((3, 2, 2))
-    pixels[:, 0, 0] = [1.0, 2.0, 3.0]
-    assert detection_sigma(pixels)[0, 0] == pytest.approx(1.0)
 
 
 def test_the_article_s_gaze_uncertainty_is_that_of_two_views_straight_ahead(head):

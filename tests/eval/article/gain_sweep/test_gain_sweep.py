@@ -63,6 +63,11 @@ def test_masses_change_little(table):
 def test_overshoot_begins_just_above_four(table):
     for gain in derive_findings(table, CONFIG).onset_gain_by_step.values():
         assert 4.0 < gain < 4.2
+    rows = {(row.quantity, row.axis): row for row in EXPERIMENT.summarise(table, CONFIG)}
+    onset = rows["gain at which overshoot begins", "y"]
+    assert onset.article_low == 4.0
+    assert onset.verdict == "by construction"
+    assert 4.0 < onset.ours_low <= onset.ours_high < 4.2
 
 
 def test_the_rigs_own_delay_is_identified_from_the_onset(table):
@@ -101,19 +106,13 @@ def test_a_crossing_lies_between_its_samples():
     assert np.isnan(first_crossing([1.0, 2.0], [0.6, 0.7], 0.5))
 
 
-def test_the_summary_sets_our_onset_beside_the_articles(table):
-    rows = {(row.quantity, row.axis): row for row in EXPERIMENT.summarise(table, CONFIG)}
-    onset = rows["gain at which overshoot begins", "y"]
-    assert onset.article_low == 4.0
-    assert onset.verdict == "by construction"
-    assert 4.0 < onset.ours_low <= onset.ours_high < 4.2
-
-
-def test_figures_show_data_in_every_panel(table):
+def test_figures_and_numbers_are_those_of_the_docs_and_no_panel_is_empty(table):
     figures = EXPERIMENT.draw(table, CONFIG)
     assert set(figures) == {"fig15-gain-sweep", "fig15-gain-plane", "fig15-loop-delay"}
     for figure in figures.values():
         assert all(axes.has_data() for axes in figure.axes)
+    assert stale_names("gain-sweep", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
 
 
 def verdicts(table: pd.DataFrame) -> dict[str, str]:
@@ -121,14 +120,11 @@ def verdicts(table: pd.DataFrame) -> dict[str, str]:
     return {row.quantity: row.verdict for row in rows if row.axis == "y"}
 
 
-def test_without_overshoot_there_is_no_onset_to_judge(table):
+def test_the_onset_is_judged_and_our_rig_lies_between_the_identified_loops(table):
     quantity = "gain at which overshoot begins"
     calm = table.copy()
     calm.loc[calm["case"] == "sweep", "overshoot"] = 0.0
     assert verdicts(calm)[quantity] == "none"
-
-
-def test_our_rig_lies_between_the_loops_that_are_identified(table):
     quantity = "image delay identified with a lag of 30 ms"
     assert verdicts(table)[quantity] == "inside"
     loops = table.copy()
@@ -152,8 +148,3 @@ def test_the_numbers_of_the_text_are_those_of_the_table(table):
     assert numbers["onset_low"] == pytest.approx(min(found.onset_gain_by_step.values()))
     assert numbers["loops_high_frames"] < 8.0 < numbers["loops_low_frames"]
     assert numbers["plane_y_change_ms"] < 0.05 * numbers["plane_xy_change_ms"]
-
-
-def test_the_docs_keep_numbers_of_these_names(table):
-    assert stale_names("gain-sweep", table, CONFIG) == set()
-    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()

@@ -1,7 +1,5 @@
 """Static targets before the physical twin, run small."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from tests.eval.article.twin.small import scaled, small, table_of, verdict_of
 from tests.eval.refusals import not_refused
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("physical-static")
@@ -51,11 +48,8 @@ def test_the_head_with_images_errs_as_it_does_without(table):
 APART = "gaze and ITPC apart in depth at settled fixations"
 
 
-def test_settled_fixations_do_not_explain_the_article_s_difference_of_methods(table):
+def test_only_large_differences_at_settled_fixations_explain_the_article_s(table):
     assert verdict_of(EXPERIMENT.summarise(table, CONFIG), APART, "both") == "differs"
-
-
-def test_large_differences_at_settled_fixations_would_be_believed(table):
     apart = scaled(table, "error_z_mm", 1e4, table["method"] == "itpc")
     (row,) = (row for row in EXPERIMENT.summarise(apart, CONFIG) if row.quantity == APART)
     assert row.ours_high > row.article_high
@@ -82,28 +76,15 @@ def test_errors_that_vanish_on_the_axis_make_itpc_worse(table):
         assert verdict_of(rows, f"{OFF_AXIS}, {source}", "both") == "ITPC worse"
 
 
-def test_a_crossover_that_is_nowhere_is_a_dash_in_the_text(table):
-    level = table.assign(itpc_rms_percent=table["gaze_rms_percent"])
-    assert "from – px on" in section_text(EXPERIMENT, level, CONFIG).found
-
-
-def test_the_text_has_the_numbers_of_the_table(table):
+def test_the_text_has_the_numbers_of_the_table_and_a_dash_for_none(table):
     numbers = EXPERIMENT.numbers(table, CONFIG)
     own = fixes(table).query("method == 'gaze'")
     largest = (own["error_z_mm"].abs() / own["truth_z_mm"]).groupby(own["head"]).max()
     assert numbers["largest_median_percent"] == pytest.approx(100.0 * largest.median())
     assert numbers["reported_count"] == 8
     assert f"{100.0 * largest.median():.2f} %" in section_text(EXPERIMENT, table, CONFIG).found
-
-
-def test_offsets_on_the_axis_alone_are_refused():
-    with pytest.raises(ConfigurationError, match="offsets_px: expected one beyond the axis"):
-        small("physical-static", offsets_px=[0.0])
-
-
-def test_one_error_of_the_heads_can_be_set():
-    changed = small("physical-static", errors={"common_tilt_rad": 0.0})
-    assert changed.errors == dataclasses.replace(TWIN_SPREADS, common_tilt_rad=0.0)
+    level = table.assign(itpc_rms_percent=table["gaze_rms_percent"])
+    assert "from – px on" in section_text(EXPERIMENT, level, CONFIG).found
 
 
 def test_errors_that_cannot_be_are_refused():
@@ -114,3 +95,5 @@ def test_errors_that_cannot_be_are_refused():
         (0.1, "physical-static.errors: expected values by field"),
     ]
     assert not_refused(lambda errors: small("physical-static", errors=errors), cases) == []
+    with pytest.raises(ConfigurationError, match="offsets_px: expected one beyond the axis"):
+        small("physical-static", offsets_px=[0.0])

@@ -60,14 +60,13 @@ def test_lag_moves_gaze_far_more_than_itpc_with_images(table):
     assert gaze.standard_deviation["z"] < 0.5 * itpc.standard_deviation["z"]
 
 
-def test_the_summary_has_every_figure_of_the_article(table):
-    assert covers(EXPERIMENT.summarise(table, CONFIG), "simulated moving")
-
-
-def test_figures_have_no_empty_panel(table):
+def test_summary_figures_and_numbers_are_those_of_the_article_and_the_docs(table):
     figures = EXPERIMENT.draw(table, CONFIG)
     assert "fig08-moving-target" in figures
     assert not empty_panels(figures)
+    assert stale_names("simulated-moving", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
+    assert covers(EXPERIMENT.summarise(table, CONFIG), "simulated moving")
 
 
 def test_the_verdict_on_the_trail_follows_the_numbers(table):
@@ -92,8 +91,3 @@ def test_the_more_noise_a_loop_lets_through_the_more_gaze_scatters(table):
     expected = [numbers[f"expected_exact_{rate}_hz_mm"] for rate in (120, 60, 30)]
     assert expected == sorted(expected)
     assert expected[0] < numbers["article_itpc_scatter_mm"]
-
-
-def test_the_docs_keep_numbers_of_these_names(table):
-    assert stale_names("simulated-moving", table, CONFIG) == set()
-    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()

@@ -78,14 +78,13 @@ def test_implied_noise_inverts_the_propagation():
     assert implied["z"][1] == pytest.approx(expected, rel=0.02)
 
 
-def test_the_summary_has_every_figure_of_the_article(table):
-    assert covers(EXPERIMENT.summarise(table, CONFIG), "simulated static")
-
-
-def test_figures_have_no_empty_panel(table):
+def test_summary_figures_and_numbers_are_those_of_the_article_and_the_docs(table):
     figures = EXPERIMENT.draw(table, CONFIG)
     assert {"fig06-absolute-errors", "fig07-uncertainties"} <= figures.keys()
     assert not empty_panels(figures)
+    assert stale_names("simulated-static", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
+    assert covers(EXPERIMENT.summarise(table, CONFIG), "simulated static")
 
 
 def test_verdicts_follow_the_numbers(table):
@@ -118,8 +117,3 @@ def test_a_further_case_is_one_more_entry(monkeypatch, table):
     assert "absolute error, calibrated model" in titles
     assert "calibrated_x_high_mm" in EXPERIMENT.numbers(more, CONFIG)
     assert not empty_panels(EXPERIMENT.draw(more, CONFIG))
-
-
-def test_the_docs_keep_numbers_of_these_names(table):
-    assert stale_names("simulated-static", table, CONFIG) == set()
-    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()

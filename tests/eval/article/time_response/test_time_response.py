@@ -40,13 +40,10 @@ def test_the_offsets_put_the_target_at_the_articles_pixels():
     assert pixels == pytest.approx(np.array([CONFIG.left_px, CONFIG.right_px]), abs=1e-6)
 
 
-def test_the_offsets_are_about_a_degree_as_the_nominal_pixels_are_7_to_14_off(table):
+def test_the_offsets_are_those_between_the_nominal_and_the_articles_pixels(table):
     found = derive_findings(table)
     assert found.nominal_difference_px == pytest.approx((7.3, 14.3), abs=0.05)
     assert all(0.5 < abs(offset) < 2.0 for offset in found.offsets_deg.values())
-
-
-def test_trials_begin_with_the_articles_error(table):
     # 23.04, 25.93 px and 27.00, 29.00 px; the lens bends them by less than 0.3 px
     assert derive_findings(table).step_px == pytest.approx((34.69, 39.62), abs=0.3)
 
@@ -59,17 +56,9 @@ def test_without_delay_and_lag_the_error_decays_by_the_gain(table):
     assert held == pytest.approx(39.6 * (1.0 - 4.0 / 120.0) ** 78, rel=0.02)
 
 
-def test_a_greater_threshold_is_never_entered_later(table):
+def test_a_greater_threshold_is_never_entered_later_and_the_least_one_held_in_650_ms(table):
     for lag_s in (0.0, 0.03):
         assert (np.diff(settle_time_map(table, lag_s).to_numpy(), axis=0) <= 0.0).all()
-
-
-def test_the_pairs_that_the_articles_time_fits_take_650_ms(table):
-    pairs = derive_findings(table).pairs
-    assert [pair.settle_s for pair in pairs] == pytest.approx([0.65, 0.65], abs=1.01 / 120.0)
-
-
-def test_the_least_threshold_held_is_where_the_map_gives_650_ms(table):
     for lag_s in (0.0, 0.03):
         grid = settle_time_map(table, lag_s)
         for row in held_thresholds_px(table, lag_s).itertuples():
@@ -78,24 +67,23 @@ def test_the_least_threshold_held_is_where_the_map_gives_650_ms(table):
             assert (times[times.index < row.threshold_px] > 0.65 - 1e-9).all()
 
 
+def test_the_pairs_that_the_articles_time_fits_take_650_ms(table):
+    pairs = derive_findings(table).pairs
+    assert [pair.settle_s for pair in pairs] == pytest.approx([0.65, 0.65], abs=1.01 / 120.0)
+
+
 def test_our_rig_is_faster_than_the_article_by_about_a_tenth_of_a_second(table):
     low, high = derive_findings(table).settle_s[1.0]
     assert 0.5 < low <= high < 0.56
 
 
-def test_the_summary_sets_our_times_beside_the_articles(table):
-    rows = {row.quantity: row for row in EXPERIMENT.summarise(table, CONFIG)}
-    assert rows["settle time to 1 px"].article_low == 650.0
-    assert rows["settle time to 1 px"].ours_high == pytest.approx(
-        1000.0 * derive_findings(table).settle_s[1.0][1]
-    )
-
-
-def test_figures_show_data_in_every_panel(table):
+def test_figures_and_numbers_are_those_of_the_docs_and_no_panel_is_empty(table):
     figures = EXPERIMENT.draw(table, CONFIG)
     assert set(figures) == {"time-response-error", "time-response-map"}
     for figure in figures.values():
         assert all(axes.has_data() for axes in figure.axes)
+    assert stale_names("time-response", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
 
 
 def test_verdicts_follow_the_numbers(table):
@@ -111,21 +99,21 @@ def test_verdicts_follow_the_numbers(table):
     assert verdicts(unsettled)["settle time to 1 px"] == "none"
 
 
-def test_the_text_has_the_numbers_of_the_table(table):
+def test_text_and_summary_have_the_numbers_of_the_table_beside_the_articles(table):
     numbers = EXPERIMENT.numbers(table, CONFIG)
     assert numbers["settle_1px_high_ms"] == pytest.approx(
         1000.0 * derive_findings(table).settle_s[1.0][1]
     )
     assert numbers["without_delay_settle_ms"] == pytest.approx(650.0, abs=1010.0 / 120.0)
     assert "the article has 650 ms" in render_text(EXPERIMENT.text, config=CONFIG, **numbers).found
+    rows = {row.quantity: row for row in EXPERIMENT.summarise(table, CONFIG)}
+    assert rows["settle time to 1 px"].article_low == 650.0
+    assert rows["settle time to 1 px"].ours_high == pytest.approx(
+        1000.0 * derive_findings(table).settle_s[1.0][1]
+    )
 
 
 def test_a_target_that_the_eyes_cannot_see_is_refused():
     behind = resolve_config(EXPERIMENT, {"point_mm": [0.0, 0.0, -1000.0]}, quick=True)
     with pytest.raises(ConfigurationError, match="expected pixels"):
         joint_offsets(load_head("physical"), behind)
-
-
-def test_the_docs_keep_numbers_of_these_names(table):
-    assert stale_names("time-response", table, CONFIG) == set()
-    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()

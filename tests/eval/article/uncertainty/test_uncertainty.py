@@ -83,8 +83,10 @@ def test_the_summary_says_what_agrees(table):
     assert all(row.article_low is None for row in rows)
 
 
-def test_figures_have_no_empty_panel(table):
+def test_figures_and_numbers_are_those_of_the_docs_and_no_panel_is_empty(table):
     assert not empty_panels(EXPERIMENT.draw(table, CONFIG))
+    assert stale_names("uncertainty", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
 
 
 def test_a_wrong_propagation_differs(table):
@@ -117,8 +119,3 @@ def test_the_text_has_the_numbers_of_the_table(table):
     text = section_text(EXPERIMENT, table, CONFIG)
     assert f"One frame is off by {found.one_frame_px:.4f} px" in text.found
     assert "the mean of 64 frames" in text.found
-
-
-def test_the_docs_keep_numbers_of_these_names(table):
-    assert stale_names("uncertainty", table, CONFIG) == set()
-    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
