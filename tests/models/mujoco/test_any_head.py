@@ -115,7 +115,7 @@ class TestTies:
     def test_equality_constraints_are_computed_only_where_joints_follow_others(self):
         for name in ALL:
             with named(name):
-                head, model = any_head(name), bare_model(name)
+                model = bare_model(name)
                 off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
                 assert bool(off) == (model.neq == 0)
 
