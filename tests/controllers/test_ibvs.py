@@ -121,10 +121,7 @@ def test_an_eye_that_sees_nothing_is_held_and_the_other_goes_on(preset) -> None:
 
 
 @settings(max_examples=40)
-@given(
-    error=st.lists(st.floats(-400, 400), min_size=4, max_size=4),
-    limit=st.floats(0.1, 5.0),
-)
+@given(error=st.lists(st.floats(-400, 400), min_size=4, max_size=4), limit=st.floats(0.1, 5.0))
 def test_a_speed_limit_keeps_the_direction_of_each_eye(error, limit) -> None:
     head = load_head("simulated")
     q, pixels = head.fixate(BEFORE), np.array(error).reshape(2, 2)

@@ -25,10 +25,7 @@ MISSED = np.array([[np.nan, np.nan], [0.0, 0.0]])
 
 
 def pass_on(
-    errors: Sequence[np.ndarray],
-    speed_rad_s: float = 0.0,
-    every: int = 1,
-    head: HeadModel = HEAD,
+    errors: Sequence[np.ndarray], speed_rad_s: float = 0.0, every: int = 1, head: HeadModel = HEAD
 ) -> list[GatedDetections]:
     """Detections that pass the gate, for a series of (2, 2) errors.
 

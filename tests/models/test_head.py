@@ -207,10 +207,7 @@ class TestPerturbation:
 
 def test_a_change_of_a_head_that_cannot_be_is_refused(simulated) -> None:
     for parts, message in [
-        (
-            {"timing": {"latency_frames": 8}},
-            r"timing\.latency_frames: expected one of control",
-        ),
+        ({"timing": {"latency_frames": 8}}, r"timing\.latency_frames: expected one of control"),
         ({"timing": {"latency_s": np.nan}}, r"timing\.latency_s: expected a number"),
         ({"timing": {"latency_s": -0.1}}, "latency_s: expected a number of at least 0"),
         ({"timing": {"control_rate_hz": 0.0}}, "control_rate_hz: expected a number above 0"),

@@ -10,11 +10,7 @@ from tests.heads import head_of
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers.networks.bundle import write_bundle
-from vergence.controllers.networks.environments import (
-    GainScheduleTask,
-    PolicyTask,
-    training_env,
-)
+from vergence.controllers.networks.environments import GainScheduleTask, PolicyTask, training_env
 from vergence.controllers.networks.inputs import KINDS, Inputs
 from vergence.controllers.networks.manifest import Manifest
 from vergence.envs.task import GazeTask

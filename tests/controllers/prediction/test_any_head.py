@@ -15,11 +15,7 @@ from vergence.models import parse_head
 from vergence.models.fixation import fixate_eye
 from vergence.models.kinematics import eye_frames
 
-EXACT = {
-    "detection_noise_px": 0.0,
-    "encoder_resolution_rad": 0.0,
-    "velocity_resolution_rad_s": 0.0,
-}
+EXACT = {"detection_noise_px": 0.0, "encoder_resolution_rad": 0.0, "velocity_resolution_rad_s": 0.0}
 
 
 def skewed():

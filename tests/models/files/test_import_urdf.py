@@ -442,9 +442,7 @@ def test_camera_axes_that_are_none_are_refused(head_of):
 def test_version_and_vergence_are_given_to_two_pans(head_of):
     mirrored = eye("right").replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>')
     imported = head_of(
-        urdf(NECK, eye("left"), mirrored),
-        neck=TURNS,
-        couplings=("common-tilt", "version-vergence"),
+        urdf(NECK, eye("left"), mirrored), neck=TURNS, couplings=("common-tilt", "version-vergence")
     )
     assert [motor.name for motor in imported.motors] == ["version", "vergence", "tilt"]
     version, vergence, _ = imported.motors

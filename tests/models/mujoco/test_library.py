@@ -31,10 +31,7 @@ sys.exit(main(["export", "mjcf", "--head", "icub", "--out", sys.argv[1]]))
 def test_a_mujoco_that_cannot_be_imported_is_told_with_its_cure(monkeypatch):
     for installed, cure in [
         ("3.3.0", "got 3.3.0; cure: pip install 'mujoco>=4,<5'"),
-        (
-            "4.0.0",
-            "cure: pip install --force-reinstall --no-deps mujoco==4.0.0 mujoco-core==4.0.0",
-        ),
+        ("4.0.0", "cure: pip install --force-reinstall --no-deps mujoco==4.0.0 mujoco-core==4.0.0"),
         (None, "got none; cure: pip install"),
     ]:
         with named(installed, cure):
