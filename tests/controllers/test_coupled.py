@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from tests.controllers.loops import begin
-from tests.grids import some_of
 from tests.heads import head_of
 from tests.naming import named
 from vergence.controllers import CONTROLLERS, make_controller
@@ -54,7 +53,9 @@ def distances(
     return np.linalg.norm(np.array(seen) - least, axis=-1).max(axis=-1)[:, in_view]
 
 
-@pytest.mark.parametrize(("law", "name"), some_of(LAWS, HEADS))
+@pytest.mark.parametrize(
+    ("law", "name"), [(law, HEADS[i % len(HEADS)]) for i, law in enumerate(LAWS)]
+)
 def test_every_law_settles_where_the_head_can(name, law):
     away = distances(head_of(name), (law, 1.5))
     assert away[0].max() > 10.0
@@ -62,11 +63,7 @@ def test_every_law_settles_where_the_head_can(name, law):
 
 
 @pytest.mark.parametrize(
-    ("law", "name"),
-    some_of(
-        ["ibvs", "state-feedback", "saccade", "pursuit", "pid"],
-        ["tied", "mis", "panfirst", "common"],
-    ),
+    ("law", "name"), [("ibvs", "mis"), ("state-feedback", "tied"), ("pursuit", "common")]
 )
 def test_a_head_that_differs_from_its_model_settles_at_its_own_least_error(name, law):
     errors = ModelErrors(
@@ -123,7 +120,7 @@ def test_a_head_with_four_motors_keeps_its_errors_as_they_are():
     assert reducible_pixel_error(head, np.zeros(7), error, np.nan) is error
 
 
-@pytest.mark.parametrize("law", ["ibvs", "state-feedback", "saccade", "pursuit"])
+@pytest.mark.parametrize("law", ["ibvs", "pursuit"])
 def test_one_eye_alone_is_brought_to_its_target(law):
     head = head_of("tied")
     task = GazeTask(4, plant="kinematic", head=head)

@@ -23,7 +23,7 @@ def test_it_settles_on_heads_whose_speeds_come_in_ticks(scenario: str) -> None:
     assert head.sensor.command_resolution_rad_s > 0.0
     assert is_tuned_for(find_tuned_or_fallback("delay-compensated", scenario, head), head)
     options = tuned_or_fallback_options("delay-compensated", scenario, head)
-    trials = run_trials(make_controller("delay-compensated", head, **options), loaded, episodes=40)
+    trials = run_trials(make_controller("delay-compensated", head, **options), loaded, episodes=20)
     # without what steps leave being carried on, half of them stop short of the band
     assert np.isfinite(trials.settle_s(2.0)).mean() >= 0.95
 

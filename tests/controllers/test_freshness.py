@@ -3,7 +3,6 @@
 from math import ceil
 
 import numpy as np
-import pytest
 
 from tests.grids import some_of
 from tests.naming import named
@@ -36,7 +35,6 @@ USED = {
     "delay-compensated": lambda row: predicted_unseen(row) == 0.0,
     "pursuit": lambda row: predicted_unseen(row) == 0.0,
 }
-controllers = pytest.mark.parametrize("name", USED)
 
 
 def ages(images: list[tuple[float, int]], steps: int) -> np.ndarray:
@@ -93,14 +91,16 @@ def test_each_image_is_new_once_however_it_is_dated() -> None:
             assert new(ages([(k - LATENCY - offset, k) for k in came], 60)) == came
 
 
-@controllers
-def test_every_controller_uses_each_image_once_however_it_is_dated(name) -> None:
-    came = list(range(LATENCY, 40, 2))
-    columns = [
-        ages([(k - LATENCY - offset, k) for k in came], 40) for offset in (0.0, 0.3, 0.5, 0.9, 1.7)
-    ]
-    expected = np.isin(np.arange(40), came)
-    assert (used(name, np.stack(columns, axis=1)) == expected[:, None]).all()
+def test_every_controller_uses_each_image_once_however_it_is_dated() -> None:
+    for name in USED:
+        with named(name):
+            came = list(range(LATENCY, 40, 2))
+            columns = [
+                ages([(k - LATENCY - offset, k) for k in came], 40)
+                for offset in (0.0, 0.3, 0.5, 0.9, 1.7)
+            ]
+            expected = np.isin(np.arange(40), came)
+            assert (used(name, np.stack(columns, axis=1)) == expected[:, None]).all()
 
 
 def test_a_frame_that_is_dropped_is_not_made_up_for() -> None:
@@ -121,28 +121,30 @@ def test_an_image_that_is_there_when_a_trial_begins_is_new() -> None:
     assert new(ages([(-12.4, 0)], 10)) == [0]
 
 
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("interval", [2.0, 4.0], ids=["60 Hz", "30 Hz"])
-def test_images_that_come_at_irregular_times_are_used_once(seed, interval) -> None:
-    rng = np.random.default_rng(seed)
-    exposed = 0.37 + interval * np.arange(40)
-    came = [ceil(time) for time in exposed + 6.0 + rng.uniform(0.0, 1.9, 40)]
-    # of two that come within a period the newer one is seen
-    assert new(ages(list(zip(exposed, came, strict=True)), 120)) == sorted(
-        k for k in set(came) if k < 120
-    )
+def test_images_that_come_at_irregular_times_are_used_once() -> None:
+    for seed in range(2):
+        for interval in [2.0, 4.0]:
+            with named(seed, interval):
+                rng = np.random.default_rng(seed)
+                exposed = 0.37 + interval * np.arange(40)
+                came = [ceil(time) for time in exposed + 6.0 + rng.uniform(0.0, 1.9, 40)]
+                # of two that come within a period the newer one is seen
+                assert new(ages(list(zip(exposed, came, strict=True)), 120)) == sorted(
+                    k for k in set(came) if k < 120
+                )
 
 
-@controllers
-def test_a_head_whose_trial_begins_anew_forgets_the_last_image(name) -> None:
-    running = ages([(k - LATENCY - 0.3, k) for k in range(0, 40, 4)], 40)
-    # the new trial of the second head begins in period 18, just before a picture is repeated
-    ended = np.concatenate([running[:18], running[2:24]])
-    starts = np.zeros((40, 2), dtype=np.bool_)
-    starts[0] = starts[18, 1] = True
-    taken = used(name, np.stack([running, ended], axis=1), starts)
-    assert np.flatnonzero(taken[:, 0]).tolist() == list(range(0, 40, 4))
-    assert np.flatnonzero(taken[:, 1]).tolist() == [0, 4, 8, 12, 16, 18, 20, 24, 28, 32, 36]
+def test_a_head_whose_trial_begins_anew_forgets_the_last_image() -> None:
+    for name in USED:
+        with named(name):
+            running = ages([(k - LATENCY - 0.3, k) for k in range(0, 40, 4)], 40)
+            # the second head's new trial begins in period 18, just before a picture is repeated
+            ended = np.concatenate([running[:18], running[2:24]])
+            starts = np.zeros((40, 2), dtype=np.bool_)
+            starts[0] = starts[18, 1] = True
+            taken = used(name, np.stack([running, ended], axis=1), starts)
+            assert np.flatnonzero(taken[:, 0]).tolist() == list(range(0, 40, 4))
+            assert np.flatnonzero(taken[:, 1]).tolist() == [0, 4, 8, 12, 16, 18, 20, 24, 28, 32, 36]
 
 
 def on_a_late_head(**options) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence import load_head
 from vergence.controllers.outlier_gate import (
     MAX_BRIDGED_S,
@@ -24,10 +25,7 @@ MISSED = np.array([[np.nan, np.nan], [0.0, 0.0]])
 
 
 def pass_on(
-    errors: Sequence[np.ndarray],
-    speed_rad_s: float = 0.0,
-    every: int = 1,
-    head: HeadModel = HEAD,
+    errors: Sequence[np.ndarray], speed_rad_s: float = 0.0, every: int = 1, head: HeadModel = HEAD
 ) -> list[GatedDetections]:
     """Detections that pass the gate, for a series of (2, 2) errors.
 
@@ -60,19 +58,20 @@ def shown(found: list[GatedDetections]) -> np.ndarray:
     return np.array([one.pixel_error for one in found])
 
 
-@pytest.mark.parametrize("every", [1, 4], ids=["120 Hz", "30 Hz"])
-def test_one_outlier_is_as_a_frame_that_was_dropped(every) -> None:
-    found = pass_on([HERE, HERE, HERE + ASIDE, HERE + 0.5, HERE], every=every)
-    left = shown(found)[2 * every : 3 * every, 0]
-    assert (left == HERE[0]).all()
-    during = found[2 * every]
-    # the eye that is not disturbed goes on; the other one keeps the angles of its own exposure
-    assert during.fresh.tolist() == [0.0, 1.0]
-    assert during.positions_at_exposure[3:] == pytest.approx([0.001, 0.001, 0.002, 0.002])
-    after = found[3 * every]
-    assert np.array_equal(after.pixel_error, HERE + 0.5)
-    assert after.fresh.tolist() == [1.0, 1.0]
-    assert not any(one.jumped.any() for one in found)
+def test_one_outlier_is_as_a_frame_that_was_dropped() -> None:
+    for every in [1, 4]:
+        with named(every):
+            found = pass_on([HERE, HERE, HERE + ASIDE, HERE + 0.5, HERE], every=every)
+            left = shown(found)[2 * every : 3 * every, 0]
+            assert (left == HERE[0]).all()
+            during = found[2 * every]
+            # the eye that is not disturbed goes on; the other keeps the angles of its own exposure
+            assert during.fresh.tolist() == [0.0, 1.0]
+            assert during.positions_at_exposure[3:] == pytest.approx([0.001, 0.001, 0.002, 0.002])
+            after = found[3 * every]
+            assert np.array_equal(after.pixel_error, HERE + 0.5)
+            assert after.fresh.tolist() == [1.0, 1.0]
+            assert not any(one.jumped.any() for one in found)
 
 
 def test_outliers_in_different_places_are_all_held_back() -> None:
@@ -80,15 +79,16 @@ def test_outliers_in_different_places_are_all_held_back() -> None:
     assert (shown(pass_on(errors)) == HERE).all()
 
 
-@pytest.mark.parametrize("every", [1, 4], ids=["120 Hz", "30 Hz"])
-def test_a_second_detection_beside_the_first_is_a_jump(every) -> None:
-    there = HERE + ASIDE
-    found = pass_on([HERE, there, there + 0.3, there], every=every)
-    assert np.array_equal(found[every].pixel_error[0], HERE[0])
-    confirmed = found[2 * every]
-    assert np.array_equal(confirmed.pixel_error, there + 0.3)
-    assert confirmed.jumped.tolist() == [1.0, 0.0]
-    assert not found[3 * every].jumped.any()
+def test_a_second_detection_beside_the_first_is_a_jump() -> None:
+    for every in [1, 4]:
+        with named(every):
+            there = HERE + ASIDE
+            found = pass_on([HERE, there, there + 0.3, there], every=every)
+            assert np.array_equal(found[every].pixel_error[0], HERE[0])
+            confirmed = found[2 * every]
+            assert np.array_equal(confirmed.pixel_error, there + 0.3)
+            assert confirmed.jumped.tolist() == [1.0, 0.0]
+            assert not found[3 * every].jumped.any()
 
 
 def test_a_target_that_begins_to_move_is_held_back_for_one_frame_and_then_followed() -> None:

@@ -20,8 +20,6 @@ KNOWN_WELL = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
 """The acceleration as the model has it, latency and detections without doubt."""
 TRUSTING = [1.0, 0.0, 0.0, 40.0]
 """A law that brakes with all of the acceleration that it knows of, and does not trim."""
-both = pytest.mark.parametrize("name", ["saccade", "delay-compensated"])
-plants = pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
 
 
 def settled(trial, band_px=1.0):
@@ -85,9 +83,8 @@ def test_a_joint_stops_as_soon_as_bang_bang_control_could() -> None:
             assert fastest - PERIOD_S < (outside[-1] + 1) * PERIOD_S < fastest + 2.0 * PERIOD_S
 
 
-@plants
-def test_saccades_are_within_a_fifth_of_the_bound(plant) -> None:
-    task = GazeTask(200, plant=plant)
+def test_saccades_are_within_a_fifth_of_the_bound() -> None:
+    task = GazeTask(120, plant="kinematic")
     trial = run(task, "saccade", 72)
     ratio = settled(trial) / trial.bound_s
     assert np.isfinite(ratio).all()
@@ -97,9 +94,8 @@ def test_saccades_are_within_a_fifth_of_the_bound(plant) -> None:
     assert np.median(overshoot_fraction(trial.errors)) < 0.02
 
 
-@plants
-def test_the_law_on_predicted_errors_bears_more_than_twice_the_articles_gain(plant) -> None:
-    task = GazeTask(100, plant=plant)
+def test_the_law_on_predicted_errors_bears_more_than_twice_the_articles_gain() -> None:
+    task = GazeTask(60, plant="kinematic")
     trial = run(task, "delay-compensated", 120)
     time = settled(trial)
     assert np.isfinite(time).all()
@@ -107,10 +103,10 @@ def test_the_law_on_predicted_errors_bears_more_than_twice_the_articles_gain(pla
     assert np.median(overshoot_fraction(trial.errors)) < 0.01
 
 
-@both
+@pytest.mark.parametrize("name", ["saccade", "delay-compensated"])
 def test_the_physical_head_stays_settled_to_the_trials_end(name) -> None:
-    task = GazeTask(60, head="physical", plant="kinematic")
-    trial = run(task, name, 300)
+    task = GazeTask(30, head="physical", plant="kinematic")
+    trial = run(task, name, 240)
     assert np.isfinite(settled(trial)).all()
     # 12-bit steps are 0.8 px; a limit cycle over a step would show
     assert np.linalg.norm(trial.errors[-120:], axis=-1).max() < 0.75
@@ -130,7 +126,7 @@ def test_a_saccade_goes_on_while_its_own_speed_blinds_the_eyes() -> None:
     assert np.linalg.norm(task.truth().pixel_error, axis=-1).max() < 1.0
 
 
-@pytest.mark.parametrize(("delay", "lag_s"), [(4, 0.06), (6, 0.015), (12, 0.05), (15, 0.02)])
+@pytest.mark.parametrize(("delay", "lag_s"), [(4, 0.06), (15, 0.02)])
 def test_saccades_settle_with_a_delay_and_a_lag_that_nobody_told(delay, lag_s) -> None:
     task = GazeTask(
         30,
@@ -147,44 +143,9 @@ def test_saccades_settle_with_a_delay_and_a_lag_that_nobody_told(delay, lag_s) -
     assert np.isfinite(settled(trial)).all()
 
 
-@both
-def test_a_batch_does_what_its_members_do_alone(name) -> None:
-    task = GazeTask(5, plant="kinematic")
-    trial = run(task, name, 40)
-    for i in (0, 3):
-        single = GazeTask(1, plant="kinematic")
-        controller = make_controller(name, head=single.head, layout=single.layout)
-        single.begin(np.arange(1), np.zeros(1, np.uint64), np.full(1, i, np.uint64))
-        state = None
-        for k in range(40):
-            action, state = controller.predict(single.observation[0], state)
-            np.testing.assert_array_equal(action, trial.actions[k, i])
-            single.step(action[None])
-
-
-@both
-def test_an_episodes_start_forgets_only_its_own_head(name) -> None:
+def test_a_state_of_another_batch_is_refused() -> None:
     task = GazeTask(3, plant="kinematic")
-    controller = make_controller(name, head=task.head, layout=task.layout)
-    begin(task)
-    state = None
-    for _ in range(15):
-        action, state = controller.predict(task.observation, state)
-        task.step(action)
-    before = state[0].copy()
-    _, anew = controller.predict(task.observation, state, np.array([False, True, False]))
-    _, on = controller.predict(task.observation, state)
-    _, fresh = controller.predict(task.observation)
-    np.testing.assert_array_equal(state[0], before)  # the caller's state is the caller's
-    np.testing.assert_array_equal(anew[0][[0, 2]], on[0][[0, 2]])
-    np.testing.assert_array_equal(anew[0][1], fresh[0][1])
-    assert not np.array_equal(on[0][1], fresh[0][1], equal_nan=True)
-
-
-@both
-def test_a_state_of_another_batch_is_refused(name) -> None:
-    task = GazeTask(3, plant="kinematic")
-    controller = make_controller(name, head=task.head, layout=task.layout)
+    controller = make_controller("saccade", head=task.head, layout=task.layout)
     with pytest.raises(ConfigurationError, match="state: expected a tuple of one array"):
         controller.predict(task.observation, (np.zeros((2, 5)),))
 

@@ -8,9 +8,9 @@ from vergence.models.by_axes import dh_to_joint_axes
 from vergence.models.files.head_toml import head_to_toml, parse_head
 
 
-@pytest.fixture(params=["physical", "simulated"])
-def head(request):
-    return vergence.load_head(request.param)
+@pytest.fixture
+def head(physical):
+    return physical
 
 
 def test_it_looks_where_the_head_looks(head):

@@ -24,17 +24,15 @@ def test_one_size_and_one_lens_stand_for_both_eyes():
     assert made.lens == ("fisheye", "fisheye")
 
 
-@pytest.mark.parametrize(
-    ("given", "pair"),
-    [
+def test_one_response_stands_for_both_eyes():
+    for given, pair in [
         ("srgb", ("srgb", "srgb")),
         ([0.0, 0.2, 1.0], ((0.0, 0.2, 1.0), (0.0, 0.2, 1.0))),
         ((None, 2.2), (None, 2.2)),
-    ],
-)
-def test_one_response_stands_for_both_eyes(given, pair):
-    assert cameras().response == (None, None)
-    assert cameras(response=given).response == pair
+    ]:
+        with named(given, pair):
+            assert cameras().response == (None, None)
+            assert cameras(response=given).response == pair
 
 
 def test_two_lenses_of_five_coefficients_have_five_columns_and_others_eight():

@@ -40,9 +40,8 @@ PRESETS = {
 }
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_the_presets_keep_the_digests_that_bundles_and_tuned_options_name(preset):
-    assert load_head(preset).digest == PRESETS[preset]
+def test_the_presets_keep_the_digests_that_bundles_and_tuned_options_name():
+    assert {preset: load_head(preset).digest for preset in PRESETS} == PRESETS
 
 
 def test_a_field_or_part_that_came_later_is_left_out_at_its_default():
@@ -95,9 +94,8 @@ print(parse_head(sys.stdin.read()).digest)
 """
 
 
-@pytest.mark.parametrize("processor", ["Prescott", "Haswell"])
 @pytest.mark.slow
-def test_a_head_is_the_same_on_every_processor(processor):
+def test_a_head_is_the_same_on_another_processor():
     # OpenBLAS, which NumPy comes with on most machines, sums as the processor likes best
     tilted = "axis = [0.0131, 0.9987, -0.0271]\nrpy_rad = [0.013, -0.02, 0.041]"
     text = text_of("panfirst").replace("axis = [0.0, 1.0, 0.0]", tilted)
@@ -105,7 +103,7 @@ def test_a_head_is_the_same_on_every_processor(processor):
     run = subprocess.run(
         [sys.executable, "-c", TILTED],
         input=text,
-        env=os.environ | {"OPENBLAS_CORETYPE": processor},
+        env=os.environ | {"OPENBLAS_CORETYPE": "Prescott"},
         text=True, capture_output=True, check=True,
     )  # fmt: skip
     assert run.stdout.split() == [parse_head(text).digest]

@@ -85,10 +85,10 @@ class TestIdentity:
 
 
 class TestImmutability:
-    @pytest.mark.parametrize(("part", "field"), [("links", "a"), ("limits", "upper")])
-    def test_arrays_cannot_be_written(self, simulated, part, field):
-        with pytest.raises(ValueError, match="read-only"):
-            getattr(getattr(simulated, part), field)[0] = 1.0
+    def test_arrays_cannot_be_written(self, simulated):
+        for part, field in [("links", "a"), ("limits", "upper")]:
+            with named(part, field), pytest.raises(ValueError, match="read-only"):
+                getattr(getattr(simulated, part), field)[0] = 1.0
 
     def test_fields_cannot_be_set(self, simulated):
         with pytest.raises(dataclasses.FrozenInstanceError):
@@ -102,9 +102,6 @@ class TestImmutability:
 
 
 class TestLimits:
-    def test_rest_is_within_limits(self, simulated):
-        assert simulated.limits.contains(simulated.rest())
-
     def test_contains_keeps_the_margin(self, simulated):
         at_the_limit = simulated.limits.upper
         assert simulated.limits.contains(at_the_limit)
@@ -210,10 +207,7 @@ class TestPerturbation:
 
 def test_a_change_of_a_head_that_cannot_be_is_refused(simulated) -> None:
     for parts, message in [
-        (
-            {"timing": {"latency_frames": 8}},
-            r"timing\.latency_frames: expected one of control",
-        ),
+        ({"timing": {"latency_frames": 8}}, r"timing\.latency_frames: expected one of control"),
         ({"timing": {"latency_s": np.nan}}, r"timing\.latency_s: expected a number"),
         ({"timing": {"latency_s": -0.1}}, "latency_s: expected a number of at least 0"),
         ({"timing": {"control_rate_hz": 0.0}}, "control_rate_hz: expected a number above 0"),

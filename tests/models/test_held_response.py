@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence.models.held_response import follow_held_command, prepare_held_response
 from vergence.models.joint_response import follow_joint, lag_decay
 
@@ -11,7 +12,7 @@ LAG_S = 0.04
 
 
 def integrate(v, w, u, build_up, a, period=PERIOD_S, count=20000):
-    """Euler's rule, half implicit, on the equation of motion, from the angle zero."""
+    """Euler's rule, half implicit, on the equation of motion, from zero; build-ups broadcast."""
     q, h = 0.0, period / count
     for _ in range(count):
         w = np.clip(w + h * (u - v - LAG_S * w) / (build_up * LAG_S**2), -a, a)
@@ -19,24 +20,28 @@ def integrate(v, w, u, build_up, a, period=PERIOD_S, count=20000):
     return q, v, w
 
 
-@pytest.mark.parametrize("build_up", [0.05, 0.25, 0.9, 2.0])
-def test_it_solves_the_equation_of_motion(build_up) -> None:
-    found = follow_held_command(
-        0.0, 1.0, -30.0, 4.0, prepare_held_response(LAG_S, build_up, np.inf, PERIOD_S)
-    )
-    assert found == pytest.approx(integrate(1.0, -30.0, 4.0, build_up, np.inf), abs=3e-3)
+def test_it_solves_the_equation_of_motion() -> None:
+    build_ups = np.array([0.05, 0.25, 0.9, 2.0])
+    expected = np.stack(integrate(1.0, -30.0, 4.0, build_ups, np.inf), axis=-1)
+    for build_up, solved in zip(build_ups, expected, strict=True):
+        response = prepare_held_response(LAG_S, build_up, np.inf, PERIOD_S)
+        with named(build_up):
+            assert follow_held_command(0.0, 1.0, -30.0, 4.0, response) == pytest.approx(
+                solved, abs=3e-3
+            )
 
 
-@pytest.mark.parametrize("build_up", [0.05, 0.25, 0.9])
-@pytest.mark.parametrize("u", [6.0, -3.0])
-def test_no_acceleration_passes_its_limit(build_up, u) -> None:
-    q, v, w = follow_held_command(
-        0.0, 1.0, 10.0, u, prepare_held_response(LAG_S, build_up, 50.0, PERIOD_S)
-    )
-    expected = integrate(1.0, 10.0, u, build_up, 50.0)
-    assert abs(w) <= 50.0
-    assert q == pytest.approx(expected[0], abs=2e-4)  # of 16 mrad
-    assert v == pytest.approx(expected[1], abs=0.03)
+def test_no_acceleration_passes_its_limit() -> None:
+    build_ups = np.array([0.05, 0.25, 0.9])
+    for u in (6.0, -3.0):
+        expected = integrate(1.0, 10.0, u, build_ups, 50.0, count=5000)
+        for build_up, angle, speed in zip(build_ups, *expected[:2], strict=True):
+            response = prepare_held_response(LAG_S, build_up, 50.0, PERIOD_S)
+            q, v, w = follow_held_command(0.0, 1.0, 10.0, u, response)
+            with named(build_up, u):
+                assert abs(w) <= 50.0
+                assert q == pytest.approx(angle, abs=2e-4)  # of 16 mrad
+                assert v == pytest.approx(speed, abs=0.03)
 
 
 def test_without_a_build_up_it_is_the_lag_of_first_order() -> None:

@@ -113,7 +113,7 @@ def test_a_joint_turns_round_when_it_stands_still(v, u, tau, a) -> None:
 
 def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equation() -> None:
     rng = np.random.default_rng(2)
-    n, period, count = 400, 0.04, 8000
+    n, period, count = 400, 0.04, 4000
     v, u = rng.uniform(-6, 6, n), rng.uniform(-6, 6, n)
     tau, a = rng.uniform(0.005, 0.08, n), rng.uniform(20.0, 200.0, n)
     torque_falloff = rng.uniform(0.01, 0.8, n) / 6.0

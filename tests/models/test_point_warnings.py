@@ -70,11 +70,7 @@ def test_a_batch_is_a_programs_and_is_silent(simulated):
 
 
 def test_an_error_in_degrees_is_refused():
-    for errors in [
-        {"joint_offset_rad": 5.7},
-        {"common_tilt_rad": 1.4},
-        {"head_eye_rad": 1.0},
-    ]:
+    for errors in [{"joint_offset_rad": 5.7}, {"common_tilt_rad": 1.4}, {"head_eye_rad": 1.0}]:
         with named(errors):
             (name,) = errors
             with pytest.raises(ConfigurationError, match=rf"{name}.*radians.*is it in degrees\?"):

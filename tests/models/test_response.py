@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.models.response import light_table, parse_response
 
@@ -27,35 +28,25 @@ def test_a_table_holds_the_light_at_levels_in_equal_steps():
     assert np.interp(127.5, np.arange(256), light) == pytest.approx(0.2 * 255.0, rel=1e-2)
 
 
-@pytest.mark.parametrize(
-    ("text", "response"),
-    [
+def test_what_names_a_response():
+    for text, response in [
         ("srgb", "srgb"),
         ("2.2", 2.2),
         (1, "linear"),
         ([0, 1], (0.0, 1.0)),
         ("0,0.2, 1", (0.0, 0.2, 1.0)),
-    ],
-)
-def test_what_names_a_response(text, response):
-    assert parse_response(text) == response
+    ]:
+        with named(text, response):
+            assert parse_response(text) == response
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        "sRGB!",
-        "0,x,1",
-        0.0,
-        -2.2,
-        float("nan"),
-        True,
-        None,
-        [0.0, 0.5],
-        [0.0, 0.6, 0.5, 1.0],
+def test_what_is_no_response_is_refused():
+    for value in (
+        "sRGB!", "0,x,1", 0.0, -2.2, float("nan"), True, None, [0.0, 0.5], [0.0, 0.6, 0.5, 1.0],
         [1.0],
-    ],
-)
-def test_what_is_no_response_is_refused(value):
-    with pytest.raises(ConfigurationError, match="response: expected 'linear', 'srgb', a gamma"):
-        parse_response(value)
+    ):  # fmt: skip
+        with (
+            named(value),
+            pytest.raises(ConfigurationError, match="response: expected 'linear', 'srgb', a gamma"),
+        ):
+            parse_response(value)

@@ -10,11 +10,7 @@ from tests.heads import head_of
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers.networks.bundle import write_bundle
-from vergence.controllers.networks.environments import (
-    GainScheduleTask,
-    PolicyTask,
-    training_env,
-)
+from vergence.controllers.networks.environments import GainScheduleTask, PolicyTask, training_env
 from vergence.controllers.networks.inputs import KINDS, Inputs
 from vergence.controllers.networks.manifest import Manifest
 from vergence.envs.task import GazeTask
@@ -105,18 +101,19 @@ def test_a_head_for_which_nothing_was_trained_is_told_so_in_one_line() -> None:
             assert "\n" not in text
 
 
-@pytest.mark.parametrize("kind", sorted(NAMES))
-def test_a_network_learns_in_the_vector_environment_of_any_head(kind) -> None:
-    head = head_of("tied")
-    env = training_env(kind, 4, plant="kinematic", head=head)
-    env.reset(seed=0)
-    size = env.single_action_space.shape[0]
-    assert size == (4 if kind == "gain-schedule" else 3)
-    observation, reward, *_ = env.step(np.full((4, size), 0.5, dtype=np.float32))
-    assert observation.shape == (4, *env.single_observation_space.shape)
-    assert np.isfinite(reward).all()
-    names = "left_v" if kind == "gain-schedule" else "tilt, version, vergence"
-    expected = rf"expected shape \(4, {size}\), heads by {names}"
-    with pytest.raises(ConfigurationError, match=expected):
-        env.step(np.zeros((4, size + 1), dtype=np.float32))
-    env.close()
+def test_a_network_learns_in_the_vector_environment_of_any_head() -> None:
+    for kind in sorted(NAMES):
+        with named(kind):
+            head = head_of("tied")
+            env = training_env(kind, 4, plant="kinematic", head=head)
+            env.reset(seed=0)
+            size = env.single_action_space.shape[0]
+            assert size == (4 if kind == "gain-schedule" else 3)
+            observation, reward, *_ = env.step(np.full((4, size), 0.5, dtype=np.float32))
+            assert observation.shape == (4, *env.single_observation_space.shape)
+            assert np.isfinite(reward).all()
+            names = "left_v" if kind == "gain-schedule" else "tilt, version, vergence"
+            expected = rf"expected shape \(4, {size}\), heads by {names}"
+            with pytest.raises(ConfigurationError, match=expected):
+                env.step(np.zeros((4, size + 1), dtype=np.float32))
+            env.close()

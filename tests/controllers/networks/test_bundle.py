@@ -64,16 +64,17 @@ def changed(parts: dict[str, bytes], fields: dict[str, object]) -> bytes:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_is_written_is_read_back(tmp_path, kind):
-    inputs = Inputs.of(KINDS[kind], load_head("simulated"))
-    network = perceptron(inputs.size)
-    manifest = Manifest.of(kind, inputs, network, TRAINING, {"settle_s": 0.25})
-    write_bundle(tmp_path / "a.vgp", manifest, network)
-    bundle = read_bundle(tmp_path / "a.vgp")
-    assert bundle.manifest == manifest
-    assert bundle.network.data == network
-    assert bundle.network.input_size == inputs.size
+def test_what_is_written_is_read_back(tmp_path):
+    for kind in KINDS:
+        with named(kind):
+            inputs = Inputs.of(KINDS[kind], load_head("simulated"))
+            network = perceptron(inputs.size)
+            manifest = Manifest.of(kind, inputs, network, TRAINING, {"settle_s": 0.25})
+            write_bundle(tmp_path / f"{kind}.vgp", manifest, network)
+            bundle = read_bundle(tmp_path / f"{kind}.vgp")
+            assert bundle.manifest == manifest
+            assert bundle.network.data == network
+            assert bundle.network.input_size == inputs.size
 
 
 def test_the_manifest_says_all_that_is_needed_to_run_it(parts):
@@ -216,7 +217,7 @@ def test_what_is_no_file_is_refused(tmp_path):
 # Damage: refused, or harmless; never another exception, which would be a BundleError's absence.
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
 @given(data=st.data())
 def test_flipped_bytes_are_refused_or_change_nothing(path, data):
     good = path.read_bytes()

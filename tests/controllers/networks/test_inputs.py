@@ -205,18 +205,16 @@ def test_a_manifest_brings_the_same_inputs_back() -> None:
             assert again.size == len(set(inputs.names))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_a_manifest_of_other_channels_is_refused() -> None:
+    for change, message in [
         ({"version": 99}, "inputs.version: expected 2, got 99"),
         ({"names": ["asked"]}, "inputs.names: expected the 12 of error"),
-    ],
-)
-def test_a_manifest_of_other_channels_is_refused(change, message) -> None:
-    head = load_head("simulated")
-    fields = {**Inputs.of("error", head).to_dict(), **change}
-    with pytest.raises(ConfigurationError, match=message):
-        Inputs.from_dict(fields, head)
+    ]:
+        with named(change, message):
+            head = load_head("simulated")
+            fields = {**Inputs.of("error", head).to_dict(), **change}
+            with pytest.raises(ConfigurationError, match=message):
+                Inputs.from_dict(fields, head)
 
 
 def test_an_unknown_kind_is_refused() -> None:

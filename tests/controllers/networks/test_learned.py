@@ -103,28 +103,29 @@ def test_a_batch_of_observations_is_the_loop_over_them(bundles):
                     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_copy_acts_alike(bundles, kind):
-    controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
-    seen = observations((7,))
-    for other in (copy.deepcopy(controller), pickle.loads(pickle.dumps(controller))):
-        assert np.array_equal(other.predict(seen)[0], controller.predict(seen)[0])
+def test_a_copy_acts_alike(bundles):
+    for kind in KINDS:
+        with named(kind):
+            controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
+            seen = observations((7,))
+            for other in (copy.deepcopy(controller), pickle.loads(pickle.dumps(controller))):
+                assert np.array_equal(other.predict(seen)[0], controller.predict(seen)[0])
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_outputs_that_are_no_numbers_leave_the_eyes_at_rest(bundles, kind):
-    controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
-    controller._runtime = lambda inputs: np.full((*inputs.shape[:-1], 4), np.nan, "f4")
-    assert not controller.predict(observations((3,)))[0].any()
+def test_outputs_that_are_no_numbers_leave_the_eyes_at_rest(bundles):
+    for kind in KINDS:
+        with named(kind):
+            controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
+            controller._runtime = lambda inputs: np.full((*inputs.shape[:-1], 4), np.nan, "f4")
+            assert not controller.predict(observations((3,)))[0].any()
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_it_runs_in_stable_baselines3(bundles, kind):
+def test_it_runs_in_stable_baselines3(bundles):
     from stable_baselines3.common.evaluation import evaluate_policy
     from stable_baselines3.common.monitor import Monitor
 
     env = Monitor(gymnasium.make("vergence/Gaze-v0", plant="kinematic", max_episode_steps=30))
-    controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
+    controller = make_controller("learned-policy", load_head("simulated"), bundle=bundles["policy"])
     rewards, lengths = evaluate_policy(
         controller, env, n_eval_episodes=2, return_episode_rewards=True
     )
@@ -152,12 +153,15 @@ def test_a_bare_network_that_leaves_the_bounds_is_limited(tmp_path):
     assert np.abs(action).max() == 1.0
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_bundle_is_loaded_by_what_it_says_it_is(bundles, kind):
-    head = load_head("simulated")
-    named = make_controller(NAMES[kind], head, bundle=bundles[kind])
-    seen = observations((4,))
-    assert np.array_equal(load_policy(bundles[kind], head).predict(seen)[0], named.predict(seen)[0])
+def test_a_bundle_is_loaded_by_what_it_says_it_is(bundles):
+    for kind in KINDS:
+        with named(kind):
+            head = load_head("simulated")
+            by_name = make_controller(NAMES[kind], head, bundle=bundles[kind])
+            seen = observations((4,))
+            assert np.array_equal(
+                load_policy(bundles[kind], head).predict(seen)[0], by_name.predict(seen)[0]
+            )
 
 
 def test_what_does_not_fit_is_refused_with_the_files_name(bundles, tmp_path):
@@ -167,11 +171,10 @@ def test_what_does_not_fit_is_refused_with_the_files_name(bundles, tmp_path):
             make_controller(name, head, bundle=bundles[bundle])
     with pytest.raises(BundleError, match=r"policy.vgp: .*expected .* for head .*, got"):
         load_policy(bundles["policy"], load_head("physical"))
-    for size, outputs, match in ((26, 4, "27 inputs, got 26"),):
-        path = tmp_path / "mine.onnx"
-        path.write_bytes(perceptron(size, outputs=outputs))
-        with pytest.raises(BundleError, match=rf"mine.onnx: network: expected {match}"):
-            load_policy(path, head)
+    path = tmp_path / "mine.onnx"
+    path.write_bytes(perceptron(26))
+    with pytest.raises(BundleError, match=r"mine.onnx: network: expected 27 inputs, got 26"):
+        load_policy(path, head)
     (tmp_path / "policy.zip").write_bytes(b"")
     with pytest.raises(BundleError, match=r"named \*.vgp or \*.onnx"):
         load_policy(tmp_path / "policy.zip", head)
@@ -205,11 +208,6 @@ def test_a_head_with_other_steps_and_noise_is_the_same_head_for_a_bundle(bundles
 def test_a_name_that_is_not_shipped_is_refused_with_those_that_are():
     with pytest.raises(ConfigurationError, match=r"bundle: expected .* the shipped .*'nonsense'"):
         make_controller("learned-gain", load_head("simulated"), bundle="nonsense")
-
-
-def test_a_copy_of_a_head_by_another_name_gets_the_network_of_that_head():
-    copied = load_head("simulated").replace(name="copied")
-    assert make_controller("learned-gain", copied).manifest.head["name"] == "simulated"
 
 
 def test_for_a_head_without_a_network_it_says_which_heads_have_one_and_how_to_learn_one():
@@ -250,7 +248,7 @@ def test_the_shipped_networks_settle_in_a_robots_loop(kind):
     """In 2 px; not in every trial, as chance has a part in what a network learns."""
     scenario = load_scenario("hardware")
     controller = make_controller(NAMES[kind], scenario.model())
-    settle_s = run_trials(controller, scenario, episodes=60, split="validation").settle_s(2.0)
+    settle_s = run_trials(controller, scenario, episodes=30, split="validation").settle_s(2.0)
     assert np.isfinite(settle_s).mean() >= 0.95
     assert np.nanmedian(settle_s) < 0.7
 
@@ -259,21 +257,24 @@ def test_the_shipped_networks_settle_in_a_robots_loop(kind):
 def test_the_shipped_networks_are_calm_on_servos_that_overshoot(kind):
     scenario = with_imperfection(load_scenario("hardware"), "overshoot", 0.3)
     controller = make_controller(NAMES[kind], scenario.model())
-    trials = run_trials(controller, scenario, episodes=60, split="validation")
+    trials = run_trials(controller, scenario, episodes=30, split="validation")
     assert not trials.swings.any()
     assert np.isfinite(trials.settle_s(2.0)).mean() >= 0.98
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_shipped_bundles_are_small_and_say_how_they_were_made(kind):
-    shipped = {name: path for name, path in pretrained_bundles().items() if name.startswith(kind)}
-    assert f"{kind}-simulated" in shipped
-    make_controller(NAMES[kind], load_head("simulated"))
-    for path in shipped.values():
-        assert path.stat().st_size < 1_000_000
-        training = read_bundle(path).manifest.training
-        assert training["command"].startswith(f"vergence train {kind} ")
-        assert f"--seed {training['seed']}" in training["command"]
+def test_the_shipped_bundles_are_small_and_say_how_they_were_made():
+    for kind in KINDS:
+        with named(kind):
+            shipped = {
+                name: path for name, path in pretrained_bundles().items() if name.startswith(kind)
+            }
+            assert f"{kind}-simulated" in shipped
+            make_controller(NAMES[kind], load_head("simulated"))
+            for path in shipped.values():
+                assert path.stat().st_size < 1_000_000
+                training = read_bundle(path).manifest.training
+                assert training["command"].startswith(f"vergence train {kind} ")
+                assert f"--seed {training['seed']}" in training["command"]
 
 
 # Nothing on the way from a file to an action can execute what the file says.
@@ -317,7 +318,7 @@ def test_the_check_above_can_fail():
             assert executing(source)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_running_a_bundle_imports_no_torch(bundles):
     code = (
         "import sys, numpy as np\n"

@@ -70,7 +70,8 @@ def record(
     a = ratio * head.actuation.acceleration[3:]
     angles = [q]
     speeds = [v]
-    for i in range(round(len(commands) * period / _STEP_S)):
+    moves = commands.any()
+    for i in range(round(len(commands) * period / _STEP_S) if moves else 1):
         k = floor((i * _STEP_S - latency_s + 1e-9) / period)
         u = gain * commands[k] if k >= 0 else np.zeros(4)
         if build_up > 0.0:
@@ -82,12 +83,13 @@ def record(
         angles.append(q)
         speeds.append(v)
     times = _STEP_S * np.arange(len(angles))
+    columns, rates = np.array(angles).T, np.array(speeds).T
 
-    def at(time_s: float, of: list[Array]) -> Array:
-        return np.array([np.interp(time_s, times, column) for column in np.array(of).T])
+    def at(time_s: float, of: Array) -> Array:
+        return np.array([np.interp(time_s, times, column) for column in of])
 
     def image(exposed: float) -> Array:
-        joints = np.concatenate([head.rest()[:3], at(exposed, angles)])
+        joints = np.concatenate([head.rest()[:3], at(exposed, columns)])
         pixels = head.project(joints, target(exposed), distorted=False)
         error = pixels - head.cameras.principal + noise_px * rng.standard_normal((2, 2))
         return error if spoil is None else spoil(exposed, error)
@@ -99,7 +101,7 @@ def record(
         now = k * period
         newest = floor((now - delay) * timing.frame_rate_hz + 1e-6)
         age, error = AGE_S, np.full((2, 2), np.nan)
-        joints = np.concatenate([head.rest()[:3], at(now, angles)])
+        joints = np.concatenate([head.rest()[:3], at(now, columns)])
         if newest >= 0:
             exposed = newest / timing.frame_rate_hz
             if newest not in images:
@@ -114,7 +116,7 @@ def record(
                 image_age_s=np.array(age),
                 positions=joints,
                 positions_at_exposure=joints,
-                velocities=np.concatenate([np.zeros(3), at(now, speeds)]),
+                velocities=np.concatenate([np.zeros(3), at(now, rates)]),
                 last_command=before,
             )
         )

@@ -5,7 +5,6 @@ import pytest
 
 from tests.controllers.loops import settle_time
 from tests.controllers.reaching import run
-from tests.grids import some_of
 from tests.heads import CENTRE, IMAGE, LOOP, eyes, head_of, joint
 from tests.naming import named
 from vergence import load_head
@@ -16,11 +15,7 @@ from vergence.models import parse_head
 from vergence.models.fixation import fixate_eye
 from vergence.models.kinematics import eye_frames
 
-EXACT = {
-    "detection_noise_px": 0.0,
-    "encoder_resolution_rad": 0.0,
-    "velocity_resolution_rad_s": 0.0,
-}
+EXACT = {"detection_noise_px": 0.0, "encoder_resolution_rad": 0.0, "velocity_resolution_rad_s": 0.0}
 
 
 def skewed():
@@ -32,20 +27,15 @@ def skewed():
     return parse_head(text + IMAGE + eyes() + LOOP)
 
 
-@pytest.mark.parametrize("name", ["panfirst", "simulated"])
-def test_axes_at_right_angles_are_told_from_others(name) -> None:
-    head = load_head(name) if name == "simulated" else head_of(name)
-    assert (
-        pack_predictor_parameters(head).view(PREDICTOR_PARAMETERS)["orthogonal_axes"] == 1.0
-    ).all()
-    assert (
-        pack_predictor_parameters(skewed()).view(PREDICTOR_PARAMETERS)["orthogonal_axes"] == 0.0
-    ).all()
+def test_axes_at_right_angles_are_told_from_others() -> None:
+    for head, told in ((head_of("panfirst"), 1.0), (load_head("simulated"), 1.0), (skewed(), 0.0)):
+        params = pack_predictor_parameters(head).view(PREDICTOR_PARAMETERS)
+        assert (params["orthogonal_axes"] == told).all()
 
 
 @pytest.mark.parametrize(
     ("head", "delay"),
-    some_of([skewed(), head_of("panfirst"), head_of("tied"), head_of("mis")], [4, 8, 13]),
+    [(skewed(), 4), (head_of("panfirst"), 13), (head_of("tied"), 13), (head_of("mis"), 4)],
 )
 def test_one_saccade_tells_the_delay_on_any_head(head, delay) -> None:
     task = GazeTask(8, plant="kinematic", head=head, plant_options={"latency_s": delay / 120.0})
@@ -54,7 +44,7 @@ def test_one_saccade_tells_the_delay_on_any_head(head, delay) -> None:
     assert np.abs(np.median(found) - delay / 120.0) < 0.005
 
 
-@pytest.mark.parametrize("name", ["tied", "mis", "panfirst", "common", "vergeonly"])
+@pytest.mark.parametrize("name", ["mis", "panfirst", "vergeonly"])
 def test_without_noise_the_prediction_is_the_error_at_its_angles_on_any_head(name) -> None:
     head = head_of(name).replace(sensor=EXACT)
     task = GazeTask(8, head=head, plant="kinematic")

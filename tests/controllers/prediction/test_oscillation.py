@@ -1,8 +1,8 @@
 """Half swings that are too many are counted, and what is no swing is not."""
 
 import numpy as np
-import pytest
 
+from tests.naming import named
 from vergence import load_head
 from vergence.controllers.prediction.joints import PREDICTOR_PARAMETERS, pack_predictor_parameters
 from vergence.controllers.prediction.oscillation import (
@@ -34,10 +34,11 @@ def swings(angle, aim=None):
     return most
 
 
-@pytest.mark.parametrize("hz", [2.0, 5.0])
-def test_an_eye_that_swings_about_a_goal_at_rest_is_found_within_a_second(hz) -> None:
-    lasting = 0.02 * np.sin(2.0 * np.pi * hz * TIME_S)
-    assert swings(lasting[max(1.0, 3.0 / hz) > TIME_S]) > OSCILLATING_HALF_SWINGS
+def test_an_eye_that_swings_about_a_goal_at_rest_is_found_within_a_second() -> None:
+    for hz in [2.0, 5.0]:
+        with named(hz):
+            lasting = 0.02 * np.sin(2.0 * np.pi * hz * TIME_S)
+            assert swings(lasting[max(1.0, 3.0 / hz) > TIME_S]) > OSCILLATING_HALF_SWINGS
 
 
 def dying(time_s):
@@ -52,9 +53,10 @@ def slow(time_s):
     return 0.02 * np.sin(3.0 * time_s)
 
 
-@pytest.mark.parametrize("motion", [dying, tremor, slow])
-def test_what_dies_away_or_hardly_moves_is_no_swing(motion) -> None:
-    assert swings(motion(TIME_S)) < 0.5
+def test_what_dies_away_or_hardly_moves_is_no_swing() -> None:
+    for motion in [dying, tremor, slow]:
+        with named(motion):
+            assert swings(motion(TIME_S)) < 0.5
 
 
 def test_an_eye_that_follows_a_target_to_and_fro_does_not_swing() -> None:

@@ -8,6 +8,7 @@ import pytest
 from tests.controllers.loops import begin
 from tests.controllers.prediction.observed import predict, predictor_of, record, turns
 from tests.controllers.reaching import run
+from tests.naming import named
 from vergence import load_head
 from vergence.controllers.prediction.predictor import MAX_UNSEEN_S, SmithPredictor, _update
 from vergence.envs.layout import ObservationLayout
@@ -49,18 +50,21 @@ def test_a_copy_for_another_process_compiles_nothing_anew() -> None:
     assert compiled[0] == compiled[1]
 
 
-@pytest.mark.parametrize("name", ["saccade", "delay-compensated"])
-def test_what_is_left_to_turn_ends_where_both_eyes_fixate(name) -> None:
-    task = GazeTask(20, head=quiet_head(), plant="kinematic")
-    trial = run(task, name, 40)
-    truth = task.truth()
-    goal = task.head.fixate(truth.target, task.head.rest()[:3])[:, 3:]
-    known = np.array([p.known for p in trial.predicted])
-    assert known[8:].all()
-    assert not known[:8].any()
-    for now in trial.predicted[8:]:
-        assert np.abs(now.positions + now.angle_error - goal).max() < 1e-3  # 0.6 px, in full motion
-    assert np.abs(now.positions + now.angle_error - goal).max() < 2e-4
+def test_what_is_left_to_turn_ends_where_both_eyes_fixate() -> None:
+    for name in ["saccade", "delay-compensated"]:
+        with named(name):
+            task = GazeTask(20, head=quiet_head(), plant="kinematic")
+            trial = run(task, name, 40)
+            truth = task.truth()
+            goal = task.head.fixate(truth.target, task.head.rest()[:3])[:, 3:]
+            known = np.array([p.known for p in trial.predicted])
+            assert known[8:].all()
+            assert not known[:8].any()
+            for now in trial.predicted[8:]:
+                assert (
+                    np.abs(now.positions + now.angle_error - goal).max() < 1e-3
+                )  # 0.6 px, in full motion
+            assert np.abs(now.positions + now.angle_error - goal).max() < 2e-4
 
 
 def test_the_pixel_error_is_that_of_the_predicted_angles() -> None:
@@ -120,8 +124,11 @@ def test_a_state_may_have_rows_of_the_callers_behind_it() -> None:
     assert len(own) == predictor.size
 
 
-@pytest.mark.parametrize("name", ["delay", "lag"])
-def test_options_that_cannot_be_are_refused(name) -> None:
-    head = load_head("simulated")
-    with pytest.raises(ConfigurationError, match=f"{name}: expected 'estimated' or 'nominal'"):
-        SmithPredictor(head=head, layout=ObservationLayout.of(head), **{name: "known"})
+def test_options_that_cannot_be_are_refused() -> None:
+    for name in ["delay", "lag"]:
+        with named(name):
+            head = load_head("simulated")
+            with pytest.raises(
+                ConfigurationError, match=f"{name}: expected 'estimated' or 'nominal'"
+            ):
+                SmithPredictor(head=head, layout=ObservationLayout.of(head), **{name: "known"})

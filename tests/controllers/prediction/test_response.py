@@ -16,12 +16,9 @@ HEAD = load_head("simulated")
 @pytest.mark.parametrize(
     ("latency_s", "lag_s", "ratio", "gain", "speed"),
     [
-        (0.0, 0.03, 1.0, 1.0, 6.0),
         (0.004, 0.03, 1.0, 1.0, 6.0),
         (0.0083, 0.03, 0.4, 0.85, 2.5),
-        (0.021, 0.015, 0.7, 1.15, 2.5),
         (0.034, 0.06, 1.2, 0.9, 6.0),
-        (0.03, 0.02, 0.5, 1.0, 2.5),
         (0.1, 0.03, 0.7, 1.1, 2.5),
     ],
 )
@@ -41,7 +38,7 @@ def test_one_turn_there_and_back_tells_how_the_actuators_answer(
     assert last.build_up == 0.0
 
 
-@pytest.mark.parametrize(("build_up", "lag_s"), [(0.4, 0.06), (0.9, 0.04), (1.9, 0.025)])
+@pytest.mark.parametrize(("build_up", "lag_s"), [(0.4, 0.06), (1.9, 0.025)])
 def test_two_turns_tell_a_servo_whose_own_loop_swings(build_up, lag_s) -> None:
     way = record(HEAD, turns(HEAD, 120), latency_s=0.017, lag_s=lag_s, build_up=build_up, gain=0.9)
     last = predict(predictor_of(HEAD), way)[-1]
@@ -50,7 +47,7 @@ def test_two_turns_tell_a_servo_whose_own_loop_swings(build_up, lag_s) -> None:
     assert last.response_latency_s == pytest.approx(0.017, abs=0.003)
 
 
-@pytest.mark.parametrize("rate_hz", [50.0, 90.0, 250.0])
+@pytest.mark.parametrize("rate_hz", [50.0, 250.0])
 def test_the_latency_is_found_in_seconds_at_any_control_rate(rate_hz) -> None:
     head = HEAD.replace(timing={"control_rate_hz": rate_hz, "frame_rate_hz": 50.0})
     way = record(head, turns(head, round(0.5 * rate_hz)), latency_s=0.017, ratio=0.6)
@@ -83,7 +80,7 @@ def test_a_nominal_response_is_that_of_the_heads_model() -> None:
     assert last.acceleration_ratio == 1.0
 
 
-@pytest.mark.parametrize("latency_s", [0.0, 0.013, 0.033])
+@pytest.mark.parametrize("latency_s", [0.0, 0.033])
 def test_a_saccade_on_a_simulated_robot_tells_command_and_feedback_latency_together(
     latency_s,
 ) -> None:
@@ -95,7 +92,7 @@ def test_a_saccade_on_a_simulated_robot_tells_command_and_feedback_latency_toget
     assert np.abs(np.median(last.response_latency_s) - latency_s) < 0.0025
 
 
-@pytest.mark.parametrize("lag_s", [0.015, 0.03, 0.06])
+@pytest.mark.parametrize("lag_s", [0.015, 0.06])
 def test_a_saccade_tells_the_joints_lag(lag_s) -> None:
     task = GazeTask(12, plant="kinematic", plant_options={"lag_s": lag_s})
     trial = run(task, "saccade", 60)

@@ -108,7 +108,7 @@ def test_following_it_takes_half_of_the_actuators_speed() -> None:
             angles = own.actuators_of(head.fixate(target_position(rows[:, None], t)))
             rates = np.abs(np.diff(angles, axis=1)) / (t[1] - t[0])
             eyes = slice(3, 3 + own.count)
-            # stretches are tried at steps of up to 5 degrees; between, a rate can be a little higher
+            # stretches are tried at steps of 5 degrees; between, a rate can be a little higher
             assert (rates[..., eyes] <= 0.53 * own.velocity[eyes]).all()
             assert rates[..., eyes].max() > 0.3 * own.velocity[eyes].max()
 

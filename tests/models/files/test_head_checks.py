@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.heads import CENTRE, IMAGE, LOOP, actuator, eyes, joint, text_of
+from tests.naming import named
 from vergence.errors import HeadFileError
 from vergence.models import parse_head
 
@@ -77,11 +78,14 @@ def test_a_table_whose_name_is_misspelt_is_told_by_what_it_is_meant_for():
         parse_head(text)
 
 
-@pytest.mark.parametrize(("count", "lens"), [(4, "fisheye"), (8, "rational")])
-def test_coefficients_of_a_lens_without_its_name_are_told_the_name(count, lens):
-    text = text_of("pair").replace("[0.0, 0.0, 0.0, 0.0, 0.0]", str([0.01] * count), 1)
-    with pytest.raises(HeadFileError, match=rf"distortion: expected 5 numbers, or lens = '{lens}'"):
-        parse_head(text)
+def test_coefficients_of_a_lens_without_its_name_are_told_the_name():
+    for count, lens in [(4, "fisheye"), (8, "rational")]:
+        with named(count, lens):
+            text = text_of("pair").replace("[0.0, 0.0, 0.0, 0.0, 0.0]", str([0.01] * count), 1)
+            with pytest.raises(
+                HeadFileError, match=rf"distortion: expected 5 numbers, or lens = '{lens}'"
+            ):
+                parse_head(text)
 
 
 def test_encoder_steps_in_degrees_are_told():

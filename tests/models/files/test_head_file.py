@@ -28,6 +28,17 @@ def parse(content: dict):
     return parse_head(tomli_w.dumps(content))
 
 
+def changed(content: dict, key: str, value: object) -> dict:
+    """A copy in which a key has another value, or is missing if that is `...`."""
+    fresh = copy.deepcopy(content)
+    table, name = table_of(fresh, key)
+    if value is ...:
+        del table[name]
+    else:
+        table[int(name) if name.isdigit() else name] = value
+    return fresh
+
+
 def table_of(content: dict, key: str) -> tuple[dict, str]:
     """The table that holds a dotted key such as `links[1].d_m`, and the key's last part."""
     *path, last = key.replace("[", ".").replace("]", "").split(".")
@@ -40,19 +51,12 @@ class TestPresets:
     def test_there_are_four(self):
         assert presets() == ["icub", "physical", "simulated", "turrets"]
 
-    @pytest.mark.parametrize("preset", ["simulated", "physical"])
-    def test_a_preset_has_its_name(self, preset):
-        assert load_head(preset).name == preset
-
     def test_an_unknown_preset_is_refused_with_the_known_ones(self):
         with pytest.raises(UnknownNameError, match=r"physical, simulated.*'nobody'"):
             load_head("nobody")
 
 
 class TestRoundTrip:
-    def test_text(self, head):
-        assert parse_head(head_to_toml(head)) == head
-
     def test_file(self, head, tmp_path):
         path = tmp_path / "head.toml"
         save_head(head, path)
@@ -79,11 +83,6 @@ class TestRoundTrip:
 
 
 class TestFiles:
-    def test_a_missing_file_is_named(self, tmp_path):
-        path = tmp_path / "none.toml"
-        with pytest.raises(UnreadableFileError, match=r"none\.toml.*No such file"):
-            load_head(path)
-
     def test_a_missing_file_that_is_called_like_a_preset_is_told_so(self):
         with pytest.raises(UnreadableFileError, match=r"--head simulated is the preset"):
             load_head("simulatd.toml")
@@ -98,12 +97,13 @@ class TestFiles:
             with named(name), pytest.raises(VergenceError):
                 load_head(name)
 
-    @pytest.mark.parametrize("data", [b"\xff\xfe\x00", b'name = "K\xf6pfchen"'])
-    def test_bytes_that_are_no_text(self, tmp_path, data):
-        path = tmp_path / "noise.toml"
-        path.write_bytes(data)
-        with pytest.raises(UnreadableFileError, match=r"noise\.toml.*not text"):
-            load_head(path)
+    def test_bytes_that_are_no_text(self, tmp_path):
+        for data in [b"\xff\xfe\x00", b'name = "K\xf6pfchen"']:
+            with named(data):
+                path = tmp_path / "noise.toml"
+                path.write_bytes(data)
+                with pytest.raises(UnreadableFileError, match=r"noise\.toml.*not text"):
+                    load_head(path)
 
     def test_a_byte_order_mark_is_read_over(self, physical, tmp_path):
         path = tmp_path / "windows.toml"
@@ -137,44 +137,22 @@ class TestFiles:
         again = pickle.loads(pickle.dumps(caught.value))
         assert str(again) == str(caught.value)
 
-    def test_text_that_is_no_toml(self):
-        with pytest.raises(HeadFileError, match="well-formed"):
-            parse_head("name = ")
-
 
 class TestNames:
     def test_a_name_that_could_not_be_part_of_a_files_name_is_refused(self, content):
-        for name in [
-            "../../../x",
-            "a\\b",
-            "..",
-            ".hidden",
-            "-x",
-            " x",
-            "x ",
-            "x.",
-            "",
-            "a\nb",
-            "a:b",
-            "con",
-            "NUL.toml",
-            "x" * 65,
-            "漢" * 64,
-            3,
-        ]:
+        for name in (
+            "../../../x", "a\\b", "..", ".hidden", "-x", " x", "x ", "x.", "", "a\nb", "a:b", "con",
+            "NUL.toml", "x" * 65, "漢" * 64, 3,
+        ):  # fmt: skip
             with named(name):
-                fresh = copy.deepcopy(content)
-                fresh["name"] = name
                 with pytest.raises(HeadFileError, match="a name that a file may have") as caught:
-                    parse(fresh)
+                    parse(changed(content, "name", name))
                 assert caught.value.key == "name"
 
     def test_other_names_are_kept(self, content):
         for name in ["7", "my head 2", "v1.2-b_3", "Köpfchen", "console", "x" * 64]:
             with named(name):
-                fresh = copy.deepcopy(content)
-                fresh["name"] = name
-                assert parse(fresh).name == name
+                assert parse(changed(content, "name", name)).name == name
 
     def test_a_head_is_not_saved_under_a_name_that_could_not_be_read(self, simulated, tmp_path):
         with pytest.raises(HeadFileError, match="a name that a file may have"):
@@ -185,33 +163,20 @@ class TestNames:
 def test_an_unknown_key_is_named(content):
     for key in ["colour", "timing.colour", "links[2].colour", "sensor.colour"]:
         with named(key):
-            fresh = copy.deepcopy(content)
-            table, name = table_of(fresh, key)
-            table[name] = 1
             with pytest.raises(HeadFileError, match="expected no such key, got 1") as caught:
-                parse(fresh)
+                parse(changed(content, key, 1))
             assert caught.value.key == key
 
 
 def test_a_missing_key_is_named(content):
-    for key in [
-        "name",
-        "links",
-        "image.width_px",
-        "links[0].alpha_rad",
-        "eyes[1].focal_px",
-        "limits.velocity_rad_s",
-        "timing.lag_s",
-        "timing.latency_s",
-        "sensor.detection_noise_px",
+    for key in (
+        "name", "links", "image.width_px", "links[0].alpha_rad", "eyes[1].focal_px",
+        "limits.velocity_rad_s", "timing.lag_s", "timing.latency_s", "sensor.detection_noise_px",
         "rendering.blur_px",
-    ]:
+    ):  # fmt: skip
         with named(key):
-            fresh = copy.deepcopy(content)
-            table, name = table_of(fresh, key)
-            del table[name]
             with pytest.raises(HeadFileError, match="the key is missing") as caught:
-                parse(fresh)
+                parse(changed(content, key, ...))
             assert caught.value.key == key
 
 
@@ -230,11 +195,8 @@ def test_wrong_units_are_refused_by_key_and_value(content):
         ("timing.latency_s", 66.7, "milliseconds"),
     ]:
         with named(key, value, unit):
-            fresh = copy.deepcopy(content)
-            table, name = table_of(fresh, key)
-            table[int(name) if name.isdigit() else name] = value
             with pytest.raises(HeadFileError, match=unit) as caught:
-                parse(fresh)
+                parse(changed(content, key, value))
             assert caught.value.key == key
             assert caught.value.value == value
             assert f"{key}: expected" in str(caught.value)
@@ -261,11 +223,8 @@ def test_a_value_that_cannot_be_right_is_refused_by_key(content):
         ("eyes[0].head_eye_rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
     ]:
         with named(key, value):
-            fresh = copy.deepcopy(content)
-            table, name = table_of(fresh, key)
-            table[int(name) if name.isdigit() else name] = value
             with pytest.raises(HeadFileError) as caught:
-                parse(fresh)
+                parse(changed(content, key, value))
             assert caught.value.key == key
             assert isinstance(caught.value, VergenceError)
 
@@ -300,11 +259,8 @@ def test_a_loop_that_cannot_be_is_refused_by_key(content):
         ("sensor.backlash_rad", 1.0),
     ]:
         with named(key, value):
-            fresh = copy.deepcopy(content)
-            table, name = table_of(fresh, key)
-            table[name] = value
             with pytest.raises(HeadFileError, match=f"{key}: expected") as caught:
-                parse(fresh)
+                parse(changed(content, key, value))
             assert caught.value.key == key
 
 
@@ -332,10 +288,6 @@ class TestLatency:
             parse(content)
         assert caught.value.key == "timing.latency_frames"
 
-    def test_need_not_be_whole_control_periods(self, content):
-        content["timing"]["latency_s"] = 0.0708
-        assert parse(content).timing.latency_s == 0.0708
-
 
 class TestSingularGeometry:
     def test_eyes_in_one_place_are_refused(self, simulated):
@@ -345,12 +297,13 @@ class TestSingularGeometry:
         with pytest.raises(HeadFileError, match=r"above 1 mm.*baseline of .* m\b"):
             parse_head(head_to_toml(simulated.replace(links={"d": d})))
 
-    @pytest.mark.parametrize(("link", "eye"), [(4, "left"), (7, "right")])
-    def test_parallel_tilt_and_pan_are_refused(self, simulated, link, eye):
-        alpha = simulated.links.alpha.copy()
-        alpha[link], alpha[link + 1] = 0.0, alpha[link] + alpha[link + 1]
-        with pytest.raises(HeadFileError, match=f"joints of the {eye} eye.*two directions"):
-            parse_head(head_to_toml(simulated.replace(links={"alpha": alpha})))
+    def test_parallel_tilt_and_pan_are_refused(self, simulated):
+        for link, eye in [(4, "left"), (7, "right")]:
+            with named(link, eye):
+                alpha = simulated.links.alpha.copy()
+                alpha[link], alpha[link + 1] = 0.0, alpha[link] + alpha[link + 1]
+                with pytest.raises(HeadFileError, match=f"joints of the {eye} eye.*two directions"):
+                    parse_head(head_to_toml(simulated.replace(links={"alpha": alpha})))
 
 
 class TestCameras:

@@ -1,19 +1,20 @@
 """The presets of heads that others built: numbers of their sources, and nothing but numbers."""
 
 import numpy as np
-import pytest
 
 from tests.models.files.robot_description.descriptions import UrdfKinematics, real_robot
+from tests.naming import named
 from vergence.models import load_head
 from vergence.models.files.head_toml import head_to_toml, parse_head
 
 
-@pytest.mark.parametrize("preset", ["icub", "turrets"])
-def test_what_nobody_measured_is_marked(preset):
-    head = load_head(preset)
-    assert any("acceleration" in key for key in head.assumptions)
-    assert {"timing.latency_s", "timing.lag_s"} <= set(head.assumptions)
-    assert parse_head(head_to_toml(head)) == head
+def test_what_nobody_measured_is_marked():
+    for preset in ["icub", "turrets"]:
+        with named(preset):
+            head = load_head(preset)
+            assert any("acceleration" in key for key in head.assumptions)
+            assert {"timing.latency_s", "timing.lag_s"} <= set(head.assumptions)
+            assert parse_head(head_to_toml(head)) == head
 
 
 def test_the_icub_moves_as_its_urdf():

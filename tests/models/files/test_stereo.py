@@ -54,13 +54,6 @@ def test_the_two_files_of_opencvs_stereo_sample_are_read_together(tmp_path):
     check(read_stereo(paths[::-1], size=SIZE))
 
 
-def test_older_yaml_of_opencv_is_read_whose_first_line_is_not_yaml(tmp_path):
-    path = write_opencv(tmp_path / "pair.yml", opencv_pair())
-    text = path.read_text(encoding="utf-8")
-    path.write_text("%YAML:1.0\n---\n" + text.partition("---\n")[2], encoding="utf-8")
-    check(read_stereo([path]))
-
-
 def test_keys_may_be_spelled_as_people_spell_them(tmp_path):
     for matrix, coefficients, sides in [
         ("K{}", "D{}", "12"),
@@ -270,24 +263,20 @@ def test_a_missing_file_and_a_file_given_twice_are_refused(tmp_path):
         read_stereo([path, path])
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
-def test_files_that_a_pair_does_not_use_are_refused_by_name(tmp_path, order):
-    eyes = [camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
-    files = [*eyes, camchain(tmp_path / "camchain.yaml")]
-    with pytest.raises(ConfigurationError, match=r"left\.yaml, \S*right\.yaml: expected") as error:
-        read_stereo([files[i] for i in order])
-    assert "camchain.yaml" in str(error.value)
-    with pytest.raises(ConfigurationError, match=r"left\.yaml, \S*right\.yaml: expected"):
-        read_intrinsics(files)
-
-
-def test_so_is_a_file_beside_a_rectified_pair_that_says_nothing_of_where_cameras_are(tmp_path):
-    eyes = [camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
-    other = write_opencv(tmp_path / "board.yml", {"squares": 9, "R": R})
-    with pytest.raises(ConfigurationError, match=r"board\.yml: expected files that belong"):
-        read_stereo([*eyes, other])
-    with pytest.raises(ConfigurationError, match=r"board\.yml: expected files that belong"):
-        read_intrinsics([*eyes, other])
+def test_files_that_a_pair_does_not_use_are_refused_by_name(tmp_path):
+    for order in [(0, 1, 2), (2, 0, 1)]:
+        with named(order):
+            eyes = [
+                camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))
+            ]
+            files = [*eyes, camchain(tmp_path / "camchain.yaml")]
+            with pytest.raises(
+                ConfigurationError, match=r"left\.yaml, \S*right\.yaml: expected"
+            ) as error:
+                read_stereo([files[i] for i in order])
+            assert "camchain.yaml" in str(error.value)
+            with pytest.raises(ConfigurationError, match=r"left\.yaml, \S*right\.yaml: expected"):
+                read_intrinsics(files)
 
 
 def test_files_that_contradict_one_another_are_refused(tmp_path):
@@ -311,13 +300,6 @@ def test_brackets_in_texts_are_of_no_matter(tmp_path):
         values |= {"image_size": list(SIZE), "note": "it's \\\" " + "[{" * 500}
         path.write_text(json.dumps(values), encoding="utf-8")
         check(read_stereo([path]))
-
-
-def test_numbers_that_are_not_finite_are_called_so(tmp_path):
-    path = tmp_path / "one.json"
-    path.write_text(json.dumps({"K": (np.nan * K_LEFT).tolist(), "size": SIZE}), "utf-8")
-    with pytest.raises(ConfigurationError, match=r"one\.json: K: .*, not all of them finite"):
-        read_intrinsics([path])
 
 
 def test_a_head_file_is_refused_as_what_it_is(tmp_path):
@@ -551,7 +533,7 @@ def test_settings_of_orb_slam_hold_the_pair_in_rectification_and_projection(tmp_
     check(read_stereo([written(tmp_path / "orb.json", values)]), atol=1e-9)
 
 
-def test_opencvs_yaml_may_lack_spaces_before_values(tmp_path):
+def test_older_yaml_of_opencv_is_read_which_may_lack_spaces_before_values(tmp_path):
     path = write_opencv(tmp_path / "pair.yml", opencv_pair())
     text = (
         path.read_text(encoding="utf-8").replace("data: [", "data:[").replace("_width: ", "_width:")

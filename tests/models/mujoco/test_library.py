@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import vergence
+from tests.naming import named
 from vergence.errors import MujocoUnavailableError
 
 WITHOUT = """
@@ -27,28 +28,24 @@ sys.exit(main(["export", "mjcf", "--head", "icub", "--out", sys.argv[1]]))
 """
 
 
-@pytest.mark.parametrize(
-    ("installed", "cure"),
-    [
+def test_a_mujoco_that_cannot_be_imported_is_told_with_its_cure(monkeypatch):
+    for installed, cure in [
         ("3.3.0", "got 3.3.0; cure: pip install 'mujoco>=4,<5'"),
-        (
-            "4.0.0",
-            "cure: pip install --force-reinstall --no-deps mujoco==4.0.0 mujoco-core==4.0.0",
-        ),
+        ("4.0.0", "cure: pip install --force-reinstall --no-deps mujoco==4.0.0 mujoco-core==4.0.0"),
         (None, "got none; cure: pip install"),
-    ],
-)
-def test_a_mujoco_that_cannot_be_imported_is_told_with_its_cure(monkeypatch, installed, cure):
-    def version(name: str) -> str:
-        if installed is None:
-            raise importlib.metadata.PackageNotFoundError(name)
-        return installed
+    ]:
+        with named(installed, cure):
 
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    monkeypatch.delitem(sys.modules, "vergence.models.mujoco.library", raising=False)
-    monkeypatch.setattr(importlib.metadata, "version", version)
-    with pytest.raises(MujocoUnavailableError, match=re.escape(cure)):
-        importlib.import_module("vergence.models.mujoco.library")
+            def version(name: str, installed: str | None = installed) -> str:
+                if installed is None:
+                    raise importlib.metadata.PackageNotFoundError(name)
+                return installed
+
+            monkeypatch.setitem(sys.modules, "mujoco", None)
+            monkeypatch.delitem(sys.modules, "vergence.models.mujoco.library", raising=False)
+            monkeypatch.setattr(importlib.metadata, "version", version)
+            with pytest.raises(MujocoUnavailableError, match=re.escape(cure)):
+                importlib.import_module("vergence.models.mujoco.library")
 
 
 def test_it_is_imported_in_one_place():
