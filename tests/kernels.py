@@ -97,9 +97,9 @@ SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
         partial(steps, "simulated", "rendered"),
         partial(steps, "simulated", "mujoco"),
         partial(laws, "tied"),
-        partial(steps, "tied", "mujoco"),
     ),
     (
+        partial(steps, "tied", "mujoco"),
         *(partial(trials, head, name) for name in SCENARIOS for head in ("simulated", "tied")),
         partial(gaze, "icub"),
     ),
