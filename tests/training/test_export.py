@@ -219,6 +219,7 @@ def test_a_network_is_learned_and_exported_for_a_head_with_tied_joints(tmp_path,
     assert not trials.command[..., 3:].any()  # it has three actuators
 
 
+@pytest.mark.slow
 def test_the_exported_network_acts_as_the_learner_does(run, bundle):
     learned = load_learner(run, "last")
     head = load_head("simulated")
@@ -232,6 +233,7 @@ def test_the_exported_network_acts_as_the_learner_does(run, bundle):
     assert bundled.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_the_command_in_the_manifest_makes_the_same_configuration(run, bundle):
     program, name, *words = shlex.split(read_bundle(bundle).manifest.training["command"])
     assert (program, name) == ("vergence", "train")
@@ -239,6 +241,7 @@ def test_the_command_in_the_manifest_makes_the_same_configuration(run, bundle):
     assert config == load_run(run)[0]
 
 
+@pytest.mark.slow
 def test_the_command_refuses_in_one_line(run, tmp_path, capsys):
     taken = tmp_path / "taken.vgp"
     taken.write_text("mine")

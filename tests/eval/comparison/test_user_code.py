@@ -97,6 +97,7 @@ def test_worker_processes_find_it_too(tmp_path):
     assert compared(*words, mapper=ProcessMapper(2)) == [*words, "ibvs-tuned"]
 
 
+@pytest.mark.slow
 def test_what_is_wrong_in_the_file_is_said_with_its_place_in_one_line(tmp_path, capsys):
     cases = (
         ("from math import nothing\n", "mine_e.py:1: ImportError: cannot import name 'nothing'"),

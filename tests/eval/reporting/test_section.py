@@ -60,6 +60,7 @@ def test_a_section_shows_no_file_but_its_own_figures(tmp_path, run):
     assert not_refused(attempt, cases) == []
 
 
+@pytest.mark.slow
 def test_a_section_is_read_as_it_was_written(run):
     section = read_section(run / SECTION_FILE)
     assert section.tables[0].columns[0] == "controller"
@@ -83,6 +84,7 @@ def test_an_evaluations_report_fits_a_phone_and_a_screen(tmp_path, run):
 NO_RUN = "include: expected the folder of a run"
 
 
+@pytest.mark.slow
 def test_a_section_with_values_of_another_type_is_refused(tmp_path, run):
     values = [
         ("what", 3),
@@ -111,6 +113,7 @@ def test_a_section_that_is_no_json_is_refused(tmp_path):
     assert not_refused(attempt, [(text, NO_RUN) for text in texts]) == []
 
 
+@pytest.mark.slow
 def test_a_section_whose_figure_is_cut_is_refused(tmp_path, run):
     copy = shutil.copytree(run, tmp_path / "run")
     figure = next((copy / "figures").glob("*.svg"))

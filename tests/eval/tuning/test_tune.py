@@ -109,6 +109,7 @@ def test_a_search_without_a_possible_point_says_why(tmp_path):
         run_search(search(tmp_path, 2), impossible)
 
 
+@pytest.mark.slow
 def test_a_study_does_not_go_on_with_another_setting(tmp_path):
     run_search(search(tmp_path, 2), bowl)
     for changes in (

@@ -52,6 +52,7 @@ def test_a_vergence_error_grows_with_depth_and_a_shifted_camera_s_does_not(nomin
     assert shifted[-1] == pytest.approx(shifted[0], rel=0.3)
 
 
+@pytest.mark.slow
 def test_the_sources_add_in_squares_to_all(nominal):
     many = BudgetCase(nominal, TWIN_SPREADS.scaled(0.3), 400, POINTS, 0)
     depth = {

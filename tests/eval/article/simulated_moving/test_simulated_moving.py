@@ -12,7 +12,7 @@ from vergence.eval.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("simulated-moving")
-CONFIG = SimulatedMovingConfig(samples=60, settle_s=1.6)
+CONFIG = SimulatedMovingConfig(samples=40, settle_s=1.4)
 
 
 @pytest.fixture(scope="module")
