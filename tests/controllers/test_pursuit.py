@@ -7,7 +7,6 @@ from tests.controllers.loops import begin, settle_time, true_errors
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError
 from vergence.eval.trials.metrics import overshoot_fraction
 
 HEAD = load_head("simulated")
@@ -144,14 +143,3 @@ def test_it_comes_to_rest_inside_the_joints_limits() -> None:
     true_errors(task, make_controller("pursuit", head=QUIET), 2.4)
     assert QUIET.limits.contains(task.reading.positions).all()
     assert np.isfinite(task.observation).all()
-
-
-def test_options_that_cannot_be_are_refused_by_name() -> None:
-    for options, message in [
-        ({"braking": 1.5}, "braking: expected a share above 0 up to 1, got 1.5"),
-        ({"delay": "guessed"}, "delay: expected 'estimated' or 'nominal', got 'guessed'"),
-        ({"moving": True}, "controller pursuit: .*moving"),
-        ({"gain": 80.0}, "controller pursuit: .*gain"),
-    ]:
-        with named(options, message), pytest.raises(ConfigurationError, match=message):
-            make_controller("pursuit", head=HEAD, **options)

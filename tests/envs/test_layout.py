@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.controllers.loops import begin
 from tests.heads import MOVING, head_of, text_of
 from tests.models.lenses import wide
 from tests.naming import named
@@ -18,14 +19,6 @@ from vergence.envs.task import GazeTask
 from vergence.models import parse_head
 
 FLOAT32 = 2.0**-23
-
-
-def begin(task: GazeTask, seed: int = 0) -> None:
-    task.begin(
-        np.arange(task.num),
-        np.full(task.num, seed, np.uint64),
-        np.arange(task.num, dtype=np.uint64),
-    )
 
 
 def test_the_docstrings_table_is_the_layout() -> None:

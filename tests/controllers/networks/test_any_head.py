@@ -89,18 +89,6 @@ def test_a_bundle_of_a_head_runs_on_it_and_on_no_other(tmp_path) -> None:
                 make_controller(NAMES[kind], load_head("simulated"), bundle=path)
 
 
-def test_a_head_for_which_nothing_was_trained_is_told_so_in_one_line() -> None:
-    for name, kind in some_of(HEADS, sorted(NAMES)):
-        with named(name, kind):
-            head = head_of(name)
-            with pytest.raises(ConfigurationError) as caught:
-                make_controller(NAMES[kind], head)
-            text = str(caught.value)
-            assert f"trained for head '{head.name}' ({head.digest[:12]}), got none" in text
-            assert f"vergence train {kind} --head" in text
-            assert "\n" not in text
-
-
 def test_a_network_learns_in_the_vector_environment_of_any_head() -> None:
     for kind in sorted(NAMES):
         with named(kind):
