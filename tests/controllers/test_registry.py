@@ -115,8 +115,7 @@ def test_a_target_that_was_never_seen_moves_nothing_and_gives_no_nan() -> None:
     for name in CONTROLLERS:
         with named(name):
             controller, state = made(name), None
-            task = GazeTask(2, head=HEAD, plant="kinematic", target={"kind": "static"})
-            begin(task)
+            task = begin(GazeTask(2, head=HEAD, plant="kinematic", target={"kind": "static"}))
             for step in range(30):
                 observation = task.observation.copy()
                 observation[:, LAYOUT.fields["visible"]] = 0.0

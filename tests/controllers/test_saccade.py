@@ -114,9 +114,8 @@ def test_the_physical_head_stays_settled_to_the_trials_end(name) -> None:
 
 def test_a_saccade_goes_on_while_its_own_speed_blinds_the_eyes() -> None:
     head = load_head("physical")
-    task = GazeTask(20, head=head, plant="kinematic")
+    task = begin(GazeTask(20, head=head, plant="kinematic"))
     controller = make_controller("saccade", head=head, layout=task.layout)
-    begin(task)
     state, blind = None, np.zeros(20, dtype=int)
     for _ in range(60):
         action, state = controller.predict(task.observation, state)

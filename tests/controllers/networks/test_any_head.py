@@ -25,8 +25,7 @@ def test_there_is_a_number_of_each_channel_for_every_actuator() -> None:
     for kind, name in some_of(sorted(PER_ACTUATOR), HEADS):
         with named(kind, name):
             head = head_of(name)
-            task = GazeTask(6, plant="kinematic", head=head)
-            begin(task, 3)
+            task = begin(GazeTask(6, plant="kinematic", head=head), 3)
             inputs = Inputs.of(kind, head, task.layout)
             assert inputs.size == PER_ACTUATOR[kind] * head.actuation.count
             for actuator in head.actuation.names:

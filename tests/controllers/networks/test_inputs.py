@@ -13,8 +13,7 @@ from vergence.models import load_head
 
 
 def begun(num: int, **options: object) -> GazeTask:
-    task = GazeTask(num, plant="kinematic", **options)
-    begin(task, 3)
+    task = begin(GazeTask(num, plant="kinematic", **options), 3)
     return task
 
 

@@ -18,9 +18,8 @@ SLOW = [0.0, 0.0, 0.0, 0.3, 0.2, -0.3, 0.2]
 
 
 def test_the_loop_settles_on_what_the_detector_sees() -> None:
-    task = GazeTask(1, head="physical", plant="rendered", target={"kind": "static"})
+    task = begin(GazeTask(1, head="physical", plant="rendered", target={"kind": "static"}))
     controller = make_controller("ibvs", head=task.head, gain=4.0)
-    begin(task)
     assert np.linalg.norm(task.truth().pixel_error, axis=-1).min() > 30.0
     for _ in range(150):
         action, _state = controller.predict(task.observation)
@@ -61,9 +60,8 @@ def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -
 @pytest.mark.slow
 def test_the_loop_settles_through_lenses_of_other_models() -> None:
     target = {"kind": "static", "point": (0.1, -0.1, 0.6)}
-    task = GazeTask(1, head=wide("fisheye", "rational"), plant="rendered", target=target)
+    task = begin(GazeTask(1, head=wide("fisheye", "rational"), plant="rendered", target=target))
     controller = make_controller("ibvs", head=task.head, gain=4.0)
-    begin(task)
     assert np.linalg.norm(task.truth().pixel_error, axis=-1).min() > 20.0
     for _ in range(100):
         action, _state = controller.predict(task.observation)
