@@ -74,7 +74,7 @@ def test_a_gain_of_zero_holds_an_axis(ideal) -> None:
     assert np.abs(errors[:, :, 0] - errors[0, :, 0]).max() < 0.01 * np.abs(errors[0]).max()
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(k=st.floats(0.5, 4.0), x=st.floats(-0.1, 0.1), y=st.floats(-0.2, 0.0), z=st.floats(0.5, 2.0))
 def test_the_command_moves_the_image_towards_the_principal_point_at_k(k, x, y, z) -> None:
     head = ideal_head(load_head("simulated"))
@@ -116,7 +116,7 @@ def test_an_eye_that_sees_nothing_is_held_and_the_other_goes_on(preset) -> None:
             assert np.abs(command[1 - eye]).min() > 0.01
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(error=st.lists(st.floats(-400, 400), min_size=4, max_size=4), limit=st.floats(0.1, 5.0))
 def test_a_speed_limit_keeps_the_direction_of_each_eye(error, limit) -> None:
     head = load_head("simulated")
