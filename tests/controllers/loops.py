@@ -31,10 +31,11 @@ def true_errors(task: GazeTask, controller: Controller, time_s: float, seed: int
     return np.array(errors)
 
 
-def begin(task: GazeTask, seed: int = 0) -> None:
-    """Begin trial i of a seed at each place i."""
+def begin(task: GazeTask, seed: int = 0) -> GazeTask:
+    """Begin trial i of a seed at each place i of a task, and return the task."""
     ids = np.arange(task.num)
     task.begin(ids, np.full(task.num, seed, dtype=np.uint64), ids.astype(np.uint64))
+    return task
 
 
 def pixel_errors(task: GazeTask) -> Array:

@@ -33,8 +33,7 @@ def distances(
     num = 12
     true = None if errors is None else head.perturbed(np.random.default_rng(4), errors, size=num)
     plant = {} if true is None else {"true_head": true}
-    task = GazeTask(num, plant="kinematic", head=head, plant_options=plant)
-    begin(task, seed=5)
+    task = begin(GazeTask(num, plant="kinematic", head=head, plant_options=plant), seed=5)
     # a target at the edge of the model's view may be out of that of the true head
     in_view = (np.abs(task.truth().pixel_error) < [150.0, 110.0]).all(axis=(1, 2))
     seen = []
@@ -123,9 +122,8 @@ def test_a_head_with_four_motors_keeps_its_errors_as_they_are():
 @pytest.mark.parametrize("law", ["ibvs", "pursuit"])
 def test_one_eye_alone_is_brought_to_its_target(law):
     head = head_of("tied")
-    task = GazeTask(4, plant="kinematic", head=head)
+    task = begin(GazeTask(4, plant="kinematic", head=head), seed=5)
     controller = make_controller(law, head, task.layout)
-    begin(task, seed=5)
     state, start = None, np.ones(4, dtype=np.bool_)
     right = [task.layout.fields["visible"].start + 1]
     for part in ("pixel_error", "pixel_error_fine"):

@@ -4,6 +4,7 @@ from math import ceil
 
 import numpy as np
 
+from tests.controllers.loops import begin
 from tests.grids import some_of
 from tests.naming import named
 from vergence import load_head, make_controller
@@ -149,9 +150,7 @@ def test_a_head_whose_trial_begins_anew_forgets_the_last_image() -> None:
 
 def on_a_late_head(**options) -> tuple[np.ndarray, np.ndarray]:
     """(steps,) image ages as a law gets them, and how many images have come, see `Late`."""
-    task = GazeTask(1, head=HEAD, plant="tests.envs.robot:Late", plant_options=options)
-    zero = np.zeros(1, np.uint64)
-    task.begin(np.arange(1), zero, zero)
+    task = begin(GazeTask(1, head=HEAD, plant="tests.envs.robot:Late", plant_options=options))
     ages, frames = [], []
     for _ in range(2000):
         task.step(np.zeros((1, 4)))

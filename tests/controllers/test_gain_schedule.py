@@ -66,8 +66,7 @@ def test_where_actuators_tie_joints_gains_are_by_eye_and_image_axis_all_the_same
 
 
 def seen(num: int = 50) -> GazeTask:
-    task = GazeTask(num, plant="kinematic")
-    begin(task, 3)
+    task = begin(GazeTask(num, plant="kinematic"), 3)
     for _ in range(9):
         task.step(np.zeros((num, 4)))
     return task

@@ -7,7 +7,6 @@ from tests.controllers.loops import begin, settle_time, true_errors
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError
 from vergence.eval.trials.metrics import overshoot_fraction
 
 HEAD = load_head("simulated")
@@ -44,9 +43,8 @@ def test_it_does_not_lag_behind_a_steady_target() -> None:
 
 def joint_speeds(head, target: dict, time_s: float) -> np.ndarray:
     """(steps, 4, 4) rad/s of the eyes' joints, in the mean over each period, from 2 s on."""
-    task = GazeTask(4, head=head, plant="kinematic", target=target)
+    task = begin(GazeTask(4, head=head, plant="kinematic", target=target))
     pursuit = make_controller("pursuit", head=head)
-    begin(task)
     state, angles = None, []
     for _ in range(round(time_s * head.timing.control_rate_hz)):
         action, state = pursuit.predict(task.observation, state)
@@ -107,9 +105,8 @@ def test_slow_cameras_with_coarse_encoders_settle(name) -> None:
 
 
 def test_a_target_that_vanishes_is_followed_for_a_while_and_then_given_up() -> None:
-    task = GazeTask(1, head=QUIET, plant="kinematic", target={**LINE, "speed": 0.1})
+    task = begin(GazeTask(1, head=QUIET, plant="kinematic", target={**LINE, "speed": 0.1}))
     pursuit = make_controller("pursuit", head=QUIET)
-    begin(task)
     state, commands = None, []
     for step in range(260):
         observation = task.observation.copy()
@@ -123,9 +120,8 @@ def test_a_target_that_vanishes_is_followed_for_a_while_and_then_given_up() -> N
 
 
 def test_one_eye_that_sees_goes_on_alone() -> None:
-    task = GazeTask(1, head=QUIET, plant="kinematic", target={"kind": "step"})
+    task = begin(GazeTask(1, head=QUIET, plant="kinematic", target={"kind": "step"}))
     pursuit = make_controller("pursuit", head=QUIET)
-    begin(task)
     state = None
     for _ in range(120):
         observation = task.observation.copy()
@@ -144,14 +140,3 @@ def test_it_comes_to_rest_inside_the_joints_limits() -> None:
     true_errors(task, make_controller("pursuit", head=QUIET), 2.4)
     assert QUIET.limits.contains(task.reading.positions).all()
     assert np.isfinite(task.observation).all()
-
-
-def test_options_that_cannot_be_are_refused_by_name() -> None:
-    for options, message in [
-        ({"braking": 1.5}, "braking: expected a share above 0 up to 1, got 1.5"),
-        ({"delay": "guessed"}, "delay: expected 'estimated' or 'nominal', got 'guessed'"),
-        ({"moving": True}, "controller pursuit: .*moving"),
-        ({"gain": 80.0}, "controller pursuit: .*gain"),
-    ]:
-        with named(options, message), pytest.raises(ConfigurationError, match=message):
-            make_controller("pursuit", head=HEAD, **options)

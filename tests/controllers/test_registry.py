@@ -115,8 +115,7 @@ def test_a_target_that_was_never_seen_moves_nothing_and_gives_no_nan() -> None:
     for name in CONTROLLERS:
         with named(name):
             controller, state = made(name), None
-            task = GazeTask(2, head=HEAD, plant="kinematic", target={"kind": "static"})
-            begin(task)
+            task = begin(GazeTask(2, head=HEAD, plant="kinematic", target={"kind": "static"}))
             for step in range(30):
                 observation = task.observation.copy()
                 observation[:, LAYOUT.fields["visible"]] = 0.0
@@ -142,6 +141,51 @@ def test_an_option_that_no_controller_has_is_refused_by_name() -> None:
     for name in CONTROLLERS:
         with pytest.raises(ConfigurationError, match=rf"controller {name}: .*colour"):
             make_controller(name, head=HEAD, colour="red")
+
+
+def test_options_that_cannot_be_are_refused_by_name() -> None:
+    for name, option, value, message in [
+        ("ibvs", "gain", -1.0, "expected finite gains >= 0, got -1.0"),
+        ("ibvs", "gain", np.nan, "expected finite"),
+        ("ibvs", "gain", [1.0, 2.0, 3.0], r"expected a number, \(k1, k2\).*\[1.0, 2.0, 3.0\]"),
+        ("ibvs", "gain", "high", "expected a number.*'high'"),
+        ("ibvs", "depth", "guessed", "expected 'triangulated' or metres, got 'guessed'"),
+        ("ibvs", "depth", 0.0, "expected metres above 0, got 0.0"),
+        ("ibvs", "speed_limit", -2.0, "expected rad/s above 0, got -2.0"),
+        ("pid", "kp", -1.0, "expected finite gains >= 0, got -1.0"),
+        ("pid", "ki", [1.0, 2.0, 3.0], r"expected a number, \(k1, k2\)"),
+        ("pid", "kd", np.nan, "expected finite gains"),
+        ("pid", "filter_s", -0.1, "expected a number of at least 0"),
+        ("pid", "depth", "guessed", "expected 'triangulated' or metres"),
+        ("fuzzy", "span_p", 1.5, "expected 0 to 1, got 1.5"),
+        ("fuzzy", "span_d", np.nan, "expected a finite number"),
+        ("fuzzy", "error_px", 0.0, "expected a finite number above 0"),
+        ("fuzzy", "rate_px_s", np.inf, "expected a finite number"),
+        ("fuzzy", "kp", -1.0, "expected finite gains >= 0"),
+        ("fuzzy", "filter_s", -1.0, "expected a number of at least 0"),
+        ("adaptive", "lambda_zero", -1.0, "expected a number of at least 0, got -1.0"),
+        ("adaptive", "lambda_inf", np.nan, "expected a finite number"),
+        ("adaptive", "slope_zero", np.inf, "expected a finite number"),
+        ("saccade", "braking", 0.0, "expected"),
+        ("saccade", "braking", 1.1, "expected"),
+        ("saccade", "caution", -1.0, "expected"),
+        ("saccade", "caution", np.inf, "expected"),
+        ("saccade", "trim_px", -1.0, "expected"),
+        ("saccade", "trim_px", np.nan, "expected"),
+        ("saccade", "trim_gain", 0.0, "expected"),
+        ("saccade", "lag", "known", "expected"),
+        ("pursuit", "braking", 1.5, "expected a share above 0 up to 1, got 1.5"),
+        ("pursuit", "delay", "guessed", "expected 'estimated' or 'nominal', got 'guessed'"),
+        ("state-feedback", "gain", 0.0, "expected"),
+        ("state-feedback", "gain", "20", "expected"),
+        ("state-feedback", "damping", -0.1, "expected"),
+        ("state-feedback", "damping", np.inf, "expected"),
+        ("state-feedback", "damping", True, "expected"),
+        ("state-feedback", "lag", "known", "expected"),
+    ]:
+        said = rf"{option}: {message}"
+        with named(name, option, value), pytest.raises(ConfigurationError, match=said):
+            make_controller(name, head=HEAD, **{option: value})
 
 
 def test_what_is_no_observation_is_refused() -> None:

@@ -114,9 +114,8 @@ def test_the_physical_head_stays_settled_to_the_trials_end(name) -> None:
 
 def test_a_saccade_goes_on_while_its_own_speed_blinds_the_eyes() -> None:
     head = load_head("physical")
-    task = GazeTask(20, head=head, plant="kinematic")
+    task = begin(GazeTask(20, head=head, plant="kinematic"))
     controller = make_controller("saccade", head=head, layout=task.layout)
-    begin(task)
     state, blind = None, np.zeros(20, dtype=int)
     for _ in range(60):
         action, state = controller.predict(task.observation, state)
@@ -148,22 +147,3 @@ def test_a_state_of_another_batch_is_refused() -> None:
     controller = make_controller("saccade", head=task.head, layout=task.layout)
     with pytest.raises(ConfigurationError, match="state: expected a tuple of one array"):
         controller.predict(task.observation, (np.zeros((2, 5)),))
-
-
-def test_options_that_cannot_be_are_refused() -> None:
-    for options in [
-        {"braking": 0.0},
-        {"braking": 1.1},
-        {"caution": -1.0},
-        {"caution": np.inf},
-        {"trim_px": -1.0},
-        {"trim_px": np.nan},
-        {"trim_gain": 0.0},
-        {"delay": "guessed"},
-        {"lag": "known"},
-    ]:
-        with (
-            named(options),
-            pytest.raises(ConfigurationError, match=f"{next(iter(options))}: expected"),
-        ):
-            make_controller("saccade", head=load_head("simulated"), **options)

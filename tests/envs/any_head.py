@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tests.controllers.loops import begin
 from tests.heads import text_of
 from vergence.envs.task import GazeTask
 from vergence.models import HeadModel, parse_head
@@ -22,10 +23,7 @@ def least_squares(task: GazeTask, gain: float) -> np.ndarray:
 def begun(
     head: HeadModel, num: int, *, plant: str = "kinematic", target: object = "random"
 ) -> GazeTask:
-    task = GazeTask(num, head=head, plant=plant, target=target)
-    ids = np.arange(num)
-    task.begin(ids, np.zeros(num, np.uint64), ids.astype(np.uint64))
-    return task
+    return begin(GazeTask(num, head=head, plant=plant, target=target))
 
 
 def uneven(name: str) -> HeadModel:

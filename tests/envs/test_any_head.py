@@ -84,19 +84,6 @@ def test_least_squares_settle_on_the_least_error_and_that_is_a_success() -> None
             assert (task._outcome.terms[:, 1] > 0.25).all()
 
 
-def test_at_the_least_error_nothing_is_reducible() -> None:
-    for name in TIED:
-        with named(name):
-            head = head_of(name)
-            rng = np.random.default_rng(0)
-            out = np.empty((2, 2))
-            for depth in (0.4, 0.8, 2.0):
-                point = np.array([*rng.uniform(-0.1, 0.1, 2) * depth, depth])
-                least = head.least_error(point)
-                reducible_error(head.packed, head.fixate(point), least, True, True, out)
-                assert np.abs(out).max() < 1e-4 * (1.0 + np.abs(least).max())
-
-
 def test_the_reducible_part_is_the_projection_on_what_the_actuators_can_do() -> None:
     for name in TIED:
         with named(name):
@@ -193,14 +180,3 @@ def test_eyes_with_images_of_different_sizes_settle_and_are_pictured() -> None:
     picture = env.render()
     assert picture.shape[1] == 2 * EYE_WIDTH
     assert picture.shape[0] == 360 + VIEW_HEIGHT
-
-
-def test_a_pixel_error_is_scaled_by_the_width_of_its_own_eye() -> None:
-    head = uneven("tied")
-    task = begun(head, 6)
-    for _ in range(12):
-        task.step(np.zeros((6, 3)))
-    coarse = task.observation[:, :4].reshape(6, 2, 2)
-    expected = task.pixel_error / np.array([320.0, 640.0])[:, None]
-    assert np.isfinite(expected).any()
-    assert coarse == pytest.approx(np.nan_to_num(expected), abs=1e-6)

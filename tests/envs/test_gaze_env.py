@@ -79,6 +79,7 @@ def test_gymnasiums_checker_has_no_complaint(id, plant) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_stable_baselines3s_checker_has_no_complaint() -> None:
     from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
@@ -93,11 +94,6 @@ def test_a_seed_decides_everything_over_several_episodes(each) -> None:
     one, again = (gym.make(each.spec, max_episode_steps=40) for _ in range(2))
     assert identical(rollout(one, 90, seed=7), rollout(again, 90, seed=7))
     assert not identical(rollout(one, 5, seed=7), rollout(again, 5, seed=8))
-
-
-def test_a_seed_decides_what_is_drawn_too() -> None:
-    runs = [rollout(gym.make("vergence/Gaze-v0", plant="rendered"), 10, seed=3) for _ in range(2)]
-    assert identical(*runs)
 
 
 def test_resetting_goes_on_to_the_next_trial_and_begins_again_with_a_seed(env) -> None:
@@ -132,27 +128,13 @@ def test_pickled_in_mid_episode_the_copy_goes_on_identically(plant, count) -> No
     assert identical(rollout(env, count, 6, reset=False), rollout(copy, count, 6, reset=False))
 
 
-def test_a_spec_goes_through_json() -> None:
-    env = gym.make(
-        "vergence/Gaze-v0",
-        plant="kinematic",
-        head="physical",
-        target={"kind": "static", "point": [0.0, -0.1, 0.8]},
-        model_errors={"joint_offset_rad": 0.01},
-        plant_options={"lag_s": 0.02},
-        info=["truth"],
-    )
-    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-    assert again.spec == env.spec
-    assert identical(rollout(env, 30, seed=2), rollout(again, 30, seed=2))
-
-
 def test_a_spec_with_values_of_python_goes_through_json() -> None:
     for argument, id in some_of(
         [
             {"model_errors": ModelErrors(joint_offset_rad=0.01)},
             {"variation": Variation(latency_s=(0.03, 0.1), model_errors={"link_m": 0.001})},
             {"info": {"truth", "fixes"}},
+            {"head": "physical", "plant_options": {"lag_s": 0.02}},
             {"target": {"kind": "static", "point": np.array([0.0, -0.1, 0.8])}},
         ],
         IDS,
@@ -160,6 +142,7 @@ def test_a_spec_with_values_of_python_goes_through_json() -> None:
         with named(argument, id):
             env = gym.make(id, plant="kinematic", **argument)
             again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+            assert again.spec.to_json() == env.spec.to_json()
             seen, seen_again = (rollout(one, 30, seed=2) for one in (env, again))
             assert all(np.array_equal(x[0], y[0]) for x, y in zip(seen, seen_again, strict=True))
             assert seen[0][1].keys() == seen_again[0][1].keys()
@@ -218,12 +201,6 @@ def test_time_runs_out_exactly_once(env) -> None:
             assert ends == [(False, False)] * (expected - 1) + [(False, True)]
 
 
-def test_the_bare_environment_does_not_limit_time(env) -> None:
-    env.reset(seed=1)
-    bare = env.unwrapped
-    assert not any(bare.step(np.zeros(4, np.float32))[3] for _ in range(MAX_EPISODE_STEPS + 5))
-
-
 def test_a_lost_target_terminates(env) -> None:
     env.reset(seed=1)
     for _ in range(MAX_EPISODE_STEPS - 1):
@@ -234,12 +211,6 @@ def test_a_lost_target_terminates(env) -> None:
     assert not truncated
     assert info["reward_terms"]["lost"] == -25.0
     assert reward == -25.0
-
-
-def test_reward_is_the_sum_of_the_terms_in_info(env) -> None:
-    for step in rollout(env, 50, seed=0)[1:]:
-        assert step[1] == pytest.approx(sum(step[4]["reward_terms"].values()), abs=1e-12)
-        assert type(step[4]["is_success"]) is bool
 
 
 def test_info_on_request_is_that_of_one_head() -> None:

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.controllers.loops import begin
 from tests.heads import MOVING, head_of, text_of
 from tests.models.lenses import wide
 from tests.naming import named
@@ -18,14 +19,6 @@ from vergence.envs.task import GazeTask
 from vergence.models import parse_head
 
 FLOAT32 = 2.0**-23
-
-
-def begin(task: GazeTask, seed: int = 0) -> None:
-    task.begin(
-        np.arange(task.num),
-        np.full(task.num, seed, np.uint64),
-        np.arange(task.num, dtype=np.uint64),
-    )
 
 
 def test_the_docstrings_table_is_the_layout() -> None:
@@ -77,8 +70,7 @@ def test_decode_gives_back_what_the_sensors_reported() -> None:
 
 
 def test_measured_errors_are_undistorted_and_from_the_principal_point() -> None:
-    task = GazeTask(3, head="physical", plant="kinematic")
-    begin(task)
+    task = begin(GazeTask(3, head="physical", plant="kinematic"))
     for _ in range(10):
         task.step(np.zeros((3, 4)))
     head = task.head
@@ -88,8 +80,9 @@ def test_measured_errors_are_undistorted_and_from_the_principal_point() -> None:
 
 
 def test_a_pixel_is_a_sixteenth_of_the_fine_channel() -> None:
-    task = GazeTask(1, plant="kinematic", target={"kind": "step", "after": (0.0, -0.1016, 1.0)})
-    begin(task)
+    task = begin(
+        GazeTask(1, plant="kinematic", target={"kind": "step", "after": (0.0, -0.1016, 1.0)})
+    )
     for _ in range(9):
         task.step(np.zeros((1, 4)))
     error = task.pixel_error.ravel()
@@ -123,8 +116,7 @@ def test_actions_are_joint_velocities_by_their_limits() -> None:
     assert layout.action_names == ("left_tilt", "left_pan", "right_tilt", "right_pan")
     # without a lag the plant does what the action says
     head = head.replace(timing={"lag_s": 0.0}, limits={"acceleration": np.full(7, np.inf)})
-    task = GazeTask(1, head=head, plant="kinematic")
-    begin(task)
+    task = begin(GazeTask(1, head=head, plant="kinematic"))
     task.step(np.array([[0.5, -1.0, 2.0, 0.25]]))
     assert task.truth().velocities[0] == pytest.approx([0, 0, 0, 3.0, -5.0, 4.0, 0.5], abs=1e-12)
 
@@ -243,8 +235,7 @@ def test_each_eyes_pixel_error_is_scaled_by_its_own_width() -> None:
     observation[layout.fields["pixel_error"]] = [0.5, 0.25, 0.5, 0.25]
     error = layout.decode(observation).pixel_error
     assert error.tolist() == [[400.0, 200.0], [320.0, 160.0]]
-    task = GazeTask(4, head=head, plant="kinematic")
-    begin(task)
+    task = begin(GazeTask(4, head=head, plant="kinematic"))
     for _ in range(20):
         task.step(np.zeros((4, 4), np.float32))
     seen = np.isfinite(task.pixel_error) & (np.abs(task.pixel_error) < 600.0)

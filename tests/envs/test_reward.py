@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.controllers.loops import begin
 from vergence import load_head, make_controller
 from vergence._tables import make_table
 from vergence.envs.judging import JUDGE, TaskArrays, advance_task
@@ -13,12 +14,6 @@ from vergence.envs.reward import TERMS
 from vergence.envs.task import GazeTask
 
 STILL = np.zeros((1, 4))
-
-
-def begin(task: GazeTask) -> GazeTask:
-    num = task.num
-    task.begin(np.arange(num), np.zeros(num, np.uint64), np.arange(num, dtype=np.uint64))
-    return task
 
 
 def terms_of(task: GazeTask) -> dict[str, float]:

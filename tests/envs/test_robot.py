@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.controllers.loops import begin
 from tests.envs.robot import EARLIER_S, LATENCY, Robot
 from tests.naming import named
 from vergence import make_controller
@@ -18,8 +19,6 @@ from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.viewer import marks
 
-ZERO = np.zeros(1, dtype=np.uint64)
-
 
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch):
@@ -28,9 +27,7 @@ def _registered(monkeypatch):
 
 @pytest.fixture
 def task():
-    task = GazeTask(1, plant="robot", info=("truth", "fixes"))
-    task.begin(np.arange(1), ZERO, ZERO)
-    return task
+    return begin(GazeTask(1, plant="robot", info=("truth", "fixes")))
 
 
 def test_its_target_is_the_world_and_nobody_knows_the_truth(task):
@@ -39,23 +36,20 @@ def test_its_target_is_the_world_and_nobody_knows_the_truth(task):
 
 
 def test_a_trial_begins_where_the_target_says_as_in_a_simulation(task):
-    simulated = GazeTask(1, plant="kinematic")
-    simulated.begin(np.arange(1), ZERO, ZERO)
+    simulated = begin(GazeTask(1, plant="kinematic"))
     assert task.reading.positions.any()
     assert np.array_equal(task.reading.positions, simulated.truth().positions)
 
 
 def test_where_the_world_is_the_target_no_target_is_refused():
     beside = {"kind": "static", "point": (2.0, 0.0, 0.5)}
-    task = GazeTask(1, plant="robot", target=beside)
-    task.begin(np.arange(1), ZERO, ZERO)
+    begin(GazeTask(1, plant="robot", target=beside))
     with pytest.raises(ConfigurationError, match="target"):
         GazeTask(1, plant="tests.envs.robot:Emulated", target=beside)
 
 
 def test_targets_are_placed_before_the_head_where_a_plant_can():
-    task = GazeTask(1, plant="tests.envs.robot:Emulated", target="step")
-    task.begin(np.arange(1), ZERO, ZERO)
+    task = begin(GazeTask(1, plant="tests.envs.robot:Emulated", target="step"))
     assert task.plant.calls == ["show", "reset"]
     assert task.plant.shown[:, BEFORE].tolist() == [[0.0, -0.1, 1.0]]
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from tests.envs.drawn import draw
+from tests.envs.trials import assert_uniform
 from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.gaze import GazeEnv
@@ -106,8 +106,7 @@ def test_random_targets_are_uniform_in_eccentricity_and_inverse_depth(head: Head
     aside = np.arctan(np.hypot(*across.T) / points[:, 2]) / 0.25
     around = (np.arctan2(across[:, 1], across[:, 0]) / (2 * np.pi)) % 1.0
     for sample in (inverse, aside, around):
-        # far below what chance gives once in a thousand, and far above a wrong distribution's
-        assert stats.kstest(sample, "uniform").pvalue > 1e-3
+        assert_uniform(sample)
 
 
 def test_random_targets_of_the_default_workspace_reach_all_depths(head: HeadModel) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
 from vergence.envs.plant import Plant
 from vergence.envs.plants.simulation import TrialStart, simulation_of
@@ -70,6 +71,12 @@ def steps(
         readings.append(plant.step(joint_velocity.copy()).copy())
         note()
     return readings, np.array(positions), np.array(velocities)
+
+
+def assert_uniform(sample: ArrayLike) -> None:
+    """Fail if numbers that should be uniform in 0 to 1 hardly are."""
+    # far below what chance gives once in a thousand, and far above a wrong distribution's
+    assert stats.kstest(sample, "uniform").pvalue > 1e-3
 
 
 def pixels_of(head: HeadModel, q: Array, start: Array, point: ArrayLike = AHEAD) -> Array:

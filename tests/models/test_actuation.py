@@ -1,13 +1,12 @@
 """Actuation: couplings between joints, and the fixation that they allow."""
 
 import dataclasses
-import pickle
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tests.heads import MOVING, TEXTS, head_of
+from tests.heads import MOVING, head_of
 from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.models import Actuators, load_head
@@ -96,15 +95,6 @@ def test_eyes_that_do_not_move_fixate_nothing():
     assert pair.actuation.count == 0
     with pytest.raises(ConfigurationError, match="a fixed pair"):
         pair.fixate([0.0, 0.0, 1.0])
-
-
-def test_a_head_survives_pickling():
-    for name in TEXTS:
-        with named(name):
-            head = head_of(name)
-            again = pickle.loads(pickle.dumps(head))
-            assert again == head
-            assert again.assumptions == head.assumptions
 
 
 def test_an_actuator_may_have_its_own_lag_and_steps():

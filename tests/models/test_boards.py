@@ -1,6 +1,5 @@
 """Printed patterns of the boards."""
 
-import cv2
 import numpy as np
 import pytest
 
@@ -22,16 +21,6 @@ from vergence.vision import (
     make_planar_target,
     parse_target,
 )
-
-
-def test_tag_carries_the_bits_of_opencvs_dictionary() -> None:
-    for identity in (0, 7, 586):
-        with named(identity):
-            dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-            cells = AprilTag(id=identity).cells
-            code = (cells[2:8, 2:8] > 0).astype(np.uint8)
-            found, read, _turns = dictionary.identify(code, 0.0)
-            assert (found, read) == (True, identity)
 
 
 def test_tag_has_a_black_border_inside_a_white_quiet_zone() -> None:

@@ -1,10 +1,6 @@
 """Projection and its inverse: OpenCV's lens model, pixel centres at integers."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
-
-from vergence.models import load_head
 
 REST = np.zeros(7)
 
@@ -33,25 +29,6 @@ def test_behind_a_camera_there_is_no_pixel(head):
     for z in (-1.0, 0.0138):
         # 0.1 m further back, as a drawn head's cameras may look slightly aside
         assert np.isnan(head.project(REST, np.array([0.0, 0.0, z - 0.1]))).all(), z
-
-
-@given(
-    preset=st.sampled_from(["simulated", "physical"]),
-    u=st.floats(0.0, 1.0),
-    v=st.floats(0.0, 1.0),
-    depth=st.floats(0.1, 5.0),
-)
-def test_undistort_inverts_distortion_inside_the_image(preset, u, v, depth):
-    head = load_head(preset)
-    size = head.cameras.size
-    raw = np.broadcast_to([u, v] * (size - 1), (2, 2))
-    ideal = head.undistort(raw)
-    normalised = (ideal - head.cameras.principal) / head.cameras.focal
-    in_camera = depth * np.append(normalised, np.ones((2, 1)), axis=1)
-    poses = head.camera_poses(REST)
-    for eye in range(2):
-        point = poses[eye, :3, :3] @ in_camera[eye] + poses[eye, :3, 3]
-        assert np.abs(head.project(REST, point)[eye] - raw[eye]).max() < 1e-9
 
 
 def test_undistort_is_the_pinholes_pixel(head, rng, random_poses):

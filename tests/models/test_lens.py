@@ -245,13 +245,6 @@ def test_a_fisheye_with_more_than_a_right_angle_in_its_image_is_told(physical):
         assert has_pixels_without_rays(head.cameras).tolist() == [beyond, beyond]
 
 
-def test_a_population_of_heads_is_told_head_by_head(physical, errors, rng):
-    heads = wide("rational", "fisheye").perturbed(rng, errors, (3, 2))
-    assert has_pixels_without_rays(heads.cameras).shape == (3, 2, 2)
-    for index in np.ndindex(3, 2):
-        np.testing.assert_array_equal(heads[index].packed, heads.packed[index])
-
-
 def test_a_rational_lens_without_a_denominator_is_brown_and_conradys(rng):
     k = COEFFICIENTS["brown-conrady"]
     rays = spread_rays(rng, 200)

@@ -35,8 +35,7 @@ def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
     for head in (load_head("simulated"), STEPPED):
         for kind in ("error", "history", "predicted", "to_go", "observation"):
             with named(kind, head):
-                task = GazeTask(20, head=head, plant="kinematic")
-                begin(task, 3)
+                task = begin(GazeTask(20, head=head, plant="kinematic"), 3)
                 acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=True)
                 plain, other = rows(acting, 20), rows(acting, 20)
                 for step in range(20):
@@ -57,8 +56,7 @@ def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees() -> None:
     for kind in ["error", "history"]:
         with named(kind):
             head = load_head("simulated")
-            task = GazeTask(20, head=head, plant="kinematic")
-            begin(task, 3)
+            task = begin(GazeTask(20, head=head, plant="kinematic"), 3)
             acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=False)
             turns = [i for i, name in enumerate(acting.inputs.names) if name.startswith("asked")]
             assert turns
@@ -110,8 +108,9 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
         [load_head("simulated"), STEPPED], ["error", "history", "predicted", "to_go"]
     ):
         with named(kind, head):
-            task = GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)})
-            begin(task, 3)
+            task = begin(
+                GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)}), 3
+            )
             acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=False)
             state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
             turned, visible = [], []
@@ -130,8 +129,7 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
 
 @pytest.mark.parametrize("schedule", [False, True])
 def test_one_head_is_a_row_of_a_batch(schedule) -> None:
-    task = GazeTask(4, head=STEPPED, plant="kinematic")
-    begin(task, 3)
+    task = begin(GazeTask(4, head=STEPPED, plant="kinematic"), 3)
     acting = NetworkPrePostProcessor(Inputs.of("history", STEPPED), schedule)
     many, one = rows(acting, 4), acting.initial()
 

@@ -25,8 +25,7 @@ def test_there_is_a_number_of_each_channel_for_every_actuator() -> None:
     for kind, name in some_of(sorted(PER_ACTUATOR), HEADS):
         with named(kind, name):
             head = head_of(name)
-            task = GazeTask(6, plant="kinematic", head=head)
-            begin(task, 3)
+            task = begin(GazeTask(6, plant="kinematic", head=head), 3)
             inputs = Inputs.of(kind, head, task.layout)
             assert inputs.size == PER_ACTUATOR[kind] * head.actuation.count
             for actuator in head.actuation.names:
@@ -87,18 +86,6 @@ def test_a_bundle_of_a_head_runs_on_it_and_on_no_other(tmp_path) -> None:
             fits = rf"for simulated \(.*\), got one for {head.name} \({head.digest[:12]}\) alone"
             with pytest.raises(BundleError, match=fits):
                 make_controller(NAMES[kind], load_head("simulated"), bundle=path)
-
-
-def test_a_head_for_which_nothing_was_trained_is_told_so_in_one_line() -> None:
-    for name, kind in some_of(HEADS, sorted(NAMES)):
-        with named(name, kind):
-            head = head_of(name)
-            with pytest.raises(ConfigurationError) as caught:
-                make_controller(NAMES[kind], head)
-            text = str(caught.value)
-            assert f"trained for head '{head.name}' ({head.digest[:12]}), got none" in text
-            assert f"vergence train {kind} --head" in text
-            assert "\n" not in text
 
 
 def test_a_network_learns_in_the_vector_environment_of_any_head() -> None:

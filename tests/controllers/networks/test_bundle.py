@@ -284,10 +284,6 @@ def fits(path: Path, head, layout=None, **options) -> None:
     read_bundle(path).manifest.check_fits(head, layout, **options)
 
 
-def test_it_fits_the_head_it_was_made_for(path):
-    fits(path, load_head("simulated"))
-
-
 def test_another_head_is_refused_unless_allowed(path):
     other = load_head("simulated").perturbed(
         np.random.default_rng(0), ModelErrors(joint_offset_rad=0.01)

@@ -9,7 +9,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
 
-from tests.heads import MOVING, head_of
 from tests.naming import named
 from vergence.controllers import make_controller
 from vergence.controllers.gain_schedule import action_from_gains
@@ -37,6 +36,7 @@ def test_gymnasiums_checker_has_no_complaint() -> None:
                 check_env(env, skip_render_check=True)
 
 
+@pytest.mark.slow
 def test_stable_baselines3s_checker_has_no_complaint() -> None:
     from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
@@ -189,18 +189,3 @@ def test_the_plant_is_closed_where_the_inputs_are_refused(monkeypatch) -> None:
     with pytest.raises(UnknownNameError, match="nonsense"):
         PolicyEnv(plant="kinematic", inputs="nonsense")
     assert len(closed) == 1
-
-
-def test_a_schedule_of_any_head_takes_a_gain_for_each_eye_and_image_axis() -> None:
-    for name in MOVING:
-        with named(name):
-            env = gym.make(ID, plant="kinematic", head=head_of(name)).unwrapped
-            assert env.action_space.shape == (4,)
-            env.reset(seed=0)
-            with pytest.raises(
-                ConfigurationError, match=r"expected shape \(1, 4\), heads by left_"
-            ):
-                env.step(np.zeros(5, dtype=np.float32))
-            many = gym.make_vec(ID, num_envs=3, plant="kinematic", head=head_of(name))
-            many.reset(seed=0)
-            assert np.isfinite(many.step(many.action_space.sample())[1]).all()

@@ -29,8 +29,7 @@ class Loop:
     """Heads whose actuators turn, and what the inputs say in each period."""
 
     def __init__(self, head: HeadModel, steps: int, **options: object) -> None:
-        task = GazeTask(5, head=head, plant="kinematic", **options)
-        begin(task, 3)
+        task = begin(GazeTask(5, head=head, plant="kinematic", **options), 3)
         self.inputs = inputs = Inputs.of("history", head, task.layout)
         memory = np.tile(inputs.initial(), (5, 1))
         self.values, self.exposures, self.seen = [], [], []
@@ -133,8 +132,7 @@ def test_a_moment_of_several_periods_is_their_mean() -> None:
 def test_an_outlier_does_not_enter() -> None:
     head = load_head("simulated")
     inputs = Inputs.of("history", head)
-    task = GazeTask(1, head=head, plant="kinematic")
-    begin(task, 3)
+    task = begin(GazeTask(1, head=head, plant="kinematic"), 3)
     for _ in range(12):
         task.step(np.zeros((1, 4)))
     plain, other = inputs.initial()[None], inputs.initial()[None]

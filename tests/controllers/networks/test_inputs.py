@@ -8,13 +8,12 @@ from tests.naming import named
 from vergence.controllers.networks.inputs import KINDS, Inputs
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError
 from vergence.models import load_head
 
 
 def begun(num: int, **options: object) -> GazeTask:
-    task = GazeTask(num, plant="kinematic", **options)
-    begin(task, 3)
+    task = begin(GazeTask(num, plant="kinematic", **options), 3)
     return task
 
 
@@ -215,8 +214,3 @@ def test_a_manifest_of_other_channels_is_refused() -> None:
             fields = {**Inputs.of("error", head).to_dict(), **change}
             with pytest.raises(ConfigurationError, match=message):
                 Inputs.from_dict(fields, head)
-
-
-def test_an_unknown_kind_is_refused() -> None:
-    with pytest.raises(UnknownNameError, match="to_go"):
-        Inputs.of("everything", load_head("simulated"))

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -82,27 +81,6 @@ def test_a_gain_schedule_puts_out_the_gains_of_the_law(bundles):
     assert controller.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
 
 
-def test_a_batch_of_observations_is_the_loop_over_them(bundles):
-    for kind in KINDS:
-        for shape in ((), (2, 3)):
-            with named(kind, shape):
-                controller = make_controller(
-                    NAMES[kind], load_head("simulated"), bundle=bundles[kind]
-                )
-                seen = observations(shape)
-                action, state = controller.predict(seen)
-                assert action.shape == (*shape, 4)
-                assert state is not None
-                assert state[0].shape[:-1] == shape
-                again, _state = controller.predict(seen, state, np.ones(shape, dtype=bool))
-                assert np.array_equal(again, action)
-                for index in np.ndindex(shape):
-                    # one row and many are multiplied in different orders
-                    assert controller.predict(seen[index])[0] == pytest.approx(
-                        action[index], abs=1e-5
-                    )
-
-
 def test_a_copy_acts_alike(bundles):
     for kind in KINDS:
         with named(kind):
@@ -118,19 +96,6 @@ def test_outputs_that_are_no_numbers_leave_the_eyes_at_rest(bundles):
             controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
             controller._runtime = lambda inputs: np.full((*inputs.shape[:-1], 4), np.nan, "f4")
             assert not controller.predict(observations((3,)))[0].any()
-
-
-def test_it_runs_in_stable_baselines3(bundles):
-    from stable_baselines3.common.evaluation import evaluate_policy
-    from stable_baselines3.common.monitor import Monitor
-
-    env = Monitor(gymnasium.make("vergence/Gaze-v0", plant="kinematic", max_episode_steps=30))
-    controller = make_controller("learned-policy", load_head("simulated"), bundle=bundles["policy"])
-    rewards, lengths = evaluate_policy(
-        controller, env, n_eval_episodes=2, return_episode_rewards=True
-    )
-    assert lengths == [30, 30]
-    assert np.isfinite(rewards).all()
 
 
 def test_a_bare_network_sees_the_observation(tmp_path):
@@ -208,6 +173,11 @@ def test_a_head_with_other_steps_and_noise_is_the_same_head_for_a_bundle(bundles
 def test_a_name_that_is_not_shipped_is_refused_with_those_that_are():
     with pytest.raises(ConfigurationError, match=r"bundle: expected .* the shipped .*'nonsense'"):
         make_controller("learned-gain", load_head("simulated"), bundle="nonsense")
+
+
+def test_a_copy_of_a_head_by_another_name_gets_the_network_of_that_head():
+    copied = load_head("simulated").replace(name="copied")
+    assert make_controller("learned-gain", copied).manifest.head["name"] == "simulated"
 
 
 def test_for_a_head_without_a_network_it_says_which_heads_have_one_and_how_to_learn_one():

@@ -77,6 +77,7 @@ def test_a_joint_that_follows_its_commands_is_never_held():
 @pytest.mark.parametrize(
     "law", ["saccade", pytest.param("state-feedback", marks=pytest.mark.nightly)]
 )
-def test_a_law_comes_to_rest_on_joints_with_friction(law):
+def test_a_law_comes_to_rest_on_joints_with_friction(law, monkeypatch):
+    monkeypatch.setattr("benchmarks.friction.STAY_S", 2.0)
     error = errors_px(law, MotorOptions(friction=0.05), 2, "turrets")
     assert np.flatnonzero(error > BAND_PX)[-1] < SETTLE_S * 60.0

@@ -27,9 +27,8 @@ def errors_after(
         steps: number of periods.
         num: number of heads.
     """
-    task = GazeTask(num, head=HEAD, plant="kinematic")
+    task = begin(GazeTask(num, head=HEAD, plant="kinematic"))
     controller = make_controller(name, HEAD, task.layout)
-    begin(task)
     state, errors = None, []
     for k in range(SETTLED + steps):
         observation = task.observation
@@ -107,9 +106,8 @@ def test_a_detection_that_stays_elsewhere_is_a_target_that_has_jumped() -> None:
 
 def test_a_jump_that_both_eyes_see_is_followed_at_its_first_image() -> None:
     target = {"kind": "step", "before": (0.0, -0.1, 1.0), "after": (0.1, -0.2, 0.9)}
-    task = GazeTask(1, head=HEAD, plant="kinematic", target=target)
+    task = begin(GazeTask(1, head=HEAD, plant="kinematic", target=target))
     controller = make_controller("saccade", HEAD, task.layout)
-    begin(task)
     state, acted = None, []
     for _ in range(14):
         action, state = controller.predict(task.observation, state)

@@ -93,8 +93,7 @@ def test_a_target_that_is_lost_is_held_for_a_while_then_forgotten() -> None:
     head = quiet_head()
     layout = ObservationLayout.of(head)
     predictor = SmithPredictor(head=head, layout=layout, targets_move=False)
-    task = GazeTask(1, head=head, plant="kinematic")
-    begin(task)
+    task = begin(GazeTask(1, head=head, plant="kinematic"))
     state = np.tile(predictor.initial(), (1, 1))
     for _ in range(12):
         seen = predictor.update(layout.decode(task.observation), state)

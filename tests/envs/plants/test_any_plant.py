@@ -1,23 +1,10 @@
 """The plants with dynamics, with and without images, move heads that are not the article's."""
 
-import warnings
-
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from tests.envs.any_head import begun, least_squares, uneven
 from tests.heads import head_of
-
-
-@pytest.mark.parametrize(("plant", "name"), [("mujoco", "vergeonly"), ("rendered", "tied")])
-def test_gymnasiums_checker_finds_nothing_wrong(plant, name) -> None:
-    env = gymnasium.make("vergence/Gaze-v0", head=head_of(name), plant=plant)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env.unwrapped, skip_render_check=True)
-    env.close()
 
 
 @pytest.mark.parametrize(("plant", "name"), [("mujoco", "common"), ("rendered", "mis")])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.controllers.loops import begin
 from tests.envs.everything import EVERYTHING
 from tests.envs.plants.trajectory import motion_of, swing
 from tests.envs.trials import start_of, steps
@@ -37,10 +38,8 @@ def test_joints_follow_as_their_equation_says(exact, control_hz, plant_name, wit
 )
 def test_the_articles_law_settles_at_every_rate(exact, control_hz, plant_name) -> None:
     head = at(exact, control_hz)
-    task = GazeTask(6, head=head, plant=plant_name)
+    task = begin(GazeTask(6, head=head, plant=plant_name))
     controller = make_controller("ibvs", head, task.layout, gain=3.0)
-    ids = np.arange(6)
-    task.begin(ids, np.zeros(6, np.uint64), ids.astype(np.uint64))
     for _ in range(int(2.0 * control_hz)):
         action, _state = controller.predict(task.observation)
         task.step(action)
@@ -52,9 +51,7 @@ def test_the_articles_law_settles_at_every_rate(exact, control_hz, plant_name) -
 )
 def test_everything_can_be_drawn_at_every_rate(simulated, control_hz, plant_name) -> None:
     head, num = at(simulated, control_hz), 8
-    task = GazeTask(num, head=head, plant=plant_name, variation=EVERYTHING)
-    ids = np.arange(num)
-    task.begin(ids, np.zeros(num, np.uint64), ids.astype(np.uint64))
+    task = begin(GazeTask(num, head=head, plant=plant_name, variation=EVERYTHING))
     seen = np.zeros(num, dtype=int)
     for step in range(int(1.0 * control_hz)):
         task.step(np.tile(0.1 * np.sin(7.0 * step / control_hz + np.arange(4.0)), (num, 1)))

@@ -72,24 +72,6 @@ def test_an_image_shows_the_posture_of_its_own_instant(
     assert np.abs(moved).max() > 0.2
 
 
-def test_the_phase_says_when_the_first_frame_after_time_zero_is_exposed(exact) -> None:
-    head = looped(exact, 120, 30.0, latency_s=0.0)
-    phases = np.linspace(0.0, 0.95, 20)
-    plant = make_plant("kinematic", head, 20, frame_phase=phases)
-    readings, _q, _v = steps(plant, start_of(20), 8)
-    dates = np.array([reading.exposure_s for reading in readings])
-    first = np.where(dates >= 0.0, dates, np.inf).min(axis=0)
-    assert first == pytest.approx(phases / 30.0, abs=1e-12)
-
-
-def test_a_slow_clock_takes_fewer_frames(exact) -> None:
-    head = looped(exact, 120, 60.0)
-    plant = make_plant("kinematic", head, 3, clock_drift=[-0.05, 0.0, 0.05])
-    readings, _q, _v = steps(plant, start_of(3), 1200)
-    # 10 s of 60 frames a second by clocks that go 5 % fast, right and slow
-    assert readings[-1].frame == pytest.approx(600.0 / np.array([0.95, 1.0, 1.05]), abs=1.0)
-
-
 def test_cameras_run_from_before_the_trial(exact) -> None:
     # a late image of a slow camera: what is read at time zero was exposed long before it
     head = looped(exact, 120, 10.0, latency_s=0.25)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.controllers.loops import begin
 from tests.envs.everything import EVERYTHING
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.envs.plants.variation import RANGES
@@ -13,10 +14,7 @@ NUM, STEPS = 24, 150
 
 def begun(plant: str, **options: object) -> GazeTask:
     own = {"neck": "welded"} if plant == "mujoco" else {}
-    task = GazeTask(NUM, plant=plant, variation=EVERYTHING, plant_options=own, **options)
-    ids = np.arange(NUM)
-    task.begin(ids, np.full(NUM, 4, np.uint64), ids.astype(np.uint64))
-    return task
+    return begin(GazeTask(NUM, plant=plant, variation=EVERYTHING, plant_options=own, **options), 4)
 
 
 def actions(count: int) -> np.ndarray:

@@ -101,26 +101,6 @@ def test_a_joints_own_stop_holds_all_that_push_against_it() -> None:
     assert plant.truth().positions[0, 4] < 0.35
 
 
-def test_play_leaves_a_joint_where_it_is_while_its_motor_crosses_it() -> None:
-    play = 0.02
-    head = tied(backlash_rad=np.array([play, 0.0, 0.0]))
-
-    def back_and_forth(step: int) -> np.ndarray:
-        return command(0.4 if step < 60 else -0.4, 0.3)
-
-    readings, q, v = steps(KinematicPlant(head), start_of(), 120, back_and_forth)
-    tilt = np.array([one.positions[0, 3] for one in readings])  # the encoder is on the motor
-    joint = q[:, 0, 3]
-    assert (np.abs(tilt - joint) <= 0.5 * play + 1e-12).all()
-    assert (tilt - joint)[50] == pytest.approx(0.5 * play)
-    assert (tilt - joint)[-1] == pytest.approx(-0.5 * play)
-    crossing = (tilt - joint > -0.5 * play + 1e-9) & (tilt - joint < 0.5 * play - 1e-9)
-    assert crossing.sum() > 4
-    assert (v[crossing, 0, 3] == 0.0).all()
-    # what has no play follows its encoder
-    assert q[:, 0, 4] == pytest.approx(np.array([one.positions[0, 4] for one in readings]))
-
-
 def test_what_a_motor_drives_is_left_where_it_turned_round_within_a_period() -> None:
     head = tied(backlash_rad=np.array([0.05, 0.0, 0.0]), lag_s=np.array([0.01, 0.03, 0.03]))
     plant = KinematicPlant(head)

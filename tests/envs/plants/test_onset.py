@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.envs.trials import AHEAD, begin, pixels_of, start_of, steps
+from tests.controllers.loops import begin
+from tests.envs.trials import AHEAD, pixels_of, start_of, steps
 from tests.naming import named
 from vergence.envs.plant import make_plant
 from vergence.envs.plants.simulation import simulation_of
@@ -52,7 +53,7 @@ def test_the_truth_changes_at_the_onset_itself(exact) -> None:
         with named(plant_name):
             before = (0.05, -0.1, 1.0)
             plant = make_plant(plant_name, exact, 4, onset_s=ONSETS)
-            begin(plant, start_of(4, AHEAD, before))
+            simulation_of(plant).begin(start_of(4, AHEAD, before))
             for step in range(60):
                 # 23 periods are not 23 / 120 s to the last bit, but a little less
                 there = step * T > ONSETS - 1e-9
@@ -77,19 +78,15 @@ def test_a_moving_targets_time_begins_at_the_onset(exact) -> None:
 
 
 def test_every_kind_of_target_is_the_same_and_later() -> None:
-    for kind in ["random", "static", "step", "circle", "orbit", "double-step"]:
+    for kind in ("random", "static", "step", "circle", "orbit", "double-step"):
         with named(kind):
-            tasks = [
-                GazeTask(6, plant="kinematic", target=kind, plant_options={"onset_s": onset_s})
-                for onset_s in (0.0, 0.25)
-            ]
-            ids = np.arange(6)
-            for task in tasks:
-                task.begin(ids, np.zeros(6, np.uint64), ids.astype(np.uint64))
+            prompt, late = (
+                begin(GazeTask(6, plant="kinematic", target=kind, plant_options={"onset_s": after}))
+                for after in (0.0, 0.25)
+            )
             for _ in range(30):
-                tasks[1].step(np.zeros((6, 4)))
+                late.step(np.zeros((6, 4)))
             for _ in range(60):
-                truths = [task.truth() for task in tasks]
-                assert truths[1].target == pytest.approx(truths[0].target, abs=1e-9)
-                for task in tasks:
+                assert late.truth().target == pytest.approx(prompt.truth().target, abs=1e-9)
+                for task in (prompt, late):
                     task.step(np.zeros((6, 4)))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.controllers.loops import begin
 from tests.envs.trials import start_of, steps
 from tests.heads import head_of, text_of
 from tests.naming import named
@@ -21,10 +22,7 @@ def test_joint_angles_agree_over_a_servoed_gaze() -> None:
     head = load_head("physical")
     tasks = [GazeTask(num, head=head, plant=name) for name in ("kinematic", "mujoco")]
     controller = make_controller("ibvs", head=head)
-    ids = np.arange(num)
-    for task in tasks:
-        task.begin(ids, np.full(num, 3, dtype=np.uint64), ids.astype(np.uint64))
-    leader, follower = tasks
+    leader, follower = (begin(task, 3) for task in tasks)
     worst = moved = 0.0
     start = leader.truth().positions
     for _ in range(count):
@@ -114,15 +112,6 @@ def test_a_welded_neck_leaves_the_eyes_as_they_are(exact: HeadModel) -> None:
     assert worst_deg(servo, welded) < 0.01
 
 
-def test_the_number_of_threads_changes_nothing(exact: HeadModel) -> None:
-    commands = bang_bang(exact, 6, 5, 60)
-    one, two = (
-        steps(make_plant("mujoco", exact, 5, nthread=n), start_of(5), 60, lambda k: commands[k])[1]
-        for n in (1, 2)
-    )
-    assert np.array_equal(one, two)
-
-
 PAN_AND_VERGENCE = "pan of both eyes and vergence of one"
 PLAY_AND_LAGS = "play, and a lag for each actuator"
 
@@ -184,21 +173,6 @@ def test_actuators_stop_alike_at_their_limits() -> None:
                 for plant in ("kinematic", "mujoco")
             ]
             assert worst_deg(*ends) < 0.1
-
-
-def test_each_actuator_has_its_own_lag() -> None:
-    for name in ["kinematic", "mujoco"]:
-        with named(name):
-            head = parse_head(
-                text_of("tied").replace('name = "tilt"', f'name = "tilt"\nlag_s = {4 / 120}')
-            )
-            command = np.zeros(7)
-            command[3:6] = 0.5
-            plant = make_plant(name, head, 2, lag_s=[0.03, 0.06])
-            _r, _q, v = steps(plant, start_of(2, positions=head.rest()), 4, command)
-            # after its time constant the tilt has 1 - 1/e of its command; twice the lag takes twice
-            tilt = v[4, :, 3] / 0.5
-            assert tilt == pytest.approx([1 - np.exp(-1.0), 1 - np.exp(-0.5)], abs=2e-3)
 
 
 def test_a_welded_neck_leaves_tied_eyes_as_they_are() -> None:

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from tests.envs.plants.trajectory import motion_of
-from tests.envs.trials import begin, start_of, steps
+from tests.envs.trials import assert_uniform, begin, start_of, steps
 from tests.heads import head_of
 from tests.naming import named
 from vergence.envs.plant import make_plant
@@ -26,8 +25,7 @@ def test_joints_begin_anywhere_in_their_play(exact) -> None:
             off = truth.positions / PLAY + 0.5
             assert (off[:, :3] == 0.5).all()  # a neck has none
             for joint in range(3, 7):
-                # far below what chance gives once in a thousand
-                assert stats.kstest(off[:, joint], "uniform").pvalue > 1e-3
+                assert_uniform(off[:, joint])
             pairs = np.corrcoef(off[:, 3:].T) - np.eye(4)
             assert np.abs(pairs).max() < 4 / np.sqrt(num)
 

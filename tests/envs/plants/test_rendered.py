@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.controllers.loops import begin
 from tests.envs.drawn import draw
 from tests.envs.trials import AHEAD, pixels_of, start_of, steps
 from tests.models.lenses import wide
@@ -17,10 +18,8 @@ SLOW = [0.0, 0.0, 0.0, 0.3, 0.2, -0.3, 0.2]
 
 
 def test_the_loop_settles_on_what_the_detector_sees() -> None:
-    task = GazeTask(1, head="physical", plant="rendered", target={"kind": "static"})
+    task = begin(GazeTask(1, head="physical", plant="rendered", target={"kind": "static"}))
     controller = make_controller("ibvs", head=task.head, gain=4.0)
-    zero = np.zeros(1, dtype=np.uint64)
-    task.begin(np.arange(1), zero, zero)
     assert np.linalg.norm(task.truth().pixel_error, axis=-1).min() > 30.0
     for _ in range(150):
         action, _state = controller.predict(task.observation)
@@ -48,11 +47,11 @@ def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -
     head = wide("fisheye", "rational")
     plant = make_plant("rendered", head, 1, board="checkerboard", width_rad="fit")
     point = (0.25, -0.2, 0.5)  # 30 degrees aside, where straight edges are bent
-    readings, q, _v = steps(plant, start_of(point=point), 14)
+    readings, q, _v = steps(plant, start_of(point=point), 10)
     left, right = plant.frames()
     assert (left.shape, right.shape) == ((600, 800), (480, 640))
     seen = [reading for reading in readings if reading.visible.all()]
-    assert len(seen) > 4
+    assert len(seen) > 2
     error = np.array([reading.pixels for reading in seen]) - head.project(q[0], point)
     # as with the presets' lenses
     assert np.sqrt((error**2).mean()) < 0.1
@@ -61,30 +60,13 @@ def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -
 @pytest.mark.slow
 def test_the_loop_settles_through_lenses_of_other_models() -> None:
     target = {"kind": "static", "point": (0.1, -0.1, 0.6)}
-    task = GazeTask(1, head=wide("fisheye", "rational"), plant="rendered", target=target)
+    task = begin(GazeTask(1, head=wide("fisheye", "rational"), plant="rendered", target=target))
     controller = make_controller("ibvs", head=task.head, gain=4.0)
-    zero = np.zeros(1, dtype=np.uint64)
-    task.begin(np.arange(1), zero, zero)
     assert np.linalg.norm(task.truth().pixel_error, axis=-1).min() > 20.0
     for _ in range(100):
         action, _state = controller.predict(task.observation)
         task.step(action)
     assert np.linalg.norm(task.truth().pixel_error, axis=-1).max() < 1.0
-
-
-def test_images_are_dated_as_every_plant_dates_them(simulated: HeadModel) -> None:
-    readings, q, _v = steps(make_plant("rendered", simulated, 1), start_of(), 12, SLOW)
-    assert readings[8].exposure_s == 0.0
-    assert np.array_equal(readings[12].positions_at_exposure, q[4])
-
-
-def test_a_step_target_is_drawn_where_it_was_until_the_jump_is_readable(simulated) -> None:
-    before, after = (0.0, -0.1, 1.0), (0.0, -0.2, 1.0)
-    start = start_of(point=after, before=before, positions=simulated.fixate(before))
-    readings, q, _v = steps(make_plant("rendered", simulated, 1), start, 9)
-    for reading in readings[:8]:
-        assert reading.pixels == pytest.approx(simulated.project(q[0], before), abs=0.3)
-    assert readings[8].pixels == pytest.approx(simulated.project(q[0], after), abs=0.3)
 
 
 @pytest.mark.slow
@@ -128,9 +110,7 @@ def test_the_necks_motion_is_drawn_too(simulated: HeadModel) -> None:
 
 def first_images(trials: int, **options) -> np.ndarray:
     """(trials, 2) whether each eye's detector finds the target at once, the eyes at rest."""
-    task = GazeTask(trials, plant="rendered", **options)
-    ids = np.arange(trials)
-    task.begin(ids, ids.astype(np.uint64), np.zeros(trials, dtype=np.uint64))
+    task = begin(GazeTask(trials, plant="rendered", **options))
     for _ in range(task.head.timing.latency_frames):
         task.step(np.zeros((trials, 4)))
     task.close()
@@ -158,7 +138,7 @@ def test_both_eyes_find_random_targets_in_their_first_images(simulated, physical
     }.items():
         with named(name):
             # OpenCV misses a whole tag in a few of a thousand still images: one may be such
-            assert first_images(6, head=head).sum() >= 11
+            assert first_images(4, head=head).sum() >= 7
 
 
 @pytest.mark.slow
@@ -172,7 +152,7 @@ def test_they_do_whatever_the_targets_and_the_boards_options() -> None:
         {"plant_options": {"board": "checkerboard"}},
     ]:
         with named(options):
-            assert first_images(5, **options).sum() >= 9
+            assert first_images(3, **options).sum() >= 5
 
 
 def test_near_targets_are_among_those_that_both_eyes_find(simulated: HeadModel) -> None:
@@ -185,9 +165,8 @@ def test_near_targets_are_among_those_that_both_eyes_find(simulated: HeadModel) 
 
 def test_a_head_whose_eyes_can_see_no_whole_board_is_told(simulated: HeadModel) -> None:
     task = GazeTask(1, head=lens(simulated, 64, 48, 60.0), plant="rendered")
-    zero = np.zeros(1, dtype=np.uint64)
     with pytest.raises(ConfigurationError, match="see with the whole board, 3 px from the images'"):
-        task.begin(np.arange(1), zero, zero)
+        begin(task)
 
 
 def test_a_board_that_cannot_be_is_refused(simulated: HeadModel) -> None:

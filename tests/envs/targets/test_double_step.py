@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from tests.envs.drawn import draw, eccentricity, inside
+from tests.envs.trials import assert_uniform
 from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
@@ -53,8 +53,7 @@ def test_the_second_point_is_seen_on_the_way_to_the_first(simulated: HeadModel) 
 def test_the_second_jump_comes_when_the_trial_has_drawn_it(simulated: HeadModel) -> None:
     rows, _q = draw(simulated, {"kind": "double-step", "second_after": (0.05, 0.3)}, 1000)
     jump = last_jump_time(rows)
-    # far below what chance gives once in a thousand, and far above a wrong distribution's
-    assert stats.kstest((jump - 0.05) / 0.25, "uniform").pvalue > 1e-3
+    assert_uniform((jump - 0.05) / 0.25)
     first, second = target_position(rows, 0.0), target_position(rows, 1e3)
     assert np.array_equal(target_position(rows, np.nextafter(jump, 0.0)), first)
     assert np.array_equal(target_position(rows, jump), second)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from tests.envs.drawn import Array, draw, eccentricity, midpoint_between_eyes
+from tests.envs.trials import assert_uniform
 from tests.heads import MOVING, text_of
 from tests.naming import named
 from vergence import HeadModel
@@ -52,8 +52,7 @@ def test_between_turns_its_angular_speed_is_the_trials(simulated: HeadModel) -> 
     drawn = speed[0, :, 0]
     low, high = 5 * DEGREE, 40 * DEGREE
     assert drawn == pytest.approx(rows[:, MOTION])
-    # far below what chance gives once in a thousand, and far above a wrong distribution's
-    assert stats.kstest((drawn - low) / (high - low), "uniform").pvalue > 1e-3
+    assert_uniform((drawn - low) / (high - low))
 
 
 def test_it_turns_at_drawn_times_into_any_direction(simulated: HeadModel) -> None:
@@ -65,12 +64,12 @@ def test_it_turns_at_drawn_times_into_any_direction(simulated: HeadModel) -> Non
     inner &= (eccentricity(simulated, corners[..., 1:]) < 0.3).all(axis=1)
     assert inner.sum() > 20
     spans = np.diff(corners[inner, :, 0], axis=1)
-    assert stats.kstest((spans.ravel() - 0.15) / 0.35, "uniform").pvalue > 1e-3
+    assert_uniform((spans.ravel() - 0.15) / 0.35)
     way = np.diff(sight(simulated, corners[inner][..., 1:])[0][..., :2], axis=1)
     heading = np.arctan2(way[..., 1], way[..., 0])
     bend = (np.diff(heading, axis=1).ravel() / (2 * np.pi)) % 1.0
     # foreshortened by up to 5 % at the side of the view, which is too little to tell
-    assert stats.kstest(bend, "uniform").pvalue > 1e-3
+    assert_uniform(bend)
 
 
 def test_it_never_leaves_where_both_eyes_can_fixate_it(request) -> None:

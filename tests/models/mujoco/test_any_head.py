@@ -234,10 +234,6 @@ class TestExports:
         assert "left_pan = 1 version +0.5 vergence" in text
         assert "mimic" not in text
 
-    def test_the_two_old_heads_keep_their_links_names(self):
-        model = compile_model(load_head("simulated"), **BARE)
-        assert model.body(1).name == "neck_yaw_link"
-
 
 class TestAppearance:
     def test_heads_stand_above_the_floor_whatever_their_base_frame(self):
