@@ -1,5 +1,6 @@
 """Drawn images against an independent ray cast."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -171,9 +172,9 @@ def test_target_across_the_frames_edge_is_cut_not_moved(
 def test_same_seed_same_image(pinhole: EyeCamera, rendering: Rendering) -> None:
     drawing = TargetRenderer(pinhole, AprilTag(), rendering)
     images = []
-    for seed in (5, 5, 6):
-        drawing.draw(pose(0, 0, 1), np.random.default_rng(seed))
-        images.append(drawing.frame.copy())
+    for each, seed in ((drawing, 5), (pickle.loads(pickle.dumps(drawing)), 5), (drawing, 6)):
+        each.draw(pose(0, 0, 1), np.random.default_rng(seed))
+        images.append(each.frame.copy())
     assert images[0].dtype == np.uint8
     assert (images[0] == images[1]).all()
     assert (images[0] != images[2]).any()

@@ -85,7 +85,7 @@ def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall():
             with named(surround, size, roll):
                 one = drawn(target, roll, (0.1, 0.2), rendering=rendering)
                 found = detector_of(target).detect(one.image)
-                assert found.corners_px == pytest.approx(one.corners, abs=0.3)
+                assert found.corners_px == pytest.approx(one.corners, abs=0.12)
 
 
 def test_a_board_that_tells_up_from_down_has_its_corners_in_order_at_every_roll():
