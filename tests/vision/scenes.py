@@ -62,6 +62,14 @@ def scene(
     return Scene(drawing.frame.copy(), seen_px(camera, target, T_C_T), point)
 
 
+def cropped(one: Scene, room_px: int = 70) -> Scene:
+    """The part of an image about the target: far less to search where nothing is to be found."""
+    x0, y0 = np.maximum(np.floor(one.corners.min(axis=0)).astype(int) - room_px, 0)
+    x1, y1 = np.ceil(one.corners.max(axis=0)).astype(int) + room_px
+    part = np.ascontiguousarray(one.image[y0:y1, x0:x1])
+    return Scene(part, one.corners - (x0, y0), one.point - (x0, y0))
+
+
 def several(
     camera: EyeCamera, placed: Sequence[tuple[PlanarTarget, np.ndarray]], rendering: Rendering
 ) -> tuple[Image, list[Scene]]:

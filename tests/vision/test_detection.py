@@ -41,7 +41,7 @@ poses = st.builds(
     st.tuples(*[st.floats(-0.3, 0.3)] * 3),
 )
 use_fixtures = settings(
-    max_examples=25,
+    max_examples=12,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
@@ -89,34 +89,36 @@ def test_no_bias_over_sub_pixel_shifts(name: str, pinhole: EyeCamera, rendering:
     assert np.abs(errors).max() < 0.04
 
 
-@pytest.mark.parametrize(
-    ("of_camera", "stated", "colour", "same_as"),
-    [
-        (None, None, False, "linear"),
-        (None, None, True, "srgb"),
-        (2.2, None, True, 2.2),
-        (2.2, "linear", True, "linear"),
-    ],
-)
 def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_kind_of_image(
-    pinhole: EyeCamera, rendering: Rendering, of_camera, stated, colour: bool, same_as
+    pinhole: EyeCamera, rendering: Rendering
 ) -> None:
     target = make_planar_target("tag")
     drawing = TargetRenderer(pinhole, target, rendering)
     drawing.draw(pose(0.0, 0.0, 1.0))
-    image = np.repeat(drawing.frame[:, :, None], 3, axis=2) if colour else drawing.frame
-    detector = make_detector(target, replace(pinhole, response=of_camera), stated)
-    expected = make_detector(target, pinhole, same_as).detect(drawing.frame)
-    for each in (detector, pickle.loads(pickle.dumps(detector))):
-        np.testing.assert_array_equal(each.detect(image).corners_px, expected.corners_px)
+    for of_camera, stated, colour, same_as in [
+        (None, None, False, "linear"),
+        (None, None, True, "srgb"),
+        (2.2, None, True, 2.2),
+        (2.2, "linear", True, "linear"),
+    ]:
+        image = np.repeat(drawing.frame[:, :, None], 3, axis=2) if colour else drawing.frame
+        detector = make_detector(target, replace(pinhole, response=of_camera), stated)
+        expected = make_detector(target, pinhole, same_as).detect(drawing.frame)
+        with named(of_camera, stated, colour):
+            for each in (detector, pickle.loads(pickle.dumps(detector))):
+                np.testing.assert_array_equal(each.detect(image).corners_px, expected.corners_px)
 
 
-@pytest.mark.parametrize(
-    "target", ["tag:36h11", "checkerboard:9x6", "charuco:7x5:40:30:4X4_50", "aprilgrid:6x6:30:0.3"]
-)
-def test_every_detector_reads_images_by_the_stated_response(target: str) -> None:
-    detector = make_detector(parse_target(target), None, "sRGB")
-    assert detector.response_of(np.zeros((9, 9), np.uint8)) == "srgb"
+def test_every_detector_reads_images_by_the_stated_response() -> None:
+    for target in (
+        "tag:36h11",
+        "checkerboard:9x6",
+        "charuco:7x5:40:30:4X4_50",
+        "aprilgrid:6x6:30:0.3",
+    ):
+        with named(target):
+            detector = make_detector(parse_target(target), None, "sRGB")
+            assert detector.response_of(np.zeros((9, 9), np.uint8)) == "srgb"
 
 
 def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> None:
@@ -139,20 +141,10 @@ def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> 
             assert tracked.corners_px == pytest.approx(full.corners_px, abs=0.06)
 
 
-@pytest.mark.parametrize("name", TARGETS)
-def test_target_out_of_sight_is_none(name: str, pinhole: EyeCamera, rendering: Rendering) -> None:
-    target = make_planar_target(name)
-    drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
-    drawing.draw(pose(0, 0, 1.0))
-    before = detector.detect(drawing.frame)
-    assert before is not None
-    drawing.draw(pose(0, 0, -1.0), np.random.default_rng(0))
-    assert detector.detect(drawing.frame) is None
-    assert detector.track(drawing.frame, before) is None
-    assert detector.track(drawing.frame, moved(before, (-500.0, 4000.0))) is None
-
-
-@pytest.mark.parametrize(("name", "side"), some_of(TARGETS, [(-1, 0), (1, 0), (0, -1), (0, 1)]))
+@pytest.mark.parametrize(
+    ("name", "side"),
+    list(zip(TARGETS * 2, [(-1, 0), (1, 0), (0, -1), (0, 1)], strict=True)),
+)
 def test_target_partly_outside_is_none(
     name: str, side: tuple[int, int], pinhole: EyeCamera, rendering: Rendering
 ) -> None:
@@ -170,22 +162,9 @@ def test_target_partly_outside_is_none(
     assert detector.track(drawing.frame, moved(before, predicted - before.point_px)) is None
 
 
-@pytest.mark.parametrize("name", TARGETS)
-def test_half_hidden_target_is_none(name: str, pinhole: EyeCamera, rendering: Rendering) -> None:
-    target = make_planar_target(name)
-    drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
-    drawing.draw(pose(0, 0, 1.0))
-    before = detector.detect(drawing.frame)
-    assert before is not None
-    hidden = drawing.frame.copy()
-    low, high = before.corners_px.min(axis=0).astype(int), before.corners_px.max(axis=0).astype(int)
-    hidden[low[1] : high[1], (low[0] + high[0]) // 2 : high[0] + 40] = 90
-    assert detector.detect(hidden) is None
-    assert detector.track(hidden, before) is None
-
-
-@pytest.mark.parametrize("name", TARGETS)
-@pytest.mark.parametrize("angle", [0.0, 0.7, np.pi / 2])
+@pytest.mark.parametrize(
+    ("name", "angle"), [("tag", 0.7), ("checkerboard", 0.0), ("checkerboard", np.pi / 2)]
+)
 def test_motion_blinds_before_it_misleads(
     name: str, angle: float, pinhole: EyeCamera, rendering: Rendering
 ) -> None:
@@ -196,7 +175,7 @@ def test_motion_blinds_before_it_misleads(
     drawing.draw(T_C_T)
     before = detector.detect(drawing.frame)
     assert before is not None
-    for length in np.arange(0, 16, 1.0):
+    for length in np.arange(1.0, 16.0, 2.0):
         smear = length * np.array([np.cos(angle), np.sin(angle)])
         drawing.draw(T_C_T, np.random.default_rng(4), smear)
         seen = detector.track(drawing.frame, before)
@@ -207,38 +186,10 @@ def test_motion_blinds_before_it_misleads(
             assert away < max(0.25, 3.0 * seen.sigma_px.max())
 
 
-def test_another_tag_is_not_taken_for_this_one(pinhole: EyeCamera, rendering: Rendering) -> None:
-    mine, other = AprilTag(id=0), AprilTag(id=1)
-    detector = make_detector(mine)
-    images = []
-    for target in (mine, other):
-        drawing = TargetRenderer(pinhole, target, rendering)
-        drawing.draw(pose(0, 0, 1.0))
-        images.append(drawing.frame)
-    seen = detector.detect(images[0])
-    assert seen is not None
-    assert detector.detect(images[1]) is None
-    assert detector.track(images[1], seen) is None
-
-
-def test_measured_point_stays_on_the_board_when_the_board_is_rolled(
-    pinhole: EyeCamera, rendering: Rendering
-) -> None:
-    for roll, name in some_of([0.0, np.pi / 2, np.pi, -2.0], TARGETS):
-        with named(roll, name):
-            target = make_planar_target(name)
-            drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
-            T_C_T = pose(0.0, 0.0, 1.2, (0, 0, roll))
-            drawing.draw(T_C_T)
-            seen = detector.detect(drawing.frame)
-            assert seen is not None
-            assert seen.point_px == pytest.approx(pinhole.project(T_C_T[None, :3, 3])[0], abs=0.05)
-
-
 def test_noise_lies_in_the_articles_range_on_the_simulated_rig(
     pinhole: EyeCamera, rendering: Rendering
 ) -> None:
-    """0.006 to 0.057 px, or a little less of a tag, whose cells count; known to 6 %."""
+    """0.006 to 0.057 px, or a little less of a tag, whose cells count; known to 7 %."""
     for target in (AprilTag(), Checkerboard()):
         drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
         rng = np.random.default_rng(8)
@@ -247,7 +198,7 @@ def test_noise_lies_in_the_articles_range_on_the_simulated_rig(
         first = detector.detect(drawing.frame)
         assert first is not None
         points = []
-        for _ in range(150):
+        for _ in range(100):
             drawing.draw(T_C_T, rng)
             seen = detector.track(drawing.frame, first)
             assert seen is not None
@@ -255,18 +206,3 @@ def test_noise_lies_in_the_articles_range_on_the_simulated_rig(
         deviation = np.std(points, axis=0, ddof=1)
         assert (deviation > 0.004).all()
         assert (deviation < 0.057).all()
-
-
-@pytest.mark.parametrize("name", TARGETS)
-def test_copy_through_pickle_detects_the_same(
-    name: str, lens: EyeCamera, rendering: Rendering
-) -> None:
-    target = make_planar_target(name)
-    drawing, detector = TargetRenderer(lens, target, rendering), make_detector(target, lens)
-    for each in (drawing, pickle.loads(pickle.dumps(drawing))):
-        each.draw(pose(0, 0, 1.0), np.random.default_rng(0))
-        seen = detector.detect(each.frame)
-        again = pickle.loads(pickle.dumps(detector)).detect(drawing.frame)
-        assert seen is not None
-        assert again is not None
-        assert (seen.point_px == again.point_px).all()

@@ -1,5 +1,6 @@
 """Drawn images against an independent ray cast."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from tests.naming import named
 from tests.vision.poses import pose
 from vergence import load_head
 from vergence.errors import ConfigurationError
-from vergence.models.boards import board_pose
+from vergence.models.boards import PlanarTarget, board_pose
 from vergence.models.parts import Rendering
 from vergence.models.response import light_table
 from vergence.vision import (
@@ -24,18 +25,30 @@ from vergence.vision import (
 )
 
 
+def assert_ray_cast(
+    camera: EyeCamera,
+    target: PlanarTarget,
+    rendering: Rendering,
+    T_C_T: NDArray[np.float64],
+    *,
+    most: float,
+    rms: float,
+) -> None:
+    """A drawing differs from a ray cast by shares of the contrast, at most and in the rms."""
+    drawing = TargetRenderer(camera, target, rendering)
+    drawing.draw(T_C_T)
+    assert drawing.region is not None
+    x0, y0, x1, y1 = drawing.region
+    error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
+    assert np.abs(error).max() < most * 170
+    assert np.sqrt((error**2).mean()) < rms * 170
+
+
 @pytest.mark.parametrize(
     ("name", "eye", "T_C_T"),
     [
-        ("tag", "pinhole", pose(0.013, 0.02, 1.0)),
-        ("tag", "lens", pose(0.02, -0.01, 1.0, (0.2, 0.4, 0.1))),
-        ("checkerboard", "lens", pose(0.05, 0.03, 2.4, (-0.3, 0.2, 0.5))),
-        pytest.param(
-            "checkerboard",
-            "pinhole",
-            pose(0.02, -0.01, 1.0, (0.2, 0.4, 0.1)),
-            marks=pytest.mark.slow,
-        ),
+        ("tag", "lens", pose(0.02, -0.01, 1.2, (0.2, 0.4, 0.1))),
+        ("checkerboard", "pinhole", pose(0.05, 0.03, 2.4, (-0.3, 0.2, 0.5))),
     ],
 )
 def test_pixels_equal_a_ray_cast(
@@ -47,33 +60,15 @@ def test_pixels_equal_a_ray_cast(
 ) -> None:
     """Within 4 % of the contrast everywhere, and 0.5 % rms, a third of it the rounding."""
     camera, target = request.getfixturevalue(eye), make_planar_target(name)
-    drawing = TargetRenderer(camera, target, rendering)
-    drawing.draw(T_C_T)
-    assert drawing.region is not None
-    x0, y0, x1, y1 = drawing.region
-    error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
-    assert np.abs(error).max() < 0.04 * 170
-    assert np.sqrt((error**2).mean()) < 0.005 * 170
+    assert_ray_cast(camera, target, rendering, T_C_T, most=0.04, rms=0.005)
 
 
-@pytest.mark.parametrize(
-    ("lens", "aside_deg"), [("rational", 35.0), ("fisheye", 35.0), ("fisheye", 60.0)]
-)
-@pytest.mark.slow
-def test_pixels_equal_a_ray_cast_through_a_wide_lens(
-    lens: str, aside_deg: float, rendering: Rendering
-) -> None:
-    """Aside, where a fisheye has down to a quarter of a pinhole's scale, as good as ahead."""
-    camera, target = EyeCamera.of(wide(lens), 0), make_planar_target("tag")
-    side = np.deg2rad(aside_deg)
-    T_C_T = board_pose([np.sin(side), 0.05, np.cos(side)])
-    drawing = TargetRenderer(camera, target, rendering)
-    drawing.draw(T_C_T)
-    assert drawing.region is not None
-    x0, y0, x1, y1 = drawing.region
-    error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
-    assert np.abs(error).max() < 0.05 * 170
-    assert np.sqrt((error**2).mean()) < 0.01 * 170
+def test_pixels_equal_a_ray_cast_through_a_fisheye(rendering: Rendering) -> None:
+    """Aside, where it has down to a quarter of a pinhole's scale, as good as ahead."""
+    camera, target = EyeCamera.of(wide("fisheye"), 0), make_planar_target("tag")
+    side = np.deg2rad(60.0)
+    T_C_T = board_pose(1.6 * np.array([np.sin(side), 0.05, np.cos(side)]))
+    assert_ray_cast(camera, target, rendering, T_C_T, most=0.05, rms=0.01)
 
 
 def test_a_stated_response_encodes_the_light(pinhole: EyeCamera, rendering: Rendering) -> None:
@@ -93,47 +88,27 @@ def test_a_stated_response_encodes_the_light(pinhole: EyeCamera, rendering: Rend
     assert {middle[0], middle.min(), middle.max()} == {120, 40, 210}
 
 
-@pytest.mark.parametrize("direction", [0.0, 0.8])
-@pytest.mark.parametrize(("incidence_deg", "rms"), [(52.0, 0.006), (70.0, 0.008)])
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("incidence_deg", "rms", "direction"), [(52.0, 0.006, 0.8), (70.0, 0.008, 0.0)]
+)
 def test_pixels_of_a_steep_board_equal_a_ray_cast(
     incidence_deg: float, rms: float, direction: float, rendering: Rendering
 ) -> None:
     """One blur for both directions of the texture would be off by 2 % rms and more."""
     camera, target = EyeCamera.of(load_head("physical"), 0), make_planar_target("tag")
     soft, tilt = replace(rendering, blur_px=0.7), np.deg2rad(incidence_deg)
-    T_C_T = pose(0.02, 0.03, 0.8, (tilt * np.cos(direction), tilt * np.sin(direction), 0.0))
-    drawing = TargetRenderer(camera, target, soft)
-    drawing.draw(T_C_T)
-    assert drawing.region is not None
-    x0, y0, x1, y1 = drawing.region
-    error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, soft, T_C_T, drawing.region)
-    assert np.abs(error).max() < 0.04 * 170
-    assert np.sqrt((error**2).mean()) < rms * 170
+    T_C_T = pose(0.02, 0.03, 1.2, (tilt * np.cos(direction), tilt * np.sin(direction), 0.0))
+    assert_ray_cast(camera, target, soft, T_C_T, most=0.04, rms=rms)
 
 
-@pytest.mark.parametrize(
-    ("depth", "turn"),
-    [
-        pytest.param(0.5, (0.3, -0.4, 0.2), marks=pytest.mark.slow),
-        pytest.param(0.7, (0.0, 0.0, 0.0), marks=pytest.mark.slow),
-        (1.6, (0.3, -0.4, 0.2)),
-        (2.4, (0.0, 0.0, 0.0)),
-    ],
-)
+@pytest.mark.parametrize(("depth", "turn"), [(1.6, (0.3, -0.4, 0.2)), (2.4, (0.0, 0.0, 0.0))])
 def test_one_sample_a_pixel_has_the_blur_that_is_asked_for(
     depth: float, turn: tuple[float, float, float], pinhole: EyeCamera, rendering: Rendering
 ) -> None:
     """Half as much blur again would be off by twice as much and more."""
     plain, target = replace(rendering, supersampling=1), make_planar_target("tag")
-    drawing = TargetRenderer(pinhole, target, plain)
     T_C_T = pose(0.013, 0.02, depth, turn)
-    drawing.draw(T_C_T)
-    assert drawing.region is not None
-    x0, y0, x1, y1 = drawing.region
-    error = drawing.frame[y0:y1, x0:x1] - ray_cast(pinhole, target, plain, T_C_T, drawing.region)
-    assert np.abs(error).max() < 0.075 * 170
-    assert np.sqrt((error**2).mean()) < 0.009 * 170
+    assert_ray_cast(pinhole, target, plain, T_C_T, most=0.075, rms=0.009)
 
 
 def test_pixel_centres_are_integers(pinhole: EyeCamera, rendering: Rendering) -> None:
@@ -182,10 +157,9 @@ def test_nothing_of_the_last_frame_remains(pinhole: EyeCamera, rendering: Render
 def test_target_across_the_frames_edge_is_cut_not_moved(
     pinhole: EyeCamera, lens: EyeCamera, rendering: Rendering
 ) -> None:
-    for camera in (pinhole, lens):
-        target, T_C_T = AprilTag(), pose(-0.83, -0.68, 1.0, (0.1, 0.2, 0))
-        if camera is lens:
-            T_C_T = pose(-0.68, -0.4, 1.0, (0.1, 0.2, 0))
+    places = (pose(-1.24, -1.02, 1.5, (0.1, 0.2, 0)), pose(-1.02, -0.6, 1.5, (0.1, 0.2, 0)))
+    for camera, T_C_T in zip((pinhole, lens), places, strict=True):
+        target = AprilTag()
         drawing = TargetRenderer(camera, target, rendering)
         drawing.draw(T_C_T)
         assert drawing.region is not None
@@ -198,15 +172,14 @@ def test_target_across_the_frames_edge_is_cut_not_moved(
 def test_same_seed_same_image(pinhole: EyeCamera, rendering: Rendering) -> None:
     drawing = TargetRenderer(pinhole, AprilTag(), rendering)
     images = []
-    for seed in (5, 5, 6):
-        drawing.draw(pose(0, 0, 1), np.random.default_rng(seed))
-        images.append(drawing.frame.copy())
+    for each, seed in ((drawing, 5), (pickle.loads(pickle.dumps(drawing)), 5), (drawing, 6)):
+        each.draw(pose(0, 0, 1), np.random.default_rng(seed))
+        images.append(each.frame.copy())
     assert images[0].dtype == np.uint8
     assert (images[0] == images[1]).all()
     assert (images[0] != images[2]).any()
 
 
-@pytest.mark.slow
 def test_noise_has_the_stated_deviation_and_is_white(
     pinhole: EyeCamera, rendering: Rendering
 ) -> None:
@@ -214,17 +187,18 @@ def test_noise_has_the_stated_deviation_and_is_white(
     drawing.draw(pose(0, 0, 1))
     still = drawing.frame.astype(float)
     rng, differences = np.random.default_rng(3), []
-    for _ in range(200):
+    for _ in range(50):
         drawing.draw(pose(0, 0, 1), rng)
         differences.append((drawing.frame - still)[400:460, 490:550])
     noise = np.array(differences)
     # Rounding to 8 bits adds 1/12 to the variance, a quantised mean up to half a level.
     assert noise.std(axis=0).mean() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)
     centred = noise - noise.mean(axis=0)
-    # 600,000 products: the correlation of independent numbers has a deviation of 0.0013.
+    # 180,000 products: the correlation of independent numbers has a deviation of 0.0024, and the
+    # means over 50 images, which are taken away, correlate images by -0.02.
     for lag in ((1, 0, 0), (0, 1, 0), (0, 0, 1)):
         product = centred * np.roll(centred, lag, axis=(0, 1, 2))
-        assert abs(product.mean()) / centred.var() < 0.02
+        assert abs(product.mean()) / centred.var() < 0.03
 
 
 def test_smear_conserves_light_and_lies_along_its_direction(

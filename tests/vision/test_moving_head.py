@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tests.grids import some_of
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene, shadow
 from vergence import load_head
@@ -50,13 +49,14 @@ def swinging(name: str, count: int, swing_rad: float) -> np.ndarray:
     return np.stack([head.base_pose(each) @ head.camera_poses(each)[0] for each in q])
 
 
-@pytest.mark.parametrize("kind", TARGETS)
-@pytest.mark.parametrize("name", ["simulated", "physical"])
+@pytest.mark.parametrize(
+    ("name", "kind"), list(zip(["simulated", "physical"] * 2, TARGETS, strict=True))
+)
 def test_a_target_at_rest_is_tracked_while_neck_and_eyes_swing(name, kind):
     """At 30 images a second, up to 15 px from image to image: only the first is searched."""
     camera, rendering = rig(name)
     target, rng = TARGETS[kind], np.random.default_rng(0)
-    poses = swinging(name, 30, 0.06)
+    poses = swinging(name, 20, 0.06)
     T_0_T = poses[0] @ pose(0.02, 0.01, 0.9, (0.1, 0.2, 0.1))
     detector = Counted(target, camera)
     tracker, moved = Tracker(detector), []
@@ -69,7 +69,7 @@ def test_a_target_at_rest_is_tracked_while_neck_and_eyes_swing(name, kind):
     assert detector.searches == 1
 
 
-@pytest.mark.parametrize(("kind", "axis"), some_of(list(TARGETS), [0, 1, 2]))
+@pytest.mark.parametrize(("kind", "axis"), list(zip(TARGETS, [0, 1, 2, 0], strict=True)))
 def test_a_camera_that_turns_by_100_mrad_between_images_tracks_by_its_pose(kind, axis):
     """62 px, or a roll about the axis."""
     camera, rendering = rig("simulated")
@@ -116,7 +116,7 @@ def test_a_target_beyond_the_eye_is_not_expected_anywhere_else():
     assert tracker.find(one.image, T_0_C=np.eye(4)) is not None
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.8, np.pi / 2, 2.5])
+@pytest.mark.parametrize("angle", [0.0, 0.8])
 def test_a_shadow_that_comes_over_a_tag_does_not_end_its_track(angle):
     """From even light into half shadow while the tag moves by 3 px an image."""
     camera, rendering = rig("simulated")
@@ -134,7 +134,7 @@ def test_a_shadow_that_comes_over_a_tag_does_not_end_its_track(angle):
         assert found.corners_px == pytest.approx(one.corners, abs=0.3)
 
 
-@pytest.mark.parametrize(("y", "depth_m"), some_of([-0.6, -0.05, 0.0, 0.6], [1.0, 4.5]))
+@pytest.mark.parametrize(("y", "depth_m"), [(-0.6, 4.5), (-0.05, 1.0), (0.0, 4.5), (0.6, 1.0)])
 def test_a_lost_tag_of_any_size_is_found_within_four_images_wherever_it_is(y, depth_m):
     camera, rendering = rig("simulated")
     tracker = Tracker(make_detector(TARGETS["tag"], camera))

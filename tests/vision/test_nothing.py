@@ -4,11 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.grids import some_of
 from tests.naming import named
 from vergence.vision import AprilGrid, CharucoBoard, Checkerboard, TagFamily, make_detector
 
-SIZE = (240, 320)
+SIZE = (120, 160)
 TAGS = ("36h11", "36h10", "25h9", "16h5", "Standard41h12", "Circle21h7")
 TARGETS = {
     **{family: TagFamily(family=family) for family in TAGS},
@@ -33,10 +32,10 @@ def blobs(rng: np.random.Generator, sigma: float) -> np.ndarray:
 def boxes(rng: np.random.Generator) -> np.ndarray:
     """Turned rectangles upon each other: windows, books, boxes."""
     image = np.full(SIZE, 128, np.uint8)
-    for _ in range(60):
+    for _ in range(25):
         box = (
             tuple(rng.uniform(0, SIZE[::-1])),
-            tuple(rng.uniform(8, 70, 2)),
+            tuple(rng.uniform(8, 60, 2)),
             rng.uniform(0, 90) * rng.integers(0, 2),
         )
         corners = cv2.boxPoints(box).astype(np.int32)
@@ -59,12 +58,12 @@ def grating(period: float, angle: float) -> np.ndarray:
 def images() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(0)
     out = {"black": np.zeros(SIZE, np.uint8), "white": np.full(SIZE, 255, np.uint8)}
-    for k in range(6):
+    for k in range(2):
         out[f"noise {k}"] = noise(rng)
-        out[f"blobs {k}"] = blobs(rng, 1.5 + k)
+        out[f"blobs {k}"] = blobs(rng, 1.5 + 2.5 * k)
         out[f"boxes {k}"] = boxes(rng)
-        out[f"tiles {k}"] = tiles(rng, 5 + 3 * k)
-        out[f"grating {k}"] = grating(6.0 + 6 * k, 0.5 * k)
+        out[f"tiles {k}"] = tiles(rng, 6 + 8 * k)
+        out[f"grating {k}"] = grating(8.0 + 16 * k, 0.8 * k)
         out[f"letters {k}"] = letters(rng)
     return out
 
@@ -72,8 +71,8 @@ def images() -> dict[str, np.ndarray]:
 def letters(rng: np.random.Generator) -> np.ndarray:
     """A page of text."""
     image = np.full(SIZE, 240, np.uint8)
-    for line in range(12):
-        text = "".join(chr(c) for c in rng.integers(33, 127, 30))
+    for line in range(4):
+        text = "".join(chr(c) for c in rng.integers(33, 127, 16))
         cv2.putText(image, text, (5, 18 + 20 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 20, 1)
     return image
 
@@ -83,28 +82,29 @@ IMAGES = images()
 
 @pytest.mark.parametrize(
     "name",
-    [name if name == "36h11" else pytest.param(name, marks=pytest.mark.slow) for name in TARGETS],
+    [pytest.param(name, marks=pytest.mark.slow) if name == "5x4" else name for name in TARGETS],
 )
 def test_nothing_is_found_where_nothing_is(name):
     """In every other image of each kind, and in all for the tag that is the default."""
     detector, place = make_detector(TARGETS[name]), list(TARGETS).index(name)
     for k, (kind, image) in enumerate(IMAGES.items()):
         if name == "36h11" or (k + (k - 2) // 6 + place) % 2:
-            assert detector.detect_all(image) == [], kind
+            with named(kind):
+                assert detector.detect_all(image) == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("family", "square"), some_of(TAGS, [8, 13, 30]))
-def test_a_checkerboard_is_no_tag(family, square):
+def floor_of_tiles(square: int) -> np.ndarray:
     v, u = np.indices(SIZE)
-    image = ((u // square + v // square) % 2 * 170 + 40).astype(np.uint8)
-    assert make_detector(TagFamily(family=family)).detect_all(image) == []
+    return ((u // square + v // square) % 2 * 170 + 40).astype(np.uint8)
 
 
-@pytest.mark.slow
-def test_a_floor_of_tiles_that_fills_the_image_is_no_board():
-    for name, square in some_of(["5x4", "3x3"], [8, 13, 30]):
-        with named(name, square):
-            v, u = np.indices(SIZE)
-            image = ((u // square + v // square) % 2 * 170 + 40).astype(np.uint8)
-            assert make_detector(TARGETS[name]).detect_all(image) == []
+def test_a_checkerboard_is_no_tag():
+    for family, square in [("36h11", 8), ("25h9", 13), ("16h5", 30), ("Circle21h7", 13)]:
+        with named(family, square):
+            detector = make_detector(TagFamily(family=family))
+            assert detector.detect_all(floor_of_tiles(square)) == []
+
+
+@pytest.mark.parametrize(("name", "square"), [("5x4", 13), ("3x3", 30)])
+def test_a_floor_of_tiles_that_fills_the_image_is_no_board(name, square):
+    assert make_detector(TARGETS[name]).detect_all(floor_of_tiles(square)) == []

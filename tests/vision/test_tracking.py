@@ -40,13 +40,6 @@ def images(drawing: TargetRenderer, *x: float) -> list[np.ndarray]:
     return out
 
 
-def test_the_pixel_is_where_the_target_is(drawing):
-    tracker = Tracker(Watched(drawing))
-    for x, image in zip((0.0, 0.02, 0.04), images(drawing, 0.0, 0.02, 0.04), strict=True):
-        found = tracker.find(image)
-        assert found.point_px == pytest.approx(drawing.camera.project([[x, 0.0, 1.0]])[0], abs=0.1)
-
-
 def test_the_target_is_expected_where_its_motion_takes_it(drawing):
     detector = Watched(drawing)
     tracker = Tracker(detector)
@@ -77,19 +70,16 @@ def test_a_target_that_jumps_is_searched_in_the_whole_image(drawing):
     assert detector.looked == [None, tuple(last), None]
 
 
-@pytest.mark.parametrize("loss", ["out of sight", "forgotten"])
-def test_a_lost_target_is_searched_anew(drawing, loss):
+def test_a_lost_target_is_searched_anew(drawing):
     detector = Watched(drawing)
     tracker = Tracker(detector)
     here, empty = *images(drawing, 0.0), np.full_like(drawing.frame, 120)
-    tracker.find(here)
-    if loss == "forgotten":
-        tracker.forget()
-    else:
-        assert tracker.find(empty) is None
-    detector.looked.clear()
-    assert tracker.find(here) is not None
-    assert detector.looked == [None]
+    for lose in (lambda: tracker.find(empty), tracker.forget):
+        tracker.find(here)
+        assert lose() is None
+        detector.looked.clear()
+        assert tracker.find(here) is not None
+        assert detector.looked == [None]
 
 
 def test_an_image_known_to_be_empty_need_not_be_searched(drawing):
@@ -125,10 +115,10 @@ def test_a_motion_of_the_camera_counts_by_the_targets_distance(drawing):
 
 
 def test_a_sigma_comes_with_each_pixel(drawing):
-    """The scatter of 200 images of a target at rest is what the sigmas say, to a third."""
+    """The scatter of 100 images of a target at rest is what the sigmas say, to a third."""
     tracker, rng = Tracker(make_detector(drawing.target, drawing.camera)), np.random.default_rng(3)
     found = []
-    for _ in range(200):
+    for _ in range(100):
         drawing.draw(pose(0.01, 0.02, 1.5), rng)
         found.append(tracker.find(drawing.frame))
     scatter = np.std([each.point_px for each in found], axis=0)

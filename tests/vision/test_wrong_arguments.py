@@ -1,5 +1,6 @@
 """Wrong targets, pixels, poses and predictions are refused with the expected form."""
 
+import itertools
 import re
 
 import numpy as np
@@ -50,15 +51,11 @@ def test_what_was_expected_is_said():
             call()
 
 
-@pytest.mark.parametrize("where", [np.nan, np.inf, 1e300])
-def test_a_prediction_that_is_nowhere_finds_nothing(where):
-    for target in (
-        "tag:36h11:0",
-        "checkerboard:5x4",
-        "charuco:7x5:40:30:4X4_50",
-        "aprilgrid:6x6:88:0.3",
-    ):
-        detector = make_detector(parse_target(target))
-        corners = np.full((len(detector.target.corners_m), 2), where)
-        seen = Detection(detector.target, corners[0], corners, corners[0], corners)
-        assert detector.track(IMAGE, seen) is None
+def test_a_prediction_that_is_nowhere_finds_nothing():
+    names = ("tag:36h11:0", "checkerboard:5x4", "charuco:7x5:40:30:4X4_50", "aprilgrid:6x6:88:0.3")
+    for name, where in itertools.product(names, (np.nan, np.inf, 1e300)):
+        with named(name, where):
+            detector = make_detector(parse_target(name))
+            corners = np.full((len(detector.target.corners_m), 2), where)
+            seen = Detection(detector.target, corners[0], corners, corners[0], corners)
+            assert detector.track(IMAGE, seen) is None

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from tests.grids import some_of
+from tests.naming import named
 from tests.vision.poses import pose
-from tests.vision.scenes import Scene, glare, jpeg, ramp, rig, rms, scene, shadow
-from vergence.vision import CharucoBoard, Checkerboard, make_detector
+from tests.vision.scenes import Scene, cropped, glare, jpeg, ramp, rig, rms, scene, shadow
+from vergence.vision import CharucoBoard, make_detector
 
 BOARDS = {
     "7x5": CharucoBoard(columns=7, rows=5),
@@ -30,18 +31,17 @@ def detector_of(board: CharucoBoard):
     return make_detector(board, rig("simulated")[0])
 
 
-@pytest.mark.parametrize(
-    ("roll", "name"), some_of([0.0, 0.8, np.pi / 2, np.pi, -2.2], list(BOARDS))
-)
-def test_every_corner_is_found_in_opencvs_order(name, roll):
-    board = BOARDS[name]
-    one = drawn(board, roll)
-    found = detector_of(board).detect(one.image)
-    assert found.target == board
-    assert np.isfinite(found.corners_px).all()
-    assert found.corners_px == pytest.approx(one.corners, abs=0.25)
-    assert rms(found.corners_px - one.corners) < 0.08
-    assert found.point_px == pytest.approx(one.point, abs=0.05)
+def test_every_corner_is_found_in_opencvs_order():
+    for roll, name in some_of([0.0, 0.8, np.pi / 2, np.pi, -2.2], list(BOARDS)):
+        with named(roll, name):
+            board = BOARDS[name]
+            one = drawn(board, roll)
+            found = detector_of(board).detect(one.image)
+            assert found.target == board
+            assert np.isfinite(found.corners_px).all()
+            assert found.corners_px == pytest.approx(one.corners, abs=0.25)
+            assert rms(found.corners_px - one.corners) < 0.08
+            assert found.point_px == pytest.approx(one.point, abs=0.05)
 
 
 @pytest.mark.parametrize("name", ["6x4 legacy", "5x6 legacy"])
@@ -62,7 +62,7 @@ def test_a_board_of_the_new_layout_is_none_where_the_old_one_was_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("side", "grey"), some_of([(1, 0), (-1, 0), (0, 1), (0, -1), (0.7, 0.7)], [0, 120, 255])
+    ("side", "grey"), [((1, 0), 0), ((-1, 0), 255), ((0, 1), 255), ((0, -1), 120), ((0.7, 0.7), 0)]
 )
 def test_hidden_corners_are_nan_and_the_others_where_they_are(side, grey):
     """Half of the board is behind a hand; the middle is known by the other half."""
@@ -95,20 +95,25 @@ def test_a_board_that_the_images_edge_cuts_is_found_in_part():
     assert found.corners_px[there] == pytest.approx(one.corners[there], abs=0.25)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [shadow(0.5, 0.5), ramp(0.2, 0.5, 250.0), glare(210.0, 40.0), jpeg(30)],
-    ids=["half shadow", "ramp", "glare", "JPEG of quality 30"],
-)
-def test_light_and_files_move_the_corners_found_by_little(change):
+LIGHTS = {
+    "half shadow": shadow(0.5, 0.5),
+    "ramp": ramp(0.2, 0.5, 250.0),
+    "glare": glare(210.0, 40.0),
+    "JPEG of quality 30": jpeg(30),
+}
+
+
+def test_light_and_files_move_the_corners_found_by_little():
     board = BOARDS["7x5"]
     one = drawn(board, 0.3)
-    found = detector_of(board).detect(change(one.image, one.point))
-    errors = found.corners_px - one.corners
-    there = np.isfinite(errors).all(axis=1)
-    assert there.sum() >= 12
-    assert np.median(np.abs(errors[there])) < 0.1
-    assert rms(errors[there]) < 2.0 * rms(found.corners_sigma_px[there])
+    for kind, change in LIGHTS.items():
+        with named(kind):
+            found = detector_of(board).detect(change(one.image, one.point))
+            errors = found.corners_px - one.corners
+            there = np.isfinite(errors).all(axis=1)
+            assert there.sum() >= 12
+            assert np.median(np.abs(errors[there])) < 0.1
+            assert rms(errors[there]) < 2.0 * rms(found.corners_sigma_px[there])
 
 
 @pytest.mark.parametrize("z", [0.6, 1.2])
@@ -118,7 +123,7 @@ def test_sigmas_hold_the_errors(z):
     board, rng = BOARDS["7x5"], np.random.default_rng(3)
     detector = make_detector(board, camera)
     errors, said = [], []
-    for _ in range(15):
+    for _ in range(8):
         x, y = rng.uniform(-0.05, 0.05, 2)
         one = scene(camera, board, pose(x, y, z, (0.2, 0.1, 0.2)), rendering, rng)
         found = detector.detect(one.image)
@@ -129,29 +134,30 @@ def test_sigmas_hold_the_errors(z):
     assert rms(errors) / 1.7 < rms(said) < 1.7 * rms(errors)
 
 
-@pytest.mark.slow
 def test_another_board_is_none():
-    one = drawn(BOARDS["7x5"])
+    one = cropped(drawn(BOARDS["7x5"]))
     others = (
         CharucoBoard(columns=7, rows=5, dictionary="DICT_5X5_50"),
         CharucoBoard(columns=7, rows=5, dictionary="DICT_6X6_50"),
-        Checkerboard(columns=6, rows=4),
     )
     for other in others:
-        found = make_detector(other).detect(one.image)
-        assert found is None or isinstance(other, Checkerboard)
+        assert make_detector(other).detect(one.image) is None
     mirrored = np.ascontiguousarray(one.image[:, ::-1])
-    assert detector_of(BOARDS["7x5"]).detect(mirrored) is None
+    assert make_detector(BOARDS["7x5"]).detect(mirrored) is None
+
+
+MORE = [(0, -1), (1, 0), (-1, 0), (1, -1), (-1, 1), (2, 0), (-2, 0)]
 
 
 @pytest.mark.parametrize("name", ["7x5", "6x4", "6x4 legacy", "5x6 legacy"])
-@pytest.mark.parametrize("more", [(0, -1), (1, 0), (-1, 0), (1, -1), (-1, 1), (2, 0), (-2, 0)])
-def test_a_board_of_similar_counts_is_none(name, more):
+def test_a_board_of_similar_counts_is_none(name):
     """A part of the markers is where the board asked for has them, others beside it."""
     board = BOARDS[name]
-    columns, rows = board.columns + more[0], board.rows + more[1]
-    one = drawn(board, 0.3)
-    assert detector_of(CharucoBoard(columns=columns, rows=rows)).detect(one.image) is None
+    one = cropped(drawn(board, 0.3))
+    for more in MORE[list(BOARDS).index(name) % 2 :: 2]:
+        with named(more):
+            other = CharucoBoard(columns=board.columns + more[0], rows=board.rows + more[1])
+            assert make_detector(other).detect(one.image) is None
 
 
 def test_another_board_of_the_same_dictionary_beside_it_hides_no_board():

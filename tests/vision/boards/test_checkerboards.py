@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -12,8 +13,8 @@ from tests.models.lenses import wide
 from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import (
-    RIGS,
     Scene,
+    cropped,
     defocus,
     glare,
     jpeg,
@@ -63,56 +64,39 @@ def detector_of(target: Checkerboard):
     return make_detector(target, rig("simulated")[0])
 
 
-@pytest.mark.parametrize(
-    ("rim", "columns", "rows"), [(rim, *size) for rim, size in some_of([True, False], SIZES)]
-)
-def test_every_corner_is_found_in_the_boards_order(columns, rows, rim):
-    target = board(columns, rows, rim=rim)
-    one = drawn(target, 0.1, (0.3, -0.4))
-    found = detector_of(target).detect(one.image)
-    assert found.target == target
-    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
-    assert found.point_px == pytest.approx(one.point, abs=0.2)
-    assert rms(found.corners_px - one.corners) < 0.08
+def test_every_corner_is_found_in_the_boards_order():
+    for rim, size in some_of([True, False], SIZES):
+        with named(rim, size):
+            target = board(*size, rim=rim)
+            one = drawn(target, 0.1, (0.3, -0.4))
+            found = detector_of(target).detect(one.image)
+            assert found.target == target
+            assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+            assert found.point_px == pytest.approx(one.point, abs=0.2)
+            assert rms(found.corners_px - one.corners) < 0.08
 
 
-@pytest.mark.parametrize(
-    ("surround", "columns", "rows"),
-    [
-        (surround, *size)
-        for surround, size in some_of([45.0, 120.0, 205.0], [(5, 4), (5, 5), (9, 6)])
-    ],
-)
-def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall(
-    columns, rows, surround
-):
+def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall():
     """Before a wall of the grey of its black squares or of its white ones."""
-    rendering = replace(rig("simulated")[1], background_grey=surround)
-    target = board(columns, rows, rim=False)
-    for roll in (0.0, 0.5):
-        one = drawn(target, roll, (0.1, 0.2), rendering=rendering)
-        found = detector_of(target).detect(one.image)
-        assert found is not None
-        assert found.corners_px == pytest.approx(one.corners, abs=0.3)
+    for surround, size in [(45.0, (5, 4)), (120.0, (5, 5)), (205.0, (9, 6)), (45.0, (9, 6))]:
+        rendering = replace(rig("simulated")[1], background_grey=surround)
+        target = board(*size, rim=False)
+        for roll in (0.0, 0.5):
+            with named(surround, size, roll):
+                one = drawn(target, roll, (0.1, 0.2), rendering=rendering)
+                found = detector_of(target).detect(one.image)
+                assert found.corners_px == pytest.approx(one.corners, abs=0.12)
 
 
-@pytest.mark.parametrize(
-    ("roll", "columns", "rows"),
-    [
-        (roll, *size)
-        for roll, size in some_of(
-            [0.0, 0.7, np.pi / 2, np.pi, -2.0], [(5, 4), (4, 5), (9, 6), (12, 9)]
-        )
-    ],
-)
-def test_a_board_that_tells_up_from_down_has_its_corners_in_order_at_every_roll(
-    columns, rows, roll
-):
-    target = board(columns, rows)
-    one = drawn(target, roll, (0.2, -0.2))
-    found = detector_of(target).detect(one.image)
-    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
-    assert found.point_px == pytest.approx(one.point, abs=0.2)
+def test_a_board_that_tells_up_from_down_has_its_corners_in_order_at_every_roll():
+    sizes = [(5, 4), (4, 5), (9, 6), (12, 9)]
+    for roll, size in some_of([0.0, 0.7, np.pi / 2, np.pi, -2.0], sizes):
+        with named(roll, size):
+            target = board(*size)
+            one = drawn(target, roll, (0.2, -0.2))
+            found = detector_of(target).detect(one.image)
+            assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+            assert found.point_px == pytest.approx(one.point, abs=0.2)
 
 
 def corner_square(one: Scene, found: np.ndarray, target: Checkerboard) -> float:
@@ -122,20 +106,16 @@ def corner_square(one: Scene, found: np.ndarray, target: Checkerboard) -> float:
     return float(one.image[round(v), round(u)])
 
 
-@pytest.mark.parametrize(
-    ("roll", "columns", "rows"),
-    [
-        (roll, *size)
-        for roll, size in some_of(
-            [0.0, 0.7, 1.4, np.pi, -2.0], [(3, 3), (4, 4), (5, 5), (6, 4), (5, 3)]
-        )
-    ],
-)
-def test_a_symmetric_boards_first_line_points_to_the_right(columns, rows, roll):
+ROLLED = some_of([0.0, 0.7, 1.4, np.pi, -2.0], [(3, 3), (4, 4), (5, 5), (6, 4), (5, 3)])
+
+
+@pytest.mark.parametrize(("roll", "size"), ROLLED[::2])
+def test_a_symmetric_boards_first_line_points_to_the_right(size, roll):
     """Its corners are those that are drawn, in one of its orders; its point is the middle.
 
     The first square is dark, as printed: an order that begins at a light one is not the board's.
     """
+    columns, rows = size
     target = board(columns, rows)
     one = drawn(target, roll, (0.1, -0.1))
     found = detector_of(target).detect(one.image)
@@ -153,57 +133,44 @@ def test_a_symmetric_boards_first_line_points_to_the_right(columns, rows, roll):
     assert corner_square(one, found.corners_px, target) < 100
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(4, 4), (6, 4), (7, 5), (6, 6)])
+@pytest.mark.parametrize(("columns", "rows"), [(4, 4), (6, 4)])
 def test_a_symmetric_board_with_white_corners_is_found(columns, rows):
     """Printed the other way round, it has the same corners."""
     target = board(columns, rows)
-    one = drawn(target, 0.1, (0.2, 0.1))
-    found = detector_of(target).detect(255 - one.image)
-    assert found is not None
+    one = cropped(drawn(target, 0.1, (0.2, 0.1)))
+    found = make_detector(target).detect(255 - one.image)
     assert found.corners_px == pytest.approx(one.corners, abs=0.2)
-    assert detector_of(target).track(255 - one.image, found) is not None
+    assert make_detector(target).track(255 - one.image, found) is not None
 
 
-@pytest.mark.parametrize("side", [3, 5])
-def test_a_square_board_of_the_other_colours_is_one_turned_by_a_quarter(side):
-    target = board(side, side)
-    one = drawn(target, 0.1, (0.2, 0.1))
-    found = detector_of(target).detect(255 - one.image)
-    true = one.corners.reshape(side, side, 2)
+def test_a_square_board_of_the_other_colours_is_one_turned_by_a_quarter():
+    target = board(3, 3)
+    one = cropped(drawn(target, 0.1, (0.2, 0.1)))
+    found = make_detector(target).detect(255 - one.image)
+    true = one.corners.reshape(3, 3, 2)
     beside = [rms(found.corners_px - np.rot90(true, k).reshape(-1, 2)) for k in (1, 3)]
     assert min(beside) < 0.1
 
 
 def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
     target = board(5, 4)
-    one = drawn(target, 0.1, (0.2, 0.1))
-    found = detector_of(target).detect(255 - one.image)
+    one = cropped(drawn(target, 0.1, (0.2, 0.1)))
+    found = make_detector(target).detect(255 - one.image)
     assert found.corners_px == pytest.approx(one.corners[::-1], abs=0.2)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("roll", "rim", "asked", "shown"),
     [
-        (roll, rim, *size)
-        for roll, rim, size in some_of(
-            [0.0, 0.9, 2.0],
-            [True, False],
-            [
-                ((5, 4), (9, 6)),
-                ((5, 4), (6, 4)),
-                ((5, 4), (5, 5)),
-                ((3, 3), (5, 4)),
-                ((8, 6), (9, 6)),
-                ((9, 6), (12, 9)),
-                ((9, 6), (10, 7)),
-            ],
-        )
+        (0.0, True, (5, 4), (6, 4)),
+        (0.9, False, (5, 4), (5, 5)),
+        (2.0, True, (3, 3), (5, 4)),
+        (2.0, False, (6, 4), (7, 5)),
     ],
 )
 def test_a_part_of_a_larger_board_is_none(asked, shown, rim, roll):
-    one = drawn(board(*shown, rim=rim), roll, (0.1, 0.1))
-    detector = detector_of(board(*asked))
+    one = cropped(drawn(board(*shown, rim=rim), roll, (0.1, 0.1)))
+    detector = make_detector(board(*asked))
     assert detector.detect(one.image) is None
     (columns, rows), grid = asked, one.corners.reshape(shown[1], shown[0], 2)
     part = grid[:rows, :columns].reshape(-1, 2)
@@ -259,26 +226,19 @@ def test_a_board_whose_outermost_squares_are_cut_is_no_smaller_one(asked):
     assert detector.track(image, seen) is None
 
 
-@pytest.mark.parametrize(
-    ("asked", "shown"),
-    [((9, 6), (5, 4)), ((9, 6), (8, 6)), ((6, 4), (5, 4)), ((5, 5), (5, 4))],
-    ids=str,
-)
-@pytest.mark.slow
-def test_a_smaller_board_is_none(asked, shown):
-    for roll in (0.0, 0.9):
-        one = drawn(board(*shown), roll, (0.1, 0.1))
-        assert detector_of(board(*asked)).detect(one.image) is None
+@pytest.mark.parametrize(("roll", "asked"), [(0.9, (6, 4)), (0.0, (5, 5))])
+def test_a_smaller_board_is_none(asked, roll):
+    one = cropped(drawn(board(5, 4), roll, (0.1, 0.1)))
+    assert make_detector(board(*asked)).detect(one.image) is None
 
 
 @pytest.mark.parametrize(
-    ("side", "columns", "rows"),
-    [(side, *size) for side, size in some_of([(1, 0), (-1, 0), (0, 1), (0, -1)], [(5, 4), (9, 6)])],
+    ("side", "size"), [((1, 0), (5, 4)), ((-1, 0), (9, 6)), ((0, 1), (9, 6)), ((0, -1), (5, 4))]
 )
-def test_a_half_hidden_board_is_none_neither_found_nor_tracked(columns, rows, side):
-    target = board(columns, rows)
-    one = drawn(target, 0.2)
-    detector = detector_of(target)
+def test_a_half_hidden_board_is_none_neither_found_nor_tracked(size, side):
+    target = board(*size)
+    one = cropped(drawn(target, 0.2))
+    detector = make_detector(target)
     seen = detector.detect(one.image)
     middle = one.corners.mean(axis=0)
     v, u = np.indices(one.image.shape)
@@ -309,75 +269,58 @@ LIGHTS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("what", "columns", "rows"),
-    [(what, *size) for what, size in some_of(list(LIGHTS), [(5, 4), (9, 6), (5, 5)])],
-)
-def test_light_and_files_move_no_corner(columns, rows, what):
-    target = board(columns, rows)
-    one = drawn(target, 0.1, (0.3, -0.2))
-    image = LIGHTS[what](one.image, one.corners.mean(axis=0))
-    detector = detector_of(target)
-    found = detector.detect(image)
-    assert found is not None
-    assert rms(found.corners_px - one.corners) < 0.15
-    assert detector.track(image, found) is not None
+def test_light_and_files_move_no_corner():
+    for what, size in some_of(list(LIGHTS), [(5, 4), (9, 6), (5, 5)]):
+        with named(what, size):
+            target = board(*size)
+            one = drawn(target, 0.1, (0.3, -0.2))
+            image = LIGHTS[what](one.image, one.corners.mean(axis=0))
+            detector = detector_of(target)
+            found = detector.detect(image)
+            assert rms(found.corners_px - one.corners) < 0.15
+            assert detector.track(image, found) is not None
 
 
 def in_shadow(columns: int, rows: int, left: float, angle: float) -> tuple[Scene, np.ndarray]:
-    one = drawn(board(columns, rows), 0.1, (0.3, -0.2))
+    one = cropped(drawn(board(columns, rows), 0.1, (0.3, -0.2)))
     return one, shadow(left, angle)(one.image, one.corners.mean(axis=0))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("angle", "left", "columns", "rows"),
-    [
-        (angle, left, *size)
-        for angle, left, size in some_of(
-            [0.0, 0.5, 1.2, 2.0, 2.8], [0.3, 0.5], [(5, 4), (9, 6), (5, 5)]
-        )
-    ],
-)
-def test_the_edge_of_a_shadow_moves_few_corners_and_sigmas_say_so(columns, rows, left, angle):
+@pytest.mark.parametrize(("angle", "size"), [(0.0, (5, 5)), (0.5, (5, 4)), (2.0, (9, 6))])
+def test_the_edge_of_a_deep_shadow_moves_few_corners_and_sigmas_say_so(size, angle):
     """Half are moved by less than 0.1 px; those that the edge crosses are in the sigma of all."""
-    one, image = in_shadow(columns, rows, left, angle)
-    found = detector_of(board(columns, rows)).detect(image)
-    if left == 0.5:
-        assert found is not None
+    one, image = in_shadow(*size, 0.3, angle)
+    found = make_detector(board(*size)).detect(image)
     if found is not None:
         errors = found.corners_px - one.corners
         assert np.median(np.abs(errors)) < 0.1
         assert rms(errors) < 2.0 * rms(found.corners_sigma_px) + 0.05
 
 
-@pytest.mark.parametrize(
-    ("angle", "columns", "rows"),
-    [
-        (angle, *size)
-        for angle, size in some_of([0.0, 0.5, 1.2, 2.0, 2.8], [(5, 4), (9, 6), (5, 5)])
-    ],
-)
-def test_the_edge_of_a_shadow_moves_no_corner_far(columns, rows, angle):
+def test_the_edge_of_a_shadow_moves_no_corner_far():
     """It runs through windows of 11 px and moves corners by 3 px that nobody looks after."""
-    one, image = in_shadow(columns, rows, 0.5, angle)
-    detector = detector_of(board(columns, rows))
-    found = detector.detect(image)
-    assert found.corners_px == pytest.approx(one.corners, abs=1.2)
-    assert rms(found.corners_px - one.corners) < 0.3
-    assert detector.track(image, found) is not None
+    for angle, size in some_of([0.0, 0.5, 1.2, 2.0, 2.8], [(5, 4), (9, 6), (5, 5)]):
+        with named(angle, size):
+            one, image = in_shadow(*size, 0.5, angle)
+            detector = make_detector(board(*size))
+            found = detector.detect(image)
+            errors = found.corners_px - one.corners
+            assert np.abs(errors).max() < 1.2
+            assert np.median(np.abs(errors)) < 0.1
+            assert rms(errors) < min(0.3, 2.0 * rms(found.corners_sigma_px) + 0.05)
+            assert detector.track(image, found) is not None
 
 
-@pytest.mark.parametrize(("grey", "corner"), some_of([0, 90, 255], [0, 4, 13, 30, 53]))
+@pytest.mark.parametrize(("grey", "corner"), [(0, 0), (90, 13), (255, 30)])
 def test_a_blob_on_a_corner_leaves_it_where_it_is_or_the_board_is_none(corner, grey):
     """A sticker, a clip, a drop: it covers a corner, and its squares stay readable."""
     target = board(9, 6)
-    one = drawn(target, 0.1, (0.2, -0.2))
+    one = cropped(drawn(target, 0.1, (0.2, -0.2)))
     for aside in ((0.0, 0.0), (2.5, 1.0), (-3.0, 3.0)):
         image = one.image.copy()
         place = tuple(np.rint(one.corners[corner] + aside).astype(int).tolist())
         cv2.circle(image, place, 4, grey, -1, cv2.LINE_AA)
-        found = detector_of(target).detect(image)
+        found = make_detector(target).detect(image)
         if found is not None:
             beside = np.abs(found.corners_px - one.corners)
             assert np.delete(beside, corner, axis=0).max() < 0.6
@@ -401,15 +344,16 @@ def test_a_prediction_between_the_corners_finds_no_board_there():
                 assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("square_px", "name"), some_of([5.0, 7.0, 10.0], RIGS))
+@pytest.mark.parametrize(
+    ("square_px", "name"), [(5.0, "physical"), (7.0, "simulated"), (10.0, "simulated")]
+)
 def test_small_boards_are_found_at_every_place_in_the_pixel_grid(name, square_px):
     camera, rendering = rig(name)
     target, rng = Checkerboard(columns=5, rows=4), np.random.default_rng(4)
     detector = make_detector(target, camera)
     z = target.square_m * camera.focal_px[0] / square_px
     errors = []
-    for _ in range(12):
+    for _ in range(5):
         x, y = rng.uniform(-0.1, 0.1, 2) * z
         one = scene(camera, target, pose(x, y, z, turned(rng, 0.3)), rendering, rng)
         found = detector.detect(one.image)
@@ -418,43 +362,38 @@ def test_small_boards_are_found_at_every_place_in_the_pixel_grid(name, square_px
     assert rms(errors) < 0.12
 
 
-@pytest.mark.parametrize(("name", "z"), some_of(RIGS, [0.5, 1.0, 2.4]))
+@pytest.mark.parametrize(("name", "z"), [("simulated", 0.5), ("physical", 1.0), ("simulated", 2.4)])
 def test_corners_are_as_exact_as_said(name, z):
     """0.08 px rms of each coordinate with the rig's noise."""
     camera, rendering = rig(name)
     target, rng = Checkerboard(columns=5, rows=4), np.random.default_rng(4)
     detector = make_detector(target, camera)
     errors = []
-    for _ in range(12):
+    for _ in range(8):
         x, y = rng.uniform(-0.05, 0.05, 2) * z
         one = scene(camera, target, pose(x, y, z, turned(rng, 0.5)), rendering, rng)
         errors.append(detector.detect(one.image).corners_px - one.corners)
     assert rms(errors) < 0.08
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("noise", "columns", "rows", "z"),
-    [
-        (noise, *size, z)
-        for noise, size, z in some_of([2.0, 6.0], [(5, 4), (9, 6), (3, 3)], [0.7, 1.5])
-    ],
+    ("noise", "columns", "rows", "z"), [(2.0, 5, 4, 0.7), (6.0, 9, 6, 1.5), (6.0, 3, 3, 0.7)]
 )
 def test_sigmas_are_not_less_than_the_scatter(columns, rows, noise, z):
     """Nor more than the error's own size, which they hold as well: the grid of pixels' share.
 
-    Over 40 images with the board at places anywhere in the pixel grid.
+    Over 15 images with the board at places anywhere in the pixel grid.
     """
     camera, plain = rig("simulated")
     rendering = replace(plain, noise_grey=noise)
     target, rng = board(columns, rows), np.random.default_rng(5)
     detector = make_detector(target, camera)
     errors, said, scatter = [], [], []
-    for _ in range(8):
+    for _ in range(5):
         x, y = rng.uniform(-0.05, 0.05, 2)
         T_C_T = pose(x, y, z, turned(rng, 0.3))
         same = []
-        for _ in range(5):
+        for _ in range(3):
             one = scene(camera, target, T_C_T, rendering, rng)
             found = detector.detect(one.image)
             same.append(found.corners_px)
@@ -469,9 +408,9 @@ def test_sigmas_are_not_less_than_the_scatter(columns, rows, noise, z):
 def test_an_unevenly_printed_board_says_so(uneven_px):
     """Paper that waves by so much moves corners; the sigma says by how much, to a third."""
     target = board(9, 6)
-    one = drawn(target, 0.05, (0.1, 0.1), z=0.6)
+    one = cropped(drawn(target, 0.05, (0.1, 0.1), z=0.6))
     rng, said, errors = np.random.default_rng(6), [], []
-    for _ in range(6):
+    for _ in range(3):
         # waves of about a square, so that neighbours move by themselves
         small = rng.normal(size=(2, 24, 32)).astype(np.float32)
         height, width = one.image.shape
@@ -481,13 +420,13 @@ def test_an_unevenly_printed_board_says_so(uneven_px):
         shifts = [uneven_px * each / each.std() for each in shifts]
         v, u = np.indices(one.image.shape, np.float32)
         image = cv2.remap(one.image, u + shifts[0], v + shifts[1], cv2.INTER_CUBIC)
-        found = detector_of(target).detect(image)
+        found = make_detector(target).detect(image)
         said.append(found.corners_sigma_px)
         errors.append(found.corners_px - one.corners)
     assert rms(said) == pytest.approx(rms(errors), rel=0.35)
 
 
-@pytest.mark.parametrize("aside_deg", [0.0, 30.0, 50.0])
+@pytest.mark.parametrize("aside_deg", [0.0, 50.0])
 def test_a_board_seen_through_a_fisheye_is_not_called_uneven(aside_deg):
     """Its corners are where they are, and sigmas do not take the lens's bend for scatter."""
     camera = EyeCamera.of(wide("fisheye"), 0)
@@ -504,6 +443,7 @@ def test_a_board_seen_through_a_fisheye_is_not_called_uneven(aside_deg):
     assert rms(found.corners_sigma_px) < 0.1
 
 
+@lru_cache
 def in_12_megapixels() -> tuple[Scene, EyeCamera]:
     camera = EyeCamera(
         width=4000, height=3000, focal_px=(3000.0, 3000.0), principal_px=(1999.5, 1499.5)

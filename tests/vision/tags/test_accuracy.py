@@ -6,11 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.grids import some_of
 from tests.models.lenses import wide
 from tests.vision.poses import pose
 from tests.vision.scenes import (
-    RIGS,
     defocus,
     jpeg,
     levels,
@@ -39,14 +37,16 @@ def poses(depth_m: float, count: int, seed: int = 0) -> list[np.ndarray]:
     return out
 
 
-@pytest.mark.parametrize(("depth_m", "name"), some_of([0.4, 1.0, 2.4], RIGS))
+@pytest.mark.parametrize(
+    ("depth_m", "name"), [(0.4, "physical"), (1.0, "simulated"), (2.4, "simulated")]
+)
 def test_corners_and_depth_are_as_exact_as_said(name, depth_m):
     """0.05 px rms of each coordinate with the rig's noise, 0.03 px without; depth to 0.3 %."""
     camera, rendering = rig(name)
     detector, rng = make_detector(TAG, camera), np.random.default_rng(3)
     board = np.column_stack([TAG.corners_m, np.zeros(4)])
     errors, biases, depths = [], [], []
-    for T_C_T in poses(depth_m, 20):
+    for T_C_T in poses(depth_m, 12):
         quiet = scene(camera, TAG, T_C_T, rendering)
         biases.append(detector.detect(quiet.image).corners_px - quiet.corners)
         found = detector.detect(scene(camera, TAG, T_C_T, rendering, rng).image)
@@ -60,7 +60,7 @@ def test_corners_and_depth_are_as_exact_as_said(name, depth_m):
     assert rms(depths) < 0.003
 
 
-@pytest.mark.parametrize(("name", "edge_px"), some_of(RIGS, [14.0, 17.0, 22.0]))
+@pytest.mark.parametrize(("name", "edge_px"), [("simulated", 14.0), ("physical", 17.0)])
 def test_small_tags_are_found_at_every_place_in_the_pixel_grid_and_every_roll(name, edge_px):
     """Down to 1.75 px a cell, with the rig's noise; corners to 0.15 px rms."""
     camera, rendering = rig(name)
@@ -79,8 +79,7 @@ def test_small_tags_are_found_at_every_place_in_the_pixel_grid_and_every_roll(na
 
 
 @pytest.mark.parametrize(
-    ("angle", "light", "depth_m"),
-    some_of([0.0, 0.8, np.pi / 2, 2.5], [shadow, ramp], [0.5, 1.0, 2.0]),
+    ("angle", "light", "depth_m"), [(0.0, shadow, 1.0), (0.8, ramp, 0.5), (2.5, shadow, 2.0)]
 )
 def test_light_that_changes_within_the_tag_moves_no_corner(light, angle, depth_m):
     """Half a tag in half of the light: 0.1 px rms, twice what it is in even light."""
@@ -92,7 +91,7 @@ def test_light_that_changes_within_the_tag_moves_no_corner(light, angle, depth_m
         else ramp(0.2, angle, 1.5 * TAG.edge_m * camera.focal_px[0] / depth_m)
     )
     errors = []
-    for T_C_T in poses(depth_m, 6, seed=1):
+    for T_C_T in poses(depth_m, 5, seed=1):
         one = scene(camera, TAG, T_C_T, rendering, rng)
         image = change(one.image, one.point)
         found = detector.detect(image)
@@ -102,17 +101,16 @@ def test_light_that_changes_within_the_tag_moves_no_corner(light, angle, depth_m
     assert rms(errors) < 0.1
 
 
-@pytest.mark.parametrize("left", [0.2, 0.3, 0.4])
+@pytest.mark.parametrize("left", [0.2, 0.4])
 def test_a_shadow_too_deep_blinds_and_does_not_mislead(left):
     """White in the shadow is as dark as black in the sun: what is found all the same is right."""
     camera, rendering = rig("simulated")
     detector, rng = make_detector(TAG, camera), np.random.default_rng(7)
-    for depth_m in (0.5, 1.0, 2.0):
-        for angle in (0.0, 0.8, 2.5):
-            one = scene(camera, TAG, poses(depth_m, 1)[0], rendering, rng)
-            found = detector.detect(shadow(left, angle)(one.image, one.point))
-            if found is not None:
-                assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+    for depth_m, angle in [(0.5, 0.8), (1.0, 0.0), (2.0, 2.5)]:
+        one = scene(camera, TAG, poses(depth_m, 1)[0], rendering, rng)
+        found = detector.detect(shadow(left, angle)(one.image, one.point))
+        if found is not None:
+            assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
 CHANGES = {
@@ -123,13 +121,13 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize(("what", "name"), some_of(list(CHANGES), RIGS))
-def test_a_poor_image_is_read_and_its_corners_are_right(name, what):
+@pytest.mark.parametrize("what", CHANGES)
+def test_a_poor_image_is_read_and_its_corners_are_right(what):
     change, most_px = CHANGES[what]
-    camera, rendering = rig(name)
+    camera, rendering = rig("physical" if "focus" in what else "simulated")
     detector, rng = make_detector(TAG, camera), np.random.default_rng(8)
     errors = []
-    for T_C_T in poses(0.8, 8, seed=2):
+    for T_C_T in poses(0.8, 5, seed=2):
         one = scene(camera, TAG, T_C_T, rendering, rng)
         place = one.point - (1000.0, 0.0) if "tenth" in what else one.point
         found = detector.detect(change(one.image, place))
@@ -138,8 +136,7 @@ def test_a_poor_image_is_read_and_its_corners_are_right(name, what):
     assert rms(errors) < most_px
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.8, np.pi / 2])
-@pytest.mark.parametrize("length_px", [2.0, 4.0])
+@pytest.mark.parametrize(("length_px", "angle"), [(2.0, 0.8), (4.0, 0.0), (4.0, np.pi / 2)])
 def test_a_moving_tag_is_at_the_middle_of_its_way(length_px, angle):
     camera, rendering = rig("simulated")
     detector, rng = make_detector(TAG, camera), np.random.default_rng(9)
@@ -153,26 +150,18 @@ def test_a_moving_tag_is_at_the_middle_of_its_way(length_px, angle):
     assert rms(errors) < 0.15
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "depth_m", "blur_px", "light"),
     [
-        (name, *image)
-        for name, image in some_of(
-            RIGS,
-            [
-                (0.5, None, None),
-                (1.0, None, None),
-                (2.4, None, None),
-                (4.0, None, None),
-                (1.0, 1.5, None),
-                (1.0, None, shadow()),
-            ],
-        )
+        ("physical", 0.5, None, None),
+        ("physical", 4.0, None, None),
+        ("simulated", 2.4, None, None),
+        ("simulated", 1.0, 1.5, None),
+        pytest.param("simulated", 1.0, None, shadow(), marks=pytest.mark.slow),
     ],
 )
 def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
-    """Mean over the coordinates of 60 images, to 35 %, or more with systematic errors.
+    """Mean over the coordinates of 30 images, to 35 %, or more with systematic errors.
 
     The edge of a sharp shadow, which the levels of blocks do not reveal, moves corners in the same
     way in all images: there the sigmas are no less than the error, and up to 8 times as large.
@@ -185,7 +174,7 @@ def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
     corners, points, said, said_points = [], [], [], []
     one = scene(camera, TAG, T_C_T, rendering)
     truth, true_point = one.corners, one.point
-    for _ in range(60):
+    for _ in range(30):
         one = scene(camera, TAG, T_C_T, rendering, rng)
         image = one.image if light is None else light(one.image, one.point)
         found = detector.detect(image)
@@ -202,7 +191,7 @@ def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
             assert error < rms(sigmas) < 8.0 * error
 
 
-@pytest.mark.parametrize(("depth_m", "name"), some_of([0.5, 1.0, 2.0], RIGS))
+@pytest.mark.parametrize(("depth_m", "name"), [(0.5, "physical"), (2.0, "simulated")])
 def test_a_gamma_that_nobody_states_moves_no_corner(name, depth_m):
     """Blurred white reaches into black where levels are not proportional to light.
 
@@ -211,7 +200,7 @@ def test_a_gamma_that_nobody_states_moves_no_corner(name, depth_m):
     camera, rendering = rig(name)
     detector = make_detector(TAG, camera)
     errors, centres = [], []
-    for T_C_T in poses(depth_m, 8, seed=4):
+    for T_C_T in poses(depth_m, 6, seed=4):
         one = scene(camera, TAG, T_C_T, rendering)
         found = detector.detect(levels(255.0 * (one.image / 255.0) ** (1.0 / 2.2)))
         errors.append(found.corners_px - one.corners)
@@ -220,7 +209,7 @@ def test_a_gamma_that_nobody_states_moves_no_corner(name, depth_m):
     assert rms(centres) < 0.01
 
 
-@pytest.mark.parametrize("edge_px", [40.0, 80.0, 160.0])
+@pytest.mark.parametrize("edge_px", [40.0, 120.0])
 def test_sigma_grows_with_the_noise(edge_px):
     """Twice the noise is twice the sigma, but for the rounding's share of it."""
     camera, rendering = rig("simulated")
@@ -238,15 +227,9 @@ def test_sigma_grows_with_the_noise(edge_px):
     assert said[2] / said[1] == pytest.approx(2.0, rel=0.25)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lens", "aside_deg"),
-    [
-        (lens, aside_deg)
-        for lens, most_deg in (("fisheye", 60.0), ("rational", 60.0), ("brown-conrady", 40.0))
-        for aside_deg in (0.0, 35.0, 40.0, 60.0)
-        if aside_deg <= most_deg
-    ],
+    [("fisheye", 35.0), ("fisheye", 60.0), ("rational", 60.0), ("brown-conrady", 40.0)],
 )
 def test_a_tag_far_off_the_axis_of_a_wide_lens_is_where_it_is(lens, aside_deg):
     """Accuracy equals that straight ahead; the centre is the crossing of the bent diagonals.
@@ -274,7 +257,7 @@ def test_a_tag_far_off_the_axis_of_a_wide_lens_is_where_it_is(lens, aside_deg):
     assert rms(centres) < 0.04
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_tag_with_a_side_that_something_covers_is_seldom_found_beside_its_place():
     """A straight edge across its corner, in 60 images.
 
@@ -306,7 +289,7 @@ def test_edges_are_fitted_in_the_light_that_levels_stand_for():
         np.interp(np.arange(256), light_table("srgb"), np.arange(256))
     ).astype(np.uint8)
     errors, sigmas, unaware = [], [], []
-    for T_C_T in poses(1.0, 10):
+    for T_C_T in poses(1.0, 6):
         drawn = scene(camera, TAG, T_C_T, rendering, np.random.default_rng(3))
         image = levels_of_light[drawn.image]
         found = detector.detect(image)

@@ -21,7 +21,7 @@ LINEAR = make_detector(FAMILY, response="linear")
 
 
 def bent_tag(seed, sagitta_m=None):
-    """A sharp image of a tag on a cylinder, its number, and its corners and centre, px.
+    """An image of a tag on a cylinder and 40 px about it, its number, and its corners and centre.
 
     The cylinder bends 150 mm of paper by 4 to 7 mm, or as stated, about an axis that lies anywhere
     in its plane.
@@ -36,15 +36,20 @@ def bent_tag(seed, sagitta_m=None):
     angle = rng.uniform(0.0, np.pi)
     scene = Scene(number, pose, BLUR_PX, sagitta_m, angle)
     middle = 0.5 * np.array(IMAGE) - 0.5
-
-    u, v = (np.arange(n * FINER) / FINER + 0.5 / FINER - 0.5 for n in IMAGE)
-    x, y = np.meshgrid((u - middle[0]) / focal, (v - middle[1]) / focal)
-    paper, hit = on_sheet(scene, np.stack([x, y, np.ones_like(x)], axis=-1))
-
-    image = drawn_sheet(paper, hit, number) + rng.normal(0.0, 1.5, IMAGE[::-1])
     seen = in_space(scene, HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]]))
     points = focal * seen[:, :2] / seen[:, 2:] + middle
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8), number, points
+    start = np.maximum(np.floor(points.min(axis=0)) - 40.0, 0.0)
+    size = np.minimum(np.ceil(points.max(axis=0)) + 40.0, IMAGE) - start
+
+    u, v = (np.arange(n * FINER) / FINER + 0.5 / FINER - 0.5 for n in size)
+    x, y = np.meshgrid(
+        *((each + at) / focal for each, at in zip((u, v), start - middle, strict=True))
+    )
+    paper, hit = on_sheet(scene, np.stack([x, y, np.ones_like(x)], axis=-1))
+
+    image = drawn_sheet(paper, hit, number)
+    image = np.clip(np.rint(image + rng.normal(0.0, 1.5, image.shape)), 0, 255).astype(np.uint8)
+    return image, number, points - start
 
 
 def drawn_sheet(paper, hit, number):
@@ -56,7 +61,8 @@ def drawn_sheet(paper, hit, number):
     grey = np.full(there.shape, 110.0)
     black, white = GREYS
     grey[there] = black + (white - black) * cells[place[there][:, 1], place[there][:, 0]]
-    image = cv2.resize(grey, IMAGE, interpolation=cv2.INTER_AREA)
+    size = tuple(n // FINER for n in grey.shape[::-1])
+    image = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(image, (0, 0), BLUR_PX)
 
 
@@ -64,9 +70,7 @@ def found_in(image, number):
     return next((one for one in DETECTOR.detect_all(image) if one.target.id == number), None)
 
 
-@pytest.mark.parametrize(
-    "seed", [29, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8, 15, 39, 73))]
-)
+@pytest.mark.parametrize("seed", [29, 39])
 def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
     image, number, points = bent_tag(seed)
     corners = points[:4]
@@ -77,15 +81,17 @@ def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
     assert (found.corners_sigma_px < 0.02 * np.ptp(corners)).all()
     # the point lies between the four corners, which err by themselves
     assert found.sigma_px == pytest.approx(found.corners_sigma_px.mean(axis=0) / 2.0, rel=0.25)
+    again = DETECTOR.track(image, found)
+    assert np.abs(again.point_px - found.point_px).max() < 1.0
 
 
-@pytest.mark.parametrize("sagitta_m", [0.0, 0.001, 0.002, 0.004])
+@pytest.mark.parametrize("sagitta_m", [0.0, 0.004])
 def test_the_point_of_a_bent_tag_is_the_middle_of_its_print(sagitta_m):
     """The crossing of its diagonals lies 0.3 px per mm beside it."""
     errors, sigmas = [], []
-    for seed in (0, 1, 3, 4, 5, 6):
-        image, _number, points = bent_tag(seed, sagitta_m)
-        found = LINEAR.detect(image, near_px=points[4])
+    for seed in (0, 6, 7, 8, 9):
+        image, _, points = bent_tag(seed, sagitta_m)
+        found = LINEAR.detect(image)
         errors.append(found.point_px - points[4])
         sigmas.append(found.sigma_px)
     errors, sigmas = np.array(errors), np.array(sigmas)
@@ -118,12 +124,3 @@ def test_the_point_of_a_tag_with_a_trimmed_border_has_a_sigma_that_covers_both_m
     found = LINEAR.detect(cv2.GaussianBlur(image, (0, 0), 0.8))
     assert found.point_px == pytest.approx([71.5, 71.5 - 0.5 * trimmed], abs=0.2)
     assert (found.sigma_px > 0.5 * trimmed).all()
-
-
-@pytest.mark.slow
-def test_such_a_tag_is_followed():
-    image, number, _ = bent_tag(73)
-    found = found_in(image, number)
-    again = DETECTOR.track(image, found)
-    assert again is not None
-    assert np.abs(again.point_px - found.point_px).max() < 1.0

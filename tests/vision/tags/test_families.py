@@ -10,7 +10,7 @@ import pytest
 from tests.grids import some_of
 from tests.naming import named
 from tests.vision.poses import pose
-from tests.vision.scenes import Scene, rig, scene, several
+from tests.vision.scenes import Scene, cropped, rig, scene, several
 from vergence.models.boards import texture
 from vergence.models.tag_families import CORRECTED_BITS, tag_family
 from vergence.vision import AprilTag, TagFamily, make_detector
@@ -30,10 +30,13 @@ def drawn(target: AprilTag, roll: float = 0.0, turn: tuple[float, float] = (0.0,
     return scene(camera, target, T_C_T, rendering, np.random.default_rng(1))
 
 
-@pytest.mark.parametrize(("family", "roll"), some_of(FAMILIES, [0.0, 0.8, np.pi / 2, np.pi, -1.0]))
-def test_a_tag_is_found_by_its_number_its_upper_left_corner_first(family, roll):
+ROLLS = dict(zip(FAMILIES, [0.0, 0.8, np.pi / 2, np.pi, -1.0] * 2, strict=False))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_tag_is_found_by_its_number_its_upper_left_corner_first(family):
     """To 0.1 px: taken for another corner it would be beside by the edge, 60 px and more."""
-    count = len(tag_family(family).code_words)
+    count, roll = len(tag_family(family).code_words), ROLLS[family]
     for identity in (0, count // 2, count - 1):
         target = tag(family, identity)
         one = drawn(target, roll, (0.2, -0.3))
@@ -47,55 +50,51 @@ def test_a_family_finds_its_tags_and_says_which():
     for family in FAMILIES:
         with named(family):
             last = len(tag_family(family).code_words) - 1
-            one = drawn(tag(family, last))
+            one = cropped(drawn(tag(family, last)))
             (found,) = make_detector(TagFamily(family=family, edge_m=0.1)).detect_all(one.image)
             assert found.target == AprilTag(family=family, id=last, edge_m=0.1)
 
 
-@pytest.mark.parametrize(("family", "cell_px", "black"), some_of(FAMILIES, [3, 7, 25, 36], [0, 3]))
-def test_a_drawing_is_found_with_a_sigma_as_small_as_its_error(family, cell_px, black):
+def test_a_drawing_is_found_with_a_sigma_as_small_as_its_error():
     """White of 255 is a drawing's white here, not a camera's that is clipped."""
-    target, rim_px = tag(family), 12
-    image = np.maximum(texture(target, cell_px, rim_px=rim_px), black).astype(np.uint8)
-    place = np.array(target.origin_cells) * cell_px - 0.5 + rim_px
-    found = make_detector(target).detect(image)
-    assert found.corners_px == pytest.approx(
-        target.corners_m / target.cell_m * cell_px + place, abs=0.05
-    )
-    assert found.corners_sigma_px.max() < 0.1
+    for family, cell_px, black in some_of(FAMILIES, [3, 7, 25, 36], [0, 3]):
+        with named(family, cell_px, black):
+            target, rim_px = tag(family), 12
+            image = np.maximum(texture(target, cell_px, rim_px=rim_px), black).astype(np.uint8)
+            place = np.array(target.origin_cells) * cell_px - 0.5 + rim_px
+            found = make_detector(target).detect(image)
+            corners = target.corners_m / target.cell_m * cell_px + place
+            assert found.corners_px == pytest.approx(corners, abs=0.05)
+            assert found.corners_sigma_px.max() < 0.1
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_a_tag_of_another_family_is_none(family):
-    for other in FAMILIES:
-        if other != family:
-            one = drawn(tag(other, 3))
+def test_a_tag_of_another_family_is_none():
+    for family, other in zip(FAMILIES, FAMILIES[1:] + FAMILIES[:1], strict=True):
+        with named(family, other):
+            one = cropped(drawn(tag(other, 3)))
             assert make_detector(TagFamily(family=family)).detect_all(one.image) == []
 
 
 def test_a_tag_of_another_number_is_none():
     for family in FAMILIES:
         with named(family):
-            one = drawn(tag(family, 4))
+            one = cropped(drawn(tag(family, 4)))
             assert make_detector(tag(family, 5)).detect(one.image) is None
             seen = make_detector(tag(family, 4)).detect(one.image)
             tracker = make_detector(tag(family, 5))
             assert tracker.track(one.image, seen._replace(target=tag(family, 5))) is None
 
 
-@pytest.mark.parametrize(
-    ("family", "change"),
-    some_of(
-        FAMILIES,
-        [lambda image: image[:, ::-1], lambda image: image[::-1], lambda image: 255 - image],
-    ),
-)
-def test_a_mirrored_tag_is_none_nor_an_inverted_one(family, change):
-    image = np.ascontiguousarray(change(drawn(tag(family, 2)).image))
-    assert make_detector(TagFamily(family=family)).detect_all(image) == []
+def test_a_mirrored_tag_is_none_nor_an_inverted_one():
+    for family in FAMILIES:
+        image = cropped(drawn(tag(family, 2))).image
+        for changed in (image[:, ::-1], image[::-1], 255 - image):
+            with named(family, changed[0, 0]):
+                detector = make_detector(TagFamily(family=family))
+                assert detector.detect_all(np.ascontiguousarray(changed)) == []
 
 
-@pytest.mark.parametrize("family", ["36h11", "25h9", "16h5", "Standard41h12", "Circle21h7"])
+@pytest.mark.parametrize("family", ["36h11", "16h5", "Standard41h12"])
 def test_the_librarys_own_detector_reads_what_is_drawn_upright(family):
     """Its homography takes (-1, -1), the tag's upper left, to where the upper left was drawn."""
     one = drawn(tag(family, 7), 0.4)

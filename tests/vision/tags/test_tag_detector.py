@@ -8,29 +8,31 @@ import numpy as np
 import pytest
 
 from tests.grids import some_of
+from tests.naming import named
 from tests.vision.poses import pose
-from tests.vision.scenes import glare, rig, rms, scene, several
+from tests.vision.scenes import cropped, glare, rig, rms, scene, several
 from vergence.vision import AprilTag, TagFamily, make_detector
 
 TAG = AprilTag()
 SIDES = [(1, 0), (-1, 0), (0, 1), (0, -1)]
 
 
-@pytest.mark.parametrize(("roll", "side", "grey"), some_of([0.0, 0.6, 2.2], SIDES, [0, 90, 255]))
-def test_a_half_hidden_tag_is_none_neither_found_nor_tracked(side, roll, grey):
-    camera, rendering = rig("simulated")
-    one = scene(camera, TAG, pose(0.02, 0.01, 0.8, (0, 0, roll)), rendering)
-    detector = make_detector(TAG, camera)
-    seen = detector.detect(one.image)
-    rows, columns = np.indices(one.image.shape)
-    beyond = (columns - one.point[0]) * side[0] + (rows - one.point[1]) * side[1] > 0
-    near = np.hypot(columns - one.point[0], rows - one.point[1]) < 120
-    hidden = np.where(beyond & near, grey, one.image).astype(np.uint8)
-    assert detector.detect(hidden) is None
-    assert detector.track(hidden, seen) is None
+def test_a_half_hidden_tag_is_none_neither_found_nor_tracked():
+    for roll, side, grey in some_of([0.0, 0.6, 2.2], SIDES, [0, 90, 255]):
+        with named(roll, side, grey):
+            camera, rendering = rig("simulated")
+            one = cropped(scene(camera, TAG, pose(0.02, 0.01, 0.8, (0, 0, roll)), rendering))
+            detector = make_detector(TAG)
+            seen = detector.detect(one.image)
+            rows, columns = np.indices(one.image.shape)
+            beyond = (columns - one.point[0]) * side[0] + (rows - one.point[1]) * side[1] > 0
+            near = np.hypot(columns - one.point[0], rows - one.point[1]) < 120
+            hidden = np.where(beyond & near, grey, one.image).astype(np.uint8)
+            assert detector.detect(hidden) is None
+            assert detector.track(hidden, seen) is None
 
 
-@pytest.mark.parametrize(("side", "beyond_px"), some_of(SIDES, [2.0, 12.0]))
+@pytest.mark.parametrize(("side", "beyond_px"), list(zip(SIDES, [2.0, 12.0] * 2, strict=True)))
 def test_a_tag_that_the_images_edge_cuts_is_none(side, beyond_px):
     """A side that is not in the image is nowhere."""
     camera, rendering = rig("simulated")
@@ -61,7 +63,7 @@ def test_a_corner_just_beyond_the_images_edge_is_found_there_and_not_drawn_in(x,
     assert found.corners_px == pytest.approx(one.corners, abs=0.05)
 
 
-@pytest.mark.parametrize("away_px", [-1, 0, 1, 3])
+@pytest.mark.parametrize("away_px", [-1, 0, 2])
 def test_a_tag_at_the_images_edge_is_found_with_a_sigma_as_large_as_its_error(away_px):
     camera, rendering = rig("simulated")
     rng, detector, errors = np.random.default_rng(4), make_detector(TAG), []
@@ -74,47 +76,44 @@ def test_a_tag_at_the_images_edge_is_found_with_a_sigma_as_large_as_its_error(aw
     assert 0.5 < rms(errors) < 1.6
 
 
-@pytest.mark.parametrize("side", SIDES)
-def test_a_tag_in_the_image_to_its_quiet_zone_is_found(side):
+def test_a_tag_in_the_image_to_its_quiet_zone_is_found():
     camera, rendering = rig("simulated")
     half_px = 0.5 * TAG.edge_m * camera.focal_px[0] * 10.0 / 8.0
     size = np.array([camera.width, camera.height])
-    middle = 0.5 * (size - 1.0) + np.array(side) * (0.5 * size - half_px - 2.0)
-    x, y = (middle - camera.principal_px) / camera.focal_px
-    one = scene(camera, TAG, pose(x, y, 1.0), rendering)
-    found = make_detector(TAG, camera).detect(one.image)
-    assert found.corners_px == pytest.approx(one.corners, abs=0.1)
+    for side in SIDES:
+        with named(side):
+            middle = 0.5 * (size - 1.0) + np.array(side) * (0.5 * size - half_px - 2.0)
+            x, y = (middle - camera.principal_px) / camera.focal_px
+            one = scene(camera, TAG, pose(x, y, 1.0), rendering)
+            found = make_detector(TAG, camera).detect(one.image)
+            assert found.corners_px == pytest.approx(one.corners, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ("angle", "away_edges"), some_of([0.0, 0.8, np.pi / 2, 3.5], [1.1, 1.5, 2.5])
-)
-def test_glare_beside_the_tag_does_not_matter(away_edges, angle):
+def test_glare_beside_the_tag_does_not_matter():
     camera, rendering = rig("simulated")
     edge_px = TAG.edge_m * camera.focal_px[0] / 0.8
     one = scene(camera, TAG, pose(0.02, 0.01, 0.8, (0.1, 0.2, 0.3)), rendering)
-    image = glare(away_edges * edge_px, 0.2 * edge_px, angle)(one.image, one.point)
-    found = make_detector(TAG, camera).detect(image)
-    assert found is not None
-    assert rms(found.corners_px - one.corners) < 0.1
+    for angle, away_edges in [(0.0, 1.1), (0.8, 2.5), (np.pi / 2, 1.1), (3.5, 1.5)]:
+        with named(angle, away_edges):
+            image = glare(away_edges * edge_px, 0.2 * edge_px, angle)(one.image, one.point)
+            found = make_detector(TAG, camera).detect(image)
+            assert rms(found.corners_px - one.corners) < 0.1
 
 
-@pytest.mark.slow
 def test_a_highlight_on_the_tag_is_stood_or_the_tag_is_none():
     """Detected corners are right to 0.3 px."""
     camera, rendering = rig("simulated")
     edge_px = TAG.edge_m * camera.focal_px[0] / 0.8
-    one = scene(camera, TAG, pose(0.02, 0.01, 0.8, (0.1, 0.2, 0.3)), rendering)
-    detector = make_detector(TAG, camera)
+    one = cropped(scene(camera, TAG, pose(0.02, 0.01, 0.8, (0.1, 0.2, 0.3)), rendering))
+    detector = make_detector(TAG)
     seen = 0
-    for away in (0.0, 0.25, 0.4, 0.5, 0.7):
-        for angle in (0.3, 2.2, 4.4):
-            for radius in (0.05, 0.15):
-                image = glare(away * edge_px, radius * edge_px, angle)(one.image, one.point)
-                found = detector.detect(image)
-                if found is not None:
-                    seen += 1
-                    assert found.corners_px == pytest.approx(one.corners, abs=0.3)
+    for away, angle, radius in some_of((0.0, 0.25, 0.4, 0.5, 0.7), (0.3, 2.2, 4.4), (0.05, 0.15)):
+        image = glare(away * edge_px, radius * edge_px, angle)(one.image, one.point)
+        found = detector.detect(image)
+        if found is not None:
+            seen += 1
+            with named(away, angle, radius):
+                assert found.corners_px == pytest.approx(one.corners, abs=0.3)
     assert seen > 0
 
 
@@ -135,11 +134,10 @@ def test_a_copy_through_pickle_says_the_same(target):
 
 
 @pytest.mark.parametrize("shared", [False, True], ids=["each its own", "one for both"])
-@pytest.mark.slow
 def test_two_threads_at_once_find_what_one_finds(shared):
-    camera, rendering = rig("simulated")
+    camera, rendering = rig("physical")
     images = []
-    for k in range(8):
+    for k in range(3):
         placed = [
             (AprilTag(id=10 * k + i), pose(-0.4 + 0.4 * i, 0.02 * k, 1.0, (0.1, 0.1 * i, 0.3 * k)))
             for i in range(3)
