@@ -16,7 +16,7 @@ def run(capsys, *words: str) -> tuple[int, str, str]:
     return int(stop.value.code or 0), out, err
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
     code, out, _err = run(
         capsys, "ibvs", "--margins", "--imperfection", "frame_phase", "command_latency_s", *FEW,
@@ -36,7 +36,7 @@ def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
         assert (tmp_path / "run" / name).is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(
         capsys, "ibvs", "pid", "--margins", "--imperfection", "frame_phase", *FEW, "--json",
