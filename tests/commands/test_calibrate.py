@@ -111,6 +111,7 @@ def test_a_camera_becomes_a_file_that_detectors_take(photographs, tmp_path, caps
     np.testing.assert_allclose(camera.focal, make_rig().camera_parameters[0][:2], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_what_is_wrong_with_photographs_is_said(photographs, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     one, grey, small = (tmp_path / name for name in ("one", "grey", "small"))

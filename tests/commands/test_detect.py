@@ -28,6 +28,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_json_has_a_row_for_each_target_of_an_image(folder, capsys):
     words = ("--target", "tag:36h11", "--target", "checkerboard:5x4", "--json")
     assert call("detect", folder, *words, "--head", "physical", "--eye", "left") == 0
@@ -200,6 +201,7 @@ def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
     assert "target: expected at least one" in refused(capsys, "detect", "a.png")
 
 
+@pytest.mark.slow
 def test_a_board_of_the_old_layout_is_named_so(capsys, tmp_path):
     board = CharucoBoard(columns=6, rows=4, square_m=0.03, marker_m=0.022, legacy=True)
     image = Studio(load_head("physical"), board).take(

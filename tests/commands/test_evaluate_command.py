@@ -33,6 +33,7 @@ def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path)
     assert (tmp_path / "run" / "report.html").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_the_head_and_what_it_cannot_do_away_with(capsys, tmp_path):
     (tmp_path / "mis.toml").write_text(text_of("mis"))
@@ -76,13 +77,6 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
         lines = [line for line in err.splitlines() if line.startswith("vergence: ")]
         assert sum("error: " in line for line in lines) == 1
         assert not (tmp_path / "run").exists()
-
-
-def test_a_folder_with_files_in_it_is_refused_before_any_trial(capsys, tmp_path):
-    (tmp_path / "file").touch()
-    code, _out, err = run(capsys, "ibvs", "--out", str(tmp_path))
-    assert code == 2
-    assert "out: expected a new or empty folder" in err
 
 
 def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(

@@ -47,6 +47,7 @@ def locate(desk, capsys, tmp_path):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_json_has_a_row_for_each_target_of_a_pair_with_the_true_points(desk, locate):
     code, out, _ = locate("left", "right", "--json")
@@ -91,6 +92,7 @@ def test_the_table_and_the_run_folder_hold_what_was_located(locate, tmp_path):
     assert min(cv2.imread(str(tmp_path / "run" / "locate.png")).shape[:2]) > 700
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_joint_angles_that_are_off_are_told_by_the_edges_and_none_are_taken_for_rest(
     capsys, tmp_path
@@ -150,6 +152,7 @@ def test_without_any_readable_pair_nothing_is_written(desk, locate, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_nothing_found_ends_in_exit_code_1(locate):
     code, out, err = locate("left/2.png", "right/2.png", "--json", target="tag:36h11:6:120")
@@ -157,6 +160,7 @@ def test_nothing_found_ends_in_exit_code_1(locate):
     assert "expected tag:36h11:6:120 in both images of the pair, found none" in err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_images_that_are_swapped_or_do_not_belong_together_are_told(locate, tmp_path):
     code, _, err = locate("right/2.png", "left/2.png")

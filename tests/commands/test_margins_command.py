@@ -16,6 +16,7 @@ def run(capsys, *words: str) -> tuple[int, str, str]:
     return int(stop.value.code or 0), out, err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
     code, out, _err = run(
@@ -36,6 +37,7 @@ def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
         assert (tmp_path / "run" / name).is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(

@@ -16,13 +16,12 @@ from vergence.vision.printing import Paper, PrintSheet, lay_out_sheet, parse_pap
 
 DPI = 254  # ten pixels to the millimetre: sheets are whole pixels
 PX_MM = 0.1
-FINE = 4  # OpenCV fills whole pixels, half of one more on each side: 0.0125 mm of these
 BOARDS = [
     ("checkerboard:9x6:24", "a4", "pdf"),  # its ruler stands at the side
     ("charuco:5x7:31.7:23.1:5X5_100", "letter", "pdf"),  # a marker's bit is no part of a square
     ("charuco:5x7:31.7:23.1:5X5_100", "letter", "png"),
     ("aprilgrid:6x6:20:0.3", "a4", "png"),
-    ("tag:36h11:5:120", "a4", "svg"),
+    ("tag:36h11:5:120", "a4", "png"),
     ("tag:Standard41h12:7:35", "100x150", "pdf"),
 ]
 
@@ -36,36 +35,11 @@ def printed(path: Path, text: str, paper: str, *words: str) -> np.ndarray:
     assert call("print-target", text, "--paper", paper, "--out", path, *words) == 0
     if path.suffix == ".png":
         return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if path.suffix == ".pdf":
-        with pypdfium2.PdfDocument(path) as document:
-            assert len(document) == 1
-            # a little less: a sheet is stretched to the next whole pixel
-            page = document[0].render(scale=(1.0 - 1e-6) * DPI / 72.0, grayscale=True)
-            return page.to_numpy().copy()
-    return filled(path)
-
-
-def filled(path: Path) -> np.ndarray:
-    """The filled paths of an SVG that lie in its page's own coordinates; text is none of them."""
-    root = ET.parse(path).getroot()
-    width, height = (
-        float(root.get(side).removesuffix("pt")) * FINE * DPI / 72.0 for side in ("width", "height")
-    )
-    scale = width / float(root.get("viewBox").split()[2])  # pixels of a unit
-    image = np.full([round(side / FINE) * FINE for side in (height, width)], 255, np.uint8)
-    name = "{http://www.w3.org/2000/svg}"
-    for group in root.iterfind(f".//{name}g"):
-        if not re.match("patch_[23]$", group.get("id", "")):
-            continue
-        (drawn,) = group.findall(f"{name}path")
-        loops = [
-            np.array([pair.split() for pair in re.findall(r"[-\d.]+ [-\d.]+", loop)], float)
-            for loop in drawn.get("d").split("M")[1:]
-        ]
-        # a pixel's centre is whole for OpenCV; 8 bits of a pixel are its fractions
-        points = [np.round(256.0 * (scale * loop - 0.5)).astype(np.int32) for loop in loops]
-        cv2.fillPoly(image, points, 0, shift=8)
-    return cv2.resize(image, None, fx=1 / FINE, fy=1 / FINE, interpolation=cv2.INTER_AREA)
+    with pypdfium2.PdfDocument(path) as document:
+        assert len(document) == 1
+        # a little less: a sheet is stretched to the next whole pixel
+        page = document[0].render(scale=(1.0 - 1e-6) * DPI / 72.0, grayscale=True)
+        return page.to_numpy().copy()
 
 
 def ruler_length_mm(image: np.ndarray, sheet: PrintSheet) -> float:
@@ -100,13 +74,29 @@ def test_what_is_printed_measures_what_was_stated(text, paper, ending, tmp_path)
     true = 1000.0 * target.corners_m
     assert np.isfinite(seen).all()
     between = [np.hypot(*(each[:, None] - each).transpose(2, 0, 1)) for each in (seen, true)]
-    within_mm = 0.06 if ending == "svg" else 0.01  # OpenCV's filling of the SVG takes 0.05
-    np.testing.assert_allclose(*between, atol=within_mm)
+    np.testing.assert_allclose(*between, atol=0.01)
     # upright, as the viewer sees it
-    np.testing.assert_allclose(seen - seen[0], true - true[0], atol=within_mm)
+    np.testing.assert_allclose(seen - seen[0], true - true[0], atol=0.01)
     assert ruler_length_mm(image, sheet) == pytest.approx(100.0, abs=0.01)
 
 
+def test_an_svg_has_the_size_of_the_paper_and_outlines_where_they_are_laid_out(tmp_path):
+    text, paper = "tag:36h11:5:120", "a4"
+    assert call("print-target", text, "--paper", paper, "--out", tmp_path / "tag.svg") == 0
+    root, sheet = ET.parse(tmp_path / "tag.svg").getroot(), laid_out(text, paper)
+    size_mm = [
+        float(root.get(side).removesuffix("pt")) * 25.4 / 72.0 for side in ("width", "height")
+    ]
+    assert size_mm == pytest.approx([sheet.width_mm, sheet.height_mm], abs=0.01)
+    unit_mm = size_mm[0] / float(root.get("viewBox").split()[2])
+    (drawn,) = root.iterfind(".//*[@id='patch_2']/{*}path")
+    points = unit_mm * np.array(re.findall(r"([-\d.]+) ([-\d.]+)", drawn.get("d")), float)
+    expected = np.vstack(sheet.black_outlines_mm)
+    for end in (np.min, np.max):
+        np.testing.assert_allclose(end(points, axis=0), end(expected, axis=0), atol=0.01)
+
+
+@pytest.mark.slow
 def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
     for text, paper, margin_mm in [
         ("tag:Standard41h12:7:35", "100x150", 7.0),
@@ -144,6 +134,7 @@ def test_black_has_no_seams_at_a_resolution_that_cuts_its_cells(tmp_path):
         assert image[round(top) - 4, column] == 255
 
 
+@pytest.mark.slow
 def test_the_text_of_the_board_stands_on_it_and_the_same_board_gives_the_same_bytes(
     tmp_path, monkeypatch
 ):

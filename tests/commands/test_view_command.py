@@ -7,7 +7,7 @@ import urllib.request
 
 import pytest
 
-from tests.commands.called import refused
+from tests.commands.called import call, refused
 from tests.naming import named
 
 pytest.importorskip("viser")
@@ -36,7 +36,7 @@ def test_without_its_extra_it_says_what_to_install(capsys, monkeypatch):
 def test_the_page_is_served_until_ctrl_c(tmp_path):
     command = [sys.executable, "-m", "vergence", "view", "--no-browser", "--port", "0"]
     process = subprocess.Popen(
-        [*command, "--follow", "."],
+        command,
         stderr=subprocess.PIPE,
         text=True,
         cwd=tmp_path,
@@ -54,3 +54,19 @@ def test_the_page_is_served_until_ctrl_c(tmp_path):
     finally:
         process.kill()
         process.communicate()
+
+
+def test_a_log_is_followed_and_the_page_opened(capsys, monkeypatch, tmp_path):
+    pytest.importorskip("mcap")
+    opened, followed = [], []
+
+    def run(view):
+        followed.append(view.words)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vergence.viewer.live.LiveView.run", run)
+    monkeypatch.setattr("vergence.commands.view._yield_processors", lambda: None)
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    assert call("view", "--follow", tmp_path, "--port", 0) == 0
+    assert "waiting for a log" in followed[0]
+    assert f"showing on {opened[0]} until Ctrl-C" in capsys.readouterr().err
