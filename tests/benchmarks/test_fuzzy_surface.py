@@ -1,16 +1,9 @@
 """The picture of the fuzzy gains is made by one command, and no panel of it is empty."""
 
 import numpy as np
-import pytest
 
-from benchmarks.fuzzy_surface import draw_surfaces, main
+from benchmarks.fuzzy_surface import draw_surfaces
 from vergence import load_head, make_controller
-
-
-@pytest.mark.slow
-def test_the_command_writes_the_picture_alone(tmp_path) -> None:
-    assert main(["--out", str(tmp_path / "surface")]) == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["surface.png"]
 
 
 def test_every_gain_has_a_panel_with_a_surface() -> None:

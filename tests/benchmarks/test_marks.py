@@ -19,58 +19,25 @@ rows: one; two
 """
 
 
-def test_numbers_are_named_one_by_one():
+def test_numbers_and_cells_are_named_and_a_wrong_one_is_found():
     text = "It takes 183 ms, not 0.2 s.\n\n<!-- numbers t: 183 = a/b*1000; 0.2 = a/b -->"
     assert [stated.key for stated in stated_numbers(text)] == ["a/b", "a/b"]
-    assert disagreements(text, TABLES) == []
-
-
-def test_cells_are_named_by_row_and_column():
     assert [stated.text for stated in stated_numbers(TABLE)] == ["1,007", "3.0", "2,500", ""]
-    assert disagreements(TABLE, TABLES) == []
-
-
-@pytest.mark.parametrize(
-    ("right", "wrong", "said"),
-    [("1,007", "1,008", "1,008, but x/one/s is 1007.4"), ("3.0", "3.1", "3.1, but x/one/r is 3")],
-)
-def test_a_wrong_number_is_found(right, wrong, said):
-    assert disagreements(TABLE.replace(right, wrong), TABLES) == [said]
+    assert disagreements(text, TABLES) == disagreements(TABLE, TABLES) == []
+    assert disagreements(TABLE.replace("1,007", "1,008"), TABLES) == [
+        "1,008, but x/one/s is 1007.4"
+    ]
+    assert disagreements(TABLE.replace("3.0", "3.1"), TABLES) == ["3.1, but x/one/r is 3"]
 
 
 def test_a_mark_of_what_is_not_there_is_an_error():
-    with pytest.raises(AssertionError, match="184 is not in the text"):
-        list(stated_numbers("It takes 183 ms.\n\n<!-- numbers t: 184 = a/b -->"))
-
-
-def test_a_line_without_a_name_is_an_error():
-    with pytest.raises(AssertionError, match="2 lines of a table, but 1 rows"):
-        list(stated_numbers(TABLE.replace("one; two\n-->", "one\n-->")))
-
-
-def test_a_key_that_the_table_does_not_have_is_an_error():
-    with pytest.raises(KeyError):
-        disagreements("1\n\n<!-- numbers t: 1 = no/such -->", TABLES)
-
-
-def test_a_number_says_where_it_stands():
-    text = "A line.\n\nIt takes 183 ms.\n\n<!-- numbers t: 183 = a/b*1000 -->"
-    (stated,) = stated_numbers(text)
-    assert text[stated.begin : stated.end] == "183"
-    assert [TABLE[one.begin : one.end] for one in stated_numbers(TABLE)][:3] == [
-        "1,007", "3.0", "2,500",
-    ]  # fmt: skip
-
-
-def test_an_empty_cell_is_wrong_where_the_table_has_a_number():
-    table = {"t": {"x/one/s": 1.0074, "x/two/s": 2.5, "x/one/r": 3.0, "x/two/r": 4.0}.__getitem__}
-    assert disagreements(TABLE, table) == ["no number, but x/two/r is 4"]
-
-
-def test_two_marks_may_stand_below_one_table():
-    text = f"{TABLE}\n<!-- numbers t: 1,007 = x/one/s*1000 -->"
-    assert disagreements(text, TABLES) == []
-    assert [one.cell for one in stated_numbers(text)] == [True] * 4 + [False]
+    for text, error, said in (
+        ("183 ms.\n\n<!-- numbers t: 184 = a/b -->", AssertionError, "184 is not in the text"),
+        (TABLE.replace("one; two\n-->", "one\n-->"), AssertionError, "2 lines of a table"),
+        ("1\n\n<!-- numbers t: 1 = no/such -->", KeyError, "no/such"),
+    ):
+        with named(text), pytest.raises(error, match=said):
+            disagreements(text, TABLES)
 
 
 RANGES = """\

@@ -46,20 +46,6 @@ def test_rows_that_agree_are_one_and_rows_that_do_not_are_refused(tmp_path) -> N
         kept_of([one, run(tmp_path / "another", head="g")], KEPT, KEYS)
 
 
-def test_a_head_may_be_called_otherwise(tmp_path) -> None:
-    heads = Kept(("head", "scenario", "controller"), "summary.csv")
-    table = kept_of([("h.urdf", run(tmp_path / "one")[1])], heads, ["h.urdf/slow/pid/settle_s"])
-    assert table.to_numpy().tolist() == [["h.urdf", "slow", "pid", "0.123457"]]
-
-
-def test_what_is_no_run_folder_is_refused(tmp_path) -> None:
-    with pytest.raises(QuotedError, match=r"nothing: expected a run folder with summary.csv"):
-        kept_of([("", tmp_path / "nothing")], KEPT, KEYS)
-    (tmp_path / "summary.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(QuotedError, match="expected columns controller, scenario, got none"):
-        kept_of([("", tmp_path)], KEPT, KEYS)
-
-
 def test_a_document_is_filled_and_what_its_text_has_wrong_is_said(tmp_path) -> None:
     document = tmp_path / "a.md"
     document.write_text(

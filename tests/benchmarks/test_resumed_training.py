@@ -6,7 +6,7 @@ from benchmarks.resumed_training import main
 from tests.training.runs import PPO, SMALL
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("undrawn")
 def test_an_interrupted_training_is_said_to_end_as_an_uninterrupted_one(capsys) -> None:
     assert main(["--steps", "512", "--seeds", "3", "--set", *SMALL, *PPO]) == 0

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.stable_baselines import main
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore:You are trying to run PPO on the GPU:UserWarning")
 def test_a_short_look_has_a_row_for_every_way_of_learning(tmp_path, capsys) -> None:
     csv = tmp_path / "table.csv"

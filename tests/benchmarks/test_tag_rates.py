@@ -10,8 +10,6 @@ from benchmarks.tag_images.methods import Found, Method
 from benchmarks.tag_images.rates import RecordingDetector, cells, main, seen_in
 from tests.benchmarks.test_tag_images import photograph_of_a_tag
 from vergence.vision import parse_target
-from vergence.vision.tags.reading import CellReading
-from vergence.vision.tags.report import TagFit
 
 PHOTOGRAPH = photograph_of_a_tag(pixels=10)
 IMAGE = cv2.GaussianBlur(PHOTOGRAPH.image, (0, 0), 0.7)
@@ -48,29 +46,6 @@ def test_what_the_library_alone_finds_with_little_margin_does_not_count(ours) ->
     doubtful = Found(6, tag.centre_px, tag.corners_px, 0, 4.0)
     ids = [one.tag.id for one in seen_in("drawn", IMAGE, ours, library(doubtful), 5.0)]
     assert ids == [5]
-
-
-def test_what_ours_never_tried_has_no_fit(ours) -> None:
-    only = seen_in("drawn", IMAGE, ours, library(found(6)))[0]
-    assert only.fit is None
-    assert only.row["by"] == "library"
-
-
-def test_the_best_fit_of_a_tag_is_the_one_that_explains_most_of_it(ours) -> None:
-    middle, reading = found(5).centre_px, CellReading(0, 0, 0.0)
-
-    def fit(explained: float) -> TagFit:
-        return TagFit(100.0, explained, reading, 0.1, 0.05, 1.0)
-
-    ours.fits[:] = [
-        (5, middle, fit(0.3)),
-        (5, middle + 5.0, fit(0.6)),
-        (6, middle, fit(0.8)),
-        (5, middle + 60.0, fit(0.9)),
-    ]
-    best = ours.best_fit(found(5))
-    assert best is not None
-    assert best.explained_fraction == 0.6
 
 
 def test_one_command_makes_the_table_of_rates(tmp_path, capsys) -> None:

@@ -23,11 +23,11 @@ def seen(number: int, columns: int, edge: float) -> Found:
     return Found(number, points.mean(axis=0), points)
 
 
-@pytest.mark.parametrize("edge", [0.5, 0.8])
-def test_the_share_of_the_edge_comes_out_through_a_tilt_and_a_lens(edge):
-    share = share_of([seen(number, 5, edge) for number in range(20)], 5, SIZE)
-    assert share.value == pytest.approx(edge, abs=1e-4)
-    assert share.left_px < 0.02
+def test_the_share_of_the_edge_comes_out_through_a_tilt_and_a_lens():
+    for edge in (0.5, 0.8):
+        share = share_of([seen(number, 5, edge) for number in range(20)], 5, SIZE)
+        assert share.value == pytest.approx(edge, abs=1e-4)
+        assert share.left_px < 0.02
 
 
 def test_edges_placed_outside_by_a_share_of_a_pixel_are_told():

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tests.calibration.rigs import BOARD, SIZE, make_poses, make_rig
-from tests.test_cli import call
+from tests.commands.called import call, refused
+from tests.naming import named
 from vergence.models import load_head
 from vergence.models.files.intrinsics import read_intrinsics
 from vergence.models.parts import Rendering
@@ -25,7 +26,7 @@ RENDERING = Rendering(
 
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory):
-    """Pairs of photographs of a board, drawn through a lens; left01.png and right01.png, ..."""
+    """Pairs of photographs of a board, drawn through a lens; right03.png is none."""
     folder = tmp_path_factory.mktemp("photographs")
     rng = np.random.default_rng(11)
     rig, poses = make_rig(), make_poses(rng, 5 * VIEWS)
@@ -56,45 +57,53 @@ def photographs(tmp_path_factory):
             for eye, drawing in zip(("left", "right"), drawings, strict=True):
                 cv2.imwrite(str(folder / f"{eye}{taken:02d}.png"), drawing.frame)
     assert taken == VIEWS
+    (folder / "right03.png").write_bytes(b"no image")
     return folder
 
 
-def stereo(folder: Path, *words: object) -> int:
-    return call(
-        "calibrate", "stereo", "--left", str(folder / "left*.png"), "--right",
-        str(folder / "right*.png"), "--target", TARGET, "--lens", "brown-conrady", *map(str, words),
+def stereo(folder: Path, *words: object) -> tuple[object, ...]:
+    return (
+        "calibrate", "stereo", "--left", folder / "left*.png", "--right", folder / "right*.png",
+        "--target", TARGET, "--lens", "brown-conrady", *words,
     )  # fmt: skip
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_pair_becomes_a_head_that_other_commands_take(photographs, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert stereo(photographs, "--out", "pair.toml", "--json") == 0
-    said = json.loads(capsys.readouterr().out)
+    assert call(*stereo(photographs, "--out", "pair.toml", "--json")) == 2  # one is broken
+    out, err = capsys.readouterr()
+    assert "right03.png" in err
+    said = json.loads(out)
     assert set(said) == {
         "rms_left_px", "rms_right_px", "rms_stereo_px", "rms_heldout_px", "baseline_mm",
         "baseline_sigma_mm", "lens", "views", "dropped", "advice",
     }  # fmt: skip
+    assert said["dropped"] == [
+        {"view": "right03.png", "why": "it could not be read; the left image went in"}
+    ]
     expected = 1e3 * np.linalg.norm(make_rig().translation)
     assert abs(said["baseline_mm"] - expected) < 4.0 * said["baseline_sigma_mm"]
-    assert said["views"] == VIEWS
-    head = load_head("pair.toml")
-    assert head.calibration.target == TARGET
+    assert load_head("pair.toml").calibration.target == TARGET
     (run,) = (tmp_path / "runs").iterdir()
     assert {path.name for path in run.iterdir()} == {
         "calibration.html", "pair.toml", "result.json", "views.csv",
     }  # fmt: skip
     assert call("info", "--head", "pair.toml", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["calibration"]["views"] == VIEWS
+    assert json.loads(capsys.readouterr().out)["calibration"]["views"] == said["views"]
     # a file of that name is replaced only if that is said, before any work is done
     before = Path("pair.toml").read_bytes()
-    assert stereo(tmp_path / "nowhere", "--out", "pair.toml") == 2
-    assert "--force replaces it" in capsys.readouterr().err
+    line = refused(capsys, *stereo(tmp_path / "nowhere", "--out", "pair.toml"))
+    assert "--force replaces it" in line
     assert Path("pair.toml").read_bytes() == before
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_camera_becomes_a_file_that_detectors_take(photographs, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = ("calibrate", "intrinsics", str(photographs / "left*.png"), "--board", TARGET)
+    words = ("calibrate", "intrinsics", photographs / "left*.png", "--board", TARGET)
     assert call(*words, "--lens", "brown-conrady", "--out", "left.yaml") == 0
     assert "f_u" in capsys.readouterr().out
     camera = read_intrinsics(["left.yaml"]).left
@@ -102,59 +111,44 @@ def test_a_camera_becomes_a_file_that_detectors_take(photographs, tmp_path, caps
     np.testing.assert_allclose(camera.focal, make_rig().camera_parameters[0][:2], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_what_is_wrong_with_photographs_is_said(photographs, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    small, grey = tmp_path / "small", tmp_path / "grey"
-    small.mkdir()
-    grey.mkdir()
-    for name, level in (("left1.png", 90), ("right1.png", 120)):
-        cv2.imwrite(str(grey / name), np.full((240, 320), level, np.uint8))
-    for path in sorted(photographs.iterdir()):
-        image = cv2.imread(str(path))
-        shrunk = path.name == "left02.png"
-        cv2.imwrite(str(small / path.name), cv2.resize(image, (320, 240)) if shrunk else image)
+    one, grey, small = (tmp_path / name for name in ("one", "grey", "small"))
+    for folder in (one, grey, small):
+        folder.mkdir()
+    for eye in ("left", "right"):
+        (one / f"{eye}1.png").write_bytes((photographs / f"{eye}01.png").read_bytes())
+        for number, size in enumerate(((240, 320), (240, 320), (120, 160))):
+            image = np.full(size, 90, np.uint8)
+            cv2.imwrite(str(small / f"{eye}{number}.png"), image)
+            if not number:
+                cv2.imwrite(str(grey / f"{eye}{number}.png"), image)
     for folder, words, message in (
         (tmp_path / "nowhere", (), "expected images, got none that match"),
-        (small, (), "got 640 x 480 px in most and 320 x 240 in left02.png"),
+        (small, (), "got 320 x 240 px in most and 160 x 120 in left2.png"),
         (grey, (), "found in none of 1 image"),
-        (photographs, ("--target", "checkerboard:8x6:24"), "checkerboard:9x6:24 (inner corners)"),
-        (photographs, ("--target", "tag:36h11:5:120"), "expected a board with many corners"),
-        (photographs, ("--response", "9"), "response: expected 'linear', 'srgb', a gamma"),
-        (photographs, ("--out", "pair.yaml"), "expected a name that ends in .toml"),
+        (one, ("--target", "checkerboard:8x6:24"), "checkerboard:9x6:24 (inner corners)"),
+        (one, ("--target", "tag:36h11:5:120"), "expected a board with many corners"),
+        (one, ("--response", "9"), "response: expected 'linear', 'srgb', a gamma"),
+        (one, ("--out", "pair.yaml"), "expected a name that ends in .toml"),
     ):
-        assert stereo(folder, *words) == 2
-        said = capsys.readouterr()
-        assert message in said.err
-        assert said.out == ""
+        with named(message):
+            assert call(*stereo(folder, *words)) == 2
+            out, err = capsys.readouterr()
+            assert out == ""
+            assert message in err
     assert not list(tmp_path.glob("*.toml"))
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.slow
-def test_an_image_that_cannot_be_read_is_named_and_the_others_go_in(
-    photographs, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    for path in photographs.iterdir():
-        content = b"no image" if path.name == "right03.png" else path.read_bytes()
-        (tmp_path / path.name).write_bytes(content)
-    assert stereo(tmp_path, "--json") == 2
-    said = capsys.readouterr()
-    assert "right03.png" in said.err
-    dropped = json.loads(said.out)["dropped"]
-    assert dropped == [
-        {"view": "right03.png", "why": "it could not be read; the left image went in"}
-    ]
-
-
-@pytest.mark.slow
+@pytest.mark.nightly
+@pytest.mark.skipif(not SHARED.is_dir(), reason=f"the photographs are not here: {SHARED}")
 def test_public_photographs_are_calibrated_to_what_others_found(tmp_path, capsys, monkeypatch):
-    if not SHARED.is_dir():
-        pytest.skip(f"the photographs are not here: {SHARED}")
     monkeypatch.chdir(tmp_path)
     words = ["calibrate", "stereo", "--target", "checkerboard:9x6:24.23", "--json"]
     for eye in ("left", "right"):
-        words += [f"--{eye}", str(SHARED / f"{eye}*.jpg")]
+        words += [f"--{eye}", SHARED / f"{eye}*.jpg"]
     assert call(*words) == 0
     said = json.loads(capsys.readouterr().out)
     assert max(said["rms_left_px"], said["rms_right_px"]) <= 0.175

@@ -7,7 +7,8 @@ import pytest
 
 import vergence
 from tests.calibration.head.recordings import log_frames
-from tests.test_cli import call
+from tests.commands.called import call, refused
+from tests.naming import named
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
@@ -37,8 +38,8 @@ def recordings(tmp_path_factory):
     return true, folder
 
 
-def calibrate(*words: object) -> int:
-    return call("calibrate", "head", *map(str, words), "--head", "physical")
+def calibrate(*words: object) -> tuple[object, ...]:
+    return ("calibrate", "head", *words, "--head", "physical")
 
 
 def depth_error(head, true):
@@ -46,10 +47,12 @@ def depth_error(head, true):
     return (vergence.triangulate_views(head, q, true.project(q, POINT)).point - POINT)[2]
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_recording_becomes_a_head_that_tells_depth(recordings, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     true, folder = recordings
-    assert calibrate(folder / "good", "--out", "mine.toml", "--report", "run") == 0
+    assert call(*calibrate(folder / "good", "--out", "mine.toml", "--report", "run")) == 0
     said = capsys.readouterr().out
     assert "48 of 48 views in 12 poses, 2 placements of the board" in said
     assert "none needed" in said
@@ -66,11 +69,13 @@ def test_a_recording_becomes_a_head_that_tells_depth(recordings, tmp_path, capsy
     assert "checkerboard:6x5:40, 48 views" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_several_recordings_are_heads_by_themselves(recordings, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _, folder = recordings
     words = (folder / "good", folder / "short", "--out", "heads", "--report", "run", "--json")
-    assert calibrate(*words, "--workers", "1") == 2
+    assert call(*calibrate(*words, "--workers", "1")) == 2
     first, second = json.loads(capsys.readouterr().out)
     assert first["views"] == 48
     assert "at least 6 poses" in second["refused"]
@@ -79,29 +84,21 @@ def test_several_recordings_are_heads_by_themselves(recordings, tmp_path, capsys
     assert (tmp_path / "run" / "short" / "refused.txt").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("good", "--out", "x.yaml"), "ends in .toml, got x.yaml"),
-        (("good", "--out", "there.toml"), "no file of that name"),
-        (("short", "--out", "x.toml"), "at least 6 poses"),
-        (("good", "short", "--out", "x.toml"), "a folder for the head files"),
-        (("good", "--out", "x.toml", "--target", "checkerboard:9x6:24"), "checkerboard:6x5:40"),
-        (("gone", "--out", "x.toml"), "no such file or folder"),
-        ((), "expected a recording, got none"),
-        (("good", "--out", "there.toml/x.toml"), "a folder that can be written"),
-    ],
-)
-def test_what_gives_no_head_is_said_in_a_line(
-    recordings, tmp_path, capsys, monkeypatch, words, message
-):
+def test_what_gives_no_head_is_said_in_a_line(recordings, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.toml").write_text("mine")
-    _, folder = recordings
-    given = [folder / word if word in ("good", "short", "gone") else word for word in words]
-    assert calibrate(*given) == 2
-    errors = capsys.readouterr().err.strip().splitlines()
-    assert len(errors) == 1
-    assert message in errors[0]
-    assert {path.name for path in tmp_path.iterdir()} == {"there.toml"}
-    assert (tmp_path / "there.toml").read_text() == "mine"
+    good, short, gone = (recordings[1] / name for name in ("good", "short", "gone"))
+    for words, message in (
+        ((good, "--out", "x.yaml"), "ends in .toml, got x.yaml"),
+        ((good, "--out", "there.toml"), "no file of that name"),
+        ((short, "--out", "x.toml"), "at least 6 poses"),
+        ((good, short, "--out", "x.toml"), "a folder for the head files"),
+        ((good, "--out", "x.toml", "--target", "checkerboard:9x6:24"), "checkerboard:6x5:40"),
+        ((gone, "--out", "x.toml"), "no such file or folder"),
+        ((), "expected a recording, got none"),
+        ((good, "--out", "there.toml/x.toml"), "a folder that can be written"),
+    ):
+        with named(message):
+            assert message in refused(capsys, *calibrate(*words))
+            assert {path.name for path in tmp_path.iterdir()} == {"there.toml"}
+            assert (tmp_path / "there.toml").read_text() == "mine"

@@ -10,14 +10,7 @@ from vergence.cli import main
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("words", "written"),
-    [
-        (["import", "stereo", "pair.yml", "--out", "desk.toml"], ["desk.toml", "desk.png"]),
-        (["info", "--head", "icub", "--figure", "icub.png"], ["icub.png"]),
-    ],
-)
-def test_files_are_written_before_anybody_stops_to_listen(tmp_path, monkeypatch, words, written):
+def test_files_are_written_before_anybody_stops_to_listen(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_opencv(tmp_path / "pair.yml", opencv_pair())
     read, write = os.pipe()
@@ -25,5 +18,5 @@ def test_files_are_written_before_anybody_stops_to_listen(tmp_path, monkeypatch,
     with os.fdopen(write, "w", buffering=1) as stdout:
         monkeypatch.setattr(sys, "stdout", stdout)
         with pytest.raises(SystemExit):
-            main(words)
-    assert [name for name in written if not (tmp_path / name).is_file()] == []
+            main(["import", "stereo", "pair.yml", "--out", "desk.toml"])
+    assert {path.name for path in tmp_path.iterdir()} == {"pair.yml", "desk.toml", "desk.png"}

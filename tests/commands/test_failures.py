@@ -7,14 +7,10 @@ import sys
 
 import pytest
 
+from tests.commands.called import call, refused
+from tests.naming import named
 from vergence import cli
 from vergence.cli import main
-
-
-def call(*words: object) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(word) for word in words])
-    return int(stopped.value.code or 0)
 
 
 def test_an_error_of_the_machine_is_one_line(monkeypatch, capsys):
@@ -35,18 +31,13 @@ def test_an_error_of_the_machine_is_one_line(monkeypatch, capsys):
             raise error
 
         monkeypatch.setattr(cli, "_run", fail)
-        assert call("info") == 2, error
-        (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith("vergence: error: ")
-        assert said in line
+        with named(error):
+            assert said in refused(capsys, "info")
 
 
 def test_words_that_are_no_text_are_refused(capsys):
     for word in ("nul\0in it", "not \udcff text"):
-        for option in ("--head", "--out", "--controller"):
-            assert call("gaze", option, word) == 2
-            (line,) = capsys.readouterr().err.splitlines()
-            assert "expected words of text" in line
+        assert "expected words of text" in refused(capsys, "gaze", "--out", word)
 
 
 def test_a_name_of_5000_characters_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
@@ -55,10 +46,7 @@ def test_a_name_of_5000_characters_is_refused_in_one_line(tmp_path, monkeypatch,
         ("gaze", "--head"),
         ("gaze", "--out"),
         ("evaluate", "--out"),
-        ("reproduce", "--out"),
         ("reproduce", "--config"),
-        ("reproduce", "--include"),
-        ("reproduce", "--set"),
         ("train", "--resume"),
         ("train", "policy", "--out"),
         ("tune", "ibvs", "--out"),
@@ -66,12 +54,9 @@ def test_a_name_of_5000_characters_is_refused_in_one_line(tmp_path, monkeypatch,
         ("export", "bundle", "run"),
         ("evaluate",),
     ]:
-        assert call(*words, "x" * 5000 + (".vgp" if "bundle" in words else "")) == 2, words
-        out, err = capsys.readouterr()
-        assert out == ""
-        (line,) = err.splitlines()
-        assert line.startswith("vergence: error: ")
-        assert list(tmp_path.iterdir()) == []
+        with named(words):
+            refused(capsys, *words, "x" * 5000 + (".vgp" if "bundle" in words else ""))
+            assert list(tmp_path.iterdir()) == []
 
 
 class Full(io.RawIOBase):

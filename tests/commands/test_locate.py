@@ -2,27 +2,22 @@
 
 import csv
 import json
-import re
 import tomllib
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.commands.called import call, refused
 from tests.heads import text_of
+from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at, save_pair
-from vergence.cli import main
 from vergence.models import load_head
 from vergence.models.boards import AprilTag
+from vergence.perception.edges import MeanEdge, describe_wrong_edges
 
 TARGET = "tag:36h11:5:120"
 TAG = AprilTag(id=5, edge_m=0.12)
-
-
-def call(*words: object) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(word) for word in words])
-    return int(stopped.value.code or 0)
 
 
 @pytest.fixture(scope="module")
@@ -40,21 +35,24 @@ def desk(tmp_path_factory):
 
 
 @pytest.fixture
-def undrawn(monkeypatch):
-    """Run folders without a picture, which takes longer than the rest."""
-    monkeypatch.setattr("vergence.eval.reporting.locate_figure.draw_located", lambda *_: None)
-
-
-def located(desk, capsys, *words):
+def locate(desk, capsys, tmp_path):
+    """Locate in images beside the head file; exit code, standard output and error."""
     folder, _ = desk
-    assert call("locate", folder / "left", folder / "right", "--head", folder / "pair.toml",
-                "--target", TARGET, "--json", *words) == 0  # fmt: skip
-    return json.loads(capsys.readouterr().out)
+
+    def run(left="left", right="right", *words, target=TARGET):
+        words = ("--head", folder / "pair.toml", "--out", tmp_path / "run", *words)
+        code = call("locate", folder / left, folder / right, "--target", target, *words)
+        return code, *capsys.readouterr()
+
+    return run
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
-def test_json_has_a_row_for_each_target_of_a_pair_with_the_true_points(desk, capsys, tmp_path):
-    rows = located(desk, capsys, "--out", tmp_path / "run")
+def test_json_has_a_row_for_each_target_of_a_pair_with_the_true_points(desk, locate):
+    code, out, _ = locate("left", "right", "--json")
+    rows = json.loads(out)
+    assert code == 0
     assert [row["pair"] for row in rows] == ["2.png", "10.png"]
     for row, pose in zip(rows, desk[1], strict=True):
         assert (row["target"], row["id"]) == (TARGET, 5)
@@ -71,14 +69,18 @@ def test_json_has_a_row_for_each_target_of_a_pair_with_the_true_points(desk, cap
 
 
 @pytest.mark.slow
-def test_the_run_folder_holds_points_targets_result_config_head_and_picture(desk, capsys, tmp_path):
-    rows = located(desk, capsys, "--out", tmp_path / "run")
+def test_the_table_and_the_run_folder_hold_what_was_located(locate, tmp_path):
+    code, out, err = locate()
+    assert (code, err) == (0, "")
+    for word in ("tags of 36h11", "centre", "sigma", "gap", "2 of 3 pairs", "stated 120 mm"):
+        assert word in out
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {
         "points.csv", "targets.csv", "result.json", "config.toml", "head.toml", "locate.png",
     }  # fmt: skip
     result = json.loads((tmp_path / "run" / "result.json").read_text())
-    assert result["located"] == rows
+    rows = result["located"]
+    assert f"{rows[0]['centre_mm'][2]:.2f}" in out
     assert result["pairs"] == ["2.png", "10.png", "11.png"]
     config = tomllib.loads((tmp_path / "run" / "config.toml").read_text())
     assert config["config"]["target"] == [TARGET]
@@ -87,41 +89,34 @@ def test_the_run_folder_holds_points_targets_result_config_head_and_picture(desk
     assert len(points) == 8
     assert float(points[5]["z_mm"]) == rows[1]["points_mm"][1][2]
     assert float(points[5]["right_u_px"]) == rows[1]["pixels"][1][1][0]
-    picture = cv2.imread(str(tmp_path / "run" / "locate.png"))
-    assert min(picture.shape[:2]) > 700
+    assert min(cv2.imread(str(tmp_path / "run" / "locate.png")).shape[:2]) > 700
 
 
 @pytest.mark.slow
-def test_the_table_shows_centre_sigma_gap_and_the_stated_edge(desk, capsys, tmp_path):
-    folder, poses = desk
-    pair = (folder / "left" / "2.png", folder / "right" / "2.png")
-    words = ("--head", folder / "pair.toml", "--target", TARGET, "--out", tmp_path / "run")
-    assert call("locate", *pair, *words) == 0
-    out, err = capsys.readouterr()
-    assert "tags of 36h11" in out
-    for word in ("x", "centre", "sigma", "gap", "edge", "1 of 1 pairs", "stated 120 mm"):
-        assert word in out
-    numbers = [float(word) for word in re.findall(r"\d+\.\d+", out)]
-    assert any(abs(number - 1e3 * poses[0][2, 3]) < 3.0 for number in numbers)
-    assert err == ""
-
-
 @pytest.mark.usefixtures("undrawn")
-def test_a_head_that_moves_is_at_rest_unless_told_and_the_command_says_so(capsys, tmp_path):
-    head = load_head("turrets")
-    place = [0.1, 0.05, 0.7]
+def test_joint_angles_that_are_off_are_told_by_the_edges_and_none_are_taken_for_rest(
+    capsys, tmp_path
+):
+    head, place = load_head("turrets"), [0.1, 0.05, 0.7]
     q = head.fixate(place)
     images = Studio(head, TAG, q).take(pose_at(place), np.random.default_rng(1))
     pair = save_pair(tmp_path, "one.png", images)
-    angles = {name: float(value) for name, value in zip(head.joints, q, strict=True) if name}
-    (tmp_path / "q.json").write_text(json.dumps(angles), encoding="utf-8")
     words = ("locate", *pair, "--head", "turrets", "--target", TARGET, "--json", "--out")
-    assert call(*words, tmp_path / "with", "--joints", tmp_path / "q.json") == 0
-    out, err = capsys.readouterr()
-    (row,) = json.loads(out)
-    error = np.array(row["centre_mm"]) - 1e3 * np.array(place)
-    assert (np.abs(error) < 3.0 * np.array(row["centre_sigma_mm"])).all()
-    assert "rest" not in err
+    turned = q.copy()
+    # along the gap it shows nowhere but in the depth
+    turned[list(head.joints).index("left_pan")] += 0.05
+    for angles, wrong in ((q, False), (turned, True)):
+        given = {name: float(a) for name, a in zip(head.joints, angles, strict=True) if name}
+        (tmp_path / "q.json").write_text(json.dumps(given), encoding="utf-8")
+        assert call(*words, tmp_path / f"{wrong}", "--joints", tmp_path / "q.json") == 0
+        out, err = capsys.readouterr()
+        (row,) = json.loads(out)
+        assert ("edges are" in err) == wrong
+        assert "rest" not in err
+        # of the joints' steps: far more than pixels alone would leave
+        assert 0.1 < row["spacing_mm"]["sigma"] < 2.0
+        error = np.subtract(row["centre_mm"], 1e3 * np.array(place))
+        assert (np.abs(error) < 3.0 * np.array(row["centre_sigma_mm"])).all() != wrong
     call(*words, tmp_path / "without")
     out, err = capsys.readouterr()
     assert "no --joints: the eyes are taken to be at rest, in degrees" in err
@@ -134,193 +129,116 @@ def test_a_head_that_moves_is_at_rest_unless_told_and_the_command_says_so(capsys
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
-def test_what_one_image_alone_has_is_counted(desk, capsys, tmp_path):
-    folder, _ = desk
+def test_what_one_image_alone_has_is_counted_and_a_broken_one_named(desk, locate, tmp_path):
     rights = tmp_path / "right"
     rights.mkdir()
-    for name, image in (("2.png", "2.png"), ("10.png", "11.png"), ("12.png", "2.png")):
-        (rights / name).write_bytes((folder / "right" / image).read_bytes())
-    words = ("--head", folder / "pair.toml", "--target", TARGET, "--out", tmp_path / "run")
-    assert call("locate", folder / "left", rights, *words) == 0
-    err = capsys.readouterr().err
+    for name, image in (("10.png", "11.png"), ("12.png", "2.png")):
+        (rights / name).write_bytes((desk[0] / "right" / image).read_bytes())
+    (rights / "2.png").write_bytes(b"no image")
+    code, out, err = locate("left", rights, "--json")
+    assert (code, json.loads(out)) == (2, [])
     assert f"{TARGET} found in the left image only of 1 pair: 10.png" in err
     assert "2 of the images have no partner: 11.png, 12.png" in err
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-def test_a_broken_image_of_a_folder_is_named_and_the_rest_goes_on(desk, capsys, tmp_path):
-    folder, _ = desk
-    for side in ("left", "right"):
-        (tmp_path / side).mkdir()
-        for name in ("2.png", "10.png"):
-            (tmp_path / side / name).write_bytes((folder / side / name).read_bytes())
-    (tmp_path / "right" / "10.png").write_bytes(b"")
-    words = ("--head", folder / "pair.toml", "--target", TARGET, "--json")
-    both = (tmp_path / "left", tmp_path / "right")
-    assert call("locate", *both, *words, "--out", tmp_path / "run") == 2
-    out, err = capsys.readouterr()
-    assert [row["pair"] for row in json.loads(out)] == ["2.png"]
-    assert str(tmp_path / "right" / "10.png") in err
-    (tmp_path / "left" / "2.png").write_bytes(b"no image")
-    assert call("locate", *both, *words, "--out", tmp_path / "none") == 2
-    err = capsys.readouterr().err
-    assert "got none in 2 pairs; the first:" in err
-    assert not (tmp_path / "none").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-def test_nothing_found_ends_in_exit_code_1(desk, capsys, tmp_path):
-    folder, _ = desk
-    words = ("--head", folder / "pair.toml", "--target", "tag:36h11:6:120", "--json")
-    code = call("locate", folder / "left", folder / "right", *words, "--out", tmp_path / "run")
-    out, err = capsys.readouterr()
-    assert code == 1
-    assert json.loads(out) == []
-    assert "expected tag:36h11:6:120 in both images of any of 3 pairs, found none" in err
+    assert str(rights / "2.png") in err
     assert (tmp_path / "run" / "result.json").exists()
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_swapped_images_are_told(desk, capsys, tmp_path):
-    folder, _ = desk
-    words = ("--head", folder / "pair.toml", "--target", TARGET, "--out", tmp_path / "run")
-    pair = (folder / "right" / "2.png", folder / "left" / "2.png")
-    assert call("locate", *pair, *words) == 1
-    assert "are left and right swapped?" in capsys.readouterr().err
+def test_without_any_readable_pair_nothing_is_written(desk, locate, tmp_path):
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"")
+    code, _, err = locate("left/2.png", broken)
+    assert code == 2
+    assert str(broken) in err
+    assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
-def test_images_that_do_not_belong_together_are_told(desk, capsys, tmp_path):
-    folder, _ = desk
-    words = ("--head", folder / "pair.toml", "--target", TARGET, "--out", tmp_path / "run")
-    call("locate", folder / "left" / "2.png", folder / "right" / "10.png", *words)
-    assert "lines of sight miss each other by more than 2 px" in capsys.readouterr().err
+def test_nothing_found_ends_in_exit_code_1(locate):
+    code, out, err = locate("left/2.png", "right/2.png", "--json", target="tag:36h11:6:120")
+    assert (code, json.loads(out)) == (1, [])
+    assert "expected tag:36h11:6:120 in both images of the pair, found none" in err
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+def test_images_that_are_swapped_or_do_not_belong_together_are_told(locate, tmp_path):
+    code, _, err = locate("right/2.png", "left/2.png")
+    assert code == 1
+    assert "are left and right swapped?" in err
+    err = locate("left/2.png", "right/10.png", "--out", tmp_path / "other")[-1]
+    assert "lines of sight miss each other by more than 2 px" in err
 
 
 def test_what_cannot_be_is_refused_in_one_line(desk, capsys, tmp_path, monkeypatch):
     folder, _ = desk
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "empty.png").write_bytes(b"")
-    (tmp_path / "text.png").write_bytes(b"hello")
     (tmp_path / "left").mkdir()
     cv2.imwrite("small.png", np.zeros((48, 64), np.uint8))
     for change, said in [
         ({"left": "none.png"}, "none.png: no such file"),
-        ({"left": "empty.png"}, "empty.png: empty"),
-        ({"left": "text.png"}, "text.png: no image"),
-        (
-            {"left": "small.png"},
-            "small.png: image: expected the camera's 320 x 240 px, got 64 x 48",
-        ),
+        ({"left": "small.png"}, "image: expected the camera's 320 x 240 px, got 64 x 48"),
         ({"left": "left"}, "two images or two folders"),
+        ({"target": None}, "target: expected at least one"),
         ({"target": "tag:99h9"}, "target tag:99h9:"),
-        ({"target": "board"}, "target: expected"),
+        ({"head": None}, "--head"),
         ({"head": "nonsense"}, "'nonsense'"),
         ({"joints": "none.json"}, "none.json: No such file"),
         ({"response": "9"}, "response: expected 'linear', 'srgb', a gamma"),
     ]:
         options = {
             "left": folder / "left" / "2.png", "right": folder / "right" / "2.png",
-            "head": folder / "pair.toml", "target": TARGET, "joints": None,
+            "head": folder / "pair.toml", "target": TARGET,
         } | change  # fmt: skip
         words = [options.pop("left"), options.pop("right")]
         for name, value in options.items():
             words += [f"--{name}", value] if value is not None else []
-        assert call("locate", *words) == 2, change
-        out, err = capsys.readouterr()
-        assert out == ""
-        assert len(err.strip().splitlines()) == 1
-        assert said in err
-        assert not (tmp_path / "runs").exists()
+        with named(change):
+            assert said in refused(capsys, "locate", *words)
+            assert not (tmp_path / "runs").exists()
 
 
-def test_a_target_and_a_head_have_to_be_given(desk, capsys):
-    folder, _ = desk
-    pair = (folder / "left" / "2.png", folder / "right" / "2.png")
-    assert call("locate", *pair, "--head", folder / "pair.toml") == 2
-    assert "target: expected at least one" in capsys.readouterr().err
-    assert call("locate", *pair, "--target", TARGET) == 2
-    assert "--head" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-def test_edges_that_are_not_as_stated_are_marked_and_said_with_the_likeliest_unit(
-    desk, capsys, tmp_path
-):
-    folder, _ = desk
-    words = ("locate", folder / "left", folder / "right", "--head", folder / "pair.toml")
-    for size, off, hint in (
-        ("120", False, ""),
-        ("121", False, ""),  # 0.8 %: such a calibration is no mistake
-        ("100", True, ""),
-        ("0.12", True, "was the size given in m"),
-        ("12", True, "was the size given in cm"),
-        ("4.724", True, "was the size given in inches"),
-        ("120000", True, "was the size given in micrometres"),
+def test_edges_that_are_not_as_stated_are_explained_by_the_likeliest_unit():
+    for size_mm, hint in (
+        (120.0, None),
+        (121.0, None),  # 0.8 %: such a calibration is no mistake
+        (100.0, ""),
+        (0.12, "was the size given in m"),
+        (12.0, "was the size given in cm"),
+        (4.724, "was the size given in inches"),
+        (120000.0, "was the size given in micrometres"),
     ):
-        call(*words, "--target", f"tag:36h11:5:{size}", "--out", tmp_path / size)
-        out, err = capsys.readouterr()
-        assert ("!" in out) == off
-        line = [text for text in err.splitlines() if "edges are" in text]
-        assert len(line) == off
-        if off:
-            assert f"in 2 of 2 places (2.png, 10.png), expected {float(size):g} ± " in line[0]
-            assert "joint angles, the head's calibration or the size do not fit" in line[0]
-            assert hint in line[0]
-            assert ("was the size" in line[0]) == bool(hint)
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_joint_angles_that_are_off_are_told_by_the_edges(capsys, tmp_path):
-    head = load_head("turrets")
-    q = head.fixate([0.1, 0.05, 0.7])
-    images = Studio(head, TAG, q).take(pose_at([0.1, 0.05, 0.7]), np.random.default_rng(1))
-    pair = save_pair(tmp_path, "one.png", images)
-    words = ("locate", *pair, "--head", "turrets", "--target", TARGET)
-    names = list(head.joints)
-    for turn, told in ((0.0, False), (0.05, True)):
-        turned = q.copy()
-        turned[names.index("left_pan")] += turn  # along the gap it shows nowhere but in the depth
-        angles = {name: float(value) for name, value in zip(names, turned, strict=True) if name}
-        (tmp_path / "q.json").write_text(json.dumps(angles), encoding="utf-8")
-        call(*words, "--joints", tmp_path / "q.json", "--out", tmp_path / f"{turn}", "--json")
-        out, err = capsys.readouterr()
-        assert ("edges are" in err) == told
-        (row,) = json.loads(out)
-        # of the joints' steps: far more than pixels alone would leave
-        assert 0.1 < row["spacing_mm"]["sigma"] < 2.0
+        with named(size_mm):
+            tag = AprilTag(id=5, edge_m=1e-3 * size_mm)
+            pairs = [MeanEdge(pair, tag, 0.12, 1e-4) for pair in ("2.png", "10.png")]
+            said = describe_wrong_edges("tag", pairs)
+            assert bool(said) == (hint is not None)
+            if hint is not None:
+                assert f"in 2 of 2 places (2.png, 10.png), expected {size_mm:g} ± " in said
+                assert hint in said
+                assert ("was the size" in said) == bool(hint)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
-def test_a_target_that_no_image_has_is_named_beside_those_found(desk, capsys, tmp_path):
-    folder, _ = desk
-    words = ("locate", folder / "left", folder / "right", "--head", folder / "pair.toml")
-    targets = ("--target", "tag:36h11", "--target", TARGET, "--target", "tag:36h11:9")
-    assert call(*words, *targets, "--out", tmp_path / "run") == 0
-    err = capsys.readouterr().err
-    assert "tag:36h11:9: found in 0 of 6 images" in err
-    assert err.count("found in 0 of") == 1  # the family's tag is that of the second text as well
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-def test_pairs_without_an_answer_do_not_count_as_located(desk, capsys, tmp_path):
+def test_what_is_wrong_beside_what_was_located_is_said(desk, locate, tmp_path):
     folder, _ = desk
     for side, other in (("left", "right"), ("right", "left")):
         (tmp_path / side).mkdir()
         for name, source in (("2.png", side), ("10.png", other)):  # the second is swapped
             image = (folder / source / name).read_bytes()
             (tmp_path / side / name).write_bytes(image)
-    words = ("--head", folder / "pair.toml", "--target", TARGET, "--out", tmp_path / "run")
-    assert call("locate", tmp_path / "left", tmp_path / "right", *words) == 0
-    out, err = capsys.readouterr()
+    words = ("--target", "tag:36h11", "--target", "tag:36h11:9")
+    both = (tmp_path / "left", tmp_path / "right")
+    code, out, err = locate(*both, *words, target="tag:36h11:5:100")
+    assert code == 0
     assert "1 of 2 pairs; edges of tags 1" in out
     assert "nan" not in out
+    assert "!" in out
+    assert "edges are" in err
     assert "the lines of sight do not cross before the eyes in 10.png" in err
+    assert "tag:36h11:9: found in 0 of 4 images" in err
+    assert err.count("found in 0 of") == 1  # the family's tag is that of the second text as well
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     assert [one["centre_mm"] is None for one in result["located"]] == [False, True]
     assert result["located"][1]["spacing_mm"]["sigma"] is None

@@ -17,6 +17,7 @@ def run(capsys, *words: str) -> tuple[int, str, str]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
     code, out, _err = run(
         capsys, "ibvs", "--margins", "--imperfection", "frame_phase", "command_latency_s", *FEW,
@@ -37,6 +38,7 @@ def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(
         capsys, "ibvs", "pid", "--margins", "--imperfection", "frame_phase", *FEW, "--json",

@@ -4,20 +4,12 @@ import errno
 import json
 from pathlib import Path
 
-import pytest
-
-from vergence.cli import main
+from tests.commands.called import call, refused
+from tests.naming import named
 from vergence.eval import gaze_figure
 from vergence.locks import hold_lock
 
 GAZE = ("gaze", "--plant", "kinematic", "--duration", "0.1", "--json")
-
-
-def call(*words: object) -> int:
-    """Run a command in this process and return its exit code."""
-    with pytest.raises(SystemExit) as stopped:
-        main([str(word) for word in words])
-    return int(stopped.value.code or 0)
 
 
 def test_a_command_whose_place_another_holds_is_refused_before_any_work(
@@ -34,17 +26,14 @@ def test_a_command_whose_place_another_holds_is_refused_before_any_work(
         ("export", "urdf", "--out", "R"),
         ("export", "bundle", "run", "R.vgp"),
     ]:
-        with hold_lock(Path("R.vgp" if "R.vgp" in words else "R")):
-            before = sorted(tmp_path.rglob("*"))
-            assert call(*words) == 2, words
-            assert sorted(tmp_path.rglob("*")) == before
-        out, err = capsys.readouterr()
-        assert out == ""
-        (line,) = err.splitlines()
-        assert line.startswith("vergence: error: ")
-        assert "is writing" in line
-        assert str(tmp_path / "R") in line
-        assert list(tmp_path.iterdir()) == []
+        with named(words):
+            with hold_lock(Path("R.vgp" if "R.vgp" in words else "R")):
+                before = sorted(tmp_path.rglob("*"))
+                line = refused(capsys, *words)
+                assert sorted(tmp_path.rglob("*")) == before
+            assert "is writing" in line
+            assert str(tmp_path / "R") in line
+            assert list(tmp_path.iterdir()) == []
 
 
 def test_a_result_whose_place_is_taken_meanwhile_is_saved_beside_it_and_said(
@@ -106,5 +95,4 @@ def test_out_on_the_run_folder_of_another_command_says_what_it_is(tmp_path, caps
     (tmp_path / "trajectory.parquet").touch()
     (tmp_path / "config.toml").touch()
     for words in (["evaluate"], ["reproduce"], ["tune", "ibvs"], ["train", "policy"]):
-        assert call(*words, "--out", tmp_path) == 2, words
-        assert "got the run folder of vergence gaze" in capsys.readouterr().err
+        assert "got the run folder of vergence gaze" in refused(capsys, *words, "--out", tmp_path)

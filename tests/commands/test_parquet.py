@@ -5,17 +5,11 @@ import sys
 import pandas as pd
 import pytest
 
-from vergence.cli import main
+from tests.commands.called import call, refused
 
 
-def call(*words: object) -> object:
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    return end.value.code
-
-
-def test_a_gaze_writes_its_trajectory_as_parquet_too(tmp_path, monkeypatch):
-    monkeypatch.setattr("vergence.eval.gaze_figure.draw_gaze", lambda *_: None)
+@pytest.mark.usefixtures("undrawn")
+def test_a_gaze_writes_its_trajectory_as_parquet_too(tmp_path):
     words = ("gaze", "--plant", "kinematic", "--json", "--parquet", "--out", tmp_path / "run")
     assert call(*words) == 0
     csv = pd.read_csv(tmp_path / "run" / "trajectory.csv")
@@ -26,8 +20,6 @@ def test_a_gaze_writes_its_trajectory_as_parquet_too(tmp_path, monkeypatch):
 def test_without_pyarrow_one_line_names_the_extra_before_any_work(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     for command in ("gaze", "evaluate", "reproduce"):
-        assert call(command, "--parquet", "--out", tmp_path / "run") == 2, command
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
+        said = refused(capsys, command, "--parquet", "--out", tmp_path / "run")
         assert "pip install 'vergence[parquet]' (in a clone: pip install '.[parquet]')" in said
         assert list(tmp_path.iterdir()) == []

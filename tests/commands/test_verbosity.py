@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from tests.test_cli import call
+from tests.commands.called import call
 from vergence.commands.gaze import Gaze
 from vergence.hardware.plant import _warn
 
@@ -24,21 +24,18 @@ def _talks(monkeypatch):
     monkeypatch.setattr(Gaze, "run", run)
 
 
-@pytest.mark.parametrize("words", [["-v", "gaze"], ["gaze", "--seed", "3", "--verbose"]])
-def test_v_says_what_happens_with_the_time_and_the_place(capsys, words):
-    assert call(*words) == 0
-    info, error = capsys.readouterr().err.splitlines()
-    assert re.fullmatch(r"vergence: \d+\.\d{3} s hardware\.plant: trial 3 begins", info)
-    assert error.endswith(" s hardware.plant: error: stopped: a reason")
+def test_v_says_what_happens_with_the_time_and_the_place(capsys):
+    for words in (["-v", "gaze"], ["gaze", "--seed", "3", "--verbose"]):
+        assert call(*words) == 0
+        info, error = capsys.readouterr().err.splitlines()
+        assert re.fullmatch(r"vergence: \d+\.\d{3} s hardware\.plant: trial 3 begins", info)
+        assert error.endswith(" s hardware.plant: error: stopped: a reason")
 
 
-@pytest.mark.parametrize("words", [["-vv", "gaze"], ["-v", "gaze", "-v"]])
-def test_vv_says_details_too(capsys, words):
-    assert call(*words) == 0
-    assert "hardware.plant: a detail" in capsys.readouterr().err
-
-
-def test_without_it_nothing_is_said(capsys):
+def test_vv_says_details_too_and_without_it_nothing_is_said(capsys):
+    for words in (["-vv", "gaze"], ["-v", "gaze", "-v"]):
+        assert call(*words) == 0
+        assert "hardware.plant: a detail" in capsys.readouterr().err
     assert call("gaze") == 0
     assert capsys.readouterr().err == ""
 
@@ -48,8 +45,3 @@ def test_a_robots_warning_is_shown_once(capsys, monkeypatch):
     monkeypatch.setattr(Gaze, "run", lambda _gaze: _warn("a servo is warm") or 0)
     assert call("gaze", "-v") == 0
     assert capsys.readouterr().err == "vergence: warning: a servo is warm\n"
-
-
-def test_help_names_it(capsys):
-    assert call("--help") == 0
-    assert "--verbose" in capsys.readouterr().out

@@ -7,45 +7,34 @@ import urllib.request
 
 import pytest
 
-from vergence.cli import main
+from tests.commands.called import call, refused
+from tests.naming import named
 
 pytest.importorskip("viser")
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_what_cannot_be_shown_is_refused_in_one_line(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for words, said in (
         (["--port", "70000"], "port: expected 0 to 65535, got 70000"),
         (["--head", "nobody"], "head"),
         (["--controller", "nobody"], "controller"),
         (["nowhere.mcap"], "nowhere.mcap"),
         (["."], "it has no trajectory.csv"),
         (["--host", "nowhere.invalid", "--port", "0"], "host"),
-    ],
-)
-def test_what_cannot_be_shown_is_refused_in_one_line(words, said, capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as stopped:
-        main(["view", "--no-browser", *words])
-    out, err = capsys.readouterr()
-    assert stopped.value.code == 2
-    assert out == ""
-    assert err.startswith("vergence: error: ")
-    assert said in err
-    assert len(err.splitlines()) == 1
+    ):
+        with named(words):
+            assert said in refused(capsys, "view", "--no-browser", *words)
 
 
 def test_without_its_extra_it_says_what_to_install(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(SystemExit):
-        main(["view"])
-    assert "pip install 'vergence[view]'" in capsys.readouterr().err
+    assert "pip install 'vergence[view]'" in refused(capsys, "view")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", [[], ["--follow", "."]])
-def test_the_page_is_served_until_ctrl_c(words, tmp_path):
-    command = [sys.executable, "-m", "vergence", "view", "--no-browser", "--port", "0", *words]
+def test_the_page_is_served_until_ctrl_c(tmp_path):
+    command = [sys.executable, "-m", "vergence", "view", "--no-browser", "--port", "0"]
     process = subprocess.Popen(
         command,
         stderr=subprocess.PIPE,
@@ -65,3 +54,19 @@ def test_the_page_is_served_until_ctrl_c(words, tmp_path):
     finally:
         process.kill()
         process.communicate()
+
+
+def test_a_log_is_followed_and_the_page_opened(capsys, monkeypatch, tmp_path):
+    pytest.importorskip("mcap")
+    opened, followed = [], []
+
+    def run(view):
+        followed.append(view.words)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vergence.viewer.live.LiveView.run", run)
+    monkeypatch.setattr("vergence.commands.view._yield_processors", lambda: None)
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    assert call("view", "--follow", tmp_path, "--port", 0) == 0
+    assert "waiting for a log" in followed[0]
+    assert f"showing on {opened[0]} until Ctrl-C" in capsys.readouterr().err

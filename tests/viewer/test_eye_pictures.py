@@ -11,8 +11,7 @@ from vergence.viewer.eye_pictures import EYE_COLOURS, draw_eye
 from vergence.viewer.moment import moment_of
 
 
-@pytest.mark.parametrize("shrunk_to", [None, 250])
-@pytest.mark.parametrize("name", ["simulated", "icub"])
+@pytest.mark.parametrize(("name", "shrunk_to"), [("simulated", None), ("icub", 250)])
 def test_the_principal_point_is_marked_in_its_place(name, shrunk_to):
     head = load_head(name)
     shown = moment_of(GazeTask(1, head=head, plant="kinematic"))

@@ -7,7 +7,6 @@ pytest.importorskip("mcap")
 pytest.importorskip("viser")
 
 from tests.recording.logged import log_trials
-from tests.viewer.served import served  # noqa: F401
 from vergence.viewer.live import LiveView
 
 
@@ -26,7 +25,7 @@ def run(live, *stages):
     live.run(until)
 
 
-def test_it_waits_for_a_log_shows_it_and_goes_on_to_a_newer_one(served, tmp_path):  # noqa: F811
+def test_it_waits_for_a_log_shows_it_and_goes_on_to_a_newer_one(served, tmp_path):
     live, said = LiveView(served, tmp_path), []
     run(
         live,
@@ -45,7 +44,7 @@ def test_it_waits_for_a_log_shows_it_and_goes_on_to_a_newer_one(served, tmp_path
     assert live.shown >= 1
 
 
-def test_neither_another_file_nor_an_older_log_takes_its_place(served, tmp_path):  # noqa: F811
+def test_neither_another_file_nor_an_older_log_takes_its_place(served, tmp_path):
     live, said = LiveView(served, tmp_path), []
     log_trials(tmp_path / "older.mcap")
     log_trials(tmp_path / "robot.mcap")

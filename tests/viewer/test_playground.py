@@ -1,18 +1,21 @@
 """Controls of the simulated head show what is simulated, whatever browsers ask for."""
 
+import asyncio
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from vergence.models.files.head_file import load_head
 
 pytest.importorskip("viser")
 
-from tests.viewer.served import served  # noqa: F401
 from vergence.viewer.playground import Playground
 from vergence.viewer.simulated import Setup
 
 
 @pytest.fixture
-def playground(served):  # noqa: F811
+def playground(served):
     setup = Setup(head=load_head("simulated"), plant="kinematic", controller="ibvs")
     return Playground(served, setup, mode="by hand")
 
@@ -52,3 +55,13 @@ def test_what_is_not_possible_sets_the_controls_back(playground):
     assert playground._sliders["latency_s"].value == pytest.approx(
         1e3 * before.head.timing.latency_s, rel=1e-3
     )
+
+
+def test_a_target_that_is_dragged_upwards_rises(playground):
+    handles, before = playground.view.scene.target, playground.simulated.target
+    run(playground)
+    dragged = SimpleNamespace(position=np.array(handles.position) + [0.0, 0.0, 0.1])
+    asyncio.run(playground._drag(SimpleNamespace(phase="end", target=dragged)))
+    run(playground)
+    # y of N points down
+    assert playground.simulated.target - before == pytest.approx([0.0, -0.1, 0.0], abs=1e-6)

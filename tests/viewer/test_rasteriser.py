@@ -43,14 +43,11 @@ def test_the_nearer_of_two_that_intersect_is_seen_at_each_pixel():
     assert (image[32, 44] == BLUE).all()
 
 
-def test_a_triangle_from_behind_is_not_painted():
-    assert not painted(triangle((-0.5, -0.5, 1.0), (0.5, -0.5, 1.0), (-0.5, 0.5, 1.0))).any()
-
-
-def test_what_lies_out_of_view_or_behind_the_camera_is_left_out():
+def test_what_lies_out_of_view_or_behind_the_camera_or_shows_its_back_is_left_out():
     far_left = triangle((-9.5, -0.5, 1.0), (-9.5, 0.5, 1.0), (-8.5, -0.5, 1.0))
     behind = triangle((-0.5, -0.5, -1.0), (-0.5, 0.5, -1.0), (0.5, -0.5, 1.0))
-    assert not painted(far_left, behind).any()
+    back = triangle((-0.5, -0.5, 1.0), (0.5, -0.5, 1.0), (-0.5, 0.5, 1.0))
+    assert not painted(far_left, behind, back).any()
 
 
 def test_brightness_runs_linearly_between_the_corners():

@@ -10,6 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.envs.simulated import SIMULATED_IDS, SIMULATED_PLANTS
+from tests.naming import named
 from vergence import load_head
 from vergence.envs.eye_images import given_or_drawn_eye_images
 from vergence.envs.gaze import GazeEnv
@@ -18,37 +19,33 @@ from vergence.errors import ConfigurationError, RenderingUnavailableError
 from vergence.viewer.eye_pictures import EYE_WIDTH
 from vergence.viewer.pictures import VIEW_HEIGHT
 
-plants = pytest.mark.parametrize("plant", SIMULATED_PLANTS)
+
+def test_a_picture_is_an_rgb_array_that_changes_with_the_gaze() -> None:
+    for plant, head in zip(SIMULATED_PLANTS, ("simulated", "physical", "simulated"), strict=True):
+        with named(plant, head):
+            env = gym.make("vergence/Gaze-v0", plant=plant, head=head, render_mode="rgb_array")
+            env.reset(seed=0)
+            before = env.render()
+            assert (before.dtype, before.ndim, before.shape[2]) == (np.uint8, 3, 3)
+            for _ in range(20):
+                env.step(np.array([0.2, 0.2, -0.2, 0.2], np.float32))
+            after = env.render()
+            assert after.shape == before.shape
+            assert (after != before).mean() > 1e-3
+            env.close()
 
 
-@plants
-@pytest.mark.parametrize("head", ["simulated", "physical"])
-def test_a_picture_is_an_rgb_array_that_changes_with_the_gaze(plant, head) -> None:
-    env = gym.make("vergence/Gaze-v0", plant=plant, head=head, render_mode="rgb_array")
-    env.reset(seed=0)
-    before = env.render()
-    assert before.dtype == np.uint8
-    assert before.ndim == 3
-    assert before.shape[2] == 3
-    for _ in range(20):
-        env.step(np.array([0.2, 0.2, -0.2, 0.2], np.float32))
-    after = env.render()
-    assert after.shape == before.shape
-    assert (after != before).mean() > 1e-3
-    env.close()
-
-
-@plants
-def test_eyes_with_images_of_their_own_size_stand_side_by_side(plant) -> None:
+def test_eyes_with_images_of_their_own_size_stand_side_by_side() -> None:
     cameras = {"size": [[640, 480], [640, 360]], "principal": [[320.0, 240.0], [320.0, 180.0]]}
     head = load_head("physical").replace(cameras=cameras)
-    env = gym.make("vergence/Gaze-v0", plant=plant, head=head, render_mode="rgb_array")
-    env.reset(seed=0)
-    left, right, drawn = given_or_drawn_eye_images(env.unwrapped.task, 0)
-    assert drawn == (plant != "rendered")
-    assert (left.shape, right.shape) == ((480, 640), (360, 640))
-    assert env.render().shape == (360 + VIEW_HEIGHT, 2 * EYE_WIDTH, 3)
-    env.close()
+    for plant, drawn in (("kinematic", True), ("rendered", False)):
+        env = GazeEnv(plant=plant, head=head, render_mode="rgb_array")
+        env.reset(seed=0)
+        left, right, found = given_or_drawn_eye_images(env.task, 0)
+        assert found == drawn
+        assert (left.shape, right.shape) == ((480, 640), (360, 640))
+        assert env.render().shape == (360 + VIEW_HEIGHT, 2 * EYE_WIDTH, 3)
+        env.close()
 
 
 def test_looking_changes_nothing() -> None:
@@ -82,22 +79,23 @@ def test_a_vector_pictures_each_head() -> None:
     envs.close()
 
 
-@plants
-def test_a_window_shows_the_picture(plant) -> None:
+@pytest.mark.slow
+def test_a_window_shows_the_picture() -> None:
     import pygame
 
-    env = gym.make("vergence/Gaze-v0", plant=plant, render_mode="human")
-    env.reset(seed=0)
-    assert env.render() is None
-    surface = pygame.display.get_surface()
-    env.step(np.zeros(4, np.float32))
-    shown = pygame.surfarray.array3d(surface).swapaxes(0, 1)
-    other = GazeEnv(plant=plant, render_mode="rgb_array")
-    other.reset(seed=0)
-    other.step(np.zeros(4))
-    assert np.array_equal(shown, other.render())
-    env.close()
-    assert not pygame.display.get_init()
+    for plant in ("mujoco", "rendered"):
+        env = gym.make("vergence/Gaze-v0", plant=plant, render_mode="human")
+        env.reset(seed=0)
+        assert env.render() is None
+        surface = pygame.display.get_surface()
+        env.step(np.zeros(4, np.float32))
+        shown = pygame.surfarray.array3d(surface).swapaxes(0, 1)
+        other = GazeEnv(plant=plant, render_mode="rgb_array")
+        other.reset(seed=0)
+        other.step(np.zeros(4))
+        assert np.array_equal(shown, other.render())
+        env.close()
+        assert not pygame.display.get_init()
 
 
 def test_a_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,22 +105,19 @@ def test_a_window_without_pygame_says_what_to_install(monkeypatch: pytest.Monkey
             make(plant="kinematic", render_mode="human")
 
 
-@pytest.mark.parametrize("name", SIMULATED_IDS)
-def test_gymnasiums_checker_passes_without_pygame(name, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    env = gym.make(name, plant="kinematic").unwrapped
-    assert env.metadata["render_modes"] == ["rgb_array"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env)
-    env.close()
-
-
-def test_a_window_is_offered_where_pygame_is() -> None:
+def test_gymnasiums_checker_passes_without_pygame(monkeypatch: pytest.MonkeyPatch) -> None:
     assert GazeEnv(plant="kinematic").metadata["render_modes"] == ["rgb_array", "human"]
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    for name in SIMULATED_IDS:
+        with named(name), warnings.catch_warnings():
+            env = gym.make(name, plant="kinematic").unwrapped
+            assert env.metadata["render_modes"] == ["rgb_array"]
+            warnings.simplefilter("error")
+            check_env(env)
+            env.close()
 
 
-@pytest.mark.parametrize("make", [GazeEnv, GazeVectorEnv])
-def test_an_unknown_mode_is_refused(make) -> None:
-    with pytest.raises(ConfigurationError, match=r"render_mode: expected.*rgb_array.*'ansi'"):
-        make(plant="kinematic", render_mode="ansi")
+def test_an_unknown_mode_is_refused() -> None:
+    for make in (GazeEnv, GazeVectorEnv):
+        with pytest.raises(ConfigurationError, match=r"render_mode: expected.*rgb_array.*'ansi'"):
+            make(plant="kinematic", render_mode="ansi")

@@ -45,19 +45,18 @@ def test_images_show_where_the_target_was_when_they_were_exposed():
     assert np.abs(simulated.moment().pixels - before).max() > 20.0
 
 
-@pytest.mark.parametrize("mode", ["circle", "wander"])
-def test_pursuit_stays_on_a_target_that_moves(mode):
-    simulated = SimulatedHead(
-        Setup(head=SETUP.head, plant="kinematic", controller="pursuit"), mode=mode
-    )
-    run(simulated, 1.0)
-    places = []
-    for _ in range(8):
-        run(simulated, 0.25)
-        places.append(simulated.moment().target)
-        assert simulated.moment().visible.all()
-    assert np.ptp(places, axis=0).max() > 0.05
-    assert simulated.settled_s is None
+def test_pursuit_stays_on_a_target_that_moves():
+    setup = Setup(head=SETUP.head, plant="kinematic", controller="pursuit")
+    for mode in ("circle", "wander"):
+        simulated = SimulatedHead(setup, mode=mode)
+        run(simulated, 1.0)
+        places = []
+        for _ in range(8):
+            run(simulated, 0.25)
+            places.append(simulated.moment().target)
+            assert simulated.moment().visible.all(), mode
+        assert np.ptp(places, axis=0).max() > 0.05
+        assert simulated.settled_s is None
 
 
 def test_a_target_at_rest_follows_one_that_wandered():
@@ -98,14 +97,12 @@ def test_time_goes_on_over_changes_of_head_and_law():
     assert simulated.setup.head.name == "icub"
 
 
-@pytest.mark.parametrize(
-    "point", [[0.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -2.0], [9e9, 0, 1]]
-)
-def test_a_target_anywhere_leaves_the_head_running(point):
+def test_a_target_anywhere_leaves_the_head_running():
     simulated = SimulatedHead(Setup(head=SETUP.head, plant="rendered"))
-    simulated.move_target(np.array(point))
-    run(simulated, 0.1)
-    assert np.isfinite(simulated.moment().positions).all()
+    for point in ([0.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -2.0], [9e9, 0, 1]):
+        simulated.move_target(np.array(point))
+        run(simulated, 0.1)
+        assert np.isfinite(simulated.moment().positions).all(), point
 
 
 def test_nothing_has_settled_that_did_not_move():

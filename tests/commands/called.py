@@ -1,0 +1,22 @@
+"""Commands called in this process."""
+
+import pytest
+
+from vergence.cli import main
+
+
+def call(*words: object) -> int:
+    """Run a command and return its exit code."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(word) for word in words])
+    return int(stopped.value.code or 0)
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """The one line in which a command ends that cannot begin."""
+    assert call(*words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    assert line.startswith("vergence: error: ")
+    return line
