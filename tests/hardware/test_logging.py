@@ -41,6 +41,7 @@ def test_a_period_says_nothing(robot, caplog):
     assert caplog.records == []
 
 
+@pytest.mark.slow
 def test_missed_periods_are_told_once_a_second(robot, caplog):
     robot.begin()
     pause_s, begun_s = 2.2 * robot.plant.head.timing.period_s, robot.clock()

@@ -101,11 +101,6 @@ def test_damaged_answers_are_told_as_ids_that_collide(serve, monkeypatch, capsys
     assert "damaged answers: servos with one id" in capsys.readouterr().err
 
 
-def test_a_port_that_is_not_there_is_an_error_of_the_hardware(monkeypatch, capsys):
-    assert run(monkeypatch, "/dev/ttyNONE") == 1
-    assert "no such device; cure: " in capsys.readouterr().err
-
-
 def test_ids_that_cannot_be_are_misuse(monkeypatch, capsys):
     for ids in ("x", "3-1", "0-253", "-1"):
         with named(ids):

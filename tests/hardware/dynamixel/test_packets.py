@@ -137,10 +137,6 @@ def test_a_status_tells_its_error_from_its_alert():
     assert packet.status == Status(7, 7, True, b"\x2a")
 
 
-def test_an_instruction_is_no_status():
-    assert Packet(1, Instruction.READ, bytes(4)).status is None
-
-
 def test_packets_that_cannot_be_are_refused():
     for id in (-1, 253, 255):
         with named(id), pytest.raises(ConfigurationError, match="expected 0 to 252 or 254"):

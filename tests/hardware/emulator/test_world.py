@@ -1,6 +1,7 @@
 """The world of an emulated head: requests over TCP, what is true there, and its configuration."""
 
 import socket
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -93,10 +94,8 @@ GARBAGE = [
 def test_a_request_that_is_none_is_answered_with_an_error(served):
     host, port = served.server.address.split(":")
     for request_line in GARBAGE:
-        with (
-            named(request_line),
-            socket.create_connection((host, int(port)), timeout=5.0) as connection,
-        ):
+        address = host, int(port)
+        with named(request_line), socket.create_connection(address, timeout=5.0) as connection:
             connection.sendall(request_line + b"\n")
             assert b"error" in connection.makefile("rb").readline()
     assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
@@ -138,8 +137,7 @@ def test_a_tied_heads_joints_are_its_actuators():
 def test_a_controller_reads_the_configuration(tmp_path):
     name = "icub"
     world = World(load_head(name), POINT)
-    server = EmulatorServer(world)
-    try:
+    with closing(EmulatorServer(world)) as server:
         server.streams = "http://127.0.0.1:1"
         path = tmp_path / "desk.toml"
         values = hardware_config_values(name, world.head.digest, world, server, "tag:36h11:0:150")
@@ -148,20 +146,13 @@ def test_a_controller_reads_the_configuration(tmp_path):
         assert config.head.digest == world.head.digest
         assert [one.id for one in config.servos] == [one.id for one in world.servos.values()]
         assert (config.bus.port, config.emulator_address) == (server.port, server.address)
-        assert [one.source for one in config.cameras] == [
-            "http://127.0.0.1:1/left",
-            "http://127.0.0.1:1/right",
-        ]
-    finally:
-        server.close()
+        sources = [f"{server.streams}/{eye}" for eye in ("left", "right")]
+        assert [one.source for one in config.cameras] == sources
 
 
 def test_the_command_refuses_wrong_numbers_in_a_line(capsys):
     for words, said in (
         (("--jitter", "-0.1"), "jitter: expected seconds, 0 to 10, got -0.1"),
-        (("--latency", "nan"), "latency: expected seconds, 0 to 10, got nan"),
-        (("--right-late", "16"), "right-late: expected seconds, 0 to 10, got 16.0"),
-        (("--speed-filter", "inf"), "speed-filter: expected seconds, 0 to 10, got inf"),
         (("--port", "70000"), "port: expected 0 to 65535, got 70000"),
         (("--target", "0", "nan", "1"), "target: expected three finite numbers"),
         (("--head", "turret"), "did you mean turrets?"),

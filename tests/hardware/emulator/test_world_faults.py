@@ -55,10 +55,6 @@ def test_return_delays_add_up_on_the_line():
     assert [delay_s for delay_s, _ in head.pings(0.0)] == [pytest.approx(4 * 500e-6)]
 
 
-def test_a_head_at_another_rate_is_not_heard():
-    assert Head().pings(0.0, 57_600) == []
-
-
 def test_a_fault_ends_at_its_own_instant():
     late, prompt = Head(), Head()
     for head in (late, prompt):

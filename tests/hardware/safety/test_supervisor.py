@@ -22,16 +22,10 @@ class Robot:
     """
 
     def __init__(self, follows=lambda sent: sent, **bounds):
-        self.supervisor = Supervisor(
-            SafetyConfig(**bounds),
-            HEAD,
-            HEAD.actuation.lower,
-            HEAD.actuation.upper,
-            NAMES,
-        )
+        limits = HEAD.actuation.lower, HEAD.actuation.upper
+        self.supervisor = Supervisor(SafetyConfig(**bounds), HEAD, *limits, NAMES)
         self.follows = follows
         self.now_s, self.angles, self.speeds = 10.0, np.zeros(7), np.zeros(7)
-        self.changes = {}
         self.supervisor.begin(self.now_s)
 
     def step(self, requested=None, **changes):
@@ -46,7 +40,7 @@ class Robot:
             "target_visible": True,
             "target_eye_angles": np.zeros(4),
         }
-        state = RobotState(**{**now, **self.changes, **changes})
+        state = RobotState(**now | changes)
         sent = self.supervisor.command(state, np.zeros(7) if requested is None else requested)
         self.supervisor.on_sent(sent)
         self.speeds = self.follows(sent)
@@ -71,12 +65,6 @@ class Robot:
             self.step()
 
 
-def test_a_healthy_robot_goes_on():
-    robot = Robot()
-    assert robot.run(3.0, 0.5 * LEFT_PAN) is None
-    assert robot.supervisor.verdict is Verdict.GO
-
-
 def test_a_joint_is_slow_until_it_has_followed():
     robot, fast = Robot(), 10.0 * LEFT_PAN
     first = robot.step(fast)[3]
@@ -99,13 +87,8 @@ def test_a_stop_brakes_within_the_acceleration_and_latches():
     assert 1 < len(sent) < 15
     assert (np.diff(sent) <= 0.0).all()
     assert (robot.step(4.0 * LEFT_PAN) == 0.0).all()
-
-
-def test_the_first_reason_stays():
-    robot = Robot()
-    robot.supervisor.stop("the first")
-    robot.step(np.full(7, np.nan))
-    assert robot.supervisor.fault == "the first"
+    robot.supervisor.stop("another")
+    assert "nan" in robot.supervisor.fault
 
 
 def test_old_angles_stop():
@@ -205,13 +188,11 @@ def swing(robot, goal=lambda _side: 0.0):
     return bool(robot.supervisor.fault)
 
 
-def test_a_policy_that_swings_about_a_resting_target_stops():
+@pytest.mark.slow
+def test_a_policy_that_swings_stops_unless_its_target_does():
     robot = Robot()
     assert swing(robot)
     assert "left_pan swinging at speed" in robot.supervisor.fault
-
-
-def test_eyes_that_follow_a_swinging_target_go_on():
     assert not swing(Robot(), lambda side: 0.15 * side)
 
 
@@ -225,8 +206,8 @@ def test_a_lost_target_holds_until_it_is_seen_again():
     assert robot.supervisor.verdict is Verdict.HOLD
     assert (robot.step(LEFT_PAN, target_visible=False) == 0.0).all()
     assert robot.step(LEFT_PAN)[3] > 0.0
+    assert robot.run(3.0, 0.1 * LEFT_PAN) is None
     assert robot.supervisor.verdict is Verdict.GO
-    assert robot.supervisor.fault == ""
 
 
 @pytest.mark.slow
