@@ -81,10 +81,8 @@ def test_exchanged_ids_are_named():
 
 
 def test_an_image_that_is_upside_down_is_named():
-    def turned(pixels):
-        return np.stack([HEAD.cameras.size[0] - 1 - pixels[0], pixels[1]])
-
-    (finding,) = seen(pixels=turned)
+    size = HEAD.cameras.size[0]
+    (finding,) = seen(pixels=lambda pixels: np.stack([size - 1 - pixels[0], pixels[1]]))
     assert finding.part == "cameras.left"
     assert "upside down" in finding.problem
 

@@ -220,12 +220,8 @@ class VirtualRobot:
     """A plant on an emulated robot, in simulated time.
 
     Args:
-        monkeypatch: puts the virtual line in place of a serial one.
-        world: the world; by default one whose target each eye sees in its middle.
-        config: the configuration; by default that of `virtual_config`.
         transforms: map of each camera's pixels, see `VirtualCamera`.
         eyes: eye of the world that each camera shows; (1, 0) exchanges them.
-        plant_options: see `HardwarePlant`.
         **safety: bounds of `SafetyConfig`, without a configuration.
     """
 

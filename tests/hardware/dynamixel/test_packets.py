@@ -59,10 +59,8 @@ def test_a_good_packet_is_found_at_once_behind_any_garbage(garbage, packet):
 
 
 def test_a_header_that_announces_much_holds_nothing_back():
-    parser = PacketParser()
-    bogus = HEADER + bytes((1,)) + MOST_LENGTH.to_bytes(2, "little")
-    good = Packet(2, Instruction.PING, b"")
-    assert parser.feed(bogus) == []
+    parser, good = PacketParser(), Packet(2, Instruction.PING, b"")
+    assert parser.feed(HEADER + bytes((1,)) + MOST_LENGTH.to_bytes(2, "little")) == []
     assert parser.feed(bytes_of(good)) == [good]
     assert parser.rejected == 1
 

@@ -4,6 +4,8 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from contextlib import closing
+from functools import partial
 
 import cv2
 import numpy as np
@@ -70,10 +72,8 @@ class Rig:
         self.cameras = EmulatedCameras(self, self, StreamConfig(frame_rate_hz=200.0, latency_s=0.0))
         self.server = make_stream_server(self.cameras, 0)
         self.url = f"http://127.0.0.1:{self.server.server_address[1]}"
-        self._threads = [
-            threading.Thread(target=self._run),
-            threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.01}),
-        ]
+        serve = partial(self.server.serve_forever, poll_interval=0.01)
+        self._threads = [threading.Thread(target=one) for one in (self._run, serve)]
         for thread in self._threads:
             thread.start()
 
@@ -121,9 +121,8 @@ class Rig:
 
 @pytest.fixture
 def rig():
-    one = Rig()
-    yield one
-    one.close()
+    with closing(Rig()) as one:
+        yield one
 
 
 def test_a_number_of_images_that_cannot_be_is_refused(rig):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.commands.test_failures import call
-from tests.hardware.emulator.served import POINT, Served
+from tests.hardware.emulator.served import POINT
 from tests.naming import named
 from vergence import load_head
 from vergence.envs.targets.motion import motion_rows
@@ -19,13 +19,6 @@ from vergence.hardware.emulator.emulator import hardware_config_values
 from vergence.hardware.emulator.server import EmulatorServer
 from vergence.hardware.emulator.world import World
 from vergence.models.files.toml_text import toml_text
-
-
-@pytest.fixture
-def served():
-    one = Served()
-    yield one
-    one.close()
 
 
 def test_a_target_is_where_it_was_put_until_it_is_placed(served):
@@ -65,13 +58,10 @@ def test_a_board_that_stands_stays_in_the_world_while_the_neck_turns():
     assert np.abs(seen[1] - seen[0]).max() > 0.1
     middle = seen[0] @ [*board.corners_m.mean(axis=0), 0.0, 1.0]
     assert middle[2] == pytest.approx(0.7, abs=0.01)
-    with pytest.raises(ConfigurationError, match="the board stands still"):
-        world.place_target(motion_rows(POINT, before=POINT)[0].tolist())
-
-
-def test_a_board_of_an_unknown_size_does_not_stand_anywhere():
     with pytest.raises(ConfigurationError, match="expected one board of a known size"):
         parse_sized_board("checkerboard:9x6")
+    with pytest.raises(ConfigurationError, match="the board stands still"):
+        world.place_target(motion_rows(POINT, before=POINT)[0].tolist())
 
 
 def test_a_hidden_target_is_nowhere(served):
@@ -98,12 +88,9 @@ def test_a_request_that_is_none_is_answered_with_an_error(served):
         with named(request_line), socket.create_connection(address, timeout=5.0) as connection:
             connection.sendall(request_line + b"\n")
             assert b"error" in connection.makefile("rb").readline()
-    assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
-
-
-def test_an_error_of_the_world_is_raised_before_its_client(served):
     with pytest.raises(HardwareError, match=r"emulator: expected a request, got .*25 numbers or"):
         served.client.place_target(np.zeros(3))
+    assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
 
 
 def test_a_client_that_has_gone_takes_nobody_with_it(served):
