@@ -35,8 +35,6 @@ class ScriptedCapture:
     """A capture that gives images at given times of a fake clock, and then ends.
 
     Args:
-        clock: goes to an image's time as it is grabbed.
-        times: exposure times of the images, s.
         image: content of all images; None for one that cannot be decoded.
         hangs: True to send the very same image again and again.
         stamped_before_s: time by which the driver's stamps are earlier; None for stamps of zero.

@@ -13,6 +13,7 @@ from tests.hardware.fakes import (
     camera_config,
     with_tag,
 )
+from tests.naming import named
 from vergence.errors import HardwareError
 from vergence.hardware import cameras
 from vergence.hardware.cameras import EyeThread
@@ -64,19 +65,13 @@ def test_an_image_in_a_burst_begins_the_count_anew(eye_of):
     assert seen(eye_of, [*times, *(times[-1] + FRAME_S * i for i in range(1, 6))]).ready
 
 
-def test_an_exposure_is_the_receipt_less_the_latency(eye_of):
+def test_sights_are_dated_by_their_receipt_less_the_latency_and_taken_once(eye_of):
     eye = seen(eye_of, PACE, latency_s=0.04)
     sights = eye.take_searched_images()
-    assert sights
-    for sight in sights:
-        assert sight.exposed_s == pytest.approx(sight.ready_s - 0.04)
-
-
-def test_sights_are_taken_once_and_in_order(eye_of):
-    eye = seen(eye_of, PACE)
-    times = [sight.exposed_s for sight in eye.take_searched_images()]
-    assert len(times) == 6
-    assert times == sorted(times)
+    assert [sight.ready_s for sight in sights] == PACE[4:]
+    assert [one.exposed_s for one in sights] == pytest.approx(np.array(PACE[4:]) - 0.04)
+    assert (eye.images, eye.found) == (6, 0)
+    assert np.isnan(sights[0].pixel).all()
     assert eye.take_searched_images() == []
 
 
@@ -90,12 +85,6 @@ def test_a_target_is_found_in_grey_and_in_colour(eye_of):
         assert sights[-1].pixel == pytest.approx(middle, abs=1.0)
         assert eye.frame.shape == image.shape
         assert (eye.frame[1:] == image[1:]).all()
-
-
-def test_an_image_without_the_target_is_a_sight_of_nothing(eye_of):
-    eye = seen(eye_of, PACE)
-    assert (eye.images, eye.found) == (6, 0)
-    assert np.isnan(eye.take_searched_images()[0].pixel).all()
 
 
 @pytest.mark.parametrize(
@@ -118,27 +107,16 @@ def test_an_image_that_cannot_be_decoded_is_none(eye_of):
     assert eye.take_searched_images() == []
 
 
-def test_images_of_another_size_are_refused_with_both(eye_of):
-    eye = seen(eye_of, PACE, np.zeros((720, 1280), np.uint8))
-    with pytest.raises(
-        HardwareError,
-        match=r"cameras\.left: 7: expected images of 640 x 480, as turrets has them, got 1280 x 7",
+def test_what_ends_the_thread_is_told_outside_with_camera_and_source(eye_of):
+    for image, said in (
+        (np.zeros((720, 1280), np.uint8), "expected images of 640 x 480, as turrets has them, got"),
+        (np.zeros((480, 640, 2), np.uint8), "expected an array"),
+        (None, "the stream ended"),
     ):
-        eye.check()
-
-
-def test_the_end_of_a_stream_names_camera_and_source(eye_of):
-    eye = seen(eye_of, PACE, eye=1, source="http://127.0.0.1/right")
-    with pytest.raises(
-        HardwareError, match=r"cameras\.right: http://127.0.0.1/right: the stream e"
-    ):
-        eye.check()
-
-
-def test_a_fault_inside_the_thread_is_told_outside(eye_of):
-    eye = seen(eye_of, PACE, np.zeros((480, 640, 2), np.uint8))
-    with pytest.raises(HardwareError, match=r"cameras\.left: 7: .*expected an array"):
-        eye.check()
+        eye = seen(eye_of, PACE, image, eye=1, source="http://127.0.0.1/right")
+        told = rf"cameras\.right: http://127.0.0.1/right: .*{said}"
+        with named(said), pytest.raises(HardwareError, match=told):
+            eye.check()
 
 
 def test_a_stall_is_noticed_after_a_second_and_the_latency(eye_of):
@@ -148,27 +126,21 @@ def test_a_stall_is_noticed_after_a_second_and_the_latency(eye_of):
     clock.sleep(1.09)
     eye.check()
     clock.sleep(0.02)
-    with pytest.raises(
-        HardwareError, match=r"cameras\.left: 7: expected images, got none for 1\.1"
-    ):
+    with pytest.raises(HardwareError, match=r"left: 7: expected images, got none for 1\.1"):
         eye.check()
 
 
-def test_a_camera_that_was_never_started_is_released(eye_of):
-    capture = LiveCapture(blank(HEAD), rate_hz=30.0)
-    eye_of(capture).close()
-    assert capture.released == 1
-
-
-def test_a_running_camera_is_released_by_its_own_thread(eye_of):
-    capture = LiveCapture(blank(HEAD), rate_hz=100.0)
-    eye = eye_of(capture)
-    eye.start()
-    eye.close()
-    assert not eye.is_alive()
-    assert capture.released == 1
-    eye.close()
-    assert capture.released == 1
+def test_a_camera_is_released_once_whether_it_was_started_or_not(eye_of):
+    for started in (False, True):
+        capture = LiveCapture(blank(HEAD), rate_hz=100.0)
+        eye = eye_of(capture)
+        if started:
+            eye.start()
+        eye.close()
+        if started:
+            eye.close()
+        assert not eye.is_alive()
+        assert capture.released == 1
 
 
 @pytest.mark.parametrize(

@@ -23,15 +23,13 @@ def test_a_resting_target_is_where_a_synchronised_pair_would_see_it(name: str) -
 
 def test_a_neck_that_turns_takes_nothing_away() -> None:
     head = load_head("simulated")
-    world = np.array([0.05, -0.1, 1.2, 1.0])
-    common = head.rest()
+    world, common = np.array([0.05, -0.1, 1.2, 1.0]), head.rest()
     exposed = np.tile(common, (2, 1))
     exposed[0, 0], exposed[1, 0] = 0.01, -0.01
     T_N_0 = np.linalg.inv(head.base_pose(exposed))
     here = head.base_pose(common) @ world
-    pixels = np.stack(
-        [head.project(exposed[eye], (T_N_0[eye] @ here)[:3])[eye] for eye in range(2)]
-    )
+    points = T_N_0[..., :3, :] @ here
+    pixels = np.stack([head.project(exposed[eye], points[eye])[eye] for eye in range(2)])
     found = pixels_at_common_time(head, pixels, exposed, common)
     assert found == pytest.approx(head.project(common, world[:3]), abs=1e-6)
 

@@ -26,6 +26,7 @@ def test_preparing_compiles_what_a_target_that_comes_later_needs(monkeypatch):
     assert [one is not None for one in seen] == [True, True, False] * 2
 
 
+@pytest.mark.slow
 def test_a_robots_trial_calls_the_task_with_types_that_preparing_has_compiled(monkeypatch):
     robot, types = VirtualRobot(monkeypatch), []
     advance = gaze_task.advance_task

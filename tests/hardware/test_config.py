@@ -1,18 +1,17 @@
 """A real head described in TOML: what a complete file says, and how anything else is refused."""
 
-import copy
+import functools
+import itertools
 import pickle
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from tests.commands.test_failures import call
 from tests.naming import named
 from vergence import load_head
-from vergence.cli import main
 from vergence.errors import (
     ConfigurationError,
     HeadFileError,
@@ -20,10 +19,16 @@ from vergence.errors import (
     UnreadableFileError,
     VergenceError,
 )
+from vergence.hardware import config as config_module
 from vergence.hardware.config import actuator_slots, load_hardware
 from vergence.models.boards import AprilTag
 from vergence.models.files.head_file import save_head
 from vergence.models.files.toml_text import toml_text
+
+
+@pytest.fixture(autouse=True)
+def each_head_read_once(monkeypatch):
+    monkeypatch.setattr(config_module, "load_head", functools.cache(load_head))
 
 
 def document(head="turrets"):
@@ -62,9 +67,8 @@ def test_a_complete_file_says_it_all(tmp_path):
     assert config.measured_targets[1].point.tolist() == [0.01, -0.02, 0.9]
     assert config.head.digest == load_head("turrets").digest
     assert config.target == AprilTag(family="36h11", id=5, edge_m=0.12, size_known=True)
-    assert (config.bus.port, config.bus.baud_rate, config.bus.watchdog_s) == (
-        "/dev/ttyUSB0", 1_000_000, 0.5,
-    )  # fmt: skip
+    bus = config.bus
+    assert (bus.port, bus.baud_rate, bus.watchdog_s) == ("/dev/ttyUSB0", 1_000_000, 0.5)
     assert [servo.name for servo in config.servos] == list(actuator_slots(config.head))
     last = config.servos[-1]
     assert (last.id, last.sign, last.gear_ratio, last.zero_ticks) == (4, -1, 1.5, 7)
@@ -109,18 +113,15 @@ def edited(place, value):
 
 
 REFUSED = [
-    ("had", "turrets", "had: expected no such key (is head meant?), got 'turrets'"),
     ("bus.wachdog_s", 0.2, "bus.wachdog_s: expected no such key (is bus.watchdog_s meant?), got"),
     ("servos.1.gear", 2.0, "servos[1].gear: expected no such key"),
     ("cameras.left.format", "MJPG", "cameras.left.format: expected no such key"),
     ("cameras.middle", {"source": 3}, "cameras.middle: expected no such key"),
     ("head", "turret", "head: expected one of icub, physical, simulated, turrets, or the path of"),
-    ("head", None, "head: expected one of icub, physical, simulated, turrets, or the path of"),
     ("head_digest", "0" * 16, "head_digest: expected that of turrets, "),
     ("target", "tag:36h11:900", "900"),
     ("target", "circle:3", "target: expected tag:FAMILY"),
     ("bus.port", "", "bus.port: expected the device file of the serial line"),
-    ("bus.port", None, "bus.port: expected the device file of the serial line"),
     ("bus.baud_rate", 1e6, "bus.baud_rate: expected a baud rate, 9600 to 10500000, got 1000000.0"),
     ("bus.watchdog_s", 200, "0.02 to 2.54 (is it in milliseconds?), got 200"),
     ("bus.watchdog_s", 0.01, "bus.watchdog_s: expected seconds in steps of the servos' 20 ms"),
@@ -144,7 +145,6 @@ REFUSED = [
     ("cameras.right.source", True, "cameras.right.source: expected a camera's number"),
     ("cameras.right", None, "cameras.right: expected a table"),
     ("cameras.pairing_tolerance_s", 20, "seconds, 0 to 1 (is it in milliseconds?), got 20"),
-    ("emulator", {"address": "localhost"}, "emulator.address: expected HOST:PORT"),
     ("emulator", {"address": "localhost:65536"}, "emulator.address: expected HOST:PORT"),
     ("bus", 5, "bus: expected a table, got 5"),
     ("servos", {"name": "left_pan"}, "servos: expected tables [[servos]], got"),
@@ -203,11 +203,8 @@ def test_the_command_line_tells_each_mistake_in_a_line_of_its_own(tmp_path, caps
     values, told = wrong_everywhere()
     path = tmp_path / "robot.toml"
     path.write_text(toml_text(values), encoding="utf-8")
-    with pytest.raises(SystemExit) as stop:
-        main(["check-cameras", "--config", str(path)])
-    assert stop.value.code == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len([line for line in lines if line.startswith("vergence: error: ")]) == len(told)
+    assert call("check-cameras", "--config", str(path)) == 2
+    assert capsys.readouterr().err.count("vergence: error: ") == len(told)
 
 
 def test_each_joint_needs_a_servo(tmp_path):
@@ -215,8 +212,7 @@ def test_each_joint_needs_a_servo(tmp_path):
     del values["servos"][2]
     with pytest.raises(
         HeadFileError,
-        match=r"robot\.toml: servos: expected a servo for each of left_pan, left_tilt, right_pan, "
-        r"right_tilt of turrets, got \['left_pan', 'left_tilt', 'right_tilt'\]",
+        match=r"servos: expected a servo for each of .*, got \['left_pan', 'left_tilt', 'right_til",
     ):
         load(tmp_path, values)
 
@@ -225,19 +221,15 @@ def test_a_path_with_no_file_of_toml_is_refused(tmp_path):
     (tmp_path / "robot.toml").write_text("head = ")
     with pytest.raises(UnreadableFileError, match=r"robot\.toml: no TOML"):
         load_hardware(tmp_path / "robot.toml")
+    (tmp_path / "robot.toml").write_bytes(b'head = "t\xfcrrets"')
+    with pytest.raises(UnreadableFileError, match=r"not text in UTF-8"):
+        load_hardware(tmp_path / "robot.toml")
     with pytest.raises(UnreadableFileError, match=r"none\.toml: No such file"):
         load_hardware(tmp_path / "none.toml")
     with pytest.raises(UnreadableFileError, match="the TOML file of a robot's configuration"):
         load_hardware(tmp_path)
     with pytest.raises(ConfigurationError, match="config: expected the path of a TOML file, got 5"):
         load_hardware(5)
-
-
-def test_a_misspelt_preset_is_refused_by_the_file_also_in_the_working_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("robot.toml").write_text(toml_text(edited("head", "turret")), encoding="utf-8")
-    with pytest.raises(HeadFileError, match=r"robot\.toml: head: expected .* got 'turret'"):
-        load_hardware("robot.toml")
 
 
 def test_a_head_file_is_looked_for_beside_the_configuration(tmp_path, monkeypatch):
@@ -268,44 +260,17 @@ def test_a_tied_head_has_servos_for_its_neck_and_actuators(tmp_path):
 
 def places(values):
     """Each container in a document, with each of its keys."""
-    found = []
     for key in values if isinstance(values, dict) else range(len(values)):
-        found.append((values, key))
+        yield values, key
         if isinstance(values[key], dict | list):
-            found += places(values[key])
-    return found
+            yield from places(values[key])
 
 
-LEAVES = st.one_of(
-    st.booleans(),
-    st.integers(-(2**70), 2**70),
-    st.floats(),
-    st.text(st.characters(codec="utf-8", exclude_categories=("Cc",)), max_size=8),
-    st.sampled_from(["turrets", "0", "left_pan", "tag:36h11", "charuco:", "a:0", "../own.toml"]),
-)
-GARBAGE = st.recursive(
-    LEAVES,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("abc", min_size=1), inner),
-    max_leaves=5,
-)
-
-
-@settings(max_examples=15)
-@given(st.data())
-def test_no_document_is_a_fault_of_the_program(tmp_path_factory, data):
-    values = copy.deepcopy(document())
-    for _ in range(data.draw(st.integers(1, 3))):
-        table, key = data.draw(st.sampled_from(places(values)))
-        if data.draw(st.booleans()):
-            table[key] = data.draw(GARBAGE)
-        else:
-            del table[key]
-        if not places(values):
-            break
-    path = tmp_path_factory.getbasetemp() / "garbage.toml"
-    try:
-        path.write_text(toml_text(values), encoding="utf-8")
-    except (ValueError, TypeError, AttributeError):
-        return  # a document that TOML cannot hold
-    with suppress(VergenceError):
-        assert load_hardware(path).servos
+def test_no_document_is_a_fault_of_the_program(tmp_path):
+    garbage = itertools.cycle((True, 2**70, np.nan, "", [[]], {}, "\0"))
+    for number in range(len(list(places(document())))):
+        values = document()
+        table, key = list(places(values))[number]
+        table[key] = next(garbage)
+        with named(key, table[key]), suppress(VergenceError):
+            assert load(tmp_path, values).servos

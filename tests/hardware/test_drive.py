@@ -1,6 +1,7 @@
 """The thread that speaks for a policy that pauses, on a robot in simulated time."""
 
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -46,11 +47,8 @@ def test_a_policy_that_comes_back_in_time_goes_on_a_period_after_what_was_said_f
 
 @pytest.mark.parametrize("error", [HardwareError("nobody answers"), RuntimeError("a mistake")])
 def test_what_goes_wrong_meanwhile_stops_the_head_and_not_the_thread(robot, monkeypatch, error):
-    def fail():
-        raise error
-
     with monkeypatch.context() as broken:
-        broken.setattr(robot.plant._open.drive._servos, "sense", fail)
+        broken.setattr(robot.plant._open.drive._servos, "sense", Mock(side_effect=error))
         robot.clock.sleep(0.2)
     assert robot.plant.fault == str(error)
     assert goals(robot) == [0] * 4
@@ -100,15 +98,12 @@ def test_a_fault_of_the_line_leads_no_joint_beyond_its_limit(monkeypatch, what):
 def test_who_has_not_begun_a_trial_may_not_step(monkeypatch):
     robot = VirtualRobot(monkeypatch)
     robot.begin()
+    interrupt = Mock(side_effect=KeyboardInterrupt)
     monkeypatch.setattr(robot.plant._open.drive._servos, "switch_on", interrupt)
     with pytest.raises(KeyboardInterrupt):
         robot.begin()
     with pytest.raises(HardwareError, match="expected a reset first"):
         robot.plant.step(FAST)
-
-
-def interrupt():
-    raise KeyboardInterrupt
 
 
 def test_a_child_process_leaves_the_servos_to_its_parent(robot, monkeypatch):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -45,19 +46,19 @@ def desk(emulated_desk: Path) -> Path:
     return emulated_desk
 
 
-def gaze(desk: Path, out: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    """`vergence gaze` on the emulated head."""
-    words = ["gaze", "--plant", "hardware", "--config", str(desk), "--out", str(out), *options]
-    return subprocess.run(
-        [sys.executable, "-m", "vergence", *words], capture_output=True, text=True, timeout=300
+def gaze(desk: Path, out: Path, *target: str, **options: Any) -> subprocess.Popen[str]:
+    """`vergence gaze` on the emulated head, in a process of its own."""
+    words = ["gaze", "--plant", "hardware", "--config", str(desk), "--out", str(out)]
+    words += ["--controller", "state-feedback", "--target", *target]
+    return subprocess.Popen(
+        [sys.executable, "-m", "vergence", *words], stderr=subprocess.PIPE, text=True, **options
     )
 
 
 def test_the_command_turns_the_head_to_the_target(desk: Path, tmp_path: Path) -> None:
-    done = gaze(
-        desk, tmp_path / "run", "--controller", "state-feedback", "--target", "50", "-80", "900"
-    )
-    assert done.returncode == 0, done.stderr
+    with gaze(desk, tmp_path / "run", "50", "-80", "900") as process:
+        _, said = process.communicate(timeout=300)
+    assert process.returncode == 0, said
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     assert result["truth_mm"] == pytest.approx([50.0, -80.0, 900.0])
     assert (tmp_path / "run" / "hardware.toml").read_text() == desk.read_text()
@@ -102,14 +103,11 @@ def test_a_policy_that_raises_leaves_servos_at_rest_and_names_its_line(
     mine.write_text(BREAKS)
     config = DeployConfig(controller=f"{mine}:Breaks", hardware=desk)
     result = deploy(config, tmp_path / "run.mcap")
-    world = WorldClient(load_hardware(desk).emulator_address)
-    try:
+    with closing(WorldClient(load_hardware(desk).emulator_address)) as world:
         ended_s = time.monotonic()
         while (rested_s := world.rest_start_s(ended_s - 1.0)) is None:
             assert time.monotonic() < ended_s + 5.0
         assert rested_s < ended_s + 0.2  # what the joints' lag leaves
-    finally:
-        world.close()
     assert re.search(r"mine\.py:\d+ in predict: ZeroDivisionError", str(result.error))
     log = read_log(result.log)
     assert "ZeroDivisionError" in log.stop_reasons[0]
@@ -161,3 +159,28 @@ def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: P
     assert len(settled) >= 2
     assert (settled["settle_2px_s"] >= settled["bound_2px_s"]).all()
     assert (trials["fix_error_end_m"] < 0.1).all()
+
+
+def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(
+    desk: Path, tmp_path: Path
+) -> None:
+    def ignore() -> None:
+        """As a shell starts what is to run in the background."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    with (
+        closing(WorldClient(load_hardware(desk).emulator_address)) as world,
+        gaze(desk, tmp_path / "run", "100", "-200", "700", preexec_fn=ignore) as process,
+    ):
+        until_s = time.monotonic() + 120.0
+        while np.abs(world.ask({"state": None})["velocities"]).max() < 0.3:
+            assert time.monotonic() < until_s
+            time.sleep(0.005)
+        since_s = time.monotonic()
+        process.terminate()
+        _, said = process.communicate(timeout=120)
+        assert process.returncode == 130, said
+        assert "Traceback" not in said
+        rested_s = world.rest_start_s(since_s)
+    assert rested_s is not None
+    assert rested_s - since_s < 0.5

@@ -30,6 +30,7 @@ def test_a_target_that_appears_is_not_seen_in_images_of_before(monkeypatch, appe
     assert robot.plant.reading.time_s[0] > timing.latency_s - timing.period_s
 
 
+@pytest.mark.slow
 def test_joints_are_exercised_within_the_bounds_and_rest_afterwards(robot):
     robot.begin()
     robot.plant.exercise(velocities(0.15, 60))

@@ -15,7 +15,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::vergence.errors.VergenceWarning"),  # before the stop
 ]
-QUICK, MORE = range(2), range(2, 10)
+MORE = range(1, 10)
 BOUNDS = Bounds(virtual_config())
 
 
@@ -39,14 +39,14 @@ def of_eye(eye, name):
     return happen
 
 
-def sleep(now):
-    now.robot.clock.sleep(1.0)
-    now.drive(0.1)
+def silence(pause):
+    """A policy that sleeps, or a process that stands still."""
 
+    def happen(now):
+        getattr(now.robot.clock, pause)(1.0)
+        now.drive(0.1)
 
-def stand_still(now):
-    now.robot.clock.stand_still(1.0)
-    now.drive(0.1)
+    return happen
 
 
 STOPS = {
@@ -62,11 +62,24 @@ STOPS = {
     "a command that is no number": (
         lambda now: now.robot.plant.step(np.full((1, 7), np.nan)), "nan", BOUNDS.leave_s,
     ),
-    "a policy that sleeps": (sleep, "of silence", BOUNDS.alone_s),
-    "a process that stands still": (stand_still, "of silence", BOUNDS.alone_s),
+    "a policy that sleeps": (silence("sleep"), "of silence", BOUNDS.alone_s),
+    "a process that stands still": (silence("stand_still"), "of silence", BOUNDS.alone_s),
     "the end": (lambda now: now.robot.plant.close(), "", BOUNDS.rest_s),
 }  # fmt: skip
 """By name: what happens, a part of the reason of the stop, and the bound, s."""
+
+ELSEWHERE = {
+    # their lines: test_robot_doc
+    "answers of one lost", "answers late", "cable pulled", "voltage", "overload",
+    # with friction, and the way that they go: test_rest
+    "encoder blind", "encoder's fault bit", "motor inverted",
+    # beyond no limit: test_drive
+    "joint stuck",
+    # as those that are damaged, warm and of the right eye
+    "answers cut short", "load", "no new image of the left",
+}  # fmt: skip
+"""Stops that quick tests show, if not at drawn moments."""
+BY_DAY = [name for name in STOPS if name not in ELSEWHERE]
 
 
 @pytest.fixture
@@ -105,17 +118,17 @@ def assert_rests(moment, name, seeds):
             assert now.robot.rested_s(since_s) <= bound_s
 
 
-@pytest.mark.parametrize("part", range(4))
+@pytest.mark.parametrize("part", range(2))
 def test_a_fault_brings_the_joints_to_rest_within_its_bound(moment, part):
-    for name in list(STOPS)[part::4]:
-        assert_rests(moment, name, QUICK)
+    for name in BY_DAY[part::2]:
+        assert_rests(moment, name, [0])
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("part", range(4))
 def test_at_more_moments_a_fault_brings_the_joints_to_rest_within_its_bound(moment, part):
     for name in list(STOPS)[part::4]:
-        assert_rests(moment, name, MORE)
+        assert_rests(moment, name, MORE if name in BY_DAY else range(10))
 
 
 @pytest.mark.parametrize("seeds", [[1], pytest.param(MORE, marks=pytest.mark.nightly)])

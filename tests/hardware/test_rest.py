@@ -10,6 +10,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.world import MotorOptions, World
 
+pytestmark = pytest.mark.slow
 BOUND_S, TRAVEL_RAD = 0.5, 0.5
 
 

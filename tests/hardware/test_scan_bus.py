@@ -1,10 +1,12 @@
 """The search for servos on an unknown line, and its command."""
 
+import sys
+
 import pytest
 
+from tests.commands.test_failures import call
 from tests.hardware.desk import ready_servos
 from tests.naming import named
-from vergence.cli import main
 from vergence.hardware import scan as scanning
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.scan import ALL_BAUD_RATES, scan_for_servos
@@ -34,22 +36,15 @@ def test_servos_that_tell_only_their_model_are_listed(serve):
     own = ready_servos()[:2]
     own[0].set(table.MODEL_NUMBER, 12)
     own[1].set(table.STATUS_RETURN_LEVEL, 0)
-    found = scan_for_servos(
-        serve(own).port,
-        single_ping_ids=(1, 2),
-        broadcast_wait_per_id_s=1e-4,
-        baud_rates=(1_000_000,),
-    )
+    options = QUICK | {"baud_rates": (1_000_000,)}
+    found = scan_for_servos(serve(own).port, single_ping_ids=(1, 2), **options)
     assert [(one.model_number, one.memory) for one in found.servos] == [(12, None), (1060, None)]
 
 
 def test_a_rate_that_cannot_be_set_is_left_out_with_its_reason(serve, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "serial", None)
-    found = scan_for_servos(
-        serve(ready_servos()).port,
-        broadcast_wait_per_id_s=1e-4,
-        baud_rates=(123_456, 1_000_000),
-    )
+    monkeypatch.setitem(sys.modules, "serial", None)
+    options = QUICK | {"baud_rates": (123_456, 1_000_000)}
+    found = scan_for_servos(serve(ready_servos()).port, **options)
     assert len(found.servos) == 4
     assert "expected pyserial for 123456 baud" in found.unsupported_rates[123_456]
 
@@ -59,9 +54,7 @@ def run(monkeypatch, *words):
     monkeypatch.setattr(
         scanning, "scan_for_servos", lambda port, **options: scan_all(port, **options | QUICK)
     )
-    with pytest.raises(SystemExit) as stop:
-        main(["scan-bus", *words])
-    return stop.value.code
+    return call("scan-bus", *words)
 
 
 def test_the_command_lists_what_answers(serve, monkeypatch, capsys):
@@ -99,11 +92,6 @@ def test_damaged_answers_are_told_as_ids_that_collide(serve, monkeypatch, capsys
     served = serve(ready_servos()[:1], alter=lambda _packet, answers: answers[:-1] + b"\0")
     assert run(monkeypatch, served.port, *options) == 1
     assert "damaged answers: servos with one id" in capsys.readouterr().err
-
-
-def test_a_port_that_is_not_there_is_an_error_of_the_hardware(monkeypatch, capsys):
-    assert run(monkeypatch, "/dev/ttyNONE") == 1
-    assert "no such device; cure: " in capsys.readouterr().err
 
 
 def test_ids_that_cannot_be_are_misuse(monkeypatch, capsys):

@@ -1,7 +1,5 @@
 """Between joints and ticks: signs, zeros, gears, what is believed, and what is rounded off."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,20 +17,15 @@ TURRETS, ICUB = load_head("turrets"), load_head("icub")
 WIRINGS = st.tuples(st.sampled_from([1, -1]), st.sampled_from([0.5, 1.0]), st.integers(0, 4095))
 
 
-def configs(head, sign=1, gear_ratio=1.0, zero_ticks=2048, shrink=0.9):
+def configs(head, sign=1, gear_ratio=1.0, zero_ticks=2048):
+    lower, upper = 0.9 * head.actuation.lower, 0.9 * head.actuation.upper
     return tuple(
         ServoConfig(
-            name=name,
-            slot=slot,
-            id=ident,
-            zero_ticks=zero_ticks,
-            sign=sign,
-            gear_ratio=gear_ratio,
-            lower_rad=shrink * float(head.actuation.lower[slot]),
-            upper_rad=shrink * float(head.actuation.upper[slot]),
+            name=name, slot=slot, id=ident, zero_ticks=zero_ticks, sign=sign,
+            gear_ratio=gear_ratio, lower_rad=float(lower[slot]), upper_rad=float(upper[slot]),
         )
         for ident, (name, slot) in enumerate(actuator_slots(head).items(), 1)
-    )
+    )  # fmt: skip
 
 
 class Rig:
@@ -95,7 +88,7 @@ def test_angles_are_read_on_whatever_turn_the_servo_was_switched_on(wiring, angl
     assert rig.servos.angles[there] == pytest.approx(angle, abs=1.001 * half_a_tick)
 
 
-@settings(max_examples=12)
+@settings(max_examples=5)
 @given(WIRINGS)
 def test_a_joint_turns_the_way_and_as_far_as_it_is_told(wiring):
     rig = Rig(TURRETS, wiring)
@@ -200,10 +193,3 @@ def test_a_joint_that_nobody_has_asked_for_long_may_be_anywhere():
     servos = ServoAngles(configs(TURRETS), TURRETS)
     servos.update({i: answer(0.0) for i in range(1, 5)}, 0.0)
     assert servos.update({i: answer(1.2) for i in range(1, 5)}, 5.0) == {1, 2, 3, 4}
-
-
-def test_ticks_per_radian_have_the_sign_of_the_servo():
-    one = configs(TURRETS)[0]
-    assert one.ticks_per_rad * 2.0 * np.pi == pytest.approx(4096)
-    other = dataclasses.replace(one, sign=-1, gear_ratio=0.25)
-    assert other.ticks_per_rad * 2.0 * np.pi == pytest.approx(-1024)

@@ -48,14 +48,10 @@ def test_beginning_anew_brakes_a_moving_head_first(monkeypatch):
     fast = np.full((1, 7), -np.inf)
     for _ in range(12):
         robot.plant.step(fast)
-    moved, speeds = robot.world.servos["right_pan"], []
-    sleep = robot.clock.sleep
-
-    def watched(seconds):
-        speeds.append(moved.get(table.GOAL_VELOCITY))
-        sleep(seconds)
-
-    robot.plant._open.drive._sleep = watched
+    moved, speeds, sleep = robot.world.servos["right_pan"], [], robot.clock.sleep
+    robot.plant._open.drive._sleep = lambda seconds: (
+        speeds.append(moved.get(table.GOAL_VELOCITY)) or sleep(seconds)
+    )
     robot.begin()
     # to rest in more than one command
     assert speeds[0] < speeds[1] < 0, speeds[:8]

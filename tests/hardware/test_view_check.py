@@ -19,6 +19,7 @@ from vergence.vision.optics import EyeCamera
 ICUB = load_head("icub")
 SLOTS = {name: 3 + i for i, name in enumerate(HEAD.actuation.names)}
 POINT = np.array([0.05, -0.04, 0.8])
+NOTHING = Posture(np.zeros(7), np.full((2, 2), np.nan), np.full(2, np.nan))
 
 
 def seen(head=HEAD, angles=lambda q: q, pixels=lambda uv: uv, ranges=False, noise_px=0.3):
@@ -41,11 +42,6 @@ def seen(head=HEAD, angles=lambda q: q, pixels=lambda uv: uv, ranges=False, nois
     return check.findings(TAG, None)
 
 
-def only(findings):
-    assert len(findings) == 1
-    return findings[0]
-
-
 def with_sign(slot):
     return lambda angles: np.where(np.arange(7) == slot, -angles, angles)
 
@@ -63,7 +59,7 @@ def offset(slot, by_rad):
 @pytest.mark.parametrize("head", [HEAD, ICUB], ids=["turrets", "icub"])
 def test_a_right_head_passes_and_exchanged_cameras_are_named(head):
     assert seen(head) == []
-    finding = only(seen(head, pixels=lambda pixels: pixels[::-1]))
+    (finding,) = seen(head, pixels=lambda pixels: pixels[::-1])
     assert finding.part == "cameras"
     assert "the cameras are exchanged" in finding.problem
     assert not finding.warning
@@ -72,42 +68,40 @@ def test_a_right_head_passes_and_exchanged_cameras_are_named(head):
 def test_a_wrong_sign_is_named_with_its_joint():
     for name, slot in SLOTS.items():
         with named(name):
-            finding = only(seen(angles=with_sign(slot)))
+            (finding,) = seen(angles=with_sign(slot))
             assert finding.part == f"servos: {name}"
             assert "its sign is wrong" in finding.problem
             assert finding.cure.startswith("sign = -1")
 
 
 def test_exchanged_ids_are_named():
-    finding = only(seen(angles=exchanged(3, 5)))
+    (finding,) = seen(angles=exchanged(3, 5))
     assert finding.part == "servos: left_pan, right_pan"
     assert "their ids are exchanged" in finding.problem
 
 
 def test_an_image_that_is_upside_down_is_named():
-    def turned(pixels):
-        return np.stack([HEAD.cameras.size[0] - 1 - pixels[0], pixels[1]])
-
-    finding = only(seen(pixels=turned))
+    size = HEAD.cameras.size[0]
+    (finding,) = seen(pixels=lambda pixels: np.stack([size - 1 - pixels[0], pixels[1]]))
     assert finding.part == "cameras.left"
     assert "upside down" in finding.problem
 
 
 def test_a_wrong_gear_is_named():
-    finding = only(seen(angles=lambda angles: np.where(np.arange(7) == 5, 2.0 * angles, angles)))
+    (finding,) = seen(angles=lambda angles: np.where(np.arange(7) == 5, 2.0 * angles, angles))
     assert finding.part == "servos: right_pan"
     assert "gear_ratio = 0.5" in finding.cure
 
 
 def test_two_mistakes_at_once_are_told_with_what_was_seen():
     both = with_sign(3), exchanged(4, 6)
-    finding = only(seen(angles=lambda angles: both[1](both[0](angles))))
+    (finding,) = seen(angles=lambda angles: both[1](both[0](angles)))
     assert "no single mistake explains it" in finding.problem
     assert "left_pan (left eye)" in finding.problem
 
 
 def test_a_zero_of_a_tilt_is_told_by_lines_of_sight_that_miss_each_other():
-    finding = only(seen(angles=offset(SLOTS["left_tilt"], 0.18)))
+    (finding,) = seen(angles=offset(SLOTS["left_tilt"], 0.18))
     assert "left_tilt" in finding.part
     assert "off by about 0.18 rad" in finding.problem
     assert not finding.warning
@@ -115,40 +109,37 @@ def test_a_zero_of_a_tilt_is_told_by_lines_of_sight_that_miss_each_other():
 
 def test_a_zero_of_a_pan_is_told_by_the_size_of_the_target():
     assert seen(angles=offset(SLOTS["left_pan"], -0.15)) == []
-    finding = only(seen(angles=offset(SLOTS["left_pan"], -0.15), ranges=True))
+    (finding,) = seen(angles=offset(SLOTS["left_pan"], -0.15), ranges=True)
     assert "left_pan" in finding.part
     assert not finding.warning
 
 
-def test_a_small_error_of_a_zero_is_a_warning():
-    finding = only(seen(angles=offset(SLOTS["left_tilt"], 0.1)))
-    assert finding.warning
-
-
-def test_zeros_set_by_eye_pass():
+def test_a_small_error_of_a_zero_is_a_warning_and_zeros_set_by_eye_pass():
     assert seen(angles=lambda angles: angles + 0.015 * np.array([0, 0, 0, 1, -1, -1, 1])) == []
+    (finding,) = seen(angles=offset(SLOTS["left_tilt"], 0.1))
+    assert finding.warning
 
 
 def test_speeds_of_another_unit_are_named():
     servo = virtual_config().servos[0]
     check = ViewCheck(virtual_config(), turns=[Turn(servo, 0.05, 0.1, 0.1)])
-    assert "GOAL_VELOCITY" in only(check.findings(TAG, None)).problem
+    (finding,) = check.findings(TAG, None)
+    assert "GOAL_VELOCITY" in finding.problem
     check.turns[:] = [Turn(servo, 0.1, -0.1, 0.1)]
-    assert "PRESENT_VELOCITY has another sign" in only(check.findings(TAG, None)).problem
+    (finding,) = check.findings(TAG, None)
+    assert "PRESENT_VELOCITY has another sign" in finding.problem
 
 
 def test_a_target_that_no_eye_sees_offers_to_go_without_the_check():
-    nothing = Posture(np.zeros(7), np.full((2, 2), np.nan), np.full(2, np.nan))
     images = blank(HEAD), blank(HEAD, 1)
-    finding = only(ViewCheck(virtual_config(), [nothing]).findings(TAG, images))
+    (finding,) = ViewCheck(virtual_config(), [NOTHING]).findings(TAG, images)
     assert "got images without it from both cameras" in finding.problem
     assert "--no-view-check" in finding.cure
 
 
 def test_mirrored_images_are_named_as_such():
-    nothing = Posture(np.zeros(7), np.full((2, 2), np.nan), np.full(2, np.nan))
     images = tuple(with_tag(HEAD, eye)[0][:, ::-1].copy() for eye in range(2))
-    findings = ViewCheck(virtual_config(), [nothing]).findings(TAG, images)
+    findings = ViewCheck(virtual_config(), [NOTHING]).findings(TAG, images)
     assert [one.part for one in findings] == ["cameras.left", "cameras.right"]
     assert "mirrored" in findings[0].problem
 

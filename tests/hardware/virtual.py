@@ -69,15 +69,6 @@ class VirtualLine:
 class WatchedWorld(World):
     """A world whose target two cameras see, with latency, jitter, noise and smear.
 
-    Args:
-        head: the head that moves.
-        point: (3,) the target in N, m.
-        motors: dynamics of its servos.
-        latency_s: least latency of an image.
-        jitter_s: greatest further latency.
-        noise_px: standard deviation of a detection.
-        seed: seed of all draws.
-
     Attributes:
         seen: images by eye: exposure and receipt, s, and the pixel.
     """
@@ -120,19 +111,29 @@ class WatchedWorld(World):
         )
 
 
-class VirtualCamera:
-    """An eye of a `WatchedWorld`, in place of `EyeThread`."""
+class Eye:
+    """Stands for `EyeThread`."""
 
     ready, frame = True, None
+
+    def check(self):
+        pass
+
+    def forget_track(self):
+        pass
+
+    def close(self):
+        pass
+
+
+class VirtualCamera(Eye):
+    """An eye of a `WatchedWorld`."""
 
     def __init__(self, clock, config, images, transform=None):
         self.config, self._clock, self._images = config, clock, images
         self._transform = transform or (lambda pixel: pixel)
         self._taken = 0
         self.newest_received_s = clock()
-
-    def check(self):
-        pass
 
     def take_searched_images(self):
         new = []
@@ -144,26 +145,9 @@ class VirtualCamera:
             self._taken += 1
         return new
 
-    def forget_track(self):
-        pass
 
-    def close(self):
-        pass
-
-
-class VirtualEye:
-    """An eye that sees the target in its middle, in place of `EyeThread`.
-
-    Args:
-        clock: the present.
-        eye: 0 for left.
-
-    Attributes:
-        ended_s: end of its stream, s.
-        stalled_s: time after which it has no new images, s.
-    """
-
-    ready, frame = True, None
+class VirtualEye(Eye):
+    """An eye that sees the target in its middle, until its stream stalls or ends."""
 
     def __init__(self, clock, eye):
         self.config = camera_config(eye)
@@ -189,12 +173,6 @@ class VirtualEye:
         now = self._clock()
         pixel = HEAD.cameras.principal[self.config.eye]
         return [SearchedImage(now - self.config.latency_s, now, pixel)]
-
-    def forget_track(self):
-        pass
-
-    def close(self):
-        pass
 
 
 class VirtualClock(FakeClock):
@@ -242,12 +220,8 @@ class VirtualRobot:
     """A plant on an emulated robot, in simulated time.
 
     Args:
-        monkeypatch: puts the virtual line in place of a serial one.
-        world: the world; by default one whose target each eye sees in its middle.
-        config: the configuration; by default that of `virtual_config`.
         transforms: map of each camera's pixels, see `VirtualCamera`.
         eyes: eye of the world that each camera shows; (1, 0) exchanges them.
-        plant_options: see `HardwarePlant`.
         **safety: bounds of `SafetyConfig`, without a configuration.
     """
 

@@ -58,14 +58,11 @@ def test_rows_are_what_the_task_reported_in_each_step(task):
     assert (np.ptp(record.reading.positions[:, :, 3:], axis=0) > 0.0).all()
 
 
-def test_fields_that_are_not_asked_for_have_no_rows(task):
+def test_fields_that_are_not_asked_for_have_no_rows_nor_truth(task, monkeypatch):
     record, _told = recorded(task, reading=("positions",), truth=("target",))
     assert [name for name in Reading._fields if len(getattr(record.reading, name))] == ["positions"]
     assert [name for name in Truth._fields if len(getattr(record.truth, name))] == ["target"]
     assert not len(record.pixel_error)
-
-
-def test_the_truth_is_not_asked_of_a_plant_for_nothing(task, monkeypatch):
     record = Recorder(task, STEPS, truth=())
     monkeypatch.setattr(task, "truth", lambda: pytest.fail("asked"))
     record(0)

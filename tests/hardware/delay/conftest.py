@@ -2,7 +2,7 @@
 
 import pytest
 
-from vergence.hardware.delay import excitation
+from vergence.hardware.delay import excitation, measure
 
 
 @pytest.fixture(autouse=True)
@@ -11,3 +11,4 @@ def brief(monkeypatch, request):
     if not request.node.get_closest_marker("nightly"):
         for part, length_s in (("SLOW", 1.6), ("CHIRP", 3.0), ("REVERSALS", 1.0)):
             monkeypatch.setattr(excitation, f"_{part}_DURATION_S", length_s)
+        monkeypatch.setattr(measure, "_CENTRING_S", 1.0)

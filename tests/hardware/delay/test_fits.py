@@ -26,9 +26,8 @@ def samples(motor, seed=0, way=None):
     sent = excitation_speeds(0.2, 6.0, PERIOD_S) if way is None else way
     sent_s = PERIOD_S * np.arange(len(sent)) + rng.uniform(0.0, 0.003, len(sent))
     joints_s = sent_s + rng.uniform(0.008, 0.012, len(sent))
-    angles = simulate_motor(motor, sent_s, sent, joints_s)[0] + 0.05 * np.sin(
-        0.2 * joints_s
-    )  # a drift
+    drift = 0.05 * np.sin(0.2 * joints_s)
+    angles = simulate_motor(motor, sent_s, sent, joints_s)[0] + drift
     return sent_s, sent, joints_s, STEP_RAD * np.round(angles / STEP_RAD)
 
 
@@ -44,9 +43,7 @@ def test_a_motor_is_found_within_its_uncertainty(values):
 
 @pytest.mark.parametrize(("greatest_rad_s2", "seed"), [(105.0, 0), (105.0, 1), (500.0, 2)])
 def test_an_acceleration_that_was_not_reached_is_not_told(greatest_rad_s2, seed):
-    strong = FittedMotor(
-        latency_s=0.0, lag_s=0.05, gain=1.0, inverse_acceleration=1.0 / greatest_rad_s2
-    )
+    strong = GUESS._replace(lag_s=0.05, inverse_acceleration=1.0 / greatest_rad_s2)
     found = fit_joint(*samples(strong, seed), GUESS, STEP_RAD)
     assert found.acceleration_rad_s2 is None
     assert found.motor.lag_s == pytest.approx(0.05, rel=0.02)
@@ -61,9 +58,8 @@ def test_a_servo_that_overshoots_is_beside_a_lag():
     # by 16 %
     servo = lti([30.0**2], [1.0, 30.0, 30.0**2])
     turned = np.interp(joints_s, times, 1e-3 * np.cumsum(lsim(servo, asked, times)[1]))
-    found = fit_joint(
-        sent_s, sent, joints_s, STEP_RAD * np.round(turned / STEP_RAD), GUESS, STEP_RAD
-    )
+    turned = STEP_RAD * np.round(turned / STEP_RAD)
+    found = fit_joint(sent_s, sent, joints_s, turned, GUESS, STEP_RAD)
     assert found.misfit_rad > 4e-3
 
 
@@ -73,7 +69,7 @@ def test_a_servo_that_overshoots_is_beside_a_lag():
     [(0.12, 0.01, 0.003, 1.0), (0.07, 0.0, 0.001, 0.85)],
 )
 def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad, focal):
-    motor = FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.95, inverse_acceleration=1.0 / 80.0)
+    motor = GUESS._replace(latency_s=0.01, gain=0.95)
     told = samples(motor)
     path = fitted_angle_path(motor, *told)
     rng = np.random.default_rng(1)
@@ -104,10 +100,8 @@ def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad, 
 
 
 def test_a_path_keeps_to_the_readings_where_the_motor_is_another():
-    sticking = FittedMotor(
-        latency_s=0.01, lag_s=0.03, gain=0.95, inverse_acceleration=1.0 / 80.0, friction_rad_s2=5.0,
-        integral_rate=12.0, emf_rate=12.0,
-    )  # fmt: skip
+    friction = {"friction_rad_s2": 5.0, "integral_rate": 12.0, "emf_rate": 12.0}
+    sticking = GUESS._replace(latency_s=0.01, gain=0.95, **friction)
     told = samples(sticking)
     times = np.arange(1.0, told[2][-1] - 1.0, 0.005)
     true = simulate_motor(sticking, *told[:2], times)[0] + 0.05 * np.sin(0.2 * times)
@@ -132,14 +126,8 @@ def test_friction_is_found():
 
 
 def test_an_eye_that_sees_nothing_tells_nothing():
-    nothing = np.full((200, 2), np.nan)
-    assert (
-        fit_latency_and_backlash(
-            HEAD, EYE, SLOT, np.zeros(7), lambda t: 0.0 * t, (0.0, 8.0),
-            np.linspace(0.5, 7.5, 200), nothing, POINT, 1.2,
-        )
-        is None
-    )  # fmt: skip
+    told = HEAD, EYE, SLOT, np.zeros(7), lambda t: 0.0 * t, (0.0, 8.0), np.linspace(0.5, 7.5, 200)
+    assert fit_latency_and_backlash(*told, np.full((200, 2), np.nan), POINT, 1.2) is None
 
 
 def test_the_way_stays_about_its_middle_and_within_its_reach():
@@ -149,7 +137,6 @@ def test_the_way_stays_about_its_middle_and_within_its_reach():
         assert np.flatnonzero(requested).tolist() in ([], [SLOT])
         sent.append(requested[SLOT])
         times = PERIOD_S * np.arange(len(sent))
-        angle.append(
-            0.3 + simulate_motor(motor, times, np.array(sent), times[-1:] + PERIOD_S)[0][0]
-        )
+        turned = simulate_motor(motor, times, np.array(sent), times[-1:] + PERIOD_S)[0][0]
+        angle.append(0.3 + turned)
     assert np.abs(np.array(angle) - 0.3).max() < 0.25

@@ -54,15 +54,12 @@ def test_what_only_the_prior_knows_has_the_priors_deviation():
 
 
 def test_a_latency_that_a_lag_may_stand_for_is_said():
-    assert not any(
-        "poorly separated" in line for line in LoopMeasurement(eyes=(EYE,)).undetermined()
-    )
-    together = replace(EYE, joint_fit=replace(FIT, latency_lag_correlation=-0.95))
-    (line,) = (
-        line
-        for line in LoopMeasurement(eyes=(together,)).undetermined()
-        if "poorly separated" in line
-    )
+    def said(eye):
+        lines = LoopMeasurement(eyes=(eye,)).undetermined()
+        return [line for line in lines if "poorly separated" in line]
+
+    assert said(EYE) == []
+    (line,) = said(replace(EYE, joint_fit=replace(FIT, latency_lag_correlation=-0.95)))
     assert line.startswith("left_pan: command latency and lag")
     assert "correlation -0.95" in line
 
@@ -88,11 +85,9 @@ def test_no_camera_is_blamed_for_a_joint_that_moves_otherwise():
 
 def test_friction_is_told_where_it_is_well_determined():
     def told(sigma_rad_s2):
-        fit = replace(
-            FIT,
-            motor=FIT.motor._replace(friction_rad_s2=1.0),
-            sigma=FIT.sigma._replace(friction_rad_s2=sigma_rad_s2),
-        )
+        motor = FIT.motor._replace(friction_rad_s2=1.0)
+        sigma = FIT.sigma._replace(friction_rad_s2=sigma_rad_s2)
+        fit = replace(FIT, motor=motor, sigma=sigma)
         rows = LoopMeasurement(eyes=(replace(EYE, joint_fit=fit),)).rows()
         return [row["value"] for row in rows if row["what"] == "friction"]
 

@@ -59,10 +59,8 @@ def test_a_good_packet_is_found_at_once_behind_any_garbage(garbage, packet):
 
 
 def test_a_header_that_announces_much_holds_nothing_back():
-    parser = PacketParser()
-    bogus = HEADER + bytes((1,)) + MOST_LENGTH.to_bytes(2, "little")
-    good = Packet(2, Instruction.PING, b"")
-    assert parser.feed(bogus) == []
+    parser, good = PacketParser(), Packet(2, Instruction.PING, b"")
+    assert parser.feed(HEADER + bytes((1,)) + MOST_LENGTH.to_bytes(2, "little")) == []
     assert parser.feed(bytes_of(good)) == [good]
     assert parser.rejected == 1
 
@@ -135,10 +133,6 @@ def test_a_ping_is_that_of_the_manual():
 def test_a_status_tells_its_error_from_its_alert():
     (packet,) = PacketParser().feed(status_packet(7, b"\x2a", error=0x87))
     assert packet.status == Status(7, 7, True, b"\x2a")
-
-
-def test_an_instruction_is_no_status():
-    assert Packet(1, Instruction.READ, bytes(4)).status is None
 
 
 def test_packets_that_cannot_be_are_refused():

@@ -26,14 +26,8 @@ def test_an_eye_makes_it_a_fault_of_a_camera():
     assert parsed(what="late").place == "line"
     assert parsed(what="late", eye="left").place == "camera"
     assert parsed(what="frozen").place == "servo"
-    assert parsed(what="frozen", eye="both").place == "camera"
-
-
-def test_a_fault_of_cameras_alone_is_of_both_eyes_unless_told_otherwise():
-    fault = parsed(what="torn")
-    assert fault.affects(0)
-    assert fault.affects(1)
-    assert not parsed(what="torn", eye="left").affects(1)
+    torn, left = parsed(what="torn"), parsed(what="torn", eye="left")
+    assert [torn.affects(0), torn.affects(1), left.affects(1)] == [True, True, False]
 
 
 def test_what_is_no_fault_is_refused_with_what_there_is():

@@ -22,10 +22,6 @@ def ask(servo, speed_rad_s):
     servo.set(table.GOAL_VELOCITY, round(speed_rad_s / table.TICK_RAD_S))
 
 
-def blinded(servo):
-    servo.frozen = servo.blind = True
-
-
 def test_without_friction_the_loop_answers_as_the_joint_law():
     law, own = turning(1.0), turning(1.0, gravity=1e-9)
     for time_s in (0.02, 0.05, 0.1, 0.3):
@@ -56,7 +52,7 @@ def test_gravity_turns_a_joint_without_torque():
 def test_a_blind_loop_turns_on_at_a_goal_of_zero_until_it_has_no_torque():
     servo = turning(2.0)
     servo.advance_to(0.2)
-    blinded(servo)
+    servo.frozen = servo.blind = True
     servo.advance_to(0.4)
     ask(servo, 0.0)
     servo.advance_to(2.0)

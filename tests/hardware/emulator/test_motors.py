@@ -22,18 +22,22 @@ def turn(world, ticks, now_s):
     world.answer(Packet(BROADCAST, Instruction.SYNC_WRITE, data), now_s, 1_000_000)
 
 
+def made(**motors):
+    """A world whose servos have torque in velocity mode."""
+    world = World(HEAD, POINT, MotorOptions(**motors))
+    world.advance_to(0.0)
+    for servo in world.line.servos:
+        servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
+        servo.set(table.TORQUE_ENABLE, 1)
+    return world
+
+
 @pytest.fixture
 def world():
-    motors = MotorOptions(
+    return made(
         lag_s=0.02, speed_gain=0.5, command_latency_s=LATENCY_S, backlash_rad=0.01,
         acceleration_rad_s2=1000.0,
     )  # fmt: skip
-    made = World(HEAD, POINT, motors)
-    made.advance_to(0.0)
-    for servo in made.line.servos:
-        servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
-        servo.set(table.TORQUE_ENABLE, 1)
-    return made
 
 
 def test_a_command_acts_when_its_latency_has_passed(world):
@@ -46,12 +50,8 @@ def test_a_command_acts_when_its_latency_has_passed(world):
 
 def test_what_servos_report_is_as_old_as_their_feedback():
     late_s = 0.0125
-    now, late = (World(HEAD, POINT, MotorOptions(feedback_latency_s=one)) for one in (0.0, late_s))
+    now, late = made(), made(feedback_latency_s=late_s)
     for world in (now, late):
-        world.advance_to(0.0)
-        for servo in world.line.servos:
-            servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
-            servo.set(table.TORQUE_ENABLE, 1)
         turn(world, TICKS, 0.1)
 
     def reported(world, at_s):

@@ -27,18 +27,14 @@ def test_a_joint_that_turns_is_not_at_rest():
     assert rest(line, 1.0)[0] is None
 
 
-@pytest.mark.parametrize("since_s", [0.5, 1.0])
-def test_rest_begins_when_the_speed_falls_below_a_step(since_s):
+def test_rest_begins_when_the_speed_falls_below_a_step():
     line = stopping()
     line.advance_to(5.0)
-    rested_s, fastest = rest(line, since_s)
-    assert rested_s == pytest.approx(1.0 + 0.03 * log(50), abs=1e-4)
-    assert fastest == pytest.approx(50 * REST_RAD_S)
-
-
-def test_a_joint_that_rests_already_rests_since_then():
-    line = stopping()
-    line.advance_to(5.0)
+    for since_s in (0.5, 1.0):
+        rested_s, fastest = rest(line, since_s)
+        assert rested_s == pytest.approx(1.0 + 0.03 * log(50), abs=1e-4)
+        assert fastest == pytest.approx(50 * REST_RAD_S)
+    # what rests already rests since then
     assert rest(line, 3.0) == (3.0, pytest.approx(0.0, abs=1e-9))
 
 

@@ -1,12 +1,13 @@
 """The world of an emulated head: requests over TCP, what is true there, and its configuration."""
 
 import socket
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from tests.commands.test_failures import call
-from tests.hardware.emulator.served import POINT, Served
+from tests.hardware.emulator.served import POINT
 from tests.naming import named
 from vergence import load_head
 from vergence.envs.targets.motion import motion_rows
@@ -18,13 +19,6 @@ from vergence.hardware.emulator.emulator import hardware_config_values
 from vergence.hardware.emulator.server import EmulatorServer
 from vergence.hardware.emulator.world import World
 from vergence.models.files.toml_text import toml_text
-
-
-@pytest.fixture
-def served():
-    one = Served()
-    yield one
-    one.close()
 
 
 def test_a_target_is_where_it_was_put_until_it_is_placed(served):
@@ -64,13 +58,10 @@ def test_a_board_that_stands_stays_in_the_world_while_the_neck_turns():
     assert np.abs(seen[1] - seen[0]).max() > 0.1
     middle = seen[0] @ [*board.corners_m.mean(axis=0), 0.0, 1.0]
     assert middle[2] == pytest.approx(0.7, abs=0.01)
-    with pytest.raises(ConfigurationError, match="the board stands still"):
-        world.place_target(motion_rows(POINT, before=POINT)[0].tolist())
-
-
-def test_a_board_of_an_unknown_size_does_not_stand_anywhere():
     with pytest.raises(ConfigurationError, match="expected one board of a known size"):
         parse_sized_board("checkerboard:9x6")
+    with pytest.raises(ConfigurationError, match="the board stands still"):
+        world.place_target(motion_rows(POINT, before=POINT)[0].tolist())
 
 
 def test_a_hidden_target_is_nowhere(served):
@@ -93,18 +84,13 @@ GARBAGE = [
 def test_a_request_that_is_none_is_answered_with_an_error(served):
     host, port = served.server.address.split(":")
     for request_line in GARBAGE:
-        with (
-            named(request_line),
-            socket.create_connection((host, int(port)), timeout=5.0) as connection,
-        ):
+        address = host, int(port)
+        with named(request_line), socket.create_connection(address, timeout=5.0) as connection:
             connection.sendall(request_line + b"\n")
             assert b"error" in connection.makefile("rb").readline()
-    assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
-
-
-def test_an_error_of_the_world_is_raised_before_its_client(served):
     with pytest.raises(HardwareError, match=r"emulator: expected a request, got .*25 numbers or"):
         served.client.place_target(np.zeros(3))
+    assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
 
 
 def test_a_client_that_has_gone_takes_nobody_with_it(served):
@@ -138,8 +124,7 @@ def test_a_tied_heads_joints_are_its_actuators():
 def test_a_controller_reads_the_configuration(tmp_path):
     name = "icub"
     world = World(load_head(name), POINT)
-    server = EmulatorServer(world)
-    try:
+    with closing(EmulatorServer(world)) as server:
         server.streams = "http://127.0.0.1:1"
         path = tmp_path / "desk.toml"
         values = hardware_config_values(name, world.head.digest, world, server, "tag:36h11:0:150")
@@ -148,20 +133,13 @@ def test_a_controller_reads_the_configuration(tmp_path):
         assert config.head.digest == world.head.digest
         assert [one.id for one in config.servos] == [one.id for one in world.servos.values()]
         assert (config.bus.port, config.emulator_address) == (server.port, server.address)
-        assert [one.source for one in config.cameras] == [
-            "http://127.0.0.1:1/left",
-            "http://127.0.0.1:1/right",
-        ]
-    finally:
-        server.close()
+        sources = [f"{server.streams}/{eye}" for eye in ("left", "right")]
+        assert [one.source for one in config.cameras] == sources
 
 
 def test_the_command_refuses_wrong_numbers_in_a_line(capsys):
     for words, said in (
         (("--jitter", "-0.1"), "jitter: expected seconds, 0 to 10, got -0.1"),
-        (("--latency", "nan"), "latency: expected seconds, 0 to 10, got nan"),
-        (("--right-late", "16"), "right-late: expected seconds, 0 to 10, got 16.0"),
-        (("--speed-filter", "inf"), "speed-filter: expected seconds, 0 to 10, got inf"),
         (("--port", "70000"), "port: expected 0 to 65535, got 70000"),
         (("--target", "0", "nan", "1"), "target: expected three finite numbers"),
         (("--head", "turret"), "did you mean turrets?"),

@@ -68,9 +68,8 @@ def test_a_measured_speed_that_the_model_does_not_know_counts():
 def test_a_request_within_all_bounds_is_the_command():
     motion = JointMotionLimiter(TURRETS, LOWER, UPPER, SafetyConfig())
     requested = np.array([0.0, 0.0, 0.0, 1.0, -0.5, 0.3, 0.0])
-    assert (
-        motion.limit_velocities(np.zeros(7), np.zeros(7), requested, motion.max_speed) == requested
-    ).all()
+    limited = motion.limit_velocities(np.zeros(7), np.zeros(7), requested, motion.max_speed)
+    assert (limited == requested).all()
 
 
 def corner(lower, upper):

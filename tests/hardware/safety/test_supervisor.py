@@ -22,16 +22,10 @@ class Robot:
     """
 
     def __init__(self, follows=lambda sent: sent, **bounds):
-        self.supervisor = Supervisor(
-            SafetyConfig(**bounds),
-            HEAD,
-            HEAD.actuation.lower,
-            HEAD.actuation.upper,
-            NAMES,
-        )
+        limits = HEAD.actuation.lower, HEAD.actuation.upper
+        self.supervisor = Supervisor(SafetyConfig(**bounds), HEAD, *limits, NAMES)
         self.follows = follows
         self.now_s, self.angles, self.speeds = 10.0, np.zeros(7), np.zeros(7)
-        self.changes = {}
         self.supervisor.begin(self.now_s)
 
     def step(self, requested=None, **changes):
@@ -46,7 +40,7 @@ class Robot:
             "target_visible": True,
             "target_eye_angles": np.zeros(4),
         }
-        state = RobotState(**{**now, **self.changes, **changes})
+        state = RobotState(**now | changes)
         sent = self.supervisor.command(state, np.zeros(7) if requested is None else requested)
         self.supervisor.on_sent(sent)
         self.speeds = self.follows(sent)
@@ -71,12 +65,6 @@ class Robot:
             self.step()
 
 
-def test_a_healthy_robot_goes_on():
-    robot = Robot()
-    assert robot.run(3.0, 0.5 * LEFT_PAN) is None
-    assert robot.supervisor.verdict is Verdict.GO
-
-
 def test_a_joint_is_slow_until_it_has_followed():
     robot, fast = Robot(), 10.0 * LEFT_PAN
     first = robot.step(fast)[3]
@@ -99,13 +87,8 @@ def test_a_stop_brakes_within_the_acceleration_and_latches():
     assert 1 < len(sent) < 15
     assert (np.diff(sent) <= 0.0).all()
     assert (robot.step(4.0 * LEFT_PAN) == 0.0).all()
-
-
-def test_the_first_reason_stays():
-    robot = Robot()
-    robot.supervisor.stop("the first")
-    robot.step(np.full(7, np.nan))
-    assert robot.supervisor.fault == "the first"
+    robot.supervisor.stop("another")
+    assert "nan" in robot.supervisor.fault
 
 
 def test_old_angles_stop():
@@ -116,36 +99,23 @@ def test_old_angles_stop():
     assert "expected the joints' angles within" in robot.supervisor.fault
 
 
-@pytest.mark.parametrize(("eye", "name"), [(0, "left"), (1, "right")])
-def test_a_camera_without_images_stops(eye, name):
-    robot = Robot(image_age_s=0.3)
-    images_s = np.full(2, 1e9)
-    images_s[eye] = 10.0
-    assert robot.run(1.0, images_received_s=images_s) == pytest.approx(0.3, abs=1.1 * PERIOD_S)
-    assert f"cameras.{name}: expected a new image within 0.3 s" in robot.supervisor.fault
+def test_a_camera_without_images_stops():
+    for eye, name in enumerate(("left", "right")):
+        robot, images_s = Robot(image_age_s=0.3), np.full(2, 1e9)
+        images_s[eye] = 10.0
+        assert robot.run(1.0, images_received_s=images_s) == pytest.approx(0.3, abs=1.1 * PERIOD_S)
+        assert f"cameras.{name}: expected a new image within 0.3 s" in robot.supervisor.fault
 
 
 @pytest.mark.parametrize(
-    "follows",
-    [lambda sent: 0.0 * sent, lambda sent: -sent, lambda sent: 3.0 * sent],
-    ids=["stuck", "the wrong way", "much too far"],
+    ("gain", "speed", "bound_s"),
+    [(0.0, 1.0, 0.8), (-1.0, 1.0, 0.8), (3.0, 1.0, 0.8), (0.0, 0.04, 5.0), (-1.0, 0.06, 5.0)],
+    ids=["stuck", "the wrong way", "much too far", "slow and stuck", "slow and the wrong way"],
 )
-def test_a_joint_that_does_not_follow_stops(follows):
-    robot = Robot(follows)
-    stopped_s = robot.run(2.0, LEFT_PAN)
-    assert stopped_s is not None
-    assert stopped_s < 0.8
+def test_a_joint_that_does_not_follow_stops(gain, speed, bound_s):
+    robot = Robot(lambda sent: gain * sent)
+    assert robot.run(6.0, speed * LEFT_PAN) < bound_s
     assert "left_pan: expected the joint to follow its commands" in robot.supervisor.fault
-
-
-@pytest.mark.parametrize(
-    ("follows", "speed"), [(lambda sent: 0.0 * sent, 0.04), (lambda sent: -sent, 0.06)]
-)
-def test_a_slow_joint_that_does_not_follow_stops_within_seconds(follows, speed):
-    robot = Robot(follows)
-    stopped_s = robot.run(6.0, speed * LEFT_PAN)
-    assert stopped_s is not None
-    assert stopped_s < 5.0
 
 
 def test_a_loaded_and_late_joint_follows():
@@ -181,6 +151,7 @@ def test_a_forbidden_posture_stops():
 @pytest.mark.slow
 def test_missed_periods_stop_beyond_their_share():
     robot = Robot(overruns=0.3)
+    robot.step(missed_periods=5)  # one long pause is no slow machine
     assert robot.run(4.0, missed_periods=0) is None
     few, many = Robot(overruns=0.3), Robot(overruns=0.3)
     for period in range(240):
@@ -190,14 +161,8 @@ def test_missed_periods_stop_beyond_their_share():
     assert "of the 120 periods of 2 s to be missed" in many.supervisor.fault
 
 
-def test_one_long_pause_is_no_slow_machine():
-    robot = Robot()
-    robot.step(missed_periods=5)
-    assert robot.run(3.0) is None
-
-
 def swing(robot, goal=lambda _side: 0.0):
-    """A policy that turns to and fro five times a second; whether it was stopped."""
+    """Turn to and fro five times a second; whether it was stopped."""
     robot.prove()
     for period in range(240):
         side = 1.0 if period // 6 % 2 else -1.0
@@ -205,13 +170,11 @@ def swing(robot, goal=lambda _side: 0.0):
     return bool(robot.supervisor.fault)
 
 
-def test_a_policy_that_swings_about_a_resting_target_stops():
+@pytest.mark.slow
+def test_a_policy_that_swings_stops_unless_its_target_does():
     robot = Robot()
     assert swing(robot)
     assert "left_pan swinging at speed" in robot.supervisor.fault
-
-
-def test_eyes_that_follow_a_swinging_target_go_on():
     assert not swing(Robot(), lambda side: 0.15 * side)
 
 
@@ -225,8 +188,8 @@ def test_a_lost_target_holds_until_it_is_seen_again():
     assert robot.supervisor.verdict is Verdict.HOLD
     assert (robot.step(LEFT_PAN, target_visible=False) == 0.0).all()
     assert robot.step(LEFT_PAN)[3] > 0.0
+    assert robot.run(3.0, 0.1 * LEFT_PAN) is None
     assert robot.supervisor.verdict is Verdict.GO
-    assert robot.supervisor.fault == ""
 
 
 @pytest.mark.slow
