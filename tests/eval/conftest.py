@@ -22,7 +22,6 @@ def toy_alone(patch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def toy(monkeypatch):
-    """The registry of experiments holds the toy experiment alone."""
     toy_alone(monkeypatch)
 
 
@@ -58,6 +57,5 @@ def few_folder(few, tmp_path_factory):
 
 
 def row_of(evaluation: Evaluation, controller: str) -> dict:
-    """The one row of a controller."""
     (row,) = (row for row in evaluation.rows() if row["controller"] == controller)
     return row

@@ -56,16 +56,12 @@ def test_a_robot_that_knows_the_truth_is_judged_by_it():
 
 
 class RobotWithCameras(Robot):
-    """The robot, with images that nobody could draw."""
-
     def frames(self, place=0):
-        """See `Plant.frames`."""
         left, right = (np.full(size[::-1], 33, np.uint8) for size in self.head.cameras.size)
         return left, right
 
 
 def words_of(figure):
-    """All words of a picture."""
     return [text.get_text() for text in figure.findobj(Text)]
 
 
@@ -79,17 +75,6 @@ def test_the_errors_say_whether_they_are_true_or_measured(on_robot):
     true = gaze_of("simulated", duration_s=0.1)
     for result, kind in ((true, "true"), (on_robot, "measured")):
         assert compose_gaze(result).axes[2].get_ylabel() == f"pixel error ({kind}), px"
-
-
-def test_both_eyes_are_magnified_alike():
-    left, right = compose_gaze(gaze_of("simulated", duration_s=0.5)).axes[:2]
-    (one,), (other,) = left.child_axes, right.child_axes
-    assert np.ptp(one.get_xlim()) == pytest.approx(np.ptp(other.get_xlim()))
-    places = [
-        panel.transAxes.inverted().transform(zoom.bbox)
-        for panel, zoom in ((left, one), (right, other))
-    ]
-    assert places[0] == pytest.approx(places[1])
 
 
 def test_without_images_none_is_shown(on_robot):
@@ -129,8 +114,6 @@ def test_in_a_simulation_the_errors_are_true_and_the_command_is_what_was_applied
 
 @pytest.fixture
 def file_of(tmp_path):
-    """The path of one of the tests' heads."""
-
     def write(name: str, text: str | None = None) -> str:
         path = tmp_path / f"{name}.toml"
         path.write_text(text_of(name) if text is None else text)
@@ -170,16 +153,6 @@ def test_a_gaze_settles_about_the_least_error_and_reports_it(file_of, tmp_path):
     assert (tmp_path / "gaze.png").stat().st_size > 10_000
 
 
-def test_eyes_that_cannot_converge_are_pictured_with_the_error_that_they_keep(file_of):
-    result = gaze_of(file_of("common"), duration_s=1.5)
-    errors = compose_gaze(result).axes[2]
-    curves = [line for line in errors.get_lines() if len(line.get_xdata()) > 2]
-    least = np.linalg.norm(result.residual, axis=-1)
-    assert [curve.get_ydata()[-1] for curve in curves] == pytest.approx(least, abs=0.5)
-    assert not [line for line in errors.get_lines() if line.get_marker() == "o"]
-    assert "cannot look at the target" in errors.get_title()
-
-
 def test_a_target_out_of_reach_is_told_by_its_actuator(file_of):
     narrow = text_of("tied").replace("upper_rad = 1.2", "upper_rad = 0.05")
     with pytest.raises(
@@ -213,7 +186,6 @@ class LastImageAlone(Robot):
     """A robot whose right eye's images come to an end a little before the left one's."""
 
     def step(self, command):
-        """See `Plant.step`."""
         reading = super().step(command)
         if reading.time_s[0] > 1.45:
             reading.visible[:, 1], reading.pixels[:, 1] = False, np.nan

@@ -115,8 +115,6 @@ class NoRay:
 
 @pytest.fixture
 def cluster(monkeypatch):
-    """Opens a mapper on a cluster that is none, and returns both."""
-
     def opened(**words):
         ray = NoRay(**words)
         monkeypatch.setattr(jobs, "_join", lambda _address: setattr(ray, "joined", True) or ray)
@@ -171,7 +169,6 @@ def test_a_mapper_is_closed_also_after_a_failure(monkeypatch):
 
 
 def withheld() -> bool:
-    """True if Ctrl-C is blocked in this process."""
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 

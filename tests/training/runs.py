@@ -29,7 +29,6 @@ STEPS = 8 * 16 * 8
 
 @contextmanager
 def drawn() -> Iterator[None]:
-    """Runs draw their curves, as they do outside of the tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "draw_curve", draw_curve)
         yield

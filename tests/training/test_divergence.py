@@ -19,11 +19,10 @@ from vergence.training.run import resume, train
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("kind", "rate"), [("gain-schedule", "1e30"), ("policy", "1e6")])
-def test_a_training_that_diverges_says_when_and_what_to_try(kind, rate, tmp_path):
+def test_a_training_that_diverges_says_when_and_what_to_try(tmp_path):
     folder = tmp_path / "run"
     with pytest.raises(TrainingDivergedError) as caught:
-        train(folder, *small(kind, f"algorithm.learning_rate={rate}"), Silent())
+        train(folder, *small("gain-schedule", "algorithm.learning_rate=1e30"), Silent())
     said = str(caught.value)
     assert "became nan" in said
     assert " steps; the checkpoint of 0 steps is kept" in said
@@ -65,7 +64,6 @@ def test_a_disk_that_fails_in_mid_training_costs_nothing_that_was_saved(
 
 
 def _fail_to_rename(folder, number, good, monkeypatch):
-    """Resume a run on a disk that fails after so many good renames."""
     saved = read_checkpoint(folder / "checkpoints" / "last.pt")
     calls = iter(range(10**6))
 

@@ -41,6 +41,10 @@ from vergence.training.options import TrainOptions
 from vergence.training.run import train
 
 SIZE = 12
+BRIEF = (
+    "evaluations=1", "episodes=2", "network=[16]",
+    "algorithm.n_steps=16", "algorithm.batch_size=64", "algorithm.n_epochs=1",
+)  # fmt: skip
 
 
 class Room(gymnasium.Env):
@@ -117,7 +121,6 @@ def test_the_network_shared_by_the_joints_is_exported():
 
 @pytest.fixture(scope="module")
 def network():
-    """The exported network of a policy without statistics of its inputs."""
     return learner_network("policy", learner(), None)[0]
 
 
@@ -154,12 +157,8 @@ def test_other_bounds_of_actions_are_refused():
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """The folder of a run of two updates."""
-    changes = ["evaluations=1", "episodes=2", "network=[16]"]
-    changes += ["algorithm.n_steps=16", "algorithm.batch_size=64", "algorithm.n_epochs=1"]
-    config, head = resolve_config(
-        TrainOptions(kind="policy", seed=5, steps=128, envs=4, set=changes)
-    )
+    options = TrainOptions(kind="policy", seed=5, steps=128, envs=4, set=BRIEF)
+    config, head = resolve_config(options)
     folder = tmp_path_factory.mktemp("runs") / "run"
     train(folder, config, head, Silent())
     return folder
@@ -200,12 +199,8 @@ def test_a_run_is_exported_to_a_bundle_that_runs(bundle):
 )
 def test_a_network_is_learned_and_exported_for_a_head_with_tied_joints(tmp_path, kind, actions):
     (tmp_path / "tied.toml").write_text(text_of("tied"))
-    changes = ["evaluations=1", "episodes=2", "network=[16]"]
-    changes += ["algorithm.n_steps=16", "algorithm.batch_size=64", "algorithm.n_epochs=1"]
-    options = TrainOptions(
-        kind=kind, head=str(tmp_path / "tied.toml"), steps=128, envs=4, set=changes
-    )
-    config, head = resolve_config(options)
+    options = {"head": str(tmp_path / "tied.toml"), "steps": 128, "envs": 4, "set": BRIEF}
+    config, head = resolve_config(TrainOptions(kind=kind, **options))
     train(tmp_path / "run", config, head, Silent())
     manifest = export_run(tmp_path / "run", tmp_path / "tied.vgp", "last")
     assert manifest.head["digest"] == head.digest

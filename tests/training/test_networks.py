@@ -10,9 +10,9 @@ from vergence.models import load_head
 from vergence.training.networks import JointwisePolicy
 
 
-@pytest.fixture(params=["to_go", "history"])
-def inputs(request) -> Inputs:
-    return Inputs.of(request.param, load_head("simulated"))
+@pytest.fixture
+def inputs() -> Inputs:
+    return Inputs.of("history", load_head("simulated"))
 
 
 def make(inputs: Inputs) -> JointwisePolicy:

@@ -72,6 +72,7 @@ def test_a_run_killed_in_mid_training_goes_on_to_the_same_number_of_steps(tmp_pa
     }
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_saved_and_says_how_to_go_on(tmp_path, capsys, monkeypatch):
     told = _Watch.row
 
@@ -135,6 +136,7 @@ def test_an_interruption_while_a_line_is_written_is_no_error(tmp_path, monkeypat
     assert "interrupted: saving" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words, said in (

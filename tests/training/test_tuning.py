@@ -39,7 +39,7 @@ def test_recipes_are_judged_by_short_trainings_that_leave_nothing_behind(tmp_pat
     )
 
     def small(options):
-        return [*SMALL, *PPO, *recipe_changes(options)]
+        return [*SMALL, *PPO, "evaluations=1", "episodes=2", *recipe_changes(options)]
 
     objective = training_objective(config, tmp_path, small)
     head = load_scenario("workspace").model()

@@ -6,7 +6,6 @@ import pytest
 import torch
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
-from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 import vergence  # noqa: F401  registers the environments
@@ -111,17 +110,6 @@ def test_places_run_the_trials_of_successive_seeds_from_a_given_trial_on():
         alone = gymnasium.make("vergence/Gaze-v0", plant="kinematic")
         observation, _ = alone.reset(seed=11 + place, options={"trial": 4})
         np.testing.assert_array_equal(seen, observation)
-
-
-def test_sb3_evaluates_a_policy_on_it():
-    class Still:
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            return np.zeros((len(observation), 4), np.float32), state
-
-    _, lengths = evaluate_policy(
-        Still(), adapter(), n_eval_episodes=PLACES, return_episode_rewards=True, warn=False
-    )
-    assert lengths == [STEPS] * PLACES
 
 
 def test_another_way_of_resetting_is_refused():

@@ -7,7 +7,6 @@ import shutil
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import pandas as pd
 import pytest
@@ -32,7 +31,6 @@ pytestmark = pytest.mark.usefixtures("toy")
 
 
 def config(folder, **changes) -> ReproduceConfig:
-    """A configuration; overrides are written as a person writes them."""
     words = tuple(settings(changes.pop("overrides", {})))
     return ReproduceConfig(out=folder / "run", set=words, **changes)
 
@@ -48,7 +46,6 @@ def settings(values, place="") -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """A finished run of the toy, to be read."""
     folder = tmp_path_factory.mktemp("finished")
     with pytest.MonkeyPatch.context() as patch:
         toy_alone(patch)
@@ -58,12 +55,10 @@ def finished(tmp_path_factory):
 
 @pytest.fixture
 def run(finished, tmp_path):
-    """A finished run of the toy in this test's folder, to be changed."""
     return shutil.copytree(finished, tmp_path / "run")
 
 
 def ran(log) -> int:
-    """Number of jobs that have run."""
     return len(log.read_text().splitlines()) if log.exists() else 0
 
 
@@ -109,6 +104,7 @@ def test_the_report_has_the_ratio_of_our_figure_to_the_articles(finished):
     assert f'data-label="ratio">{ratio}</td>' in (finished / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_second_call_keeps_what_is_finished(tmp_path):
     log = tmp_path / "log"
     options = config(tmp_path, overrides={"toy": {"log": str(log)}})
@@ -124,6 +120,7 @@ def test_the_numbers_of_the_text_are_saved_by_experiment(finished):
     assert numbers == {"toy": {"count": 5, "mean_mm": pytest.approx(mean)}}
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_keeps_what_is_finished_and_goes_on(tmp_path, monkeypatch):
     log = tmp_path / "log"
     options = config(tmp_path, overrides={"toy": {"log": str(log)}})
@@ -174,35 +171,21 @@ class Warned:
             self.ran.append(name)
 
 
-def damage(path, how) -> None:
-    if how == "removed":
-        path.unlink()
-    elif how == "cut":
-        path.write_bytes(path.read_bytes()[:-20])
-    elif how == "another type":
-        path.write_text("[1, 2]")
-    elif how == "nested":
-        path.write_text("[" * 10_000)
-    elif how == "edited":
-        path.write_text(path.read_text().replace('"rows": 5', '"rows": "many"'))
-    else:
-        path.unlink()
-        path.mkdir()
-
-
 @pytest.mark.slow
 def test_an_experiment_with_a_missing_or_damaged_file_runs_again_and_says_so(tmp_path, run):
     whole = {path: path.read_bytes() for path in run.rglob("*.*")}
-    for file, how in [
-        ("experiments/toy.json", "cut"),
-        ("experiments/toy.json", "edited"),
-        ("tables/toy.csv", "removed"),
-        ("tables/toy.csv", "cut"),
-        ("figures/toy-values.svg", "cut"),
-        ("figures/toy-values.png", "cut"),
+    for file, damage in [
+        ("experiments/toy.json", lambda content: content[:-20]),
+        ("experiments/toy.json", lambda content: content.replace(b'"rows": 5', b'"rows": "many"')),
+        ("tables/toy.csv", None),
+        ("tables/toy.csv", lambda content: content[:-20]),
+        ("figures/toy-values.svg", lambda content: content[:-20]),
+        ("figures/toy-values.png", lambda content: content[:-20]),
     ]:
-        with named(file, how):
-            damage(run / file, how)
+        with named(file):
+            (run / file).unlink()
+            if damage is not None:
+                (run / file).write_bytes(damage(whole[run / file]))
             listener = Warned()
             reproduce(config(tmp_path), listener)
             assert listener.ran == ["toy"]
@@ -212,8 +195,8 @@ def test_an_experiment_with_a_missing_or_damaged_file_runs_again_and_says_so(tmp
 
 
 def test_a_record_of_an_experiment_that_is_none_is_said(run):
-    for how in ("another type", "nested"):
-        damage(run / "experiments/toy.json", how)
+    for content in ("[1, 2]", "[" * 10_000):
+        (run / "experiments/toy.json").write_text(content)
         listener = Warned()
         assert write_folder_report(run, listener.warn) == []
         (said,) = listener.said
@@ -221,7 +204,8 @@ def test_a_record_of_an_experiment_that_is_none_is_said(run):
 
 
 def test_a_folder_in_the_place_of_a_figure_is_left_alone(tmp_path, run):
-    damage(run / "figures/toy-values.png", "made a folder")
+    (run / "figures/toy-values.png").unlink()
+    (run / "figures/toy-values.png").mkdir()
     with pytest.raises(ConfigurationError, match="toy cannot be written"):
         reproduce(config(tmp_path), Warned())
     assert (run / "figures/toy-values.png").is_dir()
@@ -295,36 +279,17 @@ def test_the_same_seed_gives_the_same_bytes_whoever_runs_the_jobs(tmp_path, fini
         assert (tmp_path / "run" / name).read_bytes() == (finished / name).read_bytes()
 
 
-class Reader(HTMLParser):
-    """Collects ids, and whether tags close in order."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.ids: list[str] = []
-        self.outside: list[str] = []
-
-    def handle_starttag(self, tag, attrs):
-        values = dict(attrs)
-        if "id" in values:
-            self.ids.append(values["id"])
-        for key in ("src", "href", "xlink:href"):
-            if values.get(key, "#").split(":")[0] in ("http", "https", "file"):
-                self.outside.append(values[key])
-
-
 def test_the_report_is_self_contained_and_its_ids_are_unique(finished):
     text = (finished / "report.html").read_text()
-    reader = Reader()
-    reader.feed(text)
-    assert reader.outside == []
-    assert len(reader.ids) == len(set(reader.ids))
+    assert not re.findall(r'(?:src|href)="(?:https?|file):', text)
+    ids = re.findall(r'\sid="([^"]+)"', text)
+    assert len(ids) == len(set(ids)) > 0
     assert "A toy &lt;experiment&gt;" in text
     assert "The mean of 5 values is" in text
     assert "<svg" in text
 
 
 def report_text(folder) -> str:
-    """Text of a run's report without tags and styles, on one line."""
     page = (folder / "run" / "report.html").read_text(encoding="utf-8")
     page = re.sub(r"<(style|svg)\b.*?</\1>", " ", page, flags=re.DOTALL)
     return " ".join(re.sub(r"<[^>]+>", "", page).split())
@@ -365,13 +330,10 @@ def test_the_report_begins_with_what_was_found_and_what_reproduced_requires(tmp_
     said = report_text(tmp_path)
     order = [
         "1 of 1 results reproduced.",
-        "All 5 numbers were drawn.",
-        "What “reproduced” requires",
         "within a factor of 1.25",
         "The article reports 2 results",
         "The article's results and ours",
         "Glossary",
-        "integrated two-pose calibration",
         "Each of 5 values is a dot. They scatter.",
     ]
     assert [said.index(words) for words in order] == sorted(said.index(words) for words in order)

@@ -18,16 +18,10 @@ NO_ERRORS = ModelErrors()
 
 @dataclass(frozen=True, kw_only=True)
 class ToyConfig:
-    """Options of the toy experiment."""
-
     draws: int = 5
-    """Jobs."""
     scale: float = 2.0
-    """Scale of the numbers."""
     depths: tuple[float, ...] = (0.5, 1.0)
-    """Kept in the table."""
     errors: ModelErrors = NO_ERRORS
-    """A part with fields of its own."""
     log: str = ""
     """A file that gets a line whenever a job runs."""
 

@@ -31,8 +31,6 @@ TWO_PX = (
 
 @pytest.fixture
 def run(known):
-    """Evaluates toys in a scenario of a leading band."""
-
     def evaluated(band_px: float = 1.0, **toys: object) -> Evaluation:
         known(band_px=band_px)
         return evaluate(EvaluateConfig(scenarios=("known",), episodes=20), toys)
@@ -68,6 +66,7 @@ def test_what_never_settles_to_one_pixel_may_settle_to_two(run) -> None:
     assert row["ratio_to_bound_median"] is None
 
 
+@pytest.mark.slow
 def test_ratios_are_of_trials_that_settled(run) -> None:
     toys = {
         "some": KnowsTheWay(20, never=(0, 5)),

@@ -31,7 +31,6 @@ MARK = "untuned for this head"
 
 @pytest.fixture
 def mine(tmp_path):
-    """A file of a head of one's own."""
     head = load_head("simulated").replace(name="mine", timing={"lag_s": 0.045})
     save_head(head, tmp_path / "my.toml")
     return str(tmp_path / "my.toml")
@@ -39,7 +38,7 @@ def mine(tmp_path):
 
 @pytest.fixture
 def few_gains(monkeypatch):
-    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(3.0, 5.0, "linear", 0.05)})
+    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(3.0, 5.0, "linear", 0.2)})
     monkeypatch.setattr(baseline, "EPISODES", 6)
 
 
@@ -117,7 +116,7 @@ def test_tune_tunes_the_baseline_first_and_keeps_what_it_found(few_gains, mine, 
     assert (
         entry.command == f"vergence evaluate ibvs-tuned --scenario workspace --head {mine} --tune"
     )
-    assert len(told) > 20  # progress over the gains, too
+    assert len(told) > 10  # progress over the gains, too
     before = user_table.read_bytes()
     told.clear()
     again = evaluate(config, mapper=SerialMapper(lambda done, of: told.append((done, of))))
@@ -137,7 +136,7 @@ def test_the_search_finds_the_best_gain_of_the_grid_whoever_runs_the_jobs(few_ga
 
 
 def test_a_best_gain_at_the_edge_of_the_search_is_refused(few_gains, monkeypatch):
-    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(2.0, 3.0, "linear", 0.05)})
+    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(2.0, 3.0, "linear", 0.25)})
     scenario = load_scenario("workspace")
     with pytest.raises(ConfigurationError, match="a best gain below 3, the greatest that is tried"):
         baseline.best_gain(scenario, scenario.model(), SerialMapper())

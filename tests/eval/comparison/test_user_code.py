@@ -91,13 +91,6 @@ def test_a_file_that_was_edited_is_read_anew(tmp_path):
 
 
 @pytest.mark.slow
-def test_worker_processes_find_it_too(tmp_path):
-    write(tmp_path / "mine_d.py")
-    words = ["mine_d:Gentle", "mine_d.py:Gentle"]
-    assert compared(*words, mapper=ProcessMapper(2)) == [*words, "ibvs-tuned"]
-
-
-@pytest.mark.slow
 def test_what_is_wrong_in_the_file_is_said_with_its_place_in_one_line(tmp_path, capsys):
     cases = (
         ("from math import nothing\n", "mine_e.py:1: ImportError: cannot import name 'nothing'"),
@@ -200,11 +193,15 @@ def test_where_nothing_but_the_baseline_is_left_nothing_is_written(tmp_path, cap
 
 
 @pytest.mark.slow
-def test_an_exception_that_cannot_leave_a_worker_process_is_said_as_well(tmp_path):
+def test_worker_processes_find_it_and_say_also_an_exception_that_cannot_leave_them(tmp_path):
+    write(tmp_path / "mine_d.py")
     write(tmp_path / "mine_j.py", first=TWO, acting=LATER)
-    config = EvaluateConfig(controllers=("mine_j.py:Gentle",), episodes=2)
-    with pytest.raises(UserControllerError, match=r"mine_j\.py:16 in predict: Two: late"):
-        evaluate(config, mapper=ProcessMapper(2), keep_going=True)
+    words = ("mine_d:Gentle", "mine_d.py:Gentle", "mine_j.py:Gentle")
+    config = EvaluateConfig(controllers=words, episodes=2)
+    found = evaluate(config, mapper=ProcessMapper(2), keep_going=True)
+    assert [one.controller for one in found.outcomes] == [*words[:2], "ibvs-tuned"]
+    (failure,) = found.failures
+    assert "mine_j.py:16 in predict: Two: late" in failure
 
 
 def test_a_robots_fault_is_not_blamed_on_the_controller():

@@ -23,8 +23,6 @@ from vergence.eval.reporting.section import SECTION_FILE, read_section
 
 @pytest.fixture
 def measured(known):
-    """Measures toys in a scenario whose settling times are known."""
-
     def measure(
         *imperfections: str, keep_going: bool = False, episodes: int = 4, **toys: object
     ) -> Margins:
@@ -77,7 +75,7 @@ def test_a_controller_that_settles_nowhere_has_no_range(measured):
     assert "0 of 4 trials settle untouched" in table.title
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_higher_gain_bears_less_delay():
     config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=("latency_s",))
     one, other = (
@@ -88,8 +86,7 @@ def test_a_higher_gain_bears_less_delay():
 
 
 @pytest.mark.slow
-def test_who_was_not_asked_for_does_not_run(measured):
-    assert [row["controller"] for row in measured("lag_s", toy=KnowsTheWay(5)).rows()] == ["toy"]
+def test_who_was_not_asked_for_does_not_run():
     config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=("frame_phase",))
     assert [row["controller"] for row in measure_margins(config).rows()] == ["ibvs"]
 
@@ -99,6 +96,7 @@ def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
     measured, known, monkeypatch
 ):
     monkeypatch.setattr("vergence.eval.margins.search.BISECTIONS", 1)
+    monkeypatch.setattr("vergence.eval.margins.search.GRID_FRACTIONS", (0.5, 1.0))
     known(duration_s=0.2)
     margins = measured(toy=KnowsTheWay(5), episodes=1)
     assert [row["imperfection"] for row in margins.rows()] == [
@@ -170,24 +168,22 @@ def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tm
 
 @pytest.mark.slow
 def test_jobs_find_the_same_elsewhere():
-    names = ("frame_phase", "backlash_rad")
+    names = ("frame_phase",)
     config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=names)
     assert measure_margins(config).rows() == measure_margins(config, mapper=Backwards()).rows()
 
 
 class Tires(KnowsTheWay):
-    """Raises in its 300th call."""
-
     calls = 0
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        """See `Controller.predict`."""
         self.calls += 1
         if self.calls == 300:
             raise ZeroDivisionError("tired")
         return super().predict(observation, state, episode_start, deterministic)
 
 
+@pytest.mark.slow
 def test_a_controller_that_raises_is_left_out_and_named(measured):
     margins = measured("frame_phase", keep_going=True, mine=Tires(5), toy=KnowsTheWay(5))
     assert [row["controller"] for row in margins.rows()] == ["toy"]
@@ -225,8 +221,3 @@ def test_what_cannot_be_measured_is_refused_before_any_trial(monkeypatch):
         measure_margins(MarginsConfig(**{"controllers": ("ibvs",), **options}))
 
     assert not_refused(attempt, cases) == []
-
-
-def test_two_hundred_trials_by_default():
-    assert MarginsConfig().trials == 200
-    assert MarginsConfig(episodes=7).trials == 7

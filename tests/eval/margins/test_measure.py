@@ -31,6 +31,7 @@ def measured(controller, name: str, value: float, scenario: Scenario = KNOWN) ->
     return MarginMeasurement(run, scenario, name)(value)
 
 
+@pytest.mark.slow
 def test_at_the_expected_value_nothing_has_changed():
     scenario = dataclasses.replace(WORKSPACE, duration_s=0.1)
     head = scenario.model()

@@ -10,16 +10,16 @@ from vergence.eval.margins.measure import MarginMeasurement
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 
-TRIALS = 20
+TRIALS = 10
 STOOD = {
-    "command_latency_s": [0.025, 0.05],
+    "command_latency_s": [0.05],
     "feedback_latency_s": [0.02],
-    "latency_s": [0.0, 0.13, 0.2],
-    "frame_phase": [0.3, 0.7],
-    "acceleration_ratio": [0.3, 1.5, 5.0],
+    "latency_s": [0.0, 0.2],
+    "frame_phase": [0.7],
+    "acceleration_ratio": [0.3, 5.0],
     "speed_gain": [0.7, 1.3],
-    "detection_noise_px": [0.3, 1.0],
-    "backlash_rad": [0.0005, 0.002, 0.004],
+    "detection_noise_px": [1.0],
+    "backlash_rad": [0.004],
     "outlier_probability": [0.02],
 }
 
@@ -57,6 +57,6 @@ def test_motors_that_a_head_file_knows_nothing_of_are_found(workspace, name, rat
         head_overrides=parts,
         variation=Variation(acceleration_ratio=(ratio, ratio)),
     )
-    trials = run_trials(make_controller(name, slow.model()), slow, episodes=20)
+    trials = run_trials(make_controller(name, slow.model()), slow, episodes=10)
     assert np.isfinite(trials.settle_s(2.0)).all()
     assert np.median(trials.ratio_to_bound(2.0)) < 2.0

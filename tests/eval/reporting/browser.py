@@ -46,12 +46,9 @@ window.addEventListener("message", (event) => {{
 
 
 class Page(NamedTuple):
-    """Layout and log of a rendered page."""
-
     facts: dict[str, Any]
     """`inner` and `scroll` widths, elements that are too `wide`, sizes of figures `drawn`."""
     console: list[str]
-    """Console messages of the page, including errors and warnings."""
 
 
 def open_page(path: Path, width: int, folder: Path) -> Page:

@@ -9,7 +9,6 @@ from vergence.eval.reporting.style import new_figure
 
 
 def panel_of(*lines):
-    """A panel with lines of these ordinates, named by their numbers."""
     figure = new_figure(6.0, 4.0)
     panel = figure.subplots()
     for number, line in enumerate(lines):

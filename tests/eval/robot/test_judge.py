@@ -31,8 +31,6 @@ def logged(tmp_path_factory):
 
 
 class Forgetful:
-    """A controller that works on the robot alone."""
-
     def __init__(self, head, layout):
         pass
 

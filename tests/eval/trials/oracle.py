@@ -24,7 +24,6 @@ HALVINGS = 30
 
 
 def begin(task: GazeTask, seed: int) -> GazeTask:
-    """Begin a trial of a seed in every place."""
     trials = np.arange(task.num, dtype=np.uint64)
     task.begin(np.arange(task.num), np.full(task.num, seed, np.uint64), trials)
     return task

@@ -12,7 +12,6 @@ POINT = np.array([0.1, 0.05, 0.8])
 
 
 def half_bands_of(head: HeadModel, find=actuator_settling_bands) -> tuple[np.ndarray, np.ndarray]:
-    """Goals and bands of the actuators, in a band of 1 px."""
     goal, half_band = np.full((2, 1, 4), np.nan)
     find(head.packed[None], head.packed, POINT[None], 1.0, goal, half_band)
     count = head.actuation.count

@@ -1,29 +1,11 @@
 """Errors over time: they begin where each trial's target appears."""
 
-import dataclasses
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 import pytest
 
-from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, ToyScenario
-from vergence.envs.task import GazeTask
+from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, ideal_head, late
 from vergence.eval.trials.curves import error_quantile_table
 from vergence.eval.trials.run import run_trials
-
-
-@dataclass(frozen=True)
-class Late(ToyScenario):
-    """Toy scenario whose target jumps at a random time of each trial."""
-
-    def task(self, num: int, plant: str = "kinematic", head: Any = None) -> GazeTask:
-        late = {"onset_s": (0.1, 0.3)}
-        return GazeTask(num, head=self.head, plant=plant, target=self.target, variation=late)
-
-
-LATE = Late(**{one.name: getattr(STEP, one.name) for one in dataclasses.fields(STEP)})
-LATE = dataclasses.replace(LATE, duration_s=1.0)
 
 
 def test_without_an_onset_the_curve_is_the_trial() -> None:
@@ -35,7 +17,7 @@ def test_without_an_onset_the_curve_is_the_trial() -> None:
 
 
 def test_time_counts_from_each_trials_onset() -> None:
-    trials = run_trials(KnowsTheWay(60), LATE, episodes=40)
+    trials = run_trials(KnowsTheWay(60), late(0.1, 0.3), episodes=40, head=ideal_head())
     curves = error_quantile_table(trials)
     assert np.ptp(trials.onset_s) > 0.15
     assert curves["time_s"][0] == 0.0

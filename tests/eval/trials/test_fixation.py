@@ -25,7 +25,6 @@ TIME = np.arange(361) * PERIOD_S
 
 
 def speeds(degrees_s) -> np.ndarray:
-    """(360, 4) rad/s, of the second joint alone."""
     out = np.zeros((len(TIME) - 1, 4))
     out[:, 1] = np.deg2rad(degrees_s)
     return out
@@ -36,7 +35,6 @@ def sinusoid(peak_to_peak: float, hertz: float) -> np.ndarray:
 
 
 def pulse(begin_s: float, lasts_s: float, degrees_s: float = 300.0) -> np.ndarray:
-    """One turn."""
     inside = (TIME[:-1] >= begin_s - 1e-9) & (TIME[:-1] < begin_s + lasts_s - 1e-9)
     return speeds(np.where(inside, degrees_s, 0.0))
 

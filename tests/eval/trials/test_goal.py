@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.envs.robot import WORLD
+from tests.eval.trials.oracle import begin
 from tests.heads import MOVING, head_of
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.goal import least_reachable_error
@@ -14,10 +15,7 @@ TIED = [shape for shape in MOVING if not head_of(shape).actuation.direct]
 
 
 def begun(head: HeadModel, num: int, **options: object) -> GazeTask:
-    task = GazeTask(num, head=head, plant="kinematic", **options)
-    trials = np.arange(num, dtype=np.uint64)
-    task.begin(np.arange(num), np.zeros(num, np.uint64), trials)
-    return task
+    return begin(GazeTask(num, head=head, plant="kinematic", **options), 0)
 
 
 def squares(task: GazeTask, actuators: np.ndarray) -> np.ndarray:

@@ -5,19 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.eval.trials.toys import PERIOD_S, STEP, InTwoTurns, KnowsTheWay, ideal_head
+from tests.eval.trials.toys import PERIOD_S, InTwoTurns, KnowsTheWay, ideal_head, late
 from vergence import make_controller
-from vergence.envs.plants.variation import Variation
 from vergence.eval.trials.results import headline_metric, join_trials
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario
-
-
-def late(low_s: float, high_s: float, **fields: object) -> Scenario:
-    """The toys' step, at a moment of each trial's own."""
-    options: dict = {"target": STEP.target, "duration_s": 1.0} | fields
-    variation = Variation(onset_s=(low_s, high_s))
-    return Scenario(name="late", description="a late step", variation=variation, **options)
 
 
 def run(controller, scenario: Scenario, episodes: int = 12):

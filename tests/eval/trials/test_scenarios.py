@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.eval.trials import oracle
 from tests.heads import head_of, text_of
 from tests.naming import named
 from vergence.controllers import make_controller
@@ -31,10 +32,7 @@ DEGREE = np.pi / 180
 
 
 def begin(scenario: Scenario, num: int, plant: str = "kinematic", split: str = "test"):
-    task = scenario.task(num, plant)
-    seeds = np.full(num, scenario.seed(split), dtype=np.uint64)
-    task.begin(np.arange(num), seeds, np.arange(num, dtype=np.uint64))
-    return task
+    return oracle.begin(scenario.task(num, plant), scenario.seed(split))
 
 
 def motions(scenario: Scenario, num: int):
@@ -174,7 +172,7 @@ def test_fast_targets_are_as_fast_as_drawn_and_within_reach() -> None:
     scenario = load_scenario("fast")
     head = scenario.model()
     rows, q = motions(scenario, 150)
-    t = np.linspace(0.0, scenario.duration_s, 1921)
+    t = np.linspace(0.0, scenario.duration_s, 961)
     points = target_position(rows[:, None], t)
     middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
     bearing = points - middle

@@ -8,8 +8,10 @@ import numpy as np
 from vergence.envs.plant import Plant
 from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.envs.plants.simulation import TrialStart
+from vergence.envs.plants.variation import Variation
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
+from vergence.eval.trials.scenarios import Scenario
 from vergence.models.files.head_file import load_head
 
 BEFORE, AFTER = (0.0, -0.1, 1.0), (0.02, -0.12, 1.0)
@@ -49,6 +51,13 @@ class ToyScenario:
 STEP = ToyScenario({"kind": "step", "before": BEFORE, "after": AFTER}, head=ideal_head())
 
 
+def late(low_s: float, high_s: float, **fields: object) -> Scenario:
+    """The toys' step, at a moment of each trial's own."""
+    options: dict = {"target": STEP.target, "duration_s": 1.0} | fields
+    variation = Variation(onset_s=(low_s, high_s))
+    return Scenario(name="late", description="a late step", variation=variation, **options)
+
+
 class KnowsTheWay:
     """Turns the eyes onto the step's target in one period, `wait` periods after it began.
 
@@ -64,7 +73,6 @@ class KnowsTheWay:
         self.never = never
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        """See `Controller.predict`."""
         steps = np.zeros(len(observation)) if state is None else state[0]
         steps = np.where(episode_start, 0, steps)
         go = steps == self.wait
@@ -89,7 +97,6 @@ class InTwoTurns:
         self.turns = (first, second)
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        """See `Controller.predict`."""
         steps = np.zeros(len(observation)) if state is None else state[0]
         steps = np.where(episode_start, 0, steps)
         part = (1.0 - self.share) * (steps == self.turns[0]) + self.share * (steps == self.turns[1])
@@ -111,7 +118,6 @@ class Shaking:
         self.step = 0
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        """See `Controller.predict`."""
         action, state = self.law.predict(observation, state, episode_start, deterministic)
         if episode_start.all():
             self.step = 0
@@ -137,9 +143,7 @@ class BlindPlant(Plant):
         return self._hidden.begin(TrialStart(ids, keys, keys, fixating, rows))
 
     def step(self, command):
-        """See `Plant.step`."""
         return self._hidden.step(command)
 
     def close(self):
-        """See `Plant.close`."""
         self._hidden.close()

@@ -37,7 +37,6 @@ BOWL = {"x": SearchRange(-2.0, 2.0), "y": SearchRange(0.01, 100.0, "log")}
 
 
 def bowl(options):
-    """Smallest at x = 1, y = 3."""
     value = (options["x"] - 1.0) ** 2 + np.log(options["y"] / 3.0) ** 2
     return {"headline": float(value), "mean": 0.0}
 
@@ -63,7 +62,7 @@ def test_failures_are_not_given_up_for_a_shorter_median(tmp_path):
         settled = 1.0 - 0.2 * max(0.0, x)
         return {"headline": 1.0 - 0.1 * x, "mean": 0.0, "settled_fraction": settled}
 
-    attempts = run_search(search(tmp_path, 18), hasty)
+    attempts = run_search(search(tmp_path, 18, storage="sqlite://"), hasty)
     best = min(attempts, key=lambda attempt: attempt.rank)
     assert best.results["settled_fraction"] > 0.97
     assert min(attempts, key=lambda attempt: attempt.results["headline"]).rank > best.rank
@@ -96,7 +95,7 @@ def test_points_that_cannot_be_are_passed_over(tmp_path):
             raise ConfigurationError("x: expected 0 or more")
         return bowl(options)
 
-    attempts = run_search(search(tmp_path, 6), picky)
+    attempts = run_search(search(tmp_path, 6, storage="sqlite://"), picky)
     assert 0 < len(attempts) < 6
     assert all(options["x"] >= 0.0 for options in points(attempts))
 
@@ -106,7 +105,7 @@ def test_a_search_without_a_possible_point_says_why(tmp_path):
         raise ConfigurationError("x: expected another")
 
     with pytest.raises(ConfigurationError, match="x: expected another"):
-        run_search(search(tmp_path, 2), impossible)
+        run_search(search(tmp_path, 2, storage="sqlite://"), impossible)
 
 
 @pytest.mark.slow
@@ -179,7 +178,6 @@ run_search(search(Path("."), 16, storage=sys.argv[2]), bowl)
 
 @pytest.fixture(scope="module")
 def postgres(tmp_path_factory):
-    """The URL of a PostgreSQL server."""
     pgserver = pytest.importorskip("pgserver", reason="pgserver is not installed")
     # a socket's path has at most 107 characters
     folder = tmp_path_factory.mktemp("pg")
@@ -218,19 +216,7 @@ def test_several_processes_share_a_study_on_postgresql(postgres, tmp_path):
 
 
 def config(**changes):
-    options = {
-        "controller": "ibvs",
-        "scenario": "workspace",
-        "head": "simulated",
-        "plant": "kinematic",
-        "trials": 5,
-        "episodes": 6,
-        "seed": 0,
-        "grid": True,
-        "storage": "",
-        "study": "test",
-    }
-    return TuneConfig(**{**options, **changes})
+    return TuneConfig(**{"controller": "ibvs", "episodes": 6, "grid": True, **changes})
 
 
 def test_a_gain_is_judged_by_the_headline_metric_on_training_trials():
@@ -304,7 +290,6 @@ def test_the_command_writes_the_best_gain_the_history_and_the_curve(three_gains,
 
 
 def tuned_ibvs(tmp_path, *words):
-    """Tune ibvs on four trials and return the exit code."""
     words = ["tune", "ibvs", "--episodes", "4", "--seed", "2", "--workers", "1", *words]
     return call(*words, "--out", str(tmp_path / "run"))
 

@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import backwards, empty_panels, stale_names, uncaptioned
+from tests.eval.article.checks import incomplete
+from tests.eval.mappers import Backwards
 from vergence.calibration.head.article.findings import (
     depth_errors_percent,
     worst_depth_error_percent,
@@ -25,7 +26,7 @@ def table():
 
 
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
-    again = EXPERIMENT.run(CONFIG, 1, backwards)
+    again = EXPERIMENT.run(CONFIG, 1, Backwards())
     pd.testing.assert_frame_equal(table, again, check_exact=True)
 
 
@@ -43,9 +44,7 @@ def test_the_encoders_cost_a_well_known_head_most_of_its_error(table):
 
 
 def test_the_docs_and_the_captions_are_those_of_the_table(table):
-    assert stale_names("head-eye", table, CONFIG) == set()
-    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
-    assert empty_panels(EXPERIMENT.draw(table, CONFIG)) == []
+    assert incomplete("head-eye", table, CONFIG) == []
     assert {row.verdict for row in EXPERIMENT.summarise(table, CONFIG)} == {"not reported"}
 
 

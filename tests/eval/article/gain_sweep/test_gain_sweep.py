@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import backwards, stale_names, uncaptioned
+from tests.eval.article.checks import incomplete
+from tests.eval.mappers import Backwards
 from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.gain_sweep.findings import derive_findings, sweep_trials
 from vergence.eval.article.gain_sweep.loop_delay import critical_gain, critical_lag, first_crossing
@@ -33,7 +34,7 @@ def table() -> pd.DataFrame:
 def test_the_seed_is_that_of_the_noise_and_who_runs_the_jobs_does_not_change_a_bit():
     few = {"gain_step": 1.0, "plane_step": 4.0, "duration_s": 0.5, "delays_frames": [8, 9]}
     config = resolve_config(EXPERIMENT, TINY | few, quick=True)
-    runs = [(0, SerialMapper()), (0, backwards), (1, SerialMapper())]
+    runs = [(0, SerialMapper()), (0, Backwards()), (1, SerialMapper())]
     one, again, other = (EXPERIMENT.run(config, seed, mapper) for seed, mapper in runs)
     pd.testing.assert_frame_equal(one, again, check_exact=True)
     noisy = one["case"] != "loop"
@@ -107,12 +108,7 @@ def test_a_crossing_lies_between_its_samples():
 
 
 def test_figures_and_numbers_are_those_of_the_docs_and_no_panel_is_empty(table):
-    figures = EXPERIMENT.draw(table, CONFIG)
-    assert set(figures) == {"fig15-gain-sweep", "fig15-gain-plane", "fig15-loop-delay"}
-    for figure in figures.values():
-        assert all(axes.has_data() for axes in figure.axes)
-    assert stale_names("gain-sweep", table, CONFIG) == set()
-    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
+    assert incomplete("gain-sweep", table, CONFIG) == []
 
 
 def verdicts(table: pd.DataFrame) -> dict[str, str]:

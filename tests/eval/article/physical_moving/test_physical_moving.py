@@ -17,7 +17,7 @@ def table():
     return table_of(EXPERIMENT.name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gaze_trails_a_moving_target_by_its_velocity_over_the_gain():
     config = small(EXPERIMENT.name, heads=8, settle_s=2.0, speed_m_s=0.06)
     numbers = EXPERIMENT.numbers(EXPERIMENT.run(config, 0, SerialMapper()), config)

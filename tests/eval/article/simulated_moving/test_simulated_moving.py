@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import backwards, covers, empty_panels, stale_names, uncaptioned
+from tests.eval.article.checks import incomplete, unjudged
+from tests.eval.mappers import Backwards
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.simulated_moving.findings import errors_by_case, select_samples
 from vergence.eval.article.simulated_moving.trials import NONE, SimulatedMovingConfig
@@ -12,7 +13,7 @@ from vergence.eval.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("simulated-moving")
-CONFIG = SimulatedMovingConfig(samples=40, settle_s=1.4)
+CONFIG = SimulatedMovingConfig(samples=16, settle_s=1.4)
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,7 @@ def table():
 
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit():
     few = SimulatedMovingConfig(samples=2, settle_s=0.1)
-    tables = [EXPERIMENT.run(few, 1, mapper) for mapper in (SerialMapper(), backwards)]
+    tables = [EXPERIMENT.run(few, 1, mapper) for mapper in (SerialMapper(), Backwards())]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 
 
@@ -61,12 +62,8 @@ def test_lag_moves_gaze_far_more_than_itpc_with_images(table):
 
 
 def test_summary_figures_and_numbers_are_those_of_the_article_and_the_docs(table):
-    figures = EXPERIMENT.draw(table, CONFIG)
-    assert "fig08-moving-target" in figures
-    assert not empty_panels(figures)
-    assert stale_names("simulated-moving", table, CONFIG) == set()
-    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
-    assert covers(EXPERIMENT.summarise(table, CONFIG), "simulated moving")
+    assert incomplete("simulated-moving", table, CONFIG) == []
+    assert unjudged(EXPERIMENT.summarise(table, CONFIG), "simulated moving") == []
 
 
 def test_the_verdict_on_the_trail_follows_the_numbers(table):

@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import backwards, stale_names, uncaptioned
+from tests.eval.article.checks import incomplete
+from tests.eval.mappers import Backwards
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.time_response.findings import (
@@ -28,7 +29,7 @@ def table() -> pd.DataFrame:
 
 
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
-    again = EXPERIMENT.run(CONFIG, 0, backwards)
+    again = EXPERIMENT.run(CONFIG, 0, Backwards())
     pd.testing.assert_frame_equal(table, again, check_exact=True)
 
 
@@ -78,12 +79,7 @@ def test_our_rig_is_faster_than_the_article_by_about_a_tenth_of_a_second(table):
 
 
 def test_figures_and_numbers_are_those_of_the_docs_and_no_panel_is_empty(table):
-    figures = EXPERIMENT.draw(table, CONFIG)
-    assert set(figures) == {"time-response-error", "time-response-map"}
-    for figure in figures.values():
-        assert all(axes.has_data() for axes in figure.axes)
-    assert stale_names("time-response", table, CONFIG) == set()
-    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
+    assert incomplete("time-response", table, CONFIG) == []
 
 
 def test_verdicts_follow_the_numbers(table):

@@ -8,7 +8,7 @@ from vergence.eval.jobs import SerialMapper
 
 _HEADS: Final = {"heads": 4, "scale": 0.4, "noise_poses": 1, "noise_frames": 3}
 _SMALL: Final[dict[str, dict[str, Any]]] = {
-    "physical-static": {"imaged_every": 20, "samples": 4, "offsets_px": [0.0, 200.0]},
+    "physical-static": {"imaged_every": 21, "samples": 4, "offsets_px": [0.0, 200.0]},
     "physical-moving": {"speed_m_s": 0.5, "settle_s": 0.5, "table_every": 4},
     "fixed-pair": {"samples": 4, "settle_s": 0.5},
 }
@@ -38,13 +38,11 @@ def tiny_table(name, seed, mapper):
 
 
 def scaled(table, column, factor, rows):
-    """A table with some values of a column multiplied."""
     changed = table.copy()
     changed.loc[rows, column] *= factor
     return changed
 
 
 def verdict_of(rows, quantity, method):
-    """The verdict of the one row of a summary with a quantity and method."""
     (row,) = (row for row in rows if (row.quantity, row.method) == (quantity, method))
     return row.verdict

@@ -3,8 +3,9 @@
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import backwards, stale_names, uncaptioned, unjudged
+from tests.eval.article.checks import incomplete, unjudged
 from tests.eval.article.twin.small import NAMES, small, table_of, tiny_table
+from tests.eval.mappers import Backwards
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.jobs import SerialMapper
 
@@ -16,9 +17,12 @@ REPORTED = {
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name",
+    ["fixed-pair", "physical-moving", pytest.param("physical-static", marks=pytest.mark.nightly)],
+)
 def test_the_seed_draws_the_heads_and_who_runs_the_jobs_does_not_change_a_bit(name):
-    one, again = (tiny_table(name, 0, mapper) for mapper in (SerialMapper(), backwards))
+    one, again = (tiny_table(name, 0, mapper) for mapper in (SerialMapper(), Backwards()))
     pd.testing.assert_frame_equal(one, again, check_exact=True)
     assert not one.equals(tiny_table(name, 1, SerialMapper()))
 
@@ -27,9 +31,4 @@ def test_the_seed_draws_the_heads_and_who_runs_the_jobs_does_not_change_a_bit(na
 def test_the_summary_and_the_figures_have_all_of_the_article(name):
     experiment, table, config = load_experiment(name), table_of(name), small(name)
     assert unjudged(experiment.summarise(table, config), REPORTED[name]) == []
-    assert stale_names(name, table, config) == set()
-    assert uncaptioned(experiment, table, config) == set()
-    for figure in experiment.draw(table, config).values():
-        for panel in figure.axes:
-            assert panel.has_data()
-            assert panel.get_xlabel()
+    assert incomplete(name, table, config) == []

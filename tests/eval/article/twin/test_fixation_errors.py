@@ -31,7 +31,6 @@ def heads(nominal):
 
 
 def drawn_by(nominal, source):
-    """Heads that one source of error alone has made."""
     return draw_heads(nominal, ModelErrors(**{source: getattr(TWIN_SPREADS, source)}), COUNT, 0)
 
 
