@@ -26,25 +26,21 @@ def predicted_unseen(row: np.ndarray) -> np.ndarray:
     ][..., 0, 0]
 
 
+def accepted_since_s(row: np.ndarray) -> np.ndarray:
+    """For how long the left eye's gate has held an accepted detection."""
+    gates = np.ascontiguousarray(row[..., : OutlierGate.size]).view(GATE_STATE)
+    return gates["eyes"]["accepted_since_s"][..., 0, 0]
+
+
 USED = {
-    "pid": lambda row: (
-        np.ascontiguousarray(row[..., : OutlierGate.size]).view(GATE_STATE)["eyes"][
-            "accepted_since_s"
-        ][..., 0, 0]
-        == 0.0
-    ),
+    "pid": lambda row: accepted_since_s(row) == 0.0,
     "delay-compensated": lambda row: predicted_unseen(row) == 0.0,
     "pursuit": lambda row: predicted_unseen(row) == 0.0,
 }
 
 
 def ages(images: list[tuple[float, int]], steps: int) -> np.ndarray:
-    """(steps,) image ages as observations have them, in s.
-
-    Args:
-        images: exposure and arrival of each image, in periods.
-        steps: number of periods.
-    """
+    """(steps,) image ages as observations have them, s, of exposures and arrivals in periods."""
     found = np.full(steps, AGE_S)
     for exposed, came in images:
         found[came:] = (np.arange(came, steps) - exposed) * PERIOD_S
@@ -55,21 +51,12 @@ def ages(images: list[tuple[float, int]], steps: int) -> np.ndarray:
 def new(age_s: np.ndarray) -> list[int]:
     """The periods in which there is a new image."""
     before = np.append(AGE_S, age_s[:-1])
-    return [
-        k
-        for k, (age, last) in enumerate(zip(age_s, before, strict=True))
-        if is_fresh.py_func(age, last, PERIOD_S)
-    ]
+    pairs = enumerate(zip(age_s, before, strict=True))
+    return [k for k, (age, last) in pairs if is_fresh.py_func(age, last, PERIOD_S)]
 
 
 def used(name: str, age_s: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
-    """(steps, n) whether a controller takes in an image, for (steps, n) ages.
-
-    Args:
-        name: the controller.
-        age_s: image ages, s.
-        starts: (steps, n) whether a trial begins.
-    """
+    """(steps, n) whether a controller takes in an image, for (steps, n) ages and starts."""
     controller = make_controller(name, head=HEAD)
     fields = controller.layout.fields
     observation = np.zeros((age_s.shape[1], controller.layout.size), dtype=np.float32)
@@ -77,10 +64,8 @@ def used(name: str, age_s: np.ndarray, starts: np.ndarray | None = None) -> np.n
     state, taken = None, []
     for k, age in enumerate(age_s):
         observation[:, fields["image_age"]] = age[:, None] / AGE_S
-        _action, state = controller.predict(
-            observation, state, None if starts is None else starts[k]
-        )
-        assert state is not None
+        start = None if starts is None else starts[k]
+        _action, state = controller.predict(observation, state, start)
         taken.append(USED[name](state[0]))
     return np.array(taken)
 
@@ -96,10 +81,8 @@ def test_every_controller_uses_each_image_once_however_it_is_dated() -> None:
     for name in USED:
         with named(name):
             came = list(range(LATENCY, 40, 2))
-            columns = [
-                ages([(k - LATENCY - offset, k) for k in came], 40)
-                for offset in (0.0, 0.3, 0.5, 0.9, 1.7)
-            ]
+            offsets = (0.0, 0.3, 0.5, 0.9, 1.7)
+            columns = [ages([(k - LATENCY - one, k) for k in came], 40) for one in offsets]
             expected = np.isin(np.arange(40), came)
             assert (used(name, np.stack(columns, axis=1)) == expected[:, None]).all()
 
@@ -114,11 +97,8 @@ def test_an_image_that_stays_is_never_new_again() -> None:
     assert new(ages([(0.3, LATENCY)], 200)) == [LATENCY]
 
 
-def test_before_the_first_image_there_is_none() -> None:
+def test_an_image_that_is_there_when_a_trial_begins_is_new_and_before_the_first_is_none() -> None:
     assert new(np.full(50, AGE_S)) == []
-
-
-def test_an_image_that_is_there_when_a_trial_begins_is_new() -> None:
     assert new(ages([(-12.4, 0)], 10)) == [0]
 
 
@@ -130,9 +110,8 @@ def test_images_that_come_at_irregular_times_are_used_once() -> None:
                 exposed = 0.37 + interval * np.arange(40)
                 came = [ceil(time) for time in exposed + 6.0 + rng.uniform(0.0, 1.9, 40)]
                 # of two that come within a period the newer one is seen
-                assert new(ages(list(zip(exposed, came, strict=True)), 120)) == sorted(
-                    k for k in set(came) if k < 120
-                )
+                found = new(ages(list(zip(exposed, came, strict=True)), 120))
+                assert found == sorted(k for k in set(came) if k < 120)
 
 
 def test_a_head_whose_trial_begins_anew_forgets_the_last_image() -> None:

@@ -23,22 +23,17 @@ def preset() -> HeadModel:
     return load_head("physical")
 
 
-def ideal_head(preset: HeadModel) -> HeadModel:
+def ideal_head(name: str) -> HeadModel:
     """A head without delay, lag, limits and noise."""
-    return preset.replace(
+    exact = ("detection_noise_px", "encoder_resolution_rad", "velocity_resolution_rad_s")
+    return load_head(name).replace(
         timing={"latency_s": 0.0, "lag_s": 0.0, "exposure_s": 0.0},
         limits={"velocity": np.full(7, 100.0), "acceleration": np.full(7, np.inf)},
-        sensor={
-            "detection_noise_px": 0.0,
-            "encoder_resolution_rad": 0.0,
-            "velocity_resolution_rad_s": 0.0,
-        },
+        sensor=dict.fromkeys(exact, 0.0),
     )
 
 
-@pytest.fixture
-def ideal(preset: HeadModel) -> HeadModel:
-    return ideal_head(preset)
+IDEAL = ideal_head("physical")
 
 
 def run(head: HeadModel, time_s: float = 2.0, **options: object) -> np.ndarray:
@@ -56,20 +51,20 @@ def deviation(errors: np.ndarray, gains: object) -> np.ndarray:
     return (np.abs(errors - expected) / np.abs(errors[0])).max(axis=0)
 
 
-def test_without_delay_every_error_decays_as_exp_minus_k_t(ideal) -> None:
+def test_without_delay_every_error_decays_as_exp_minus_k_t() -> None:
     for k, depth in some_of([1.0, 4.0], ["triangulated", 1.0]):
         with named(k, depth):
             # holding a command for T costs k T / (2 e) of the initial error: 0.6 % at k = 4
-            assert deviation(run(ideal, gain=k, depth=depth), k).max() < 0.01
+            assert deviation(run(IDEAL, gain=k, depth=depth), k).max() < 0.01
 
 
-def test_each_eye_and_axis_decays_with_its_own_gain(ideal) -> None:
+def test_each_eye_and_axis_decays_with_its_own_gain() -> None:
     gains = [[1.0, 4.0], [3.0, 2.0]]
-    assert deviation(run(ideal, gain=gains), gains).max() < 0.01
+    assert deviation(run(IDEAL, gain=gains), gains).max() < 0.01
 
 
-def test_a_gain_of_zero_holds_an_axis(ideal) -> None:
-    errors = run(ideal, gain=(0.0, 4.0))
+def test_a_gain_of_zero_holds_an_axis() -> None:
+    errors = run(IDEAL, gain=(0.0, 4.0))
     # exact in the limit of a continuous loop; within a period the other axis couples a little
     assert np.abs(errors[:, :, 0] - errors[0, :, 0]).max() < 0.01 * np.abs(errors[0]).max()
 
@@ -77,7 +72,7 @@ def test_a_gain_of_zero_holds_an_axis(ideal) -> None:
 @settings(max_examples=20)
 @given(k=st.floats(0.5, 4.0), x=st.floats(-0.1, 0.1), y=st.floats(-0.2, 0.0), z=st.floats(0.5, 2.0))
 def test_the_command_moves_the_image_towards_the_principal_point_at_k(k, x, y, z) -> None:
-    head = ideal_head(load_head("simulated"))
+    head = ideal_head("simulated")
     law = make_controller("ibvs", head=head, gain=k)
     point, q = np.array([x, y, z]), head.fixate(BEFORE)
     error = head.project(q, point) - head.cameras.principal
@@ -91,7 +86,7 @@ def test_the_command_moves_the_image_towards_the_principal_point_at_k(k, x, y, z
 def test_the_triangulated_depth_makes_the_law_exact_where_a_constant_one_is_not() -> None:
     # tilt carries the optical centre, 30 mm above its axis, along the line of sight: off the
     # axis, at 0.4 m, a depth that is five times too large is worth about a per cent
-    head = ideal_head(load_head("simulated"))
+    head = ideal_head("simulated")
     point, q = np.array([0.03, -0.06, 0.4]), head.fixate([0.0, -0.03, 0.4])
     error = head.project(q, point) - head.cameras.principal
     off = []

@@ -82,9 +82,8 @@ def test_stable_baselines3_evaluates_it_as_it_is() -> None:
     controller = make_controller("ibvs", head=load_head("simulated"))
     envs = DummyVecEnv([lambda: Monitor(make())])
     envs.seed(5)
-    rewards, lengths = evaluate_policy(
-        controller, envs, n_eval_episodes=2, return_episode_rewards=True
-    )
+    options = {"n_eval_episodes": 2, "return_episode_rewards": True}
+    rewards, lengths = evaluate_policy(controller, envs, **options)
     assert lengths == [60, 60]
     env = make()
     for episode, reward in enumerate(rewards):

@@ -1,7 +1,5 @@
 """Outlier gate of the laws: detections held back, confirmed or bridged."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,6 @@ from vergence.controllers.outlier_gate import (
     OutlierGate,
 )
 from vergence.envs.layout import Observation, ObservationLayout
-from vergence.models.head import HeadModel
 
 HEAD = load_head("simulated")
 LAYOUT = ObservationLayout.of(HEAD)
@@ -24,17 +21,8 @@ ASIDE = np.array([[60.0, -70.0], [0.0, 0.0]])
 MISSED = np.array([[np.nan, np.nan], [0.0, 0.0]])
 
 
-def pass_on(
-    errors: Sequence[np.ndarray], speed_rad_s: float = 0.0, every: int = 1, head: HeadModel = HEAD
-) -> list[GatedDetections]:
-    """Detections that pass the gate, for a series of (2, 2) errors.
-
-    Args:
-        errors: pixel errors, px.
-        speed_rad_s: measured speed of all eye joints.
-        every: control periods from one image to the next.
-        head: head of the gate.
-    """
+def pass_on(errors, speed_rad_s=0.0, every=1, head=HEAD) -> list[GatedDetections]:
+    """Detections that pass the gate, for (2, 2) errors, px, of images some periods apart."""
     gate = OutlierGate(head, LAYOUT)
     leading = np.shape(errors)[1:-2]
     state, found = np.tile(gate.initial(), (*leading, 1)), []
@@ -72,9 +60,6 @@ def test_one_outlier_is_as_a_frame_that_was_dropped() -> None:
             assert np.array_equal(after.pixel_error, HERE + 0.5)
             assert after.fresh.tolist() == [1.0, 1.0]
             assert not any(one.jumped.any() for one in found)
-
-
-def test_outliers_in_different_places_are_all_held_back() -> None:
     errors = [HERE, HERE + ASIDE, HERE - ASIDE, HERE, HERE + ASIDE, HERE]
     assert (shown(pass_on(errors)) == HERE).all()
 
@@ -125,6 +110,7 @@ def test_what_a_noisy_detector_sees_of_a_target_at_rest_passes() -> None:
 
 
 def test_missed_detections_are_bridged_for_a_twentieth_of_a_second() -> None:
+    assert np.isnan(shown(pass_on([np.full((2, 2), np.nan)] * 5))).all()
     bridged = round(MAX_BRIDGED_S / PERIOD_S)
     errors = [HERE, *(HERE + MISSED for _ in range(20)), HERE + ASIDE]
     found = pass_on(errors)
@@ -148,10 +134,6 @@ def test_an_eye_that_turns_too_fast_to_see_is_not_bridged() -> None:
     for speed_rad_s, sees in ((0.2, True), (1.0, False)):
         found = pass_on([HERE, HERE + MISSED], speed_rad_s=speed_rad_s, head=slow)
         assert np.isfinite(found[1].pixel_error).all(axis=1).tolist() == [sees, True]
-
-
-def test_a_target_that_was_never_seen_is_not_seen() -> None:
-    assert np.isnan(shown(pass_on([np.full((2, 2), np.nan)] * 5))).all()
 
 
 def test_a_batch_is_the_loop_over_its_heads() -> None:

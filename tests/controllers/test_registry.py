@@ -45,19 +45,12 @@ def test_actions_are_bounded_numbers_in_the_batchs_shape() -> None:
     for name in CONTROLLERS:
         with named(name):
             for shape in ((), (2, 3)):
-                bounded(made(name), shape)
-
-
-def bounded(controller, shape) -> None:
-    """Actions of a batch of a shape are."""
-    state = None
-    for step in range(4):
-        action, state = controller.predict(observations(*shape, seed=step), state)
-        assert action.dtype == np.float32
-        assert action.shape == (*shape, 4)
-        assert (np.abs(action) <= 1.0).all()
-        for part in state or ():
-            assert part.shape[: len(shape)] == shape
+                controller, state = made(name), None
+                for step in range(4):
+                    action, state = controller.predict(observations(*shape, seed=step), state)
+                    assert (action.dtype, action.shape) == (np.float32, (*shape, 4))
+                    assert (np.abs(action) <= 1.0).all()
+                    assert all(part.shape[: len(shape)] == shape for part in state or ())
 
 
 def test_a_batch_is_the_loop_over_its_rows() -> None:
@@ -70,9 +63,8 @@ def test_a_batch_is_the_loop_over_its_rows() -> None:
                 for i in range(6):
                     action, states[i] = controller.predict(batch[i], states[i])
                     # a network's products may be added up in another order for a batch
-                    assert action == pytest.approx(
-                        actions[i], abs=1e-5 if name in LEARNED else 1e-7
-                    )
+                    close = 1e-5 if name in LEARNED else 1e-7
+                    assert action == pytest.approx(actions[i], abs=close)
 
 
 def test_an_episodes_start_forgets_its_own_row_alone() -> None:
@@ -146,22 +138,15 @@ def test_an_option_that_no_controller_has_is_refused_by_name() -> None:
 def test_options_that_cannot_be_are_refused_by_name() -> None:
     for name, option, value, message in [
         ("ibvs", "gain", -1.0, "expected finite gains >= 0, got -1.0"),
-        ("ibvs", "gain", np.nan, "expected finite"),
         ("ibvs", "gain", [1.0, 2.0, 3.0], r"expected a number, \(k1, k2\).*\[1.0, 2.0, 3.0\]"),
         ("ibvs", "gain", "high", "expected a number.*'high'"),
         ("ibvs", "depth", "guessed", "expected 'triangulated' or metres, got 'guessed'"),
         ("ibvs", "depth", 0.0, "expected metres above 0, got 0.0"),
         ("ibvs", "speed_limit", -2.0, "expected rad/s above 0, got -2.0"),
         ("pid", "kp", -1.0, "expected finite gains >= 0, got -1.0"),
-        ("pid", "ki", [1.0, 2.0, 3.0], r"expected a number, \(k1, k2\)"),
-        ("pid", "kd", np.nan, "expected finite gains"),
         ("pid", "filter_s", -0.1, "expected a number of at least 0"),
-        ("pid", "depth", "guessed", "expected 'triangulated' or metres"),
         ("fuzzy", "span_p", 1.5, "expected 0 to 1, got 1.5"),
-        ("fuzzy", "span_d", np.nan, "expected a finite number"),
         ("fuzzy", "error_px", 0.0, "expected a finite number above 0"),
-        ("fuzzy", "rate_px_s", np.inf, "expected a finite number"),
-        ("fuzzy", "kp", -1.0, "expected finite gains >= 0"),
         ("fuzzy", "filter_s", -1.0, "expected a number of at least 0"),
         ("adaptive", "lambda_zero", -1.0, "expected a number of at least 0, got -1.0"),
         ("adaptive", "lambda_inf", np.nan, "expected a finite number"),
@@ -169,17 +154,13 @@ def test_options_that_cannot_be_are_refused_by_name() -> None:
         ("saccade", "braking", 0.0, "expected"),
         ("saccade", "braking", 1.1, "expected"),
         ("saccade", "caution", -1.0, "expected"),
-        ("saccade", "caution", np.inf, "expected"),
         ("saccade", "trim_px", -1.0, "expected"),
-        ("saccade", "trim_px", np.nan, "expected"),
         ("saccade", "trim_gain", 0.0, "expected"),
         ("saccade", "lag", "known", "expected"),
         ("pursuit", "braking", 1.5, "expected a share above 0 up to 1, got 1.5"),
         ("pursuit", "delay", "guessed", "expected 'estimated' or 'nominal', got 'guessed'"),
         ("state-feedback", "gain", 0.0, "expected"),
-        ("state-feedback", "gain", "20", "expected"),
         ("state-feedback", "damping", -0.1, "expected"),
-        ("state-feedback", "damping", np.inf, "expected"),
         ("state-feedback", "damping", True, "expected"),
         ("state-feedback", "lag", "known", "expected"),
     ]:
@@ -194,7 +175,6 @@ def test_what_is_no_observation_is_refused() -> None:
             controller = made(name)
             for wrong, message in (
                 (np.zeros(26), r"expected shape \(\.\.\., 27\), got \((3, )?26,?\)"),
-                (np.zeros(60), r"expected shape \(\.\.\., 27\)"),
                 (np.zeros(27, dtype=np.int64), "floating-point numbers, got an array of int64"),
                 (np.zeros(27, dtype=object), "floating-point numbers, got an array of object"),
                 (np.full(27, np.nan), "finite numbers, got nan"),

@@ -19,28 +19,14 @@ PERIOD_S = HEAD.timing.period_s
 
 
 def asked(
-    angle_error,
-    velocity,
-    *,
-    lag_s=0.03,
-    build_up=0.0,
-    known=(True, True),
-    gain=1.0,
-    half_swings=0.0,
+    angle_error, velocity, *, build_up=0.0, known=(True, True), gain=1.0, half_swings=0.0,
     law=(20.0, 1.0),
-):
-    """(4,) commands to motors, rad/s."""
-    return feedback_command(
-        np.full(4, angle_error),
-        np.full(4, velocity),
-        np.zeros(4),
-        known,
-        [lag_s, build_up],
-        np.full(4, gain),
-        half_swings,
-        pack_predictor_parameters(HEAD),
-        law,
-    )
+):  # fmt: skip
+    """(4,) commands to motors with a lag of 30 ms, rad/s."""
+    errors, velocities = np.full(4, angle_error), np.full(4, velocity)
+    motor = [0.03, build_up], np.full(4, gain), half_swings
+    own = pack_predictor_parameters(HEAD), law
+    return feedback_command(errors, velocities, np.zeros(4), known, *motor, *own)
 
 
 def test_the_command_is_its_equation() -> None:
@@ -83,9 +69,8 @@ def test_with_full_damping_what_is_left_decays_at_the_rate_of_the_gain() -> None
                 before = angle_error - q - 0.03 * v
                 q, v = respond(q, v, u, 0.03, 1e6, PERIOD_S)
                 # one pole cancels the lag
-                assert angle_error - q - 0.03 * v == pytest.approx(
-                    before * (1.0 - gain * PERIOD_S), abs=1e-12
-                )
+                after = before * (1.0 - gain * PERIOD_S)
+                assert angle_error - q - 0.03 * v == pytest.approx(after, abs=1e-12)
 
 
 def test_tuned_it_settles_sooner_than_any_gain_on_the_predicted_error() -> None:
@@ -102,7 +87,6 @@ def test_tuned_it_settles_sooner_than_any_gain_on_the_predicted_error() -> None:
 def test_it_is_tuned_for_the_scenarios_of_the_ladder() -> None:
     for scenario in ["workspace", "robust", "hardware", "webcam"]:
         with named(scenario):
-            options = tuned_or_fallback_options(
-                "state-feedback", scenario, load_scenario(scenario).model()
-            )
+            head = load_scenario(scenario).model()
+            options = tuned_or_fallback_options("state-feedback", scenario, head)
             assert options.keys() == {"gain", "damping"}

@@ -107,21 +107,17 @@ def test_the_reducible_part_is_the_projection_on_what_the_actuators_can_do() -> 
 def test_an_action_of_another_length_is_refused_by_the_actuators_names() -> None:
     env = gymnasium.make("vergence/Gaze-v0", head=head_of("tied"), plant="kinematic").unwrapped
     env.reset(seed=0)
-    with pytest.raises(
-        ConfigurationError, match=r"\(1, 3\), heads by tilt, version, vergence, got"
-    ):
+    said = r"\(1, 3\), heads by tilt, version, vergence, got"
+    with pytest.raises(ConfigurationError, match=said):
         env.step(np.zeros(4))
 
 
 def test_a_fixed_pair_has_nothing_to_turn() -> None:
     for make in (gymnasium.make, gymnasium.make_vec):
         for plant in ("kinematic", "mujoco"):
-            with named(make, plant):
-                with pytest.raises(
-                    ConfigurationError, match=r"a fixed pair.*triangulate_views"
-                ) as raised:
-                    make("vergence/Gaze-v0", head=head_of("pair"), plant=plant)
-                assert "\n" not in str(raised.value)
+            said = r"^.*a fixed pair.*triangulate_views.*$"
+            with named(make, plant), pytest.raises(ConfigurationError, match=said):
+                make("vergence/Gaze-v0", head=head_of("pair"), plant=plant)
 
 
 def test_a_fixed_pair_on_a_neck_is_told_how_its_neck_becomes_what_turns_the_eyes() -> None:

@@ -11,7 +11,7 @@ from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.envs.plant import make_plant
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
+from vergence.errors import ConfigurationError, VergenceError
 
 
 @pytest.fixture(scope="module")
@@ -28,17 +28,12 @@ def envs():
     return envs
 
 
-BAD_OPTIONS = [{"trail": 3}, {"trial": 1.5}, {"trial": "3"}, {"trial": -1}, {"trial": True}, [3]]
-
-
-def test_reset_refuses_options_that_it_does_not_know(env, envs) -> None:
-    for options in BAD_OPTIONS:
-        with named(options):
-            for each in (env, envs):
-                with pytest.raises(
-                    ConfigurationError, match=r"trial: expected|reset: options.*expected"
-                ):
-                    each.reset(options=options)
+def test_reset_refuses_options_that_cannot_be(env, envs) -> None:
+    said = r"trial: expected|reset: options.*expected"
+    for options in ({"trial": 1.5}, {"trial": "3"}, {"trial": -1}, {"trial": True}, [3]):
+        for each in (env, envs):
+            with named(options, each), pytest.raises(ConfigurationError, match=said):
+                each.reset(options=options)
 
 
 def test_an_unknown_option_is_answered_with_the_known_ones(env, envs) -> None:
@@ -65,25 +60,16 @@ def test_a_refused_reset_leaves_the_trials_where_they_were() -> None:
 
 def test_unknown_options_of_a_plant_are_answered_with_the_known_ones() -> None:
     for plant in ("kinematic", "mujoco", "rendered"):
-        with (
-            named(plant),
-            pytest.raises(ConfigurationError, match=r"plant_options\.latency: .*latency_s"),
-        ):
+        said = r"plant_options\.latency: .*latency_s"
+        with named(plant), pytest.raises(ConfigurationError, match=said):
             GazeTask(1, plant=plant, plant_options={"latency": 3})
 
 
 def test_arguments_of_a_wrong_kind_are_refused() -> None:
-    for options in [
-        {"plant_options": [3]},
-        {"plant_options": {"true_head": "physical"}},
-        {"plant": 3},
-        {"plant": ["kinematic"]},
-        {"plant": "kinematik"},
-        {"head": 3},
-        {"head": None},
-        {"variation": [0.1]},
-        {"target": 3},
-    ]:
+    for options in (
+        {"plant_options": [3]}, {"plant_options": {"true_head": "physical"}}, {"plant": 3},
+        {"plant": "kinematik"}, {"head": 3}, {"head": None}, {"variation": [0.1]}, {"target": 3},
+    ):  # fmt: skip
         with named(options), pytest.raises(VergenceError, match="expected"):
             GazeTask(1, **options)
 
@@ -92,11 +78,6 @@ def test_a_number_of_heads_that_cannot_be_is_refused() -> None:
     for num in [0, 1.5, "two", True]:
         with named(num), pytest.raises(ConfigurationError, match="expected a whole number above 0"):
             GazeVectorEnv(num, plant="kinematic")
-
-
-def test_a_head_that_is_neither_name_nor_path_is_refused() -> None:
-    with pytest.raises(UnknownNameError, match="head: expected one of icub, physical"):
-        load_head(3)
 
 
 MINE = '''
@@ -145,10 +126,7 @@ def test_what_is_no_plant_is_refused_in_one_line_with_the_real_error() -> None:
         ("my_own_plant:Stranger", "derives from vergence.envs.plant.Plant .* got Stranger"),
         ("my_own_plant:function", "expected a class"),
         ("my_own_plant:Missing", "expected Missing in .*my_own_plant.py, got Mine"),
-        (
-            "my_broken_plant:Plant",
-            r"my_broken_plant.py:1: ModuleNotFoundError: No module named 'no_such_module'",
-        ),
+        ("my_broken_plant:Plant", "my_broken_plant.py:1: ModuleNotFoundError: .*'no_such_module'"),
         ("my_wrong_plant:Plant", "my_wrong_plant.py:1: SyntaxError: "),
         ("not_there:Plant", "no module not_there"),
         ("not_there", "expected one of hardware, kinematic, mujoco, rendered, module:class"),

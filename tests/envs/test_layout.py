@@ -22,22 +22,15 @@ FLOAT32 = 2.0**-23
 
 
 def test_the_docstrings_table_is_the_layout() -> None:
-    rows = re.findall(r"\| (\d+):(\d+) \| `(\w+)` \| (.*) \|", ObservationLayout.__doc__ or "")
-    assert {name: slice(int(a), int(b)) for a, b, name, _ in rows} == FIELDS
-    unit = {name: text for _a, _b, name, text in rows}
-    assert f"{FINE_PX:g} px" in unit["pixel_error_fine"]
-    assert f"{AGE_S:g} s" in unit["image_age"]
-    assert f"{ANGLE_MARGIN_RAD:g} rad" in unit["positions"]
-    assert f"{SPEED_MARGIN:g}" in unit["velocities"]
+    rows = re.findall(r"\| (\d+):(\d+) \| `(\w+)` \| .* \|", ObservationLayout.__doc__ or "")
+    assert {name: slice(int(a), int(b)) for a, b, name in rows} == FIELDS
 
 
 def test_decode_gives_back_what_the_sensors_reported() -> None:
     for preset in ["simulated", "physical"]:
         with named(preset):
-            task = GazeTask(
-                6, head=preset, plant="kinematic", target={"kind": "random", "shift": 0.1}
-            )
-            begin(task)
+            target = {"kind": "random", "shift": 0.1}
+            task = begin(GazeTask(6, head=preset, plant="kinematic", target=target))
             head, layout = task.head, task.layout
             rng = np.random.default_rng(0)
             fine = coarse = 0
@@ -59,9 +52,8 @@ def test_decode_gives_back_what_the_sensors_reported() -> None:
                     assert (off[:, 3:] <= reach * FLOAT32).all()
                     assert not off[:, :3].any()
                 assert seen.velocities == pytest.approx(reading.velocities, abs=7 * FLOAT32)
-                assert seen.last_command == pytest.approx(
-                    action * layout.action_limits, abs=6 * FLOAT32
-                )
+                sent = action * layout.action_limits
+                assert seen.last_command == pytest.approx(sent, abs=6 * FLOAT32)
                 age = task.reading.time_s - task.reading.received_s + 8 / 120
                 expected = np.where(np.isnan(age), AGE_S, np.minimum(age, AGE_S))
                 assert seen.image_age_s == pytest.approx(expected, abs=FLOAT32)
@@ -80,9 +72,8 @@ def test_measured_errors_are_undistorted_and_from_the_principal_point() -> None:
 
 
 def test_a_pixel_is_a_sixteenth_of_the_fine_channel() -> None:
-    task = begin(
-        GazeTask(1, plant="kinematic", target={"kind": "step", "after": (0.0, -0.1016, 1.0)})
-    )
+    target = {"kind": "step", "after": (0.0, -0.1016, 1.0)}
+    task = begin(GazeTask(1, plant="kinematic", target=target))
     for _ in range(9):
         task.step(np.zeros((1, 4)))
     error = task.pixel_error.ravel()
@@ -101,11 +92,8 @@ def test_decode_takes_any_leading_shape() -> None:
             assert seen.positions.shape == (*shape, 7)
             assert seen.image_age_s.shape == shape
             for index in np.ndindex(shape):
-                one = layout.decode(observation[index])
-                assert all(
-                    np.array_equal(a, b[index], equal_nan=a.dtype.kind == "f")
-                    for a, b in zip(one, seen, strict=True)
-                )
+                for a, b in zip(layout.decode(observation[index]), seen, strict=True):
+                    assert np.array_equal(a, b[index], equal_nan=a.dtype.kind == "f")
 
 
 def test_actions_are_joint_velocities_by_their_limits() -> None:
@@ -119,15 +107,6 @@ def test_actions_are_joint_velocities_by_their_limits() -> None:
     task = begin(GazeTask(1, head=head, plant="kinematic"))
     task.step(np.array([[0.5, -1.0, 2.0, 0.25]]))
     assert task.truth().velocities[0] == pytest.approx([0, 0, 0, 3.0, -5.0, 4.0, 0.5], abs=1e-12)
-
-
-def test_layouts_are_equal_when_they_mean_the_same() -> None:
-    a, b = (ObservationLayout.of(load_head("simulated")) for _ in range(2))
-    other = ObservationLayout.of(load_head("physical"))
-    assert a == b
-    assert hash(a) == hash(b)
-    assert a != other
-    assert a != "simulated"
 
 
 @settings(max_examples=15)
@@ -185,8 +164,9 @@ def test_a_head_has_as_many_numbers_as_actuators() -> None:
             assert layout.action(np.full((2, 4), 2.5)).tolist() == [[0.5] * m] * 2
 
 
-def test_layouts_of_heads_that_differ_in_a_tie_are_not_the_same() -> None:
+def test_layouts_are_equal_when_they_mean_the_same() -> None:
     layout = ObservationLayout.of(head_of("tied"))
+    assert hash(layout) == hash(ObservationLayout.of(head_of("tied")))
     text = text_of("tied").replace("left_pan = 0.5, right_pan = -0.5", "left_pan = 1.0")
     assert layout != ObservationLayout.of(parse_head(text))
     assert layout == ObservationLayout.of(head_of("tied"))
@@ -205,17 +185,15 @@ def test_decode_gives_the_joints_that_the_actuators_move() -> None:
             half, middle = 0.5 * (own.upper - own.lower), 0.5 * (own.upper + own.lower)
             angles = np.zeros((5, 7))
             group = observation[:, 11 : 11 + m]
-            angles[:, 3 : 3 + m] = (middle + (half + ANGLE_MARGIN_RAD) * _slots(group))[
-                :, 3 : 3 + m
-            ]
+            all_seven = middle + (half + ANGLE_MARGIN_RAD) * _slots(group)
+            angles[:, 3 : 3 + m] = all_seven[:, 3 : 3 + m]
             assert seen.positions == pytest.approx(own.joints_of(angles), abs=1e-14)
             rates = np.zeros((5, 7))
             speeds = SPEED_MARGIN * own.velocity * _slots(observation[:, 11 + 2 * m : 11 + 3 * m])
             rates[:, 3:] = speeds[:, 3:]
             assert seen.velocities == pytest.approx(own.joint_velocities_of(rates), abs=1e-14)
-            assert seen.last_command[:, :m] == pytest.approx(
-                5.0 * observation[:, 11 + 3 * m :], abs=1e-14
-            )
+            sent = 5.0 * observation[:, 11 + 3 * m :]
+            assert seen.last_command[:, :m] == pytest.approx(sent, abs=1e-14)
             assert not seen.last_command[:, m:].any()
 
 

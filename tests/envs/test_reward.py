@@ -40,9 +40,8 @@ def test_tracking_and_precision_follow_their_formula() -> None:
     for height in (0.0015, 0.03):
         after = (0.0, -0.1 - height, 1.0)
         head = load_head("simulated").replace(sensor={"detection_noise_px": 0.0})
-        task = begin(
-            GazeTask(1, head=head, plant="kinematic", target={"kind": "step", "after": after})
-        )
+        target = {"kind": "step", "after": after}
+        task = begin(GazeTask(1, head=head, plant="kinematic", target=target))
         for _ in range(8):
             task.step(STILL)
         size = np.linalg.norm(task.pixel_error[0], axis=-1)
@@ -127,17 +126,11 @@ def test_a_target_that_is_never_seen_is_lost_after_a_second_and_a_half() -> None
     # beside a place that sees it and goes on
     dropped = {"dropped_frame_probability": np.array([1.0, 0.0])}
     task = begin(GazeTask(2, plant="kinematic", target="static", plant_options=dropped))
-    alone = begin(
-        GazeTask(1, plant="kinematic", target="static",
-                 plant_options={"dropped_frame_probability": 1.0})
-    )  # fmt: skip
     for step in range(1, 181):
         task.step(np.zeros((2, 4)))
-        alone.step(STILL)
         assert not task.reading.visible[0].any()
         assert task.lost.tolist() == [step == 180, False]
         assert task.reward[0] == (-25.0 if step == 180 else 0.0)
-        assert (alone.lost[0], alone.reward[0]) == (task.lost[0], task.reward[0])
 
 
 def test_a_target_first_seen_late_has_half_a_second_from_then_on() -> None:
@@ -173,9 +166,8 @@ def assessed(script, name="simulated", seed=0):
     found = []
     for sees in script:
         reading.visible[0] = sees
-        reading.pixels[0] = np.where(
-            np.reshape(sees, (2, 1)), rng.uniform(0.0, width_height, (2, 2)), np.nan
-        )
+        anywhere = rng.uniform(0.0, width_height, (2, 2))
+        reading.pixels[0] = np.where(np.reshape(sees, (2, 1)), anywhere, np.nan)
         task.action[:] = rng.uniform(-1.0, 1.0, task.action.shape)
         advance_task(table, np.arange(1), JUDGE)
         found.append((float(task.result.reward[0]), bool(task.result.lost[0])))

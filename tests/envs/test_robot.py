@@ -30,8 +30,9 @@ def task():
     return begin(GazeTask(1, plant="robot", info=("truth", "fixes")))
 
 
-def test_its_target_is_the_world_and_nobody_knows_the_truth(task):
+def test_its_target_is_the_world_and_nobody_knows_the_truth_or_draws_an_image(task):
     assert task.truth() is None
+    assert given_or_drawn_eye_images(task, 0) is None
     assert set(task.info()) == {"is_success", "reward_terms", "gaze", "itpc"}
 
 
@@ -107,14 +108,10 @@ def test_the_environment_runs_and_draws_on_it_and_closes_it():
     assert 0.0 < reward < 1.0
     assert not lost
     assert not truncated
-    assert not info["is_success"]
+    assert not (info["is_success"])
     assert env.render().ndim == 3
     env.close()
     assert not env.task.plant.open
-
-
-def test_nothing_is_drawn_in_place_of_the_images_that_it_has_not(task):
-    assert given_or_drawn_eye_images(task, 0) is None
 
 
 def test_its_picture_has_the_fix_but_no_board_for_a_target_that_nobody_knows(monkeypatch):

@@ -158,32 +158,23 @@ def test_an_unknown_field_is_refused_with_its_value() -> None:
 def test_a_value_that_cannot_be_is_refused_by_key_and_value() -> None:
     for fields, key, value in [
         ({"kind": "static", "point": [1, 2]}, "point", r"\[1, 2\]"),
-        ({"kind": "static", "point": 1.0}, "point", "1.0"),
         ({"kind": "static", "point": "far"}, "point", "'far'"),
         ({"kind": "static", "point": [0, 0, np.nan]}, "point", "nan"),
         ({"kind": "static", "start": "asleep"}, "start", "'asleep'"),
-        ({"kind": "circle", "radius": (1, 2, 3)}, "radius", r"\(1, 2, 3\)"),
         ({"kind": "circle", "radius": -0.1}, "radius", "-0.1"),
         ({"kind": "circle", "period": 0}, "period", "0"),
         ({"kind": "line", "speed": 0.0}, "speed", "0.0"),
-        ({"kind": "line", "speed": True}, "speed", "True"),
-        ({"kind": "random", "depth": 0.5}, "depth", "0.5"),
         ({"kind": "random", "depth": [2.0, 1.0]}, "depth", r"\(2.0, 1.0\)"),
         ({"kind": "random", "eccentricity": 2.0}, "eccentricity", "2.0"),
         ({"kind": "random", "shift": np.inf}, "shift", "inf"),
-        ({"kind": "double-step", "second_after": 0.1}, "second_after", "0.1"),
         ({"kind": "double-step", "second_after": (0.0, 0.2)}, "second_after", r"\(0.0, 0.2\)"),
         ({"kind": "occluded", "gone_after": [2.0, 1.0]}, "gone_after", r"\(2.0, 1.0\)"),
         ({"kind": "occluded", "gone_s": 0.0}, "gone_s", "0.0"),
         ({"kind": "wander", "speed": 0.5}, "speed", "0.5"),
-        ({"kind": "wander", "eccentricity": 1.5}, "eccentricity", "1.5"),
         ({"kind": "wander", "turn_after": (0.5, 0.15)}, "turn_after", r"\(0.5, 0.15\)"),
-        ({"kind": "wander", "turn_after": (0.1, 4.0)}, "turn_after", r"\(0.1, 4.0\)"),
     ]:
-        with (
-            named(fields, key, value),
-            pytest.raises(ConfigurationError, match=rf"target\.{key}: expected .*{value}"),
-        ):
+        said = rf"target\.{key}: expected .*{value}"
+        with named(fields), pytest.raises(ConfigurationError, match=said):
             make_target(fields)
 
 
@@ -201,11 +192,9 @@ MM = {
 
 
 def test_millimetres_are_refused_with_a_hint() -> None:
+    hint = r"metres below 100 .*is it in millimetres\?"
     for kind in MM:
-        with (
-            named(kind),
-            pytest.raises(ConfigurationError, match=r"metres below 100 .*is it in millimetres\?"),
-        ):
+        with named(kind), pytest.raises(ConfigurationError, match=hint):
             make_target({"kind": kind, **MM[kind]})
 
 

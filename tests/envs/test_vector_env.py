@@ -22,14 +22,8 @@ MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLE
 def make_both(num: int, mode: AutoresetMode, **options: object) -> tuple[VectorEnv, VectorEnv]:
     """This package's vector environment, and Gymnasium's own of single ones."""
     own = gym.make_vec(ID, num_envs=num, autoreset_mode=mode, **options)
-    sync = gym.make_vec(
-        ID,
-        num_envs=num,
-        vectorization_mode="sync",
-        vector_kwargs={"autoreset_mode": mode},
-        **options,
-    )
-    return own, sync
+    single = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": mode}}
+    return own, gym.make_vec(ID, num_envs=num, **single, **options)
 
 
 def drive(step: int, num: int) -> np.ndarray:
@@ -58,10 +52,9 @@ def assert_same_info(mine: dict[str, Any], theirs: dict[str, Any]) -> None:
 def test_infos_are_those_of_gymnasiums_vector_of_single_environments() -> None:
     for id in SIMULATED_IDS:
         with named(id):
+            options = {"plant": "kinematic", "info": ("truth", "fixes")}
             own, sync = (
-                gym.make_vec(
-                    id, 2, vectorization_mode=mode, plant="kinematic", info=("truth", "fixes")
-                )
+                gym.make_vec(id, 2, vectorization_mode=mode, **options)
                 for mode in ("vector_entry_point", "sync")
             )
             assert_same_info(own.reset(seed=3)[1], sync.reset(seed=3)[1])
@@ -148,13 +141,10 @@ def test_time_runs_out_exactly_once() -> None:
                 assert not terminated.any()
             _o, *ends, _i = envs.step(np.zeros((2, 4), np.float32))
             assert not np.any(ends)
-
-
-def test_without_a_limit_time_never_runs_out() -> None:
     envs = GazeVectorEnv(2, plant="kinematic")
     envs.reset(seed=1)
-    for _ in range(MAX_EPISODE_STEPS + 5):
-        assert not envs.step(np.zeros((2, 4)))[3].any()
+    ends = [envs.step(np.zeros((2, 4)))[3].any() for _ in range(MAX_EPISODE_STEPS + 5)]
+    assert not any(ends)
 
 
 def test_a_mask_resets_some_and_leaves_the_others() -> None:
@@ -183,11 +173,10 @@ def test_a_mask_and_seeds_go_together() -> None:
 
 
 def test_a_mask_that_cannot_be_is_refused() -> None:
+    envs = GazeVectorEnv(2, plant="kinematic")
     for mask in [np.zeros(2, bool), np.ones(3, bool), np.ones(2, int)]:
-        with named(mask):
-            envs = GazeVectorEnv(2, plant="kinematic")
-            with pytest.raises(ConfigurationError, match="reset_mask: expected 2 booleans"):
-                envs.reset(options={"reset_mask": mask})
+        with named(mask), pytest.raises(ConfigurationError, match="reset_mask: expected 2 bool"):
+            envs.reset(options={"reset_mask": mask})
 
 
 def test_options_name_the_trials() -> None:
@@ -208,17 +197,13 @@ def test_a_list_names_the_seeds_and_none_goes_on() -> None:
     assert np.array_equal(mixed, [first[0], second[1], first[2]])
 
 
-def test_seeds_that_cannot_be_are_refused() -> None:
+def test_seeds_that_cannot_be_and_a_step_before_the_first_reset_are_refused() -> None:
+    envs = GazeVectorEnv(2, plant="kinematic")
     for seed in [[1, 2, 3], 2**64 - 1, [-1, 0]]:
-        with named(seed):
-            envs = GazeVectorEnv(2, plant="kinematic")
-            with pytest.raises(ConfigurationError, match="seed: expected"):
-                envs.reset(seed=seed)
-
-
-def test_stepping_before_the_first_reset_is_refused() -> None:
+        with named(seed), pytest.raises(ConfigurationError, match="seed: expected"):
+            envs.reset(seed=seed)
     with pytest.raises(gym.error.ResetNeeded, match="reset first"):
-        GazeVectorEnv(2, plant="kinematic").step(np.zeros((2, 4)))
+        envs.step(np.zeros((2, 4)))
 
 
 def test_in_disabled_mode_an_ended_episode_must_be_reset() -> None:
@@ -262,11 +247,9 @@ def test_what_a_step_returned_does_not_change_with_the_next() -> None:
 
 
 def test_gymnasiums_wrappers_take_its_infos() -> None:
-    envs = gym.wrappers.vector.DictInfoToList(
-        gym.wrappers.vector.RecordEpisodeStatistics(
-            gym.make_vec(ID, num_envs=2, plant="kinematic", max_episode_steps=10)
-        )
-    )
+    envs = gym.make_vec(ID, num_envs=2, plant="kinematic", max_episode_steps=10)
+    envs = gym.wrappers.vector.RecordEpisodeStatistics(envs)
+    envs = gym.wrappers.vector.DictInfoToList(envs)
     envs.reset(seed=0)
     total = np.zeros(2)
     for _ in range(10):

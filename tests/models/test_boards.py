@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.naming import named
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError
 from vergence.models.boards import outline_m, texture
 from vergence.models.tag_families import (
     CORRECTED_BITS,
@@ -13,26 +13,14 @@ from vergence.models.tag_families import (
     load_library,
     tag_family,
 )
-from vergence.vision import (
-    AprilTag,
-    CharucoBoard,
-    Checkerboard,
-    TagFamily,
-    make_planar_target,
-    parse_target,
-)
+from vergence.vision import AprilTag, CharucoBoard, Checkerboard, TagFamily, parse_target
 
 
 def test_tag_has_a_black_border_inside_a_white_quiet_zone() -> None:
-    cells = AprilTag().cells
-    assert cells.shape == (10, 10)
-    ring = np.ones((10, 10), bool)
-    ring[1:-1, 1:-1] = False
-    border = np.zeros((10, 10), bool)
-    border[1:-1, 1:-1] = True
-    border[2:-2, 2:-2] = False
-    assert (cells[ring] == 255).all()
-    assert (cells[border] == 0).all()
+    rings = AprilTag().cells.copy()
+    rings[2:-2, 2:-2] = 7
+    expected = np.pad(np.pad(np.full((6, 6), 7), 1), 1, constant_values=255)
+    assert np.array_equal(rings, expected)
 
 
 def test_tag_is_measured_at_the_centre_of_its_black_square() -> None:
@@ -50,15 +38,11 @@ def test_checkerboard_is_measured_at_its_upper_right_inner_corner() -> None:
     assert outline_m(board)[1] == pytest.approx([0.06, -0.06])
 
 
-def test_checkerboard_differs_from_itself_upside_down() -> None:
-    cells = Checkerboard().cells
-    assert (cells != cells[::-1, ::-1]).any()
-
-
 def test_inner_corners_lie_where_four_squares_alternate() -> None:
     board = Checkerboard()
     columns, rows = np.rint(board.corners_m / board.cell_m + board.origin_cells).astype(int).T
     cells = board.cells
+    assert (cells != cells[::-1, ::-1]).any()
     assert (cells[rows, columns] == cells[rows - 1, columns - 1]).all()
     assert (cells[rows, columns] != cells[rows - 1, columns]).all()
     assert (cells[rows, columns] != cells[rows, columns - 1]).all()
@@ -149,7 +133,6 @@ def test_texts_that_are_no_target_are_refused() -> None:
         ("tag:36h11:5:-3", "edge in mm"),
         ("checkerboard:9by6", "checkerboard:9x6:24.23"),
         ("checkerboard:9x2:20", "at least|inner corners"),
-        ("checkerboard:9x6:nan", "square in mm"),
         ("charuco:7x5:30:40:4X4_50", "less than a square"),
         ("charuco:7x5:40:30:4X4_51", "DICT_4X4_50"),
         ("charuco:40x40:40:30:4X4_50", "800 markers"),
@@ -158,10 +141,3 @@ def test_texts_that_are_no_target_are_refused() -> None:
     ]:
         with named(text, said), pytest.raises(ConfigurationError, match=said):
             parse_target(text)
-
-
-def test_targets_are_found_by_name() -> None:
-    assert make_planar_target("tag") == AprilTag()
-    assert make_planar_target("checkerboard") == Checkerboard()
-    with pytest.raises(UnknownNameError):
-        make_planar_target("circle")

@@ -87,21 +87,15 @@ def test_the_digest_of_other_cameras_is_of_the_same_form_ever_after():
     assert digest == "16ccd2facc796eefe3d8f773451b155001714bc6ce039ca9b970d93a784375c7"
 
 
-TILTED = """
-import sys
-from vergence.models import parse_head
-print(parse_head(sys.stdin.read()).digest)
-"""
-
-
 @pytest.mark.slow
 def test_a_head_is_the_same_on_another_processor():
     # OpenBLAS, which NumPy comes with on most machines, sums as the processor likes best
     tilted = "axis = [0.0131, 0.9987, -0.0271]\nrpy_rad = [0.013, -0.02, 0.041]"
     text = text_of("panfirst").replace("axis = [0.0, 1.0, 0.0]", tilted)
     assert text.count("0.0131") == 2
+    code = "import sys, vergence.models as m; print(m.parse_head(sys.stdin.read()).digest)"
     run = subprocess.run(
-        [sys.executable, "-c", TILTED],
+        [sys.executable, "-c", code],
         input=text,
         env=os.environ | {"OPENBLAS_CORETYPE": "Prescott"},
         text=True, capture_output=True, check=True,

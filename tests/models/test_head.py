@@ -37,11 +37,7 @@ def nudged(head, part, field, index):
         value = "output"
     else:
         value = value + 1 if isinstance(value, int) else value + 1e-9
-    return (
-        head.replace(head_eye=value)
-        if part == "head_eye"
-        else head.replace(**{part: {field: value}})
-    )
+    return head.replace(**{part: value if part == "head_eye" else {field: value}})
 
 
 def test_joint_order():
@@ -61,14 +57,11 @@ class TestIdentity:
         assert len(changes) > 100
         assert len(digests) == len(changes) + 1
 
-    def test_digest_ignores_the_name(self, simulated):
-        assert simulated.replace(name="other").digest == simulated.digest
-
     def test_equal_heads_are_equal_and_hash_the_same(self, simulated):
         again = load_head("simulated")
-        assert again is not simulated
         assert again == simulated
         assert hash(again) == hash(simulated)
+        assert simulated.replace(name="other").digest == simulated.digest
 
     def test_heads_with_another_name_or_number_differ(self, simulated, physical):
         assert simulated != physical
@@ -107,11 +100,6 @@ class TestLimits:
 
 
 class TestPopulation:
-    def test_an_index_gives_one_of_them(self, physical, errors, rng):
-        heads = physical.perturbed(rng, errors, (2, 3))
-        assert heads[1].batch_shape == (3,)
-        np.testing.assert_array_equal(heads[1, 2].packed, heads.packed[1, 2])
-
     def test_a_population_cannot_be_perturbed_again(self, physical, errors, rng):
         heads = physical.perturbed(rng, errors, 2)
         with pytest.raises(ConfigurationError, match=r"one head.*\(2,\)"):
@@ -139,11 +127,8 @@ class TestPerturbation:
 
     def test_fixed_frames_have_no_joint_offset_to_be_wrong(self, physical, errors, rng):
         drawn = physical.perturbed(rng, errors)
-        assert (drawn.links.offset != physical.links.offset).tolist() == [
-            *[False] * 3,
-            *[True, True, False],
-            *[True, True, False],
-        ]
+        changed = (drawn.links.offset != physical.links.offset).tolist()
+        assert changed == [False] * 3 + [True, True, False] * 2
 
     def test_deviations_have_the_standard_deviations_asked_for(self, physical, errors, rng):
         heads = physical.perturbed(rng, errors, 4000)
@@ -171,15 +156,6 @@ class TestPerturbation:
             assert abs(values.mean()) < 0.06 * sigma, name
         np.testing.assert_allclose(relative[..., 0], relative[..., 1], atol=1e-12)
 
-    def test_a_common_tilt_lowers_both_gazes_by_one_angle(self, simulated, rng):
-        lower = simulated.perturbed(rng, ModelErrors(common_tilt_rad=0.02))
-        axes = lower.camera_poses(np.zeros(7))[:, :3, 2]
-        down = lower.links.offset[3] - simulated.links.offset[3]
-        assert down != 0.0
-        np.testing.assert_allclose(axes[0], axes[1], atol=1e-12)
-        # y points down
-        np.testing.assert_allclose(np.arcsin(axes[:, 1]), down, atol=1e-12)
-
     def test_drawn_rotations_are_rotations(self, physical, errors, rng):
         rotation = physical.perturbed(rng, errors, 100).head_eye[..., :3, :3]
         product = rotation @ np.swapaxes(rotation, -1, -2)
@@ -190,16 +166,11 @@ class TestPerturbation:
             with named(value), pytest.raises(ConfigurationError, match=r"principal_px.*>= 0"):
                 ModelErrors(principal_px=value)
 
-    def test_scaled_multiplies_every_error(self, errors):
-        scaled = errors.scaled(0.5)
-        assert vars(scaled) == {key: 0.5 * value for key, value in vars(errors).items()}
-
 
 def test_a_change_of_a_head_that_cannot_be_is_refused(simulated) -> None:
     for parts, message in [
         ({"timing": {"latency_frames": 8}}, r"timing\.latency_frames: expected one of control"),
         ({"timing": {"latency_s": np.nan}}, r"timing\.latency_s: expected a number"),
-        ({"timing": {"latency_s": -0.1}}, "latency_s: expected a number of at least 0"),
         ({"timing": {"control_rate_hz": 0.0}}, "control_rate_hz: expected a number above 0"),
         ({"timing": {"lag_s": "short"}}, r"timing\.lag_s: expected numbers"),
         ({"timing": 3}, r"head\.timing: expected a LoopTiming"),

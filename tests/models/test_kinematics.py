@@ -9,14 +9,7 @@ from vergence.models import ModelErrors
 from vergence.models.mujoco.model import compile_model
 
 # Axes of N in frame 0 with the neck at rest, and the cameras' places in N (spec).
-T_0_N_REST = np.array(
-    [
-        [-1.0, 0.0, 0.0, -0.01100],
-        [0.0, 0.0, -1.0, -0.06427],
-        [0.0, -1.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-)
+T_0_N_REST = np.array([[-1, 0, 0, -0.011], [0, 0, -1, -0.06427], [0, -1, 0, 0], [0, 0, 0, 1.0]])
 CAMERAS_REST = np.array([[-0.04480, -0.03033, 0.01380], [0.04720, -0.03033, 0.01380]])
 X, Y, Z = np.eye(3)
 
@@ -74,9 +67,7 @@ class TestDirections:
         for joint in (3, 4, 5, 6):
             with named(joint):
                 other = 1 - (joint - 3) // 2
-                rest, moved = (
-                    simulated.camera_poses(q)[other] for q in (np.zeros(7), turned(joint))
-                )
+                rest, moved = simulated.camera_poses([np.zeros(7), turned(joint)])[:, other]
                 np.testing.assert_array_equal(moved, rest)
 
 
@@ -128,19 +119,10 @@ def test_poses_agree_with_the_robotics_toolbox(head, random_poses):
 class TestBatches:
     """A population of heads and a batch of poses broadcast, bit for bit equal to a loop."""
 
-    @pytest.fixture
-    def population(self, physical, rng, errors):
-        return physical.perturbed(rng, errors, size=(5, 1))
-
-    @pytest.fixture
-    def poses(self, population, random_poses):
-        return random_poses(population, 3)
-
-    @pytest.fixture
-    def points(self, rng):
-        return rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 2.0], (3, 3))
-
-    def test_equals_a_loop(self, population, poses, points):
+    def test_equals_a_loop(self, physical, rng, errors, random_poses):
+        population = physical.perturbed(rng, errors, size=(5, 1))
+        poses = random_poses(population, 3)
+        points = rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 2.0], (3, 3))
         computations = {
             "base_pose": lambda head, q, p: head.base_pose(q),
             "camera_poses": lambda head, q, p: head.camera_poses(q),
@@ -162,17 +144,11 @@ class TestBatches:
                         np.testing.assert_array_equal(together[i, j], alone)
 
 
-class TestLinkPoses:
-    """T_N_6 and T_N_9, the links that carry the cameras."""
-
-    def test_head_eye_transforms_lead_from_them_to_the_cameras(self, head, random_poses):
-        q = random_poses(head, 200)
-        # rounding of products of rotations
-        np.testing.assert_allclose(
-            head.link_poses(q) @ head.head_eye, head.camera_poses(q), rtol=0, atol=1e-14
-        )
-
-    def test_they_do_not_move_with_the_head_eye_transforms(self, physical, rng):
-        q = np.array([0.1, 0.0, -0.1, 0.2, -0.3, 0.1, 0.4])
-        drawn = physical.perturbed(rng, ModelErrors(head_eye_rad=0.1, head_eye_m=0.01))
-        np.testing.assert_allclose(drawn.link_poses(q), physical.link_poses(q), rtol=0, atol=1e-14)
+def test_head_eye_transforms_lead_from_links_to_cameras_and_do_not_move_the_links(
+    head, physical, random_poses, rng
+):
+    q = random_poses(head, 200)
+    seen = head.link_poses(q) @ head.head_eye
+    np.testing.assert_allclose(seen, head.camera_poses(q), rtol=0, atol=1e-14)
+    drawn = physical.perturbed(rng, ModelErrors(head_eye_rad=0.1, head_eye_m=0.01))
+    np.testing.assert_allclose(drawn.link_poses(q), physical.link_poses(q), rtol=0, atol=1e-14)

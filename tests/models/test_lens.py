@@ -7,14 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.grids import some_of
-from tests.models.lenses import (
-    COEFFICIENTS,
-    LENSES,
-    by_opencv,
-    camera_matrix,
-    pixels_of_image,
-    wide,
-)
+from tests.models import lenses
+from tests.models.lenses import COEFFICIENTS, LENSES, by_opencv, pixels_of_image, wide
 from tests.naming import named
 from vergence.models.camera import pixels_to_rays, rays_to_pixels
 from vergence.models.field_of_view import has_pixels_without_rays
@@ -76,7 +70,7 @@ def test_undistortion_is_opencvs(rng):
             raw = rng.uniform([200.0, 150.0], [440.0, 330.0], (200, 2, 2))
             ideal = head.undistort(raw)
             for eye in range(2):
-                K, d = camera_matrix(head, eye), np.array(COEFFICIENTS[lens])
+                K, d = lenses.camera_matrix(head, eye), np.array(COEFFICIENTS[lens])
                 if lens == "fisheye":
                     expected = cv2.fisheye.undistortPoints(raw[:, eye, None], K, d, P=K)
                 else:
@@ -147,9 +141,8 @@ def test_a_ray_beyond_the_fold_has_no_pixel_and_a_pixel_beyond_it_no_ray():
             for beyond in (1.001, 1.5, 20.0):
                 assert np.isnan(rays_to_pixels(beyond * FOLD[lens] * around, row)).all()
             centre = np.array([499.5, 399.5])
-            rim = np.linalg.norm(
-                rays_to_pixels(0.999999 * FOLD[lens] * around, row) - centre, axis=-1
-            )
+            edge = rays_to_pixels(0.999999 * FOLD[lens] * around, row)
+            rim = np.linalg.norm(edge - centre, axis=-1)
             assert np.isfinite(pixels_to_rays(centre + 0.999 * rim[:, None] * around, row)).all()
             for beyond in (1.001, 1.5, 20.0):
                 assert np.isnan(pixels_to_rays(centre + beyond * rim[:, None] * around, row)).all()
@@ -188,23 +181,14 @@ def test_what_a_lens_sees_nowhere_is_undistorted_to_nan_in_silence():
                 assert np.isnan(pixels_to_rays(np.array(pixel), row)).all()
 
 
-def coefficients(lens):
-    radial = st.floats(-2.0, 2.0)
-    tangential = st.floats(-0.01, 0.01)
-    parts = {
-        "brown-conrady": [radial, radial, tangential, tangential, radial],
-        "rational": [radial, radial, tangential, tangential, radial, radial, radial, radial],
-        "fisheye": [radial] * 4,
-    }
-    return st.tuples(st.just(lens), st.tuples(*parts[lens]))
+RADIAL, TANGENTIAL = st.floats(-2.0, 2.0), st.floats(-0.01, 0.01)
+FIVE = [RADIAL, RADIAL, TANGENTIAL, TANGENTIAL, RADIAL]
+PARTS = {"brown-conrady": FIVE, "rational": [*FIVE, *[RADIAL] * 3], "fisheye": [RADIAL] * 4}
+ANY_LENS = st.one_of([st.tuples(st.just(lens), st.tuples(*PARTS[lens])) for lens in LENSES])
 
 
 @settings(max_examples=60)
-@given(
-    drawn=st.one_of([coefficients(lens) for lens in LENSES]),
-    u=st.floats(-0.5, 999.5),
-    v=st.floats(-0.5, 799.5),
-)
+@given(drawn=ANY_LENS, u=st.floats(-0.5, 999.5), v=st.floats(-0.5, 799.5))
 def test_every_pixel_of_any_lens_has_its_ray_or_none(drawn, u, v):
     row = row_of(*drawn)
     ray = pixels_to_rays(np.array([u, v]), row)
@@ -213,11 +197,7 @@ def test_every_pixel_of_any_lens_has_its_ray_or_none(drawn, u, v):
 
 
 @settings(max_examples=60)
-@given(
-    drawn=st.one_of([coefficients(lens) for lens in LENSES]),
-    radius=st.floats(0.0, 0.9),
-    turn=st.floats(0.0, 6.3),
-)
+@given(drawn=ANY_LENS, radius=st.floats(0.0, 0.9), turn=st.floats(0.0, 6.3))
 def test_every_ray_well_inside_the_fold_of_any_lens_is_found_again(drawn, radius, turn):
     row = row_of(*drawn)
     ray = radius * min(np.sqrt(row[15]), 2.0) * np.array([np.cos(turn), np.sin(turn)])

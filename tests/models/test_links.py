@@ -67,9 +67,8 @@ def test_a_row_of_dh_numbers_is_an_axis_like_any_other(rng):
         "acceleration_rad_s2 = 80.0\n"
     )
     frame = "[frame]\norigin_m = [0.0, 0.0, 0.0]\n"
-    tilts = joint("lt", "left", (0, 0.03, 0), (0, 1, 0)) + joint(
-        "rt", "right", (0, -0.03, 0), (0, 1, 0)
-    )
+    tilts = joint("lt", "left", (0, 0.03, 0), (0, 1, 0))
+    tilts += joint("rt", "right", (0, -0.03, 0), (0, 1, 0))
     # the eyes look along x of their links
     cameras = eyes().replace("position_m", f"rotation = {OPTICAL.tolist()}\nposition_m")
     head = parse_head('name = "dh"\n' + frame + row + tilts + IMAGE + cameras + LOOP)
@@ -141,16 +140,12 @@ def test_a_common_tilt_makes_both_eyes_look_lower():
 
 
 def test_parameters_make_the_head_again(rng):
+    errors = ModelErrors(
+        link_m=1e-3, coaxiality_rad=0.01, joint_offset_rad=0.02, head_eye_rad=0.01, head_eye_m=1e-3
+    )
     for name in TEXTS:
         with named(name):
             head = head_of(name)
-            errors = ModelErrors(
-                link_m=1e-3,
-                coaxiality_rad=0.01,
-                joint_offset_rad=0.02,
-                head_eye_rad=0.01,
-                head_eye_m=1e-3,
-            )
             other = head.perturbed(rng, errors)
             again = head.with_parameters(other.parameters(head).values)
             q = rng.uniform(-0.5, 0.5, (20, 7))

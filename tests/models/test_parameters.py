@@ -76,10 +76,8 @@ def test_head_eye_rotations_turn_about_the_cameras_own_axes(physical):
 
 def test_a_vector_of_another_length_is_refused(physical):
     for shape in [(51,), (3, 53), ()]:
-        with (
-            named(shape),
-            pytest.raises(ConfigurationError, match=r"expected shape \(\.\.\., 52\)"),
-        ):
+        said = r"expected shape \(\.\.\., 52\)"
+        with named(shape), pytest.raises(ConfigurationError, match=said):
             physical.with_parameters(np.zeros(shape))
 
 

@@ -18,9 +18,8 @@ def test_a_point_in_millimetres_is_asked_about_and_answered():
     for name in HEADS:
         with named(name):
             head, point = load_head(name), [100.0, -100.0, 800.0]
-            with pytest.warns(
-                VergenceWarning, match=r"points.*\(100, -100, 800\).*in millimetres\?"
-            ) as said:
+            asked = r"points.*\(100, -100, 800\).*in millimetres\?"
+            with pytest.warns(VergenceWarning, match=asked) as said:
                 q = head.fixate(point)
             assert len(said) == 1
             assert said[0].filename == __file__, "the line of the caller"
@@ -69,19 +68,16 @@ def test_a_batch_is_a_programs_and_is_silent(simulated):
     assert np.isfinite(q).all()
 
 
-def test_an_error_in_degrees_is_refused():
-    for errors in [{"joint_offset_rad": 5.7}, {"common_tilt_rad": 1.4}, {"head_eye_rad": 1.0}]:
-        with named(errors):
-            (name,) = errors
-            with pytest.raises(ConfigurationError, match=rf"{name}.*radians.*is it in degrees\?"):
-                ModelErrors(**errors)
-
-
-def test_an_error_in_millimetres_is_refused():
-    for name in ("link_m", "head_eye_m"):
-        said = rf"{name}.*metres.*is it in millimetres\?"
-        with named(name), pytest.raises(ConfigurationError, match=said):
-            ModelErrors(**{name: 0.5})
+def test_an_error_in_degrees_or_millimetres_is_refused():
+    for name, value, said in [
+        ("joint_offset_rad", 5.7, r"radians.*is it in degrees\?"),
+        ("common_tilt_rad", 1.4, r"radians.*is it in degrees\?"),
+        ("head_eye_rad", 1.0, r"radians.*is it in degrees\?"),
+        ("link_m", 0.5, r"metres.*is it in millimetres\?"),
+        ("head_eye_m", 0.5, r"metres.*is it in millimetres\?"),
+    ]:
+        with named(name), pytest.raises(ConfigurationError, match=f"{name}.*{said}"):
+            ModelErrors(**{name: value})
 
 
 def test_a_bad_but_possible_head_is_drawn():

@@ -63,10 +63,8 @@ def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees() -> None:
             plain, other = rows(acting, 20), rows(acting, 20)
             for step in range(20):
                 image = with_outlier(task, eye=0) if step == 15 else task.encoded
-                a, b = (
-                    acting.network_inputs(task.encoded, plain),
-                    acting.network_inputs(image, other),
-                )
+                a = acting.network_inputs(task.encoded, plain)
+                b = acting.network_inputs(image, other)
                 assert b[:, turns] == pytest.approx(a[:, turns], abs=0.02)
                 task.step(np.zeros((20, 4)))
 
@@ -78,19 +76,12 @@ def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
             state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
             seen = np.ones((3, acting.inputs.size), dtype=np.float32)
             sent = np.array([acting.action_from_velocities(seen, asked, state) for _ in range(400)])
-            steps = (
-                sent * acting.inputs.layout.action_limits / STEPPED.sensor.command_resolution_rad_s
-            )
+            step = STEPPED.sensor.command_resolution_rad_s / acting.inputs.layout.action_limits
+            steps = sent / step
             assert steps == pytest.approx(np.rint(steps), abs=1e-3)
             assert (np.abs(np.rint(steps)) != 1.0).all()
             # what is carried over at the end is a step and a half at most
-            most = (
-                1.6
-                * STEPPED.sensor.command_resolution_rad_s
-                / acting.inputs.layout.action_limits
-                / 400
-            )
-            assert (np.abs(sent.mean(axis=0) - share) < most).all()
+            assert (np.abs(sent.mean(axis=0) - share) < 1.6 * step / 400).all()
 
 
 def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
@@ -108,16 +99,14 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
         [load_head("simulated"), STEPPED], ["error", "history", "predicted", "to_go"]
     ):
         with named(kind, head):
-            task = begin(
-                GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)}), 3
-            )
+            late = {"onset_s": (0.2, 0.2)}
+            task = begin(GazeTask(4, head=head, plant="kinematic", variation=late), 3)
             acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=False)
             state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
             turned, visible = [], []
             for _ in range(60):
-                action = acting.action_from_velocities(
-                    acting.network_inputs(task.encoded, state), asked, state
-                )
+                seen = acting.network_inputs(task.encoded, state)
+                action = acting.action_from_velocities(seen, asked, state)
                 turned.append((action != 0.0).any())
                 visible.append(task.reading.visible.any())
                 task.step(np.zeros((4, 4)))

@@ -13,8 +13,7 @@ from vergence.models import load_head
 
 
 def begun(num: int, **options: object) -> GazeTask:
-    task = begin(GazeTask(num, plant="kinematic", **options), 3)
-    return task
+    return begin(GazeTask(num, plant="kinematic", **options), 3)
 
 
 def channel(inputs: Inputs, values: np.ndarray, name: str) -> np.ndarray:
@@ -62,19 +61,16 @@ def test_what_is_left_to_turn_is_zero_at_fixation_while_the_image_still_shows_th
         task.step(np.zeros((30, 4)))
         inputs.update(task.encoded, memory)
     truth = task.truth()
-    assert truth is not None
     goal = task.head.fixate(truth.target)[:, 3:]
     limits = task.layout.action_limits
     left, shown = [], []
     for _ in range(12):
         # the lag is undone by a law on the present angles, which only the truth knows
         truth = task.truth()
-        assert truth is not None
         speed = (goal - truth.positions[:, 3:]) * 60.0 - truth.velocities[:, 3:]
         task.step(np.clip(speed / limits, -1, 1))
         values = inputs.update(task.encoded, memory)
         truth = task.truth()
-        assert truth is not None
         left.append(np.abs(goal - truth.positions[:, 3:]))
         shown.append(np.abs(1.5 * channel(inputs, values, "to_go")))
         if len(left) == 7:
@@ -99,13 +95,11 @@ def test_the_memoryless_kind_sees_nothing_of_the_joints_motion() -> None:
     moved[11:15], moved[19:27] = 0.3, 0.5  # present angles, velocities, last action
     assert np.array_equal(inputs.update(moved, inputs.initial()), still)
     others = Inputs.of("predicted", head)
-    assert not np.array_equal(
-        others.update(moved, others.initial()), others.update(observation, others.initial())
-    )
+    a, b = (others.update(seen, others.initial()) for seen in (moved, observation))
+    assert not np.array_equal(a, b)
 
 
 def test_the_inputs_tell_what_the_predictor_has_found_of_the_loop() -> None:
-    """A head that speeds up at 0.5 of what its model says, and turns 1.1 times as fast."""
     variation = {"acceleration_ratio": (0.5, 0.5), "speed_gain": (1.1, 1.1)}
     task = begun(20, variation=variation)
     inputs = Inputs.of("to_go", task.head)
@@ -186,10 +180,8 @@ def test_each_joint_finds_its_own_numbers() -> None:
         with named(kind):
             inputs = Inputs.of(kind, load_head("simulated"))
             places = inputs.by_joint
-            assert places is not None
-            for row, joint in zip(
-                places, ("left_tilt", "left_pan", "right_tilt", "right_pan"), strict=True
-            ):
+            joints = ("left_tilt", "left_pan", "right_tilt", "right_pan")
+            for row, joint in zip(places, joints, strict=True):
                 assert all(inputs.names[i].endswith(joint) for i in row)
             assert sorted(places.ravel()) == list(range(inputs.size))
 

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from onnx import helper
 
-from tests.controllers.networks.graphs import KINDS, bundle_of, perceptron, weights_of
+from tests.controllers.networks.graphs import KINDS, bundle_of, model, perceptron, weights_of
 from tests.grids import some_of
 from tests.naming import named
 from vergence import load_head, make_controller
@@ -26,6 +27,7 @@ from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import ModelErrors
 
 PACKAGE = Path(learned.__file__).parents[2]
+HEAD = load_head("simulated")
 NAMES = {"gain-schedule": "learned-gain", "policy": "learned-policy"}
 
 
@@ -37,7 +39,7 @@ def bundles(tmp_path_factory) -> dict[str, Path]:
 
 def observations(shape: tuple[int, ...]) -> np.ndarray:
     """Any observations of the simulated head, with the target in sight."""
-    layout = ObservationLayout.of(load_head("simulated"))
+    layout = ObservationLayout.of(HEAD)
     rng = np.random.default_rng(0)
     drawn = rng.uniform(layout.low(), layout.high(), (*shape, layout.size)).astype("f4")
     drawn[..., layout.fields["visible"]] = 1.0
@@ -52,11 +54,8 @@ def forward(x: np.ndarray) -> np.ndarray:
 
 
 def test_a_policy_puts_out_the_action(bundles):
-    controller = LearnedPolicy(
-        head=load_head("simulated"),
-        layout=ObservationLayout.of(load_head("simulated")),
-        bundle=bundles["policy"],
-    )
+    controller = make_controller("learned-policy", HEAD, bundle=bundles["policy"])
+    assert isinstance(controller, LearnedPolicy)
     seen = observations((40,))
     action, _state = controller.predict(seen)
     inputs = controller.inputs.update(seen, np.tile(controller.inputs.initial(), (40, 1)))
@@ -65,18 +64,14 @@ def test_a_policy_puts_out_the_action(bundles):
 
 
 def test_a_gain_schedule_puts_out_the_gains_of_the_law(bundles):
-    head = load_head("simulated")
-    controller = make_controller("learned-gain", head, bundle=bundles["gain-schedule"])
+    controller = make_controller("learned-gain", HEAD, bundle=bundles["gain-schedule"])
     assert isinstance(controller, LearnedGain)
     seen = observations((40,))
     inputs = controller.inputs.update(seen, np.tile(controller.inputs.initial(), (40, 1)))
-    by_name = dict(
-        zip(controller.manifest.actions["names"], 10.0 * (1.0 + forward(inputs).T), strict=True)
-    )
-    gains = np.array(
-        [[by_name["left_u"], by_name["left_v"]], [by_name["right_u"], by_name["right_v"]]]
-    )
-    law = ScheduledIBVS(head, controller.layout)
+    names, outputs = controller.manifest.actions["names"], 10.0 * (1.0 + forward(inputs).T)
+    by_name = dict(zip(names, outputs, strict=True))
+    gains = np.array([[by_name[f"{eye}_{axis}"] for axis in "uv"] for eye in ("left", "right")])
+    law = ScheduledIBVS(HEAD, controller.layout)
     expected = law.action(seen, np.moveaxis(gains, -1, 0))
     assert controller.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
 
@@ -84,7 +79,7 @@ def test_a_gain_schedule_puts_out_the_gains_of_the_law(bundles):
 def test_a_copy_acts_alike(bundles):
     for kind in KINDS:
         with named(kind):
-            controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
+            controller = make_controller(NAMES[kind], HEAD, bundle=bundles[kind])
             seen = observations((7,))
             for other in (copy.deepcopy(controller), pickle.loads(pickle.dumps(controller))):
                 assert np.array_equal(other.predict(seen)[0], controller.predict(seen)[0])
@@ -93,7 +88,7 @@ def test_a_copy_acts_alike(bundles):
 def test_outputs_that_are_no_numbers_leave_the_eyes_at_rest(bundles):
     for kind in KINDS:
         with named(kind):
-            controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
+            controller = make_controller(NAMES[kind], HEAD, bundle=bundles[kind])
             controller._runtime = lambda inputs: np.full((*inputs.shape[:-1], 4), np.nan, "f4")
             assert not controller.predict(observations((3,)))[0].any()
 
@@ -101,57 +96,48 @@ def test_outputs_that_are_no_numbers_leave_the_eyes_at_rest(bundles):
 def test_a_bare_network_sees_the_observation(tmp_path):
     path = tmp_path / "mine.onnx"
     path.write_bytes(perceptron())
-    controller = load_policy(path, load_head("simulated"))
+    controller = load_policy(path, HEAD)
     seen = observations((6,))
     assert controller.predict(seen)[0] == pytest.approx(forward(seen), abs=1e-6)
 
 
 def test_a_bare_network_that_leaves_the_bounds_is_limited(tmp_path):
-    from onnx import helper
-
-    from tests.controllers.networks.graphs import model
-
     path = tmp_path / "mine.onnx"
     gemm = helper.make_node("Gemm", ["x", "W"], ["y"])
     path.write_bytes(model([gemm], {"W": np.full((27, 4), 9, "f4")}).SerializeToString())
-    action, _state = load_policy(path, load_head("simulated")).predict(observations((9,)))
+    action, _state = load_policy(path, HEAD).predict(observations((9,)))
     assert np.abs(action).max() == 1.0
 
 
 def test_a_bundle_is_loaded_by_what_it_says_it_is(bundles):
     for kind in KINDS:
         with named(kind):
-            head = load_head("simulated")
-            by_name = make_controller(NAMES[kind], head, bundle=bundles[kind])
-            seen = observations((4,))
-            assert np.array_equal(
-                load_policy(bundles[kind], head).predict(seen)[0], by_name.predict(seen)[0]
-            )
+            by_name = make_controller(NAMES[kind], HEAD, bundle=bundles[kind])
+            seen, found = observations((4,)), load_policy(bundles[kind], HEAD)
+            assert np.array_equal(found.predict(seen)[0], by_name.predict(seen)[0])
 
 
 def test_what_does_not_fit_is_refused_with_the_files_name(bundles, tmp_path):
-    head = load_head("simulated")
     for name, bundle in (("learned-gain", "policy"), ("learned-policy", "gain-schedule")):
         with pytest.raises(BundleError, match=rf"{bundle}.vgp: kind: expected .*, got '{bundle}'"):
-            make_controller(name, head, bundle=bundles[bundle])
+            make_controller(name, HEAD, bundle=bundles[bundle])
     with pytest.raises(BundleError, match=r"policy.vgp: .*expected .* for head .*, got"):
         load_policy(bundles["policy"], load_head("physical"))
     path = tmp_path / "mine.onnx"
     path.write_bytes(perceptron(26))
     with pytest.raises(BundleError, match=r"mine.onnx: network: expected 27 inputs, got 26"):
-        load_policy(path, head)
+        load_policy(path, HEAD)
     (tmp_path / "policy.zip").write_bytes(b"")
     with pytest.raises(BundleError, match=r"named \*.vgp or \*.onnx"):
-        load_policy(tmp_path / "policy.zip", head)
+        load_policy(tmp_path / "policy.zip", HEAD)
     (tmp_path / "bad.onnx").write_bytes(b"import os")
     with pytest.raises(BundleError, match=r"bad.onnx: network: "):
-        load_policy(tmp_path / "bad.onnx", head)
+        load_policy(tmp_path / "bad.onnx", HEAD)
 
 
 def test_another_head_is_taken_when_allowed(bundles):
-    other = load_head("simulated").perturbed(
-        np.random.default_rng(0), ModelErrors(joint_offset_rad=0.01)
-    )
+    errors = ModelErrors(joint_offset_rad=0.01)
+    other = HEAD.perturbed(np.random.default_rng(0), errors)
     with pytest.raises(BundleError, match="allow_other_head"):
         make_controller("learned-policy", other, bundle=bundles["policy"])
     make_controller("learned-policy", other, bundle=bundles["policy"], allow_other_head=True)
@@ -159,9 +145,8 @@ def test_another_head_is_taken_when_allowed(bundles):
 
 
 def test_a_head_with_other_steps_and_noise_is_the_same_head_for_a_bundle(bundles):
-    """A scenario's head may have coarser encoders and commands than the preset of its name."""
     coarse = load_scenario("hardware").model()
-    assert coarse.digest != load_head("simulated").digest
+    assert coarse.digest != HEAD.digest
     controller = make_controller("learned-policy", coarse, bundle=bundles["policy"])
     assert controller.head is coarse
     assert make_controller("learned-gain", coarse).manifest.head["name"] == "simulated"
@@ -176,7 +161,7 @@ def test_a_name_that_is_not_shipped_is_refused_with_those_that_are():
 
 
 def test_a_copy_of_a_head_by_another_name_gets_the_network_of_that_head():
-    copied = load_head("simulated").replace(name="copied")
+    copied = HEAD.replace(name="copied")
     assert make_controller("learned-gain", copied).manifest.head["name"] == "simulated"
 
 
@@ -194,11 +179,12 @@ def test_for_a_head_without_a_network_it_says_which_heads_have_one_and_how_to_le
     assert "\n" not in text
 
 
-@pytest.mark.parametrize("package", ["onnx", "onnxruntime"])
-def test_without_onnx_or_its_runtime_it_says_how_to_install_it(bundles, monkeypatch, package):
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ConfigurationError, match=r"pip install 'vergence\[learned\]'"):
-        make_controller("learned-gain", load_head("simulated"), bundle=bundles["gain-schedule"])
+def test_without_onnx_or_its_runtime_it_says_how_to_install_it(bundles, monkeypatch):
+    for package in ("onnx", "onnxruntime"):
+        with named(package), monkeypatch.context() as patch:
+            patch.setitem(sys.modules, package, None)
+            with pytest.raises(ConfigurationError, match=r"pip install 'vergence\[learned\]'"):
+                make_controller("learned-gain", HEAD, bundle=bundles["gain-schedule"])
 
 
 # What ships.
@@ -235,12 +221,9 @@ def test_the_shipped_networks_are_calm_on_servos_that_overshoot(kind):
 def test_the_shipped_bundles_are_small_and_say_how_they_were_made():
     for kind in KINDS:
         with named(kind):
-            shipped = {
-                name: path for name, path in pretrained_bundles().items() if name.startswith(kind)
-            }
+            shipped = pretrained_bundles()
             assert f"{kind}-simulated" in shipped
-            make_controller(NAMES[kind], load_head("simulated"))
-            for path in shipped.values():
+            for path in (path for name, path in shipped.items() if name.startswith(kind)):
                 assert path.stat().st_size < 1_000_000
                 training = read_bundle(path).manifest.training
                 assert training["command"].startswith(f"vergence train {kind} ")
@@ -269,20 +252,13 @@ def executing(source: str) -> list[str]:
     return found
 
 
-def load_path() -> list[Path]:
-    """The controllers, what evaluates and deploys them, and their commands."""
+def test_no_load_path_of_a_controller_unpickles_or_evaluates():
     folders = ("controllers", "hardware", "eval/comparison", "eval/trials")
     paths = [path for folder in folders for path in PACKAGE.glob(f"{folder}/**/*.py")]
-    return [*paths, *PACKAGE.glob("commands/evaluate.py"), *PACKAGE.glob("commands/deploy.py")]
-
-
-def test_no_load_path_of_a_controller_unpickles_or_evaluates():
-    assert {"learned.py", "contestants.py", "evaluate.py"} <= {p.name for p in load_path()}
-    faults = {path.name: executing(path.read_text("utf-8")) for path in load_path()}
+    paths += [PACKAGE / "commands" / f"{name}.py" for name in ("evaluate", "deploy")]
+    assert {"learned.py", "contestants.py", "evaluate.py"} <= {path.name for path in paths}
+    faults = {path.name: executing(path.read_text("utf-8")) for path in paths}
     assert {name: fault for name, fault in faults.items() if fault} == {}
-
-
-def test_the_check_above_can_fail():
     for source in ["import pickle", "from torch import load", "eval('1')", "np.load('x')"]:
         with named(source):
             assert executing(source)

@@ -52,18 +52,11 @@ def test_every_allowed_kind_of_operator_runs_row_by_row():
         node("Pow", ["m", "three"], ["y"]),
     ]
     weights = {
-        "mean": np.full(27, 0.1, "f4"),
-        "std": np.full((1, 27), 0.5, "f4"),
-        "low": np.float32(-1),
-        "high": np.float32(1),
-        "start": np.array([2]),
-        "end": np.array([7]),
-        "axis": np.array([1]),
-        "scale": np.ones(32, "f4"),
-        "W": np.ones((32, 4), "f4"),
-        "shape": np.array([-1, 4]),
-        "three": np.float32(3),
-    }
+        "mean": np.full(27, 0.1, "f4"), "std": np.full((1, 27), 0.5, "f4"),
+        "low": np.float32(-1), "high": np.float32(1), "three": np.float32(3),
+        "start": np.array([2]), "end": np.array([7]), "axis": np.array([1]),
+        "scale": np.ones(32, "f4"), "W": np.ones((32, 4), "f4"), "shape": np.array([-1, 4]),
+    }  # fmt: skip
     run = Runtime(read_network(model(nodes, weights).SerializeToString()))
     x = np.random.default_rng(0).uniform(-1, 1, (50, 27)).astype("f4")
     alone = np.concatenate([run(row[None]) for row in x])
@@ -91,7 +84,6 @@ def test_a_graph_that_is_not_row_by_row_of_known_operators_is_refused():
         ([node("Gemm", ["z", "W"], ["y"])], {"W": OUT}, "a value made before Gemm, got 'z'"),
         ([node("Add", ["W", "W"], ["y"])], {"W": np.ones(4, "f4")}, "value of the batch"),
         ([node("Add", ["x", "W"], ["y"])], {"W": np.ones((9, 27), "f4")}, "row of numbers"),
-        ([node("Add", ["x", "W"], ["y"])], {"W": np.ones(9, "f4")}, "rows of one width"),
         ([node("Concat", ["x", "x"], ["y"], axis=0)], {}, "side by side, got axis 0"),
         ([node("Tanh", ["x"], ["y"])], {}, "expected an output of 27 numbers, got 4"),
         ([node("Tanh", ["x"], ["x"])], {}, "new name for each value, got 'x'"),
@@ -117,6 +109,11 @@ def test_a_small_file_that_takes_forever_is_refused():
     refused(model(nodes, {"W": np.ones((27, 512), "f4"), "S": square}), "products, got more")
 
 
+def gemm(**options) -> onnx.ModelProto:
+    """A network of one matrix."""
+    return model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT}, **options)
+
+
 def test_control_flow_functions_and_other_domains_are_refused():
     inner = helper.make_graph([], "inner", [], [])
     loop = node("Gemm", ["x", "W"], ["y"], body=inner)
@@ -124,19 +121,15 @@ def test_control_flow_functions_and_other_domains_are_refused():
     function = helper.make_function(
         "evil", "f", ["a"], ["b"], [node("Tanh", ["a"], ["b"])], [helper.make_opsetid("", 20)]
     )
-    good = [node("Gemm", ["x", "W"], ["y"])]
-    refused(
-        model(good, {"W": OUT}, functions=[function]),
-        "ModelProto: expected the fields .*, got functions$",
-    )
+    refused(gemm(functions=[function]), "ModelProto: expected the fields .*, got functions$")
     opsets = [helper.make_opsetid("", 20), helper.make_opsetid("evil", 1)]
-    refused(model(good, {"W": OUT}, opset_imports=opsets), "default operator set alone.*evil")
-    refused(model(good, {"W": OUT}, opset=11), "version 13 to 25")
+    refused(gemm(opset_imports=opsets), "default operator set alone.*evil")
+    refused(gemm(opset=11), "version 13 to 25")
 
 
 def test_weights_in_other_files_are_refused(monkeypatch):
     monkeypatch.setattr("builtins.open", lambda *_args: pytest.fail("a file was opened"))
-    proto = model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT})
+    proto = gemm()
     tensor = proto.graph.initializer[0]
     tensor.ClearField("raw_data")
     tensor.external_data.add(key="location", value="/etc/passwd")
@@ -147,14 +140,13 @@ def test_weights_in_other_files_are_refused(monkeypatch):
 
 
 def test_several_inputs_and_outputs_are_refused():
-    proto = model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT})
+    proto = gemm()
     proto.graph.input.append(helper.make_tensor_value_info("z", 1, ["batch", 3]))
     refused(proto, "expected one input, got 2")
-    proto = model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT})
+    proto = gemm()
     proto.graph.output.append(helper.make_tensor_value_info("x", 1, ["batch", 27]))
     refused(proto, "expected one output, got 2")
-    proto = model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT}, batch=7)
-    refused(proto, r"shape \(batch, n\).*\[7, 27\]")
+    refused(gemm(batch=7), r"shape \(batch, n\).*\[7, 27\]")
 
 
 def test_a_large_file_is_refused_before_it_is_read():
@@ -222,12 +214,6 @@ def change(message: Any, field: Any, value: Any) -> None:
         setattr(message, field.name, value)
 
 
-def plain_value(field: Any) -> Any:
-    return {field.CPPTYPE_STRING: "a" if field.type == field.TYPE_STRING else b"a"}.get(
-        field.cpp_type, 1
-    )
-
-
 def rich() -> onnx.ModelProto:
     """A network that has every message a network may have."""
     tensor = numpy_helper.from_array(np.float32(0.5), "half")
@@ -245,7 +231,8 @@ def test_every_field_that_is_not_listed_is_refused():
         for field in found.DESCRIPTOR.fields:
             if field.name not in FIELDS[name]:
                 proto = rich()
-                change(every_message(proto)[index], field, plain_value(field))
+                values = {field.TYPE_STRING: "a", field.TYPE_BYTES: b"a"}
+                change(every_message(proto)[index], field, values.get(field.type, 1))
                 refused(proto, f"^network: {name}: expected the fields .*, got {field.name}$")
                 tried.add(f"{name}.{field.name}")
     assert {
@@ -258,17 +245,14 @@ def test_every_field_that_is_not_listed_is_refused():
 def test_weights_of_another_size_than_stated_are_refused():
     for dims, fields, match in [
         ([27, 4], {"raw_data": b"\0" * 428}, "the 108 numbers of 'W' once, got 0 listed and 428"),
-        ([27, 4], {"raw_data": b"\0" * 430}, "the 108 numbers of 'W' once"),
         ([27, 4], {"raw_data": b"\0" * 432, "float_data": [0.0]}, "once, got 1 listed and 432"),
         ([27, 4], {"float_data": [0.0] * 107}, "once, got 107 listed"),
-        ([27, 4], {}, "once, got 0 listed and 0 bytes"),
         ([2**62, 4], {"raw_data": b""}, "the 18446744073709551616 numbers"),  # 0 modulo 2**64
         ([-27, -4], {"raw_data": b"\0" * 432}, r"2 dimensions in 'W', got \[-27, -4\]"),
         ([0, 4], {"raw_data": b""}, "2 dimensions"),
-        ([27, 2, 2], {"raw_data": b"\0" * 432}, "2 dimensions"),
     ]:
         with named(dims, fields, match):
-            proto = model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT})
+            proto = gemm()
             tensor = proto.graph.initializer[0]
             tensor.Clear()
             tensor.MergeFrom(onnx.TensorProto(name="W", data_type=1, dims=dims, **fields))
@@ -284,7 +268,7 @@ def test_attributes_that_come_twice_or_are_of_another_type_are_refused():
 
 
 def test_a_format_of_the_future_is_refused():
-    proto = model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT})
+    proto = gemm()
     proto.ir_version = 10_000
     refused(proto, "expected a graph that ONNX allows, got .*ir_version 10000")
 
@@ -338,12 +322,6 @@ def test_changed_fields_are_refused_or_run_and_nothing_else_is_raised(data):
         kind = {field.TYPE_STRING: "string", field.TYPE_BYTES: "bytes", field.TYPE_ENUM: "enum"}
         change(found, field, data.draw(VALUES[kind.get(field.type, "number")]))
     refused_or_runs(proto.SerializeToString())
-
-
-@given(st.binary(max_size=300))
-def test_arbitrary_bytes_are_no_network(data):
-    with pytest.raises(BundleError):
-        read_network(data)
 
 
 def test_the_documentation_names_the_operators():

@@ -21,11 +21,7 @@ def errors_after(
 ) -> np.ndarray:
     """(steps, num, 2, 2) true errors of settled eyes whose detections are spoilt.
 
-    Args:
-        name: the controller.
-        spoil: function from elapsed periods and pixel errors (num, 2, 2) to the detected errors.
-        steps: number of periods.
-        num: number of heads.
+    `spoil` makes the detected errors of the elapsed periods and the pixel errors (num, 2, 2).
     """
     task = begin(GazeTask(num, head=HEAD, plant="kinematic"))
     controller = make_controller(name, HEAD, task.layout)

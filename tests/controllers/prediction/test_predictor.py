@@ -29,11 +29,8 @@ def test_the_prediction_is_the_truth_when_the_command_begins_to_act() -> None:
     every = predict(predictor_of(head), way)
     # by the second turn the response is known, to a fraction of a millisecond
     joints = np.array([one.positions for one in every])
-    ahead = (
-        np.array([one.response_latency_s + 0.5 * one.response_latency_sd_s for one in every])
-        * 120.0
-    )
-    at = np.arange(len(joints)) + ahead
+    ahead_s = [one.response_latency_s + 0.5 * one.response_latency_sd_s for one in every]
+    at = np.arange(len(joints)) + 120.0 * np.array(ahead_s)
     true = np.array([np.interp(at, np.arange(len(joints)), column) for column in way.positions.T]).T
     # between two periods the truth is not straight, which 0.2 mrad or 0.1 px allow for
     assert np.abs(true - joints)[60:110].max() < 0.002
@@ -61,9 +58,8 @@ def test_what_is_left_to_turn_ends_where_both_eyes_fixate() -> None:
             assert known[8:].all()
             assert not known[:8].any()
             for now in trial.predicted[8:]:
-                assert (
-                    np.abs(now.positions + now.angle_error - goal).max() < 1e-3
-                )  # 0.6 px, in full motion
+                # 0.6 px, in full motion
+                assert np.abs(now.positions + now.angle_error - goal).max() < 1e-3
             assert np.abs(now.positions + now.angle_error - goal).max() < 2e-4
 
 
@@ -80,10 +76,8 @@ def test_the_pixel_error_is_that_of_the_predicted_angles() -> None:
 def test_angles_between_the_steps_of_the_encoders_are_followed() -> None:
     head = load_head("physical")
     task = GazeTask(30, head=head, plant="kinematic")
-    controller_state = []
     trial = run(task, "saccade", 60)
-    controller_state.extend(p.positions for p in trial.predicted)
-    tracked = np.array(controller_state)[-6:]
+    tracked = np.array([p.positions for p in trial.predicted])[-6:]
     moving = trial.positions[-7:-1, :, 3:]
     # once the eyes rest, no farther than half a step
     assert np.abs(tracked - moving).max() < 0.51 * head.sensor.encoder_resolution_rad + 1e-4
@@ -127,7 +121,6 @@ def test_options_that_cannot_be_are_refused() -> None:
     for name in ["delay", "lag"]:
         with named(name):
             head = load_head("simulated")
-            with pytest.raises(
-                ConfigurationError, match=f"{name}: expected 'estimated' or 'nominal'"
-            ):
+            said = f"{name}: expected 'estimated' or 'nominal'"
+            with pytest.raises(ConfigurationError, match=said):
                 SmithPredictor(head=head, layout=ObservationLayout.of(head), **{name: "known"})

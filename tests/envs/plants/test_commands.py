@@ -58,7 +58,6 @@ def test_the_reading_has_the_command_that_was_sent_not_the_one_that_counts(exact
 
 @pytest.fixture
 def stepped(exact: HeadModel) -> HeadModel:
-    """A head whose commands have steps."""
     return exact.replace(sensor={"command_resolution_rad_s": STEP})
 
 
@@ -133,10 +132,8 @@ def test_a_stalled_loop_reads_nothing_and_commands_nothing(exact: HeadModel) -> 
         read = np.flatnonzero(~stalled[:, n])
         angles = [readings[k].positions[n, 3] for k in read]
         for k in read[read > 8]:
-            then = readings[k].positions_at_exposure[n, 3]
-            assert then == pytest.approx(
-                np.interp(readings[k].exposure_s[n], read * T, angles), abs=1e-9
-            )
+            expected = np.interp(readings[k].exposure_s[n], read * T, angles)
+            assert readings[k].positions_at_exposure[n, 3] == pytest.approx(expected, abs=1e-9)
     edges = np.diff(stalled.astype(int), axis=0, append=0)
     lengths = [np.flatnonzero(row == -1) - np.flatnonzero(row == 1) for row in edges.T]
     found = np.bincount(np.concatenate(lengths), minlength=most + 1)

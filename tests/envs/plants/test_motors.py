@@ -36,7 +36,7 @@ def test_tied_joints_move_as_their_actuators_say() -> None:
     _r, q, v = steps(KinematicPlant(head), start_of(), 40, command(0.5, 1.0, 0.4))
     # a common tilt turns both eyes; version and half the vergence add up on the left
     assert np.array_equal(q[:, 0, 3], q[:, 0, 5])
-    assert q[-1, 0, 4] > 0.2 > 0.1 > q[-1, 0, 6] > 0.0 or q[-1, 0, 4] > q[-1, 0, 6] > 0.0
+    assert q[-1, 0, 4] > q[-1, 0, 6] > 0.0
     assert v[-1, 0, 3:] == pytest.approx([0.5, 1.2, 0.5, 0.8], rel=1e-3)
     assert not q[:, 0, :3].any()
     assert head.reaches(q).all()
@@ -110,10 +110,8 @@ def test_what_a_motor_drives_is_left_where_it_turned_round_within_a_period() -> 
     motors = plant._motors
     q, v = motors.angles[0, 3], motors.speeds[0, 3]
     plant.step(command(-0.9)[None])
-    path = [
-        follow_joint(q, v, -0.9, 0.01, 80.0, t, lag_decay(t, 0.01))[0]
-        for t in np.linspace(0.0, PERIOD_S, 2001)
-    ]
+    times = np.linspace(0.0, PERIOD_S, 2001)
+    path = [follow_joint(q, v, -0.9, 0.01, 80.0, t, lag_decay(t, 0.01))[0] for t in times]
     assert max(path) > max(path[0], path[-1]) + 1e-5
     assert plant.truth().positions[0, 3] == pytest.approx(max(path) - 0.025, abs=1e-9)
 

@@ -38,14 +38,9 @@ def test_a_board_that_jumps_is_drawn_where_it_was_until_the_onset(simulated: Hea
 
 def test_faults_are_those_of_the_other_plants(simulated: HeadModel) -> None:
     faults = {
-        "dropped_frame_probability": 0.3,
-        "missed_detection_probability": 0.2,
-        "jitter_s": 0.03,
-        "frame_rate_hz": 70.0,
-        "frame_phase": 0.6,
-        "clock_drift": 0.01,
-        "latency_s": 0.05,
-    }
+        "dropped_frame_probability": 0.3, "missed_detection_probability": 0.2, "jitter_s": 0.03,
+        "frame_rate_hz": 70.0, "frame_phase": 0.6, "clock_drift": 0.01, "latency_s": 0.05,
+    }  # fmt: skip
     drawn = rendered(simulated, 2, 50, **faults)
     plant = make_plant("mujoco", simulated, 2, **faults)
     exact, _q, _v = steps(plant, start_of(2), 50)

@@ -71,9 +71,8 @@ def test_without_latency_the_target_is_seen_at_once(exact) -> None:
     for step, reading in enumerate(readings):
         assert reading.visible.all()
         assert reading.exposure_s == reading.received_s == reading.time_s
-        assert reading.pixels == pytest.approx(
-            pixels_of(head, positions[step], positions[0]), abs=1e-9
-        )
+        now = pixels_of(head, positions[step], positions[0])
+        assert reading.pixels == pytest.approx(now, abs=1e-9)
 
 
 def test_a_late_image_is_dated_by_its_receipt_less_the_nominal_latency(exact) -> None:
@@ -98,17 +97,11 @@ def test_the_frame_counter_changes_with_each_image_and_with_nothing_else(exact) 
     plant = make_plant("kinematic", exact, 16, dropped_frame_probability=0.3)
     readings, _q, _v = steps(plant, start_of(16), 60)
     assert not readings[0].frame.any()
+    assert not plant.begin(start_of(16)).frame.any()
     for last, now in itertools.pairwise(readings):
         assert np.array_equal(now.frame - last.frame, is_new(now).astype(np.int64))
     # some 7 of 10 come, those that were exposed before time zero too
     assert 30 < readings[-1].frame.mean() < 54
-
-
-def test_a_trial_counts_its_own_images(exact) -> None:
-    plant = make_plant("kinematic", exact, 1)
-    steps(plant, start_of(), 20)
-    assert plant.reading.frame[0] == 20
-    assert plant.begin(start_of()).frame[0] == 0
 
 
 def test_the_command_is_the_one_that_was_applied(exact) -> None:
@@ -180,17 +173,13 @@ def test_noise_before_time_zero_is_as_large(simulated: HeadModel) -> None:
 
 
 def test_encoders_read_the_nearest_of_their_steps(physical: HeadModel) -> None:
-    readings, positions, velocities = steps(
-        make_plant("kinematic", physical, 1), start_of(), 40, MOVING
-    )
-    for value, true, step in (
-        (np.array([r.positions for r in readings]), positions, 2 * np.pi / 4096),
-        (
-            np.array([r.velocities for r in readings]),
-            velocities,
-            physical.sensor.velocity_resolution_rad_s,
-        ),
+    plant = make_plant("kinematic", physical, 1)
+    readings, positions, velocities = steps(plant, start_of(), 40, MOVING)
+    for name, true, step in (
+        ("positions", positions, 2 * np.pi / 4096),
+        ("velocities", velocities, physical.sensor.velocity_resolution_rad_s),
     ):
+        value = np.array([getattr(reading, name) for reading in readings])
         counts = value / step
         assert np.abs(counts - np.round(counts)).max() < 1e-9
         assert np.abs(value - true).max() <= 0.5 * step + 1e-12
@@ -232,20 +221,12 @@ def test_the_necks_motion_smears_as_the_eyes_does(physical: HeadModel) -> None:
         limits={"acceleration": np.full(7, np.inf)}, timing={"exposure_s": 0.008, "lag_s": 0.0}
     )
     plant = make_plant("kinematic", head, 1)
-    readings, _q, _v = steps(
-        plant, start_of(), 20, lambda k: [3.0 * (3 <= k < 6), 0, 0, 0, 0, 0, 0]
-    )
+    turn = np.eye(7)[0] * 3.0
+    readings, _q, _v = steps(plant, start_of(), 20, lambda k: turn * (3 <= k < 6))
     # 3 rad/s in 8 ms are 24 mrad, 12 px
     seen = [reading.visible.all() for reading in readings[8:]]
     assert seen == [not 4 <= frame <= 6 for frame in range(13)]
-
-
-def test_eyes_that_follow_a_fast_target_see_it_sharp(physical: HeadModel) -> None:
     # the neck turns left and the eyes turn right by as much: the image stands nearly still
-    head = physical.replace(
-        limits={"acceleration": np.full(7, np.inf)}, timing={"exposure_s": 0.008, "lag_s": 0.0}
-    )
-    plant = make_plant("kinematic", head, 1)
     readings, _q, _v = steps(plant, start_of(), 20, [3.0, 0, 0, 0, -3.0, 0, -3.0])
     assert all(reading.visible.all() for reading in readings[8:])
 
@@ -271,16 +252,13 @@ def test_a_camera_at_half_the_control_rate_gives_every_other_step_an_image(exact
         assert reading.pixels == pytest.approx(head.project(positions[frame], AHEAD), abs=1e-9)
 
 
-def test_a_target_outside_the_image_is_not_seen(exact: HeadModel) -> None:
+def test_a_target_outside_the_image_or_behind_the_head_is_not_seen(exact: HeadModel) -> None:
     plant = make_plant("kinematic", exact, 2)
     # 41 degrees aside of the left eye is outside its 80 degrees, and well inside the right's
     aside = exact.camera_poses(np.zeros(7))[0, :3, 3] + [np.tan(np.deg2rad(-41.0)), 0.0, 1.0]
     readings, _q, _v = steps(plant, start_of(2, [aside, AHEAD]), 8)
     assert not readings[8].visible[0].any()
     assert readings[8].visible[1].all()
-
-
-def test_a_target_behind_the_head_is_not_seen(exact: HeadModel) -> None:
     readings, _q, _v = steps(make_plant("kinematic", exact, 1), start_of(point=(0, 0, -1)), 10)
     assert not any(reading.visible.any() for reading in readings)
 
@@ -301,15 +279,6 @@ def test_the_target_rests_in_the_world_while_the_neck_moves(exact, plant_name) -
     assert np.abs(truth.target - before).max() > 0.1
 
 
-def test_images_show_where_the_moving_neck_has_carried_the_eyes(exact: HeadModel) -> None:
-    plant = make_plant("kinematic", exact, 1)
-    command = [0.6, 0.3, -0.4, 0.0, 0.0, 0.0, 0.0]
-    readings, q, _v = steps(plant, start_of(), 30, command)
-    pixels = pixels_of(exact, q[22], q[0])
-    assert np.abs(pixels - exact.project(q[0], AHEAD)).min(axis=0).max() > 30.0
-    assert readings[30].pixels == pytest.approx(pixels, abs=1e-9)
-
-
 def test_truth_is_the_present_without_delay_and_noise(simulated: HeadModel, plant_name) -> None:
     plant = make_plant(plant_name, simulated, 1)
     _r, q, _v = steps(plant, start_of(), 12, MOVING)
@@ -324,9 +293,8 @@ def test_truth_is_the_present_without_delay_and_noise(simulated: HeadModel, plan
 
 
 def test_true_heads_look_and_the_model_judges(physical: HeadModel) -> None:
-    errors = ModelErrors(
-        joint_offset_rad=0.01, head_eye_rad=0.01, principal_px=3.0, distortion=0.01
-    )
+    sizes = {"joint_offset_rad": 0.01, "head_eye_rad": 0.01, "principal_px": 3.0}
+    errors = ModelErrors(**sizes, distortion=0.01)
     true = physical.perturbed(np.random.default_rng(4), errors, 5)
     plant = make_plant("kinematic", physical, 5, true_head=true, detection_noise_px=0.0)
     readings, q, _v = steps(plant, start_of(5), 20, [0, 0, 0, 0.2, 0.2, 0.2, 0.2])
@@ -358,7 +326,6 @@ def test_options_that_cannot_be_are_refused_by_name(simulated) -> None:
         ({"lag_s": [0.03, np.nan]}, "lag_s: expected seconds"),
         ({"detection_noise_px": [0.1, 0.1, 0.1]}, "detection_noise_px: expected a number or 2"),
         ({"dropped_frame_probability": 1.5}, "dropped_frame_probability: expected 0 to 1"),
-        ({"detection_noise_px": "much"}, "detection_noise_px.*'much'"),
     ]:
         with named(options, message), pytest.raises(ConfigurationError, match=message):
             make_plant("kinematic", simulated, 2, **options)
@@ -376,12 +343,9 @@ def test_an_image_that_comes_between_two_periods_is_read_at_the_next(exact) -> N
         assert reading.pixels == pytest.approx(exposed, abs=1e-9)
 
 
-def test_dynamics_without_a_lag_are_refused(simulated: HeadModel) -> None:
+def test_dynamics_without_a_lag_and_true_heads_of_another_number_are_refused(simulated) -> None:
     with pytest.raises(ConfigurationError, match="lag_s: expected seconds above 0"):
         make_plant("mujoco", simulated, 2, lag_s=[0.0, 0.03])
-
-
-def test_true_heads_of_another_number_are_refused(simulated: HeadModel) -> None:
     true = simulated.perturbed(np.random.default_rng(0), ModelErrors(joint_offset_rad=0.01), 3)
     with pytest.raises(ConfigurationError, match="true_head: expected one head or 2"):
         make_plant("kinematic", simulated, 2, true_head=true)

@@ -98,9 +98,8 @@ def test_following_it_takes_half_of_the_actuators_speed() -> None:
     for shape in MOVING:
         with named(shape):
             # slow ones, whose speed decides which stretches are fit
-            head = parse_head(
-                text_of(shape).replace("velocity_rad_s = 5.0", "velocity_rad_s = 1.2")
-            )
+            slow = text_of(shape).replace("velocity_rad_s = 5.0", "velocity_rad_s = 1.2")
+            head = parse_head(slow)
             own = head.actuation
             rows, _q = draw(head, "wander", 6)
             t = np.linspace(0.0, 8.0, 1921)

@@ -14,7 +14,7 @@ from tests.heads import text_of
 from tests.models.lenses import COEFFICIENTS, LENSES, wide
 from tests.naming import named
 from vergence.errors import HeadFileError, UnknownNameError, UnreadableFileError, VergenceError
-from vergence.models import load_head, parse_head, presets, save_head
+from vergence.models import load_head, parse_head, save_head
 from vergence.models.files.head_toml import head_to_toml
 
 
@@ -47,13 +47,9 @@ def table_of(content: dict, key: str) -> tuple[dict, str]:
     return content, last
 
 
-class TestPresets:
-    def test_there_are_four(self):
-        assert presets() == ["icub", "physical", "simulated", "turrets"]
-
-    def test_an_unknown_preset_is_refused_with_the_known_ones(self):
-        with pytest.raises(UnknownNameError, match=r"physical, simulated.*'nobody'"):
-            load_head("nobody")
+def test_an_unknown_preset_is_refused_with_the_known_ones():
+    with pytest.raises(UnknownNameError, match=r"icub, physical, simulated, turrets.*'nobody'"):
+        load_head("nobody")
 
 
 class TestRoundTrip:
@@ -87,11 +83,6 @@ class TestFiles:
         with pytest.raises(UnreadableFileError, match=r"--head simulated is the preset"):
             load_head("simulatd.toml")
 
-    def test_a_folder_is_no_file(self, tmp_path):
-        (tmp_path / "head.toml").mkdir()
-        with pytest.raises(UnreadableFileError, match=r"head\.toml.*Is a directory"):
-            load_head(tmp_path / "head.toml")
-
     def test_a_name_that_no_file_has_is_refused(self):
         for name in ["x" * 5000 + ".toml", "nul\0in it.toml", "x" * 5000]:
             with named(name), pytest.raises(VergenceError):
@@ -114,7 +105,6 @@ class TestFiles:
         for text, said in [
             ("", r"my\.toml: name: expected a name .*the key is missing"),
             ("name = 'x'\nlinks = [", r"my\.toml: TOML: expected a well-formed .*at end of"),
-            ("name = 'x'\nname = 'y'\n", r"my\.toml: TOML: .*at line 2"),
             ("a = " + "[" * 10_000, r"my\.toml: TOML: .*recursion"),
             ("a = " + "1" * 5000, r"my\.toml: TOML: .*digits"),
         ]:
@@ -195,12 +185,10 @@ def test_wrong_units_are_refused_by_key_and_value(content):
         ("timing.latency_s", 66.7, "milliseconds"),
     ]:
         with named(key, value, unit):
-            with pytest.raises(HeadFileError, match=unit) as caught:
+            said = f"{re.escape(key)}: expected .*{unit}.*got {value}"
+            with pytest.raises(HeadFileError, match=said) as caught:
                 parse(changed(content, key, value))
-            assert caught.value.key == key
-            assert caught.value.value == value
-            assert f"{key}: expected" in str(caught.value)
-            assert f"got {value}" in str(caught.value)
+            assert (caught.value.key, caught.value.value) == (key, value)
 
 
 def test_a_value_that_cannot_be_right_is_refused_by_key(content):
@@ -221,36 +209,6 @@ def test_a_value_that_cannot_be_right_is_refused_by_key(content):
         ("eyes[0].focal_px", [521.0]),
         ("eyes[1].name", "left"),
         ("eyes[0].head_eye_rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
-    ]:
-        with named(key, value):
-            with pytest.raises(HeadFileError) as caught:
-                parse(changed(content, key, value))
-            assert caught.value.key == key
-            assert isinstance(caught.value, VergenceError)
-
-
-def test_cameras_may_have_any_rate_and_the_loop_any_times(content):
-    content["timing"] |= {
-        "frame_rate_hz": 47.3,
-        "latency_s": 0.0712,
-        "command_latency_s": 0.011,
-        "feedback_latency_s": 0.003,
-        "exposure_stamps": True,
-    }
-    content["sensor"] |= {
-        "command_resolution_rad_s": 0.024,
-        "backlash_rad": 0.002,
-        "encoder_side": "output",
-    }
-    head = parse(content)
-    for part in ("timing", "sensor"):
-        for name, value in content[part].items():
-            assert getattr(getattr(head, part), name) == value
-    assert parse_head(head_to_toml(head)) == head
-
-
-def test_a_loop_that_cannot_be_is_refused_by_key(content):
-    for key, value in [
         ("timing.exposure_stamps", 1),
         ("timing.command_latency_s", 11.0),
         ("timing.feedback_latency_s", -0.01),
@@ -259,9 +217,21 @@ def test_a_loop_that_cannot_be_is_refused_by_key(content):
         ("sensor.backlash_rad", 1.0),
     ]:
         with named(key, value):
-            with pytest.raises(HeadFileError, match=f"{key}: expected") as caught:
+            with pytest.raises(HeadFileError, match=f"{re.escape(key)}.*: expected") as caught:
                 parse(changed(content, key, value))
             assert caught.value.key == key
+
+
+def test_cameras_may_have_any_rate_and_the_loop_any_times(content):
+    content["timing"] |= {"frame_rate_hz": 47.3, "latency_s": 0.0712, "command_latency_s": 0.011}
+    content["timing"] |= {"feedback_latency_s": 0.003, "exposure_stamps": True}
+    content["sensor"] |= {"command_resolution_rad_s": 0.024, "backlash_rad": 0.002}
+    content["sensor"]["encoder_side"] = "output"
+    head = parse(content)
+    for part in ("timing", "sensor"):
+        for name, value in content[part].items():
+            assert getattr(getattr(head, part), name) == value
+    assert parse_head(head_to_toml(head)) == head
 
 
 def test_crossed_limits_are_refused_by_joint(simulated):
@@ -343,16 +313,10 @@ class TestCameras:
         for change, key, expected in [
             ({"lens": "pinhole"}, "eyes[1].distortion", "zeros, or no such key"),
             ({"lens": 5}, "eyes[1].lens", "one of pinhole, brown-conrady, rational"),
-            ({"lens": ["fisheye"]}, "eyes[1].lens", "one of pinhole, brown-conrady, rational"),
             ({"lens": "fisheye"}, "eyes[1].distortion", "list of 4 numbers"),
             ({"lens": "rational"}, "eyes[1].distortion", "list of 8 numbers"),
             ({"distortion": [0.1] * 8}, "eyes[1].distortion", "5 numbers, or lens = .rational."),
             ({"distortion": [12.0, 0, 0, 0, 0]}, "eyes[1].distortion[0]", "below 10 in size"),
-            (
-                {"lens": "fisheye", "distortion": [0.1, float("nan"), 0, 0]},
-                "eyes[1].distortion[1]",
-                "below 10000 in size",
-            ),
             ({"response": "sRBG"}, "eyes[1].response", "'linear', 'srgb', a gamma"),
             ({"response": [0.0, 0.5]}, "eyes[1].response", "rising from 0 to 1"),
             ({"width_px": 320}, "eyes[1].width_px", "beside .image., which holds for both"),
@@ -399,12 +363,6 @@ def test_another_unit_is_asked_after_only_where_it_would_explain_the_value():
                 parse_head(text.replace(old, new, 1))
             assert str(caught.value).startswith(f"{key}: expected {expected}")
             assert ("is it in" in str(caught.value)) == hint
-
-
-def test_an_axis_of_two_numbers_is_answered_in_english():
-    axis = re.sub(r"\naxis = .*", "\naxis = [0, 1]", text_of("panfirst"), count=1)
-    with pytest.raises(HeadFileError, match=r"expected a list of 3 numbers, each up to 10 in size"):
-        parse_head(axis)
 
 
 def test_eyes_in_the_wrong_order_are_told_which_comes_first():

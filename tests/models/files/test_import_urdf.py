@@ -4,7 +4,6 @@ import itertools
 import pickle
 import re
 import tomllib
-from pathlib import Path
 from types import MappingProxyType
 
 import mujoco
@@ -82,9 +81,8 @@ def assert_moves_as(imported, cameras, kinematics, base, held=MappingProxyType({
 
 def test_a_pan_first_turret_pair_moves_as_its_urdf(head_of):
     imported = head_of(ROBOT, neck=TURNS)
-    assert imported.head.joints == (
-        *TURNS, "left_pan", "left_tilt", "right_pan", "right_tilt",
-    )  # fmt: skip
+    eyes = ("left_pan", "left_tilt", "right_pan", "right_tilt")
+    assert imported.head.joints == (*TURNS, *eyes)
     assert_moves_as(imported, CAMERAS, UrdfKinematics(ROBOT), "base")
 
 
@@ -94,15 +92,13 @@ def test_n_is_fixed_to_what_the_last_neck_joint_carries_midway_between_the_camer
     zero = [kinematics.pose(name, "head", {}) for name in CAMERAS]
     for q in random_angles(imported, 20):
         angles = by_name(imported, q)
-        T_head_N = np.linalg.inv(kinematics.pose("head", "base", angles)) @ imported.head.base_pose(
-            q
-        )
+        T_base_head = kinematics.pose("head", "base", angles)
+        T_head_N = np.linalg.inv(T_base_head) @ imported.head.base_pose(q)
         middle = np.mean([pose[:3, 3] for pose in zero], axis=0)
         np.testing.assert_allclose(T_head_N[:3, 3], middle, atol=1e-12)
         # x right, y down, z forward in a link with x forward, y left, z up
-        np.testing.assert_allclose(
-            T_head_N[:3, :3], [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=1e-12
-        )
+        axes = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+        np.testing.assert_allclose(T_head_N[:3, :3], axes, atol=1e-12)
 
 
 def test_joints_that_both_eyes_stand_on_after_the_neck_are_theirs(head_of):
@@ -137,9 +133,6 @@ def test_a_longer_neck_wants_each_joint_named(head_of):
     text = urdf(joint("waist", "foot", "base"), NECK, eye("left"), eye("right"))
     with pytest.raises(ConfigurationError, match="got waist: give --lock waist=0, say"):
         head_of(text, base="foot", neck=TURNS)
-    imported = head_of(text, base="foot", neck=TURNS, lock=("waist=30",))
-    held = {"waist": np.deg2rad(30.0)}
-    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "foot", held)
 
 
 def test_the_neck_may_be_named_in_any_order(head_of):
@@ -189,11 +182,7 @@ def test_a_mimic_that_a_head_cannot_have_says_why(head_of):
         (TURNS, ("roll", 'joint="yaw"'), "roll: .* neck .* follows yaw"),
         (TURNS, ("left_pan", 'joint="pitch"'), "left_pan: .* follows pitch"),
         (TURNS, ("left_pan", 'joint="jaw"'), "left_pan: .* follows jaw, .* not on the way"),
-        (
-            TURNS,
-            ("left_pan", 'joint="rightpan"'),
-            r"left_pan: .* moving joint of the file \(near: right_pan.*'rightpan', which is none",
-        ),
+        (TURNS, ("left_pan", 'joint="rightpan"'), r"left_pan: .*\(near: right_pan.*'rightpan', w"),
         (TURNS, ("left_pan", 'joint="left_pan"'), "left_pan: .* circle"),
         (TURNS, ("roll", 'joint="pitch" multiplier="0"'), "neck: .* 'roll', which is held"),
     ]:
@@ -250,7 +239,7 @@ def test_a_refused_neck_comes_with_options_that_work(head_of):
 def test_a_third_joint_of_an_eye_is_refused_with_the_lock_that_works(head_of):
     text = urdf(NECK, eye("left"), eye("right"), THIRD)
     options = {"neck": TURNS, "cameras": ("left_third", "right_optical")}
-    with pytest.raises(ConfigurationError, match="--lock left_cyclo=0, say"):
+    with pytest.raises(ConfigurationError, match=r"got 3 \(.*, left_cyclo\).*--lock left_cyclo=0"):
         head_of(text, **options)
     assert head_of(text, **options, lock=("left_cyclo=0",)).head.joints[3] == "left_pan"
 
@@ -267,7 +256,6 @@ FAR = joint("far", "foot", "base", kind="fixed", xyz="0 0 4")
 
 def test_what_cannot_be_a_head_says_why_in_one_line(head_of):
     slides = urdf(NECK, eye("left").replace("revolute", "prismatic"), eye("right"))
-    third = urdf(NECK, eye("left"), eye("right"), THIRD)
     waist = urdf(joint("w", "foot", "base"), NECK, eye("left"), eye("right"))
     apart = urdf(NECK, eye("left"), eye("right", parent="base"))
     hover = urdf(joint("hover", "air", "base", kind="floating"), NECK, eye("left"), eye("right"))
@@ -276,42 +264,17 @@ def test_what_cannot_be_a_head_says_why_in_one_line(head_of):
     short = ("yaw", "pitch")
     for text, options, why in [
         (slides, {}, "left_pan: .* slides .*prismatic.* --lock left_pan="),
-        (
-            third,
-            {"cameras": ("left_third", "right_optical")},
-            r"left camera: .* two joints .* got 3 \(left_pan, left_tilt, left_cyclo\)",
-        ),
         (waist, {"base": "foot", "neck": ("w", *TURNS)}, "neck: .* up to three joints, got 4"),
         (apart, {}, "neck: .* both cameras stand on .* got 'yaw', which moves one of them"),
-        (
-            hover,
-            {"base": "air"},
-            "joint hover: expected a joint that turns about one axis, got type 'floating'",
-        ),
-        (
-            ROBOT,
-            {"base": "left_b", "neck": ()},
-            "base: expected a frame that the neck stands on, got one that left_pan moves",
-        ),
+        (hover, {"base": "air"}, "joint hover: .* turns about one axis, got type 'floating'"),
+        (ROBOT, {"base": "left_b", "neck": ()}, "base: .* got one that left_pan moves"),
         (ROBOT, {"neck": ("jaw",)}, "neck: expected a joint"),
         (ROBOT, {"neck": ("ptch",)}, r"a joint of the file \(near: pitch\), got 'ptch'"),
         (jaw, {"lock": ("jaw=0",)}, "lock: .* on the way from the base to the .* got 'jaw'"),
-        (
-            ROBOT,
-            {"neck": short, "lock": ("roll=50",)},
-            "lock: expected roll within -34.3775 to 34.3775 deg, got 50",
-        ),
-        (
-            ROBOT,
-            {"neck": short, "lock": ("roll=ten",)},
-            "lock: expected a place such as roll=10, in degrees, got 'roll=ten'",
-        ),
+        (ROBOT, {"neck": short, "lock": ("roll=50",)}, "roll within -34.3775 to 34.3775 deg, got"),
+        (ROBOT, {"neck": short, "lock": ("roll=ten",)}, "lock: .* roll=10, in degrees, got 'roll="),
         (ROBOT, {"lock": ("roll=0",)}, "lock: expected joints that are not of the neck"),
-        (
-            ROBOT,
-            {"cameras": ("left_optcal", "right_optical")},
-            r"left-camera: expected a frame of the file \(near: left_optical",
-        ),
+        (ROBOT, {"cameras": ("left_opt", "x")}, r"left-camera: .* file \(near: left_optical"),
         (ROBOT, {"cameras": ("left_optical",) * 2}, "vergence needs two cameras"),
         (far, {"base": "foot"}, "yaw: expected to be less than 3 m .* --base"),
     ]:
@@ -359,14 +322,11 @@ def test_equal_limits_ask_for_a_lock(head_of):
 
 def test_what_the_file_lacks_is_marked_as_assumed(head_of):
     head = head_of(ROBOT, neck=TURNS).head
-    assert {
-        "timing.lag_s",
-        "timing.latency_s",
-        "image.width_px",
-        "eyes.left.focal_px",
-        "eyes.right.distortion",
-        "joints.yaw.acceleration_rad_s2",
-    } <= set(head.assumptions)
+    for key in (
+        "timing.lag_s", "timing.latency_s", "image.width_px", "eyes.left.focal_px",
+        "eyes.right.distortion", "joints.yaw.acceleration_rad_s2",
+    ):  # fmt: skip
+        assert key in head.assumptions
     assert head.cameras.size.tolist() == [[640, 480]] * 2
     across = 2.0 * np.arctan(320.0 / head.cameras.focal[:, 0])
     np.testing.assert_allclose(np.rad2deg(across), 60.0)
@@ -374,18 +334,13 @@ def test_what_the_file_lacks_is_marked_as_assumed(head_of):
 
 
 def test_a_given_acceleration_is_no_assumption(head_of):
-    text = ROBOT
-    head = head_of(text, neck=TURNS, acceleration=("50", "yaw=20")).head
+    head = head_of(ROBOT, neck=TURNS, acceleration=("50", "yaw=20")).head
     assert head.limits.acceleration.tolist() == [20.0, *[50.0] * 6]
     assert not [key for key in head.assumptions if "acceleration" in key]
 
 
-def turned(rpy: str) -> str:
-    """A head whose camera frames are turned by these angles from the camera's body."""
-    return ROBOT.replace(OPTICAL, rpy)
-
-
 def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_of):
+    optical = head_of(ROBOT, neck=TURNS)
     for rpy, triple in [
         ("0 0 0", "-y,-z,x"),  # ROS: x forward, y left, z up
         ("1.5707963267948966 0 -1.5707963267948966", "x,-y,-z"),  # OpenGL: y up, looks along -z
@@ -394,10 +349,10 @@ def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_o
         ("0 1.5707963267948966 0", "-y,x,z"),  # the image turned on its side
     ]:
         with named(rpy, triple):
+            turned = ROBOT.replace(OPTICAL, rpy)
             with pytest.raises(ConfigurationError, match=f"--camera-axes={triple} would fit"):
-                head_of(turned(rpy), neck=TURNS)
-            imported = head_of(turned(rpy), neck=TURNS, camera_axes=(triple,))
-            optical = head_of(turned(OPTICAL), neck=TURNS)
+                head_of(turned, neck=TURNS)
+            imported = head_of(turned, neck=TURNS, camera_axes=(triple,))
             q = random_angles(imported, 10)
             np.testing.assert_allclose(
                 imported.head.camera_poses(q), optical.head.camera_poses(q), atol=1e-12
@@ -534,12 +489,18 @@ def compiled_pose(text: str, kind: str, name: str, angles: dict[str, float]) -> 
 
 
 def test_an_mjcf_moves_as_mujoco_moves_it(head_of):
-    for cameras, kind, turn in [
-        (("left", "right"), "cam", np.diag([1.0, -1.0, -1.0, 1.0])),
-        (("left_site", "right_site"), "site", np.eye(4)),
+    in_frame = PLAIN_MJCF.replace(
+        '<joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>',
+        '<frame pos="0.1 0 0" euler="0 0 20">'
+        '<joint name="pitch" axis="0 1 0" pos="0 0 -1"/></frame>',
+    )
+    optical = np.diag([1.0, -1.0, -1.0, 1.0])
+    for text, cameras, kind, turn in [
+        (PLAIN_MJCF, ("left", "right"), "cam", optical),
+        (in_frame, ("left", "right"), "cam", optical),
+        (PLAIN_MJCF, ("left_site", "right_site"), "site", np.eye(4)),
     ]:
-        with named(cameras, kind, turn):
-            text = PLAIN_MJCF
+        with named(cameras, text):
             imported = head_of(text, cameras=cameras, neck=("yaw", "pitch"), speed=("5",))
             for q in random_angles(imported, 20):
                 angles = by_name(imported, q)
@@ -550,12 +511,11 @@ def test_an_mjcf_moves_as_mujoco_moves_it(head_of):
 
 
 def test_a_camera_of_an_mjcf_brings_its_image(head_of):
-    text = PLAIN_MJCF
-    head = head_of(text, **MJCF_OPTIONS).head
+    head = head_of(PLAIN_MJCF, **MJCF_OPTIONS).head
     assert head.cameras.size.tolist() == [[800, 600]] * 2
     np.testing.assert_allclose(2 * np.rad2deg(np.arctan(300 / head.cameras.focal[:, 1])), 50.0)
     assert "eyes.left.focal_px" not in head.assumptions
-    given = text.replace(
+    given = PLAIN_MJCF.replace(
         'fovy="50"', 'focalpixel="500 510" principalpixel="3 4" sensorsize="0.008 0.006"'
     )
     head = head_of(given, **MJCF_OPTIONS).head
@@ -564,8 +524,7 @@ def test_a_camera_of_an_mjcf_brings_its_image(head_of):
 
 
 def test_a_velocity_servo_of_an_mjcf_says_how_fast_its_joint_is(head_of):
-    text = PLAIN_MJCF
-    head = head_of(text, **MJCF_OPTIONS).head
+    head = head_of(PLAIN_MJCF, **MJCF_OPTIONS).head
     assert head.limits.velocity[3] == 1.5  # 3 rad/s through a gear of 2
 
 
@@ -582,30 +541,23 @@ def test_an_equality_of_an_mjcf_ties_joints_while_it_is_active(head_of):
 
 
 def test_an_equality_of_tendons_ties_joints_as_in_mujoco(head_of):
-    for tendons, equality, count in [
+    for tendons, equality in [
         (
             '<fixed name="t"><joint joint="lt" coef="2"/><joint joint="rt" coef="-1.5"/></fixed>',
             '<tendon tendon1="t" polycoef="0.02 1 0 0 0"/>',
-            3,
         ),
         (
             '<fixed name="a"><joint joint="lp" coef="1"/></fixed>'
             '<fixed name="b"><joint joint="rp" coef="0.8"/></fixed>',
             '<tendon tendon1="b" tendon2="a" polycoef="0.02 -0.5 0 0 0"/>',
-            3,
-        ),
-        (
-            '<fixed name="t"><joint joint="rt" coef="2"/></fixed>',
-            '<tendon tendon1="t" polycoef="0.1 1 0 0 0"/>',
-            3,
         ),
     ]:
-        with named(tendons, equality, count):
+        with named(tendons, equality):
             text = MJCF.replace("EQUALITY", equality).replace(
                 "</mujoco>", f"<tendon>{tendons}</tendon></mujoco>"
             )
             imported = head_of(text, **MJCF_OPTIONS)
-            assert imported.head.actuation.count == count
+            assert imported.head.actuation.count == 3
             model = compiled(text)
             data = mujoco.MjData(model)
             actuation = imported.head.actuation
@@ -631,49 +583,28 @@ def test_what_ties_joints_and_no_head_has_is_said_to_be_left_out(head_of):
     assert "weld of le, which may tie bodies" in said
 
 
-def test_a_tie_of_three_joints_says_so(head_of):
-    tendons = "".join(f'<joint joint="{name}" coef="1"/>' for name in ("lp", "rp", "lt"))
-    text = MJCF.replace("EQUALITY", '<tendon tendon1="t"/>').replace(
-        "</mujoco>", f'<tendon><fixed name="t">{tendons}</fixed></tendon></mujoco>'
-    )
-    with pytest.raises(ConfigurationError, match=r"joint lt: .* follows lp and rp otherwise"):
-        head_of(text, **MJCF_OPTIONS)
-
-
 def test_what_a_urdf_says_and_nothing_reads_is_refused(head_of):
     place = '<origin xyz="0 0.01 0.05" rpy="0 0 0"/>'
     for becomes, why in [
-        (
-            '<origin xyz="" rpy="0 0 0"/>',
-            "joint roll: expected 3 numbers in xyz of <origin>, got ''",
-        ),
-        ('<origin xyz="0 0 0.3" rpy=""/>', "3 numbers in rpy of <origin>"),
+        ('<origin xyz="" rpy="0 0 0"/>', "joint roll: .* 3 numbers in xyz of <origin>, got ''"),
         ('<origin xzy="0 0 0.3"/>', "got the attribute 'xzy'"),
-        ('<origin xyz="0 0 0.3" quat_xyzw="0 0 0 1"/>', "got the attribute 'quat_xyzw'"),
         ("<origin><xyz>0 0 0.3</xyz></origin>", "<origin> with attributes, got <xyz> in it"),
         ("<pose>0 0 0.3 0 0 0</pose>", "a pose as <origin xyz rpy>, got <pose>"),
         ('<origin xyz="0 0 inf"/>', "3 numbers in xyz of <origin>"),
         ("<origin>0 0 0.3 0 0 0</origin>", "got the text '0 0 0.3 0 0 0'"),
         ('<Origin xyz="0 0 0.3"/>', "no element <Origin>.*is <origin> meant"),
-        ('<orgin xyz="0 0 0.3"/>', "no element <orgin>.*is <origin> meant"),
         (f'{place}<Mimic joint="pitch"/>', "is <mimic> meant"),
         (f'{place}<mimic joint="pitch" multiplier=""/>', "1 numbers in multiplier of <mimic>"),
         (f'{place}<mimic joint="pitch" ratio="2"/>', "got the attribute 'ratio'"),
     ]:
         with named(becomes, why), pytest.raises(ConfigurationError, match=why):
             head_of(ROBOT.replace(place, becomes, 1), neck=TURNS)
-    for limits, why in [
-        ({"velocity": ""}, "1 numbers in velocity of <limit>"),
-        ({"Lower": "-0.5"}, "got the attribute 'Lower'"),
-    ]:
-        with named(limits, why), pytest.raises(ConfigurationError, match=why):
-            head_of(urdf(NECK, eye("left", **limits), eye("right")), neck=TURNS)
+    with pytest.raises(ConfigurationError, match="1 numbers in velocity of <limit>"):
+        head_of(urdf(NECK, eye("left", velocity=""), eye("right")), neck=TURNS)
     text = ROBOT.replace('<joint name="pitch"', '<Joint name="pitch"')
+    text = text.replace('/></joint><joint name="left_pan', '/></Joint><joint name="left_pan')
     with pytest.raises(HeadFileError, match="<Joint>"):
-        head_of(
-            text.replace('/></joint><joint name="left_pan', '/></Joint><joint name="left_pan'),
-            neck=TURNS,
-        )
+        head_of(text, neck=TURNS)
 
 
 def test_what_stands_off_the_way_to_the_cameras_may_say_anything(head_of):
@@ -702,21 +633,6 @@ def test_a_head_that_was_exported_as_mjcf_comes_back(tmp_path):
     np.testing.assert_allclose(imported.cameras.principal, head.cameras.principal, atol=1e-4)
 
 
-def test_a_joint_in_a_frame_of_an_mjcf_turns_with_it(head_of):
-    text = PLAIN_MJCF.replace(
-        '<joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>',
-        '<frame pos="0.1 0 0" euler="0 0 20">'
-        '<joint name="pitch" axis="0 1 0" pos="0 0 -1"/></frame>',
-    )
-    imported = head_of(text, **MJCF_OPTIONS)
-    turn = np.diag([1.0, -1.0, -1.0, 1.0])
-    for q in random_angles(imported, 5):
-        angles = by_name(imported, q)
-        found = imported.head.base_pose(q) @ imported.head.camera_poses(q)
-        wanted = [compiled_pose(text, "cam", name, angles) @ turn for name in ("left", "right")]
-        np.testing.assert_allclose(found, wanted, atol=1e-9)
-
-
 def test_what_an_mjcf_has_that_no_head_can_have_says_why(head_of):
     for was, becomes, why in [
         ('name="left" ', 'name="left" mode="targetbody" target="head" ', "left-camera: .* fixed"),
@@ -739,13 +655,8 @@ def test_a_tie_that_is_no_straight_line_says_so(head_of):
 def test_a_file_that_is_no_description_is_refused(head_of):
     for text, why in [
         ("<robot><link", "no well-formed XML"),
-        ("", "no well-formed XML"),
-        ("just text", "no well-formed XML"),
         ("<sdf version='1.7'/>", "got '<sdf>'"),
-        (
-            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="m"/></robot>',
-            "xacro FILE > head.urdf",
-        ),
+        ('<robot xmlns:xacro="http://x/xacro"><xacro:macro name="m"/></robot>', "xacro FILE > h"),
         ('<robot name="a"><link name="l"/><joint name="j" type="fixed"/></robot>', "MuJoCo can"),
     ]:
         with named(text, why):
@@ -755,14 +666,13 @@ def test_a_file_that_is_no_description_is_refused(head_of):
 
 
 def test_two_of_one_name_are_refused_by_that_name(head_of, tmp_path):
-    text = ROBOT
     path = tmp_path / "robot.urdf"
     for was, becomes, what in (
         ('joint name="right_pan"', 'joint name="left_pan"', "joints"),
         ('link name="right_a"', 'link name="left_a"', "links"),
     ):
         with pytest.raises(HeadFileError) as raised:
-            head_of(text.replace(was, becomes), neck=TURNS)
+            head_of(ROBOT.replace(was, becomes), neck=TURNS)
         name = becomes.split('"')[1]
         assert str(raised.value) == (
             f"{path}: expected {what} with different names, got two called '{name}'"
@@ -771,11 +681,9 @@ def test_two_of_one_name_are_refused_by_that_name(head_of, tmp_path):
 
 
 def test_a_joint_that_hangs_on_no_link_is_named_with_the_link_that_may_be_meant(head_of):
-    for end in ["parent", "child"]:
+    for end, link in (("parent", "left_a"), ("child", "left_b")):
         with named(end):
-            text = ROBOT
-            link = {"parent": "left_a", "child": "left_b"}[end]
-            text = text.replace(f'<{end} link="{link}"/>', f'<{end} link="{link}x"/>')
+            text = ROBOT.replace(f'<{end} link="{link}"/>', f'<{end} link="{link}x"/>')
             expected = rf"expected a {end} that is a link of the file \(near: .*{link}"
             why = rf"joint left_tilt: {expected}.*, got '{link}x'$"
             with pytest.raises(HeadFileError, match=why):
@@ -783,28 +691,19 @@ def test_a_joint_that_hangs_on_no_link_is_named_with_the_link_that_may_be_meant(
 
 
 def test_a_planar_joint_is_refused_by_its_own_name(head_of):
-    for options in [{}, {"lock": ("right_pan=0",)}, {"neck": (*TURNS, "jaw")}]:
-        with named(options):
-            planar = eye("right").replace('right_pan" type="revolute', 'right_pan" type="planar')
-            with pytest.raises(ConfigurationError) as raised:
-                head_of(urdf(NECK, eye("left"), planar), **({"neck": TURNS} | options))
-            assert "right_pan_" not in str(raised.value)
-            if "jaw" not in str(options):
-                assert str(raised.value).startswith(
-                    "joint right_pan: expected a joint that turns about one axis, got type 'planar'"
-                )
+    planar = eye("right").replace('right_pan" type="revolute', 'right_pan" type="planar')
+    for options in [{}, {"lock": ("right_pan=0",)}]:
+        said = r"^joint right_pan: .*'planar'"
+        with named(options), pytest.raises(ConfigurationError, match=said):
+            head_of(urdf(NECK, eye("left"), planar), neck=TURNS, **options)
 
 
 def test_a_planar_or_floating_joint_elsewhere_is_of_no_matter(head_of):
     for kind in ["planar", "floating"]:
         with named(kind):
-            text = urdf(
-                joint("wheels", "floor", "base", kind=kind),
-                NECK,
-                eye("left"),
-                eye("right"),
-                joint("tray", "n1", "plate", kind=kind),
-            )
+            wheels, tray = ("wheels", "floor", "base"), ("tray", "n1", "plate")
+            others = joint(*wheels, kind=kind), joint(*tray, kind=kind)
+            text = urdf(others[0], NECK, eye("left"), eye("right"), others[1])
             assert_moves_as(head_of(text, neck=TURNS), CAMERAS, UrdfKinematics(text), "base")
 
 
@@ -812,9 +711,8 @@ def test_an_unknown_base_is_answered_with_the_root(head_of):
     text = urdf(joint("waist", "trunk", "base"), NECK, eye("left"), eye("right"))
     with pytest.raises(ConfigurationError, match=r"base_link' \(the root of the file is trunk\)$"):
         head_of(text, base="base_link", neck=TURNS)
-    mjcf = PLAIN_MJCF
     with pytest.raises(ConfigurationError, match=r"the root of the file is world\)$"):
-        head_of(mjcf, base="base_link", cameras=("left", "right"))
+        head_of(PLAIN_MJCF, base="base_link", cameras=("left", "right"))
 
 
 def test_angles_in_degrees_are_refused_on_the_way_to_the_cameras_only(head_of):
@@ -869,13 +767,11 @@ def test_a_real_head_moves_as_its_urdf(name):
     imported = import_urdf(UrdfSource(file=path, speed=("6",), **REAL[name]))
     held = dict(imported.chains.fixed_values)
     kinematics = UrdfKinematics(path.read_text(encoding="utf-8"))
-    assert_moves_as(
-        imported, REAL[name]["cameras"], kinematics, REAL[name]["base"], held, count=100
-    )
+    assert_moves_as(imported, REAL[name]["cameras"], kinematics, REAL[name]["base"], held)
 
 
 def test_the_text_is_that_of_a_head_file(head_of, tmp_path):
     imported = head_of(ROBOT, neck=TURNS)
-    path = Path(tmp_path, "head.toml")
+    path = tmp_path / "head.toml"
     path.write_text(imported.text, encoding="utf-8")
     assert load_head(path) == imported.head

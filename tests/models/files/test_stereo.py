@@ -37,6 +37,17 @@ def check(pair, atol=1e-12, coefficients=5):
     np.testing.assert_allclose(pair.translation_m, T, atol=atol)
 
 
+def written(path, values):
+    """A JSON file of values."""
+    path.write_text(json.dumps(values), encoding="utf-8")
+    return path
+
+
+def info_pair(folder):
+    """Files of a left and a right camera, as ROS writes them."""
+    return [camera_info(folder / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
+
+
 def test_a_file_that_opencv_writes_is_read_in_each_of_its_formats(tmp_path):
     for suffix in ("yml", "yaml", "xml", "json"):
         with named(suffix):
@@ -57,37 +68,30 @@ def test_the_two_files_of_opencvs_stereo_sample_are_read_together(tmp_path):
 def test_keys_may_be_spelled_as_people_spell_them(tmp_path):
     for matrix, coefficients, sides in [
         ("K{}", "D{}", "12"),
-        ("K_{}", "dist_{}", ("left", "right")),
         ("{}_camera_matrix", "{}_distortion_coefficients", ("left", "right")),
         ("camera_matrix_{}", "dist_coeff_{}", ("left", "right")),
         ("cameraMatrix{}", "distCoeffs{}", "LR"),
         ("Camera{}_Matrix", "Camera{}_Distortion", "01"),
-        ("mtx{}", "dist{}", "12"),
     ]:
         with named(matrix, coefficients, sides):
-            path = tmp_path / "pair.json"
             values = {"image_size": list(SIZE), "R": R.tolist(), "T": T.tolist()}
             for side, k, d in zip(sides, (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), strict=True):
                 values[matrix.format(side)] = k.tolist()
                 values[coefficients.format(side)] = d.tolist()
-            path.write_text(json.dumps(values), encoding="utf-8")
-            check(read_stereo([path]))
+            check(read_stereo([written(tmp_path / "pair.json", values)]))
 
 
 def test_cameras_may_stand_in_tables_of_their_own(tmp_path):
-    path = tmp_path / "pair.json"
     eyes = {
         eye: {"K": k.tolist(), "dist": d.tolist(), "width": SIZE[0], "height": SIZE[1]}
         for eye, k, d in (("left", K_LEFT, D_LEFT), ("right", K_RIGHT, D_RIGHT))
     }
     values = {"calibration": {**eyes, "extrinsics": {"R": R.tolist(), "T": T.tolist()}}}
-    path.write_text(json.dumps(values), encoding="utf-8")
-    check(read_stereo([path]))
+    check(read_stereo([written(tmp_path / "pair.json", values)]))
 
 
 def test_camera_info_pairs_hold_the_pair_in_rectification_and_projection(tmp_path):
-    paths = [camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
-    check(read_stereo(paths), atol=1e-7)  # files have eight decimals
+    check(read_stereo(info_pair(tmp_path)), atol=1e-7)  # files have eight decimals
 
 
 def test_camera_info_as_a_recorded_message_is_read(tmp_path):
@@ -158,9 +162,8 @@ def test_a_swapped_pair_is_said_and_can_be_swapped_back(tmp_path):
     with pytest.raises(ConfigurationError, match="left and right swapped: give --swap"):
         read_stereo([path])
     check(read_stereo([path], swap=True))
-    infos = [camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
     with pytest.raises(ConfigurationError, match="left and right swapped"):
-        read_stereo(infos[::-1])
+        read_stereo(info_pair(tmp_path)[::-1])
 
 
 def test_the_number_of_coefficients_says_which_lens_it_is(tmp_path):
@@ -169,7 +172,6 @@ def test_the_number_of_coefficients_says_which_lens_it_is(tmp_path):
         ([0.1, 0.02, 1e-3, 2e-3, 0.3], "brown-conrady", 5),
         ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6], "rational", 8),
         ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.0, 0.0, 0.0], "brown-conrady", 5),
-        ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6] + 4 * [0.0], "rational", 8),
         ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6] + 6 * [0.0], "rational", 8),
         ([0.1, 0.02, 1e-3, 2e-3, 0.3] + 9 * [0.0], "brown-conrady", 5),
     ]:
@@ -201,18 +203,12 @@ def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path):
         ({"R": -R}, "expected a rotation matrix"),
         ({"R": np.eye(2)}, "expected a rotation of 3 x 3 numbers"),
         ({"T": np.zeros(3)}, "how large the squares are"),
-        (
-            {"T": np.array([-np.nan, 0.0, 0.0])},
-            "translation of 3 numbers, .* not all of them finite",
-        ),
-        ({"cameraMatrix1": np.nan * K_LEFT}, "3 x 3 numbers, .* not all of them finite"),
+        ({"T": np.array([-np.nan, 0.0, 0.0])}, "3 numbers, .* not all of them finite"),
         ({"T": np.array([-2.0, 0.0])}, "expected a translation of 3 numbers"),
         ({"T": np.array([0.0, 0.0, 0.1])}, "side by side"),
-        ({"T": np.array([-1e300, 0.0, 0.0])}, "how large the squares are"),
         ({"cameraMatrix1": K_LEFT.T}, "transposed"),
         ({"cameraMatrix1": np.eye(3)}, "focal lengths in pixels above 10"),
         ({"cameraMatrix1": None}, "expected the camera matrices of"),
-        ({"cameraMatrix2": "abc"}, "camera matrix of 3 x 3"),
         ({"distCoeffs1": np.zeros((1, 6))}, "4, 5, 8, 12 or 14 distortion coefficients"),
         ({"distCoeffs1": np.full((1, 12), 0.01)}, "thin prism"),
         ({"distortion_model": "omni"}, "expected a lens model"),
@@ -228,11 +224,9 @@ def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path):
 def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path):
     for text in [
         "",
-        "just words",
         "- 1\n- 2\n",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2]\n",
-        "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 1\n   data: [ ]\n",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: -1\n   cols: x\n   data: [1, 2]\n",
         "a: &a {b: *a}\n",
         "rows: 1\ncols: 1\ndata: [1.0]\n",
@@ -240,9 +234,7 @@ def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path):
         "<?xml version='1.0'?><opencv_storage><M1>",
         '{"M1": ',
         "[" * 200_000,
-        "a: [x '" + "[" * 50_000 + "'",
         "a: " + "{b: " * 50_000,
-        "- " * 50_000 + "1",
         "".join(f"{' ' * depth}a:\n" for depth in range(3000)),
         '{"M1": ' * 100_000,
         "<opencv_storage>" + "<a>" * 100_000 + "1" + "</a>" * 100_000 + "</opencv_storage>",
@@ -264,19 +256,12 @@ def test_a_missing_file_and_a_file_given_twice_are_refused(tmp_path):
 
 
 def test_files_that_a_pair_does_not_use_are_refused_by_name(tmp_path):
-    for order in [(0, 1, 2), (2, 0, 1)]:
-        with named(order):
-            eyes = [
-                camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))
-            ]
-            files = [*eyes, camchain(tmp_path / "camchain.yaml")]
-            with pytest.raises(
-                ConfigurationError, match=r"left\.yaml, \S*right\.yaml: expected"
-            ) as error:
-                read_stereo([files[i] for i in order])
-            assert "camchain.yaml" in str(error.value)
-            with pytest.raises(ConfigurationError, match=r"left\.yaml, \S*right\.yaml: expected"):
-                read_intrinsics(files)
+    files = [*info_pair(tmp_path), camchain(tmp_path / "camchain.yaml")]
+    why = r"(left|right)\.yaml, \S*(right|left)\.yaml: expected"
+    for read, given in [(read_stereo, files), (read_stereo, files[::-1]), (read_intrinsics, files)]:
+        with named(read, given), pytest.raises(ConfigurationError, match=why) as error:
+            read(given)
+        assert "camchain.yaml" in str(error.value)
 
 
 def test_files_that_contradict_one_another_are_refused(tmp_path):
@@ -294,12 +279,10 @@ def test_camera_info_of_cameras_calibrated_one_by_one_is_refused(tmp_path):
 
 def test_brackets_in_texts_are_of_no_matter(tmp_path):
     for name in ("pair.json", "pair.yaml"):
-        path = tmp_path / name
         eyes = {"K1": K_LEFT, "K2": K_RIGHT, "D1": D_LEFT, "D2": D_RIGHT, "R": R, "T": T}
         values = {key: value.tolist() for key, value in eyes.items()}
         values |= {"image_size": list(SIZE), "note": "it's \\\" " + "[{" * 500}
-        path.write_text(json.dumps(values), encoding="utf-8")
-        check(read_stereo([path]))
+        check(read_stereo([written(tmp_path / name, values)]))
 
 
 def test_a_head_file_is_refused_as_what_it_is(tmp_path):
@@ -321,14 +304,7 @@ def test_a_calibration_of_part_of_the_image_is_refused(tmp_path):
     for more, said in [
         ("binning_x: 2\nbinning_y: 2\n", "binning_x: .* got binning 2 x 2: set both to 1"),
         ("binning_x: 0\nbinning_y: 4\n", "binning_y: .* got binning 1 x 4: set both to 1"),
-        (
-            "roi: {x_offset: 0, y_offset: 0, height: 240, width: 320, do_rectify: false}\n",
-            r"roi\.width: .* got a region of 320 x 240 px at \(0, 0\): set all of it to 0",
-        ),
-        (
-            "roi: {x_offset: 0, y_offset: 9, height: 480, width: 640}\n",
-            r"roi\.width: .* got a region of 640 x 480 px at \(0, 9\)",
-        ),
+        ("roi: {x_offset: 0, y_offset: 9, height: 48, width: 64}\n", r"64 x 48 px at \(0, 9\): se"),
         ("roi:\n  x_offset: 16\n", r"roi\.x_offset: .* a region of 640 x 480 px at \(16, 0\)"),
         ("binning_x: two\n", "binning_x: expected a number of pixels"),
     ]:
@@ -339,7 +315,6 @@ def test_a_calibration_of_part_of_the_image_is_refused(tmp_path):
 def test_a_calibration_of_the_full_image_may_say_so(tmp_path):
     for more in (
         "binning_x: 0\nbinning_y: 0\n",
-        "binning_x: 1\nbinning_y: 1\n",
         "roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: true}\n",
         "roi: {x_offset: 0, y_offset: 0, height: 480, width: 640, do_rectify: false}\n",
     ):
@@ -349,8 +324,8 @@ def test_a_calibration_of_the_full_image_may_say_so(tmp_path):
 
 
 def test_camera_info_files_the_wrong_way_round_are_refused_for_a_robot_too(tmp_path):
-    left, right = (camera_info(tmp_path / f"{e}.yaml", i) for i, e in enumerate(("l", "r")))
-    with pytest.raises(ConfigurationError, match=r"r\.yaml: proj.* left and right swapped: give"):
+    left, right = info_pair(tmp_path)
+    with pytest.raises(ConfigurationError, match=r"right\.yaml: proj.* left and right swapped"):
         read_intrinsics([right, left])
     for fine in ([left, right], [left], [right], [left, message(tmp_path / "other.yaml", "")]):
         read_intrinsics(fine)
@@ -366,13 +341,10 @@ def test_cameras_one_above_the_other_are_accepted_with_a_word(tmp_path):
 
 def test_a_principal_point_far_from_the_middle_asks_about_the_size(tmp_path):
     larger = opencv_pair(image_width=1280, image_height=960)
-    guesses = read_stereo([write_opencv(tmp_path / "pair.yml", larger)]).guesses
-    assert guesses == (
-        "left camera: principal point (322, 246) far from the middle of 1280 x 960 px: was the "
-        "camera calibrated at this size?",
-        "right camera: principal point (315, 240) far from the middle of 1280 x 960 px: was the "
-        "camera calibrated at this size?",
-    )
+    left, right = read_stereo([write_opencv(tmp_path / "pair.yml", larger)]).guesses
+    said = "principal point (322, 246) far from the middle of 1280 x 960 px: was the camera calib"
+    assert left.startswith(f"left camera: {said}")
+    assert right.startswith("right camera: principal point (315, 240) far")
 
 
 def camera(**more):
@@ -380,26 +352,16 @@ def camera(**more):
     return {"image_size": list(SIZE), "K": K_LEFT.tolist(), "D": D_LEFT.tolist()} | more
 
 
-def written(path, values):
-    """A JSON file of values."""
-    path.write_text(json.dumps(values), encoding="utf-8")
-    return path
-
-
 def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(tmp_path):
     for more, said in [
         ({"xi": 1.27}, "xi: .* an omnidirectional lens"),
-        ({"xi1": [[1.2]], "xi2": [[1.3]]}, "xi1: .* an omnidirectional lens"),
         ({"mirror_parameters": {"xi": 0.9}}, r"mirror_parameters\.xi: .* an omnidirectional lens"),
-        ({"cameraXi": 0.9}, "cameraXi: .* an omnidirectional lens"),
         ({"alpha": 0.6, "beta": 1.1}, "alpha: .* skew, or a lens of another model"),
         ({"alpha_c": 0.001}, "alpha_c: .* skew"),
         ({"mirror": True}, "mirror: .* mirrored images"),
         ({"flip_left": "horizontal"}, "flip_left: .* mirrored images"),
         ({"rotate": 180}, "rotate: .* turned images"),
         ({"camera_model": "omni", "distortion_model": "radtan"}, "camera_model: .* got 'omni'"),
-        ({"model_name": "MEI"}, "model_name: .* got 'MEI'"),
-        ({"mirrored_images": True}, "mirrored_images: .* mirrored images"),
         ({"model_type": "MEI"}, "model_type: .* got 'MEI'"),
         ({"model": "double_sphere"}, "model: .* not supported"),
         ({"lens_type": "FOV"}, "lens_type: .* not supported"),
@@ -422,7 +384,6 @@ def test_the_lens_model_is_read_under_the_names_of_other_programs(tmp_path):
         ({"model_type": "KANNALA_BRANDT"}, "fisheye"),
         ({"Camera.type": "KannalaBrandt8", "camera_type": "KannalaBrandt8"}, "fisheye"),
         ({"camera_model": "pinhole-equi"}, "fisheye"),
-        ({"lens_model": "pinhole-radtan"}, "brown-conrady"),
         ({"camera_model": "pinhole", "distortion_type": "radial-tangential"}, "brown-conrady"),
     ]:
         with named(more, lens):
@@ -506,11 +467,7 @@ def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):
         with named(key):
             eyes = zip("01", (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), values, strict=True)
             cameras = {
-                side: {
-                    "resolution": SIZE,
-                    "intrinsics": k.tolist(),
-                    "distortion_coeffs": d.tolist(),
-                }
+                side: {"resolution": SIZE, "intrinsics": k.tolist(), "distortion": d.tolist()}
                 | ({} if key.endswith("T_cam") else {key: pose.tolist()})
                 for side, k, d, pose in eyes
             }
@@ -535,9 +492,7 @@ def test_settings_of_orb_slam_hold_the_pair_in_rectification_and_projection(tmp_
 
 def test_older_yaml_of_opencv_is_read_which_may_lack_spaces_before_values(tmp_path):
     path = write_opencv(tmp_path / "pair.yml", opencv_pair())
-    text = (
-        path.read_text(encoding="utf-8").replace("data: [", "data:[").replace("_width: ", "_width:")
-    )
+    text = path.read_text("utf-8").replace("data: [", "data:[").replace("_width: ", "_width:")
     path.write_text("%YAML:1.0\n---\n" + text.partition("---\n")[2], encoding="utf-8")
     check(read_stereo([path]))
 
@@ -546,13 +501,10 @@ def test_a_format_that_is_not_read_is_named_with_those_that_are(tmp_path):
     for text, program in [
         ("[LEFT_CAM_HD]\nfx=700.1\n[RIGHT_CAM_HD]\nfx=700.1\n[STEREO]\nBaseline=62\n", "ZED"),
         ("# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n", "oST"),
-        ("# Camera list\n1 OPENCV 1280 720 710 711 642 358 -0.1 0.02 0.0 0.0\n", "COLMAP"),
         ("1 PINHOLE 640 480 500.0 500.0 320 240\n", "COLMAP"),
         ('{"batchName": "", "cameraData": [[1, {"cameraType": 0}]]}', "OAK"),
-        ('{"value0": {"T_imu_cam": [], "intrinsics": []}}', "Basalt"),
         ('{"width": 640, "fx": 600, "fy": 600, "ppx": 320, "ppy": 240}', "RealSense"),
         ("%YAML:1.0\nmodel_type: PINHOLE\nprojection_parameters:\n   fx: 461\n", "camodocal"),
-        ("%YAML:1.0\nCamera.type: PinHole\nCamera1.fx: 458\n", "ORB-SLAM"),
         ("fc = [ 657.46 ; 657.95 ];\ncc = [ 303.13 ; 242.56 ];\n", "MATLAB"),
         ("<?xml version='1.0'?>\n<calibration>\n<f>3000</f></calibration>", "Agisoft"),
     ]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.naming import named
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError, VergenceError
 from vergence.models import EYES, JOINTS
 from vergence.models.boards import make_planar_target
 from vergence.models.mujoco.model import build_spec, compile_model, find_model_indices
@@ -125,8 +125,7 @@ class TestTree:
 
     def test_shapes_weigh_nothing_and_touch_nothing(self, simulated):
         plain, dressed = compile_model(simulated, **BARE), compile_model(simulated)
-        names = [f"{joint}_link" for joint in JOINTS]
-        for name in names:
+        for name in (f"{joint}_link" for joint in JOINTS):
             assert plain.body(name).mass == dressed.body(name).mass
             np.testing.assert_array_equal(plain.body(name).inertia, dressed.body(name).inertia)
         assert dressed.ngeom > 10
@@ -139,27 +138,17 @@ class TestTree:
         assert compile_model(head, timestep_s=0.001, **BARE).opt.timestep == 0.001
 
 
-class TestRefusals:
-    def test_a_population(self, physical, errors, rng):
-        with pytest.raises(ConfigurationError, match=r"one head.*\(3,\)"):
-            build_spec(physical.perturbed(rng, errors, 3))
-
-    def test_no_lag(self, simulated):
-        with pytest.raises(ConfigurationError, match=r"lag_s > 0, got 0\.0.*kinematic"):
-            build_spec(simulated.replace(timing={"lag_s": 0.0}))
-
-    def test_an_unknown_neck(self, simulated):
-        with pytest.raises(ConfigurationError, match="'servo' or 'welded', got 'rubber'"):
-            build_spec(simulated, neck="rubber")
-
-    def test_no_timestep(self, simulated):
-        for timestep_s in [0.0, -0.001, np.nan]:
-            with named(timestep_s), pytest.raises(ConfigurationError, match="timestep_s"):
-                build_spec(simulated, timestep_s=timestep_s)
-
-    def test_an_unknown_target(self, simulated):
-        with pytest.raises(UnknownNameError, match="checkerboard, tag, got 'ball'"):
-            build_spec(simulated, target="ball")
+def test_what_no_model_can_be_made_of_is_refused(simulated, physical, errors, rng):
+    for head, options, said in [
+        (physical.perturbed(rng, errors, 3), {}, r"one head.*\(3,\)"),
+        (simulated.replace(timing={"lag_s": 0.0}), {}, r"lag_s > 0, got 0\.0.*kinematic"),
+        (simulated, {"neck": "rubber"}, "'servo' or 'welded', got 'rubber'"),
+        (simulated, {"timestep_s": 0.0}, "timestep_s"),
+        (simulated, {"timestep_s": np.nan}, "timestep_s"),
+        (simulated, {"target": "ball"}, "checkerboard, tag, got 'ball'"),
+    ]:
+        with named(options, said), pytest.raises(VergenceError, match=said):
+            build_spec(head, **options)
 
 
 def mujoco_pixel(model, data, name, point):
@@ -219,9 +208,8 @@ class TestTargets:
                 corner = plate.pos[:2] - plate.size[:2]
                 np.testing.assert_allclose(corner, -board.cell_m * np.array(board.origin_cells))
                 assert plate.pos[2] - plate.size[2] == pytest.approx(0.0)
-                np.testing.assert_allclose(
-                    2 * plate.size[:2], board.cell_m * np.array(board.cells.T.shape)
-                )
+                size = board.cell_m * np.array(board.cells.T.shape)
+                np.testing.assert_allclose(2 * plate.size[:2], size)
 
     def test_the_target_faces_the_resting_head_and_can_be_moved(self, simulated):
         model = compile_model(simulated)
