@@ -1,6 +1,5 @@
 """Clusters of corners that may be a checkerboard, and none in images without a board."""
 
-
 import cv2
 import numpy as np
 import pytest
