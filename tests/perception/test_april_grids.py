@@ -15,6 +15,7 @@ HEAD = load_head("simulated")
 GRID = AprilGrid(columns=5, rows=4, tag_m=0.03)
 
 
+@pytest.mark.slow
 def test_a_grid_is_one_target_whose_edges_are_as_stated():
     pose = pose_at([0.0, -0.02, 0.4], [0.2, 0.1, 0.1])
     images = Studio(HEAD, GRID).take(pose, np.random.default_rng(0))
@@ -30,12 +31,13 @@ def test_a_grid_is_one_target_whose_edges_are_as_stated():
     assert (np.abs(one.centre.point - pose[:3, 3]) < 4.0 * one.centre.sigma).all()
 
 
+@pytest.mark.slow
 def test_what_is_there_in_place_of_a_grid_is_said():
     rng = np.random.default_rng(0)
-    grid = Studio(HEAD, GRID).take(pose_at([0.0, -0.02, 0.4]), rng)[0]
+    grid = Studio(HEAD, GRID).take(pose_at([0.0, -0.02, 0.4]), rng)[0][230:570, 330:710]
     tag = Studio(HEAD, AprilTag(id=7)).take(pose_at([0.0, 0.0, 0.5]), rng)[0]
     there = "aprilgrid:5x4:30:0.3 (tags, and their gap by their edge) is there"
-    for asked in ("aprilgrid:4x5:30:0.3", "aprilgrid:5x4:30:0.2", "aprilgrid:5x3:30:0.3"):
+    for asked in ("aprilgrid:4x5:30:0.3", "aprilgrid:5x4:30:0.2"):
         assert describe_similar_targets(grid, parse_targets([asked])) == there
     assert describe_similar_targets(grid, parse_targets(["aprilgrid:5x4:30:0.295"])) == ""
     assert describe_similar_targets(grid, [TagFamily()]).startswith("aprilgrid:5x4:TAG:0.3")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.heads import head_of
+from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
 from vergence.models.boards import AprilTag, Checkerboard
@@ -54,19 +55,18 @@ def test_the_centre_of_a_board_is_surer_than_its_corners_only_as_far_as_pixels_g
         assert ratio == pytest.approx(np.sqrt(20.0), rel=0.05) if averages else 1.0 <= ratio < 1.2
 
 
-# in a quarter turn, boards that are not square or have an odd number change shape or colours
-@pytest.mark.parametrize(
-    ("columns", "rows", "turns"),
-    [(6, 4, 2), (7, 5, 2), (5, 5, 2), (4, 4, 1), (4, 4, 2), (4, 4, 3)],
-)
-def test_a_symmetric_board_is_matched_however_its_corners_were_counted(columns, rows, turns):
-    head, board = head_of("pair"), Checkerboard(columns=columns, rows=rows, square_m=0.03)
-    left, right = exact(head, head.rest(), board, pose_at([0.0, 0.0, 0.6], [0.3, 0.1, 0.0]))
-    order = np.rot90(np.arange(columns * rows).reshape(rows, columns), turns).ravel()
-    right = right._replace(corners_px=right.corners_px[order])
-    one = locate_target(head, head.rest(), "a", left, right)
-    assert one.gap_m < 1e-8
-    assert one.spacing.mean_m == pytest.approx(0.03)
+def test_a_symmetric_board_is_matched_however_its_corners_were_counted():
+    head = head_of("pair")
+    # in a quarter turn, boards that are not square or have an odd number change shape or colours
+    for columns, rows, turns in [(6, 4, 2), (7, 5, 2), (5, 5, 2), (4, 4, 1), (4, 4, 2), (4, 4, 3)]:
+        with named(columns, rows, turns):
+            board = Checkerboard(columns=columns, rows=rows, square_m=0.03)
+            left, right = exact(head, head.rest(), board, pose_at([0.0, 0.0, 0.6], [0.3, 0.1, 0.0]))
+            order = np.rot90(np.arange(columns * rows).reshape(rows, columns), turns).ravel()
+            right = right._replace(corners_px=right.corners_px[order])
+            one = locate_target(head, head.rest(), "a", left, right)
+            assert one.gap_m < 1e-8
+            assert one.spacing.mean_m == pytest.approx(0.03)
 
 
 def test_a_missing_corner_is_null_and_the_others_are_there():
@@ -93,7 +93,7 @@ def test_points_of_drawn_images_lie_within_their_own_sigma(target):
     finders = [TargetFinder([target], EyeCamera.of(head, eye)) for eye in range(2)]
     rng = np.random.default_rng(11)
     squares = []
-    for _ in range(40):
+    for _ in range(6):
         pose = pose_at([*rng.uniform(-0.08, 0.08, 2), rng.uniform(0.6, 1.0)], rng.normal(0, 0.2, 3))
         found = [
             finder.find(image)
@@ -110,9 +110,9 @@ def test_points_of_drawn_images_lie_within_their_own_sigma(target):
 CHI_SQUARE = (1.5, 4.5)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["physical", "icub", "pair"])
-@pytest.mark.parametrize("target", TARGETS, ids=["tag", "board"])
+@pytest.mark.parametrize(
+    ("name", "target"), [("physical", TARGETS[1]), ("icub", TARGETS[0]), ("pair", TARGETS[1])]
+)
 def test_the_mean_edge_errs_as_much_as_it_says(name, target):
     head = head_of(name) if name == "pair" else load_head(name)
     place = np.array([0.02, 0.03, 0.6])
@@ -120,7 +120,7 @@ def test_the_mean_edge_errs_as_much_as_it_says(name, target):
     sides = exact(head, q, target, pose_at(place, [0.2, -0.4, 0.1]), 0.1)
     steps, rng = Noise.of(head).joint_rad, np.random.default_rng(4)
     means, said = [], []
-    for _ in range(400):
+    for _ in range(200):
         turned = q + head.actuation.joint_velocities_of(
             rng.normal(0.0, steps) * (np.arange(7) >= 3)
         )
@@ -131,5 +131,5 @@ def test_the_mean_edge_errs_as_much_as_it_says(name, target):
         one = locate_target(head, turned, "a", *noisy)
         means.append(one.mean_edge.mean_m)
         said.append(one.mean_edge.sigma_m)
-    # 400 draws: a standard deviation is known to 3.5 %; it is of first order
-    assert np.std(means) == pytest.approx(np.mean(said), rel=0.12)
+    # 200 draws: a standard deviation is known to 5 %; it is of first order
+    assert np.std(means) == pytest.approx(np.mean(said), rel=0.16)

@@ -29,14 +29,16 @@ def side_by_side(*tags: int) -> list[np.ndarray]:
     return images
 
 
+@pytest.mark.slow
 def test_a_family_is_found_by_number_and_a_stated_tag_keeps_its_size():
-    finder = TargetFinder(parse_targets(["tag:36h11:7:100", "tag:36h11"]))
-    found = finder.find(side_by_side(7, 3)[0])
+    image = side_by_side(7, 3)[0]
+    found = TargetFinder(parse_targets(["tag:36h11:7:100", "tag:36h11"])).find(image)
     assert [str(one.target) for one in found] == ["tag:36h11:7:100", "tag:36h11:3"]
-    found = TargetFinder(parse_targets(["tag:36h11"])).find(side_by_side(7, 3)[0])
+    found = TargetFinder(parse_targets(["tag:36h11"])).find(image)
     assert [tag_number(one.target) for one in found] == [3, 7]
 
 
+@pytest.mark.slow
 def test_tags_are_matched_by_number_and_one_that_is_there_twice_is_not():
     finders = [
         TargetFinder(parse_targets(["tag:36h11::100"]), EyeCamera.of(HEAD, e)) for e in range(2)
@@ -54,6 +56,7 @@ def test_tags_are_matched_by_number_and_one_that_is_there_twice_is_not():
     assert [(str(one.target), one.seen_in) for one in missed] == [("tag:36h11:7:100", "twice")]
 
 
+@pytest.mark.slow
 def test_a_charuco_board_is_one_target():
     board = CharucoBoard(columns=6, rows=5, square_m=0.03, marker_m=0.022)
     studio = Studio(HEAD, board)

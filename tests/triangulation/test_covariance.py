@@ -1,23 +1,21 @@
 """The propagated covariance C against the sample covariance S of many draws.
 
-All eigenvalues of inv(S) C lie within 0.97 to 1.03: for 200,000 normal draws in three
-dimensions those of the sampling itself reach about 1 +- 3 sqrt(2 / 200000) = 1 +- 0.01, and the
-rest is left for the second order, which grows with depth.
+All eigenvalues of inv(S) C lie within 0.94 to 1.06: for 20,000 normal draws in three dimensions
+those of the sampling itself reach about 1 +- 3 sqrt(2 / 20000) = 1 +- 0.03, and the rest is left
+for the second order, which grows with depth.
 """
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.grids import some_of
 from tests.models.lenses import LENSES, wide
 from tests.naming import named
 from vergence import HeadModel, Noise, triangulate_gaze, triangulate_views
 
-DRAWS = 200_000
+DRAWS = 20_000
 PIXEL_PX = 0.05
 JOINT_RAD = 1e-4
-DEPTHS_M = (0.5, 2.5)
 
 Array = NDArray[np.float64]
 
@@ -33,7 +31,7 @@ def eigenvalues(propagated: Array, draws: Array) -> Array:
 
 def agree(propagated: Array, draws: Array) -> bool:
     ratios = eigenvalues(propagated, draws)
-    return bool(ratios.min() > 0.97 and ratios.max() < 1.03)
+    return bool(ratios.min() > 0.94 and ratios.max() < 1.06)
 
 
 def settled(head: HeadModel, q: Array, point: Array, noise: Array) -> Array:
@@ -54,14 +52,12 @@ def settled(head: HeadModel, q: Array, point: Array, noise: Array) -> Array:
     return out
 
 
-@pytest.fixture(params=[0.0, 25.0], ids=["ahead", "aside"])
-def aside_deg(request: pytest.FixtureRequest) -> float:
-    return float(request.param)
+@pytest.fixture(params=[(0.5, 25.0), (2.5, 0.0)], ids=["near and aside", "far and ahead"])
+def point(request: pytest.FixtureRequest) -> Array:
+    return point_at(*request.param)
 
 
-@pytest.mark.parametrize("depth", DEPTHS_M)
-def test_pixel_noise_of_views(head: HeadModel, depth, aside_deg, rng) -> None:
-    point = point_at(depth, aside_deg)
+def test_pixel_noise_of_views(head: HeadModel, point, rng) -> None:
     # the eyes look beside the target, so that the interaction of both axes counts
     q = head.fixate(point + [0.05, 0.05, 0.0])
     pixels = head.project(q, point)
@@ -70,9 +66,7 @@ def test_pixel_noise_of_views(head: HeadModel, depth, aside_deg, rng) -> None:
     assert agree(fix.covariance, triangulate_views(head, q, draws, Noise()).point)
 
 
-@pytest.mark.parametrize("depth", DEPTHS_M)
-def test_joint_noise_of_views(head: HeadModel, depth, aside_deg, rng) -> None:
-    point = point_at(depth, aside_deg)
+def test_joint_noise_of_views(head: HeadModel, point, rng) -> None:
     q = head.fixate(point + [0.05, 0.05, 0.0])
     pixels = head.project(q, point)
     draws = q + JOINT_RAD * rng.standard_normal((DRAWS, 7))
@@ -80,28 +74,23 @@ def test_joint_noise_of_views(head: HeadModel, depth, aside_deg, rng) -> None:
     assert agree(fix.covariance, triangulate_views(head, draws, pixels, Noise()).point)
 
 
-@pytest.mark.parametrize("depth", DEPTHS_M)
-def test_joint_noise_of_gaze(head: HeadModel, depth, aside_deg, rng) -> None:
-    q = head.fixate(point_at(depth, aside_deg))
+def test_joint_noise_of_gaze(head: HeadModel, point, rng) -> None:
+    q = head.fixate(point)
     draws = q + JOINT_RAD * rng.standard_normal((DRAWS, 7))
     fix = triangulate_gaze(head, q, Noise(joint_rad=JOINT_RAD))
     assert agree(fix.covariance, triangulate_gaze(head, draws, Noise()).point)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("depth", DEPTHS_M)
 def test_pixel_noise_of_gaze_reaches_the_point_through_the_settled_loop(
-    head: HeadModel, depth, aside_deg, rng
+    head: HeadModel, point, rng
 ) -> None:
-    point = point_at(depth, aside_deg)
     q = head.fixate(point)
     draws = settled(head, q, point, PIXEL_PX * rng.standard_normal((DRAWS, 2, 2)))
     fix = triangulate_gaze(head, q, Noise(pixel_px=PIXEL_PX))
     assert agree(fix.covariance, triangulate_gaze(head, draws, Noise()).point)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("right", "left"), some_of(LENSES, LENSES))
+@pytest.mark.parametrize(("right", "left"), [("fisheye", "rational"), ("brown-conrady", "fisheye")])
 def test_pixel_noise_of_views_through_any_lens(left, right, rng) -> None:
     head = wide(left, right)
     point = np.array([0.35, -0.25, 0.6])  # 30 to 40 degrees aside

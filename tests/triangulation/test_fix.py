@@ -54,13 +54,6 @@ def test_views_find_the_points_of_table_3_from_eyes_at_rest(head: HeadModel) -> 
     assert fix.gap.max() < NANOMETRE
 
 
-def test_views_find_the_points_of_table_3_wherever_the_eyes_look(head: HeadModel, rng) -> None:
-    points = table_3()
-    q = head.fixate(points) + rng.uniform(-0.1, 0.1, (21, 7))
-    fix = triangulate_views(head, q, head.project(q, points))
-    assert np.abs(fix.point - points).max() < NANOMETRE
-
-
 _HEADS = {name: load_head(name) for name in ("simulated", "physical")}
 
 
@@ -167,16 +160,12 @@ def has_no_answer(fix: Fix) -> bool:
     return not fix.valid.any() and all(np.isnan(part).all() for part in numbers)
 
 
-def test_parallel_axes_have_no_answer(head: HeadModel) -> None:
-    assert has_no_answer(triangulate_gaze(head, np.zeros(7)))
-
-
-def test_nearly_parallel_axes_have_no_answer(simulated: HeadModel) -> None:
-    for vergence_rad in (1e-12, 1e-8, 0.9e-4):
+def test_parallel_axes_and_nearly_parallel_ones_have_no_answer(head: HeadModel) -> None:
+    for vergence_rad in (0.0, 1e-12, 1e-8, 0.9e-4):
         with named(vergence_rad):
             q = np.zeros(7)
             q[6] = vergence_rad  # a positive pan looks left, towards the other eye's axis
-            assert has_no_answer(triangulate_gaze(simulated, q))
+            assert has_no_answer(triangulate_gaze(head, q))
 
 
 def test_barely_converging_axes_cross_where_they_must(simulated: HeadModel) -> None:
@@ -188,19 +177,13 @@ def test_barely_converging_axes_cross_where_they_must(simulated: HeadModel) -> N
     assert fix.point[2] == pytest.approx(0.092 / np.tan(2e-4) + 0.0138, rel=1e-6)
 
 
-def test_diverging_axes_cross_behind_and_have_no_answer(simulated: HeadModel) -> None:
-    q = np.zeros(7)
-    q[4], q[6] = 0.1, -0.1
-    assert has_no_answer(triangulate_gaze(simulated, q))
-
-
-def test_a_point_ahead_of_one_eye_and_behind_the_other_has_no_answer(
-    simulated: HeadModel,
-) -> None:
-    # Both eyes look far to the left, the left one even farther: the axes cross behind it.
-    q = np.zeros(7)
-    q[4], q[6] = 0.9, 0.5
-    assert has_no_answer(triangulate_gaze(simulated, q))
+def test_axes_that_cross_behind_an_eye_have_no_answer(simulated: HeadModel) -> None:
+    # diverging; and both far to the left, the left one even farther, so that it is behind that eye
+    for pans in ((0.1, -0.1), (0.9, 0.5)):
+        with named(pans):
+            q = np.zeros(7)
+            q[[4, 6]] = pans
+            assert has_no_answer(triangulate_gaze(simulated, q))
 
 
 def test_an_eye_that_does_not_see_leaves_no_answer(simulated: HeadModel) -> None:

@@ -10,7 +10,7 @@ from vergence.triangulation.gap import gap_sigma
 POINTS = np.array([[0.0, -0.1, 1.0], [0.2, 0.05, 0.6], [-0.3, 0.1, 2.0]])
 
 
-@pytest.mark.parametrize("name", ["simulated", "icub", "turrets"])
+@pytest.mark.parametrize("name", ["simulated", "icub"])
 def test_gaps_of_noisy_views_have_the_predicted_spread(name):
     head, rng = load_head(name), np.random.default_rng(0)
     noise, samples = Noise(pixel_px=0.4, joint_rad=3e-4), 4000

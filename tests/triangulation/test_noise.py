@@ -24,15 +24,12 @@ def test_noise_of_a_head_is_the_default(head: HeadModel) -> None:
     )
 
 
-def test_no_noise_has_no_covariance(head: HeadModel) -> None:
-    fix = triangulate_gaze(head, head.fixate(POINT), Noise())
-    assert fix.valid
-    assert not fix.covariance.any()
-
-
-def test_sigma_is_the_root_of_the_diagonal(head: HeadModel) -> None:
+def test_sigma_is_the_root_of_the_diagonal_and_none_without_noise(head: HeadModel) -> None:
     fix = triangulate_gaze(head, head.fixate(POINT), Noise(pixel_px=0.1))
     assert fix.sigma == pytest.approx([fix.covariance[i, i] ** 0.5 for i in range(3)], rel=1e-15)
+    still = triangulate_gaze(head, head.fixate(POINT), Noise())
+    assert still.valid
+    assert not still.covariance.any()
 
 
 def test_independent_sources_add_their_covariances(head: HeadModel) -> None:

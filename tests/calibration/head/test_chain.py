@@ -13,7 +13,7 @@ FRAMES = 4
 STEP = 1e-6
 
 
-@pytest.fixture(params=["physical", "icub", "turrets"])
+@pytest.fixture(params=["physical", "icub"])
 def case(request):
     """A head that differs from its model, some postures, and a board in front of it."""
     about = vergence.load_head(request.param)

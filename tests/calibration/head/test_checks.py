@@ -23,6 +23,7 @@ def frames():
     ).frames
 
 
+@pytest.mark.slow
 def test_an_eye_whose_images_are_a_frame_late_is_no_board_that_was_moved(frames):
     pixels = frames.pixels.copy()
     pixels[1] = np.roll(pixels[1], 1, axis=0)
@@ -30,6 +31,7 @@ def test_an_eye_whose_images_are_a_frame_late_is_no_board_that_was_moved(frames)
         calibrate_head(HEAD, replace(frames, pixels=pixels))
 
 
+@pytest.mark.slow
 def test_a_board_that_was_moved_is_another_place(frames):
     twice = simulate_recording(
         HEAD, HEAD, np.random.default_rng(3), poses=16, frames_per_pose=2, distances_m=(0.6, 1.2)

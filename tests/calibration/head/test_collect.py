@@ -133,6 +133,7 @@ def test_a_later_run_goes_on_with_other_postures(tmp_path):
     assert not looker.asked  # nothing is left to do
 
 
+@pytest.mark.slow
 def test_a_board_that_was_moved_has_another_place_and_is_noticed_if_nobody_says_so(
     collected, tmp_path
 ):

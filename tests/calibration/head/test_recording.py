@@ -10,6 +10,7 @@ import pytest
 
 import vergence
 from tests.calibration.head.recordings import log_frames, log_view
+from tests.naming import named
 from vergence.calibration.head.calibrate_head import sort_and_clean_frames
 from vergence.calibration.head.recording import read_recording
 from vergence.calibration.head.simulated import simulate_recording
@@ -224,6 +225,7 @@ def changed(photographs, tmp_path):
     return change
 
 
+@pytest.mark.slow
 def test_photographs_and_their_table_are_frames_in_the_order_of_their_times(photographs):
     fractions = []
     found = read_recording(photographs, HEAD, BOARD, fractions.append)
@@ -277,7 +279,7 @@ def test_a_tag_is_a_board_of_photographs_too(tmp_path):
     np.testing.assert_allclose(found.pixels[0, 0], sight.corners_px[0], atol=0.1)
 
 
-def test_tables_that_do_not_fit_are_refused_in_one_line(photographs, tmp_path_factory):
+def test_tables_that_do_not_fit_are_refused_in_one_line(photographs, changed):
     cases = [
         (lambda lines: lines[:-1], "expected a row whose 'pair' is '2.png'"),
         (lambda lines: [lines[0].replace("neck_yaw", "neck_jaw"), *lines[1:]], "neck_jaw_deg"),
@@ -285,13 +287,11 @@ def test_tables_that_do_not_fit_are_refused_in_one_line(photographs, tmp_path_fa
         (lambda lines: [*lines[:-1], lines[-1].replace(",0,1", ",1.5,1")], "a whole number below"),
         (lambda lines: [*lines[:-1], lines[-1].replace(",0,1", ",0,")], "time_s: expected a numb"),
     ]
+    folder = changed(list)
+    lines = (folder / "joints.csv").read_text().splitlines()
     for edit, said in cases:
-        folder = tmp_path_factory.mktemp("changed")
-        for eye in ("left", "right"):
-            (folder / eye).symlink_to(photographs / eye)
-        lines = (photographs / "joints.csv").read_text().splitlines()
         (folder / "joints.csv").write_text("\n".join(edit(lines)))
-        with pytest.raises(ConfigurationError, match=said):
+        with named(said), pytest.raises(ConfigurationError, match=said):
             read_recording(folder, HEAD, BOARD)
     with pytest.raises(ConfigurationError, match="expected the board of these photographs"):
         read_recording(photographs, HEAD)
@@ -303,10 +303,9 @@ def test_tables_that_do_not_fit_are_refused_in_one_line(photographs, tmp_path_fa
 
 
 def test_different_images_of_one_time_are_refused(tmp_path, frames):
-    head = HEAD
     path = tmp_path / "seconds.mcap"
-    with LogWriter(path, head=head, facts={"target": str(frames.target), "at_rest": "True"}) as log:
+    with LogWriter(path, head=HEAD, facts={"target": str(frames.target), "at_rest": "True"}) as log:
         for frame in range(3):
             log_view(log, frames, 0, frame, 1.0)
     with pytest.raises(ConfigurationError, match="times that tell images apart, got two of the"):
-        read_recording(path, head)
+        read_recording(path, HEAD)

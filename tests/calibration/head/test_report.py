@@ -162,7 +162,7 @@ def test_a_page_without_anything_unseen_says_so(found, tmp_path, undrawn):
     assert "Nothing that matters to depth." in written(tmp_path, found, unseen=()).text
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_report_is_one_file_with_all_figures(found, tmp_path):
     page = written(tmp_path, found)
     eyes = {f"{kind}-{eye}" for kind in ("residuals", "coverage") for eye in ("left", "right")}

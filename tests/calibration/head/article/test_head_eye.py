@@ -17,7 +17,7 @@ from vergence.eval.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("head-eye")
-CONFIG = HeadEyeConfig(heads=2, poses=16, frames=2)
+CONFIG = HeadEyeConfig(heads=2, poses=10, frames=2)
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +25,7 @@ def table():
     return EXPERIMENT.run(CONFIG, 1, SerialMapper())
 
 
+@pytest.mark.nightly
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
     again = EXPERIMENT.run(CONFIG, 1, Backwards())
     pd.testing.assert_frame_equal(table, again, check_exact=True)
