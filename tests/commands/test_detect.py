@@ -11,7 +11,7 @@ from tests.models.files.pairs import opencv_pair, write_opencv
 from tests.naming import named
 from tests.perception.drawn import Studio, pose_at
 from vergence.models import load_head
-from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard
+from vergence.models.boards import AprilTag, Checkerboard
 
 TAG, BOARD = AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)
 
@@ -199,22 +199,6 @@ def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
         with named(words):
             assert said in refused(capsys, "detect", *words, "--target", "tag:36h11")
     assert "target: expected at least one" in refused(capsys, "detect", "a.png")
-
-
-@pytest.mark.slow
-def test_a_board_of_the_old_layout_is_named_so(capsys, tmp_path):
-    board = CharucoBoard(columns=6, rows=4, square_m=0.03, marker_m=0.022, legacy=True)
-    image = Studio(load_head("physical"), board).take(
-        pose_at([0.0, 0.0, 0.5]), np.random.default_rng(0)
-    )[0]
-    cv2.imwrite(str(tmp_path / "a.png"), image)
-    # of the other target nothing is found; the board counts as found by the text without the layout
-    words = ("--target", "charuco:6x4:30:22:4X4_50", "--target", "tag:36h11:5", "--json")
-    assert call("detect", tmp_path / "a.png", *words) == 0
-    out, err = capsys.readouterr()
-    (row,) = json.loads(out)
-    assert row["target"] == "charuco:6x4:30:22:4X4_50:legacy"
-    assert err.splitlines() == ["vergence: tag:36h11:5: found in 0 of 1 image"]
 
 
 def test_white_that_is_clipped_is_said(folder, capsys, tmp_path):

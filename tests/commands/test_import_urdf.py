@@ -73,40 +73,26 @@ def test_axes_may_begin_with_a_minus(robot, capsys):
     assert run(capsys, *words, "--camera-axes=-y,-z,x", "--force")[0] == 0
 
 
-def test_a_calibration_gives_each_eye_its_camera(robot, capsys):
-    camera = """image_width: 800
-image_height: 600
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: [{f}, 0, 400, 0, {f}, 300, 0, 0, 1]
-distortion_model: plumb_bob
-distortion_coefficients:
-  rows: 1
-  cols: 5
-  data: [-0.1, 0.01, 0.001, 0.002, 0]
-"""
+def test_a_calibration_gives_each_eye_its_camera_and_one_for_both_is_marked(
+    robot, capsys, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "160")
     for name, focal in (("l.yaml", 700), ("r.yaml", 710)):
-        (robot.parent / name).write_text(camera.format(f=focal), encoding="utf-8")
-    words = (*WHOLE, "--no-figure", "--intrinsics", "l.yaml", "r.yaml")
-    code, _, err = run(capsys, *words)
+        (robot.parent / name).write_text(
+            "image_width: 800\nimage_height: 600\ndist_coeffs: [0, 0, 0, 0, 0]\n"
+            f"camera_matrix: [[{focal}, 0, 400], [0, {focal}, 300], [0, 0, 1]]\n",
+            encoding="utf-8",
+        )
+    words = (*WHOLE, "--no-figure", "--force", "--intrinsics", "l.yaml")
+    code, _, err = run(capsys, *words, "r.yaml")
     assert (code, err) == (0, "")
     head = load_head("head.toml")
     assert head.cameras.focal[:, 0].tolist() == [700.0, 710.0]
     assert not [key for key in head.assumptions if key.startswith("eyes")]
-
-
-def test_one_calibration_for_both_eyes_is_said_and_marked(robot, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "160")
-    (robot.parent / "one.yaml").write_text(
-        "image_width: 800\nimage_height: 600\n"
-        "camera_matrix: [[700, 0, 400], [0, 700, 300], [0, 0, 1]]\ndist_coeffs: [0, 0, 0, 0, 0]\n",
-        encoding="utf-8",
-    )
-    code, out, _ = run(capsys, *WHOLE, "--no-figure", "--intrinsics", "one.yaml")
+    code, out, _ = run(capsys, *words)
     assert code == 0
-    why = "one calibration was given for both cameras"
     assert "focal 700, 700 px" in out
+    why = "one calibration was given for both cameras"
     assert load_head("head.toml").assumptions["eyes.right.focal_px"] == why
 
 

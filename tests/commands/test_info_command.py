@@ -53,13 +53,13 @@ def test_every_number_is_printed_for_every_shape_of_head(capsys, tmp_path, told)
 
 def test_a_heads_calibration_is_told(capsys, tmp_path, told, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
-    record = """
+    record = f"""
 [calibration]
 target = "checkerboard:9x6:24"
 views = 24
 rms_px = 0.1501
 rms_heldout_px = 0.1604
-corners_sha256 = "DIGEST"
+corners_sha256 = "{"0123456789abcdef" * 4}"
 versions = "numpy 2.0.0"
 
 [calibration.sigma]
@@ -68,7 +68,7 @@ versions = "numpy 2.0.0"
 "right.head_eye.x" = 0.0001
 "right.head_eye.y" = 0.0002
 "right.head_eye.z" = 0.0003
-""".replace("DIGEST", "0123456789abcdef" * 4)
+"""
     numbers = told("pair", text_of("pair") + record)
     assert numbers["calibration"]["target"] == "checkerboard:9x6:24"
     assert numbers["calibration"]["rms_heldout_px"] == 0.1604
