@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from tests.heads import text_of
+from tests.naming import named
 from vergence.cli import main
 from vergence.commands.evaluate import _print as show
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
@@ -91,22 +92,17 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
 
 def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(capsys, monkeypatch):
     evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("robust",), episodes=4))
+    (table,) = report_tables(evaluation)
+    cells = [cell.splitlines()[0] for cell in table.rows[0][1:]]  # without intervals
     monkeypatch.setattr(Console, "is_terminal", True)
     for columns in (40, 80, 105):
         monkeypatch.setattr(Console, "width", columns)
         show(evaluation)
         out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
-        assert "…" not in out, columns
-        # a path is printed whole, to be copied
-        assert max(map(len, out.partition("written to")[0].splitlines())) <= columns
-        lines = out.splitlines()
-        intervals = [line for line in lines if line.startswith(" gain 4 ") and "–" in line]
-        assert bool(intervals) == (columns > 80)
-        for column, cell in zip(*cells(evaluation), strict=True):
-            assert cell in out, (column, columns)
-
-
-def cells(evaluation):
-    """Heads and numbers of the first row, without intervals."""
-    (table,) = report_tables(evaluation)
-    return table.columns[1:], [cell.splitlines()[0] for cell in table.rows[0][1:]]
+        with named(columns):
+            assert "…" not in out
+            assert all(cell in out for cell in cells)
+            # a path is printed whole, to be copied
+            assert max(map(len, out.partition("written to")[0].splitlines())) <= columns
+            rows = [line for line in out.splitlines() if line.startswith(" gain 4 ")]
+            assert any("–" in line for line in rows) == (columns > 80)
