@@ -6,25 +6,18 @@ import re
 import pytest
 from rich.console import Console
 
+from tests.commands.called import run
 from tests.heads import text_of
 from tests.naming import named
-from vergence.cli import main
 from vergence.commands.evaluate import _print as show
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
 from vergence.eval.comparison.tables import report_tables
 
 
-def run(capsys, *words: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as stop:
-        main(["evaluate", *words])
-    out, err = capsys.readouterr()
-    return int(stop.value.code or 0), out, err
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path):
     code, out, _err = run(
-        capsys, "ibvs", "--episodes", "2", "--workers", "1", "--out", str(tmp_path / "run")
+        capsys, "evaluate", "ibvs", "--episodes", "2", "--workers", "1", "--out", tmp_path / "run"
     )
     assert code == 0
     assert "workspace on kinematic: 2 trials of 2 s" in out
@@ -38,8 +31,8 @@ def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path)
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_the_head_and_what_it_cannot_do_away_with(capsys, tmp_path):
     (tmp_path / "mis.toml").write_text(text_of("mis"))
-    words = ["ibvs", "--episodes", "2", "--workers", "1", "--head", str(tmp_path / "mis.toml")]
-    code, out, _err = run(capsys, *words, "--out", str(tmp_path / "run"))
+    words = ["ibvs", "--episodes", "2", "--workers", "1", "--head", tmp_path / "mis.toml"]
+    code, out, _err = run(capsys, "evaluate", *words, "--out", tmp_path / "run")
     assert code == 0
     assert "2 trials of 2 s, head mis" in out
     assert "Residual: the least error" in " ".join(out.split())
@@ -53,8 +46,8 @@ def test_the_table_names_the_head_and_what_it_cannot_do_away_with(capsys, tmp_pa
 @pytest.mark.usefixtures("undrawn")
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(
-        capsys, "ibvs", "--episodes", "2", "--workers", "1", "--json", "--scenario", "step",
-        "--out", str(tmp_path / "run"),
+        capsys, "evaluate", "ibvs", "--episodes", "2", "--workers", "1", "--json",
+        "--scenario", "step", "--out", tmp_path / "run",
     )  # fmt: skip
     assert code == 0
     rows = json.loads(out)
@@ -72,7 +65,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
         ("math:sqrt",),
         ("ibvs", "--scenario", "circle", "--plant", "rendered"),
     ]:
-        code, out, err = run(capsys, *words, "--out", str(tmp_path / "run"))
+        code, out, err = run(capsys, "evaluate", *words, "--out", tmp_path / "run")
         assert code == 2, words
         assert out == ""
         lines = [line for line in err.splitlines() if line.startswith("vergence: ")]
@@ -85,7 +78,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
 ):
     (tmp_path / "file").touch()
     monkeypatch.setattr("vergence.eval.comparison.evaluate.evaluate", None)
-    code, _out, err = run(capsys, "ibvs", "--out", str(tmp_path / "file" / "run"))
+    code, _out, err = run(capsys, "evaluate", "ibvs", "--out", tmp_path / "file" / "run")
     assert code == 2
     assert "out: expected a folder that can be written" in err
 
