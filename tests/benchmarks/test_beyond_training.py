@@ -43,9 +43,3 @@ def test_the_table_has_a_row_for_each_imperfection_and_controller(tmp_path, caps
     assert 1.0 <= saccade["ratio_to_bound_2px_median"] <= saccade["ratio_to_bound_2px_p95"]
     assert np.isfinite(table["settled_2px_fraction"]).all()
     assert "frame jitter" in capsys.readouterr().out
-
-
-def test_an_imperfection_that_there_is_not_is_refused(capsys) -> None:
-    with pytest.raises(SystemExit):
-        main(["--only", "gravity"])
-    assert "gravity" in capsys.readouterr().err

@@ -31,8 +31,3 @@ def test_runs_of_both_kinds_make_one_picture_and_a_table(tmp_path, capsys) -> No
     shown = capsys.readouterr().out
     assert shown.count("0.310") == len(runs)  # what the best checkpoint reached, not the first row
     assert "100.0%" in shown
-
-
-def test_a_folder_of_something_else_is_refused_in_one_line(tmp_path, capsys) -> None:
-    assert main([str(tmp_path), "--out", str(tmp_path / "curves")]) == 2
-    assert "expected run folders of vergence train" in capsys.readouterr().err

@@ -77,24 +77,3 @@ def test_cells_are_filled_with_the_digits_they_have_and_what_stands_about_them()
     assert filled(done, ranges) == done
     wrong = TABLE.replace("1,007", "12").replace("3.0", "7.0")
     assert filled(wrong, TABLES) == TABLE
-
-
-def test_a_number_in_place_of_none_has_three_digits():
-    text = "| a | b |\n| - | - |\n| x | - |\n\n<!-- cells t\ncolumns: a\nrows: x\n-->\n"
-    for value, shown in (
-        (286.1, "286"), (1143.2, "1,143"), (1.2199, "1.22"), (0.0123, "0.0123"), (0.3, "0.3"),
-        (0.0, "0"), (25.96, "26.0"), (-0.05, "-0.05"), (20.0, "20"), (100.0, "100"),
-        (99.96, "100"),
-    ):  # fmt: skip
-        with named(value, shown):
-            tables = {"t": lambda _key, value=value: value}
-            done = filled(text, tables)
-            assert f"| x | {shown} |" in done
-            assert disagreements(done, tables) == []
-
-
-def test_a_cell_is_emptied_where_the_table_has_no_number_any_more():
-    done = filled(
-        TABLE, {"t": {"x/one/s": 1.0, "x/two/s": float("nan"), "x/one/r": 3.0}.__getitem__}
-    )
-    assert "| two | - | |" in done

@@ -8,9 +8,9 @@ import pytest
 from benchmarks import false_positives
 from benchmarks.tag_images.__main__ import main
 from benchmarks.tag_images.catalogue import VARIATIONS
-from benchmarks.tag_images.methods import Found, Method, make_methods
+from benchmarks.tag_images.methods import Found, make_methods
 from benchmarks.tag_images.photographs import KnownTag, Photograph, crossing, tags_from
-from benchmarks.tag_images.scores import score, voted
+from benchmarks.tag_images.scores import score
 from benchmarks.tag_images.variations import vary
 from tests.naming import named
 from vergence.errors import VergenceError
@@ -89,23 +89,6 @@ def test_what_counts_as_false() -> None:
     swapped = [Found(4, tag.centre_px, tag.corners_px), Found(9, tag.centre_px, tag.corners_px)]
     false = score(swapped, tag, [tag, other], ordered=False)
     assert (false.wrong, false.stray) == ((9,), (4,))
-
-
-def method(voter: str, shift_px: float, number: int = 3, refined: bool = True) -> Method:
-    """Finds one tag, off by so much."""
-    tag = known_tag(number, (50.0 + shift_px, 50.0), 30.0)
-    found = [Found(number, tag.centre_px, tag.corners_px)]
-    return Method(voter, voter, lambda image: found, refined=refined)
-
-
-def test_bindings_of_one_library_have_one_vote() -> None:
-    photograph = Photograph("", np.zeros((9, 9), np.uint8), (known_tag(3, (50.0, 50.0), 30.0),))
-    bindings = [method("library", 0.9)] * 5
-    others = [method("a", 0.1), method("b", 0.2), method("aruco", -1.5, refined=False)]
-    (tag,) = voted(photograph, [*bindings, *others]).tags
-    assert tag.centre_px[0] == pytest.approx(50.2)
-    (tag,) = voted(photograph, bindings).tags
-    assert tag.centre_px[0] == pytest.approx(50.0)
 
 
 @pytest.fixture

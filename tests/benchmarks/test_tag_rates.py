@@ -41,13 +41,6 @@ def test_another_number_or_place_is_another_tag(ours) -> None:
     assert cells(seen) == [1, 2, 2, 0, 1, 2, 2]
 
 
-def test_what_the_library_alone_finds_with_little_margin_does_not_count(ours) -> None:
-    tag = PHOTOGRAPH.tags[0]
-    doubtful = Found(6, tag.centre_px, tag.corners_px, 0, 4.0)
-    ids = [one.tag.id for one in seen_in("drawn", IMAGE, ours, library(doubtful), 5.0)]
-    assert ids == [5]
-
-
 def test_one_command_makes_the_table_of_rates(tmp_path, capsys) -> None:
     for name in ("near", "far"):
         (tmp_path / name).mkdir()

@@ -28,12 +28,3 @@ def test_the_share_of_the_edge_comes_out_through_a_tilt_and_a_lens():
         share = share_of([seen(number, 5, edge) for number in range(20)], 5, SIZE)
         assert share.value == pytest.approx(edge, abs=1e-4)
         assert share.left_px < 0.02
-
-
-def test_edges_placed_outside_by_a_share_of_a_pixel_are_told():
-    tags = [seen(number, 5, 0.8) for number in range(20)]
-    outside = [
-        Found(one.id, one.centre_px, one.corners_px + 0.01 * (one.corners_px - one.centre_px))
-        for one in tags
-    ]
-    assert share_of(outside, 5, SIZE).value == pytest.approx(0.808, abs=2e-4)

@@ -20,3 +20,8 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
     (line,) = err.splitlines()
     assert line.startswith("vergence: error: ")
     return line
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    """The exit code of a command, what is printed and what is said on standard error."""
+    return call(*words), *capsys.readouterr()

@@ -11,7 +11,7 @@ from tests.models.files.pairs import opencv_pair, write_opencv
 from tests.naming import named
 from tests.perception.drawn import Studio, pose_at
 from vergence.models import load_head
-from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard
+from vergence.models.boards import AprilTag, Checkerboard
 
 TAG, BOARD = AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)
 
@@ -174,9 +174,7 @@ def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
         (["a.png", "--figure", "x.jpg"], "ends in .png"),
         # no such image either: the figure is looked at first
         (["none.png", "--figure", "nodir/x.png"], "figure: expected a file that can be written"),
-        (["a.png", "--figure", "folder.png"], "Is a directory"),
         (["a.png", "--figure", "./a.png"], "another file than the images"),
-        ([".", "--figure", "a.png"], "another file than the images"),
         (["folder.png"], "got an empty one"),
         (["a.png", "--camera", "head.toml"], "(a head file is given as --head, with --eye left or"),
         (["a.png", "--head", "pair.yml", "--eye", "left"],
@@ -186,12 +184,10 @@ def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
          "expected the camera's 640 x 480 px, got 64 x 48"),
         (["a.png", "--size", "640x480"], "expected --camera beside it"),
         (["a.png", "--response", "rgb"], "response: expected 'linear', 'srgb', a gamma"),
-        (["a.png", "--seconds", "3"], "expected only with --live"),
         (["a.png", "--head", "physical"], "expected left or right"),
         (["a.png", "--eye", "left"], "expected --head or --camera"),
         (["a.png", "--live", "0"], "expected none with --live"),
         (["--live", "0", "--seconds", "0"], "expected more than 0"),
-        (["--live", "99"], "got 99: no such device"),
         (["--live", "none.avi"], "got 'none.avi': no such file"),
         (["--live", "a.png", "--head", "physical", "--eye", "left"], "the camera's 640 x 480 px"),
         (["--live", "text.avi"], "a video that OpenCV can read"),
@@ -199,22 +195,6 @@ def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
         with named(words):
             assert said in refused(capsys, "detect", *words, "--target", "tag:36h11")
     assert "target: expected at least one" in refused(capsys, "detect", "a.png")
-
-
-@pytest.mark.slow
-def test_a_board_of_the_old_layout_is_named_so(capsys, tmp_path):
-    board = CharucoBoard(columns=6, rows=4, square_m=0.03, marker_m=0.022, legacy=True)
-    image = Studio(load_head("physical"), board).take(
-        pose_at([0.0, 0.0, 0.5]), np.random.default_rng(0)
-    )[0]
-    cv2.imwrite(str(tmp_path / "a.png"), image)
-    # of the other target nothing is found; the board counts as found by the text without the layout
-    words = ("--target", "charuco:6x4:30:22:4X4_50", "--target", "tag:36h11:5", "--json")
-    assert call("detect", tmp_path / "a.png", *words) == 0
-    out, err = capsys.readouterr()
-    (row,) = json.loads(out)
-    assert row["target"] == "charuco:6x4:30:22:4X4_50:legacy"
-    assert err.splitlines() == ["vergence: tag:36h11:5: found in 0 of 1 image"]
 
 
 def test_white_that_is_clipped_is_said(folder, capsys, tmp_path):
@@ -228,9 +208,5 @@ def test_white_that_is_clipped_is_said(folder, capsys, tmp_path):
 
 
 def test_what_is_there_in_place_of_what_was_asked_for_is_said(folder, capsys):
-    for asked, image, there in [
-        ("checkerboard:6x5:30", "board.png", "checkerboard:5x4:30 (inner corners) is there"),
-        ("tag:36h11:4", "tag.png", "tag:36h11:5 is there"),
-    ]:
-        assert call("detect", folder / image, "--target", asked) == 1, asked
-        assert capsys.readouterr().err.strip().endswith(there)
+    assert call("detect", folder / "tag.png", "--target", "tag:36h11:4") == 1
+    assert capsys.readouterr().err.strip().endswith("tag:36h11:5 is there")

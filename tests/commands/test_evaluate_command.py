@@ -6,24 +6,18 @@ import re
 import pytest
 from rich.console import Console
 
+from tests.commands.called import run
 from tests.heads import text_of
-from vergence.cli import main
+from tests.naming import named
 from vergence.commands.evaluate import _print as show
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
 from vergence.eval.comparison.tables import report_tables
 
 
-def run(capsys, *words: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as stop:
-        main(["evaluate", *words])
-    out, err = capsys.readouterr()
-    return int(stop.value.code or 0), out, err
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path):
     code, out, _err = run(
-        capsys, "ibvs", "--episodes", "2", "--workers", "1", "--out", str(tmp_path / "run")
+        capsys, "evaluate", "ibvs", "--episodes", "2", "--workers", "1", "--out", tmp_path / "run"
     )
     assert code == 0
     assert "workspace on kinematic: 2 trials of 2 s" in out
@@ -37,8 +31,8 @@ def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path)
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_the_head_and_what_it_cannot_do_away_with(capsys, tmp_path):
     (tmp_path / "mis.toml").write_text(text_of("mis"))
-    words = ["ibvs", "--episodes", "2", "--workers", "1", "--head", str(tmp_path / "mis.toml")]
-    code, out, _err = run(capsys, *words, "--out", str(tmp_path / "run"))
+    words = ["ibvs", "--episodes", "2", "--workers", "1", "--head", tmp_path / "mis.toml"]
+    code, out, _err = run(capsys, "evaluate", *words, "--out", tmp_path / "run")
     assert code == 0
     assert "2 trials of 2 s, head mis" in out
     assert "Residual: the least error" in " ".join(out.split())
@@ -52,8 +46,8 @@ def test_the_table_names_the_head_and_what_it_cannot_do_away_with(capsys, tmp_pa
 @pytest.mark.usefixtures("undrawn")
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(
-        capsys, "ibvs", "--episodes", "2", "--workers", "1", "--json", "--scenario", "step",
-        "--out", str(tmp_path / "run"),
+        capsys, "evaluate", "ibvs", "--episodes", "2", "--workers", "1", "--json",
+        "--scenario", "step", "--out", tmp_path / "run",
     )  # fmt: skip
     assert code == 0
     rows = json.loads(out)
@@ -71,7 +65,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
         ("math:sqrt",),
         ("ibvs", "--scenario", "circle", "--plant", "rendered"),
     ]:
-        code, out, err = run(capsys, *words, "--out", str(tmp_path / "run"))
+        code, out, err = run(capsys, "evaluate", *words, "--out", tmp_path / "run")
         assert code == 2, words
         assert out == ""
         lines = [line for line in err.splitlines() if line.startswith("vergence: ")]
@@ -84,29 +78,24 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
 ):
     (tmp_path / "file").touch()
     monkeypatch.setattr("vergence.eval.comparison.evaluate.evaluate", None)
-    code, _out, err = run(capsys, "ibvs", "--out", str(tmp_path / "file" / "run"))
+    code, _out, err = run(capsys, "evaluate", "ibvs", "--out", tmp_path / "file" / "run")
     assert code == 2
     assert "out: expected a folder that can be written" in err
 
 
 def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(capsys, monkeypatch):
     evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("robust",), episodes=4))
+    (table,) = report_tables(evaluation)
+    cells = [cell.splitlines()[0] for cell in table.rows[0][1:]]  # without intervals
     monkeypatch.setattr(Console, "is_terminal", True)
     for columns in (40, 80, 105):
         monkeypatch.setattr(Console, "width", columns)
         show(evaluation)
         out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
-        assert "…" not in out, columns
-        # a path is printed whole, to be copied
-        assert max(map(len, out.partition("written to")[0].splitlines())) <= columns
-        lines = out.splitlines()
-        intervals = [line for line in lines if line.startswith(" gain 4 ") and "–" in line]
-        assert bool(intervals) == (columns > 80)
-        for column, cell in zip(*cells(evaluation), strict=True):
-            assert cell in out, (column, columns)
-
-
-def cells(evaluation):
-    """Heads and numbers of the first row, without intervals."""
-    (table,) = report_tables(evaluation)
-    return table.columns[1:], [cell.splitlines()[0] for cell in table.rows[0][1:]]
+        with named(columns):
+            assert "…" not in out
+            assert all(cell in out for cell in cells)
+            # a path is printed whole, to be copied
+            assert max(map(len, out.partition("written to")[0].splitlines())) <= columns
+            rows = [line for line in out.splitlines() if line.startswith(" gain 4 ")]
+            assert any("–" in line for line in rows) == (columns > 80)

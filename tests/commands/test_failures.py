@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from tests.commands.called import call, refused
+from tests.models.files.pairs import opencv_pair, write_opencv
 from tests.naming import named
 from vergence import cli
 from vergence.cli import main
@@ -91,6 +92,18 @@ def test_a_result_whose_reader_has_gone_is_no_error(monkeypatch, capsys):
         assert call("info") == 0
     assert capsys.readouterr().err == ""
     stdout.close()
+
+
+@pytest.mark.slow
+def test_files_are_written_before_a_reader_that_leaves_early_is_noticed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_opencv(tmp_path / "pair.yml", opencv_pair())
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w", buffering=1) as stdout, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stdout)
+        call("import", "stereo", "pair.yml", "--out", "desk.toml")
+    assert {path.name for path in tmp_path.iterdir()} == {"pair.yml", "desk.toml", "desk.png"}
 
 
 def test_a_fault_of_the_package_is_one_line_that_says_where_and_a_trace_if_asked(

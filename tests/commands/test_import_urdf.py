@@ -4,8 +4,8 @@ import re
 
 import pytest
 
+from tests.commands.called import run
 from tests.models.files.robot_description.descriptions import NECK, eye, urdf
-from vergence.cli import main
 from vergence.models.files.head_file import load_head
 
 
@@ -18,21 +18,14 @@ def robot(tmp_path, monkeypatch):
     return path
 
 
-def run(capsys, *words: str) -> tuple[int, str, str]:
-    """The exit code, what is printed and what is said on standard error."""
-    with pytest.raises(SystemExit) as stop:
-        main(["import", "urdf", "robot.urdf", "--base", "base", *words])
-    printed = capsys.readouterr()
-    return int(stop.value.code or 0), printed.out, printed.err
-
-
+IMPORT = ("import", "urdf", "robot.urdf", "--base", "base")
 CAMERAS = ("--left-camera", "left_optical", "--right-camera", "right_optical")
 WHOLE = (*CAMERAS, "--neck", "yaw", "roll", "pitch", "--out", "head.toml")
 
 
 def test_it_writes_a_head_and_says_what_it_has_read_and_assumed(robot, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
-    code, out, err = run(capsys, *WHOLE, "--no-figure")
+    code, out, err = run(capsys, *IMPORT, *WHOLE, "--no-figure")
     assert (code, err) == (0, "")
     assert load_head("head.toml").joints == (
         "yaw", "roll", "pitch", "left_pan", "left_tilt", "right_pan", "right_tilt",
@@ -47,7 +40,7 @@ def test_it_writes_a_head_and_says_what_it_has_read_and_assumed(robot, capsys, m
 
 @pytest.mark.slow
 def test_it_draws_the_head_beside_the_file(robot, capsys):
-    code, out, _ = run(capsys, *WHOLE)
+    code, out, _ = run(capsys, *IMPORT, *WHOLE)
     assert code == 0
     assert (robot.parent / "head.png").read_bytes().startswith(b"\x89PNG")
     assert "head.png" in out
@@ -58,65 +51,51 @@ def test_joints_are_locked_at_once_or_one_after_the_other(robot, capsys):
                                     ("--lock=yaw=10", "--lock=roll=-20"))):  # fmt: skip
         out = f"head{number}.toml"
         words = (*CAMERAS, "--neck", "pitch", *locks, "--out", out, "--no-figure")
-        assert run(capsys, *words)[0] == 0, locks
+        assert run(capsys, *IMPORT, *words)[0] == 0, locks
         assert load_head(out).joints[:3] == ("pitch", "", "")
 
 
 def test_axes_may_begin_with_a_minus(robot, capsys):
     bodies = ("--left-camera", "left_camera", "--right-camera", "right_camera")
     words = (*bodies, "--neck", "yaw", "roll", "pitch", "--out", "head.toml", "--no-figure")
-    code, _, err = run(capsys, *words)
+    code, _, err = run(capsys, *IMPORT, *words)
     assert code == 2
     assert "--camera-axes=-y,-z,x would fit" in err
     assert not (robot.parent / "head.toml").exists()
-    assert run(capsys, *words, "--camera-axes", "-y,-z,x")[0] == 0
-    assert run(capsys, *words, "--camera-axes=-y,-z,x", "--force")[0] == 0
+    assert run(capsys, *IMPORT, *words, "--camera-axes", "-y,-z,x")[0] == 0
+    assert run(capsys, *IMPORT, *words, "--camera-axes=-y,-z,x", "--force")[0] == 0
 
 
-def test_a_calibration_gives_each_eye_its_camera(robot, capsys):
-    camera = """image_width: 800
-image_height: 600
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: [{f}, 0, 400, 0, {f}, 300, 0, 0, 1]
-distortion_model: plumb_bob
-distortion_coefficients:
-  rows: 1
-  cols: 5
-  data: [-0.1, 0.01, 0.001, 0.002, 0]
-"""
+def test_a_calibration_gives_each_eye_its_camera_and_one_for_both_is_marked(
+    robot, capsys, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "160")
     for name, focal in (("l.yaml", 700), ("r.yaml", 710)):
-        (robot.parent / name).write_text(camera.format(f=focal), encoding="utf-8")
-    words = (*WHOLE, "--no-figure", "--intrinsics", "l.yaml", "r.yaml")
-    code, _, err = run(capsys, *words)
+        (robot.parent / name).write_text(
+            "image_width: 800\nimage_height: 600\ndist_coeffs: [0, 0, 0, 0, 0]\n"
+            f"camera_matrix: [[{focal}, 0, 400], [0, {focal}, 300], [0, 0, 1]]\n",
+            encoding="utf-8",
+        )
+    words = (*WHOLE, "--no-figure", "--force", "--intrinsics", "l.yaml")
+    code, _, err = run(capsys, *IMPORT, *words, "r.yaml")
     assert (code, err) == (0, "")
     head = load_head("head.toml")
     assert head.cameras.focal[:, 0].tolist() == [700.0, 710.0]
     assert not [key for key in head.assumptions if key.startswith("eyes")]
-
-
-def test_one_calibration_for_both_eyes_is_said_and_marked(robot, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "160")
-    (robot.parent / "one.yaml").write_text(
-        "image_width: 800\nimage_height: 600\n"
-        "camera_matrix: [[700, 0, 400], [0, 700, 300], [0, 0, 1]]\ndist_coeffs: [0, 0, 0, 0, 0]\n",
-        encoding="utf-8",
-    )
-    code, out, _ = run(capsys, *WHOLE, "--no-figure", "--intrinsics", "one.yaml")
+    code, out, _ = run(capsys, *IMPORT, *words)
     assert code == 0
-    why = "one calibration was given for both cameras"
     assert "focal 700, 700 px" in out
+    why = "one calibration was given for both cameras"
     assert load_head("head.toml").assumptions["eyes.right.focal_px"] == why
 
 
 def test_a_file_is_not_replaced_unless_forced(robot, capsys):
     (robot.parent / "head.toml").write_text("mine", encoding="utf-8")
-    code, _, err = run(capsys, *WHOLE, "--no-figure")
+    code, _, err = run(capsys, *IMPORT, *WHOLE, "--no-figure")
     assert code == 2
     assert "--force" in err
     assert (robot.parent / "head.toml").read_text(encoding="utf-8") == "mine"
-    assert run(capsys, *WHOLE, "--no-figure", "--force")[0] == 0
+    assert run(capsys, *IMPORT, *WHOLE, "--no-figure", "--force")[0] == 0
 
 
 def test_a_mistake_is_one_line_and_leaves_nothing(robot, capsys):
@@ -128,11 +107,11 @@ def test_a_mistake_is_one_line_and_leaves_nothing(robot, capsys):
         (("--actuators", "tilt"), "actuators"),
         (("--intrinsics", "none.yaml"), "none.yaml"),
     ]:
-        code, _, err = run(capsys, *WHOLE, "--no-figure", *words)
+        code, _, err = run(capsys, *IMPORT, *WHOLE, "--no-figure", *words)
         assert code == 2, words
         assert len(err.splitlines()) == 1
         assert said in err
         assert [path.name for path in robot.parent.iterdir()] == ["robot.urdf"]
-    code, _, err = run(capsys, "--left-camera", "left_optical", "--out", "head.toml")
+    code, _, err = run(capsys, *IMPORT, "--left-camera", "left_optical", "--out", "head.toml")
     assert code == 2
     assert "vergence needs two cameras" in err

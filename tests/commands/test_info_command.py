@@ -1,7 +1,6 @@
 """`vergence info --head`: what one head is and can do."""
 
 import json
-import re
 from dataclasses import replace
 
 import cv2
@@ -53,13 +52,13 @@ def test_every_number_is_printed_for_every_shape_of_head(capsys, tmp_path, told)
 
 def test_a_heads_calibration_is_told(capsys, tmp_path, told, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
-    record = """
+    record = f"""
 [calibration]
 target = "checkerboard:9x6:24"
 views = 24
 rms_px = 0.1501
 rms_heldout_px = 0.1604
-corners_sha256 = "DIGEST"
+corners_sha256 = "{"0123456789abcdef" * 4}"
 versions = "numpy 2.0.0"
 
 [calibration.sigma]
@@ -68,7 +67,7 @@ versions = "numpy 2.0.0"
 "right.head_eye.x" = 0.0001
 "right.head_eye.y" = 0.0002
 "right.head_eye.z" = 0.0003
-""".replace("DIGEST", "0123456789abcdef" * 4)
+"""
     numbers = told("pair", text_of("pair") + record)
     assert numbers["calibration"]["target"] == "checkerboard:9x6:24"
     assert numbers["calibration"]["rms_heldout_px"] == 0.1604
@@ -178,29 +177,10 @@ FISHEYE = (
 """A pair that sees 180 degrees and more across."""
 
 
-def boxes(figure):
-    """Every text of a drawing's panels that is not a tick's, and its box in pixels."""
-    return [
-        (text.get_text(), text.get_window_extent().extents)
-        for panel in figure.axes
-        for text in [*panel.texts, panel.title, panel.xaxis.label, panel.yaxis.label]
-        if text.get_text()
-    ]
-
-
 @pytest.mark.slow
-def test_no_text_of_the_drawing_covers_another_and_180_degrees_are_shaded():
-    for head in (load_head("icub"), parse_head(FISHEYE)):
-        figure = compose_head(head, summarise_head(head))
-        found = boxes(figure)
-        covered = [
-            (one, other)
-            for i, (one, a) in enumerate(found)
-            for other, b in found[:i]
-            if (np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]) > 1.0).all()
-        ]
-        assert len(found) > 20, head.name
-        assert not covered, head.name
+def test_a_field_of_view_of_180_degrees_is_shaded():
+    head = parse_head(FISHEYE)
+    figure = compose_head(head, summarise_head(head))
     shades = [patch for patch in figure.axes[0].patches if isinstance(patch, Polygon)]
     assert len(shades) == 2
     for shade in shades:
@@ -281,12 +261,3 @@ def test_what_cannot_be_shown_is_refused_in_one_line(capsys):
 def test_the_focal_length_of_the_file_is_told(told):
     text = text_of("pair").replace("[343.0, 343.0]", f"[{K_LEFT[0, 0]}, {K_LEFT[1, 1]}]", 1)
     assert told("focal", text)["eyes"][0]["focal_px"] == [K_LEFT[0, 0], K_LEFT[1, 1]]
-
-
-def test_json_has_no_noise_of_rounding(tmp_path, capsys):
-    path = tmp_path / "head.toml"
-    path.write_text(text_of("pair").replace("0.05", "0.15"), encoding="utf-8")
-    assert call("info", "--head", path, "--json") == 0
-    for word in re.findall(r"[\d.]+(?:e-?\d+)?", capsys.readouterr().out):
-        if re.fullmatch(r"\d+\.\d+", word):
-            assert len(word.replace(".", "").lstrip("0")) <= 12

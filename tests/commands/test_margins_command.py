@@ -4,24 +4,17 @@ import json
 
 import pytest
 
-from vergence.cli import main
+from tests.commands.called import run
 
 FEW = ("--trials", "2", "--workers", "1")
-
-
-def run(capsys, *words: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as stop:
-        main(["evaluate", *words])
-    out, err = capsys.readouterr()
-    return int(stop.value.code or 0), out, err
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
     code, out, _err = run(
-        capsys, "ibvs", "--margins", "--imperfection", "frame_phase", "command_latency_s", *FEW,
-        "--out", str(tmp_path / "run"),
+        capsys, "evaluate", "ibvs", "--margins", "--imperfection", "frame_phase",
+        "command_latency_s", *FEW, "--out", tmp_path / "run",
     )  # fmt: skip
     assert code == 0
     for words in (
@@ -41,8 +34,8 @@ def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
 @pytest.mark.usefixtures("undrawn")
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(
-        capsys, "ibvs", "pid", "--margins", "--imperfection", "frame_phase", *FEW, "--json",
-        "--out", str(tmp_path / "run"),
+        capsys, "evaluate", "ibvs", "pid", "--margins", "--imperfection", "frame_phase",
+        *FEW, "--json", "--out", tmp_path / "run",
     )  # fmt: skip
     assert code == 0
     rows = json.loads(out)
@@ -59,7 +52,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
         (("--margins", "--trials", "0"), "episodes: expected at least 1, got 0"),
     ]:
         code, out, err = run(
-            capsys, "ibvs", *words, "--workers", "1", "--out", str(tmp_path / "run")
+            capsys, "evaluate", "ibvs", *words, "--workers", "1", "--out", tmp_path / "run"
         )
         assert code == 2
         assert out == ""

@@ -119,21 +119,6 @@ def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
         assert not around.any(), text
 
 
-def test_black_has_no_seams_at_a_resolution_that_cuts_its_cells(tmp_path):
-    text, mm = "tag:36h11:5:61.3", 97 / 25.4  # pixels
-    assert call("print-target", text, "--out", tmp_path / "tag.pdf") == 0
-    words = ("--out", tmp_path / "tag.png", "--dpi", "97")
-    assert call("print-target", text, *words) == 0
-    with pypdfium2.PdfDocument(tmp_path / "tag.pdf") as document:
-        page = document[0].render(scale=97 / 72.0, grayscale=True).to_numpy().copy()
-    outline = np.vstack(laid_out(text, "a4").black_outlines_mm)
-    (left, top), (_, bottom) = outline.min(axis=0) * mm, outline.max(axis=0) * mm
-    column = round(left + 0.5 * 61.3 / 8 * mm)  # along the tag's black border, eight cells
-    for image in (page, cv2.imread(tmp_path / "tag.png", cv2.IMREAD_GRAYSCALE)):
-        assert image[round(top) + 2 : round(bottom) - 2, column].max() == 0
-        assert image[round(top) - 4, column] == 255
-
-
 @pytest.mark.slow
 def test_the_text_of_the_board_stands_on_it_and_the_same_board_gives_the_same_bytes(
     tmp_path, monkeypatch
