@@ -175,6 +175,7 @@ def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(
         until_s = time.monotonic() + 120.0
         while np.abs(world.ask({"state": None})["velocities"]).max() < 0.3:
             assert time.monotonic() < until_s
+            assert process.poll() is None
             time.sleep(0.005)
         since_s = time.monotonic()
         process.terminate()
