@@ -142,6 +142,7 @@ def test_a_gaze_has_the_joints_and_actuators_of_its_head(file_of):
     assert positions == ["position_pan_rad", "position_left_pan_rad", "position_right_pan_rad"]
 
 
+@pytest.mark.slow
 def test_a_gaze_settles_about_the_least_error_and_reports_it(file_of, tmp_path):
     result = gaze_of(file_of("common"), duration_s=1.5)
     assert result.residual_px > 5.0

@@ -42,6 +42,7 @@ def test_a_run_that_diverged_does_so_again_when_it_goes_on(tmp_path):
             again()
 
 
+@pytest.mark.slow
 def test_the_command_ends_a_diverged_training_with_one_line(tmp_path, capsys):
     words = ["--set", *SMALL, *PPO, "algorithm.learning_rate=1e30", "--steps", str(STEPS)]
     assert call("train", "policy", "--out", str(tmp_path / "run"), *words) == 2
@@ -54,7 +55,7 @@ def test_the_command_ends_a_diverged_training_with_one_line(tmp_path, capsys):
 def test_a_disk_that_fails_in_mid_training_costs_nothing_that_was_saved(
     whole, begun, tmp_path, monkeypatch
 ):
-    for number, good in [(errno.ENOSPC, 0), (errno.EACCES, 1), (errno.ENOSPC, 2)]:
+    for number, good in [(errno.EACCES, 0), (errno.ENOSPC, 2)]:
         with named(number, good):
             folder = shutil.copytree(begun, tmp_path / f"run-{good}")
             _fail_to_rename(folder, number, good, monkeypatch)

@@ -76,7 +76,9 @@ def learner(activation: type[nn.Module] = nn.Tanh, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
+@pytest.mark.parametrize(
+    "kind", ["gain-schedule", pytest.param("policy", marks=pytest.mark.nightly)]
+)
 def test_onnx_and_torch_agree_on_10000_observations(kind):
     model = learner()
     env = model.get_vec_normalize_env()
@@ -94,7 +96,7 @@ def test_onnx_and_torch_agree_on_10000_observations(kind):
         assert np.abs(gains - gains_from_action(action)).max() <= 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_other_activations_and_layers_are_exported():
     kinds = (nn.ReLU, nn.ELU, nn.SiLU, nn.GELU, nn.LeakyReLU, nn.Mish)
     layers = [module for kind in kinds for module in (nn.Linear(SIZE, SIZE), kind())]

@@ -176,6 +176,7 @@ def test_a_run_whose_best_checkpoint_is_missing_is_refused(mine):
         resume(mine, Silent())
 
 
+@pytest.mark.slow
 def test_a_kill_between_the_names_of_last_and_best_loses_neither(tmp_path):
     folder = tmp_path / "run"
     train(folder, *small(), Silent(stop_after=1))  # the first evaluation is the best so far
@@ -237,6 +238,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 def test_an_edited_configuration_is_refused_by_the_name_of_its_field(mine):
     path = mine / "config.toml"
     text = path.read_text()

@@ -50,6 +50,7 @@ def test_the_registry_holds_the_scenarios_by_their_names() -> None:
         load_scenario("nowhere")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", ["kinematic", "mujoco", "rendered"])
 def test_every_scenario_runs_on_each_of_its_plants(plant: str) -> None:
     own = [scenario for scenario in map(load_scenario, NAMES) if plant in scenario.plants]
@@ -97,6 +98,7 @@ def test_a_target_that_a_head_cannot_look_at_is_told_with_its_scenario() -> None
             run_trials(controller, load_scenario(name), episodes=2, head=head)
 
 
+@pytest.mark.slow
 def test_both_eyes_see_the_target_at_the_start() -> None:
     seen = {name: begin(load_scenario(name), 200).truth().image_visible.all() for name in NAMES}
     assert seen == dict.fromkeys(NAMES, True)

@@ -405,6 +405,7 @@ def test_several_options_are_drawn_in_slices(tmp_path, capsys):
     assert (folder / "tune.png").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words, said in [

@@ -61,6 +61,7 @@ def test_masses_change_little(table):
     assert found.plants_overshoot_difference < 0.001
 
 
+@pytest.mark.slow
 def test_overshoot_begins_just_above_four(table):
     for gain in derive_findings(table, CONFIG).onset_gain_by_step.values():
         assert 4.0 < gain < 4.2
@@ -107,6 +108,7 @@ def test_a_crossing_lies_between_its_samples():
     assert np.isnan(first_crossing([1.0, 2.0], [0.6, 0.7], 0.5))
 
 
+@pytest.mark.slow
 def test_figures_and_numbers_are_those_of_the_docs_and_no_panel_is_empty(table):
     assert incomplete("gain-sweep", table, CONFIG) == []
 
@@ -116,6 +118,7 @@ def verdicts(table: pd.DataFrame) -> dict[str, str]:
     return {row.quantity: row.verdict for row in rows if row.axis == "y"}
 
 
+@pytest.mark.slow
 def test_the_onset_is_judged_and_our_rig_lies_between_the_identified_loops(table):
     quantity = "gain at which overshoot begins"
     calm = table.copy()
