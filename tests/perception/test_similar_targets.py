@@ -21,6 +21,7 @@ def hint(image, asked):
     return describe_similar_targets(image, parse_targets([asked]))
 
 
+@pytest.mark.slow
 def test_a_charuco_board_of_other_counts_or_markers_is_named():
     image = drawn("charuco:6x5:40:30:4X4_50")
     for asked in (
