@@ -41,7 +41,6 @@ def run(task: GazeTask, name: str, steps: int, seed: int = 0, **options: Any) ->
 
     controller.predictor.update = remember
     truth = task.truth()
-    assert truth is not None
     bound = settle_bound(task)
     errors, positions, actions = [truth.pixel_error], [truth.positions], []
     state = None
@@ -50,7 +49,6 @@ def run(task: GazeTask, name: str, steps: int, seed: int = 0, **options: Any) ->
         task.step(action)
         actions.append(action)
         truth = task.truth()
-        assert truth is not None
         errors.append(truth.pixel_error)
         positions.append(truth.positions)
     return Trial(np.array(errors), np.array(actions), np.array(positions), predicted, bound)

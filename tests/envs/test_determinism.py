@@ -29,7 +29,6 @@ def now(task: GazeTask, place: int) -> tuple[np.ndarray, ...]:
 
 def record(task: GazeTask, place: int, count: int) -> list[tuple[np.ndarray, ...]]:
     """Everything that one place's readings, truths and observations say over some steps."""
-
     out = [now(task, place)]
     for action in actions(count):
         task.step(np.broadcast_to(action, (task.num, 4)).copy())
@@ -53,9 +52,7 @@ def noisy() -> HeadModel:
 
 # longer than a block of random numbers, which is 256 steps
 CASES = [("kinematic", 270, 7, "random"), ("mujoco", 60, 3, "step"), ("rendered", 14, 2, "step")]
-cases = pytest.mark.parametrize(
-    ("plant", "count", "num", "target"), CASES, ids=[c[0] for c in CASES]
-)
+cases = pytest.mark.parametrize(("plant", "count", "num", "target"), CASES)
 
 
 def alone(head: HeadModel, plant: str, count: int, target: str):

@@ -79,10 +79,7 @@ def test_arguments_that_cannot_be_are_refused_by_name() -> None:
         ({"plant": "wooden"}, "plant: expected one of hardware, kinematic, mujoco.*'wooden'"),
         ({"head": "nobody"}, "nobody"),
         ({"info": ("truht",)}, "info: expected some of fixes, truth, got 'truht'"),
-        (
-            {"model_errors": {"join_rad": 0.1}},
-            r"model_errors\.join_rad: expected one of link_m.*'join_rad' = 0.1",
-        ),
+        ({"model_errors": {"join_rad": 0.1}}, r"model_errors\.join_rad: expected one of link_m"),
         (both, "either model_errors or true_head"),
     ]:
         with named(options, message), pytest.raises(VergenceError, match=message):

@@ -29,9 +29,8 @@ def test_there_is_a_number_of_each_channel_for_every_actuator() -> None:
             inputs = Inputs.of(kind, head, task.layout)
             assert inputs.size == PER_ACTUATOR[kind] * head.actuation.count
             for actuator in head.actuation.names:
-                assert (
-                    sum(one.endswith(f"_{actuator}") for one in inputs.names) == PER_ACTUATOR[kind]
-                )
+                own = [one for one in inputs.names if one.endswith(f"_{actuator}")]
+                assert len(own) == PER_ACTUATOR[kind]
             memory = np.tile(inputs.initial(), (6, 1))
             rng = np.random.default_rng(0)
             for _ in range(30):
@@ -61,8 +60,7 @@ def test_a_policy_has_an_action_for_each_actuator_and_a_schedule_four_gains() ->
         with named(name):
             head = head_of(name)
             for make, size in ((PolicyTask, head.actuation.count), (GainScheduleTask, 4)):
-                task = make(2, plant="kinematic", head=head)
-                begin(task, 3)
+                task = begin(make(2, plant="kinematic", head=head), 3)
                 observed, action = task.spaces()
                 assert action.shape == (size,)
                 for _ in range(10):

@@ -42,6 +42,18 @@ def test_detections_agree_with_the_projection_of_the_moving_target(preset, board
     assert error.std() > 0.0
 
 
+def test_frames_at_60_hz_that_come_seven_periods_late_show_their_own_instants(simulated) -> None:
+    head = simulated.replace(timing={"frame_rate_hz": 60.0, "latency_s": 7 / 120})
+    readings, q, _v = steps(make_plant("rendered", head, 1), start_of(), 12, SLOW)
+    assert not any(reading.visible.any() for reading in readings[:7])
+    for step in range(7, 13):
+        frame = (step - 7) // 2 * 2  # two periods are some 3 px of these motions
+        assert readings[step].exposure_s == pytest.approx([frame / 120], abs=1e-12)
+        assert np.array_equal(readings[step].positions_at_exposure, q[frame])
+        expected = head.project(q[frame], AHEAD)
+        assert readings[step].pixels == pytest.approx(expected, abs=0.3)
+
+
 @pytest.mark.slow
 def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -> None:
     head = wide("fisheye", "rational")

@@ -20,8 +20,7 @@ GAINS = np.array([0.7, 0.9, 1.1, 1.3])
 def full(count: int, head: HeadModel) -> np.ndarray:
     """(count, 7) full speed one way, then the other."""
     sign = np.where(np.arange(count) < count // 2, 1.0, -1.0)[:, None]
-    out = sign * head.limits.velocity * [0, 0, 0, 1, -1, 1, -1]
-    return out
+    return sign * head.limits.velocity * [0, 0, 0, 1, -1, 1, -1]
 
 
 def run(plant_name: str, head: HeadModel, commands: np.ndarray, **options: object) -> np.ndarray:
@@ -79,9 +78,8 @@ def test_a_motor_of_any_gain_and_falloff_reaches_its_speed_and_no_more(exact) ->
         for plant_name in ("kinematic", "mujoco"):
             with named(falloff, plant_name):
                 for gain in (0.5, 2.0):
-                    plant = make_plant(
-                        plant_name, exact, 1, speed_gain=gain, torque_falloff=falloff
-                    )
+                    options = {"speed_gain": gain, "torque_falloff": falloff}
+                    plant = make_plant(plant_name, exact, 1, **options)
                     _r, _q, v = steps(plant, start_of(positions=-0.3), 14, [0, 0, 0, 1.5, 0, 0, 0])
                     assert (v[:, 0, 3] <= 1.5 * gain * (1 + 1e-3)).all()
                     assert v[-1, 0, 3] > 0.9 * 1.5 * gain
@@ -90,14 +88,9 @@ def test_a_motor_of_any_gain_and_falloff_reaches_its_speed_and_no_more(exact) ->
 def test_the_limits_are_those_of_the_true_head(exact) -> None:
     for plant_name in ["kinematic", "mujoco"]:
         with named(plant_name):
-            weak = exact.replace(
-                limits={
-                    "velocity": 0.5 * exact.limits.velocity,
-                    "acceleration": 0.5 * exact.limits.acceleration,
-                    "upper": np.full(7, 0.3),
-                    "lower": np.full(7, -0.3),
-                }
-            )
+            half = {n: 0.5 * getattr(exact.limits, n) for n in ("velocity", "acceleration")}
+            ends = {"upper": np.full(7, 0.3), "lower": np.full(7, -0.3)}
+            weak = exact.replace(limits=half | ends)
             plant = make_plant(plant_name, exact, 1, true_head=weak)
             command = np.array([0, 0, 0, 6.0, 6.0, 6.0, 6.0])
             readings, q, v = steps(plant, start_of(), 60, command)
