@@ -69,6 +69,7 @@ def test_a_calibration_may_give_the_lens(folder, capsys, tmp_path):
     assert "expected left or right, as" in refused(capsys, *words)
 
 
+@pytest.mark.slow
 def test_a_response_may_be_stated_and_colours_are_taken_for_srgb(folder, capsys, tmp_path):
     grey, colours = folder / "tag.png", tmp_path / "colours.png"
     cv2.imwrite(str(colours), cv2.imread(str(grey)))  # BGR
@@ -132,6 +133,7 @@ def test_live_tells_rate_noise_and_the_detectors_own_sigma(video, capsys):
         assert word in out
 
 
+@pytest.mark.slow
 def test_a_target_that_no_image_has_is_named_beside_those_found(folder, capsys):
     words = ("--target", "tag:36h11:5", "--target", "tag:36h11:7", "--target", "checkerboard:7x4")
     assert call("detect", folder, *words, "--json") == 0

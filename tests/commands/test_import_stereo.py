@@ -87,6 +87,7 @@ def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
     assert capsys.readouterr().out.splitlines()[-2:] == [str(out), str(out.with_suffix(".png"))]
 
 
+@pytest.mark.slow
 def test_what_cannot_be_imported_is_refused_in_one_line(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_opencv(tmp_path / "pair.yml", opencv_pair())

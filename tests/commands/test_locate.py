@@ -170,6 +170,7 @@ def test_images_that_are_swapped_or_do_not_belong_together_are_told(locate, tmp_
     assert "lines of sight miss each other by more than 2 px" in err
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_refused_in_one_line(desk, capsys, tmp_path, monkeypatch):
     folder, _ = desk
     monkeypatch.chdir(tmp_path)

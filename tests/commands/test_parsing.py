@@ -71,6 +71,7 @@ def test_so_is_one_that_is_looked_up_from_python_unless_it_is_like_none():
     assert "mean" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_value_that_cannot_be_is_answered_by_what_could(capsys):
     for words, expected in [
         (["gaze", "--gain", "much"], "--gain: expected a number, got 'much'"),
