@@ -30,11 +30,6 @@ def test_the_gain_is_visps(x) -> None:
     assert gain_at(-x, **LAW) == pytest.approx(expected)
 
 
-@given(x=st.floats(0.0, 1.0), slope=st.floats(0.0, 500.0))
-def test_equal_ends_are_a_fixed_gain(x, slope) -> None:
-    assert gain_at(x, lambda_zero=3.0, lambda_inf=3.0, slope_zero=slope) == 3.0
-
-
 def test_each_eye_has_its_own_gain_and_an_unseen_target_the_far_one() -> None:
     error = np.array([[0.1, 0.0], [np.nan, np.nan]]) * FOCAL
     gains = make_controller("adaptive", head=HEAD, **LAW).gains(error)

@@ -37,6 +37,5 @@ def test_a_servo_that_overshoots_hardly_passes_its_goal() -> None:
 
 
 def test_a_law_without_a_build_up_is_that_of_two_poles() -> None:
-    assert pole_placement_command(0.1, 0.5, 7.0, 20.0, 0.03, 0.0) == pytest.approx(
-        20.0 * (0.1 - 0.015)
-    )
+    found = pole_placement_command(0.1, 0.5, 7.0, 20.0, 0.03, 0.0)
+    assert found == pytest.approx(20.0 * (0.1 - 0.015))

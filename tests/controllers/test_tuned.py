@@ -96,6 +96,11 @@ def test_a_file_that_is_no_table_is_refused_in_a_line_and_kept(tmp_path) -> None
             assert path.read_text(encoding="utf-8") == content
 
 
+def test_a_missing_file_is_refused(tmp_path) -> None:
+    with pytest.raises(ConfigurationError, match="expected a table of tuned options"):
+        tuned.load_tuned(tmp_path / "none.toml")
+
+
 def test_every_shipped_entry_makes_its_controller() -> None:
     head = load_head("simulated")
     table = tuned.load_tuned()
@@ -153,9 +158,7 @@ def test_a_head_without_options_starts_from_those_of_the_scenarios_head() -> Non
     assert np.array_equal(law.gain, make_controller("ibvs-tuned", load_head("simulated")).gain)
 
 
-def test_the_users_table_lies_in_the_users_data_folder_unless_a_variable_says_where(
-    monkeypatch, tmp_path
-) -> None:
+def test_the_users_table_lies_in_their_data_folder_or_as_a_variable_says(monkeypatch, tmp_path):
     monkeypatch.delenv("VERGENCE_TUNED")
     assert tuned.user_table_path() == platformdirs.user_data_path("vergence") / "tuned.toml"
     monkeypatch.setenv("VERGENCE_TUNED", str(tmp_path / "team.toml"))

@@ -62,9 +62,7 @@ def alone(head: HeadModel, plant: str, count: int, target: str):
 
 
 @cases
-def test_a_trial_is_the_same_alone_and_at_any_place_of_a_vector(
-    noisy, plant, count, num, target
-) -> None:
+def test_a_trial_is_the_same_alone_and_in_a_vector(noisy, plant, count, num, target) -> None:
     expected = alone(noisy, plant, count, target)
     task = GazeTask(num, head=noisy, plant=plant, target=target)
     task.begin(np.arange(num), *keys(num, num - 1))
@@ -83,9 +81,7 @@ def test_a_trial_is_the_same_after_other_trials(noisy, plant, count, num, target
 
 
 @cases
-def test_a_trial_is_the_same_among_trials_that_began_at_other_times(
-    noisy, plant, count, num, target
-) -> None:
+def test_a_trial_is_the_same_among_earlier_and_later_ones(noisy, plant, count, num, target):
     expected = alone(noisy, plant, count, target)
     task = GazeTask(num, head=noisy, plant=plant, target=target)
     seeds, trials = keys(num, 1)

@@ -17,9 +17,8 @@ UNKNOWN = load_scenario("robust").variation
 
 
 def gaze(**options):
-    return GazeVectorEnv(
-        PLACES, max_episode_steps=STEPS, autoreset_mode=AutoresetMode.SAME_STEP, **options
-    )
+    mode = AutoresetMode.SAME_STEP
+    return GazeVectorEnv(PLACES, max_episode_steps=STEPS, autoreset_mode=mode, **options)
 
 
 def trained(kind, **options):

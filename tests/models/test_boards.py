@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.naming import named
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.boards import outline_m, texture
 from vergence.models.tag_families import (
     CORRECTED_BITS,
@@ -13,7 +13,14 @@ from vergence.models.tag_families import (
     load_library,
     tag_family,
 )
-from vergence.vision import AprilTag, CharucoBoard, Checkerboard, TagFamily, parse_target
+from vergence.vision import (
+    AprilTag,
+    CharucoBoard,
+    Checkerboard,
+    TagFamily,
+    make_planar_target,
+    parse_target,
+)
 
 
 def test_tag_has_a_black_border_inside_a_white_quiet_zone() -> None:
@@ -126,6 +133,8 @@ def test_targets_are_read_from_text() -> None:
 
 
 def test_texts_that_are_no_target_are_refused() -> None:
+    with pytest.raises(UnknownNameError, match="checkerboard, tag, got 'circle'"):
+        make_planar_target("circle")
     for text, said in [
         ("tag", "tag:FAMILY"),
         ("tag:36h12:1", "36h11"),

@@ -94,9 +94,8 @@ def test_info_has_the_gains_beside_what_the_gaze_tasks_has() -> None:
 def test_the_vector_has_the_single_environments_numbers(kind, mode) -> None:
     options = {"plant": "kinematic", "inputs": kind, "max_episode_steps": 25}
     own = gym.make_vec(ID, num_envs=3, autoreset_mode=mode, **options)
-    sync = gym.make_vec(
-        ID, num_envs=3, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **options
-    )
+    single = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": mode}}
+    sync = gym.make_vec(ID, num_envs=3, **single, **options)
     assert np.array_equal(own.reset(seed=9)[0], sync.reset(seed=9)[0])
     rng = np.random.default_rng(0)
     for _ in range(80):

@@ -61,17 +61,13 @@ def test_joints_made_up_for_an_eye_leave_the_cameras_where_they_are() -> None:
         with named(name):
             head = head_of(name)
             q = np.zeros(7)
-            q[3:] = np.where(
-                [bool(joint) for joint in head.joints[3:]], [0.2, -0.1, 0.2, -0.1], 0.0
-            )
+            q[3:] = np.where([bool(one) for one in head.joints[3:]], [0.2, -0.1, 0.2, -0.1], 0.0)
             packed = with_virtual_joints(head)
             for eye in range(2):
-                own = eye_frames(head.packed, eye, *q[3 + 2 * eye : 5 + 2 * eye]).camera
-                assert eye_frames(
-                    packed, eye, *q[3 + 2 * eye : 5 + 2 * eye]
-                ).camera == pytest.approx(own)
-                point = (0.1, 0.15, 0.9)
-                assert np.isfinite(fixate_eye(packed, eye, *point)).all()
+                angles = q[3 + 2 * eye : 5 + 2 * eye]
+                own = eye_frames(head.packed, eye, *angles).camera
+                assert eye_frames(packed, eye, *angles).camera == pytest.approx(own)
+                assert np.isfinite(fixate_eye(packed, eye, 0.1, 0.15, 0.9)).all()
 
 
 def test_each_actuator_is_followed_by_its_own_lag_and_encoder() -> None:

@@ -22,9 +22,7 @@ HEAD = load_head("simulated")
         (0.1, 0.03, 0.7, 1.1, 2.5),
     ],
 )
-def test_one_turn_there_and_back_tells_how_the_actuators_answer(
-    latency_s, lag_s, ratio, gain, speed
-) -> None:
+def test_one_turn_and_back_tells_how_actuators_answer(latency_s, lag_s, ratio, gain, speed):
     # so fast that the acceleration is at its limit, and so slow that the speed is reached
     commands = turns(HEAD, 75, speed=speed, time_s=0.1)
     way = record(HEAD, commands, latency_s=latency_s, lag_s=lag_s, ratio=ratio, gain=gain)
@@ -81,9 +79,7 @@ def test_a_nominal_response_is_that_of_the_heads_model() -> None:
 
 
 @pytest.mark.parametrize("latency_s", [0.0, 0.033])
-def test_a_saccade_on_a_simulated_robot_tells_command_and_feedback_latency_together(
-    latency_s,
-) -> None:
+def test_a_saccade_tells_command_and_feedback_latency_together(latency_s) -> None:
     options = {"command_latency_s": 0.6 * latency_s, "feedback_latency_s": 0.4 * latency_s}
     task = GazeTask(12, head=HEAD, plant="kinematic", plant_options=options)
     last = run(task, "saccade", 70).predicted[-1]

@@ -17,9 +17,7 @@ STEP = 0.024
     ("periods", "plant_name", "within_rad"),
     [(1.0, "kinematic", 1e-9), (4.25, "kinematic", 1e-9), (1.7, "mujoco", 2e-4)],
 )
-def test_the_response_to_late_commands_is_the_same_and_late(
-    exact, plant_name, within_rad, periods
-) -> None:
+def test_late_commands_have_the_same_response_later(exact, plant_name, within_rad, periods):
     commands = swing(60, T, 2.0)
     own = {"neck": "welded"} if plant_name == "mujoco" else {}
     plant = make_plant(plant_name, exact, 1, command_latency_s=periods * T, **own)
@@ -62,9 +60,7 @@ def stepped(exact: HeadModel) -> HeadModel:
 
 
 @pytest.mark.parametrize(("sign", "plant_name"), [(1.0, "mujoco"), (-1.0, "kinematic")])
-def test_a_command_of_one_step_moves_nothing_and_of_two_steps_the_joint(
-    stepped, plant_name, sign
-) -> None:
+def test_a_command_of_one_step_moves_nothing_and_of_two_the_joint(stepped, plant_name, sign):
     counts = np.array([0.4, 1.0, 1.49, 1.51, 2.0])
     expected = np.array([0.0, 0.0, 0.0, 2.0, 2.0])
     for count, moves in zip(counts, expected, strict=True):

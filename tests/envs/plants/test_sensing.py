@@ -194,9 +194,7 @@ def smear(head: HeadModel, q, v, exposure_s) -> np.ndarray:
     return np.linalg.norm(ends[1] - ends[0], axis=-1)
 
 
-def test_an_eye_sees_nothing_while_the_exposure_smears_the_target(
-    physical: HeadModel, plant_name
-) -> None:
+def test_an_eye_sees_nothing_while_the_exposure_smears_the_target(physical, plant_name) -> None:
     head = physical.replace(limits={"acceleration": np.full(7, np.inf)})
     start = start_of(positions=[0, 0, 0, 0, -0.3, 0, 0.3])
 
@@ -277,6 +275,14 @@ def test_the_target_rests_in_the_world_while_the_neck_moves(exact, plant_name) -
         assert truth.pixels == pytest.approx(exact.project(truth.positions, truth.target))
     assert before[0] == pytest.approx(AHEAD, abs=1e-12)
     assert np.abs(truth.target - before).max() > 0.1
+
+
+def test_images_show_where_the_moving_neck_has_carried_the_eyes(exact: HeadModel) -> None:
+    plant = make_plant("kinematic", exact, 1)
+    readings, q, _v = steps(plant, start_of(), 30, [0.6, 0.3, -0.4, 0.0, 0.0, 0.0, 0.0])
+    pixels = pixels_of(exact, q[22], q[0])
+    assert np.abs(pixels - exact.project(q[0], AHEAD)).min(axis=0).max() > 30.0
+    assert readings[30].pixels == pytest.approx(pixels, abs=1e-9)
 
 
 def test_truth_is_the_present_without_delay_and_noise(simulated: HeadModel, plant_name) -> None:

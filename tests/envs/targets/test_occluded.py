@@ -37,8 +37,7 @@ def test_it_is_gone_for_as_long_as_said_from_a_drawn_moment_on(simulated: HeadMo
 
 def test_it_comes_back_elsewhere(simulated: HeadModel) -> None:
     rows, _q = draw(simulated, "occluded", 200)
-    moved = target_position(rows, rows[:, HIDDEN_UNTIL]) - target_position(
-        rows, rows[:, HIDDEN_FROM]
-    )
+    ends = [target_position(rows, rows[:, end]) for end in (HIDDEN_FROM, HIDDEN_UNTIL)]
+    moved = ends[1] - ends[0]
     # a slow flat ellipse can be back where it went; nearly all are centimetres away
     assert np.quantile(np.linalg.norm(moved, axis=-1), 0.05) > 0.01

@@ -48,8 +48,10 @@ def table_of(content: dict, key: str) -> tuple[dict, str]:
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones():
-    with pytest.raises(UnknownNameError, match=r"icub, physical, simulated, turrets.*'nobody'"):
-        load_head("nobody")
+    for name in ("nobody", 3):
+        said = f"head: expected one of icub, physical, simulated, turrets.*{name!r}"
+        with named(name), pytest.raises(UnknownNameError, match=said):
+            load_head(name)
 
 
 class TestRoundTrip:
@@ -385,7 +387,10 @@ def test_a_pinhole_is_a_lens_without_distortion():
         parse_head(bent)
 
 
-def test_a_file_that_is_not_there_is_told_first():
+def test_a_file_that_is_not_there_and_a_folder_are_told_first(tmp_path):
+    (tmp_path / "head.toml").mkdir()
+    with pytest.raises(UnreadableFileError, match=r"head\.toml.*Is a directory"):
+        load_head(tmp_path / "head.toml")
     with pytest.raises(UnreadableFileError, match=r"^nothing\.toml: No such file") as caught:
         load_head("nothing.toml")
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)

@@ -44,9 +44,8 @@ def head_of(tmp_path):
     def run(text: str, **options) -> ImportedHead:
         path = tmp_path / ("robot.xml" if "<mujoco" in text else "robot.urdf")
         path.write_text(text, encoding="utf-8")
-        return import_urdf(
-            UrdfSource(**({"file": path, "base": "base", "cameras": CAMERAS} | options))
-        )
+        source = {"file": path, "base": "base", "cameras": CAMERAS} | options
+        return import_urdf(UrdfSource(**source))
 
     return run
 
@@ -153,17 +152,15 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
         mimic='joint="left_tilt" multiplier="-1.5" offset="0.1"', lower="-0.5", upper="0.7",
         velocity="3",
     )  # fmt: skip
-    right = eye("right").replace(
-        joint("right_tilt", "right_a", "right_b", xyz="0.01 0 0", axis="0 1 0"), follower
-    )
+    plain = joint("right_tilt", "right_a", "right_b", xyz="0.01 0 0", axis="0 1 0")
+    right = eye("right").replace(plain, follower)
     text = urdf(NECK, eye("left"), right)
     imported = head_of(text, neck=TURNS)
     tilt = next(motor for motor in imported.motors if motor.name == "left_tilt")
     assert dict(tilt.joint_factors) == {"left_tilt": 1.0, "right_tilt": -1.5}
     # the right joint's -0.5 to 0.7 allow the left one -0.4 to 0.4, at 2 rad/s
-    np.testing.assert_allclose(
-        [tilt.limits.lower, tilt.limits.upper, tilt.limits.velocity], [-0.4, 0.4, 2.0]
-    )
+    limits = tilt.limits
+    assert [limits.lower, limits.upper, limits.velocity] == pytest.approx([-0.4, 0.4, 2.0])
     kinematics = UrdfKinematics(text)
     head = imported.head
     rng = np.random.default_rng(1)
@@ -201,10 +198,9 @@ def test_what_follows_a_held_joint_is_held_too(head_of):
     tied = roll.replace("</joint>", '<mimic joint="yaw" multiplier="0.5" offset="0.1"/></joint>')
     text = urdf(NECK.replace(roll, tied), eye("left"), eye("right"))
     imported = head_of(text, neck=("pitch",), lock=("yaw=20",))
-    assert imported.chains.fixed_values == pytest.approx(
-        {"yaw": np.deg2rad(20.0), "roll": 0.5 * np.deg2rad(20.0) + 0.1}
-    )
     held = {"yaw": np.deg2rad(20.0)}
+    tied = {"roll": 0.5 * held["yaw"] + 0.1}
+    assert imported.chains.fixed_values == pytest.approx(held | tied)
     assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base", held)
 
 
@@ -303,9 +299,8 @@ def test_a_speed_that_is_none_is_refused(head_of):
 
 
 def test_a_joint_without_limits_may_turn_once_around_and_says_so(head_of):
-    free = eye("left", lower=None, upper=None).replace(
-        'pan" type="revolute', 'pan" type="continuous'
-    )
+    free = eye("left", lower=None, upper=None)
+    free = free.replace('pan" type="revolute', 'pan" type="continuous')
     imported = head_of(urdf(NECK, free, eye("right", upper="1000")), neck=TURNS)
     limits = imported.head.limits
     assert limits.lower[3:].tolist() == [-np.pi] * 4
@@ -354,9 +349,8 @@ def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_o
                 head_of(turned, neck=TURNS)
             imported = head_of(turned, neck=TURNS, camera_axes=(triple,))
             q = random_angles(imported, 10)
-            np.testing.assert_allclose(
-                imported.head.camera_poses(q), optical.head.camera_poses(q), atol=1e-12
-            )
+            found, expected = (one.head.camera_poses(q) for one in (imported, optical))
+            np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_exchanged_cameras_are_pointed_out(head_of):
@@ -372,9 +366,8 @@ def test_camera_axes_that_are_none_are_refused(head_of):
 
 def test_version_and_vergence_are_given_to_two_pans(head_of):
     mirrored = eye("right").replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>')
-    imported = head_of(
-        urdf(NECK, eye("left"), mirrored), neck=TURNS, couplings=("common-tilt", "version-vergence")
-    )
+    couplings = ("common-tilt", "version-vergence")
+    imported = head_of(urdf(NECK, eye("left"), mirrored), neck=TURNS, couplings=couplings)
     assert [motor.name for motor in imported.motors] == ["version", "vergence", "tilt"]
     version, vergence, _ = imported.motors
     # the left pan turns left, the right one, its axis downwards, right
@@ -395,9 +388,8 @@ def test_version_and_vergence_stay_within_the_pans(head_of):
         couplings=("version-vergence",),
     )
     version, vergence, *_ = imported.motors
-    for v, g in itertools.product(
-        (version.limits.lower, version.limits.upper), (vergence.limits.lower, vergence.limits.upper)
-    ):
+    ends = [(motor.limits.lower, motor.limits.upper) for motor in (version, vergence)]
+    for v, g in itertools.product(*ends):
         for name, low, high in (("left_pan", -0.5, 0.9), ("right_pan", -0.4, 0.5)):
             angle = version.joint_factors[name] * v + vergence.joint_factors[name] * g
             assert low - 1e-12 <= angle <= high + 1e-12
@@ -646,7 +638,12 @@ def test_what_an_mjcf_has_that_no_head_can_have_says_why(head_of):
                 head_of(text, **MJCF_OPTIONS)
 
 
-def test_a_tie_that_is_no_straight_line_says_so(head_of):
+def test_a_tie_of_three_joints_or_that_is_no_straight_line_says_so(head_of):
+    three = "".join(f'<joint joint="{name}" coef="1"/>' for name in ("lp", "rp", "lt"))
+    tendon = f'<tendon><fixed name="t">{three}</fixed></tendon></mujoco>'
+    text = MJCF.replace("EQUALITY", '<tendon tendon1="t"/>').replace("</mujoco>", tendon)
+    with pytest.raises(ConfigurationError, match=r"joint lt: .* follows lp and rp otherwise"):
+        head_of(text, **MJCF_OPTIONS)
     text = MJCF.replace("EQUALITY", '<joint joint1="rt" joint2="lt" polycoef="0 1 0.5 0 0"/>')
     with pytest.raises(ConfigurationError, match=r"rt: .* straight line"):
         head_of(text, **MJCF_OPTIONS)
@@ -674,9 +671,8 @@ def test_two_of_one_name_are_refused_by_that_name(head_of, tmp_path):
         with pytest.raises(HeadFileError) as raised:
             head_of(ROBOT.replace(was, becomes), neck=TURNS)
         name = becomes.split('"')[1]
-        assert str(raised.value) == (
-            f"{path}: expected {what} with different names, got two called '{name}'"
-        )
+        said = f"{path}: expected {what} with different names, got two called '{name}'"
+        assert str(raised.value) == said
         assert str(pickle.loads(pickle.dumps(raised.value))) == str(raised.value)
 
 

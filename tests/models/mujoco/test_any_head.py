@@ -126,9 +126,8 @@ class TestTies:
                 worst = 0.0
                 for step in range(400):
                     if step % 20 == 0:
-                        data.ctrl[:] = (
-                            rng.choice([-1.0, 1.0], model.nu) * own.velocity[indices.slot_of_ctrl]
-                        )
+                        fastest = own.velocity[indices.slot_of_ctrl]
+                        data.ctrl[:] = rng.choice([-1.0, 1.0], model.nu) * fastest
                     mujoco.mj_step(model, data)
                     q = np.where(indices.qpos_of_joint >= 0, data.qpos[indices.qpos_of_joint], 0.0)
                     worst = max(worst, np.abs(own.joints_of(own.actuators_of(q)) - q).max())
@@ -143,9 +142,8 @@ class TestTies:
         for q in postures(head, np.random.default_rng(3)):
             angles = dict(zip(head.joints, q, strict=True))
             for coupling in couplings.values():
-                follows = coupling.offset + sum(
-                    factor * angles[name] for name, factor in coupling.follows
-                )
+                parts = [factor * angles[name] for name, factor in coupling.follows]
+                follows = coupling.offset + sum(parts)
                 assert angles[coupling.joint] == pytest.approx(follows, abs=1e-12)
 
     def test_servos_of_a_wide_head_are_stronger(self):

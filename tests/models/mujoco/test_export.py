@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import JOINTS
-from vergence.models.mujoco.export import FORMATS, export_files
+from vergence.models.mujoco.export import FORMATS, export_files, to_mjcf
 from vergence.models.mujoco.model import compile_model
 from vergence.models.mujoco.urdf import roll_pitch_yaw, to_urdf
 
@@ -110,9 +110,8 @@ class TestFolder:
     """Files in models/bionic_eyes equal the output of `vergence export` for the simulated head."""
 
     def test_is_what_is_generated(self, simulated):
-        for name, content in (
-            item for kind in FORMATS for item in export_files(simulated, kind).items()
-        ):
+        files = [item for kind in FORMATS for item in export_files(simulated, kind).items()]
+        for name, content in files:
             stored = (FOLDER / name).read_bytes()
             if name.endswith(".png"):
                 # another version of the encoder may pack the same pixels otherwise
@@ -133,9 +132,8 @@ def assert_same_xml(first, second):
     assert first.keys() == second.keys()
     for key, value in first.items():
         try:
-            np.testing.assert_allclose(
-                numbers(value), numbers(second.get(key)), rtol=2e-6, atol=1e-12
-            )
+            ours, theirs = numbers(value), numbers(second.get(key))
+            np.testing.assert_allclose(ours, theirs, rtol=2e-6, atol=1e-12)
         except ValueError:
             assert value == second.get(key)
     assert len(first) == len(second)
@@ -183,6 +181,11 @@ class TestMjcf:
         # gravity and contacts act on what others add; the head is spared by its own attributes
         assert model.opt.disableflags == 0
         assert model.body_gravcomp[model.body("neck_pitch_link").id] == 1.0
+
+    def test_one_text_has_it_all(self, physical):
+        text = to_mjcf(physical, target=None, observer_cameras=True)
+        model = mujoco.MjModel.from_xml_string(text)
+        assert (model.ncam, model.nu) == (4, 7)
 
     def test_an_unknown_format_is_refused(self, simulated):
         with pytest.raises(UnknownNameError, match="mjcf, urdf, got 'sdf'"):
