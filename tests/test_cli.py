@@ -32,6 +32,7 @@ def run(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_gaze_writes_result_trajectory_picture_config_and_head(run):
     names = {path.name for path in run.iterdir()}
     assert names == {"result.json", "trajectory.csv", "gaze.png", "config.toml", "head.toml"}
@@ -89,6 +90,7 @@ def test_the_same_seed_gives_the_same_result(tmp_path, capsys):
     assert texts[0] == texts[1]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_controller_has_its_own_gain_or_none(tmp_path):
     for controller in ("pid", "saccade"):

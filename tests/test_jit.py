@@ -277,7 +277,7 @@ def test_shipped_kernels_are_used_where_they_fit_and_nowhere_else(package, tmp_p
     assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "third")) == "[4. 8.] 0.125 inf"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_other_packages_keep_their_own_cache_setting(package):
     code = "import numba; from heads.kernels import scaled; print(repr(numba.config.CACHE_DIR))"
     assert run(package, code) == "''"

@@ -7,7 +7,7 @@ from benchmarks.calibration_figures import panels, tiled
 from tests.calibration.rigs import as_calibrated, look, make_poses, make_rig
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_no_quarter_of_the_picture_is_empty():
     rng = np.random.default_rng(0)
     rig, poses = make_rig(), make_poses(rng, 12)

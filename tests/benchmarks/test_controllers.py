@@ -7,7 +7,7 @@ import pytest
 from benchmarks.controllers import main
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_quick_run_writes_a_row_for_every_controller(tmp_path, capsys) -> None:
     table = tmp_path / "controllers.json"
     main(["ibvs", "--quick", "--json", str(table)])

@@ -18,7 +18,7 @@ def run_folder(folder: Path, kind: str, seed: int) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_runs_of_both_kinds_make_one_picture_and_a_table(tmp_path, capsys) -> None:
     runs = [
         run_folder(tmp_path / f"{kind}-{seed}", kind, seed)

@@ -16,6 +16,7 @@ def table(tmp_path_factory):
     return pd.read_csv(csv).set_index(["scenario", "policy"])
 
 
+@pytest.mark.slow
 def test_what_looks_better_at_the_target_earns_more(table) -> None:
     order = ["full speed", "still", "ibvs, half the gain", "ibvs, tuned gain", "saccade"]
     for scenario in ("workspace", "robust"):

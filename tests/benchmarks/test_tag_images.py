@@ -41,6 +41,7 @@ def centroid(image: np.ndarray) -> np.ndarray:
     return np.array([np.sum(weight * columns), np.sum(weight * rows)]) / weight.sum()
 
 
+@pytest.mark.slow
 def test_a_dot_goes_where_the_mapping_says() -> None:
     dot = np.array([301.3, 296.6])
     rows, columns = np.indices((600, 600))

@@ -76,6 +76,7 @@ def test_the_cameras_are_found_and_the_lens_is_told(lens):
     ]
 
 
+@pytest.mark.slow
 def test_the_head_file_has_the_cameras_and_their_deviations(found):
     head = parse_head(head_file_text(found, "desk"))
     left, right = head.camera_poses(head.rest())
@@ -93,6 +94,7 @@ def test_the_head_file_has_the_response_that_was_stated(found):
     assert parse_head(head_file_text(found, "desk", "srgb")).cameras.response == ("srgb", "srgb")
 
 
+@pytest.mark.slow
 def test_the_covariance_of_the_place_follows_small_changes(pair):
     _, rig = pair
     rng = np.random.default_rng(0)
@@ -150,6 +152,7 @@ def test_pairs_of_five_may_be_left_out(pair, bad):
     assert np.isfinite(found.held_out_px).all()
 
 
+@pytest.mark.slow
 def test_a_mistaken_corner_is_left_out_and_its_view_stays(pair):
     seen, _ = pair
     pixels = seen.pixels.copy()
@@ -162,6 +165,7 @@ def test_a_mistaken_corner_is_left_out_and_its_view_stays(pair):
     assert re.search(rf"l{view}.png \((49|50)\.. px\)", found.observations.remarks[0])
 
 
+@pytest.mark.slow
 def test_views_of_a_board_at_rest_count_as_one(pair):
     views = both(pair[0])[:8]
     seen, rng = picked(pair[0], np.repeat(views, 2)), np.random.default_rng(1)
@@ -179,6 +183,7 @@ def test_views_that_differ_a_little_are_views_of_their_own(pair):
     assert not alike_views(seen.pixels, seen.sigma)
 
 
+@pytest.mark.slow
 def test_corners_of_a_board_that_looks_the_same_turned_are_matched():
     rng = np.random.default_rng(4)
     board = parse_target("checkerboard:8x6:24")
@@ -192,6 +197,7 @@ def test_corners_of_a_board_that_looks_the_same_turned_are_matched():
     assert abs(baseline - 1e3 * np.linalg.norm(rig.translation)) < 4.0 * sigma
 
 
+@pytest.mark.slow
 def test_lengths_scale_with_the_stated_square(pair, found):
     first, larger = found, replace(BOARD, square_m=1.01 * BOARD.square_m)
     second = calibrate_views(replace(pair[0], target=larger), LENS)
@@ -234,7 +240,7 @@ def test_a_right_camera_that_is_upside_down_is_said(pair):
     assert "the right camera is turned by 180 degrees" in said[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_boards_that_all_face_the_camera_are_refused():
     rng = np.random.default_rng(6)
     poses = make_poses(rng, 6)

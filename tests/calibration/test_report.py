@@ -43,7 +43,7 @@ def pair():
     return replace(found, lens_errors={"brown-conrady": 1.0, "fisheye": 1.4})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_report_of_a_pair_is_one_file_with_all_figures(pair, tmp_path):
     write_run(tmp_path, pair, "", "pair.toml")
     page = Page((tmp_path / "calibration.html").read_text(encoding="utf-8"))

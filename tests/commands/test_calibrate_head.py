@@ -69,7 +69,7 @@ def test_a_recording_becomes_a_head_that_tells_depth(recordings, tmp_path, capsy
     assert "checkerboard:6x5:40, 48 views" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("undrawn")
 def test_several_recordings_are_heads_by_themselves(recordings, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -58,6 +58,7 @@ def test_a_detector_finds_the_board_in_drawn_images(tmp_path, capsys):
     assert len(np.unique(frames.sigma)) > 10
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_recording(tmp_path):
     words = (*BOARD, "--head", "physical", "--poses", "1", "--frames", "1", "--errors", "1")
     digests = set()

@@ -94,7 +94,7 @@ def test_a_result_whose_reader_has_gone_is_no_error(monkeypatch, capsys):
     stdout.close()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_files_are_written_before_a_reader_that_leaves_early_is_noticed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_opencv(tmp_path / "pair.yml", opencv_pair())

@@ -77,7 +77,7 @@ def test_what_is_unusual_of_a_pair_is_said(tmp_path, capsys):
     assert "assumed: left camera: principal point (322, 246) far from the middle of 1280" in said
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
     path = write_opencv(tmp_path / "pair.yml", opencv_pair())
     out = tmp_path / "new" / "head.toml"

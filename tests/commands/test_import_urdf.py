@@ -38,7 +38,7 @@ def test_it_writes_a_head_and_says_what_it_has_read_and_assumed(robot, capsys, m
     assert sum(counts) == len(load_head("head.toml").assumptions)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_draws_the_head_beside_the_file(robot, capsys):
     code, out, _ = run(capsys, *IMPORT, *WHOLE)
     assert code == 0

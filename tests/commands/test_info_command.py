@@ -189,7 +189,7 @@ def test_a_field_of_view_of_180_degrees_is_shaded():
             assert shade.get_path().contains_point((x, 40.0))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_drawing_is_written_where_it_is_wanted(tmp_path, capsys):
     path = tmp_path / "desk.png"
     head = tmp_path / "head.toml"

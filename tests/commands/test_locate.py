@@ -160,7 +160,7 @@ def test_nothing_found_ends_in_exit_code_1(locate):
     assert "expected tag:36h11:6:120 in both images of the pair, found none" in err
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("undrawn")
 def test_images_that_are_swapped_or_do_not_belong_together_are_told(locate, tmp_path):
     code, _, err = locate("right/2.png", "left/2.png")

@@ -30,7 +30,7 @@ def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
         assert (tmp_path / "run" / name).is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("undrawn")
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(

@@ -61,7 +61,7 @@ def ruler_length_mm(image: np.ndarray, sheet: PrintSheet) -> float:
     return (last - first) * PX_MM
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("text", "paper", "ending"), BOARDS)
 def test_what_is_printed_measures_what_was_stated(text, paper, ending, tmp_path):
     words = ("--dpi", str(DPI)) if ending == "png" else ()

@@ -32,7 +32,7 @@ def test_without_its_extra_it_says_what_to_install(capsys, monkeypatch):
     assert "pip install 'vergence[view]'" in refused(capsys, "view")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_page_is_served_until_ctrl_c(tmp_path):
     command = [sys.executable, "-m", "vergence", "view", "--no-browser", "--port", "0"]
     process = subprocess.Popen(

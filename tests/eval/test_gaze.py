@@ -77,6 +77,7 @@ def test_the_errors_say_whether_they_are_true_or_measured(on_robot):
         assert compose_gaze(result).axes[2].get_ylabel() == f"pixel error ({kind}), px"
 
 
+@pytest.mark.slow
 def test_without_images_none_is_shown(on_robot):
     figure = compose_gaze(on_robot)
     assert on_robot.images is None

@@ -28,6 +28,7 @@ def test_no_jobs_give_no_results():
     assert SerialMapper()([]) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", MAPPERS)
 def test_results_come_in_the_order_of_the_jobs_and_progress_counts_to_their_number(make):
     told = []

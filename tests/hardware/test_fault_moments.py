@@ -118,6 +118,7 @@ def assert_rests(moment, name, seeds):
             assert now.robot.rested_s(since_s) <= bound_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", range(2))
 def test_a_fault_brings_the_joints_to_rest_within_its_bound(moment, part):
     for name in BY_DAY[part::2]:
@@ -162,6 +163,7 @@ def test_a_stop_keeps_the_torque_but_for_servos_that_are_hot(moment):
     assert torque == {1: 1, 2: 0, 3: 1, 4: 1}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default::vergence.errors.VergenceWarning")
 def test_warm_servos_are_told_of_and_go_on(moment):
     now = moment(0)

@@ -8,6 +8,7 @@ from vergence.hardware.checks.line import cycle_timeout_s
 STILL = np.zeros((1, 7))
 
 
+@pytest.mark.slow
 def test_answers_that_come_within_the_period_are_waited_for(robot):
     robot.world._answer_latency_s = 0.008
     robot.begin()

@@ -27,6 +27,7 @@ def test_a_trial_says_what_opens_drives_begins_and_closes(robot, caplog):
     assert all(one.levelno == logging.INFO for one in caplog.records)
 
 
+@pytest.mark.slow
 def test_a_period_says_nothing(robot, caplog):
     robot.begin()
     robot.plant.step(STILL)

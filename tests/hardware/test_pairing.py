@@ -1,6 +1,7 @@
 """Pairs of two eyes' images: each image comes out once, with its partner if it has one."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -75,6 +76,7 @@ def test_free_running_cameras_always_pair(apart, right_first, jitters):
     assert all(None not in sights for sights in out)
 
 
+@pytest.mark.slow
 @given(st.floats(-0.35, 0.35), st.sets(st.integers(0, 9)), st.sets(st.integers(0, 9)))
 def test_a_dropped_frame_leaves_its_partner_alone_and_no_other(apart, lost_left, lost_right):
     left = [sight(i * FRAME_S) for i in range(10) if i not in lost_left]

@@ -87,7 +87,7 @@ def test_the_digest_of_other_cameras_is_of_the_same_form_ever_after():
     assert digest == "16ccd2facc796eefe3d8f773451b155001714bc6ce039ca9b970d93a784375c7"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_head_is_the_same_on_another_processor():
     # OpenBLAS, which NumPy comes with on most machines, sums as the processor likes best
     tilted = "axis = [0.0131, 0.9987, -0.0271]\nrpy_rad = [0.013, -0.02, 0.041]"

@@ -83,7 +83,7 @@ def test_a_missing_corner_is_null_and_the_others_are_there():
     np.testing.assert_allclose(row["centre_mm"], [-60.0, 45.0, 600.0], atol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("target", TARGETS, ids=["tag", "board"])
 def test_points_of_drawn_images_lie_within_their_own_sigma(target):
     # the pair's head has no encoders: what is left is the detector's noise, which it states itself

@@ -106,6 +106,7 @@ def places_of(path):
         return list(file.places())
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(shares=st.lists(st.floats(0.0, 1.0), max_size=12))
 def test_a_log_in_pieces_cut_anywhere_gives_each_event_once_and_stays_as_it_is(logged, shares):

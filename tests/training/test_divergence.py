@@ -51,7 +51,7 @@ def test_the_command_ends_a_diverged_training_with_one_line(tmp_path, capsys):
     assert lines[-1].startswith("vergence: error: training diverged")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_disk_that_fails_in_mid_training_costs_nothing_that_was_saved(
     whole, begun, tmp_path, monkeypatch
 ):

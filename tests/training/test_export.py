@@ -110,7 +110,7 @@ def test_other_activations_and_layers_are_exported():
     assert check_agreement(network, act) <= TOLERANCE
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_network_shared_by_the_joints_is_exported():
     by_joint = np.arange(SIZE).reshape(3, 4).T.tolist()
     options = {"net_arch": [8, 8], "by_joint": by_joint, "critic": (8,)}

@@ -146,6 +146,7 @@ def test_a_finished_run_that_could_not_draw_its_figure_draws_it(whole, tmp_path)
     assert content_of(folder)[Path("checkpoints/last.pt")] == before[Path("checkpoints/last.pt")]
 
 
+@pytest.mark.slow
 def test_a_run_without_its_last_checkpoint_is_refused_and_keeps_its_best(mine):
     (mine / "checkpoints" / "last.pt").unlink()
     before = content_of(mine)

@@ -21,7 +21,7 @@ def test_every_option_of_the_search_is_a_change_of_the_recipe():
     assert config.log_std_init == middle["log_std_init"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_recipes_are_judged_by_short_trainings_that_leave_nothing_behind(tmp_path, monkeypatch):
     monkeypatch.setattr("vergence.eval.tuning.tune.save_figure", lambda *_: None)
     config = TuneConfig(

@@ -35,6 +35,7 @@ def length_and_ends(path):
     return 1e-3 * sum(lengths), frames[0], frames[-1]
 
 
+@pytest.mark.slow
 def test_a_short_gaze_is_shown_slowly_and_its_end_stands_still(tmp_path):
     path = tmp_path / "gaze.webp"
     filmed(path, duration_s=0.05)
@@ -80,7 +81,7 @@ def test_a_film_that_cannot_be_written_is_refused_before_the_gaze(tmp_path, monk
         assert [one.name for one in tmp_path.iterdir()] == ["folder.gif"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_the_film_and_says_where(tmp_path, capsys):
     path, run = tmp_path / "gaze.gif", tmp_path / "run"

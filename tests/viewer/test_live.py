@@ -25,6 +25,7 @@ def run(live, *stages):
     live.run(until)
 
 
+@pytest.mark.slow
 def test_it_waits_for_a_log_shows_it_and_goes_on_to_a_newer_one(served, tmp_path):
     live, said = LiveView(served, tmp_path), []
     run(
@@ -44,6 +45,7 @@ def test_it_waits_for_a_log_shows_it_and_goes_on_to_a_newer_one(served, tmp_path
     assert live.shown >= 1
 
 
+@pytest.mark.slow
 def test_neither_another_file_nor_an_older_log_takes_its_place(served, tmp_path):
     live, said = LiveView(served, tmp_path), []
     log_trials(tmp_path / "older.mcap")

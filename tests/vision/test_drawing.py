@@ -44,6 +44,7 @@ def assert_ray_cast(
     assert np.sqrt((error**2).mean()) < rms * 170
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "eye", "T_C_T"),
     [
@@ -63,6 +64,7 @@ def test_pixels_equal_a_ray_cast(
     assert_ray_cast(camera, target, rendering, T_C_T, most=0.04, rms=0.005)
 
 
+@pytest.mark.slow
 def test_pixels_equal_a_ray_cast_through_a_fisheye(rendering: Rendering) -> None:
     """Aside, where it has down to a quarter of a pinhole's scale, as good as ahead."""
     camera, target = EyeCamera.of(wide("fisheye"), 0), make_planar_target("tag")
@@ -88,6 +90,7 @@ def test_a_stated_response_encodes_the_light(pinhole: EyeCamera, rendering: Rend
     assert {middle[0], middle.min(), middle.max()} == {120, 40, 210}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("incidence_deg", "rms", "direction"), [(52.0, 0.006, 0.8), (70.0, 0.008, 0.0)]
 )

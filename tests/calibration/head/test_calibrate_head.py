@@ -66,6 +66,7 @@ def assert_right(found, true):
     assert error < min(0.01, 0.2 * before)
 
 
+@pytest.mark.slow
 def test_a_head_is_found_with_errors_as_large_as_are_said(usual):
     _, true, frames, found = usual
     assert_right(found, true)
@@ -105,7 +106,7 @@ def test_frames_may_come_in_any_order_and_twice(usual):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_eyes_and_corners_may_be_missing(usual):
     head, true, frames, _ = usual
     rng = np.random.default_rng(2)
@@ -176,7 +177,7 @@ def test_a_board_that_was_moved_by_two_millimetres_is_another_place():
     assert surprise(found, true) < 1.9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sigma_that_is_too_small_makes_no_head_too_sure(usual):
     head, true, frames, _ = usual
     found = calibrate_head(head, replace(frames, sigma=0.2 * frames.sigma))
@@ -213,7 +214,7 @@ def test_a_board_of_another_size_is_refused(usual):
         calibrate_head(head, other)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_board_of_nearly_another_size_is_pointed_out(usual):
     head, _, frames, _ = usual
     found = calibrate_head(head, replace(frames, target=parse_target("checkerboard:6x5:42.5")))
@@ -226,7 +227,7 @@ def test_all_but_redundant_directions_are_told_if_the_neck_moves(usual):
     assert told[0].remedy == ""
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_without_the_neck_the_eyes_place_in_it_is_not_told():
     head, _, frames = drawn(move_neck=False)
     told = unobservable_directions(calibrate_head(head, frames).solution)

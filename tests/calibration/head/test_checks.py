@@ -23,7 +23,7 @@ def frames():
     ).frames
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_eye_whose_images_are_a_frame_late_is_no_board_that_was_moved(frames):
     pixels = frames.pixels.copy()
     pixels[1] = np.roll(pixels[1], 1, axis=0)

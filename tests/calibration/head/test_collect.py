@@ -63,6 +63,7 @@ def collected(tmp_path_factory):
     return folder, looker, found, evaluated
 
 
+@pytest.mark.slow
 def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(collected):
     folder, _, found, evaluated = collected
     frames = read_recording(folder, HEAD).frames
@@ -91,6 +92,7 @@ def test_joints_stay_within_their_limits(collected):
     assert all(HEAD.reaches(q) for q in collected[1].asked)
 
 
+@pytest.mark.slow
 def test_a_recording_makes_a_calibration(collected):
     found = calibrate_head(HEAD, read_recording(collected[0], HEAD).frames)
     assert 0.8 < found.solution.reduced_chi < 1.2
@@ -133,7 +135,7 @@ def test_a_later_run_goes_on_with_other_postures(tmp_path):
     assert not looker.asked  # nothing is left to do
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_board_that_was_moved_has_another_place_and_is_noticed_if_nobody_says_so(
     collected, tmp_path
 ):

@@ -110,6 +110,7 @@ def test_noise_of_corners_and_encoders_leaves_a_tenth_of_a_degree():
         assert np.rad2deg(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 0.5
 
 
+@pytest.mark.slow
 def test_reprojection_finds_both_exactly_and_leaves_the_rest_of_the_head():
     true, head, frames = seen_by("physical")
     noisy = solve_each_eye(head, frames)
@@ -150,6 +151,7 @@ MOTIONS = {
 }
 
 
+@pytest.mark.nightly
 def test_the_numbers_that_both_eyes_at_once_can_see_are_those_of_the_docs():
     head = vergence.load_head("physical")
     names = head.parameters().names

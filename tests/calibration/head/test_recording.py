@@ -225,7 +225,7 @@ def changed(photographs, tmp_path):
     return change
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_photographs_and_their_table_are_frames_in_the_order_of_their_times(photographs):
     fractions = []
     found = read_recording(photographs, HEAD, BOARD, fractions.append)
@@ -240,6 +240,7 @@ def test_photographs_and_their_table_are_frames_in_the_order_of_their_times(phot
     assert found.files[:2] == ("left/0.png", "right/0.png")
 
 
+@pytest.mark.slow
 def test_without_times_and_places_photographs_count_in_the_order_of_their_names(changed):
     folder = changed(lambda lines: [line.rsplit(",", 2)[0] for line in lines])
     found = read_recording(folder, HEAD, BOARD).frames
@@ -247,6 +248,7 @@ def test_without_times_and_places_photographs_count_in_the_order_of_their_names(
     assert found.placement.tolist() == [0, 0, 0]
 
 
+@pytest.mark.slow
 def test_a_photograph_of_nothing_and_one_without_a_partner_are_told(photographs, tmp_path):
     for eye in ("left", "right"):
         (tmp_path / eye).mkdir()
@@ -279,6 +281,7 @@ def test_a_tag_is_a_board_of_photographs_too(tmp_path):
     np.testing.assert_allclose(found.pixels[0, 0], sight.corners_px[0], atol=0.1)
 
 
+@pytest.mark.slow
 def test_tables_that_do_not_fit_are_refused_in_one_line(photographs, changed):
     cases = [
         (lambda lines: lines[:-1], "expected a row whose 'pair' is '2.png'"),

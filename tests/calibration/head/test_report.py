@@ -54,6 +54,7 @@ def written(folder, found, unseen=UNSEEN):
     return Page((folder / "calibration.html").read_text(encoding="utf-8"))
 
 
+@pytest.mark.nightly
 def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
     from_eyes = np.concatenate(
         [points_ahead(DISTANCES_M), points_at_angles(1.0, np.array([-0.4]), np.array([0.3]))]

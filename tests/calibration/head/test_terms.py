@@ -85,6 +85,7 @@ def knowing():
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["physical", "icub"])
 def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
     head = vergence.load_head(name).replace(sensor={"encoder_resolution_rad": 0.0})
@@ -109,6 +110,7 @@ def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
     np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("term", "true"), [("play", PLAY.backlash_rad), ("harmonics", WAVES.harmonics_rad.ravel())]
 )
@@ -151,7 +153,7 @@ def test_what_frames_call_for_is_chosen_and_nothing_else(knowing, fault):
     assert ("D-H numbers lack" in "; ".join(found.remarks)) == (fault == "axes")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_harmonics_that_frames_call_for_are_said_as_no_file_holds_them():
     found = calibrate_head(HEAD, recorded(*FAULTS["harmonics"]), terms=(AUTO,))
     assert found.solution.problem.scatter_ratio.max() > 1.5
@@ -161,12 +163,14 @@ def test_harmonics_that_frames_call_for_are_said_as_no_file_holds_them():
     assert "--terms harmonics estimates them" in found.remarks[0]
 
 
+@pytest.mark.slow
 def test_nothing_is_chosen_for_a_head_that_its_numbers_describe():
     found = calibrate_head(HEAD, recorded(), terms=(AUTO,))
     assert found.terms == ()
     assert not isinstance(found.head.links, JointAxes)
 
 
+@pytest.mark.nightly
 def test_terms_that_are_asked_for_are_there_whether_they_help_or_not():
     found = calibrate_head(HEAD, recorded(), terms=("play", "axes"), estimate_cameras=False)
     assert len(found.terms) == 7

@@ -101,6 +101,7 @@ def test_a_lost_command_leaves_the_motors_with_the_one_before(exact: HeadModel) 
         assert np.array_equal(reading.command, np.tile(command, (num, 1)))
 
 
+@pytest.mark.slow
 def test_a_stalled_loop_reads_nothing_and_commands_nothing(exact: HeadModel) -> None:
     num, count, chance, most = 48, 250, 0.05, 12
     commands = swing(count, T, 0.5)

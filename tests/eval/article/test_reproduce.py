@@ -138,6 +138,7 @@ def test_an_interrupted_run_keeps_what_is_finished_and_goes_on(tmp_path, monkeyp
     assert (tmp_path / "run" / "experiments" / "toy.json").exists()
 
 
+@pytest.mark.slow
 def test_what_a_kill_has_left_half_written_is_removed(tmp_path):
     for part in ("", "tables"):
         (tmp_path / "run" / part / ".vergence-partial-1").mkdir(parents=True)

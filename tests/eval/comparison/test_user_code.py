@@ -141,6 +141,7 @@ def test_a_place_that_is_none_is_refused_in_one_line(capsys):
         assert len(err.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_an_action_that_cannot_be_is_said_before_any_other_controller_runs(tmp_path, capsys):
     cases = (
         ("raise KeyError('nose')", "mine_g.py:13 in predict: KeyError: 'nose'"),
@@ -191,7 +192,7 @@ def test_where_nothing_but_the_baseline_is_left_nothing_is_written(tmp_path, cap
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_worker_processes_find_it_and_say_also_an_exception_that_cannot_leave_them(tmp_path):
     write(tmp_path / "mine_d.py")
     write(tmp_path / "mine_j.py", first=TWO, acting=LATER)

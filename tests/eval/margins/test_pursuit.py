@@ -29,7 +29,7 @@ def workspace() -> Scenario:
     return load_scenario("workspace")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_stands_one_imperfection_of_a_robot_at_a_time(workspace) -> None:
     controller = make_controller("pursuit", workspace.model())
 

@@ -18,7 +18,7 @@ def run(few_folder):
     return few_folder
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("toy")
 def test_an_evaluation_joins_the_report_and_stays_in_it(tmp_path, run):
     out = tmp_path / "out"

@@ -63,6 +63,7 @@ def first(trial, steps):
     return replace(trial, readings=reading, truths=truth)
 
 
+@pytest.mark.slow
 def test_a_trial_in_which_the_head_was_stopped_as_it_swung_counts_and_never_settles(logged):
     settled = as_recorded(logged[0])
     # by then the eyes look at the target, so only the stop tells

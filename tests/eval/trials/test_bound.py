@@ -25,6 +25,7 @@ BAND_RAD = 1 / 620
 """One pixel of the simulated eyes."""
 
 
+@pytest.mark.slow
 def test_a_joint_of_the_default_rig_stops_on_its_target_in_these_times():
     for degrees, milliseconds in {5: 54.0, 10: 77.0, 20: 113.0, 30: 145.0}.items():
         angle = np.deg2rad(degrees)

@@ -150,6 +150,7 @@ def test_what_hinders_a_motor_never_makes_it_faster() -> None:
         assert (bounds[-1] > bounds[0] + 1e-3).mean() > 0.1, name
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "scenario"),
     [

@@ -229,6 +229,7 @@ def test_a_gain_is_judged_by_the_headline_metric_on_training_trials():
     assert found["mean"] == trials.settle_or_trial_s().mean()
 
 
+@pytest.mark.slow
 def test_a_gain_is_judged_alike_by_whoever_runs_the_parts_of_its_trials(monkeypatch):
     monkeypatch.setattr("vergence.eval.tuning.objective._LEAST_JOB_TRIALS", 2)
     scenario = load_scenario("robust")
@@ -241,6 +242,7 @@ def test_a_gain_is_judged_alike_by_whoever_runs_the_parts_of_its_trials(monkeypa
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 def test_a_gain_is_judged_by_the_band_that_leads_and_with_the_gate_of_the_baseline():
     scenario = load_scenario("hardware")
     head = scenario.model()
@@ -315,7 +317,7 @@ def package_table(tmp_path, monkeypatch):
     return table
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("undrawn")
 def test_the_result_is_kept_in_the_users_table_for_its_head_and_never_in_the_package(
     three_gains, tmp_path, my_head, user_table, package_table, monkeypatch, capsys
@@ -350,7 +352,7 @@ def test_the_recorded_command_names_all_that_changes_the_result():
     assert "--grid" in repeat_command(grid, with_trials=False)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("undrawn")
 def test_the_packages_table_is_for_maintainers_and_for_presets(
     three_gains, tmp_path, my_head, user_table, package_table, capsys
@@ -395,7 +397,7 @@ def test_a_damaged_table_is_refused_before_the_search_and_kept(tmp_path, user_ta
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_several_options_are_drawn_in_slices(tmp_path, capsys):
     folder = tmp_path / "run"
     words = ["tune", "adaptive", "--trials", "3", "--episodes", "2", "--out", str(folder)]

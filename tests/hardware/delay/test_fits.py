@@ -50,7 +50,7 @@ def test_an_acceleration_that_was_not_reached_is_not_told(greatest_rad_s2, seed)
     assert 50.0 < found.peak_acceleration_rad_s2 < 105.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_servo_that_overshoots_is_beside_a_lag():
     sent_s, sent, joints_s, _ = samples(GUESS)
     times = np.arange(sent_s[0], joints_s[-1], 1e-3)

@@ -118,6 +118,7 @@ def test_a_joint_that_does_not_follow_stops(gain, speed, bound_s):
     assert "left_pan: expected the joint to follow its commands" in robot.supervisor.fault
 
 
+@pytest.mark.nightly
 def test_a_loaded_and_late_joint_follows():
     sent = [np.zeros(7)] * 6  # 100 ms later than the model has it
 
@@ -148,7 +149,7 @@ def test_a_forbidden_posture_stops():
     assert "'the frame'" in robot.supervisor.fault
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_missed_periods_stop_beyond_their_share():
     robot = Robot(overruns=0.3)
     robot.step(missed_periods=5)  # one long pause is no slow machine

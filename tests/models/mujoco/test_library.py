@@ -58,7 +58,7 @@ def test_it_is_imported_in_one_place():
     assert importing == ["models/mujoco/library.py"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_needs_no_mujoco_works_without_it(tmp_path):
     words = [sys.executable, "-c", WITHOUT, str(tmp_path / "out")]
     done = subprocess.run(words, capture_output=True, text=True, check=False)

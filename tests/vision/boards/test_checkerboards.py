@@ -152,6 +152,7 @@ def test_a_square_board_of_the_other_colours_is_one_turned_by_a_quarter():
     assert min(beside) < 0.1
 
 
+@pytest.mark.slow
 def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
     target = board(5, 4)
     one = cropped(drawn(target, 0.1, (0.2, 0.1)))
@@ -426,6 +427,7 @@ def test_an_unevenly_printed_board_says_so(uneven_px):
     assert rms(said) == pytest.approx(rms(errors), rel=0.35)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("aside_deg", [0.0, 50.0])
 def test_a_board_seen_through_a_fisheye_is_not_called_uneven(aside_deg):
     """Its corners are where they are, and sigmas do not take the lens's bend for scatter."""

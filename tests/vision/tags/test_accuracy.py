@@ -227,6 +227,7 @@ def test_sigma_grows_with_the_noise(edge_px):
     assert said[2] / said[1] == pytest.approx(2.0, rel=0.25)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("lens", "aside_deg"),
     [("fisheye", 35.0), ("fisheye", 60.0), ("rational", 60.0), ("brown-conrady", 40.0)],

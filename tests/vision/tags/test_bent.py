@@ -70,6 +70,7 @@ def found_in(image, number):
     return next((one for one in DETECTOR.detect_all(image) if one.target.id == number), None)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [29, 39])
 def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
     image, number, points = bent_tag(seed)

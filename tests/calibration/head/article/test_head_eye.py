@@ -31,6 +31,7 @@ def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
     pd.testing.assert_frame_equal(table, again, check_exact=True)
 
 
+@pytest.mark.nightly
 def test_the_whole_head_is_better_than_its_model(table):
     assert worst_depth_error_percent(table, "whole head") < 0.5 * worst_depth_error_percent(
         table, "before"

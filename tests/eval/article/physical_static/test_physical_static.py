@@ -23,6 +23,7 @@ def fixes(table):
     return table[(table["case"] == "fixation") & (table["group"] == "population")]
 
 
+@pytest.mark.nightly
 def test_at_settled_fixations_the_methods_differ_by_the_noise_of_the_images_alone(table):
     wide = fixes(table).pivot(index="head", columns=["method", "point"], values="error_z_mm")
     apart = (wide["gaze"] - wide["itpc"]).abs()

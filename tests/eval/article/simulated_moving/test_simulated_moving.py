@@ -21,6 +21,7 @@ def table():
     return EXPERIMENT.run(CONFIG, 1, SerialMapper())
 
 
+@pytest.mark.nightly
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit():
     few = SimulatedMovingConfig(samples=2, settle_s=0.1)
     tables = [EXPERIMENT.run(few, 1, mapper) for mapper in (SerialMapper(), Backwards())]
@@ -32,6 +33,7 @@ def test_the_article_s_samples_make_one_turn():
     assert config.samples * config.every / 120.0 == pytest.approx(config.period_s, rel=0.01)
 
 
+@pytest.mark.nightly
 def test_the_axes_trail_by_speed_over_gain_along_the_path(table):
     rows = select_samples(table, "exact", "gaze", NONE)
     error = rows[["error_x_mm", "error_y_mm"]].to_numpy()

@@ -7,7 +7,7 @@ from vergence.eval.article.twin.detector_noise import DetectorNoise, measure_hea
 from vergence.models.files.head_file import load_head
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_detector_errs_by_hundredths_of_a_pixel_near_and_far():
     near, far = (
         measure_head_noise(

@@ -51,6 +51,7 @@ def test_who_runs_the_jobs_and_when_does_not_change_a_bit():
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 
 
+@pytest.mark.nightly
 def test_propagation_agrees_with_the_real_detector(table):
     exact = propagation_ratios(table).xs("itpc", level="method")
     assert ((exact - 1.0).abs() < sigma_ratio_tolerance(CONFIG)).to_numpy().all()
