@@ -226,7 +226,8 @@ class _Kernel(CPUDispatcher):
         return types.Dispatcher(self._part)
 
     def compile(self, sig: Any) -> Any:
-        with _quicker_compiler():
+        name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
+        with compiling_alone(name), _quicker_compiler():
             return super().compile(sig)
 
 
