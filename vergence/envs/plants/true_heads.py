@@ -141,7 +141,7 @@ class TrueHeadsAndConditions:
         self._head_cache: TrueHeadPrefetcher | None = None
         self.given = true_head
         """True heads before model errors are drawn; they set the limits."""
-        heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
+        heads = np.array(true_head.packed.reshape(-1, PACKED))  # writable: kernels of one type
         if variation is not None and self._heads_vary:
             heads = np.repeat(heads, num, axis=0)
             self._deviates = np.zeros((num, DEVIATES))
