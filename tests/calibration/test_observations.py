@@ -9,7 +9,7 @@ import pytest
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene
 from vergence.calibration.observations import detect_board_corners
-from vergence.vision import AprilTag
+from vergence.vision import AprilTag, Checkerboard, make_detector
 
 TAG = AprilTag(id=5, edge_m=0.12)
 
@@ -36,3 +36,16 @@ def test_each_camera_is_measured_by_its_own_response(photographs):
     seen, _ = detect_board_corners(TAG, photographs, responses=("linear", "srgb"))
     swapped, _ = detect_board_corners(TAG, photographs[::-1], responses=("srgb", "linear"))
     np.testing.assert_array_equal(seen.pixels, swapped.pixels[::-1])
+
+
+def test_corners_of_a_soft_image_that_was_halved_are_in_its_own_pixels(tmp_path: Path):
+    board = Checkerboard(columns=5, rows=4, square_m=0.03)
+    camera, rendering = rig("physical")
+    sharp = scene(camera, board, pose(0.02, 0.01, 0.7), rendering).image
+    corners = make_detector(board, camera).detect(sharp).corners_px
+    soft = cv2.GaussianBlur(cv2.resize(sharp, None, fx=4, fy=4), (0, 0), 24)
+    assert make_detector(board).detect(soft) is None
+    cv2.imwrite(str(tmp_path / "soft.png"), soft)
+    seen, _ = detect_board_corners(board, [[tmp_path / "soft.png"]])
+    off = seen.pixels[0, 0] - (4.0 * (corners + 0.5) - 0.5)
+    assert np.abs(off.mean(axis=0)).max() < 0.25  # a centre that moves by halving moves 0.5 px
