@@ -23,6 +23,7 @@ def test_settling_counts_from_the_onset() -> None:
     assert trials.settle_s() == pytest.approx(61 * PERIOD_S - trials.onset_s, abs=1e-12)
     assert headline_metric(trials) == pytest.approx(np.median(trials.settle_s()))
     assert trials.ratio_to_bound() == pytest.approx(trials.settle_s() / trials.bound_s)
+    assert trials.fix_error_at_settling_m() == pytest.approx(trials.fix_error_m[61])
 
 
 def test_an_onset_at_a_control_step_is_seen_in_the_truth_of_that_step() -> None:
