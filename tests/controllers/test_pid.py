@@ -57,13 +57,20 @@ def test_the_derivative_is_the_errors_rate() -> None:
     assert command[-1] == pytest.approx(scale, rel=1e-9)
 
 
-def test_the_derivatives_filter_is_of_first_order() -> None:
-    pid = make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=3.0 * PERIOD_S)
-    command = feed(pid, RAMP)[:, 1]
-    # implicit steps: each leaves 3/4 of what is missing; J changes by 1 % as the image moves
-    plain = make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=0.0)
-    left = 1.0 - command / feed(plain, RAMP)[:, 1].clip(-np.inf, -1e-12)
-    assert left[1:10] == pytest.approx(0.75 ** np.arange(1, 10), rel=1e-6)
+@pytest.mark.parametrize(("every", "left"), [(1, 0.75), (2, 0.6)])
+def test_the_derivatives_filter_is_of_first_order_in_the_time_of_images(every, left) -> None:
+    # implicit steps: each image leaves filter / (filter + time since the last one) of what is
+    # missing; J changes by 1 % as the image moves
+    seen = RAMP[np.arange(30) // every * every]
+    ages = LATENCY_S + PERIOD_S * (np.arange(30) % every)
+    filtered, plain = (
+        feed(
+            make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=filter_s), seen, ages
+        )[every::every, 1]
+        for filter_s in (3.0 * PERIOD_S, 0.0)
+    )
+    remaining = 1.0 - filtered[:9] / plain[:9]
+    assert remaining == pytest.approx(left ** np.arange(1, 10), rel=1e-6)
 
 
 def test_the_derivative_waits_for_an_image_that_has_come() -> None:

@@ -1,10 +1,13 @@
 """Pixels of eyes that expose at different times, as of one time."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.hardware.common_time import pixels_at_common_time
+from vergence.hardware.common_time import merge_pair, pixels_at_common_time
+from vergence.hardware.pairing import SearchedImage, SearchedPair
 from vergence.models.joints import EYES
 
 
@@ -40,3 +43,23 @@ def test_lines_that_do_not_meet_are_taken_far_away() -> None:
     pixels = head.cameras.principal + np.array([[-30.0, 0.0], [30.0, 0.0]])
     found = pixels_at_common_time(head, pixels, np.tile(q, (2, 1)), q)
     assert found == pytest.approx(pixels, abs=1e-6)
+
+
+def test_a_pair_is_seen_from_the_joint_angles_of_each_exposure() -> None:
+    head, point, exposed_s = load_head("turrets"), np.array([0.05, -0.1, 0.8]), (0.01, 0.018)
+    fixated = head.fixate(point)
+
+    def at(now_s: float):
+        angles = fixated.copy()
+        angles[EYES] += now_s * np.array([1.0, -2.0, 1.5, 0.5])
+        return angles
+
+    pair = SearchedPair(
+        *(
+            SearchedImage(now_s, 0.05, head.project(at(now_s), point)[eye])
+            for eye, now_s in enumerate(exposed_s)
+        )
+    )
+    common_s, found = merge_pair(head, pair, SimpleNamespace(at=at))
+    assert common_s == pytest.approx(0.014)
+    assert found == pytest.approx(head.project(at(0.014), point), abs=1e-6)

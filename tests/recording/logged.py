@@ -23,9 +23,10 @@ def open_log(path, **facts):
 
 
 def log_trials(
-    path, law="state-feedback", trials=2, steps=STEPS, planned=None, fault=False, facts=None, **more
-):
-    """Log trials of a law on a kinematic head; what was recorded of each."""
+    path, law="state-feedback", trials=2, steps=STEPS, planned=None, fault=False, facts=None,
+    levels=(), **more,
+):  # fmt: skip
+    """Log trials of a law on a kinematic head, and grey images; what was recorded of each."""
     more |= {} if planned is None else {"steps": planned}
     policy = make_controller(law, HEAD)
     task = GazeTask(1, head=HEAD, plant="kinematic", target={"kind": "random", "start": "rest"})
@@ -38,6 +39,8 @@ def log_trials(
                 record(step)
                 if step == 0:
                     log.begin()
+                    for eye, level in enumerate(levels):
+                        log.image(eye, np.full((48, 64), level, np.uint8), 2.0)
                 else:
                     sent = task.reading.command[0].copy()
                     log.command(LoggedCommand(5.0, task.command[0].copy(), sent, "go", "policy"))

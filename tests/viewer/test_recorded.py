@@ -31,7 +31,7 @@ def run(tmp_path_factory):
 def log(tmp_path_factory):
     pytest.importorskip("mcap")
     path = tmp_path_factory.mktemp("log") / "run.mcap"
-    log_trials(path, fault=True)
+    log_trials(path, fault=True, levels=(40, 90))
     return path
 
 
@@ -76,6 +76,8 @@ def test_a_log_shows_each_reading_at_its_time(log):
     shown = recorded.moment(STEPS + 1 + 40)
     assert shown.pixels == pytest.approx(trials[1].readings.pixels[40, 0], nan_ok=True)
     assert shown.target == pytest.approx(trials[1].truths.target[40, 0])
+    left, right, drawn = shown.images
+    assert ([left.mean(), right.mean()], drawn) == (pytest.approx([40, 90], abs=2.0), False)
     assert recorded.gaze_at(STEPS) == 1
     assert recorded.gaze_at(STEPS + 1) == 2
     assert recorded.index_at(recorded.times_s[70] + 1e-6) == 70
