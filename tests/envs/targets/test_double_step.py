@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import spearmanr
 
 from tests.envs.drawn import draw, eccentricity, inside
 from tests.envs.trials import assert_uniform
@@ -58,6 +59,9 @@ def test_the_second_jump_comes_when_the_trial_has_drawn_it(simulated: HeadModel)
     assert np.array_equal(target_position(rows, np.nextafter(jump, 0.0)), first)
     assert np.array_equal(target_position(rows, jump), second)
     assert (np.linalg.norm(second - first, axis=-1) > 0.0).all()
+    for point in (first, second):  # a word that both were drawn from would tie them
+        for number in (point[:, 0] / point[:, 2], point[:, 1] / point[:, 2], 1.0 / point[:, 2]):
+            assert abs(spearmanr(jump, number).statistic) < 0.15  # 5 deviations
 
 
 def test_a_border_holds_for_both_points(simulated: HeadModel) -> None:
