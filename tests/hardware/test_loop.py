@@ -48,7 +48,7 @@ def test_a_loop_is_written_over_an_older_one_and_all_else_stays(desk):
 
 
 def test_an_eye_that_was_not_measured_and_what_was_not_reached_are_not_written(desk):
-    weak = dataclasses.replace(LOOP, acceleration_ratio=None)
+    weak = dataclasses.replace(LOOP, acceleration_ratio=None, jitter_s=0.0)
     right_s = load_hardware(desk).cameras[1].latency_s
     write_loop(desk, weak, {"left": 0.07})
     config = load_hardware(desk)
