@@ -1,8 +1,11 @@
 """Fixtures of the evaluation's tests."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from tests.eval.trials.toys import STEP, ideal_head
 from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evaluate
@@ -18,6 +21,26 @@ def toy_alone(patch: pytest.MonkeyPatch) -> None:
             f"vergence.eval.article.{module}.EXPERIMENTS",
             {"toy": "tests.eval.article.toy:EXPERIMENT"},
         )
+
+
+@contextmanager
+def sketched() -> Iterator[pytest.MonkeyPatch]:
+    """Figures are files that reports can show, and are not drawn, which takes longer than all else."""
+
+    def write(_figure: Figure, path: Path, **_options: object) -> None:
+        Path(path).write_text("<svg></svg>")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "draw_without_rendering", lambda _figure: None)
+        patch.setattr(Figure, "savefig", write)
+        yield patch
+
+
+@pytest.fixture
+def undrawn():
+    """See `sketched`."""
+    with sketched() as patch:
+        yield patch
 
 
 @pytest.fixture
@@ -49,10 +72,11 @@ def few() -> Evaluation:
 
 @pytest.fixture(scope="session")
 def few_folder(few, tmp_path_factory):
-    """The run folder of that evaluation, figures and all; no test changes it."""
+    """The run folder of that evaluation; no test changes it."""
     folder = tmp_path_factory.mktemp("evaluation") / "first run"
     folder.mkdir()
-    write_evaluation(folder, few)
+    with sketched():
+        write_evaluation(folder, few)
     return folder
 
 

@@ -176,11 +176,11 @@ def withheld() -> bool:
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no masks of signals")
 def test_ctrl_c_reaches_this_process_alone_which_ends_its_workers():
-    assert ProcessMapper(2)([withheld] * 4) == [True] * 4
+    assert ProcessMapper(2)([withheld] * 2) == [True] * 2
     assert not withheld()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_calling_off_what_is_left_warns_of_nothing(capfd):
     def refuse(done: int, of: int) -> None:
         raise ConfigurationError("no more")

@@ -10,6 +10,7 @@ from tests.eval.reporting.browser import CHROMIUM, open_page
 from vergence.errors import ConfigurationError
 from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.reproduce import reproduce
+from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.reporting.section import SECTION_FILE, read_section
 
 
@@ -18,8 +19,8 @@ def run(few_folder):
     return few_folder
 
 
-@pytest.mark.nightly
-@pytest.mark.usefixtures("toy")
+@pytest.mark.slow
+@pytest.mark.usefixtures("toy", "undrawn")
 def test_an_evaluation_joins_the_report_and_stays_in_it(tmp_path, run):
     out = tmp_path / "out"
     sections = reproduce(ReproduceConfig(out=out, include=(run,)))
@@ -70,11 +71,20 @@ def test_a_section_is_read_as_it_was_written(run):
     assert all(section.captions[figure.stem].endswith(".") for figure in section.figures)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
+def test_the_figures_of_an_evaluation_are_drawn(tmp_path, few):
+    write_evaluation(tmp_path, few)
+    sizes = [path.stat().st_size for path in (tmp_path / "figures").iterdir()]
+    assert len(sizes) == 8
+    assert min(sizes) > 5000
+
+
+@pytest.mark.nightly
 @pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
-def test_an_evaluations_report_fits_a_phone_and_a_screen(tmp_path, run):
+def test_an_evaluations_report_fits_a_phone_and_a_screen(tmp_path, few):
+    write_evaluation(tmp_path, few)
     for width in (400, 1400):
-        page = open_page(run / "report.html", width, tmp_path)
+        page = open_page(tmp_path / "report.html", width, tmp_path)
         assert page.console == []
         assert page.facts["scroll"] <= page.facts["inner"]
         assert page.facts["wide"] == []
@@ -123,7 +133,7 @@ def test_a_section_whose_figure_is_cut_is_refused(tmp_path, run):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("toy")
+@pytest.mark.usefixtures("toy", "undrawn")
 def test_an_included_run_that_was_damaged_since_is_refused_before_the_work(tmp_path, run):
     out = tmp_path / "out"
     log = tmp_path / "log"
