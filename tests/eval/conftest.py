@@ -25,7 +25,7 @@ def toy_alone(patch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def sketched() -> Iterator[pytest.MonkeyPatch]:
-    """Figures are files that reports can show, and are not drawn, which takes longer than all else."""
+    """Figures are not drawn, which takes longer than all else: an empty one is written."""
 
     def write(_figure: Figure, path: Path, **_options: object) -> None:
         Path(path).write_text("<svg></svg>")

@@ -21,7 +21,7 @@ from vergence.training.checkpoint import read_checkpoint
 from vergence.training.choices import resolve_config
 from vergence.training.config import PLANTS
 
-LONG = 5 * STEPS
+LONG = 10 * STEPS
 """More than is done until the signal comes."""
 WORDS = ["train", "gain-schedule", "--seed", "3", "--set", *SMALL, *PPO, "evaluations=10"]
 
@@ -142,11 +142,7 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, mo
     for words, said in (
         ([], "gain-schedule or policy"),
         (["policy", "--scenario", "nonsense"], "'nonsense'"),
-        (["policy", "--head", "nonsense"], "nonsense"),
-        (["policy", "--plant", "nonsense"], "'nonsense'"),
-        (["policy", "--inputs", "nonsense"], "'nonsense'"),
         (["policy", "--algo", "sac"], "algo"),
-        (["policy", "--steps", "0"], "steps"),
         (["policy", "--seed", "-1"], "-1"),
         (["policy", "--set", "gamma"], "gamma"),
         (["--resume", "."], "config.toml"),
@@ -154,7 +150,6 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, mo
         (["--resume", ".", "--no-randomise"], "randomise: expected nothing with --resume"),
         (["nosuch"], "train: expected one of gain-schedule, policy, got 'nosuch'"),
         (["policy", "--plant", "rendered"], "expected one of kinematic, mujoco"),
-        (["policy", "--set", "plant=rendered"], "plant=rendered"),
         (["policy", "--out", "/dev/null"], "/dev/null"),
     ):
         with named(words, said):
