@@ -242,7 +242,7 @@ def test_actions_are_limited_to_the_box(env) -> None:
     assert np.array_equal(*ends)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_name_with_its_module_needs_no_import() -> None:
     code = """
 import gymnasium, sys

@@ -69,7 +69,7 @@ def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -
     assert np.sqrt((error**2).mean()) < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_loop_settles_through_lenses_of_other_models() -> None:
     target = {"kind": "static", "point": (0.1, -0.1, 0.6)}
     task = begin(GazeTask(1, head=wide("fisheye", "rational"), plant="rendered", target=target))
@@ -150,7 +150,7 @@ def test_both_eyes_find_random_targets_in_their_first_images(simulated, physical
     }.items():
         with named(name):
             # OpenCV misses a whole tag in a few of a thousand still images: one may be such
-            assert first_images(4, head=head).sum() >= 7
+            assert first_images(2, head=head).sum() >= 3
 
 
 @pytest.mark.slow
@@ -164,7 +164,7 @@ def test_they_do_whatever_the_targets_and_the_boards_options() -> None:
         {"plant_options": {"board": "checkerboard"}},
     ]:
         with named(options):
-            assert first_images(3, **options).sum() >= 5
+            assert first_images(2, **options).sum() >= 3
 
 
 def test_near_targets_are_among_those_that_both_eyes_find(simulated: HeadModel) -> None:
