@@ -77,14 +77,14 @@ def test_a_spec_goes_through_json() -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_autoreset_is_that_of_gymnasiums_vector_of_single_environments(mode) -> None:
     num = 3
-    own, sync = make_both(num, mode, plant="kinematic", max_episode_steps=60)
+    own, sync = make_both(num, mode, plant="kinematic", max_episode_steps=95)
     assert own.metadata["autoreset_mode"] == sync.metadata["autoreset_mode"] == mode
     assert own.observation_space == sync.observation_space
     assert own.action_space == sync.action_space
     a, b = own.reset(seed=9)[0], sync.reset(seed=9)[0]
     assert np.array_equal(a, b)
     ended, terminated = np.zeros(num, dtype=int), 0
-    for step in range(190):
+    for step in range(300):
         mine, theirs = own.step(drive(step, num)), sync.step(drive(step, num))
         for x, y in zip(mine[:4], theirs[:4], strict=True):
             assert np.array_equal(x, y)
