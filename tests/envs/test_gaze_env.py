@@ -215,15 +215,6 @@ def test_info_on_request_is_that_of_one_head() -> None:
     assert (error < 6 * np.sqrt(np.diag(info["itpc"]["covariance"]))).all()
 
 
-def test_an_observation_is_the_callers_own(env) -> None:
-    observation, _info = env.reset(seed=0)
-    kept = observation.copy()
-    step = env.step(np.ones(4, np.float32))[0]
-    assert np.array_equal(observation, kept)
-    step[:] = 0.5
-    assert not np.array_equal(env.step(np.ones(4, np.float32))[0], step)
-
-
 def test_an_action_of_another_shape_is_refused() -> None:
     env = GazeEnv(plant="kinematic")
     env.reset(seed=0)

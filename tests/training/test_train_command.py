@@ -93,21 +93,6 @@ def test_an_interrupted_run_is_saved_and_says_how_to_go_on(tmp_path, capsys, mon
     assert f"stopped after {done} steps: vergence train --resume {folder} goes on" in last
 
 
-@pytest.mark.nightly
-def test_an_interrupted_process_is_saved_and_ends_without_a_trace(tmp_path):
-    folder = tmp_path / "run"
-    process = start(folder)
-    wait_for_evaluations(process, 2)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate()
-    assert process.returncode == 130, err
-    said = err.strip().splitlines()[-1]
-    assert f"vergence train --resume {folder}" in said
-    done = read_checkpoint(folder / "checkpoints" / "last.pt")["steps"]
-    assert f"stopped after {done} steps" in said
-    assert "Traceback" not in err
-
-
 class InterruptedWhileWriting(io.RawIOBase):
     """A stream at whose first bytes Ctrl-C is pressed."""
 

@@ -69,18 +69,6 @@ def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -
     assert np.sqrt((error**2).mean()) < 0.1
 
 
-@pytest.mark.nightly
-def test_the_loop_settles_through_lenses_of_other_models() -> None:
-    target = {"kind": "static", "point": (0.1, -0.1, 0.6)}
-    task = begin(GazeTask(1, head=wide("fisheye", "rational"), plant="rendered", target=target))
-    controller = make_controller("ibvs", head=task.head, gain=4.0)
-    assert np.linalg.norm(task.truth().pixel_error, axis=-1).min() > 20.0
-    for _ in range(100):
-        action, _state = controller.predict(task.observation)
-        task.step(action)
-    assert np.linalg.norm(task.truth().pixel_error, axis=-1).max() < 1.0
-
-
 @pytest.mark.slow
 def test_each_true_head_draws_its_own_images(physical: HeadModel) -> None:
     errors = ModelErrors(head_eye_rad=0.02, principal_px=5.0, distortion=0.01)

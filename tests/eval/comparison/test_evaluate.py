@@ -33,17 +33,6 @@ KNOWN = EvaluateConfig(scenarios=("known",), episodes=20)
 
 
 @pytest.mark.usefixtures("known")
-def test_a_controller_with_a_known_settle_time_gets_exactly_that():
-    row = row_of(evaluate(KNOWN, {"toy": KnowsTheWay(20)}), "toy")
-    assert row["settled_fraction"] == 1.0
-    assert row["settle_1px_median_s"] == pytest.approx(21 * PERIOD_S, abs=1e-12)
-    assert row["settle_1px_p95_s"] == pytest.approx(21 * PERIOD_S, abs=1e-12)
-    assert row["overshoot_p95"] < 1e-6
-    assert row["ratio_to_bound_median"] >= 1.0
-    assert row["tracking_rms_px"] is None
-
-
-@pytest.mark.usefixtures("known")
 def test_trials_that_never_settle_are_counted_as_the_whole_trial():
     toys = {"some": KnowsTheWay(20, never=(0, 5)), "most": KnowsTheWay(20, never=tuple(range(11)))}
     evaluation = evaluate(KNOWN, toys)

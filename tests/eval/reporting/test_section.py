@@ -6,7 +6,6 @@ import shutil
 import pytest
 
 from tests.eval.refusals import not_refused
-from tests.eval.reporting.browser import CHROMIUM, open_page
 from vergence.errors import ConfigurationError
 from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.reproduce import reproduce
@@ -77,18 +76,6 @@ def test_the_figures_of_an_evaluation_are_drawn(tmp_path, few):
     sizes = [path.stat().st_size for path in (tmp_path / "figures").iterdir()]
     assert len(sizes) == 8
     assert min(sizes) > 5000
-
-
-@pytest.mark.nightly
-@pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
-def test_an_evaluations_report_fits_a_phone_and_a_screen(tmp_path, few):
-    write_evaluation(tmp_path, few)
-    for width in (400, 1400):
-        page = open_page(tmp_path / "report.html", width, tmp_path)
-        assert page.console == []
-        assert page.facts["scroll"] <= page.facts["inner"]
-        assert page.facts["wide"] == []
-        assert len(page.facts["drawn"]) == 4
 
 
 NO_RUN = "include: expected the folder of a run"
