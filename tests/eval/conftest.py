@@ -8,14 +8,18 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.eval.trials.toys import STEP, ideal_head
+from vergence.eval.article import folder
 from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evaluate
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.models.files.head_file import save_head
 
+SOURCES = folder._sources_digest()
+
 
 def toy_alone(patch: pytest.MonkeyPatch) -> None:
     """Leave the toy experiment alone in the registry of experiments."""
+    patch.setattr(folder, "_sources_digest", lambda: SOURCES)  # which takes as long as all else
     for module in ("experiment", "folder", "overrides", "reproduce"):
         patch.setattr(
             f"vergence.eval.article.{module}.EXPERIMENTS",
@@ -73,11 +77,11 @@ def few() -> Evaluation:
 @pytest.fixture(scope="session")
 def few_folder(few, tmp_path_factory):
     """The run folder of that evaluation; no test changes it."""
-    folder = tmp_path_factory.mktemp("evaluation") / "first run"
-    folder.mkdir()
+    place = tmp_path_factory.mktemp("evaluation") / "first run"
+    place.mkdir()
     with sketched():
-        write_evaluation(folder, few)
-    return folder
+        write_evaluation(place, few)
+    return place
 
 
 def row_of(evaluation: Evaluation, controller: str) -> dict:

@@ -3,6 +3,7 @@
 import ast
 import copy
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -258,7 +259,11 @@ def test_no_load_path_of_a_controller_unpickles_or_evaluates():
     paths = [path for folder in folders for path in PACKAGE.glob(f"{folder}/**/*.py")]
     paths += [PACKAGE / "commands" / f"{name}.py" for name in ("evaluate", "deploy")]
     assert {"learned.py", "contestants.py", "evaluate.py"} <= {path.name for path in paths}
-    faults = {path.name: executing(path.read_text("utf-8")) for path in paths}
+    words = re.compile(
+        rf"\b({'|'.join(FORBIDDEN_MODULES)})\b|\b({'|'.join(FORBIDDEN_CALLS)})\(|load|read_"
+    )
+    sources = {path.name: path.read_text("utf-8") for path in paths}
+    faults = {name: executing(text) for name, text in sources.items() if words.search(text)}
     assert {name: fault for name, fault in faults.items() if fault} == {}
     for source in ["import pickle", "from torch import load", "eval('1')", "np.load('x')"]:
         with named(source):

@@ -57,11 +57,13 @@ def test_frames_at_60_hz_that_come_seven_periods_late_show_their_own_instants(si
 @pytest.mark.slow
 def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -> None:
     head = wide("fisheye", "rational")
+    half = {name: 0.5 * getattr(head.cameras, name) for name in ("focal", "principal")}
+    head = head.replace(cameras={"size": [[400, 300], [320, 240]], **half})
     plant = make_plant("rendered", head, 1, board="checkerboard", width_rad="fit")
     point = (0.25, -0.2, 0.5)  # 30 degrees aside, where straight edges are bent
     readings, q, _v = steps(plant, start_of(point=point), 10)
     left, right = plant.frames()
-    assert (left.shape, right.shape) == ((600, 800), (480, 640))
+    assert (left.shape, right.shape) == ((300, 400), (240, 320))
     seen = [reading for reading in readings if reading.visible.all()]
     assert len(seen) > 2
     error = np.array([reading.pixels for reading in seen]) - head.project(q[0], point)
