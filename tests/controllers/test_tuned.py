@@ -108,6 +108,7 @@ def test_every_shipped_entry_makes_its_controller() -> None:
         make_controller(key.controller, head=head, **found.options)
 
 
+@pytest.mark.slow
 def test_every_shipped_entry_is_for_the_head_that_its_command_names() -> None:
     """Run again, the command is for that head: one without --head for the scenario's own."""
     for key, found in tuned.load_tuned().items():

@@ -51,7 +51,11 @@ NOISY = load_head("physical").replace(sensor={"dropped_frame_probability": 0.1})
 
 
 # longer than a block of random numbers, which is 256 steps
-CASES = [("kinematic", 270, 7, "random"), ("mujoco", 60, 3, "step"), ("rendered", 14, 2, "step")]
+CASES = [
+    ("kinematic", 270, 7, "random"),
+    ("mujoco", 60, 3, "step"),
+    pytest.param("rendered", 14, 2, "step", marks=pytest.mark.slow),
+]
 cases = pytest.mark.parametrize(("plant", "count", "num", "target"), CASES)
 
 

@@ -67,6 +67,7 @@ def first_sight(env: gym.Env, **reset: object) -> np.ndarray:
     return observation
 
 
+@pytest.mark.slow
 def test_gymnasiums_checker_has_no_complaint() -> None:
     env = gym.make("vergence/Gaze-v0", plant="mujoco").unwrapped
     with warnings.catch_warnings():

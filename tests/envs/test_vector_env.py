@@ -72,6 +72,7 @@ def test_a_spec_goes_through_json() -> None:
             assert np.array_equal(again.reset(seed=4)[0], envs.reset(seed=4)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES)
 def test_autoreset_is_that_of_gymnasiums_vector_of_single_environments(mode) -> None:
     num = 3

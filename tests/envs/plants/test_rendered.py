@@ -17,6 +17,7 @@ from vergence.errors import ConfigurationError
 SLOW = [0.0, 0.0, 0.0, 0.3, 0.2, -0.3, 0.2]
 
 
+@pytest.mark.slow
 def test_the_loop_settles_on_what_the_detector_sees() -> None:
     task = begin(GazeTask(1, head="physical", plant="rendered", target={"kind": "static"}))
     controller = make_controller("ibvs", head=task.head, gain=4.0)

@@ -188,6 +188,7 @@ def test_milliseconds_are_refused_with_a_hint() -> None:
             GazeTask(1, plant="kinematic", variation={name: (30, 130)})
 
 
+@pytest.mark.slow
 def test_every_range_and_option_is_checked_by_its_name() -> None:
     for name in RANGES:
         with named(name):
