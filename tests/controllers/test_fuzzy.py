@@ -28,11 +28,6 @@ def test_the_inference_is_the_weighted_average_of_all_49_rules(error, rate) -> N
     assert FUZZY.factors(error, rate) == pytest.approx(expected, abs=1e-12)
 
 
-@given(error=errors, rate=rates)
-def test_left_and_right_are_alike(error, rate) -> None:
-    assert FUZZY.factors(-error, -rate) == pytest.approx(FUZZY.factors(error, rate), abs=1e-12)
-
-
 def test_the_documented_rules_are_those_that_fire() -> None:
     import vergence.controllers.fuzzy as module
 

@@ -41,13 +41,6 @@ def test_the_sweeps_step_settles_in_about_0_55_s_at_a_gain_of_4(head, plant, y) 
     assert 0.52 <= settle_time(sweep(head, plant, y, 4.0), PERIOD_S) <= 0.58
 
 
-def test_a_higher_gain_settles_sooner_until_it_overshoots(head) -> None:
-    plant = "kinematic"
-    times = [settle_time(sweep(head, plant, -0.2, k), PERIOD_S) for k in (1.0, 2.0, 3.0, 4.0)]
-    assert times == sorted(times, reverse=True)
-    assert settle_time(sweep(head, plant, -0.2, 6.0), PERIOD_S) > times[-1]
-
-
 def test_nothing_moves_before_the_jump_can_be_seen(head) -> None:
     errors = sweep(head, "mujoco", -0.2, 4.0)
     # read at step 8, acted upon at once: the first motion shows at step 9
@@ -70,7 +63,7 @@ def test_every_random_target_is_brought_to_both_principal_points(plant, preset) 
     assert (depth_error < 1.5 * allowed).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_stable_baselines3_evaluates_it_as_it_is() -> None:
     from stable_baselines3.common.evaluation import evaluate_policy
     from stable_baselines3.common.monitor import Monitor

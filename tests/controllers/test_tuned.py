@@ -9,11 +9,9 @@ import numpy as np
 import platformdirs
 import pytest
 
-from tests.controllers.loops import settle_time, true_errors
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers import tuned
-from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.trials.scenarios import load_scenario
 
@@ -110,6 +108,7 @@ def test_every_shipped_entry_makes_its_controller() -> None:
         make_controller(key.controller, head=head, **found.options)
 
 
+@pytest.mark.slow
 def test_every_shipped_entry_is_for_the_head_that_its_command_names() -> None:
     """Run again, the command is for that head: one without --head for the scenario's own."""
     for key, found in tuned.load_tuned().items():
@@ -197,14 +196,3 @@ def test_options_are_a_copy() -> None:
 def test_an_unknown_scenario_is_refused_with_the_known_ones() -> None:
     with pytest.raises(UnknownNameError, match=r"scenario: expected one of.*workspace.*'sofa'"):
         make_controller("ibvs-tuned", head=load_head("simulated"), scenario="sofa")
-
-
-def test_the_tuned_gain_settles_the_step_sooner_than_the_articles() -> None:
-    head = load_head("simulated").replace(sensor={"detection_noise_px": 0.0})
-    times = []
-    for name in ("ibvs", "ibvs-tuned"):
-        task = GazeTask(1, head=head, plant="kinematic", target="step")
-        options = tuned.tuned_or_fallback_options(name, "step", load_head("simulated"))
-        controller = make_controller(name, head=head, layout=task.layout, **options)
-        times.append(settle_time(true_errors(task, controller, 2.0), 1 / 120))
-    assert times[1] <= times[0]

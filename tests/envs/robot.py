@@ -92,10 +92,10 @@ class Late(Plant):
     It sees by a camera of 60 frames a second with a clock of its own, and does not turn.
     """
 
-    def __init__(self, head, num=1, *, on_grid=True, seed=0):
+    def __init__(self, head, num=1, *, seed=0):
         self.head, self.num = head, num
         self.blind = False
-        self._on_grid, self._seed = on_grid, seed
+        self._seed = seed
 
     def reset(self, ids, positions):
         """See `Plant.reset`."""
@@ -112,7 +112,7 @@ class Late(Plant):
         late = 1.5 if rng.random() < 1 / 7 else rng.uniform(0.0, 0.4)
         clock_s = (self._period + late) * period
         self._period += int(late)  # the period that was missed is skipped
-        reading.time_s[0] = self._period * period if self._on_grid else clock_s
+        reading.time_s[0] = self._period * period
         newest = int(np.floor((clock_s - 0.06) * 60.0))  # exposed, and come
         if newest >= 0:
             reading.frame[0] = newest + 1

@@ -109,15 +109,6 @@ def test_random_targets_are_uniform_in_eccentricity_and_inverse_depth(head: Head
         assert_uniform(sample)
 
 
-def test_random_targets_of_the_default_workspace_reach_all_depths(head: HeadModel) -> None:
-    rows, _q = draw(head, "random", 1000)
-    inverse = (1 / target_position(rows, 0.0)[:, 2] - 0.4) / (1 / 0.3 - 0.4)
-    shares = np.histogram(inverse, bins=4, range=(0, 1))[0] / 1000
-    # near points aside cannot be fixated or seen by both eyes, so a quarter each is not exact
-    assert shares.min() > 0.15
-    assert shares.max() < 0.35
-
-
 def test_a_trial_draws_the_same_target_alone_and_in_a_batch(simulated: HeadModel) -> None:
     for kind in ["random", "double-step", "orbit", "occluded", "wander"]:
         with named(kind):

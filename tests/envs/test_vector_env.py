@@ -1,6 +1,5 @@
 """The vector environment: Gymnasium's semantics, and the single environment's numbers."""
 
-import pickle
 from typing import Any
 
 import gymnasium as gym
@@ -11,7 +10,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from tests.envs.simulated import SIMULATED_IDS
 from tests.naming import named
-from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.errors import ConfigurationError
 
@@ -74,6 +72,7 @@ def test_a_spec_goes_through_json() -> None:
             assert np.array_equal(again.reset(seed=4)[0], envs.reset(seed=4)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES)
 def test_autoreset_is_that_of_gymnasiums_vector_of_single_environments(mode) -> None:
     num = 3
@@ -127,24 +126,6 @@ def test_place_i_of_seed_s_runs_the_episodes_of_a_single_environment_with_seed_s
         done = terminated | truncated
         episodes += done.sum()
     assert episodes == 9
-
-
-def test_time_runs_out_exactly_once() -> None:
-    for expected, options in ((MAX_EPISODE_STEPS, {}), (30, {"max_episode_steps": 30})):
-        envs = gym.make_vec(ID, num_envs=2, plant="kinematic", **options)
-        envs.reset(seed=1)
-        # in NextStep mode an episode is followed by the step that resets it
-        for _episode in range(2):
-            for step in range(1, expected + 1):
-                _o, _r, terminated, truncated, _i = envs.step(np.zeros((2, 4), np.float32))
-                assert truncated.tolist() == [step == expected] * 2
-                assert not terminated.any()
-            _o, *ends, _i = envs.step(np.zeros((2, 4), np.float32))
-            assert not np.any(ends)
-    envs = GazeVectorEnv(2, plant="kinematic")
-    envs.reset(seed=1)
-    ends = [envs.step(np.zeros((2, 4)))[3].any() for _ in range(MAX_EPISODE_STEPS + 5)]
-    assert not any(ends)
 
 
 def test_a_mask_resets_some_and_leaves_the_others() -> None:
@@ -220,17 +201,6 @@ def test_in_disabled_mode_an_ended_episode_must_be_reset() -> None:
 def test_an_unknown_mode_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"autoreset_mode: expected one of.*'Sometimes'"):
         GazeVectorEnv(2, plant="kinematic", autoreset_mode="Sometimes")
-
-
-def test_pickled_in_mid_episode_the_copy_goes_on_identically() -> None:
-    envs = GazeVectorEnv(3, plant="kinematic", head="physical", max_episode_steps=40)
-    envs.reset(seed=2)
-    for step in range(50):
-        envs.step(drive(step, 3))
-    copy = pickle.loads(pickle.dumps(envs))
-    for step in range(60):
-        for a, b in zip(envs.step(drive(step, 3))[:4], copy.step(drive(step, 3))[:4], strict=True):
-            assert np.array_equal(a, b)
 
 
 def test_what_a_step_returned_does_not_change_with_the_next() -> None:

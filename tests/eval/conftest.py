@@ -1,23 +1,50 @@
 """Fixtures of the evaluation's tests."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from tests.eval.trials.toys import STEP, ideal_head
+from vergence.eval.article import folder
 from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evaluate
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.models.files.head_file import save_head
 
+SOURCES = folder._sources_digest()
+
 
 def toy_alone(patch: pytest.MonkeyPatch) -> None:
     """Leave the toy experiment alone in the registry of experiments."""
+    patch.setattr(folder, "_sources_digest", lambda: SOURCES)  # which takes as long as all else
     for module in ("experiment", "folder", "overrides", "reproduce"):
         patch.setattr(
             f"vergence.eval.article.{module}.EXPERIMENTS",
             {"toy": "tests.eval.article.toy:EXPERIMENT"},
         )
+
+
+@contextmanager
+def sketched() -> Iterator[pytest.MonkeyPatch]:
+    """Figures are not drawn, which takes longer than all else: an empty one is written."""
+
+    def write(_figure: Figure, path: Path, **_options: object) -> None:
+        Path(path).write_text("<svg></svg>")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "draw_without_rendering", lambda _figure: None)
+        patch.setattr(Figure, "savefig", write)
+        yield patch
+
+
+@pytest.fixture
+def undrawn():
+    """See `sketched`."""
+    with sketched() as patch:
+        yield patch
 
 
 @pytest.fixture
@@ -49,11 +76,12 @@ def few() -> Evaluation:
 
 @pytest.fixture(scope="session")
 def few_folder(few, tmp_path_factory):
-    """The run folder of that evaluation, figures and all; no test changes it."""
-    folder = tmp_path_factory.mktemp("evaluation") / "first run"
-    folder.mkdir()
-    write_evaluation(folder, few)
-    return folder
+    """The run folder of that evaluation; no test changes it."""
+    place = tmp_path_factory.mktemp("evaluation") / "first run"
+    place.mkdir()
+    with sketched():
+        write_evaluation(place, few)
+    return place
 
 
 def row_of(evaluation: Evaluation, controller: str) -> dict:

@@ -94,6 +94,7 @@ def test_a_robot_s_own_images_are_shown_as_they_are(monkeypatch):
         assert axes.get_title().endswith("last image")
 
 
+@pytest.mark.slow
 def test_an_image_that_no_camera_took_says_that_it_is_drawn():
     for plant, drawn in {"kinematic": True, "rendered": False}.items():
         result = run_gaze(GazeConfig(plant=plant, duration_s=0.2))

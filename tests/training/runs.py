@@ -23,8 +23,8 @@ SMALL = (
     "episodes=4",
 )
 PPO = ("algorithm.n_steps=16", "algorithm.batch_size=128", "algorithm.n_epochs=1")
-STEPS = 8 * 16 * 8
-"""Eight rollouts."""
+STEPS = 8 * 16 * 4
+"""Four rollouts."""
 
 
 @contextmanager

@@ -25,7 +25,7 @@ def test_a_training_that_diverges_says_when_and_what_to_try(tmp_path):
         train(folder, *small("gain-schedule", "algorithm.learning_rate=1e30"), Silent())
     said = str(caught.value)
     assert "became nan" in said
-    assert " steps; the checkpoint of 0 steps is kept" in said
+    assert "after 256 steps; the checkpoint of 128 steps is kept" in said
     assert "--set algorithm.learning_rate" in said
     for which in ("best", "last"):
         content = read_checkpoint(folder / "checkpoints" / f"{which}.pt")

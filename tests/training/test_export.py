@@ -15,7 +15,7 @@ from torch import nn
 from tests.heads import text_of
 from tests.test_cli import call
 from tests.training.runs import Silent
-from vergence import load_head, make_controller
+from vergence import make_controller
 from vergence.commands.train import Train
 from vergence.controllers.gain_schedule import gains_from_action
 from vergence.controllers.networks.bundle import read_bundle
@@ -26,6 +26,7 @@ from vergence.controllers.networks.runtime import Runtime
 from vergence.errors import BundleError, ConfigurationError
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
+from vergence.training import onnx_export
 from vergence.training.choices import resolve_config
 from vergence.training.config import load_run
 from vergence.training.export import export_run
@@ -75,18 +76,30 @@ def learner(activation: type[nn.Module] = nn.Tanh, **options):
     return model
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind", ["gain-schedule", pytest.param("policy", marks=pytest.mark.nightly)]
-)
-def test_onnx_and_torch_agree_on_10000_observations(kind):
+class Unexported:
+    """Stands for a network and for what runs it: the actor that would be exported."""
+
+    def __init__(self, actor, size):
+        self.actor, self.input_size = actor, size
+
+    def __call__(self, inputs):
+        with torch.no_grad():
+            return self.actor(torch.as_tensor(inputs)).numpy()
+
+
+@pytest.mark.parametrize("exported", [False, pytest.param(True, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
+def test_a_network_and_its_learner_agree_on_10000_observations(kind, exported, monkeypatch):
+    if not exported:
+        monkeypatch.setattr(onnx_export, "export_network", Unexported)
+        monkeypatch.setattr(onnx_export, "Runtime", lambda network: network)
     model = learner()
     env = model.get_vec_normalize_env()
     network, difference = learner_network(kind, model, env)
     assert difference <= TOLERANCE
     x = np.random.default_rng(1).uniform(-1, 1, (10_000, SIZE)).astype("f4")
     action, _state = model.predict(env.normalize_obs(x).astype("f4"), deterministic=True)
-    out = Runtime(network)(x)
+    out = onnx_export.Runtime(network)(x)
     assert action.std() > 0.2  # neither rests nor saturates everywhere
     if kind == "policy":
         assert np.abs(out - decode_velocity_action(action)).max() <= 1e-5
@@ -121,14 +134,10 @@ def test_the_network_shared_by_the_joints_is_exported():
     assert network.output_size == 4
 
 
-@pytest.fixture(scope="module")
-def network():
-    return learner_network("policy", learner(), None)[0]
-
-
 @pytest.mark.slow
-def test_nothing_of_the_machine_that_exported_it_is_in_the_file(network):
-    assert network.operators <= {"Clip", "Gemm", "Mul", "Pow", "Tanh"}
+def test_nothing_of_the_machine_that_exported_it_is_in_the_file(bundle):
+    network = read_bundle(bundle).network
+    assert network.operators <= {"Add", "Clip", "Div", "Gemm", "Mul", "Pow", "Sub", "Tanh"}
     for word in (b"/", b".py", b"torch.nn"):
         assert word not in network.data.replace(b"pkg", b"")[:64]
     assert b"site-packages" not in network.data
@@ -136,12 +145,13 @@ def test_nothing_of_the_machine_that_exported_it_is_in_the_file(network):
 
 
 @pytest.mark.slow
-def test_a_difference_is_found(network):
+def test_a_difference_is_found(bundle):
+    network = read_bundle(bundle).network
     with pytest.raises(BundleError, match="expected ONNX and torch to agree to 1e-05, got"):
         check_agreement(network, lambda inputs: Runtime(network)(inputs) + 2e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_actor_of_other_operators_is_refused():
     with pytest.raises(BundleError, match=r"expected operators among .*'Softmax'"):
         export_network(nn.Sequential(nn.Linear(SIZE, 4), nn.Softmax(-1)), SIZE)
@@ -157,13 +167,20 @@ def test_other_bounds_of_actions_are_refused():
 # From a run folder.
 
 
+def trained(folder, kind, head=None):
+    """A brief run for a preset, or for a head in a file beside the folder."""
+    if head is not None:
+        (folder.parent / f"{head}.toml").write_text(text_of(head))
+        head = str(folder.parent / f"{head}.toml")
+    options = TrainOptions(kind=kind, head=head, seed=5, steps=128, envs=4, set=BRIEF)
+    train(folder, *resolve_config(options), Silent())
+    return folder
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    options = TrainOptions(kind="policy", seed=5, steps=128, envs=4, set=BRIEF)
-    config, head = resolve_config(options)
-    folder = tmp_path_factory.mktemp("runs") / "run"
-    train(folder, config, head, Silent())
-    return folder
+    """A run for a head of three actuators, some of which move two joints."""
+    return trained(tmp_path_factory.mktemp("runs") / "run", "policy", "tied")
 
 
 @pytest.fixture(scope="module")
@@ -190,36 +207,40 @@ def test_a_run_is_exported_to_a_bundle_that_runs(bundle):
     assert "torch" in manifest.training["versions"]
     assert manifest.metrics["onnx_difference"] <= 1e-5
     assert set(manifest.metrics["validation"]) >= {"headline", "settled_fraction"}
-    controller = make_controller("learned-policy", load_head("simulated"), bundle=bundle)
-    assert np.isfinite(controller.predict(np.zeros((3, 27), "f4"))[0]).all()
+
+
+def command_of(bundle, head):
+    scenario = load_scenario("workspace")
+    command = run_trials(load_policy(bundle, head), scenario, episodes=2, head=head).command
+    assert np.isfinite(command).all()
+    return command
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "actions"),
-    [("policy", 3), pytest.param("gain-schedule", 4, marks=pytest.mark.nightly)],
-)
-def test_a_network_is_learned_and_exported_for_a_head_with_tied_joints(tmp_path, kind, actions):
-    (tmp_path / "tied.toml").write_text(text_of("tied"))
-    options = {"head": str(tmp_path / "tied.toml"), "steps": 128, "envs": 4, "set": BRIEF}
-    config, head = resolve_config(TrainOptions(kind=kind, **options))
-    train(tmp_path / "run", config, head, Silent())
-    manifest = export_run(tmp_path / "run", tmp_path / "tied.vgp", "last")
-    assert manifest.head["digest"] == head.digest
+def test_a_bundle_moves_a_head_with_tied_joints(run, bundle):
+    head = load_run(run)[1]
+    content = read_bundle(bundle)
+    assert content.manifest.head["digest"] == head.digest
+    assert content.network.output_size == 3
+    command = command_of(bundle, head)
+    assert command[..., :3].any()
+    assert not command[..., 3:].any()  # it has three actuators
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("kind", "shape"), [("gain-schedule", "tied"), ("policy", None)])
+def test_a_network_is_learned_and_exported_for_either_kind_of_head(tmp_path, kind, shape):
+    folder = trained(tmp_path / "run", kind, shape)
+    manifest = export_run(folder, tmp_path / "mine.vgp", "last")
     assert manifest.metrics["onnx_difference"] <= 1e-5
-    assert read_bundle(tmp_path / "tied.vgp").network.output_size == actions
-    trials = run_trials(
-        load_policy(tmp_path / "tied.vgp", head), load_scenario("workspace"), episodes=2, head=head
-    )
-    assert np.isfinite(trials.command).all()
-    assert trials.command[..., :3].any()
-    assert not trials.command[..., 3:].any()  # it has three actuators
+    assert read_bundle(tmp_path / "mine.vgp").network.output_size == 4
+    command_of(tmp_path / "mine.vgp", load_run(folder)[1])
 
 
 @pytest.mark.slow
 def test_the_exported_network_acts_as_the_learner_does(run, bundle):
     learned = load_learner(run, "last")
-    head = load_head("simulated")
+    head = load_run(run)[1]
     bundled = make_controller("learned-policy", head, bundle=bundle)
     layout = bundled.layout
     rng = np.random.default_rng(0)

@@ -26,9 +26,11 @@ from vergence.training.run import resume, train
 RUNS = {
     "gain-schedule": lambda: small(),
     "policy": lambda: small(
-        "policy", "normalise_inputs=true", "episodes=2", inputs="history", randomise=True, steps=512
+        "policy", "normalise_inputs=true", "episodes=2",
+        "algorithm.n_steps=8", "algorithm.batch_size=64",
+        inputs="history", randomise=True, steps=256,
     ),
-}
+}  # fmt: skip
 
 
 def different(ours, theirs, name="") -> list[str]:
@@ -83,7 +85,9 @@ class KillsAt(Silent):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", RUNS)
+@pytest.mark.parametrize(
+    "kind", ["policy", pytest.param("gain-schedule", marks=pytest.mark.nightly)]
+)
 def test_a_killed_and_a_stopped_run_end_as_the_uninterrupted_one_to_the_last_bit(
     kind, tmp_path, request
 ):
@@ -95,7 +99,7 @@ def test_a_killed_and_a_stopped_run_end_as_the_uninterrupted_one_to_the_last_bit
     parts = tmp_path / "parts"
     stopped = train(parts, config, head, Silent(stop_after=2))
     assert (stopped.finished, stopped.steps) == (False, config.steps // 4)
-    listener = KillsAt(config.steps - 64)  # after the last checkpoint but one, in mid-rollout
+    listener = KillsAt(config.steps - 32)  # after the last checkpoint but one, in mid-rollout
     with pytest.raises(Killed):
         resume(parts, listener)
     assert listener.went_on_from == stopped.steps
@@ -137,12 +141,14 @@ def test_a_run_goes_on_to_more_steps_at_the_learning_rate_of_a_run_of_as_many(tm
 @pytest.mark.slow
 def test_a_finished_run_that_could_not_draw_its_figure_draws_it(whole, tmp_path):
     folder = shutil.copytree(whole.folder, tmp_path / "run")
-    for figure in folder.glob("curve.[ps]*g"):
-        figure.unlink()
+    figures = [folder / "curve.png", folder / "curve.svg"]
+    for path in figures:
+        path.unlink()
     before = content_of(folder)
     with drawn():
         assert resume(folder, Silent()).finished
-    assert set(content_of(folder)) - set(before) == {Path("curve.png"), Path("curve.svg")}
+    assert {*content_of(folder)} - {*before} == {path.relative_to(folder) for path in figures}
+    assert all(path.stat().st_size > 5000 for path in figures)
     assert content_of(folder)[Path("checkpoints/last.pt")] == before[Path("checkpoints/last.pt")]
 
 
@@ -191,7 +197,8 @@ def test_a_kill_between_the_names_of_last_and_best_loses_neither(tmp_path):
 def test_a_flipped_bit_anywhere_in_a_checkpoint_is_found(mine):
     path = mine / "checkpoints" / "last.pt"
     whole = bytearray(path.read_bytes())
-    places = {*range(64), *range(len(whole) - 160, len(whole)), *range(0, len(whole), 997)}
+    last = len(whole) - 1
+    places = {*range(0, 64, 5), *range(last - 160, last, 7), last, *range(0, last, 4999)}
     for place in sorted(places):
         whole[place] ^= 1 << place % 8
         path.write_bytes(whole)
@@ -269,7 +276,7 @@ def test_all_edited_fields_are_named(mine):
 
 
 def test_another_number_of_steps_is_no_other_run(mine):
-    assert resume(mine, Silent(), steps=STEPS - 128).finished
+    assert resume(mine, Silent(), steps=STEPS + 128).finished
 
 
 def test_another_head_is_refused(mine):

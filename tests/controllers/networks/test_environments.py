@@ -1,12 +1,11 @@
 """The environments of a network: the gaze task behind other spaces."""
 
-import pickle
 import warnings
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from tests.naming import named
@@ -34,15 +33,6 @@ def test_gymnasiums_checker_has_no_complaint() -> None:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 check_env(env, skip_render_check=True)
-
-
-@pytest.mark.slow
-def test_stable_baselines3s_checker_has_no_complaint() -> None:
-    from stable_baselines3.common.env_checker import check_env as check_for_sb3
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_for_sb3(PolicyEnv(plant="kinematic"), warn=True)
 
 
 def test_a_constant_schedule_runs_the_trial_of_the_fixed_gain() -> None:
@@ -105,21 +95,6 @@ def test_the_vector_has_the_single_environments_numbers(kind, mode) -> None:
             assert np.array_equal(a, b)
         for a, b in zip(mine[4].get("final_obs", []), theirs[4].get("final_obs", []), strict=True):
             assert a is b is None or np.array_equal(a, b)
-
-
-def test_a_seed_decides_everything_and_a_pickle_goes_on() -> None:
-    def run(env: gym.Env, count: int) -> list[object]:
-        env.action_space.seed(1)
-        return [env.step(env.action_space.sample()) for _ in range(count)]
-
-    first, second = gym.make(ID, plant="kinematic"), gym.make(ID, plant="kinematic")
-    for env in (first, second):
-        env.reset(seed=4)
-    for a, b in zip(run(first, 50), run(second, 50), strict=True):
-        assert data_equivalence(a, b, exact=True)
-    copy = pickle.loads(pickle.dumps(first))
-    for a, b in zip(run(first, 50), run(copy, 50), strict=True):
-        assert data_equivalence(a, b, exact=True)
 
 
 def test_a_saved_state_goes_on_to_the_last_bit_in_a_robots_loop() -> None:

@@ -3,6 +3,7 @@
 import ast
 import copy
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -204,7 +205,7 @@ def test_the_shipped_networks_settle_in_a_robots_loop(kind):
     """In 2 px; not in every trial, as chance has a part in what a network learns."""
     scenario = load_scenario("hardware")
     controller = make_controller(NAMES[kind], scenario.model())
-    settle_s = run_trials(controller, scenario, episodes=30, split="validation").settle_s(2.0)
+    settle_s = run_trials(controller, scenario, episodes=20, split="validation").settle_s(2.0)
     assert np.isfinite(settle_s).mean() >= 0.95
     assert np.nanmedian(settle_s) < 0.7
 
@@ -213,9 +214,9 @@ def test_the_shipped_networks_settle_in_a_robots_loop(kind):
 def test_the_shipped_networks_are_calm_on_servos_that_overshoot(kind):
     scenario = with_imperfection(load_scenario("hardware"), "overshoot", 0.3)
     controller = make_controller(NAMES[kind], scenario.model())
-    trials = run_trials(controller, scenario, episodes=30, split="validation")
+    trials = run_trials(controller, scenario, episodes=16, split="validation")
     assert not trials.swings.any()
-    assert np.isfinite(trials.settle_s(2.0)).mean() >= 0.98
+    assert np.isfinite(trials.settle_s(2.0)).all()
 
 
 def test_the_shipped_bundles_are_small_and_say_how_they_were_made():
@@ -246,7 +247,8 @@ def executing(source: str) -> list[str]:
             if (node.module or "").split(".")[0] in FORBIDDEN_MODULES:
                 found.append(str(node.module))
         elif isinstance(node, ast.Call):
-            name = ast.unparse(node.func)
+            owner, attribute = getattr(node.func, "value", None), getattr(node.func, "attr", "")
+            name = getattr(node.func, "id", f"{getattr(owner, 'id', '')}.{attribute}")
             if name in FORBIDDEN_CALLS or name.endswith((".load_module", "np.load", "read_pickle")):
                 found.append(name)
     return found
@@ -257,7 +259,11 @@ def test_no_load_path_of_a_controller_unpickles_or_evaluates():
     paths = [path for folder in folders for path in PACKAGE.glob(f"{folder}/**/*.py")]
     paths += [PACKAGE / "commands" / f"{name}.py" for name in ("evaluate", "deploy")]
     assert {"learned.py", "contestants.py", "evaluate.py"} <= {path.name for path in paths}
-    faults = {path.name: executing(path.read_text("utf-8")) for path in paths}
+    words = re.compile(
+        rf"\b({'|'.join(FORBIDDEN_MODULES)})\b|\b({'|'.join(FORBIDDEN_CALLS)})\(|load|read_"
+    )
+    sources = {path.name: path.read_text("utf-8") for path in paths}
+    faults = {name: executing(text) for name, text in sources.items() if words.search(text)}
     assert {name: fault for name, fault in faults.items() if fault} == {}
     for source in ["import pickle", "from torch import load", "eval('1')", "np.load('x')"]:
         with named(source):

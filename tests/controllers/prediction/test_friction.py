@@ -73,10 +73,8 @@ def test_a_joint_that_follows_its_commands_is_never_held():
         assert actuator.corrected_px(0.4, angle=1e-3 * round(1e3 * moved)) == pytest.approx(0.4)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "law", ["saccade", pytest.param("state-feedback", marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("law", ["saccade", "state-feedback"])
 def test_a_law_comes_to_rest_on_joints_with_friction(law, monkeypatch):
     monkeypatch.setattr("benchmarks.friction.STAY_S", 2.0)
     error = errors_px(law, MotorOptions(friction=0.05), 2, "turrets")

@@ -103,7 +103,7 @@ def test_a_lost_command_leaves_the_motors_with_the_one_before(exact: HeadModel) 
 
 @pytest.mark.slow
 def test_a_stalled_loop_reads_nothing_and_commands_nothing(exact: HeadModel) -> None:
-    num, count, chance, most = 48, 250, 0.05, 12
+    num, count, chance, most = 32, 200, 0.05, 12
     commands = swing(count, T, 0.5)
     options = {"stall_probability": chance, "stall_s": most * T}
     plant = make_plant("kinematic", exact, num, lag_s=0.0, **options)

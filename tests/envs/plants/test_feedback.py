@@ -8,7 +8,6 @@ from tests.envs.trials import pixels_of, start_of, steps
 from tests.naming import named
 from vergence import HeadModel, load_head
 from vergence.envs.plant import make_plant
-from vergence.envs.task import GazeTask
 
 T = 1 / 120
 
@@ -167,32 +166,3 @@ def test_a_filtered_speed_has_the_encoders_noise_and_steps_behind_the_filter(phy
     counts = np.array([reading.velocities for reading in readings[1:]])[..., 3:] / step
     assert counts == pytest.approx(np.round(counts), abs=1e-9)
     assert counts.std() == pytest.approx(4.0, rel=0.02)
-
-
-def test_late_speeds_are_those_of_the_trial_alone_in_a_vector_and_restored(exact):
-    ranges = {"speed_filter_s": (0.02, 0.08), "speed_latency_s": (0.0, 0.03)}
-
-    def begun(trials: list[int], num: int) -> GazeTask:
-        task = GazeTask(num, head=exact, plant="kinematic", variation=ranges)
-        task.begin(np.arange(num), np.full(num, 3, np.uint64), np.array(trials, np.uint64))
-        return task
-
-    def run(task: GazeTask, first: int, count: int) -> np.ndarray:
-        found = []
-        for k in range(first, first + count):
-            task.step(np.broadcast_to(0.3 * np.sin(0.2 * k + np.arange(4.0)), (task.num, 4)).copy())
-            found.append(task.reading.velocities[-1].copy())
-        return np.array(found)
-
-    alone, among = begun([5], 1), begun([1, 2, 5], 3)
-    assert np.array_equal(run(alone, 0, 20), run(among, 0, 20))
-    state = among.state()
-    went_on = run(among, 20, 20)
-    fresh = begun([7, 8, 9], 3)
-    fresh.restore(state)
-    assert np.array_equal(run(fresh, 20, 20), went_on)
-    assert np.ptp(went_on, axis=0).max() > 0.1
-    # the next trial begins with filters at rest
-    begun_anew = begun([5], 1)
-    alone.begin(np.arange(1), np.full(1, 3, np.uint64), np.array([5], np.uint64))
-    assert np.array_equal(run(alone, 0, 20), run(begun_anew, 0, 20))

@@ -17,6 +17,7 @@ from vergence.errors import ConfigurationError
 SLOW = [0.0, 0.0, 0.0, 0.3, 0.2, -0.3, 0.2]
 
 
+@pytest.mark.slow
 def test_the_loop_settles_on_what_the_detector_sees() -> None:
     task = begin(GazeTask(1, head="physical", plant="rendered", target={"kind": "static"}))
     controller = make_controller("ibvs", head=task.head, gain=4.0)
@@ -57,28 +58,18 @@ def test_frames_at_60_hz_that_come_seven_periods_late_show_their_own_instants(si
 @pytest.mark.slow
 def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -> None:
     head = wide("fisheye", "rational")
+    half = {name: 0.5 * getattr(head.cameras, name) for name in ("focal", "principal")}
+    head = head.replace(cameras={"size": [[400, 300], [320, 240]], **half})
     plant = make_plant("rendered", head, 1, board="checkerboard", width_rad="fit")
     point = (0.25, -0.2, 0.5)  # 30 degrees aside, where straight edges are bent
     readings, q, _v = steps(plant, start_of(point=point), 10)
     left, right = plant.frames()
-    assert (left.shape, right.shape) == ((600, 800), (480, 640))
+    assert (left.shape, right.shape) == ((300, 400), (240, 320))
     seen = [reading for reading in readings if reading.visible.all()]
     assert len(seen) > 2
     error = np.array([reading.pixels for reading in seen]) - head.project(q[0], point)
     # as with the presets' lenses
     assert np.sqrt((error**2).mean()) < 0.1
-
-
-@pytest.mark.slow
-def test_the_loop_settles_through_lenses_of_other_models() -> None:
-    target = {"kind": "static", "point": (0.1, -0.1, 0.6)}
-    task = begin(GazeTask(1, head=wide("fisheye", "rational"), plant="rendered", target=target))
-    controller = make_controller("ibvs", head=task.head, gain=4.0)
-    assert np.linalg.norm(task.truth().pixel_error, axis=-1).min() > 20.0
-    for _ in range(100):
-        action, _state = controller.predict(task.observation)
-        task.step(action)
-    assert np.linalg.norm(task.truth().pixel_error, axis=-1).max() < 1.0
 
 
 @pytest.mark.slow
@@ -150,7 +141,7 @@ def test_both_eyes_find_random_targets_in_their_first_images(simulated, physical
     }.items():
         with named(name):
             # OpenCV misses a whole tag in a few of a thousand still images: one may be such
-            assert first_images(4, head=head).sum() >= 7
+            assert first_images(2, head=head).sum() >= 3
 
 
 @pytest.mark.slow
@@ -164,7 +155,7 @@ def test_they_do_whatever_the_targets_and_the_boards_options() -> None:
         {"plant_options": {"board": "checkerboard"}},
     ]:
         with named(options):
-            assert first_images(3, **options).sum() >= 5
+            assert first_images(2, **options).sum() >= 3
 
 
 def test_near_targets_are_among_those_that_both_eyes_find(simulated: HeadModel) -> None:

@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.envs.everything import LOOP
 from tests.envs.trials import AHEAD, start_of, steps
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
-from vergence.envs.task import GazeTask
-
-T = 1 / 120
 
 
 def rendered(head: HeadModel, num: int, count: int, **options: object):
@@ -82,22 +78,3 @@ def test_images_are_drawn_at_their_own_instants(simulated: HeadModel) -> None:
     assert seen.sum() > 30
     # the detector's errors and the other's noise; a millisecond is 0.3 px of these motions
     assert np.abs(np.mean(np.array(errors)[seen], axis=0)).max() < 0.1
-
-
-def test_a_trial_with_everything_drawn_is_the_same_alone_and_in_a_vector() -> None:
-    refused = ("detection_noise_px", "skew_s")
-    variation = {name: span for name, span in LOOP.items() if name not in refused}
-    runs = []
-    for num, place in ((1, 0), (2, 1)):
-        task = GazeTask(num, plant="rendered", target="step", variation=variation)
-        trials = np.arange(num, dtype=np.uint64)
-        trials[place] = 7
-        task.begin(np.arange(num), np.full(num, 3, np.uint64), trials)
-        seen = []
-        for k in range(24):
-            task.step(np.full((num, 4), 0.1 * np.sin(0.2 * k)))
-            seen.append(np.append(task.observation[place], task.reading.pixels[place]))
-        task.close()
-        runs.append(np.array(seen))
-    assert np.array_equal(*runs, equal_nan=True)
-    assert np.isfinite(runs[0]).all(axis=1).any()

@@ -236,20 +236,6 @@ def test_a_moving_eyes_pixel_is_that_of_the_middle_of_the_exposure(physical: Hea
     assert readings[28].pixels == pytest.approx(physical.project(q[20], AHEAD), abs=1e-9)
 
 
-@pytest.mark.parametrize("latency", [7, 8])
-def test_a_camera_at_half_the_control_rate_gives_every_other_step_an_image(exact, latency) -> None:
-    head = exact.replace(timing={"frame_rate_hz": 60.0, "latency_s": latency / 120.0})
-    readings, positions, _v = steps(make_plant("kinematic", head, 1), start_of(), 30, MOVING)
-    assert not any(reading.visible.any() for reading in readings[:latency])
-    for step in range(latency, 31):
-        frame = (step - latency) // 2 * 2  # frames are exposed at even steps
-        reading = readings[step]
-        assert reading.exposure_s == pytest.approx([frame * T], abs=1e-15)
-        assert reading.received_s == pytest.approx([(frame + latency) * T], abs=1e-15)
-        assert np.array_equal(reading.positions_at_exposure, positions[frame])
-        assert reading.pixels == pytest.approx(head.project(positions[frame], AHEAD), abs=1e-9)
-
-
 def test_a_target_outside_the_image_or_behind_the_head_is_not_seen(exact: HeadModel) -> None:
     plant = make_plant("kinematic", exact, 2)
     # 41 degrees aside of the left eye is outside its 80 degrees, and well inside the right's

@@ -65,13 +65,6 @@ def test_a_trial_is_the_same_alone_in_a_vector_and_after_others(plant) -> None:
     assert np.array_equal(alone, after, equal_nan=True)
 
 
-def test_a_pickled_task_goes_on_as_it_would_have() -> None:
-    task = begin(GazeTask(3, plant="mujoco", variation=EVERYTHING), range(3))
-    run(task, 0, 10)
-    copy = pickle.loads(pickle.dumps(task))
-    assert np.array_equal(run(task, 1, 30), run(copy, 1, 30), equal_nan=True)
-
-
 def test_draws_are_uniform_in_their_ranges_and_independent() -> None:
     task = begin(GazeTask(2400, plant="kinematic", variation=EVERYTHING), range(2400))
     found = conditions(task)
@@ -195,6 +188,7 @@ def test_milliseconds_are_refused_with_a_hint() -> None:
             GazeTask(1, plant="kinematic", variation={name: (30, 130)})
 
 
+@pytest.mark.slow
 def test_every_range_and_option_is_checked_by_its_name() -> None:
     for name in RANGES:
         with named(name):

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import tomli_w
 
-from tests.eval.conftest import toy_alone
+from tests.eval.conftest import sketched, toy_alone
 from tests.eval.mappers import Backwards
 from tests.eval.refusals import not_refused
 from tests.naming import named
@@ -27,7 +27,7 @@ from vergence.eval.reporting.report import ReportSection, count_verdicts
 from vergence.eval.reporting.text import format_number
 from vergence.locks import hold_lock
 
-pytestmark = pytest.mark.usefixtures("toy")
+pytestmark = pytest.mark.usefixtures("toy", "undrawn")
 
 
 def config(folder, **changes) -> ReproduceConfig:
@@ -47,7 +47,7 @@ def settings(values, place="") -> Iterator[str]:
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished")
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, sketched():
         toy_alone(patch)
         reproduce(config(folder))
     return folder / "run"
@@ -274,10 +274,15 @@ def test_what_another_version_kept_is_as_if_it_were_not_there(tmp_path):
     assert "conclusion" not in json.loads(marker.read_text())
 
 
-def test_the_same_seed_gives_the_same_bytes_whoever_runs_the_jobs(tmp_path, finished):
-    reproduce(config(tmp_path), mapper=Backwards())
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_bytes_whoever_runs_the_jobs(tmp_path, undrawn):
+    undrawn.undo()
+    for folder, mapper in (("one", None), ("other", Backwards())):
+        reproduce(config(tmp_path / folder), mapper=mapper)
     for name in ("tables/toy.csv", "figures/toy-values.svg", "figures/toy-values.png"):
-        assert (tmp_path / "run" / name).read_bytes() == (finished / name).read_bytes()
+        one, other = (tmp_path / folder / "run" / name for folder in ("one", "other"))
+        assert one.read_bytes() == other.read_bytes()
+        assert one.stat().st_size > 80
 
 
 def test_the_report_is_self_contained_and_its_ids_are_unique(finished):

@@ -38,7 +38,7 @@ def mine(tmp_path):
 
 @pytest.fixture
 def few_gains(monkeypatch):
-    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(3.0, 5.0, "linear", 0.2)})
+    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(3.0, 5.0, "linear", 0.4)})
     monkeypatch.setattr(baseline, "EPISODES", 6)
 
 
@@ -116,7 +116,7 @@ def test_tune_tunes_the_baseline_first_and_keeps_what_it_found(few_gains, mine, 
     assert (
         entry.command == f"vergence evaluate ibvs-tuned --scenario workspace --head {mine} --tune"
     )
-    assert len(told) > 10  # progress over the gains, too
+    assert len(told) > 6  # progress over the gains, too
     before = user_table.read_bytes()
     told.clear()
     again = evaluate(config, mapper=SerialMapper(lambda done, of: told.append((done, of))))

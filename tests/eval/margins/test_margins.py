@@ -85,19 +85,17 @@ def test_a_higher_gain_bears_less_delay():
     assert 0.0667 < other < one
 
 
-@pytest.mark.slow
-def test_who_was_not_asked_for_does_not_run():
-    config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=("frame_phase",))
-    assert [row["controller"] for row in measure_margins(config).rows()] == ["ibvs"]
+def coarse(monkeypatch):
+    monkeypatch.setattr("vergence.eval.margins.search.BISECTIONS", 1)
+    monkeypatch.setattr("vergence.eval.margins.search.GRID_FRACTIONS", (0.5, 1.0))
 
 
 @pytest.mark.slow
 def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
     measured, known, monkeypatch
 ):
-    monkeypatch.setattr("vergence.eval.margins.search.BISECTIONS", 1)
-    monkeypatch.setattr("vergence.eval.margins.search.GRID_FRACTIONS", (0.5, 1.0))
-    known(duration_s=0.2)
+    coarse(monkeypatch)
+    known(duration_s=0.1)
     margins = measured(toy=KnowsTheWay(5), episodes=1)
     assert [row["imperfection"] for row in margins.rows()] == [
         name for name in IMPERFECTION_RANGES if not IMPERFECTIONS[name].probability
@@ -125,6 +123,7 @@ def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(measured)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tmp_path):
     margins = measured(
         "command_latency_s",
@@ -166,11 +165,13 @@ def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tm
     assert "command latency" in (folder / "report.html").read_text()
 
 
-@pytest.mark.slow
-def test_jobs_find_the_same_elsewhere():
+def test_jobs_find_the_same_elsewhere_and_who_was_not_asked_for_does_not_run(monkeypatch):
+    coarse(monkeypatch)
     names = ("frame_phase",)
     config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=names)
-    assert measure_margins(config).rows() == measure_margins(config, mapper=Backwards()).rows()
+    rows = measure_margins(config).rows()
+    assert [row["controller"] for row in rows] == ["ibvs"]
+    assert rows == measure_margins(config, mapper=Backwards()).rows()
 
 
 class Tires(KnowsTheWay):

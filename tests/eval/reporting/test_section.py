@@ -6,10 +6,10 @@ import shutil
 import pytest
 
 from tests.eval.refusals import not_refused
-from tests.eval.reporting.browser import CHROMIUM, open_page
 from vergence.errors import ConfigurationError
 from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.reproduce import reproduce
+from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.reporting.section import SECTION_FILE, read_section
 
 
@@ -18,8 +18,8 @@ def run(few_folder):
     return few_folder
 
 
-@pytest.mark.nightly
-@pytest.mark.usefixtures("toy")
+@pytest.mark.slow
+@pytest.mark.usefixtures("toy", "undrawn")
 def test_an_evaluation_joins_the_report_and_stays_in_it(tmp_path, run):
     out = tmp_path / "out"
     sections = reproduce(ReproduceConfig(out=out, include=(run,)))
@@ -70,15 +70,12 @@ def test_a_section_is_read_as_it_was_written(run):
     assert all(section.captions[figure.stem].endswith(".") for figure in section.figures)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
-def test_an_evaluations_report_fits_a_phone_and_a_screen(tmp_path, run):
-    for width in (400, 1400):
-        page = open_page(run / "report.html", width, tmp_path)
-        assert page.console == []
-        assert page.facts["scroll"] <= page.facts["inner"]
-        assert page.facts["wide"] == []
-        assert len(page.facts["drawn"]) == 4
+@pytest.mark.nightly
+def test_the_figures_of_an_evaluation_are_drawn(tmp_path, few):
+    write_evaluation(tmp_path, few)
+    sizes = [path.stat().st_size for path in (tmp_path / "figures").iterdir()]
+    assert len(sizes) == 8
+    assert min(sizes) > 5000
 
 
 NO_RUN = "include: expected the folder of a run"
@@ -123,7 +120,7 @@ def test_a_section_whose_figure_is_cut_is_refused(tmp_path, run):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("toy")
+@pytest.mark.usefixtures("toy", "undrawn")
 def test_an_included_run_that_was_damaged_since_is_refused_before_the_work(tmp_path, run):
     out = tmp_path / "out"
     log = tmp_path / "log"

@@ -105,7 +105,7 @@ def test_the_grid_of_bounds_is_whole_periods_after_the_delay() -> None:
 )
 def test_an_oracle_meets_the_bound_within_a_period_and_never_beats_it(name, plant, beyond_px):
     scenario = load_scenario(name)
-    task = begin(scenario.task(30, plant), scenario.seed("validation"))
+    task = begin(scenario.task(20, plant), scenario.seed("validation"))
     bound = settle_bound(task)
     time, error = oracle.run(task, 80, beyond_px)
     late = np.round((settle_time(time, error, 1.0) - bound) / PERIOD)
@@ -117,17 +117,19 @@ def test_an_oracle_meets_the_bound_within_a_period_and_never_beats_it(name, plan
 
 @pytest.mark.slow
 def test_an_oracle_meets_the_bound_of_any_head() -> None:
+    lates = []
     for number, shape in enumerate(MOVING):
         with named(shape):
             described = load_scenario(("workspace", "robust")[number % 2])
-            task = begin(described.task(16, head=head_of(shape)), described.seed("validation"))
+            task = begin(described.task(6, head=head_of(shape)), described.seed("validation"))
             bound, least = settle_bound(task), least_reachable_error(task, task.truth().target)
             time, error = oracle.run(task, 80, 0.5)
             late = np.round((settle_time(time, error - least, 1.0) - bound) / PERIOD)
             assert (late >= 0).all()
             # an actuator that is nearly there may wait for the other eye's: a relaxed band
             assert (late <= 2).all()
-            assert (late <= 1).mean() > 0.9
+            lates.append(late)
+    assert (np.concatenate(lates) <= 1).mean() > 0.9
 
 
 def test_eyes_that_look_there_already_need_no_time() -> None:

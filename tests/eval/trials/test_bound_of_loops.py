@@ -39,7 +39,7 @@ def lateness(task: GazeTask, beyond_px: float = 1.0) -> np.ndarray:
 
 @pytest.mark.slow
 def test_an_oracle_comes_within_periods_of_the_bound_and_never_below() -> None:
-    task = task_of("webcam", 40, "mujoco", backlash_rad=None, torque_falloff=(0.0, 0.5))
+    task = task_of("webcam", 20, "mujoco", backlash_rad=None, torque_falloff=(0.0, 0.5))
     late = lateness(task)
     assert (late >= 0).all()  # nan, a trial that did not settle, fails too
     # commands that hold for a period and have steps cannot switch where they would like to
@@ -51,7 +51,7 @@ def test_an_oracle_comes_within_periods_of_the_bound_and_never_below() -> None:
 @pytest.mark.slow
 def test_with_play_an_oracle_comes_as_near_and_never_below() -> None:
     # a motor that has passed its goal comes back, and leaves its joint beyond
-    late = lateness(task_of("hardware", 40, torque_falloff=(0.0, 0.5)), 0.5)
+    late = lateness(task_of("hardware", 20, torque_falloff=(0.0, 0.5)), 0.5)
     assert (late >= 0).all()
     assert (late <= 2).mean() >= 0.9
 

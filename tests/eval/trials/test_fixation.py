@@ -18,7 +18,7 @@ from vergence.eval.trials.fixation import (
     worst_joint_speed_rms,
 )
 from vergence.eval.trials.run import headline_metric, run_trials
-from vergence.eval.trials.scenarios import Scenario, load_scenario
+from vergence.eval.trials.scenarios import Scenario
 
 TIME = np.arange(361) * PERIOD_S
 """Three seconds."""
@@ -153,12 +153,6 @@ def test_a_law_that_swings_has_settled_nothing():
     assert headline_metric(trials) == HELD.duration_s
 
 
-def test_only_the_trials_that_swing_have_not_settled():
-    trials = shaken((1, 3))
-    assert trials.swings.tolist() == [False, True, False, True]
-    assert np.isnan(trials.settle_s(HELD.band_px)).tolist() == [False, True, False, True]
-
-
 def test_the_speed_while_fixating_is_that_of_the_commands():
     trials = shaken((1, 3))
     amplitude = SHARE * ideal_head().limits.velocity[4]
@@ -182,13 +176,6 @@ def test_of_a_target_that_never_rests_there_is_no_fixation():
     assert not trials.left_again.any()
     assert np.isnan(trials.fixation_peak_to_peak_rad_s).all()
     assert np.isnan(trials.fixation_rms_rad_s).all()
-
-
-def test_trials_in_batches_are_as_those_at_once():
-    scenario = load_scenario("hardware")
-    law = KnowsTheWay(5)
-    whole, split = (run_trials(law, scenario, episodes=5, batch_size=batch) for batch in (5, 2))
-    np.testing.assert_array_equal(whole.speed, split.speed)
 
 
 def test_a_motor_that_swings_within_its_play_swings():

@@ -5,7 +5,6 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
-from scipy import stats
 
 from tests.eval.trials import oracle
 from tests.heads import head_of, text_of
@@ -137,36 +136,6 @@ def test_seeds_of_splits_and_runs_never_meet() -> None:
             scenario.seed("test", seed)
     with pytest.raises(UnknownNameError, match="train, validation, test"):
         scenario.seed("exam")
-
-
-@pytest.mark.parametrize("name", ["workspace", "physical"])
-def test_the_workspace_is_what_it_promises(name: str) -> None:
-    scenario = load_scenario(name)
-    head = scenario.model()
-    rows, q = motions(scenario, 1000)
-    points = target_position(rows, 0.0)
-    assert points[:, 2].min() >= 0.3
-    assert points[:, 2].max() <= 2.5
-    goal = head.fixate(points)
-    assert head.limits.contains(goal, 2 * DEGREE).all()
-    shift = np.linalg.norm((goal - q)[:, 3:].reshape(-1, 2, 2), axis=-1).max(axis=-1)
-    assert shift.min() >= 2 * DEGREE - 1e-9
-    pixels = head.project(q, points)
-    size = head.cameras.size
-    assert ((pixels >= 0.0) & (pixels <= size - 1.0)).all()
-
-
-def test_the_workspace_is_uniform_in_eccentricity_and_inverse_depth() -> None:
-    scenario = load_scenario("workspace")
-    head = scenario.model()
-    rows, _q = motions(scenario, 1000)
-    points = target_position(rows, 0.0)
-    middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
-    aside = np.arctan(np.hypot(*(points - middle)[:, :2].T) / points[:, 2]) / 0.7
-    inverse = (1 / points[:, 2] - 1 / 2.5) / (1 / 0.3 - 1 / 2.5)
-    for sample in (aside, inverse):
-        # far below what chance gives once in a thousand, and far above a wrong distribution's
-        assert stats.kstest(sample, "uniform").pvalue > 1e-3
 
 
 @pytest.mark.slow

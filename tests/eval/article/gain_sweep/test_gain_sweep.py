@@ -134,6 +134,7 @@ def test_the_onset_is_judged_and_our_rig_lies_between_the_identified_loops(table
     assert verdicts(never)[quantity] == "none"
 
 
+@pytest.mark.slow
 def test_a_greater_gain_up_to_the_articles_settles_no_later(table):
     (quantity,) = [name for name in verdicts(table) if "greatest rise" in name]
     assert verdicts(table)[quantity] == "target met"

@@ -8,6 +8,7 @@ from tests.eval.article.twin.small import scaled, small, table_of, verdict_of
 from tests.eval.refusals import not_refused
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment
+from vergence.eval.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("physical-static")
@@ -24,7 +25,8 @@ def fixes(table):
 
 
 @pytest.mark.nightly
-def test_at_settled_fixations_the_methods_differ_by_the_noise_of_the_images_alone(table):
+def test_at_settled_fixations_the_methods_differ_by_the_noise_of_the_images_alone():
+    table = EXPERIMENT.run(small(EXPERIMENT.name, settle_s=2.0), 0, SerialMapper())
     wide = fixes(table).pivot(index="head", columns=["method", "point"], values="error_z_mm")
     apart = (wide["gaze"] - wide["itpc"]).abs()
     noise = table[table["source"] == "one image's noise"].set_index("point")

@@ -36,7 +36,7 @@ def settled():
 
 
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit():
-    few = dataclasses.replace(CONFIG, point_step=21)
+    few = dataclasses.replace(CONFIG, point_step=21, samples=3)
     tables = [EXPERIMENT.run(few, 1, mapper) for mapper in (SerialMapper(), Backwards())]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 

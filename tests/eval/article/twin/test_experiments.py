@@ -19,7 +19,11 @@ pytestmark = pytest.mark.slow
 
 @pytest.mark.parametrize(
     "name",
-    ["fixed-pair", "physical-moving", pytest.param("physical-static", marks=pytest.mark.nightly)],
+    [
+        "fixed-pair",
+        pytest.param("physical-moving", marks=pytest.mark.nightly),
+        pytest.param("physical-static", marks=pytest.mark.nightly),
+    ],
 )
 def test_the_seed_draws_the_heads_and_who_runs_the_jobs_does_not_change_a_bit(name):
     one, again = (tiny_table(name, 0, mapper) for mapper in (SerialMapper(), Backwards()))
