@@ -198,13 +198,13 @@ def test_a_search_turns_both_eyes_slowly_over_the_field_of_view():
     robot = Robot(lost_s=0.3, search=True)
     robot.prove()
     seen = []
-    for _ in range(round(16.0 / PERIOD_S)):
+    for _ in range(round(10.0 / PERIOD_S)):
         robot.step(target_visible=False)
         assert np.abs(robot.speeds).max() < 1.0
         seen.append(robot.angles[3:].copy())
     assert robot.supervisor.verdict is Verdict.SEARCH
     assert robot.supervisor.fault == ""
-    assert (np.ptp(seen, axis=0) > 0.8).all()
+    assert (np.ptp(seen, axis=0) > 0.6).all()
 
 
 def test_nothing_of_images_counts_on_the_way_to_a_trial():
