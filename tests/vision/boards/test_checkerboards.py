@@ -163,7 +163,6 @@ def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
 @pytest.mark.parametrize(
     ("roll", "rim", "asked", "shown"),
     [
-        (0.0, True, (5, 4), (6, 4)),
         (0.9, False, (5, 4), (5, 5)),
         (2.0, True, (3, 3), (5, 4)),
         (2.0, False, (6, 4), (7, 5)),
