@@ -142,8 +142,7 @@ def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> 
 
 
 @pytest.mark.parametrize(
-    ("name", "side"),
-    list(zip(TARGETS * 2, [(-1, 0), (1, 0), (0, -1), (0, 1)], strict=True)),
+    ("name", "side"), list(zip(TARGETS * 2, [(-1, 0), (1, 0), (0, -1), (0, 1)], strict=True))
 )
 def test_target_partly_outside_is_none(
     name: str, side: tuple[int, int], pinhole: EyeCamera, rendering: Rendering

@@ -17,12 +17,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget, board_pose
 from vergence.models.parts import Rendering
 from vergence.models.response import light_table
-from vergence.vision import (
-    AprilTag,
-    EyeCamera,
-    TargetRenderer,
-    make_planar_target,
-)
+from vergence.vision import AprilTag, EyeCamera, TargetRenderer, make_planar_target
 
 
 def assert_ray_cast(

@@ -79,10 +79,7 @@ def test_camera_of_the_wrong_shape_is_refused() -> None:
     view = {"width": 4, "height": 4, "focal_px": (1, 1), "principal_px": (0, 0)}
     for change, said in (
         ({"distortion": (0.1, 0.2)}, "distortion"),
-        (
-            {"distortion": (0.1,) * 5, "lens": "fisheye"},
-            "distortion: expected 4 numbers, got 5",
-        ),
+        ({"distortion": (0.1,) * 5, "lens": "fisheye"}, "distortion: expected 4 numbers, got 5"),
         ({"lens": "mirror"}, "lens: expected one of brown-conrady, rational"),
         ({"focal_px": (-1, 1)}, "positive"),
     ):

@@ -133,8 +133,7 @@ def test_other_boards_are_none():
 
 
 @pytest.mark.parametrize(
-    ("turn", "columns", "rows"),
-    [((0.0, 0.0, 0.0), 3, 1), ((0.6, 0.3, 1.0), 10, 10)],
+    ("turn", "columns", "rows"), [((0.0, 0.0, 0.0), 3, 1), ((0.6, 0.3, 1.0), 10, 10)]
 )
 def test_a_row_that_other_counts_share_is_not_taken_for_their_board(turn, columns, rows):
     """The first row has the numbers of any wider board; a hand hides a part of it."""

@@ -162,11 +162,7 @@ def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
 
 @pytest.mark.parametrize(
     ("roll", "rim", "asked", "shown"),
-    [
-        (0.9, False, (5, 4), (5, 5)),
-        (2.0, True, (3, 3), (5, 4)),
-        (2.0, False, (6, 4), (7, 5)),
-    ],
+    [(0.9, False, (5, 4), (5, 5)), (2.0, True, (3, 3), (5, 4)), (2.0, False, (6, 4), (7, 5))],
 )
 def test_a_part_of_a_larger_board_is_none(asked, shown, rim, roll):
     one = cropped(drawn(board(*shown, rim=rim), roll, (0.1, 0.1)))
