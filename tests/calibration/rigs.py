@@ -79,15 +79,10 @@ def as_calibrated(rig, poses, seen, dropped=()):
     if cameras > 1:
         fit = _fit(seen.problem, rig, poses, seen.usable.any(axis=0) & ~out)
     return Calibration(
-        observations=seen,
-        single_fits=tuple(alone),
-        fit=fit,
-        covariance=rig_covariance(fit.solution),
-        held_out_px=fit.solution.residuals_px,
-        lens=rig.lenses[0],
-        lens_errors={},
-        read_errors=(),
-    )
+        observations=seen, single_fits=tuple(alone), fit=fit,
+        covariance=rig_covariance(fit.solution), held_out_px=fit.solution.residuals_px,
+        lens=rig.lenses[0], lens_errors={}, read_errors=(),
+    )  # fmt: skip
 
 
 def _fit(problem, rig, poses, kept):

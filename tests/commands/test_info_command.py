@@ -204,15 +204,11 @@ def test_the_drawing_is_written_where_it_is_wanted(tmp_path, capsys):
 def test_an_assumption_is_shown_with_its_value_and_unit(tmp_path, capsys):
     path = tmp_path / "head.toml"
     keys = {
-        "timing.latency_s": "66.67 ms",
-        "joints.left_pan.velocity_rad_s": "286.5 deg/s",
-        "joints.acceleration_rad_s2": "80 rad/s^2",
-        "acceleration_rad_s2": "80 rad/s^2",
-        "image.width_px": "320 px",
-        "eyes.right.focal_px": "343, 343 px",
-        "sensor": "detection noise 0.05 px",
-        "no.such.key": "",
-    }
+        "timing.latency_s": "66.67 ms", "joints.left_pan.velocity_rad_s": "286.5 deg/s",
+        "joints.acceleration_rad_s2": "80 rad/s^2", "acceleration_rad_s2": "80 rad/s^2",
+        "image.width_px": "320 px", "eyes.right.focal_px": "343, 343 px",
+        "sensor": "detection noise 0.05 px", "no.such.key": "",
+    }  # fmt: skip
     lines = "".join(f'"{key}" = "reason{i}"\n' for i, key in enumerate(keys))
     path.write_text(f"{text_of('panfirst')}\n[assumptions]\n{lines}", encoding="utf-8")
     found = {a.keys[0]: a for a in assumed_values(load_head(path))}

@@ -18,13 +18,9 @@ def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
     )  # fmt: skip
     assert code == 0
     for words in (
-        "ibvs in workspace on kinematic: 2 of 2 trials settle untouched",
-        "command latency (ms)",
-        "0 to 100",
-        "99 % settle",
-        "median not doubled",
-        "written to",
-    ):
+        "ibvs in workspace on kinematic: 2 of 2 trials settle untouched", "command latency (ms)",
+        "0 to 100", "99 % settle", "median not doubled", "written to",
+    ):  # fmt: skip
         assert words in out
     for name in ("margins.json", "margins.csv", "points.csv", "config.toml", "report.html"):
         assert (tmp_path / "run" / name).is_file()

@@ -34,12 +34,9 @@ def moved(detection: Detection, by_px) -> Detection:
 
 
 poses = st.builds(
-    pose,
-    st.floats(-0.05, 0.05),
-    st.floats(-0.05, 0.05),
-    st.floats(0.7, 1.8),
+    pose, st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(0.7, 1.8),
     st.tuples(*[st.floats(-0.3, 0.3)] * 3),
-)
+)  # fmt: skip
 use_fixtures = settings(
     max_examples=12,
     deadline=None,

@@ -156,27 +156,12 @@ class Refusing:
 
 def test_what_is_no_image_is_refused_in_one_line():
     for image in [
-        None,
-        "photo.png",
-        3.5,
-        {"image": GREY},
-        [],
-        [[1, 2], [3]],
-        [GREY, GREY[:3]],
-        [["a", "b"]],
-        np.zeros(7),
-        np.zeros((2, 3, 3, 3), np.uint8),
-        np.zeros((5, 5, 2), np.uint8),
-        np.zeros((5, 5, 5), np.uint8),
-        np.zeros((5, 5), complex),
-        np.zeros((5, 5), object),
-        np.zeros((5, 5), "M8[s]"),
-        np.zeros((0, 5), np.uint8),
-        np.zeros((5, 0, 1), bool),
-        np.full((3, 4), -1),
-        np.full((3, 4, 3), -7, np.int16),
-        Refusing(),
-    ]:
+        None, "photo.png", 3.5, {"image": GREY}, [], [[1, 2], [3]], [GREY, GREY[:3]], [["a", "b"]],
+        np.zeros(7), np.zeros((2, 3, 3, 3), np.uint8), np.zeros((5, 5, 2), np.uint8),
+        np.zeros((5, 5, 5), np.uint8), np.zeros((5, 5), complex), np.zeros((5, 5), object),
+        np.zeros((5, 5), "M8[s]"), np.zeros((0, 5), np.uint8), np.zeros((5, 0, 1), bool),
+        np.full((3, 4), -1), np.full((3, 4, 3), -7, np.int16), Refusing(),
+    ]:  # fmt: skip
         with named(image):
             with pytest.raises(ConfigurationError, match="image: expected") as raised:
                 as_grey(image)

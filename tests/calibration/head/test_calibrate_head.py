@@ -17,11 +17,8 @@ from vergence.vision import parse_target
 
 POINTS = np.array([[0.0, 0.0, 0.5], [0.1, -0.1, 1.0], [-0.3, 0.0, 1.5], [0.0, 0.1, 2.5]])
 SMALL = {
-    "poses": 24,
-    "frames_per_pose": 3,
-    "target": "checkerboard:6x5:40",
-    "distances_m": (0.6, 1.1),
-}
+    "poses": 24, "frames_per_pose": 3, "target": "checkerboard:6x5:40", "distances_m": (0.6, 1.1),
+}  # fmt: skip
 
 
 def drawn(name="physical", seed=0, **options):

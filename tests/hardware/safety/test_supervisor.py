@@ -31,15 +31,11 @@ class Robot:
     def step(self, requested=None, **changes):
         """One period; what is sent. What differs from a healthy state is given."""
         now = {
-            "now_s": self.now_s,
-            "actuator_angles": self.angles,
-            "actuator_speeds": self.speeds,
-            "joint_angles": self.angles,
-            "reading_age_s": np.zeros(7),
-            "images_received_s": np.full(2, self.now_s),
-            "target_visible": True,
+            "now_s": self.now_s, "actuator_angles": self.angles, "actuator_speeds": self.speeds,
+            "joint_angles": self.angles, "reading_age_s": np.zeros(7),
+            "images_received_s": np.full(2, self.now_s), "target_visible": True,
             "target_eye_angles": np.zeros(4),
-        }
+        }  # fmt: skip
         state = RobotState(**now | changes)
         sent = self.supervisor.command(state, np.zeros(7) if requested is None else requested)
         self.supervisor.on_sent(sent)

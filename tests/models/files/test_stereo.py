@@ -101,15 +101,11 @@ def test_camera_info_as_a_recorded_message_is_read(tmp_path):
     for eye, name in enumerate(("left", "right")):
         old = yaml.safe_load(camera_info(tmp_path / f"{name}.yaml", eye).read_text("utf-8"))
         message = {
-            "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": name},
-            "height": SIZE[1],
-            "width": SIZE[0],
-            "distortion_model": "plumb_bob",
-            "d": old["distortion_coefficients"]["data"],
-            "k": old["camera_matrix"]["data"],
-            "r": old["rectification_matrix"]["data"],
-            "p": old["projection_matrix"]["data"],
-        }
+            "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": name}, "height": SIZE[1],
+            "width": SIZE[0], "distortion_model": "plumb_bob",
+            "d": old["distortion_coefficients"]["data"], "k": old["camera_matrix"]["data"],
+            "r": old["rectification_matrix"]["data"], "p": old["projection_matrix"]["data"],
+        }  # fmt: skip
         path = tmp_path / f"{name}-echo.yaml"
         path.write_text(yaml.safe_dump(message) + "---\n" + yaml.safe_dump(message), "utf-8")
         paths.append(path)
@@ -223,22 +219,16 @@ def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path):
 
 def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path):
     for text in [
-        "",
-        "- 1\n- 2\n",
+        "", "- 1\n- 2\n",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2]\n",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: -1\n   cols: x\n   data: [1, 2]\n",
-        "a: &a {b: *a}\n",
-        "rows: 1\ncols: 1\ndata: [1.0]\n",
-        "<?xml version='1.0'?><robot/>",
-        "<?xml version='1.0'?><opencv_storage><M1>",
-        '{"M1": ',
-        "[" * 200_000,
-        "a: " + "{b: " * 50_000,
-        "".join(f"{' ' * depth}a:\n" for depth in range(3000)),
+        "a: &a {b: *a}\n", "rows: 1\ncols: 1\ndata: [1.0]\n", "<?xml version='1.0'?><robot/>",
+        "<?xml version='1.0'?><opencv_storage><M1>", '{"M1": ', "[" * 200_000,
+        "a: " + "{b: " * 50_000, "".join(f"{' ' * depth}a:\n" for depth in range(3000)),
         '{"M1": ' * 100_000,
         "<opencv_storage>" + "<a>" * 100_000 + "1" + "</a>" * 100_000 + "</opencv_storage>",
-    ]:
+    ]:  # fmt: skip
         with named(text):
             path = tmp_path / "pair.yml"
             path.write_text(text, encoding="utf-8")

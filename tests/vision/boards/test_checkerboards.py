@@ -256,13 +256,10 @@ def test_the_mirror_image_of_a_board_is_a_board_in_its_own_order(columns, rows):
 
 
 LIGHTS = {
-    "ramp": ramp(0.2, 0.5, 200.0),
-    "ramp down": ramp(0.2, 1.6, 200.0),
-    "glare beside": glare(230.0, 40.0, 0.5),
-    "glare above": glare(230.0, 40.0, 4.5),
-    "JPEG of quality 30": jpeg(30),
-    "out of focus": defocus(1.5),
-}
+    "ramp": ramp(0.2, 0.5, 200.0), "ramp down": ramp(0.2, 1.6, 200.0),
+    "glare beside": glare(230.0, 40.0, 0.5), "glare above": glare(230.0, 40.0, 4.5),
+    "JPEG of quality 30": jpeg(30), "out of focus": defocus(1.5),
+}  # fmt: skip
 
 
 def test_light_and_files_move_no_corner():
