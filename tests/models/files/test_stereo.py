@@ -275,14 +275,6 @@ def test_brackets_in_texts_are_of_no_matter(tmp_path):
         check(read_stereo([written(tmp_path / name, values)]))
 
 
-def test_a_head_file_is_refused_as_what_it_is(tmp_path):
-    path = tmp_path / "head.toml"
-    path.write_text('name = "desk"\n', encoding="utf-8")
-    why = r"head\.toml: expected a calibration \(YAML, XML or JSON\), got a TOML file"
-    with pytest.raises(ConfigurationError, match=why):
-        read_stereo([path])
-
-
 def message(path, more: str):
     """A camera_info file with more in it."""
     camera_info(path, 0)
