@@ -51,12 +51,10 @@ def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
     whole = ~outside.any(axis=-1)[..., None, None]  # a checkerboard is found whole or not at all
     names = tuple(tuple(f"{eye}{view}.png" for view in range(views)) for eye in "lr"[:cameras])
     return BoardObservations(
-        target=board,
-        file_names=names,
-        image_sizes=(size,) * cameras,
+        target=board, file_names=names, image_sizes=(size,) * cameras,
         pixels=np.where(whole, pixels, np.nan),
         sigma=np.where(whole, np.full(shape, noise_px), np.nan),
-    )
+    )  # fmt: skip
 
 
 def as_calibrated(rig, poses, seen, dropped=()):

@@ -134,16 +134,11 @@ def test_one_camera_gives_a_file_of_its_own(pair):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", [pytest.param("noise", marks=pytest.mark.nightly), "moved"])
-def test_a_fifth_of_bad_views_changes_nothing(pair, found, what):
+def test_a_fifth_of_bad_views_changes_nothing(pair, found):
     seen, _ = pair
-    rng = np.random.default_rng(1)
     bad = both(seen)[::5]
     pixels = seen.pixels.copy()
-    if what == "noise":
-        pixels[:, bad] += rng.normal(0.0, 4.0, pixels[:, bad].shape)
-    else:
-        pixels[1, bad] += (6.0, 0.0)
+    pixels[1, bad] += (6.0, 0.0)
     fewer = calibrate_views(replace(seen, pixels=pixels), LENS)
     assert not fewer.fit.kept_views[bad].any()
     # a fifth of the views tells half a deviation

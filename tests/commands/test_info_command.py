@@ -244,13 +244,11 @@ def test_a_range_without_zero_is_warned_of(tmp_path, capsys):
 
 def test_what_cannot_be_shown_is_refused_in_one_line(capsys):
     for words, said in [
-        (["--head", "none"], "expected one of"),
-        (["--head", "none.toml"], "No such file"),
-        (["--json"], "--head"),
-        (["--figure", "a.png"], "--head"),
+        (["--head", "none"], "expected one of"), (["--head", "none.toml"], "No such file"),
+        (["--json"], "--head"), (["--figure", "a.png"], "--head"),
         (["--head", "simulated", "--figure", "desk.jpg"], "ends in .png"),
         (["--head", "physical", "--figure", "nodir/x.png"], "expected a file that can be written"),
-    ]:
+    ]:  # fmt: skip
         assert said in refused(capsys, "info", *words)
 
 

@@ -54,11 +54,9 @@ class TestDirections:
 
     def test_eyes(self, simulated):
         for what, joint, eye, towards in (
-            ("left tilt looks down", 3, 0, Y),
-            ("right tilt looks up", 5, 1, -Y),
-            ("left pan looks left", 4, 0, -X),
-            ("right pan looks left", 6, 1, -X),
-        ):
+            ("left tilt looks down", 3, 0, Y), ("right tilt looks up", 5, 1, -Y),
+            ("left pan looks left", 4, 0, -X), ("right pan looks left", 6, 1, -X),
+        ):  # fmt: skip
             with named(what):
                 axis = simulated.camera_poses(turned(joint))[eye, :3, 2]
                 assert axis @ towards == pytest.approx(np.sin(0.1), abs=1e-12)

@@ -124,11 +124,8 @@ def test_pixel_centres_are_integers(pinhole: EyeCamera, rendering: Rendering) ->
 
 def test_unseen_target_leaves_plain_background(pinhole: EyeCamera, rendering: Rendering) -> None:
     for T_C_T in [
-        pose(0, 0, -1.0),
-        pose(2.0, 0, 1.0),
-        pose(0, 0, 1.0, (np.pi, 0, 0)),
-        pose(0, 0, 0.01),
-    ]:
+        pose(0, 0, -1.0), pose(2.0, 0, 1.0), pose(0, 0, 1.0, (np.pi, 0, 0)), pose(0, 0, 0.01),
+    ]:  # fmt: skip
         with named(T_C_T):
             drawing = TargetRenderer(pinhole, AprilTag(), rendering)
             drawing.draw(pose(0, 0, 1.0), np.random.default_rng(0))
@@ -219,10 +216,8 @@ def test_smear_conserves_light_and_lies_along_its_direction(
 
 def test_impossible_renderings_are_refused(pinhole: EyeCamera, rendering: Rendering) -> None:
     for change in [
-        {"white_grey": 30.0},
-        {"background_grey": 220.0},
-        {"noise_grey": -1.0},
+        {"white_grey": 30.0}, {"background_grey": 220.0}, {"noise_grey": -1.0},
         {"supersampling": 0},
-    ]:
+    ]:  # fmt: skip
         with named(change), pytest.raises(ConfigurationError, match="rendering"):
             TargetRenderer(pinhole, AprilTag(), replace(rendering, **change))

@@ -318,16 +318,14 @@ def test_a_video_is_measured_as_its_sensor_had_it(tmp_path):
 
 
 DAMAGED = {
-    "empty": (b"", "empty"),
-    "text": (b"not an image at all\n" * 40, "no image"),
+    "empty": (b"", "empty"), "text": (b"not an image at all\n" * 40, "no image"),
     "toml": (b"[head]\nname = 'x'\n", "no image"),
     "png without its end": (encoded(LARGE, ".png")[:-400], "damaged"),
     "png of its first bytes": (encoded(LARGE, ".png")[:30], "damaged"),
     "jpeg of its first bytes": (encoded(LARGE, ".jpg")[:40], "damaged"),
     "jpeg of half": (encoded(LARGE, ".jpg")[: len(encoded(LARGE, ".jpg")) // 2], "damaged"),
-    "tiff of half": (encoded(LARGE, ".tiff")[:400], "damaged"),
-    "zeros": (bytes(1000), "no image"),
-}
+    "tiff of half": (encoded(LARGE, ".tiff")[:400], "damaged"), "zeros": (bytes(1000), "no image"),
+}  # fmt: skip
 
 
 def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, capfd):
@@ -345,11 +343,8 @@ def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, capfd):
 def test_a_path_that_is_no_file_is_refused_in_one_line(tmp_path):
     (tmp_path / "file").write_bytes(b"x")
     for path in (
-        tmp_path / "nothing.png",
-        tmp_path,
-        tmp_path / "file" / "image.png",
-        f"{tmp_path}/a\0b.png",
-    ):
+        tmp_path / "nothing.png", tmp_path, tmp_path / "file" / "image.png", f"{tmp_path}/a\0b.png",
+    ):  # fmt: skip
         with named(path):
             with pytest.raises(UnreadableFileError) as raised:
                 read_image(path)

@@ -143,7 +143,7 @@ def test_a_board_that_was_moved_has_another_place_and_is_noticed_if_nobody_says_
     found = collect(Counted(1.6), tmp_path, CollectOptions(poses=3, frames=2, moved=True), {})
     assert found.placement == 1
     frames = read_recording(tmp_path, HEAD).frames
-    assert np.bincount(frames.placement).tolist() == [36, 6]
+    assert np.bincount(frames.placement).tolist() == [24, 6]
     # the next run is of the same place
     found = collect(Counted(1.6), tmp_path, CollectOptions(poses=4, frames=2), {})
     assert (found.placement, found.poses) == (1, 4)

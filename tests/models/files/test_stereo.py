@@ -67,12 +67,10 @@ def test_the_two_files_of_opencvs_stereo_sample_are_read_together(tmp_path):
 
 def test_keys_may_be_spelled_as_people_spell_them(tmp_path):
     for matrix, coefficients, sides in [
-        ("K{}", "D{}", "12"),
-        ("{}_camera_matrix", "{}_distortion_coefficients", ("left", "right")),
+        ("K{}", "D{}", "12"), ("{}_camera_matrix", "{}_distortion_coefficients", ("left", "right")),
         ("camera_matrix_{}", "dist_coeff_{}", ("left", "right")),
-        ("cameraMatrix{}", "distCoeffs{}", "LR"),
-        ("Camera{}_Matrix", "Camera{}_Distortion", "01"),
-    ]:
+        ("cameraMatrix{}", "distCoeffs{}", "LR"), ("Camera{}_Matrix", "Camera{}_Distortion", "01"),
+    ]:  # fmt: skip
         with named(matrix, coefficients, sides):
             values = {"image_size": list(SIZE), "R": R.tolist(), "T": T.tolist()}
             for side, k, d in zip(sides, (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), strict=True):
@@ -441,11 +439,9 @@ def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):
     pair = np.vstack([np.column_stack([R, T]), [0.0, 0.0, 0.0, 1.0]])
     poses = [body, body @ np.linalg.inv(pair)]
     for key, values in [
-        ("T_BS", poses),
-        ("T_cam_imu", [np.linalg.inv(pose) for pose in poses]),
-        ("T_imu_cam", poses),
-        ("body_T_cam", poses),
-    ]:
+        ("T_BS", poses), ("T_cam_imu", [np.linalg.inv(pose) for pose in poses]),
+        ("T_imu_cam", poses), ("body_T_cam", poses),
+    ]:  # fmt: skip
         with named(key):
             eyes = zip("01", (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), values, strict=True)
             cameras = {
