@@ -161,7 +161,7 @@ def test_a_board_that_was_moved_by_two_millimetres_is_another_place():
         pixels[eye, later] = there + 0.05 * rng.standard_normal(there.shape)
     found = calibrate_head(head, replace(frames, pixels=pixels))
     np.testing.assert_array_equal(found.frames.placement, later.astype(int))
-    assert "moved before 4.8 s" in found.remarks[0]
+    assert "moved before 3.6 s" in found.remarks[0]
     assert surprise(found, true) < 1.9
 
 
