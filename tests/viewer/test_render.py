@@ -53,7 +53,7 @@ def test_looking_changes_nothing() -> None:
     for mode in (None, "rgb_array"):
         env = GazeEnv(plant="rendered", render_mode=mode)
         env.reset(seed=0)
-        for _ in range(12):
+        for _ in range(6):
             observation, *_rest = env.step(np.full(4, 0.1))
             assert (env.render() is None) == (mode is None)
         observations.append(observation)
@@ -83,19 +83,18 @@ def test_a_vector_pictures_each_head() -> None:
 def test_a_window_shows_the_picture() -> None:
     import pygame
 
-    for plant in ("mujoco", "rendered"):
-        env = gym.make("vergence/Gaze-v0", plant=plant, render_mode="human")
-        env.reset(seed=0)
-        assert env.render() is None
-        surface = pygame.display.get_surface()
-        env.step(np.zeros(4, np.float32))
-        shown = pygame.surfarray.array3d(surface).swapaxes(0, 1)
-        other = GazeEnv(plant=plant, render_mode="rgb_array")
-        other.reset(seed=0)
-        other.step(np.zeros(4))
-        assert np.array_equal(shown, other.render())
-        env.close()
-        assert not pygame.display.get_init()
+    env = gym.make("vergence/Gaze-v0", plant="rendered", render_mode="human")
+    env.reset(seed=0)
+    assert env.render() is None
+    surface = pygame.display.get_surface()
+    env.step(np.zeros(4, np.float32))
+    shown = pygame.surfarray.array3d(surface).swapaxes(0, 1)
+    other = GazeEnv(plant="rendered", render_mode="rgb_array")
+    other.reset(seed=0)
+    other.step(np.zeros(4))
+    assert np.array_equal(shown, other.render())
+    env.close()
+    assert not pygame.display.get_init()
 
 
 def test_a_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
