@@ -20,6 +20,7 @@ from vergence.viewer.eye_pictures import EYE_WIDTH
 from vergence.viewer.pictures import VIEW_HEIGHT
 
 
+@pytest.mark.slow
 def test_a_picture_is_an_rgb_array_that_changes_with_the_gaze() -> None:
     for plant, head in zip(SIMULATED_PLANTS, ("simulated", "physical", "simulated"), strict=True):
         with named(plant, head):
@@ -35,6 +36,7 @@ def test_a_picture_is_an_rgb_array_that_changes_with_the_gaze() -> None:
             env.close()
 
 
+@pytest.mark.slow
 def test_eyes_with_images_of_their_own_size_stand_side_by_side() -> None:
     cameras = {"size": [[640, 480], [640, 360]], "principal": [[320.0, 240.0], [320.0, 180.0]]}
     head = load_head("physical").replace(cameras=cameras)

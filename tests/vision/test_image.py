@@ -209,6 +209,7 @@ KINDS = {
 }
 
 
+@pytest.mark.slow
 def test_a_target_is_found_in_the_same_place_in_every_kind_of_image():
     for kind, target in some_of(list(KINDS), [AprilTag(), Checkerboard()]):
         with named(kind, target):

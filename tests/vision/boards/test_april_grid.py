@@ -124,6 +124,7 @@ def test_a_board_that_is_gone_is_lost_through_a_lens_too():
     assert detector.track(np.full((480, 640), 120, np.uint8), before) is None
 
 
+@pytest.mark.slow
 def test_other_boards_are_none():
     image = drawn().image
     for change in ({"columns": 4, "rows": 5}, {"rows": 3}, {"spacing": 0.25}):
