@@ -51,12 +51,10 @@ def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
     whole = ~outside.any(axis=-1)[..., None, None]  # a checkerboard is found whole or not at all
     names = tuple(tuple(f"{eye}{view}.png" for view in range(views)) for eye in "lr"[:cameras])
     return BoardObservations(
-        target=board,
-        file_names=names,
-        image_sizes=(size,) * cameras,
+        target=board, file_names=names, image_sizes=(size,) * cameras,
         pixels=np.where(whole, pixels, np.nan),
         sigma=np.where(whole, np.full(shape, noise_px), np.nan),
-    )
+    )  # fmt: skip
 
 
 def as_calibrated(rig, poses, seen, dropped=()):
@@ -79,15 +77,10 @@ def as_calibrated(rig, poses, seen, dropped=()):
     if cameras > 1:
         fit = _fit(seen.problem, rig, poses, seen.usable.any(axis=0) & ~out)
     return Calibration(
-        observations=seen,
-        single_fits=tuple(alone),
-        fit=fit,
-        covariance=rig_covariance(fit.solution),
-        held_out_px=fit.solution.residuals_px,
-        lens=rig.lenses[0],
-        lens_errors={},
-        read_errors=(),
-    )
+        observations=seen, single_fits=tuple(alone), fit=fit,
+        covariance=rig_covariance(fit.solution), held_out_px=fit.solution.residuals_px,
+        lens=rig.lenses[0], lens_errors={}, read_errors=(),
+    )  # fmt: skip
 
 
 def _fit(problem, rig, poses, kept):

@@ -46,15 +46,15 @@ def test_exact_corners_give_the_true_numbers_back(rng):
 
 def test_errors_are_of_the_size_of_their_covariance(rng):
     rig, squares = make_rig(), []
-    for _ in range(12):
+    for _ in range(6):
         poses = make_poses(rng, 14)
         seen = look_at(rig, poses, rng)
         views = seen.usable.any(axis=0)
         found = seen.problem.select(views).solve(rig, poses.select(views))
         error = found.rig.packed() - rig.packed()
         squares.append(error @ np.linalg.solve(rig_covariance(found), error) / len(error))
-    # 12 draws of 27 numbers: the mean scatters by 0.08
-    assert 0.7 < np.mean(squares) < 1.3
+    # 6 draws of 27 numbers: the mean scatters by 0.11
+    assert 0.65 < np.mean(squares) < 1.35
 
 
 def test_a_board_that_moved_between_exposures_makes_the_baseline_less_sure(rng):

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.calibration.rigs import BOARD, SIZE, look, make_poses, make_rig
 from tests.naming import named
 from vergence.calibration import cameras
-from vergence.calibration.adjustment import BoardPoses
+from vergence.calibration.adjustment import BoardPoses, CameraRig
 from vergence.calibration.calibrate import calibrate_views
 from vergence.calibration.coverage import advise_next_photographs
 from vergence.calibration.files import (
@@ -28,8 +28,10 @@ LENS = "brown-conrady"
 
 @pytest.fixture(autouse=True)
 def few_starts(request, monkeypatch):
-    """Fewer samples to begin with, which take half of the time and only bad views need."""
+    """Fewer samples to begin with, which only bad views need, and two folds: half of the time."""
     monkeypatch.setattr(cameras, "_SAMPLE_COUNT", 6 if "bad_views" in request.node.name else 2)
+    if "lens_is_told" not in request.node.name:
+        monkeypatch.setattr(cameras, "FOLDS", 2)
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +47,7 @@ def found(pair):
     """The calibration of the pair."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cameras, "_SAMPLE_COUNT", 2)
+        patch.setattr(cameras, "FOLDS", 2)
         return calibrate_views(pair[0], LENS)
 
 
@@ -61,14 +64,21 @@ def both(seen):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lens", ["brown-conrady", "fisheye"])
-def test_the_cameras_are_found_and_the_lens_is_told(lens):
+@pytest.mark.parametrize("cameras", [1, pytest.param(2, marks=pytest.mark.nightly)])
+def test_the_lens_is_told(lens, cameras):
     rng = np.random.default_rng(5)
     focal, wide = (220.0, 3.5) if lens == "fisheye" else (520.0, 1.0)
     rig = make_rig(lens, focal)
-    found = calibrate_views(look(rig, make_poses(rng, 16, wide=wide), rng))
+    seen = look(rig, make_poses(rng, 16, wide=wide), rng)
+    found = calibrate_views(seen if cameras == 2 else seen.select_camera(0))
     assert found.lens == lens
-    error = (found.rig.packed() - rig.packed()) / found.sigma
-    assert np.abs(error).max() < 4.0
+    true = (rig if cameras == 2 else CameraRig.single(lens, rig.camera_parameters[0])).packed()
+    assert np.abs((found.rig.packed() - true) / found.sigma).max() < 4.0
+
+
+def test_the_cameras_are_found(pair, found):
+    rig = pair[1]
+    assert np.abs((found.rig.packed() - rig.packed()) / found.sigma).max() < 4.0
     baseline, sigma = found.baseline_mm
     assert abs(baseline - 1e3 * np.linalg.norm(rig.translation)) < 4.0 * sigma
     assert found.dropped == [
@@ -100,7 +110,7 @@ def test_the_covariance_of_the_place_follows_small_changes(pair):
     rng = np.random.default_rng(0)
     root = 1e-4 * rng.standard_normal((6, 6))
     between = rig.blocks[-2]
-    draws = root @ rng.standard_normal((6, 4000))
+    draws = root @ rng.standard_normal((6, 1000))
     row = rig.packed()
     moved = []
     for step in draws.T:
@@ -111,7 +121,7 @@ def test_the_covariance_of_the_place_follows_small_changes(pair):
         place = -one.rotation.T @ one.translation + rig.rotation.T @ rig.translation
         moved.append([*spin, *place])
     told = np.sqrt(np.diagonal(right_camera_pose_covariance(rig, root @ root.T)))
-    np.testing.assert_allclose(np.std(moved, axis=0), told, rtol=0.06)
+    np.testing.assert_allclose(np.std(moved, axis=0), told, rtol=0.1)
 
 
 def test_one_camera_gives_a_file_of_its_own(pair):
@@ -124,22 +134,16 @@ def test_one_camera_gives_a_file_of_its_own(pair):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", [pytest.param("noise", marks=pytest.mark.nightly), "moved"])
-def test_a_fifth_of_bad_views_changes_nothing(pair, what):
+def test_a_fifth_of_bad_views_changes_nothing(pair, found):
     seen, _ = pair
-    rng = np.random.default_rng(1)
     bad = both(seen)[::5]
     pixels = seen.pixels.copy()
-    if what == "noise":
-        pixels[:, bad] += rng.normal(0.0, 4.0, pixels[:, bad].shape)
-    else:
-        pixels[1, bad] += (6.0, 0.0)
-    good = calibrate_views(picked(seen, np.setdiff1d(np.arange(16), bad)), LENS)
-    found = calibrate_views(replace(seen, pixels=pixels), LENS)
-    assert not found.fit.kept_views[bad].any()
-    change = (found.rig.packed() - good.rig.packed()) / good.sigma
-    assert np.abs(change).max() < 1.0
-    assert {one.view for one in found.dropped} >= {f"l{view}.png" for view in bad}
+    pixels[1, bad] += (6.0, 0.0)
+    fewer = calibrate_views(replace(seen, pixels=pixels), LENS)
+    assert not fewer.fit.kept_views[bad].any()
+    # a fifth of the views tells half a deviation
+    assert np.abs((fewer.rig.packed() - found.rig.packed()) / found.sigma).max() < 2.0
+    assert {one.view for one in fewer.dropped} >= {f"l{view}.png" for view in bad}
 
 
 @pytest.mark.parametrize("bad", [1, 2])
@@ -158,7 +162,7 @@ def test_a_mistaken_corner_is_left_out_and_its_view_stays(pair):
     pixels = seen.pixels.copy()
     view = int(both(seen)[2])
     pixels[0, view, 8] += (30.0, -40.0)
-    found = calibrate_views(replace(seen, pixels=pixels), LENS)
+    found = calibrate_views(replace(seen, pixels=pixels).select_camera(0), LENS)
     assert found.fit.kept_views[view]
     assert found.rms_alone_px[0] < 0.2
     assert found.observations.remarks[0].startswith("1 corner left out")
@@ -167,11 +171,11 @@ def test_a_mistaken_corner_is_left_out_and_its_view_stays(pair):
 
 @pytest.mark.slow
 def test_views_of_a_board_at_rest_count_as_one(pair):
-    views = both(pair[0])[:8]
-    seen, rng = picked(pair[0], np.repeat(views, 2)), np.random.default_rng(1)
+    views, left = both(pair[0])[:8], pair[0].select_camera(0)
+    seen, rng = picked(left, np.repeat(views, 2)), np.random.default_rng(1)
     noisy = replace(seen, pixels=seen.pixels + 0.1 * rng.standard_normal(seen.pixels.shape))
     found = calibrate_views(noisy, LENS)
-    once = calibrate_views(picked(pair[0], views), LENS)
+    once = calibrate_views(picked(left, views), LENS)
     assert found.fit.kept_views.tolist() == [True, False] * len(views)
     assert found.sigma == pytest.approx(once.sigma, rel=0.8)
     assert "views are like others but for noise" in found.observations.remarks[0]

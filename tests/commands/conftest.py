@@ -12,3 +12,10 @@ def undrawn(monkeypatch):
     monkeypatch.setattr("vergence.eval.margins.folder.margin_figures", lambda _: {})
     for place in ("calibration", "calibration.head"):
         monkeypatch.setattr(f"vergence.{place}.report.svg_text", lambda _: "<svg></svg>")
+
+
+@pytest.fixture(autouse=True)
+def brief_search(monkeypatch):
+    """Tags without OpenCV's search of hard cases, see tests/vision; light by fewer edges."""
+    monkeypatch.setattr("vergence.vision.tags.detector.TagDetector._search_opencv", lambda *_: [])
+    monkeypatch.setattr("vergence.perception.light._MAX_EDGES_PER_TARGET", 4)

@@ -17,7 +17,7 @@ from vergence.models.files.intrinsics import read_intrinsics
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "stereo_chessboard"
 TARGET, BOARD = "checkerboard:9x6:24", Checkerboard(columns=9, rows=6, square_m=0.024)
-VIEWS = 8
+VIEWS = 7
 
 
 @pytest.fixture(scope="module")

@@ -14,11 +14,8 @@ from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
 pytest.importorskip("mcap")
 OPTIONS = {
-    "poses": 12,
-    "frames_per_pose": 2,
-    "target": "checkerboard:6x5:40",
-    "distances_m": (0.6, 1.1),
-}
+    "poses": 12, "frames_per_pose": 2, "target": "checkerboard:6x5:40", "distances_m": (0.6, 1.1),
+}  # fmt: skip
 POINT = np.array([0.1, -0.1, 1.5])
 
 

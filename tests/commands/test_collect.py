@@ -17,6 +17,7 @@ BOARD = ("--target", "checkerboard:9x6:24")
 SHORT = (*BOARD, "--head", "physical", "--poses", "3", "--frames", "2")
 
 
+@pytest.mark.slow
 def test_it_records_says_what_is_there_and_how_to_go_on(tmp_path, capsys):
     folder = tmp_path / "recording"
     assert call("collect", folder, *SHORT) == 0
@@ -31,6 +32,7 @@ def test_it_records_says_what_is_there_and_how_to_go_on(tmp_path, capsys):
     assert len(read_recording(folder, vergence.load_head("physical")).files) == 2
 
 
+@pytest.mark.slow
 def test_it_says_from_ten_poses_on_how_surely_depth_would_be_known(tmp_path, capsys):
     words = ("--poses", "12", "--until", "9", "--errors", "1")
     assert call("collect", tmp_path / "r", *SHORT, *words) == 0

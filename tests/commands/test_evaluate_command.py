@@ -58,13 +58,9 @@ def test_json_alone_on_standard_output(capsys, tmp_path):
 
 def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
     for words in [
-        ("ibsv",),
-        ("ibvs", "--scenario", "moon"),
-        ("ibvs", "--workers", "0"),
-        ("none.vgp",),
-        ("math:sqrt",),
-        ("ibvs", "--scenario", "circle", "--plant", "rendered"),
-    ]:
+        ("ibsv",), ("ibvs", "--scenario", "moon"), ("ibvs", "--workers", "0"), ("none.vgp",),
+        ("math:sqrt",), ("ibvs", "--scenario", "circle", "--plant", "rendered"),
+    ]:  # fmt: skip
         code, out, err = run(capsys, "evaluate", *words, "--out", tmp_path / "run")
         assert code == 2, words
         assert out == ""

@@ -44,17 +44,10 @@ def test_words_that_are_no_text_are_refused(capsys):
 def test_a_name_of_5000_characters_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for words in [
-        ("gaze", "--head"),
-        ("gaze", "--out"),
-        ("evaluate", "--out"),
-        ("reproduce", "--config"),
-        ("train", "--resume"),
-        ("train", "policy", "--out"),
-        ("tune", "ibvs", "--out"),
-        ("export", "mjcf", "--out"),
-        ("export", "bundle", "run"),
-        ("evaluate",),
-    ]:
+        ("gaze", "--head"), ("gaze", "--out"), ("evaluate", "--out"), ("reproduce", "--config"),
+        ("train", "--resume"), ("train", "policy", "--out"), ("tune", "ibvs", "--out"),
+        ("export", "mjcf", "--out"), ("export", "bundle", "run"), ("evaluate",),
+    ]:  # fmt: skip
         with named(words):
             refused(capsys, *words, "x" * 5000 + (".vgp" if "bundle" in words else ""))
             assert list(tmp_path.iterdir()) == []

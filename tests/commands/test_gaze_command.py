@@ -37,11 +37,9 @@ def test_what_rounds_to_zero_is_printed_without_a_sign(capsys, result):
     point = result.true_target_m + np.array([-1e-9, 1e-9, -1e-8])
     fix = result.gaze_fix._replace(point=point[None], gap=np.array([-0.0]))
     exact = replace(
-        result,
-        gaze_fix=fix,
-        view_fix=fix,
+        result, gaze_fix=fix, view_fix=fix,
         true_target_m=np.where(result.true_target_m, result.true_target_m, -0.0),
-    )
+    )  # fmt: skip
     show(exact)
     assert not re.search(r"[-+]0\.0+(?!\d)", capsys.readouterr().out)
 

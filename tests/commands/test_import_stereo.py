@@ -96,7 +96,6 @@ def test_what_cannot_be_imported_is_refused_in_one_line(tmp_path, capsys, monkey
         (["desk.toml"], "desk.toml: expected a calibration (YAML, XML or JSON), got a TOML file"),
         (["none.yml"], "none.yml: No such file"),
         (["pair.yml", "--size", "640", "480"], "a size is one word: --size 640x480"),
-        (["pair.yml", "--size", "320x240"], "320 x 240"),
         (["pair.yml", "--swap"], "without --swap"),
         (["pair.yml", "--name", "a/b"], "a name that a file may have"),
         ([], "expected calibration files"),

@@ -181,12 +181,10 @@ def test_what_cannot_be_is_refused_in_one_line(desk, capsys, tmp_path, monkeypat
         ({"left": "small.png"}, "image: expected the camera's 320 x 240 px, got 64 x 48"),
         ({"left": "left"}, "two images or two folders"),
         ({"target": None}, "target: expected at least one"),
-        ({"target": "tag:99h9"}, "target tag:99h9:"),
-        ({"head": None}, "--head"),
-        ({"head": "nonsense"}, "'nonsense'"),
-        ({"joints": "none.json"}, "none.json: No such file"),
+        ({"target": "tag:99h9"}, "target tag:99h9:"), ({"head": None}, "--head"),
+        ({"head": "nonsense"}, "'nonsense'"), ({"joints": "none.json"}, "none.json: No such file"),
         ({"response": "9"}, "response: expected 'linear', 'srgb', a gamma"),
-    ]:
+    ]:  # fmt: skip
         options = {
             "left": folder / "left" / "2.png", "right": folder / "right" / "2.png",
             "head": folder / "pair.toml", "target": TARGET,

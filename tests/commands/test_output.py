@@ -17,15 +17,11 @@ def test_a_command_whose_place_another_holds_is_refused_before_any_work(
 ):
     monkeypatch.chdir(tmp_path)
     for words in [
-        ("gaze", "--out", "R"),
-        ("evaluate", "ibvs", "--out", "R"),
-        ("reproduce", "time-response", "--quick", "--out", "R"),
-        ("train", "policy", "--out", "R"),
-        ("train", "--resume", "R"),
-        ("export", "mjcf", "--out", "R"),
-        ("export", "urdf", "--out", "R"),
-        ("export", "bundle", "run", "R.vgp"),
-    ]:
+        ("gaze", "--out", "R"), ("evaluate", "ibvs", "--out", "R"),
+        ("reproduce", "time-response", "--quick", "--out", "R"), ("train", "policy", "--out", "R"),
+        ("train", "--resume", "R"), ("export", "mjcf", "--out", "R"),
+        ("export", "urdf", "--out", "R"), ("export", "bundle", "run", "R.vgp"),
+    ]:  # fmt: skip
         with named(words):
             with hold_lock(Path("R.vgp" if "R.vgp" in words else "R")):
                 before = sorted(tmp_path.rglob("*"))

@@ -50,9 +50,7 @@ def test_a_misspelt_name_is_answered_by_the_one_that_was_meant(capsys):
         (["gaez"], "gaze"),
         (["gaze", "--targt", "1", "2", "3"], "--target"),
         (["import", "urdf", "robot.urdf", "--actuators", "comon-tilt"], "common-tilt"),
-        (["gaze", "--head", "simulatd"], "simulated"),
         (["evaluate", "--scenario", "workspce"], "workspace"),
-        (["evaluate", "sacade"], "saccade"),
         (["reproduce", "time-respons"], "time-response"),
     ]:
         assert f"did you mean {meant}?" in refused(capsys, *words)

@@ -17,12 +17,10 @@ def test_what_cannot_be_shown_is_refused_in_one_line(capsys, monkeypatch, tmp_pa
     monkeypatch.chdir(tmp_path)
     for words, said in (
         (["--port", "70000"], "port: expected 0 to 65535, got 70000"),
-        (["--head", "nobody"], "head"),
-        (["--controller", "nobody"], "controller"),
-        (["nowhere.mcap"], "nowhere.mcap"),
-        (["."], "it has no trajectory.csv"),
+        (["--head", "nobody"], "head"), (["--controller", "nobody"], "controller"),
+        (["nowhere.mcap"], "nowhere.mcap"), (["."], "it has no trajectory.csv"),
         (["--host", "nowhere.invalid", "--port", "0"], "host"),
-    ):
+    ):  # fmt: skip
         with named(words):
             assert said in refused(capsys, "view", "--no-browser", *words)
 

@@ -26,15 +26,10 @@ def desk_config(port, baud_rate=1_000_000, **servo_values):
     ]  # fmt: skip
     servos[0] = dataclasses.replace(servos[0], **servo_values)
     return HardwareConfig(
-        path="robot.toml",
-        head=HEAD,
-        target=TAG,
-        bus=BusConfig(port=port, baud_rate=baud_rate),
-        servos=tuple(servos),
-        cameras=(camera_config(0), camera_config(1, source="8")),
-        pairing_tolerance_s=0.6 * HEAD.timing.frame_s,
-        emulator_address="",
-    )
+        path="robot.toml", head=HEAD, target=TAG, bus=BusConfig(port=port, baud_rate=baud_rate),
+        servos=tuple(servos), cameras=(camera_config(0), camera_config(1, source="8")),
+        pairing_tolerance_s=0.6 * HEAD.timing.frame_s, emulator_address="",
+    )  # fmt: skip
 
 
 class TimelessLine:

@@ -68,7 +68,7 @@ def test_the_thread_ends_with_the_drive(robot):
 
 @pytest.mark.slow
 def test_a_process_that_stands_still_leads_no_joint_beyond_its_limit(monkeypatch):
-    for steps in (4, 13, 25):
+    for steps in (4, 25):
         robot = VirtualRobot(monkeypatch)
         robot.begin()
         for _ in range(steps):
@@ -81,18 +81,17 @@ def test_a_process_that_stands_still_leads_no_joint_beyond_its_limit(monkeypatch
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["lost", "silent", "unplug", "stuck"])
 def test_a_fault_of_the_line_leads_no_joint_beyond_its_limit(monkeypatch, what):
-    for steps in (8, 20):
-        robot = VirtualRobot(monkeypatch)
-        robot.begin()
-        fast = np.full((1, 7), np.inf)
-        for _ in range(steps):
-            robot.plant.step(fast)
-        robot.fault(what=what) if what in ("lost", "unplug") else robot.fault(what=what, ids=[1])
-        while not robot.plant.fault:
-            robot.plant.step(fast)
-        robot.clock.sleep(0.5)
-        robot.world.advance_to(robot.clock())
-        assert max(one.q for one in robot.world.servos.values()) < LIMIT_RAD, steps
+    robot = VirtualRobot(monkeypatch)
+    robot.begin()
+    fast = np.full((1, 7), np.inf)
+    for _ in range(20):
+        robot.plant.step(fast)
+    robot.fault(what=what) if what in ("lost", "unplug") else robot.fault(what=what, ids=[1])
+    while not robot.plant.fault:
+        robot.plant.step(fast)
+    robot.clock.sleep(0.5)
+    robot.world.advance_to(robot.clock())
+    assert max(one.q for one in robot.world.servos.values()) < LIMIT_RAD
 
 
 def test_who_has_not_begun_a_trial_may_not_step(monkeypatch):

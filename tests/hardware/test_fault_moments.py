@@ -134,7 +134,7 @@ def test_at_more_moments_a_fault_brings_the_joints_to_rest_within_its_bound(mome
 
 @pytest.mark.parametrize("seeds", [[1], pytest.param(MORE, marks=pytest.mark.nightly)])
 def test_a_policy_that_pauses_passes_no_limit(moment, seeds):
-    for seed, pause_s in itertools.product(seeds, (0.03, 0.1, 0.2)):
+    for seed, pause_s in itertools.product(seeds, (0.03, 0.2)):
         with named(pause_s, seed):
             robot = moment(seed).robot
             for _ in range(12 + 2 * seed):
@@ -151,7 +151,7 @@ def test_a_line_that_is_not_clean_goes_on(moment, seeds):
             with named(fault, seed):
                 now = moment(seed)
                 now.robot.fault(**fault)
-                now.drive(1.5)
+                now.drive(0.8)
                 assert now.robot.plant.fault == ""
 
 

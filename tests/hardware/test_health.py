@@ -65,19 +65,14 @@ def test_a_servo_that_does_not_answer_has_no_health(bus):
 
 
 JUDGED = [
-    ({}, HealthLevel.OK, False),
-    ({"load": math.nan}, HealthLevel.OK, False),
+    ({}, HealthLevel.OK, False), ({"load": math.nan}, HealthLevel.OK, False),
     ({"temperature_c": 61.0}, HealthLevel.OK, False),
     ({"temperature_c": 62.0}, HealthLevel.WARN, False),
-    ({"temperature_c": 67.0}, HealthLevel.STOP, True),
-    ({"voltage_v": 6.3}, HealthLevel.OK, False),
-    ({"voltage_v": 6.1}, HealthLevel.WARN, False),
-    ({"voltage_v": 13.7}, HealthLevel.WARN, False),
-    ({"voltage_v": 5.9}, HealthLevel.STOP, False),
-    ({"voltage_v": 14.1}, HealthLevel.STOP, False),
-    ({"load": -0.79}, HealthLevel.OK, False),
-    ({"errors": 0b1}, HealthLevel.STOP, False),
-]
+    ({"temperature_c": 67.0}, HealthLevel.STOP, True), ({"voltage_v": 6.3}, HealthLevel.OK, False),
+    ({"voltage_v": 6.1}, HealthLevel.WARN, False), ({"voltage_v": 13.7}, HealthLevel.WARN, False),
+    ({"voltage_v": 5.9}, HealthLevel.STOP, False), ({"voltage_v": 14.1}, HealthLevel.STOP, False),
+    ({"load": -0.79}, HealthLevel.OK, False), ({"errors": 0b1}, HealthLevel.STOP, False),
+]  # fmt: skip
 
 
 def test_a_reading_is_judged_by_its_limits():

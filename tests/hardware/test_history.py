@@ -18,10 +18,7 @@ def moving(times):
     return history
 
 
-@given(
-    st.lists(st.floats(0.001, 0.5), min_size=2, max_size=20),
-    st.floats(0.0, 1.0),
-)
+@given(st.lists(st.floats(0.001, 0.5), min_size=2, max_size=20), st.floats(0.0, 1.0))
 def test_joints_at_constant_speeds_are_known_exactly_at_any_time(steps, share):
     times = np.cumsum(steps)
     asked_s = times[0] + share * (times[-1] - times[0])

@@ -58,17 +58,13 @@ def test_an_eye_that_was_not_measured_and_what_was_not_reached_are_not_written(d
 
 def test_a_loop_that_cannot_be_is_refused_by_its_key(tmp_path):
     for changes, key in (
-        ({"lag": 0.03}, "loop.lag"),
-        ({"lag_s": 45.0}, "loop.lag_s"),
-        ({"lag_s": None}, "loop.lag_s"),
-        ({"jitter_s": -0.001}, "loop.jitter_s"),
-        ({"speed_gain": 2.5}, "loop.speed_gain"),
-        ({"backlash_rad": 0.3}, "loop.backlash_rad"),
+        ({"lag": 0.03}, "loop.lag"), ({"lag_s": 45.0}, "loop.lag_s"),
+        ({"lag_s": None}, "loop.lag_s"), ({"jitter_s": -0.001}, "loop.jitter_s"),
+        ({"speed_gain": 2.5}, "loop.speed_gain"), ({"backlash_rad": 0.3}, "loop.backlash_rad"),
         ({"acceleration_ratio": 0.0}, "loop.acceleration_ratio"),
-        ({"measured": None}, "loop.measured"),
-        ({"sigma": {"lag_s": -1.0}}, "loop.sigma.lag_s"),
+        ({"measured": None}, "loop.measured"), ({"sigma": {"lag_s": -1.0}}, "loop.sigma.lag_s"),
         ({"sigma": {"play": 1.0}}, "loop.sigma.play"),
-    ):
+    ):  # fmt: skip
         with named(changes):
             with pytest.raises(HeadFileError) as refused:
                 load(tmp_path, document() | {"loop": table(**changes)})

@@ -53,7 +53,7 @@ def test_a_servo_that_zero_does_not_stop_loses_its_torque(robot, what, seed):
 
 
 @pytest.mark.parametrize("what", ["blind", "inverted"])
-def test_the_proof_motion_finds_a_servo_that_zero_does_not_stop(robot, what):
+def test_the_motion_that_proves_joints_finds_a_servo_that_zero_does_not_stop(robot, what):
     robot.plant.prepare()
     robot.fault(what=what, ids=[1])
     since_s = robot.clock()

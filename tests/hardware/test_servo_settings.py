@@ -12,13 +12,10 @@ from vergence.hardware.still import ReadOnlyServos
 
 FACTORY_SHUTDOWN = 0b110100
 CHANGED = (
-    (table.PROFILE_ACCELERATION, 20, 0, False),
-    (table.PROFILE_VELOCITY, 30, 0, True),
-    (table.GOAL_PWM, 300, 885, False),
-    (table.PWM_LIMIT, 400, 885, True),
-    (table.SHUTDOWN, FACTORY_SHUTDOWN, 0b111100, False),
-    (table.SHUTDOWN, 0b000001, 0b101001, True),
-)
+    (table.PROFILE_ACCELERATION, 20, 0, False), (table.PROFILE_VELOCITY, 30, 0, True),
+    (table.GOAL_PWM, 300, 885, False), (table.PWM_LIMIT, 400, 885, True),
+    (table.SHUTDOWN, FACTORY_SHUTDOWN, 0b111100, False), (table.SHUTDOWN, 0b000001, 0b101001, True),
+)  # fmt: skip
 """A register, its value before and during the run, and whether the servo holds torque before."""
 
 

@@ -223,7 +223,12 @@ class VirtualRobot:
         transforms: map of each camera's pixels, see `VirtualCamera`.
         eyes: eye of the world that each camera shows; (1, 0) exchanges them.
         **safety: bounds of `SafetyConfig`, without a configuration.
+
+    Attributes:
+        proves: whether the joints still have to prove that they follow.
     """
+
+    proves = True
 
     def __init__(
         self, monkeypatch, world=None, config=None, transforms=(None, None), eyes=(0, 1),
@@ -247,6 +252,7 @@ class VirtualRobot:
             "view_check": isinstance(self.world, WatchedWorld), **(plant_options or {}),
         }  # fmt: skip
         self.plant = HardwarePlant(self.config.head, config=self.config, **self.options)
+        self.plant._supervisor.proved_joints[:] |= not self.proves
 
     def _open_cameras(self, eyes):
         if isinstance(self.world, WatchedWorld):

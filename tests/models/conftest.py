@@ -11,15 +11,9 @@ from vergence.models import HeadModel, ModelErrors, load_head
 DATA = Path(__file__).resolve().parents[1] / "data"
 
 ERRORS = ModelErrors(
-    link_m=1e-3,
-    coaxiality_rad=0.01,
-    joint_offset_rad=0.02,
-    head_eye_rad=0.01,
-    head_eye_m=1e-3,
-    focal_relative=0.01,
-    principal_px=5.0,
-    distortion=0.01,
-)
+    link_m=1e-3, coaxiality_rad=0.01, joint_offset_rad=0.02, head_eye_rad=0.01, head_eye_m=1e-3,
+    focal_relative=0.01, principal_px=5.0, distortion=0.01,
+)  # fmt: skip
 
 
 @pytest.fixture

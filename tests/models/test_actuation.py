@@ -108,11 +108,6 @@ def test_an_actuator_may_have_its_own_lag_and_steps():
 def test_actuators_that_do_the_same_are_refused():
     with pytest.raises(ConfigurationError, match="independent columns"):
         Actuators(
-            names=("a", "b"),
-            matrix=np.ones((4, 2)),
-            offset=np.zeros(4),
-            lower=-np.ones(2),
-            upper=np.ones(2),
-            velocity=np.ones(2),
-            acceleration=np.ones(2),
-        )
+            names=("a", "b"), matrix=np.ones((4, 2)), offset=np.zeros(4), lower=-np.ones(2),
+            upper=np.ones(2), velocity=np.ones(2), acceleration=np.ones(2),
+        )  # fmt: skip

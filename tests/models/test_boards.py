@@ -136,17 +136,12 @@ def test_texts_that_are_no_target_are_refused() -> None:
     with pytest.raises(UnknownNameError, match="checkerboard, tag, got 'circle'"):
         make_planar_target("circle")
     for text, said in [
-        ("tag", "tag:FAMILY"),
-        ("tag:36h12:1", "36h11"),
-        ("tag:36h11:587:120", "0 to 586"),
-        ("tag:36h11:5:-3", "edge in mm"),
-        ("checkerboard:9by6", "checkerboard:9x6:24.23"),
+        ("tag", "tag:FAMILY"), ("tag:36h12:1", "36h11"), ("tag:36h11:587:120", "0 to 586"),
+        ("tag:36h11:5:-3", "edge in mm"), ("checkerboard:9by6", "checkerboard:9x6:24.23"),
         ("checkerboard:9x2:20", "at least|inner corners"),
         ("charuco:7x5:30:40:4X4_50", "less than a square"),
-        ("charuco:7x5:40:30:4X4_51", "DICT_4X4_50"),
-        ("charuco:40x40:40:30:4X4_50", "800 markers"),
-        ("circles:3x3", "checkerboard:9x6:24.23"),
-        ("", "tag:36h11:5:120"),
-    ]:
+        ("charuco:7x5:40:30:4X4_51", "DICT_4X4_50"), ("charuco:40x40:40:30:4X4_50", "800 markers"),
+        ("circles:3x3", "checkerboard:9x6:24.23"), ("", "tag:36h11:5:120"),
+    ]:  # fmt: skip
         with named(text, said), pytest.raises(ConfigurationError, match=said):
             parse_target(text)

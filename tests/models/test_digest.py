@@ -51,15 +51,6 @@ def test_a_field_or_part_that_came_later_is_left_out_at_its_default():
     assert digest_of(LaterModel("head", LaterPart(1.0), other=Part(0.0))) != first
 
 
-def test_a_stated_response_makes_another_head(physical):
-    digests = {
-        physical.replace(cameras={"response": response}).digest
-        for response in (None, "srgb", 2.2, (0.0, 0.2, 1.0), ("srgb", None))
-    }
-    assert len(digests) == 5
-    assert physical.digest in digests
-
-
 def test_a_latency_of_whole_control_periods_counts_them(simulated):
     # a decimal's rounding makes no other head
     same = simulated.replace(timing={"latency_s": 0.066666666666667})
@@ -72,14 +63,7 @@ def test_a_latency_of_whole_control_periods_counts_them(simulated):
 def test_a_lens_or_an_image_size_makes_another_head(physical):
     same = physical.replace(cameras={"size": (640, 480), "lens": "brown-conrady"})
     assert same.digest == physical.digest
-    others = [
-        physical.replace(cameras={"lens": ("rational", "rational")}),
-        physical.replace(cameras={"size": [[640, 480], [640, 482]]}),
-        physical.replace(cameras={"size": [[640, 482], [640, 480]]}),
-        wide("fisheye", "rational"),
-        wide("rational", "fisheye"),
-    ]
-    assert len({physical.digest, *(head.digest for head in others)}) == 6
+    assert wide("fisheye", "rational").digest != wide("rational", "fisheye").digest
 
 
 def test_the_digest_of_other_cameras_is_of_the_same_form_ever_after():

@@ -7,7 +7,7 @@ import pytest
 
 from tests.naming import named
 from vergence.errors import ConfigurationError
-from vergence.models import EYE_NAMES, EYES, JOINTS, NECK, ModelErrors, load_head
+from vergence.models import ModelErrors, load_head
 
 PARTS = ("links", "cameras", "limits", "timing", "sensor", "rendering")
 
@@ -38,12 +38,6 @@ def nudged(head, part, field, index):
     else:
         value = value + 1 if isinstance(value, int) else value + 1e-9
     return head.replace(**{part: value if part == "head_eye" else {field: value}})
-
-
-def test_joint_order():
-    assert JOINTS[NECK] == ("neck_yaw", "neck_roll", "neck_pitch")
-    assert JOINTS[EYES] == ("left_tilt", "left_pan", "right_tilt", "right_pan")
-    assert EYE_NAMES == ("left", "right")
 
 
 class TestIdentity:

@@ -104,16 +104,6 @@ def test_there_and_back_over_the_whole_image():
                 assert np.abs(rays_to_pixels(rays[seen], row) - raw[seen]).max() < 1e-9
 
 
-def test_undistorted_pixels_are_the_pinholes(rng):
-    for lens in LENSES:
-        with named(lens):
-            head = wide(lens)
-            points = rng.uniform([-0.5, -0.4, 0.5], [0.5, 0.4, 1.0], (300, 3))
-            raw = head.project(np.zeros(7), points)
-            ideal = head.project(np.zeros(7), points, distorted=False)
-            assert np.abs(head.undistort(raw) - ideal).max() < 1e-9
-
-
 def test_the_derivative_is_that_of_finite_differences_and_symmetric(rng):
     for lens in LENSES:
         with named(lens):
@@ -223,11 +213,3 @@ def test_a_fisheye_with_more_than_a_right_angle_in_its_image_is_told(physical):
         cameras = {"lens": ("fisheye", "fisheye"), "focal": np.full((2, 2), focal)}
         head = physical.replace(cameras=cameras | {"distortion": np.zeros((2, 4))})
         assert has_pixels_without_rays(head.cameras).tolist() == [beyond, beyond]
-
-
-def test_a_rational_lens_without_a_denominator_is_brown_and_conradys(rng):
-    k = COEFFICIENTS["brown-conrady"]
-    rays = spread_rays(rng, 200)
-    by_five = rays_to_pixels(rays, row_of("brown-conrady", k))
-    by_eight = rays_to_pixels(rays, row_of("rational", (*k, 0.0, 0.0, 0.0)))
-    np.testing.assert_allclose(by_eight, by_five, rtol=1e-14)

@@ -30,12 +30,9 @@ def test_a_table_holds_the_light_at_levels_in_equal_steps():
 
 def test_what_names_a_response():
     for text, response in [
-        ("srgb", "srgb"),
-        ("2.2", 2.2),
-        (1, "linear"),
-        ([0, 1], (0.0, 1.0)),
+        ("srgb", "srgb"), ("2.2", 2.2), (1, "linear"), ([0, 1], (0.0, 1.0)),
         ("0,0.2, 1", (0.0, 0.2, 1.0)),
-    ]:
+    ]:  # fmt: skip
         with named(text, response):
             assert parse_response(text) == response
 

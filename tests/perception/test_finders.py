@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from tests.perception.test_target_finder import side_by_side
+from tests.perception.test_target_finder import HEAD, side_by_side
 from vergence.models.boards import TagFamily
 from vergence.perception.finders import FamilyTracker, make_live_finders
 from vergence.vision import make_detector
 
 BOTH = side_by_side(7, 3)[0]
 NOTHING = np.full_like(BOTH, 110)
-LEFT_ALONE = np.hstack([BOTH[:, : BOTH.shape[1] // 2], NOTHING[:, BOTH.shape[1] // 2 :]])
+MIDDLE = int(HEAD.project(HEAD.rest(), [0.0, -0.05, 0.8])[0, 0])
+LEFT_ALONE = np.hstack([BOTH[:, :MIDDLE], NOTHING[:, MIDDLE:]])
 
 
 class Counting:

@@ -29,17 +29,12 @@ CSV_ROW = ",".join(map(str, Q[3:]))
 
 def test_one_row_is_for_all_pairs(tmp_path):
     for name, text in [
-        ("q.json", ANGLES),
-        ("q.json", [ANGLES]),
-        ("q.json", {"joints": [ANGLES]}),
+        ("q.json", ANGLES), ("q.json", [ANGLES]), ("q.json", {"joints": [ANGLES]}),
         ("q.json", {f"{name}_rad": value for name, value in ANGLES.items()}),
         ("q.json", {f"{name}_deg": np.degrees(value) for name, value in ANGLES.items()}),
-        ("q.json", ANGLES | {"neck_yaw": 0.0}),
-        ("q.toml", TOML),
-        ("q.toml", f"[[rows]]\n{TOML}"),
-        ("q.csv", f"{CSV_HEAD}\n{CSV_ROW}\n"),
-        ("q.CSV", f"\ufeff{CSV_HEAD}\n{CSV_ROW}\n"),
-    ]:
+        ("q.json", ANGLES | {"neck_yaw": 0.0}), ("q.toml", TOML), ("q.toml", f"[[rows]]\n{TOML}"),
+        ("q.csv", f"{CSV_HEAD}\n{CSV_ROW}\n"), ("q.CSV", f"\ufeff{CSV_HEAD}\n{CSV_ROW}\n"),
+    ]:  # fmt: skip
         found = read_joint_angles(load_head("physical"), write(tmp_path / name, text), PAIRS)
         for pair in PAIRS:
             np.testing.assert_allclose(found[pair], Q, atol=1e-15)

@@ -22,11 +22,7 @@ def exact(head, q, target, pose, sigma=0.05):
     centre = head.project(q, pose[:3, 3])
     return [
         Detection(
-            target,
-            centre[eye],
-            pixels[:, eye],
-            np.full(2, sigma),
-            np.full((len(pixels), 2), sigma),
+            target, centre[eye], pixels[:, eye], np.full(2, sigma), np.full((len(pixels), 2), sigma)
         )
         for eye in range(2)
     ]

@@ -25,20 +25,13 @@ def paired(tmp_path: Path, left: str, right: str) -> bool:
 
 def test_names_that_differ_by_the_side_or_not_at_all_are_a_pair(tmp_path):
     names = [
-        ("left12.jpg", "right12.jpg"),
-        ("12_left.png", "12_right.png"),
-        ("Left_003.PNG", "Right_003.PNG"),
-        ("imageLeft7.jpg", "imageRight7.jpg"),
-        ("leftImage7.jpg", "rightImage7.jpg"),
-        ("l_7.png", "r_7.png"),
-        ("7L.png", "7R.png"),
-        ("frame_7_l.tif", "frame_7_r.tif"),
-        ("cam0_000007.png", "cam1_000007.png"),
-        ("7-camera0.png", "7-camera1.png"),
-        ("000007.png", "000007.png"),
-        ("000007.png", "000007.jpg"),
-        ("a left hand, left.png", "a left hand, right.png"),
-    ]
+        ("left12.jpg", "right12.jpg"), ("12_left.png", "12_right.png"),
+        ("Left_003.PNG", "Right_003.PNG"), ("imageLeft7.jpg", "imageRight7.jpg"),
+        ("leftImage7.jpg", "rightImage7.jpg"), ("l_7.png", "r_7.png"), ("7L.png", "7R.png"),
+        ("frame_7_l.tif", "frame_7_r.tif"), ("cam0_000007.png", "cam1_000007.png"),
+        ("7-camera0.png", "7-camera1.png"), ("000007.png", "000007.png"),
+        ("000007.png", "000007.jpg"), ("a left hand, left.png", "a left hand, right.png"),
+    ]  # fmt: skip
     for number, (left, right) in enumerate(names):
         (tmp_path / str(number)).mkdir()
         assert paired(tmp_path / str(number), left, right)

@@ -11,7 +11,7 @@ from vergence.perception.locate import _match
 from vergence.perception.target_finder import TargetFinder, parse_targets, tag_number
 from vergence.vision import EyeCamera
 
-HEAD = load_head("simulated")
+HEAD = load_head("physical")
 
 
 def side_by_side(*tags: int) -> list[np.ndarray]:

@@ -20,6 +20,7 @@ from vergence.viewer.eye_pictures import EYE_WIDTH
 from vergence.viewer.pictures import VIEW_HEIGHT
 
 
+@pytest.mark.slow
 def test_a_picture_is_an_rgb_array_that_changes_with_the_gaze() -> None:
     for plant, head in zip(SIMULATED_PLANTS, ("simulated", "physical", "simulated"), strict=True):
         with named(plant, head):
@@ -35,6 +36,7 @@ def test_a_picture_is_an_rgb_array_that_changes_with_the_gaze() -> None:
             env.close()
 
 
+@pytest.mark.slow
 def test_eyes_with_images_of_their_own_size_stand_side_by_side() -> None:
     cameras = {"size": [[640, 480], [640, 360]], "principal": [[320.0, 240.0], [320.0, 180.0]]}
     head = load_head("physical").replace(cameras=cameras)
@@ -53,7 +55,7 @@ def test_looking_changes_nothing() -> None:
     for mode in (None, "rgb_array"):
         env = GazeEnv(plant="rendered", render_mode=mode)
         env.reset(seed=0)
-        for _ in range(12):
+        for _ in range(6):
             observation, *_rest = env.step(np.full(4, 0.1))
             assert (env.render() is None) == (mode is None)
         observations.append(observation)
@@ -83,19 +85,18 @@ def test_a_vector_pictures_each_head() -> None:
 def test_a_window_shows_the_picture() -> None:
     import pygame
 
-    for plant in ("mujoco", "rendered"):
-        env = gym.make("vergence/Gaze-v0", plant=plant, render_mode="human")
-        env.reset(seed=0)
-        assert env.render() is None
-        surface = pygame.display.get_surface()
-        env.step(np.zeros(4, np.float32))
-        shown = pygame.surfarray.array3d(surface).swapaxes(0, 1)
-        other = GazeEnv(plant=plant, render_mode="rgb_array")
-        other.reset(seed=0)
-        other.step(np.zeros(4))
-        assert np.array_equal(shown, other.render())
-        env.close()
-        assert not pygame.display.get_init()
+    env = gym.make("vergence/Gaze-v0", plant="rendered", render_mode="human")
+    env.reset(seed=0)
+    assert env.render() is None
+    surface = pygame.display.get_surface()
+    env.step(np.zeros(4, np.float32))
+    shown = pygame.surfarray.array3d(surface).swapaxes(0, 1)
+    other = GazeEnv(plant="rendered", render_mode="rgb_array")
+    other.reset(seed=0)
+    other.step(np.zeros(4))
+    assert np.array_equal(shown, other.render())
+    env.close()
+    assert not pygame.display.get_init()
 
 
 def test_a_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

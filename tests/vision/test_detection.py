@@ -34,18 +34,13 @@ def moved(detection: Detection, by_px) -> Detection:
 
 
 poses = st.builds(
-    pose,
-    st.floats(-0.05, 0.05),
-    st.floats(-0.05, 0.05),
-    st.floats(0.7, 1.8),
+    pose, st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(0.7, 1.8),
     st.tuples(*[st.floats(-0.3, 0.3)] * 3),
-)
+)  # fmt: skip
 use_fixtures = settings(
-    max_examples=12,
-    deadline=None,
-    derandomize=True,
+    max_examples=8, deadline=None, derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -96,11 +91,9 @@ def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_kind_of_image
     drawing = TargetRenderer(pinhole, target, rendering)
     drawing.draw(pose(0.0, 0.0, 1.0))
     for of_camera, stated, colour, same_as in [
-        (None, None, False, "linear"),
-        (None, None, True, "srgb"),
-        (2.2, None, True, 2.2),
+        (None, None, False, "linear"), (None, None, True, "srgb"), (2.2, None, True, 2.2),
         (2.2, "linear", True, "linear"),
-    ]:
+    ]:  # fmt: skip
         image = np.repeat(drawing.frame[:, :, None], 3, axis=2) if colour else drawing.frame
         detector = make_detector(target, replace(pinhole, response=of_camera), stated)
         expected = make_detector(target, pinhole, same_as).detect(drawing.frame)
@@ -111,11 +104,8 @@ def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_kind_of_image
 
 def test_every_detector_reads_images_by_the_stated_response() -> None:
     for target in (
-        "tag:36h11",
-        "checkerboard:9x6",
-        "charuco:7x5:40:30:4X4_50",
-        "aprilgrid:6x6:30:0.3",
-    ):
+        "tag:36h11", "checkerboard:9x6", "charuco:7x5:40:30:4X4_50", "aprilgrid:6x6:30:0.3",
+    ):  # fmt: skip
         with named(target):
             detector = make_detector(parse_target(target), None, "sRGB")
             assert detector.response_of(np.zeros((9, 9), np.uint8)) == "srgb"
@@ -142,8 +132,7 @@ def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> 
 
 
 @pytest.mark.parametrize(
-    ("name", "side"),
-    list(zip(TARGETS * 2, [(-1, 0), (1, 0), (0, -1), (0, 1)], strict=True)),
+    ("name", "side"), list(zip(TARGETS * 2, [(-1, 0), (1, 0), (0, -1), (0, 1)], strict=True))
 )
 def test_target_partly_outside_is_none(
     name: str, side: tuple[int, int], pinhole: EyeCamera, rendering: Rendering
@@ -189,7 +178,7 @@ def test_motion_blinds_before_it_misleads(
 def test_noise_lies_in_the_articles_range_on_the_simulated_rig(
     pinhole: EyeCamera, rendering: Rendering
 ) -> None:
-    """0.006 to 0.057 px, or a little less of a tag, whose cells count; known to 7 %."""
+    """0.006 to 0.057 px, or a little less of a tag, whose cells count; known to 9 %."""
     for target in (AprilTag(), Checkerboard()):
         drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
         rng = np.random.default_rng(8)
@@ -198,7 +187,7 @@ def test_noise_lies_in_the_articles_range_on_the_simulated_rig(
         first = detector.detect(drawing.frame)
         assert first is not None
         points = []
-        for _ in range(100):
+        for _ in range(60):
             drawing.draw(T_C_T, rng)
             seen = detector.track(drawing.frame, first)
             assert seen is not None

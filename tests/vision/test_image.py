@@ -156,27 +156,12 @@ class Refusing:
 
 def test_what_is_no_image_is_refused_in_one_line():
     for image in [
-        None,
-        "photo.png",
-        3.5,
-        {"image": GREY},
-        [],
-        [[1, 2], [3]],
-        [GREY, GREY[:3]],
-        [["a", "b"]],
-        np.zeros(7),
-        np.zeros((2, 3, 3, 3), np.uint8),
-        np.zeros((5, 5, 2), np.uint8),
-        np.zeros((5, 5, 5), np.uint8),
-        np.zeros((5, 5), complex),
-        np.zeros((5, 5), object),
-        np.zeros((5, 5), "M8[s]"),
-        np.zeros((0, 5), np.uint8),
-        np.zeros((5, 0, 1), bool),
-        np.full((3, 4), -1),
-        np.full((3, 4, 3), -7, np.int16),
-        Refusing(),
-    ]:
+        None, "photo.png", 3.5, {"image": GREY}, [], [[1, 2], [3]], [GREY, GREY[:3]], [["a", "b"]],
+        np.zeros(7), np.zeros((2, 3, 3, 3), np.uint8), np.zeros((5, 5, 2), np.uint8),
+        np.zeros((5, 5, 5), np.uint8), np.zeros((5, 5), complex), np.zeros((5, 5), object),
+        np.zeros((5, 5), "M8[s]"), np.zeros((0, 5), np.uint8), np.zeros((5, 0, 1), bool),
+        np.full((3, 4), -1), np.full((3, 4, 3), -7, np.int16), Refusing(),
+    ]:  # fmt: skip
         with named(image):
             with pytest.raises(ConfigurationError, match="image: expected") as raised:
                 as_grey(image)
@@ -224,6 +209,7 @@ KINDS = {
 }
 
 
+@pytest.mark.slow
 def test_a_target_is_found_in_the_same_place_in_every_kind_of_image():
     for kind, target in some_of(list(KINDS), [AprilTag(), Checkerboard()]):
         with named(kind, target):
@@ -333,16 +319,14 @@ def test_a_video_is_measured_as_its_sensor_had_it(tmp_path):
 
 
 DAMAGED = {
-    "empty": (b"", "empty"),
-    "text": (b"not an image at all\n" * 40, "no image"),
+    "empty": (b"", "empty"), "text": (b"not an image at all\n" * 40, "no image"),
     "toml": (b"[head]\nname = 'x'\n", "no image"),
     "png without its end": (encoded(LARGE, ".png")[:-400], "damaged"),
     "png of its first bytes": (encoded(LARGE, ".png")[:30], "damaged"),
     "jpeg of its first bytes": (encoded(LARGE, ".jpg")[:40], "damaged"),
     "jpeg of half": (encoded(LARGE, ".jpg")[: len(encoded(LARGE, ".jpg")) // 2], "damaged"),
-    "tiff of half": (encoded(LARGE, ".tiff")[:400], "damaged"),
-    "zeros": (bytes(1000), "no image"),
-}
+    "tiff of half": (encoded(LARGE, ".tiff")[:400], "damaged"), "zeros": (bytes(1000), "no image"),
+}  # fmt: skip
 
 
 def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, capfd):
@@ -360,11 +344,8 @@ def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, capfd):
 def test_a_path_that_is_no_file_is_refused_in_one_line(tmp_path):
     (tmp_path / "file").write_bytes(b"x")
     for path in (
-        tmp_path / "nothing.png",
-        tmp_path,
-        tmp_path / "file" / "image.png",
-        f"{tmp_path}/a\0b.png",
-    ):
+        tmp_path / "nothing.png", tmp_path, tmp_path / "file" / "image.png", f"{tmp_path}/a\0b.png",
+    ):  # fmt: skip
         with named(path):
             with pytest.raises(UnreadableFileError) as raised:
                 read_image(path)

@@ -56,7 +56,7 @@ def test_a_target_at_rest_is_tracked_while_neck_and_eyes_swing(name, kind):
     """At 30 images a second, up to 15 px from image to image: only the first is searched."""
     camera, rendering = rig(name)
     target, rng = TARGETS[kind], np.random.default_rng(0)
-    poses = swinging(name, 20, 0.06)
+    poses = swinging(name, 14, 0.06)
     T_0_T = poses[0] @ pose(0.02, 0.01, 0.9, (0.1, 0.2, 0.1))
     detector = Counted(target, camera)
     tracker, moved = Tracker(detector), []

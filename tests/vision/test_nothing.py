@@ -85,10 +85,10 @@ IMAGES = images()
     [pytest.param(name, marks=pytest.mark.slow) if name == "5x4" else name for name in TARGETS],
 )
 def test_nothing_is_found_where_nothing_is(name):
-    """In every other image of each kind, and in all for the tag that is the default."""
+    """In a third of the images of each kind, and in all for the tag that is the default."""
     detector, place = make_detector(TARGETS[name]), list(TARGETS).index(name)
     for k, (kind, image) in enumerate(IMAGES.items()):
-        if name == "36h11" or (k + (k - 2) // 6 + place) % 2:
+        if name == "36h11" or (k + (k - 2) // 6 + place) % 3 == 0:
             with named(kind):
                 assert detector.detect_all(image) == []
 

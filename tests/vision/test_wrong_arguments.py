@@ -9,14 +9,7 @@ import pytest
 from tests.naming import named
 from vergence import load_head
 from vergence.errors import ConfigurationError
-from vergence.vision import (
-    AprilTag,
-    Detection,
-    EyeCamera,
-    Tracker,
-    make_detector,
-    parse_target,
-)
+from vergence.vision import AprilTag, Detection, EyeCamera, Tracker, make_detector, parse_target
 
 IMAGE = np.full((480, 640), 120, np.uint8)
 NONE = np.full((4, 2), np.nan)

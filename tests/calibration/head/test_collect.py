@@ -1,8 +1,6 @@
 """A head looks about for a board, from postures unlike each other, and loses no frame."""
 
-import signal
-import subprocess
-import sys
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -52,7 +50,7 @@ def collected(tmp_path_factory):
     folder = tmp_path_factory.mktemp("collected")
     looker = Counted()
     evaluated = []
-    options = CollectOptions(poses=12, frames=3)
+    options = CollectOptions(poses=12, frames=2)
     found = collect(
         looker,
         folder,
@@ -67,7 +65,7 @@ def collected(tmp_path_factory):
 def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(collected):
     folder, _, found, evaluated = collected
     frames = read_recording(folder, HEAD).frames
-    assert len(frames.time_s) == 36
+    assert len(frames.time_s) == 24
     assert frames.pose.max() == 11
     assert frames.seen.all()
     assert found.looks_without_board == 0
@@ -145,7 +143,7 @@ def test_a_board_that_was_moved_has_another_place_and_is_noticed_if_nobody_says_
     found = collect(Counted(1.6), tmp_path, CollectOptions(poses=3, frames=2, moved=True), {})
     assert found.placement == 1
     frames = read_recording(tmp_path, HEAD).frames
-    assert np.bincount(frames.placement).tolist() == [36, 6]
+    assert np.bincount(frames.placement).tolist() == [24, 6]
     # the next run is of the same place
     found = collect(Counted(1.6), tmp_path, CollectOptions(poses=4, frames=2), {})
     assert (found.placement, found.poses) == (1, 4)
@@ -216,7 +214,7 @@ def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covari
 def test_a_detection_of_something_else_does_not_change_the_prediction(collected):
     frames = collected[2].frames()
     pixels = frames.pixels.copy()
-    pixels[0, 3], pixels[1, 20] = pixels[0, 30], 1e14
+    pixels[0, 3], pixels[1, 20] = pixels[0, 23], 1e14
     told, usual = (
         preview_calibration(HEAD, each) for each in (replace(frames, pixels=pixels), frames)
     )
@@ -255,36 +253,21 @@ def test_what_cannot_be_is_refused_in_one_line(tmp_path):
         collect(Counted(), tmp_path / "file", CollectOptions(), {})
 
 
-KILLED = """
-import sys
-from pathlib import Path
-from tests.calibration.head.test_collect import Counted
-from vergence.calibration.head.collect import CollectOptions, collect
-
-class Told(Counted):
-    def look(self, q):
-        print(len(self.asked), flush=True)
-        return super().look(q)
-
-collect(Told(), Path(sys.argv[1]), CollectOptions(poses=500, frames=4, seed=3), {})
-"""
-
-
-@pytest.mark.slow
 def test_a_kill_loses_one_frame_at_most_and_the_next_run_goes_on(tmp_path):
-    with subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE, text=True
-    ) as process:
-        looks = 0
-        while looks < 19:
-            looks = int(process.stdout.readline())
-        process.send_signal(signal.SIGKILL)
-        looks += len(process.stdout.read().split())
-    found = read_recording(tmp_path, HEAD)
-    # the first look is the search's, and the last may have been under way
-    assert looks - 1 <= len(found.frames.time_s) <= looks
+    left = tmp_path / "left"
+
+    class Killed(Counted):
+        def look(self, q):
+            if len(self.asked) == 19:  # the disk has what a process that ends here leaves
+                shutil.copytree(tmp_path / "all", left)
+            return super().look(q)
+
+    collect(Killed(), tmp_path / "all", CollectOptions(poses=6, frames=4, seed=3), {})
+    found = read_recording(left, HEAD)
+    # the first look is the search's
+    assert 17 <= len(found.frames.time_s) <= 18
     assert found.remarks == ("1 of 1 logs are cut off: read up to there",)
     poses = int(found.frames.pose.max()) + 1
-    collect(Counted(), tmp_path, CollectOptions(poses=poses + 1, frames=2), {})
-    after = read_recording(tmp_path, HEAD).frames
+    collect(Counted(), left, CollectOptions(poses=poses + 1, frames=2), {})
+    after = read_recording(left, HEAD).frames
     assert after.pose.max() == poses

@@ -183,6 +183,11 @@ def test_logs_that_do_not_fit_are_refused_in_one_line(tmp_path, frames):
 
 
 POSES = 3
+SMALL = HEAD.replace(
+    cameras={name: 0.5 * getattr(HEAD.cameras, name) for name in ("focal", "principal")}
+    | {"size": HEAD.cameras.size // 2}
+)
+"""The head with images of 320 x 240 px, which are drawn and searched in less time."""
 
 
 @pytest.fixture(scope="module")
@@ -190,13 +195,13 @@ def photographs(tmp_path_factory) -> Path:
     """A folder of drawn photographs with a table of angles, in degrees, and their angles."""
     folder = tmp_path_factory.mktemp("photographs")
     rng = np.random.default_rng(2)
-    pose = board_ahead(HEAD, BOARD, 0.7)
-    looker = SimulatedLooker(HEAD, BOARD, pose, rng, drawn=True)
+    pose = board_ahead(SMALL, BOARD, 0.7)
+    looker = SimulatedLooker(SMALL, BOARD, pose, rng, drawn=True)
     for eye in ("left", "right"):
         (folder / eye).mkdir()
     rows = []
     for number in range(POSES):
-        q = HEAD.rest() + np.deg2rad(rng.uniform(-3.0, 3.0, 7))
+        q = SMALL.rest() + np.deg2rad(rng.uniform(-3.0, 3.0, 7))
         sight = looker.look(q)
         for eye, image in zip(("left", "right"), looker.images, strict=True):
             cv2.imwrite(str(folder / eye / f"{number}.png"), image)
@@ -206,7 +211,7 @@ def photographs(tmp_path_factory) -> Path:
 
 
 def write_table(folder, rows):
-    names = [f"{name}_deg" for name in HEAD.joints]
+    names = [f"{name}_deg" for name in SMALL.joints]
     with (folder / "joints.csv").open("w", newline="") as file:
         csv.writer(file).writerows([["pair", *names, "placement", "time_s"], *rows])
 
@@ -228,7 +233,7 @@ def changed(photographs, tmp_path):
 @pytest.mark.nightly
 def test_photographs_and_their_table_are_frames_in_the_order_of_their_times(photographs):
     fractions = []
-    found = read_recording(photographs, HEAD, BOARD, fractions.append)
+    found = read_recording(photographs, SMALL, BOARD, fractions.append)
     assert found.frames.seen.all()
     assert found.frames.time_s.tolist() == [1.0, 2.0, 3.0]
     # the last photograph has the first time
@@ -243,7 +248,7 @@ def test_photographs_and_their_table_are_frames_in_the_order_of_their_times(phot
 @pytest.mark.slow
 def test_without_times_and_places_photographs_count_in_the_order_of_their_names(changed):
     folder = changed(lambda lines: [line.rsplit(",", 2)[0] for line in lines])
-    found = read_recording(folder, HEAD, BOARD).frames
+    found = read_recording(folder, SMALL, BOARD).frames
     assert found.time_s.tolist() == [0.0, 1.0, 2.0]
     assert found.placement.tolist() == [0, 0, 0]
 
@@ -255,10 +260,10 @@ def test_a_photograph_of_nothing_and_one_without_a_partner_are_told(photographs,
         for path in (photographs / eye).iterdir():
             (tmp_path / eye / path.name).write_bytes(path.read_bytes())
     (tmp_path / "joints.csv").write_bytes((photographs / "joints.csv").read_bytes())
-    cv2.imwrite(str(tmp_path / "right" / "0.png"), np.full((480, 640), 90, np.uint8))
+    cv2.imwrite(str(tmp_path / "right" / "0.png"), np.full((240, 320), 90, np.uint8))
     (tmp_path / "left" / "1.png").write_bytes(b"no image")
     (tmp_path / "right" / "2.png").unlink()
-    found = read_recording(tmp_path, HEAD, BOARD)
+    found = read_recording(tmp_path, SMALL, BOARD)
     assert found.frames.seen.all(axis=-1).tolist() == [[False, True], [True, False]]
     assert found.remarks == ("1 images without a partner left out: 2.png",)
     assert len(found.read_errors) == 1
@@ -268,15 +273,15 @@ def test_a_photograph_of_nothing_and_one_without_a_partner_are_told(photographs,
 def test_a_tag_is_a_board_of_photographs_too(tmp_path):
     tag = parse_target("tag:36h11:0:120")
     looker = SimulatedLooker(
-        HEAD, tag, board_ahead(HEAD, tag, 0.7), np.random.default_rng(2), drawn=True
+        SMALL, tag, board_ahead(SMALL, tag, 0.7), np.random.default_rng(2), drawn=True
     )
-    sight = looker.look(HEAD.rest())
+    sight = looker.look(SMALL.rest())
     for eye, image in zip(("left", "right"), looker.images, strict=True):
         (tmp_path / eye).mkdir()
         cv2.imwrite(str(tmp_path / eye / "1.png"), image)
-    angles = dict.fromkeys(HEAD.joints, 0.0)
+    angles = dict.fromkeys(SMALL.joints, 0.0)
     (tmp_path / "joints.json").write_text(json.dumps([{"pair": "1", **angles}]))
-    found = read_recording(tmp_path, HEAD, tag).frames
+    found = read_recording(tmp_path, SMALL, tag).frames
     # without the lens, corners are off by hundredths of a pixel
     np.testing.assert_allclose(found.pixels[0, 0], sight.corners_px[0], atol=0.1)
 
@@ -295,14 +300,14 @@ def test_tables_that_do_not_fit_are_refused_in_one_line(photographs, changed):
     for edit, said in cases:
         (folder / "joints.csv").write_text("\n".join(edit(lines)))
         with named(said), pytest.raises(ConfigurationError, match=said):
-            read_recording(folder, HEAD, BOARD)
+            read_recording(folder, SMALL, BOARD)
     with pytest.raises(ConfigurationError, match="expected the board of these photographs"):
-        read_recording(photographs, HEAD)
+        read_recording(photographs, SMALL)
     with pytest.raises(ConfigurationError, match="expected images of 1280 x 960 px, as the head"):
-        read_recording(photographs, HEAD.replace(cameras={"size": (1280, 960)}), BOARD)
+        read_recording(photographs, SMALL.replace(cameras={"size": (1280, 960)}), BOARD)
     (folder / "joints.csv").unlink()
     with pytest.raises(ConfigurationError, match=r"expected one of joints\.csv, .* got none"):
-        read_recording(folder, HEAD, BOARD)
+        read_recording(folder, SMALL, BOARD)
 
 
 def test_different_images_of_one_time_are_refused(tmp_path, frames):

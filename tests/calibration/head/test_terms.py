@@ -31,18 +31,14 @@ WAVES = JointReadingErrors(
 POINTS = np.array([[x, y, 1.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)])
 
 
-def recorded(true=TRUE, faults=None):
-    """Sixteen poses of four frames."""
+FEW = {"target": "checkerboard:4x3:60", "poses": 14, "frames_per_pose": 3}
+MORE = {"target": "checkerboard:5x4:40", "poses": 16, "frames_per_pose": 4}
+
+
+def recorded(true=TRUE, faults=None, options=FEW):
+    """Frames of a head."""
     rng = np.random.default_rng(8)
-    return simulate_recording(
-        HEAD,
-        true,
-        rng,
-        target="checkerboard:5x4:40",
-        poses=16,
-        frames_per_pose=4,
-        reading_errors=faults,
-    ).frames
+    return simulate_recording(HEAD, true, rng, reading_errors=faults, **options).frames
 
 
 def turned():
@@ -76,10 +72,10 @@ FAULTS = {"play": (TRUE, PLAY), "harmonics": (TRUE, WAVES), "axes": (turned(), N
 
 @pytest.fixture(scope="module")
 def knowing():
-    """Calibrations of a head by its fault, with its term; by `AUTO` where that chooses it."""
+    """Calibrations of a head by its fault, with its term; the axes are chosen."""
     return {
         fault: calibrate_head(
-            HEAD, recorded(*FAULTS[fault]), terms=(fault if fault == "harmonics" else AUTO,)
+            HEAD, recorded(*FAULTS[fault]), terms=(AUTO if fault == "axes" else fault,)
         )
         for fault in FAULTS
     }
@@ -103,11 +99,12 @@ def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
 
     p = problem.common_count - len(values)
     slope = normal(values).gradient[p : problem.common_count]
+    ways = np.random.default_rng(3).standard_normal((3, len(values)))  # of all numbers at once
     differences = [
         (normal(values + step).cost - normal(values - step).cost) / (4.0 * STEP)
-        for step in STEP * np.eye(len(values))
+        for step in STEP * ways
     ]
-    np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
+    np.testing.assert_allclose(ways @ slope, differences, rtol=1e-5)
 
 
 @pytest.mark.slow
@@ -135,18 +132,21 @@ def test_a_tilt_axis_is_where_it_is(knowing):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("term", FAULTS)
-def test_a_term_makes_depth_better_where_its_fault_is(knowing, term):
+def test_a_term_makes_depth_better_where_its_fault_is(term):
     true, faults = FAULTS[term]
-    ignorant = calibrate_head(HEAD, recorded(true, faults))
+    frames = recorded(true, faults, MORE)
+    ignorant, knowing = (calibrate_head(HEAD, frames, terms=terms) for terms in ((), (term,)))
     read = faults if term == "harmonics" else None
-    assert depth_error(knowing[term], true, read) < 0.6 * depth_error(ignorant, true, read)
-    assert knowing[term].solution.problem.scatter_ratio.max() == 1.0
+    assert depth_error(knowing, true, read) < 0.6 * depth_error(ignorant, true, read)
+    assert knowing.solution.problem.scatter_ratio.max() == 1.0
     assert ignorant.solution.problem.scatter_ratio.max() > 1.5
 
 
-@pytest.mark.parametrize("fault", ["play", "axes"])
+@pytest.mark.parametrize("fault", [pytest.param("play", marks=pytest.mark.nightly), "axes"])
 def test_what_frames_call_for_is_chosen_and_nothing_else(knowing, fault):
     found = knowing[fault]
+    if fault == "play":
+        found = calibrate_head(HEAD, recorded(*FAULTS[fault]), terms=(AUTO,))
     assert found.solution.problem.scatter_ratio.max() == 1.0
     assert set(found.solution.problem.terms.kinds) == {fault} - {"axes"}
     assert isinstance(found.head.links, JointAxes) == (fault == "axes")

@@ -1,13 +1,7 @@
 """ROBOTIS's own client finds in the emulated servos what it finds in real ones."""
 
 import pytest
-from dynamixel_sdk import (
-    COMM_SUCCESS,
-    GroupSyncRead,
-    GroupSyncWrite,
-    PacketHandler,
-    PortHandler,
-)
+from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 
 from tests.hardware.line import make_servo
 from vergence.hardware.dynamixel.control_table import VELOCITY_MODE

@@ -67,12 +67,10 @@ def test_a_joint_without_torque_comes_to_rest_with_its_lag():
 
 def test_what_leaves_its_limits_is_an_error_and_takes_torque_by_the_mask():
     for register, value, bit, torque in (
-        (table.PRESENT_TEMPERATURE, 72, 0, 1),
-        (table.PRESENT_TEMPERATURE, 73, 1 << 2, 0),
-        (table.PRESENT_INPUT_VOLTAGE, 60, 0, 1),
-        (table.PRESENT_INPUT_VOLTAGE, 59, 1 << 0, 1),
+        (table.PRESENT_TEMPERATURE, 72, 0, 1), (table.PRESENT_TEMPERATURE, 73, 1 << 2, 0),
+        (table.PRESENT_INPUT_VOLTAGE, 60, 0, 1), (table.PRESENT_INPUT_VOLTAGE, 59, 1 << 0, 1),
         (table.PRESENT_INPUT_VOLTAGE, 141, 1 << 0, 1),
-    ):
+    ):  # fmt: skip
         line = turning()
         line.servos[0].set(register, value)
         with named(register.name, value):

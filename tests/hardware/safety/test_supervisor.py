@@ -31,15 +31,11 @@ class Robot:
     def step(self, requested=None, **changes):
         """One period; what is sent. What differs from a healthy state is given."""
         now = {
-            "now_s": self.now_s,
-            "actuator_angles": self.angles,
-            "actuator_speeds": self.speeds,
-            "joint_angles": self.angles,
-            "reading_age_s": np.zeros(7),
-            "images_received_s": np.full(2, self.now_s),
-            "target_visible": True,
+            "now_s": self.now_s, "actuator_angles": self.angles, "actuator_speeds": self.speeds,
+            "joint_angles": self.angles, "reading_age_s": np.zeros(7),
+            "images_received_s": np.full(2, self.now_s), "target_visible": True,
             "target_eye_angles": np.zeros(4),
-        }
+        }  # fmt: skip
         state = RobotState(**now | changes)
         sent = self.supervisor.command(state, np.zeros(7) if requested is None else requested)
         self.supervisor.on_sent(sent)
@@ -198,13 +194,13 @@ def test_a_search_turns_both_eyes_slowly_over_the_field_of_view():
     robot = Robot(lost_s=0.3, search=True)
     robot.prove()
     seen = []
-    for _ in range(round(16.0 / PERIOD_S)):
+    for _ in range(round(10.0 / PERIOD_S)):
         robot.step(target_visible=False)
         assert np.abs(robot.speeds).max() < 1.0
         seen.append(robot.angles[3:].copy())
     assert robot.supervisor.verdict is Verdict.SEARCH
     assert robot.supervisor.fault == ""
-    assert (np.ptp(seen, axis=0) > 0.8).all()
+    assert (np.ptp(seen, axis=0) > 0.6).all()
 
 
 def test_nothing_of_images_counts_on_the_way_to_a_trial():

@@ -73,13 +73,10 @@ def camchain(path: Path, model: str = "radtan") -> Path:
             pose = np.vstack([np.column_stack([R, T]), [0.0, 0.0, 0.0, 1.0]])
             lines += ["  T_cn_cnm1:", *(f"  - {row.tolist()}" for row in pose)]
         lines += [
-            f"  cam_overlaps: [{1 - eye}]",
-            "  camera_model: pinhole",
-            f"  distortion_coeffs: {d[:4].tolist()}",
-            f"  distortion_model: {model}",
+            f"  cam_overlaps: [{1 - eye}]", "  camera_model: pinhole",
+            f"  distortion_coeffs: {d[:4].tolist()}", f"  distortion_model: {model}",
             f"  intrinsics: [{k[0, 0]}, {k[1, 1]}, {k[0, 2]}, {k[1, 2]}]",
-            f"  resolution: [{SIZE[0]}, {SIZE[1]}]",
-            f"  rostopic: /cam{eye}/image_raw",
-        ]
+            f"  resolution: [{SIZE[0]}, {SIZE[1]}]", f"  rostopic: /cam{eye}/image_raw",
+        ]  # fmt: skip
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

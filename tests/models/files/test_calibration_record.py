@@ -15,14 +15,10 @@ from vergence.models.calibrated import CalibrationRecord
 from vergence.models.files.head_toml import head_to_toml
 
 RECORD = CalibrationRecord(
-    target="checkerboard:9x6:24",
-    views=24,
-    rms_px=0.15,
-    rms_heldout_px=0.16,
-    corners_sha256="0123456789abcdef" * 4,
-    versions="vergence 0.1.0, numpy 2.0.0",
+    target="checkerboard:9x6:24", views=24, rms_px=0.15, rms_heldout_px=0.16,
+    corners_sha256="0123456789abcdef" * 4, versions="vergence 0.1.0, numpy 2.0.0",
     sigma={"left.camera.f_u": 0.8, "right.head_eye.x": 0.0001},
-)
+)  # fmt: skip
 
 
 @pytest.fixture

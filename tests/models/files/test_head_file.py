@@ -174,18 +174,14 @@ def test_a_missing_key_is_named(content):
 
 def test_wrong_units_are_refused_by_key_and_value(content):
     for key, value, unit in [
-        ("links[1].d_m", 64.27, "millimetres"),
-        ("links[3].a_m", 13.8, "millimetres"),
+        ("links[1].d_m", 64.27, "millimetres"), ("links[3].a_m", 13.8, "millimetres"),
         ("eyes[0].head_eye_translation_m[2]", -5.0, "millimetres"),
-        ("links[1].alpha_rad", 90.0, "degrees"),
-        ("links[4].offset_rad", -90.0, "degrees"),
-        ("limits.upper_rad[0]", 60.0, "degrees"),
-        ("limits.velocity_rad_s[3]", 343.8, "degrees"),
+        ("links[1].alpha_rad", 90.0, "degrees"), ("links[4].offset_rad", -90.0, "degrees"),
+        ("limits.upper_rad[0]", 60.0, "degrees"), ("limits.velocity_rad_s[3]", 343.8, "degrees"),
         ("sensor.encoder_resolution_rad", 0.5, "degrees"),
-        ("timing.exposure_s", 4.0, "milliseconds"),
-        ("timing.lag_s", 30, "milliseconds"),
+        ("timing.exposure_s", 4.0, "milliseconds"), ("timing.lag_s", 30, "milliseconds"),
         ("timing.latency_s", 66.7, "milliseconds"),
-    ]:
+    ]:  # fmt: skip
         with named(key, value, unit):
             said = f"{re.escape(key)}: expected .*{unit}.*got {value}"
             with pytest.raises(HeadFileError, match=said) as caught:
@@ -195,29 +191,16 @@ def test_wrong_units_are_refused_by_key_and_value(content):
 
 def test_a_value_that_cannot_be_right_is_refused_by_key(content):
     for key, value in [
-        ("name", ""),
-        ("image.width_px", 640.5),
-        ("timing.lag_s", float("nan")),
-        ("timing.lag_s", "fast"),
-        ("timing.lag_s", True),
-        ("timing.frame_rate_hz", 0.0),
-        ("timing.exposure_s", 0.02),
-        ("timing.latency_s", -0.01),
-        ("limits.velocity_rad_s[2]", 0.0),
-        ("links[1].joint", "neck_pitch"),
-        ("links[1].parent", 0),
-        ("links", []),
-        ("eyes[0].principal_px", [700.0, 200.0]),
-        ("eyes[0].focal_px", [521.0]),
-        ("eyes[1].name", "left"),
-        ("eyes[0].head_eye_rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
-        ("timing.exposure_stamps", 1),
-        ("timing.command_latency_s", 11.0),
-        ("timing.feedback_latency_s", -0.01),
-        ("sensor.encoder_side", "left"),
-        ("sensor.command_resolution_rad_s", -1.0),
-        ("sensor.backlash_rad", 1.0),
-    ]:
+        ("name", ""), ("image.width_px", 640.5), ("timing.lag_s", float("nan")),
+        ("timing.lag_s", "fast"), ("timing.lag_s", True), ("timing.frame_rate_hz", 0.0),
+        ("timing.exposure_s", 0.02), ("timing.latency_s", -0.01), ("limits.velocity_rad_s[2]", 0.0),
+        ("links[1].joint", "neck_pitch"), ("links[1].parent", 0), ("links", []),
+        ("eyes[0].principal_px", [700.0, 200.0]), ("eyes[0].focal_px", [521.0]),
+        ("eyes[1].name", "left"), ("eyes[0].head_eye_rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+        ("timing.exposure_stamps", 1), ("timing.command_latency_s", 11.0),
+        ("timing.feedback_latency_s", -0.01), ("sensor.encoder_side", "left"),
+        ("sensor.command_resolution_rad_s", -1.0), ("sensor.backlash_rad", 1.0),
+    ]:  # fmt: skip
         with named(key, value):
             with pytest.raises(HeadFileError, match=f"{re.escape(key)}.*: expected") as caught:
                 parse(changed(content, key, value))

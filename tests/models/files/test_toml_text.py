@@ -11,12 +11,10 @@ def test_a_short_list_is_on_one_line_and_everything_is_read_back():
     document = {
         "axis": [0.0, -1.5e-9, float("inf")],
         "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        "many": [0.123456789012345 + i for i in range(9)],
-        "words": ["a, b", "[\n 1,\n]", "c"],
-        "text": "[\n    1,\n    2,\n]",
-        "empty": [],
+        "many": [0.123456789012345 + i for i in range(9)], "words": ["a, b", "[\n 1,\n]", "c"],
+        "text": "[\n    1,\n    2,\n]", "empty": [],
         "tables": [{"values": [1, 2]}, {"values": [True]}],
-    }
+    }  # fmt: skip
     text = toml_text(document)
     assert tomllib.loads(text) == document
     lines = text.splitlines()

