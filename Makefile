@@ -25,7 +25,7 @@ BENCH := $(VENV)/.bench
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run view robot test test-all check lint kernels wheel format dev bench clean
+.PHONY: help run view robot test test-all check lint style types kernels real-time wheel format dev bench clean
 .DELETE_ON_ERROR:
 
 help: ## show this list
@@ -41,9 +41,9 @@ robot: $(ROBOT) ## a robot's functions on an emulated head: checks, gazes, a fau
 	@$(BIN)/python -m benchmarks.tour
 
 test: $(TEST) ## lint, type-check and run the tests (options: make test ARGS="-k triangulation")
-	@$(MAKE) -j2 lint kernels
+	@$(MAKE) -j2 style kernels
 	@$(PYTEST) -n $(JOBS) --dist worksteal -m "not real_time and not nightly" $(ARGS) || $(NO_TESTS_SELECTED)
-	@$(PYTEST) -m "real_time and not nightly" $(ARGS) || $(NO_TESTS_SELECTED)
+	@$(MAKE) -j2 types real-time
 
 test-all: test ## what `make test` does, and the tests of many seconds that it leaves out
 	@$(PYTEST) -n $(JOBS) --dist worksteal -m "nightly and not real_time" $(ARGS) || $(NO_TESTS_SELECTED)
@@ -54,12 +54,19 @@ check: $(TEST) ## lint and the quick tests of what differs from main, or of room
 	  echo "pytest $$places" && \
 	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow and not nightly" $(ARGS) $$places || $(NO_TESTS_SELECTED); }
 
-lint: $(TEST) ## ruff and mypy
+lint: style types ## ruff and mypy
+
+style: $(TEST)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 
-kernels: $(TEST) ## compile what the tests call, while mypy runs in `make test`
+types: $(TEST) # beside tests of real time, which come first
+	nice -n 19 $(BIN)/mypy
+
+real-time: $(TEST)
+	@$(PYTEST) -m "real_time and not nightly" $(ARGS) || $(NO_TESTS_SELECTED)
+
+kernels: $(TEST) ## compile what the tests call
 	@$(BIN)/python -m tests.kernels
 
 wheel: $(TEST) ## build a wheel in dist/ that carries compiled kernels for this kind of machine

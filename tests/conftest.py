@@ -1,5 +1,6 @@
 """Environment of every test: one thread per process, no window, reproducible examples in CI."""
 
+import gc
 import os
 
 # Set before NumPy or torch is imported, here and in the workers that inherit it: the workers share
@@ -44,6 +45,12 @@ def undrawn(monkeypatch):
 def silent_kernels(monkeypatch):
     """Commands do not say that kernels are compiled, which depends on what has run before."""
     monkeypatch.setattr("vergence.cli._tell_of_kernels", lambda: None)
+
+
+def pytest_collection_finish():
+    """Spare the searches for cyclic garbage all that was imported and lives until the end."""
+    gc.collect()
+    gc.freeze()
 
 
 QUICK_S = 2.0
