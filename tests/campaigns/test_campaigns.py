@@ -75,6 +75,6 @@ def test_whatever_a_robot_is_given_is_an_answer_or_one_error_of_ours(tmp_path):
     inputs = Inputs(tmp_path)
     for name, count in (("config", 60), ("log", 60), ("line", 60), ("stream", 1)):
         cases, attempt = inputs.attempts()[name]
-        before = inputs.ended.total()
+        before = inputs.found.ends.total()
         try_each(cases, attempt, 20261125, count)
-        assert inputs.ended.total() > before, name
+        assert inputs.found.ends.total() > before, name
