@@ -27,8 +27,7 @@ ELSEWHERE: Final = {
     "benchmarks/": ("benchmarks",),
     "models/": ("tests/models",),
     "tests/data/": ("tests/models", "tests/triangulation", "tests/eval"),
-    "pyproject.toml": (EVERYTHING,),
-    "constraints.txt": (EVERYTHING,),
+    **dict.fromkeys(("pyproject.toml", "constraints.txt"), (EVERYTHING,)),
 }
 """The rooms of files that stand in none, by how their paths begin."""
 
@@ -109,10 +108,7 @@ def importers(root: Path = ROOT) -> dict[str, set[str]]:
             for room in below - above:
                 found.setdefault(room, set()).update(above)
     for rooms in found.values():
-        for through in (
-            "init",
-            "commands",
-        ):  # the public names, and the commands as they are called
+        for through in ("init", "commands"):  # public names, and then commands as called
             rooms |= found.get(through, set()) if through in rooms else set()
     return found
 
