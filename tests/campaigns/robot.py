@@ -283,6 +283,9 @@ def _config_text() -> str:
         "head": "head.toml",
         "head_digest": HEAD.digest,
         "emulator": {"address": "127.0.0.1:4711"},
+        "places": [
+            {"target": f"tag:36h11:{n}:90", "point_mm": [10.0, -20.0, 900.0]} for n in (1, 2)
+        ],
         "safety": {
             "speed_rad_s": 3.0, "acceleration_rad_s2": 40.0, "image_age_s": 0.5, "lost_s": 0.5,
             "search": True, "overruns": 0.3,
@@ -291,9 +294,9 @@ def _config_text() -> str:
     }  # fmt: skip
     for servo in values["servos"]:
         servo |= {"gear_ratio": 1.0, "lower_rad": -0.1, "upper_rad": 0.1}
-    for eye in values["cameras"].values():
-        eye |= {"source": "http://127.0.0.1:1/x", "pixel_format": "MJPG", "latency_s": 0.1}
-        eye |= {"exposure_s": 0.008}
+    for name, eye in values["cameras"].items():
+        eye |= {"source": f"http://127.0.0.1:1/{name}", "pixel_format": "MJPG"}
+        eye |= {"latency_s": 0.1, "exposure_s": 0.008}
     values["cameras"]["pairing_tolerance_s"] = 0.02
     return toml_text(values)
 

@@ -70,6 +70,13 @@ def test_what_nobody_should_see_of_an_input_is_a_fault(tmp_path):
     raises(ConfigurationError("one line"))
 
 
+def test_the_configuration_that_is_damaged_is_whole(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    inputs = Inputs(tmp_path)
+    inputs.config(((), ()))
+    assert inputs.found.ends == {"answer": 1}
+
+
 @pytest.mark.nightly
 def test_whatever_a_robot_is_given_is_an_answer_or_one_error_of_ours(tmp_path):
     inputs = Inputs(tmp_path)
