@@ -1,8 +1,5 @@
 """Fuzzing of the command line and of every file that it reads.
 
-    python -m tests.campaigns commands                 # ten minutes
-    python -m tests.campaigns commands --minutes 1 --seed 7
-
 Words are drawn and files are damaged by hypothesis. No command may show a stack trace, end with
 another exit code than 0, 1, 2 or 130, or leave something half-written. A command that takes
 longer than the limit is stopped and counted, which is no fault: a person may ask for much.
@@ -211,18 +208,15 @@ class Fuzz:
         self._case = folder / "case"
         self._found = found
 
-    def words(self, words: tuple[str, ...]) -> None:
-        """Try a command line."""
-        fresh(self._case, self._model)
-        self._judge(words, "")
-
     def file(self, name: str, steps: Steps) -> None:
         """Try a command on a damaged file."""
-        fresh(self._case, self._model)
-        damage(next(self._case.glob(name), self._case / name), steps)
-        self._judge(FILES[name], f"{name} after {steps}: ")
+        self.words(FILES[name], name, steps)
 
-    def _judge(self, words: tuple[str, ...], what: str) -> None:
+    def words(self, words: tuple[str, ...], name: str = "", steps: Steps = ()) -> None:
+        """Try a command line, with a file damaged."""
+        fresh(self._case, self._model)
+        if name:
+            damage(next(self._case.glob(name), self._case / name), steps)
         outcome = run(words, self._case, _LIMIT_S)
         stopped = outcome.code is None and outcome.seconds >= _LIMIT_S
         self._found.ends["stopped" if stopped else f"exit code {outcome.code}"] += 1
@@ -234,13 +228,13 @@ class Fuzz:
         if faults:
             last = re.sub(r"[0-9]+", "N", outcome.err.strip().rpartition("\n")[2])[:120]
             kind = f"{', '.join(faults)}: {last}"
-            self._found.add(kind, f"{what}{outcome.words}", outcome.err, self._case)
+            self._found.add(kind, f"{name} {steps} {words}", outcome.err, self._case)
 
 
 def main(words: list[str], folder: Path) -> Findings:
     """Fuzz."""
     only = ("words", *FILES)
-    options = options_of(__doc__, words, minutes=10.0, seed=0, keep="", only=only)
+    options = options_of(__doc__ or "", words, minutes=10.0, seed=0, keep="", only=only)
     load(corpus.WARM)
     found = Findings(Path(options.keep) if options.keep else None)
     fuzz = Fuzz(folder, found)

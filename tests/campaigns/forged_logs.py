@@ -12,18 +12,8 @@ from typing import Any, Final, NamedTuple
 import lz4.frame
 import zstandard
 from hypothesis import strategies as st
+from mcap import records
 from mcap.data_stream import RecordBuilder
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    DataEnd,
-    Footer,
-    Header,
-    Message,
-    Metadata,
-    Schema,
-)
 
 from tests.recording.logged import log_trials
 from vergence.recording import schema
@@ -71,12 +61,11 @@ class Edit(NamedTuple):
     value: int
 
 
-@st.composite
-def edits(draw: Any) -> tuple[Edit, ...]:
-    """Strategy for edits of a log, one to three."""
+def edits() -> st.SearchStrategy[tuple[Edit, ...]]:
+    """One to three edits of a log."""
     numbers = st.integers(0, 2**20)
     one = st.builds(Edit, st.sampled_from(EDITS), numbers, numbers, numbers)
-    return tuple(draw(st.lists(one, min_size=1, max_size=3)))
+    return st.lists(one, min_size=1, max_size=3).map(tuple)
 
 
 class _Parts(NamedTuple):
@@ -95,13 +84,13 @@ def parts(folder: Path) -> _Parts:
     found = _Parts([], {}, {})
     topics: dict[int, str] = {}
     for one in read_records(path):
-        if isinstance(one, Channel):
+        if isinstance(one, records.Channel):
             topics[one.id] = one.topic
-        elif isinstance(one, Message):
+        elif isinstance(one, records.Message):
             found.messages.append([topics[one.channel_id], json.loads(one.data)])
-        elif isinstance(one, Metadata):
+        elif isinstance(one, records.Metadata):
             found.facts.update(one.metadata)
-        elif isinstance(one, Attachment):
+        elif isinstance(one, records.Attachment):
             found.files[one.name] = one.data.decode()
     nan = [None, None]
     seen = {"eye": "left", "exposed_s": 4.9, "ready_s": 5.0, "positions": [0.0] * 7,
@@ -116,13 +105,7 @@ def parts(folder: Path) -> _Parts:
 
 
 def forged(whole: _Parts, steps: Sequence[Edit], images: Sequence[str]) -> bytes:
-    """The file of a log after some edits.
-
-    Args:
-        whole: log to edit; it is not changed.
-        steps: the edits.
-        images: base64 in place of that of images.
-    """
+    """The file of a log after some edits; images are base64 in place of those of a log."""
     log, more = copy.deepcopy(whole), {}
     for step in steps:
         if log.messages:
@@ -207,22 +190,24 @@ def _bomb() -> bytes:
 
 def _file(log: _Parts, more: dict[str, Edit]) -> bytes:
     out = RecordBuilder()
-    Header(profile="", library="vergence").write(out)
+    records.Header(profile="", library="vergence").write(out)
     for name, text in log.files.items():
-        Attachment(0, 0, name, "application/toml", text.encode("utf-8", "replace")).write(out)
-    Metadata(name=schema.FACTS_RECORD_NAME, metadata=log.facts).write(out)
+        records.Attachment(0, 0, name, "application/toml", text.encode("utf-8", "replace")).write(
+            out
+        )
+    records.Metadata(name=schema.FACTS_RECORD_NAME, metadata=log.facts).write(out)
     inside = RecordBuilder()
     numbers = {topic.name: number for number, topic in enumerate(schema.TOPICS, 1)}
     for topic in schema.TOPICS:
         number, kind = numbers[topic.name], "protobuf" if "encoding" in more else "json"
-        Schema(number, topic.encoded_schema, "jsonschema", topic.schema_name).write(inside)
-        Channel(number, topic.name, kind, {}, number).write(inside)
+        records.Schema(number, topic.encoded_schema, "jsonschema", topic.schema_name).write(inside)
+        records.Channel(number, topic.name, kind, {}, number).write(inside)
     for place, (topic, message) in enumerate(log.messages):
         again = more.get("channel")
         if again is not None and place == again.where % (len(log.messages) + 1):
             other = schema.TOPICS[again.value % len(schema.TOPICS)].name
-            Channel(1 + again.field % len(numbers), other, "json", {}, 60000).write(inside)
-        Message(
+            records.Channel(1 + again.field % len(numbers), other, "json", {}, 60000).write(inside)
+        records.Message(
             channel_id=numbers[topic], log_time=2**63, data=_encoded(message),
             publish_time=0, sequence=place,
         ).write(inside)  # fmt: skip
@@ -233,12 +218,12 @@ def _file(log: _Parts, more: dict[str, Edit]) -> bytes:
     size = len(plain)
     if "size" in more:
         size = (0, 1, 2**40, 2**63, size - 1)[more["size"].value % 5]
-    Chunk(compression, bytes(pack(plain)), 2**63, 0, zlib.crc32(plain), size).write(out)
+    records.Chunk(compression, bytes(pack(plain)), 2**63, 0, zlib.crc32(plain), size).write(out)
     if "bomb" in more:
         step = more["bomb"]
         for _ in range(1 + step.where % 3):
             size = (len(plain), 2**25, _BOMB)[step.value % 3]
-            Chunk("zstd", _bomb(), 0, 0, 0, size).write(out)
-    DataEnd(0).write(out)
-    Footer(0, 0, 0).write(out)
+            records.Chunk("zstd", _bomb(), 0, 0, 0, size).write(out)
+    records.DataEnd(0).write(out)
+    records.Footer(0, 0, 0).write(out)
     return _MAGIC + out.end() + _MAGIC

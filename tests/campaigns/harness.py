@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
-from hypothesis import strategies as st
 
 from vergence.controllers.controller import CONTROLLERS
 
@@ -45,11 +44,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 _TRACE: Final = re.compile(r"Traceback \(most recent call last\)|^  File \"", re.MULTILINE)
 
 
-def options_of(doc: str | None, words: Sequence[str], **options: Any) -> argparse.Namespace:
+def options_of(doc: str, words: Sequence[str], **options: Any) -> argparse.Namespace:
     """Options of a campaign: each has a default, or choices of which one or more are taken."""
-    parser = argparse.ArgumentParser(
-        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=doc.partition("\n")[0])
     for name, given_ in options.items():
         if isinstance(given_, tuple):
             parser.add_argument(f"--{name}", nargs="+", choices=given_, default=given_)
@@ -68,11 +65,7 @@ def rounds(minutes: float, number: int) -> Iterator[int]:
 
 
 class Findings:
-    """Ends of inputs, and their faults by kind.
-
-    Args:
-        keep: folder that receives the folders of faults; None to drop them.
-    """
+    """Ends of inputs, and their faults by kind; a folder may keep the files of these."""
 
     def __init__(self, keep: Path | None = None) -> None:
         self.keep = keep
@@ -80,7 +73,6 @@ class Findings:
         self.faults: dict[str, list[str]] = {}
 
     def add(self, kind: str, case: str, trace: str, folder: Path | None = None) -> None:
-        """Add a fault, and show it if it is the first of its kind."""
         cases = self.faults.setdefault(kind, [])
         cases.append(case)
         if len(cases) == 1:
@@ -89,12 +81,10 @@ class Findings:
                 shutil.copytree(folder, self.keep / f"{len(self.faults):03d}", symlinks=True)
 
     def show(self, what: str) -> None:
-        """Show the ends of inputs so far."""
         said = ", ".join(f"{end}: {count}" for end, count in sorted(self.ends.items()))
         print(f"{what}: {self.ends.total()} tried; {said}", flush=True)
 
     def report(self) -> int:
-        """Show all faults; 1 if there are any."""
         for kind, cases in self.faults.items():
             print(f"{len(cases)} x {kind}\n  {cases[0]}")
         print(f"{len(self.faults)} kinds of fault")
@@ -152,15 +142,7 @@ def run(
     begin: Callable[[], None] = lambda: None,
     watch: Callable[[int, float], None] = lambda pid, seconds: None,
 ) -> Outcome:
-    """Run a command in a folder; its HOME, caches and data lie beside it.
-
-    Args:
-        words: words of the command line.
-        folder: the current folder of the command.
-        limit_s: time limit, s, after which it is killed.
-        begin: called in the child before the command.
-        watch: see `forked`.
-    """
+    """Run a command in a folder; its HOME, caches and data lie beside it. See `forked`."""
     said = folder.parent / f"{folder.name}.said"
     said.mkdir(exist_ok=True)
 
@@ -196,11 +178,7 @@ def forked(
 ) -> tuple[int | None, float, int]:
     """Work in a child, which is killed after a time with all that it has started.
 
-    Args:
-        work: called in the child, whose exit code it returns.
-        limit_s: time limit, s.
-        watch: called in the parent, again and again, with the child's number and the seconds
-            since it began.
+    The parent calls `watch` again and again, with the child's number and age in seconds.
 
     Returns:
         Exit code, or None if a signal ended it; seconds; greatest memory, KiB.
@@ -245,9 +223,7 @@ def fresh(path: Path, model: Path | None = None) -> Path:
     return path
 
 
-def try_each(
-    cases: st.SearchStrategy[Any], attempt: Callable[[Any], None], number: int, count: int
-) -> None:
+def try_each(cases: Any, attempt: Callable[[Any], None], number: int, count: int) -> None:
     """Try some inputs of a strategy; they are drawn anew for another number."""
 
     @seed(number)

@@ -1,8 +1,5 @@
 """Kills, full disks and lost permission at random moments of the commands that take long.
 
-    python -m tests.campaigns interruptions  # 50 moments each
-    python -m tests.campaigns interruptions --moments 5 --commands tune --faults kill
-
 A moment is a time, or just before the command's n-th change of its files, which is where faults
 do harm. After it nothing may be half-written under its own name; with the disk full or closed
 the command says so in a line; and the next call goes on, or says why not, and comes to the same
@@ -211,6 +208,8 @@ def visible(folder: Path) -> set[str]:
 
 def check(command: str, folder: Path, reference: Reference | None) -> list[str]:
     """Faults of a folder: results that are half-written under their final names."""
+    from vergence.training.config import load_run
+
     found: list[str] = []
     for place in folder.iterdir():
         if place.name.startswith(".") or not place.is_dir():
@@ -224,7 +223,10 @@ def check(command: str, folder: Path, reference: Reference | None) -> list[str]:
         if command == "reproduce":
             found += _unfinished(place)
         if command == "train":
-            found += _untrained(place)
+            try:
+                load_run(place)
+            except VergenceError as error:
+                found.append(str(error))
     return found
 
 
@@ -265,24 +267,10 @@ def _unfinished(folder: Path) -> list[str]:
     return found
 
 
-def _untrained(folder: Path) -> list[str]:
-    from vergence.training.config import load_run
-
-    try:
-        load_run(folder)
-    except VergenceError as error:
-        return [str(error)]
-    return []
-
-
 def try_moment(
     trial: Trial, command: str, reference: Reference, rng: random.Random
 ) -> tuple[str, str, list[str]]:
-    """Strike once, look, mend, call again, look.
-
-    Returns:
-        Moment, exit codes, and faults.
-    """
+    """Strike once, look, mend, call again, look: the moment, exit codes, and faults."""
     trial.empty()
     words, out, same = COMMANDS[command]
     if rng.random() < 0.5:
@@ -340,7 +328,7 @@ def disk(folder: Path, fault: str) -> Iterator[Path]:
 def main(words: list[str], folder: Path) -> Findings:
     """Interrupt."""
     options = options_of(
-        __doc__, words, moments=50, seed=0, commands=tuple(COMMANDS), faults=FAULTS
+        __doc__ or "", words, moments=50, seed=0, commands=tuple(COMMANDS), faults=FAULTS
     )
     load(corpus.WARM)
     found = Findings()

@@ -1,8 +1,5 @@
 """Fuzzing of what a robot is given: its configuration, its log, and its streams.
 
-    python -m tests.campaigns robot                 # five minutes of each
-    python -m tests.campaigns robot --minutes 1 --seed 7 --only log
-
 Whatever comes, there is an answer or one error of the package, each of whose lines is a line; no
 warning, no hang, no memory without bound, and nothing that the input names is run.
 """
@@ -255,7 +252,7 @@ class Inputs:
             kind += f" {places[-1].strip()[-110:]}" if places else ""
             self.found.add(kind, f"{name} {case!r:.1500}", trace)
 
-    def attempts(self) -> dict[str, tuple[st.SearchStrategy[Any], Callable[[Any], None]]]:
+    def attempts(self) -> dict[str, tuple[Any, Callable[[Any], None]]]:
         """Strategy and way to try by name of input."""
         laws = st.sampled_from(("", "", "state-feedback", "ibvs", "pid"))
         return {
@@ -268,13 +265,11 @@ class Inputs:
 
 @st.composite
 def configs(draw: Any) -> tuple[Any, ...]:
-    """Strategy for edits of a configuration's lines, and sometimes of its bytes."""
+    """Edits of a configuration's lines, and sometimes of its bytes."""
     kinds = st.sampled_from(("value", "value", "value", "key", "more", "without", "twice"))
-    step = st.tuples(
-        kinds, st.integers(0, 2**16), st.sampled_from(_SPECIAL), st.sampled_from(_KEYS)
-    )
-    lines = tuple(draw(st.lists(step, min_size=1, max_size=3)))
-    return lines, draw(damages()) if draw(st.integers(0, 3)) == 0 else ()
+    words = (st.sampled_from(_SPECIAL), st.sampled_from(_KEYS))
+    lines = st.lists(st.tuples(kinds, st.integers(0, 2**16), *words), min_size=1, max_size=3)
+    return draw(lines), draw(damages()) if draw(st.integers(0, 3)) == 0 else ()
 
 
 def _config_text() -> str:
@@ -333,7 +328,7 @@ def _look(script: forged_streams.Script) -> str:
 def main(words: list[str], folder: Path) -> Findings:
     """Fuzz."""
     options = options_of(
-        __doc__,
+        __doc__ or "",
         words,
         minutes=5.0,
         seed=time.time_ns() % 10**6,
