@@ -57,13 +57,12 @@ _FORBIDDEN: Final = ("os.system", "os.exec", "os.posix_spawn", "subprocess.Popen
 
 _SPECIAL: Final = (
     "nan", "-inf", "-1", "0", "1e300", "true", '""', '" "', "[]", "{}", "[[]]", "1979-05-27",
-    "0x" + "f" * 9000, "9" * 400, "9" * 5000, "-0x1", "[" * 30000 + "]" * 30000, '"a\\nb"',
-    '"\\u0000"', '"\\u001b[31m"', '"/dev/zero"', '"/dev/stdin"', '"FIFO"', '"FIFO.toml"', '"."',
-    '"evil.py:X"', '"evil.py"', '"robot.toml"', '"../x"', '"/proc/self/mem"',
-    '"tag:36h11:5:1e999"', '"tag:36h11:99999999999999999999"', '"checkerboard:99999999x99999999:1"',
-    '"charuco:7x5:40:30:4X4_50"', '"checkerboard:0x0"', '"tag:' + "9" * 5000 + '"', '"\\u0663"',
-    '"http://[::1"', '"' + "a" * 5000 + '"', "[1, 2, 3]", "{a = 1}", "2048", "1", '"left_pan"',
-    '"simulated"', '"h:99999"', "[0.1, 0.2]", "[nan, 1]", "0.001",
+    "0x" + "f" * 9000, "9" * 5000, "[" * 30000 + "]" * 30000, '"a\\nb"', '"\\u001b[31m"',
+    '"\\u0000"', '"/dev/zero"', '"/dev/stdin"', '"FIFO"', '"FIFO.toml"', '"."', '"evil.py:X"',
+    '"robot.toml"', '"../x"', '"/proc/self/mem"', '"tag:36h11:5:1e999"', '"tag:36h11:9999999999999"',
+    '"checkerboard:99999999x99999999:1"', '"charuco:7x5:40:30:4X4_50"', '"checkerboard:0x0"',
+    '"tag:' + "9" * 5000 + '"', '"\\u0663"', '"http://[::1"', '"' + "a" * 5000 + '"', "[1, 2, 3]",
+    "{a = 1}", "2048", "1", '"left_pan"', '"simulated"', '"h:99999"', "[nan, 1]", "0.001",
 )  # fmt: skip
 _KEYS: Final = ("x", '"a\\nb"', '"\\u001b"', '""', "head", "port", "servos", "safety", "id", "'é'")
 
