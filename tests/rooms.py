@@ -157,11 +157,10 @@ def main(words: list[str], root: Path = ROOT) -> int:
     known = {room.removeprefix("tests/") for room in set(above).union(*above.values())}
     known |= {path.stem.removeprefix("test_") for path in (root / "tests").glob("test_*.py")}
     names = [word.strip("_/") for word in words]
-    for name in names:
-        if name not in known:
-            rooms = ", ".join(room for room in sorted(known) if places_of({room}, root))
-            print(f"no room {name}: expected some of {rooms}", file=sys.stderr)
-            return 2
+    for name in {*names} - known:
+        rooms = ", ".join(room for room in sorted(known) if places_of({room}, root))
+        print(f"no room {name}: expected some of {rooms}", file=sys.stderr)
+        return 2
     try:
         rooms = {*names, *(f"tests/{name}" for name in names)} or changed(root)
     except ConfigurationError as error:

@@ -88,7 +88,7 @@ def test_the_pages_table_of_the_observation_is_that_of_the_layout() -> None:
     layout = ObservationLayout.of(load_head("simulated"))
     for row in cells:
         part = FIELDS[row[1].strip("`")]
-        low, high = (float(number) for number in row[4].split(" to "))
+        low, high = map(float, row[4].split(" to "))
         assert (layout.low()[part] == low).all()
         assert (layout.high()[part] == high).all()
 

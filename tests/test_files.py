@@ -3,6 +3,7 @@
 import errno
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
@@ -37,12 +38,17 @@ def test_the_file_being_written_has_the_suffix_of_its_name(tmp_path):
         partial.touch()
 
 
-def test_a_failure_leaves_the_former_file(tmp_path):
+def test_a_failure_leaves_the_former_file_or_folder(tmp_path):
     write_atomic(tmp_path / "file", "before")
     with pytest.raises(TypeError), atomic_file(tmp_path / "file") as partial:
         partial.write_text(b"no text")
     assert (tmp_path / "file").read_text() == "before"
-    assert names(tmp_path) == ["file"]
+    with atomic_folder(tmp_path / "run") as folder:
+        (folder / "one").touch()
+    with pytest.raises(FileNotFoundError), atomic_folder(tmp_path / "run") as folder:
+        (folder / "missing" / "two").touch()
+    assert names(tmp_path) == ["file", "run"]
+    assert names(tmp_path / "run") == ["one"]
 
 
 def test_the_last_of_several_files_comes_last(tmp_path, monkeypatch):
@@ -69,23 +75,9 @@ def test_a_folder_replaces_the_former_one_whole(tmp_path):
     assert names(tmp_path / "deep" / "run") == ["two"]
 
 
-def test_a_failure_leaves_the_former_folder(tmp_path):
-    with atomic_folder(tmp_path / "run") as folder:
-        (folder / "one").touch()
-    with pytest.raises(FileNotFoundError), atomic_folder(tmp_path / "run") as folder:
-        (folder / "missing" / "two").touch()
-    assert names(tmp_path) == ["run"]
-    assert names(tmp_path / "run") == ["one"]
-
-
 def test_a_folder_that_somebody_else_has_filled_meanwhile_is_kept(tmp_path):
-    def fill() -> None:
-        with atomic_folder(tmp_path / "run"):
-            (tmp_path / "run").mkdir()
-            (tmp_path / "run" / "theirs").touch()
-
-    with pytest.raises(OSError, match="not empty"):
-        fill()
+    with pytest.raises(OSError, match="not empty"), atomic_folder(tmp_path / "run"):
+        fill(tmp_path / "run")
     assert names(tmp_path) == ["run"]
     assert names(tmp_path / "run") == ["theirs"]
 
@@ -120,18 +112,17 @@ def test_a_folder_is_saved_under_its_name_which_an_empty_one_makes_free(tmp_path
         assert names(place) == ["mine"]
 
 
-@pytest.mark.parametrize("taken_by", ["folder", "file", "dangling link"])
-def test_a_folder_whose_name_is_taken_meanwhile_is_saved_beside_it(tmp_path, taken_by):
+def fill(folder) -> None:
+    folder.mkdir()
+    (folder / "theirs").touch()
+
+
+@pytest.mark.parametrize("take", [fill, Path.touch, lambda path: path.symlink_to("nowhere")])
+def test_a_folder_whose_name_is_taken_meanwhile_is_saved_beside_it(tmp_path, take):
     def write(folder) -> None:
         write_mine(folder)
         for name in ("run", "run-2"):
-            if taken_by == "folder":
-                (tmp_path / name).mkdir()
-                (tmp_path / name / "theirs").touch()
-            elif taken_by == "file":
-                (tmp_path / name).touch()
-            else:
-                (tmp_path / name).symlink_to("nowhere")
+            take(tmp_path / name)
 
     assert save_folder_at_free_path(tmp_path / "run", write) == tmp_path / "run-3"
     assert names(tmp_path) == ["run", "run-2", "run-3"]
@@ -139,8 +130,7 @@ def test_a_folder_whose_name_is_taken_meanwhile_is_saved_beside_it(tmp_path, tak
 
 
 def test_a_folder_that_can_be_saved_nowhere_fails_once(tmp_path, monkeypatch):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "theirs").touch()
+    fill(tmp_path / "run")
 
     def refuse(_source, target) -> None:
         raise PermissionError(13, "Permission denied", target)

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 
 import pytest
 
@@ -86,7 +85,7 @@ def test_ctrl_c_while_the_package_is_imported_is_one_line_and_exit_code_130():
 def end_of(restored, monkeypatch, capsys):
     """Exit code and last words of the command line, if a function takes the command's place."""
 
-    def end(command: Callable[[list[str]], None]) -> tuple[int, str]:
+    def end(command) -> tuple[int, str]:
         monkeypatch.setattr(interrupts, "_interrupted", False)
         monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
         monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)

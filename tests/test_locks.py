@@ -67,7 +67,6 @@ def test_two_names_of_one_place_have_one_lock_and_its_neighbour_another(tmp_path
 
 
 def test_the_next_one_never_holds_a_lock_whose_file_has_been_removed(tmp_path):
-    """A process that opened the file while it was removed notices, and makes a new one."""
     with hold_lock(tmp_path / "run"):
         (tmp_path / f".run{SUFFIX}").unlink()
         with hold_lock(tmp_path / "run"):

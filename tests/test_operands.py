@@ -49,13 +49,9 @@ def sizes(core, length):
 
 
 def fitting(kernel, length=1):
-    """Operands that fit a kernel; dimensions of any size have the length.
-
-    They are truth values, which stand for numbers where a kernel asks for those.
-    """
-    return [
-        np.zeros(sizes(core, length), np.bool_) for core in kernel.input_core_dimensions.values()
-    ]
+    """Truth values, which stand for numbers, that fit a kernel; what is open has the length."""
+    cores = kernel.input_core_dimensions.values()
+    return [np.zeros(sizes(core, length), np.bool_) for core in cores]
 
 
 def each_operand():
@@ -258,7 +254,6 @@ class Misreporting(Robot):
     field, value = "positions", None
 
     def step(self, command):
-        """See `Plant.step`."""
         told = super().step(command)
         return told._replace(**{self.field: self.value}) if self.field else self.value
 
@@ -269,7 +264,6 @@ class Narrow(Robot):
     told = None
 
     def step(self, command):
-        """See `Plant.step`."""
         now = super().step(command)
         self.told = self.told or Reading(*(np.float32(one) for one in now))
         for own, one in zip(self.told, now, strict=True):

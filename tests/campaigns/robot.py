@@ -62,8 +62,8 @@ _SPECIAL: Final = (
     '"robot.toml"', '"../x"', '"/proc/self/mem"', '"tag:36h11:5:1e999"', '"checkerboard:0x0"',
     '"tag:36h11:99999999999999999999"', '"charuco:7x5:40:30:4X4_50"', '"\\u0663"',
     '"checkerboard:99999999x99999999:1"', '"tag:' + "9" * 5000 + '"', '"http://[::1"',
-    '"' + "a" * 5000 + '"', "[1, 2, 3]", "{a = 1}", "2048", "1", '"left_pan"', '"simulated"', '"h:99999"',
-    "[nan, 1]", "0.001",
+    '"' + "a" * 5000 + '"', "[1, 2, 3]", "{a = 1}", "2048", "1", '"left_pan"', '"simulated"',
+    '"h:99999"', "[nan, 1]", "0.001",
 )  # fmt: skip
 _KEYS: Final = ("x", '"a\\nb"', '"\\u001b"', '""', "head", "port", "servos", "safety", "id", "'é'")
 
