@@ -110,9 +110,8 @@ def write_package(tmp_path):
     def write(sources: dict[str, str]) -> Path:
         package = Path(tempfile.mkdtemp(dir=tmp_path)) / "vergence"
         for name, source in {"__init__.py": "", **sources}.items():
-            path = package / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(source)
+            (package / name).parent.mkdir(parents=True, exist_ok=True)
+            (package / name).write_text(source)
         return package
 
     return write

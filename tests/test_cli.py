@@ -174,19 +174,14 @@ def test_a_head_file_that_cannot_be_names_key_and_value(tmp_path, capsys):
     assert "44.8" in err
 
 
-def test_mjcf_is_exported_with_its_assets_and_loads(tmp_path, capsys):
-    folder = tmp_path / "mjcf"
-    assert call("export", "mjcf", "--head", "physical", "--out", str(folder)) == 0
+def test_mjcf_is_exported_with_its_assets_and_loads_and_urdf_is(tmp_path, capsys):
+    assert call("export", "mjcf", "--head", "physical", "--out", str(tmp_path / "mjcf")) == 0
     models = [path for path in capsys.readouterr().out.split() if path.endswith(".xml")]
     assert models
     for path in models:
         assert mujoco.MjModel.from_xml_path(path).njnt == 7
-
-
-def test_urdf_is_exported(tmp_path, capsys):
-    folder = tmp_path / "urdf"
-    assert call("export", "urdf", "--out", str(folder)) == 0
-    (path,) = (p for p in capsys.readouterr().out.split() if p.endswith(".urdf"))
+    assert call("export", "urdf", "--out", str(tmp_path / "urdf")) == 0
+    (path,) = (path for path in capsys.readouterr().out.split() if path.endswith(".urdf"))
     assert "left_tilt" in Path(path).read_text()
 
 

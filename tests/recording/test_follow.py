@@ -131,16 +131,13 @@ def test_an_open_log_gives_what_its_writer_has_flushed(tmp_path):
     log = open_log(tmp_path / "open.mcap", clock, facts={"seed": "7"})
     with log, LogFollower(log.path) as follower:
         assert follower.poll() is None
-        assert follower.head.digest == HEAD.digest
-        assert follower.config == "# a robot"
+        assert (follower.head.digest, follower.config) == (HEAD.digest, "# a robot")
         assert follower.facts["seed"] == "7"
         log_trial(log, clock, 3)
         assert len(follower.poll().readings) == 4
-        assert follower.poll() is None
-        assert not follower.closed
+        assert (follower.poll(), follower.closed) == (None, False)
         log.close()
-        assert follower.poll() is None
-        assert follower.closed
+        assert (follower.poll(), follower.closed) == (None, True)
 
 
 def test_a_record_that_is_cut_off_waits_for_its_rest(logged, tmp_path):

@@ -59,10 +59,8 @@ def test_depth_noise_grows_with_the_square_of_depth_over_the_baseline(head: Head
 def test_noise_that_cannot_be_is_refused_by_name() -> None:
     for key, value, expected in (
         ("pixel_px", -0.1, ">= 0"),
-        ("joint_rad", -1e-3, ">= 0"),
         ("pixel_px", np.nan, "finite"),
         ("joint_rad", np.inf, "finite"),
-        ("pixel_px", [0.1, 0.1], r"\(\.\.\., 2, 2\)"),
         ("pixel_px", np.ones((2, 3)), r"\(\.\.\., 2, 2\)"),
         ("joint_rad", np.ones(4), r"\(\.\.\., 7\)"),
         ("joint_rad", "large", "large"),
