@@ -99,14 +99,6 @@ def test_tables_of_imperfections_are_those_of_the_code(name) -> None:
     assert made(page(name)) == page(name)
 
 
-def test_the_modules_that_the_page_of_architecture_names_are_there() -> None:
-    text = page("docs/architecture.md") + page("docs/images/architecture.svg")
-    named = set(re.findall(r"[\w/]+/(?:\w+\.py)?(?=[`,<])", text))
-    assert len(named) > 20
-    rooms = [ROOT / "vergence" / room for room in ("", "envs", "eval")]
-    assert [path for path in named if not any((room / path).exists() for room in rooms)] == []
-
-
 @pytest.mark.parametrize("name", [name for name in vergence.__all__ if name != "__version__"])
 def test_each_public_name_has_an_example_that_holds(name) -> None:
     (example,) = doctest.DocTestFinder(recurse=False).find(getattr(vergence, name), name)
@@ -167,8 +159,7 @@ def test_the_plant_of_the_docs_skips_late_periods_and_stops_when_they_go_on(own_
 def test_a_controller_of_ones_own_takes_fifteen_lines() -> None:
     block = next(block for block in examples("docs/guide.md") if "class " in block)
     body = block[block.index("class ") : block.index("head = ")]
-    lines = [line for line in body.splitlines() if line.strip()]
-    assert len(lines) <= 15
+    assert len(list(filter(str.strip, body.splitlines()))) <= 15
 
 
 def anchors_of(text: str) -> set[str]:
@@ -195,20 +186,21 @@ def test_links_between_pages_lead_to_a_file_and_a_heading() -> None:
     assert broken == []
 
 
-def test_modules_that_pages_name_exist() -> None:
+def test_modules_and_places_that_pages_name_exist() -> None:
     known = {"mine.py", "my_plant.py", "file.py"}  # a reader's own
     for folder in ("vergence", "tests", "benchmarks", "docs"):
         known |= {path.name for path in (ROOT / folder).rglob("*.py")}
     text = "\n".join(map(page, (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"))))
     assert set(re.findall(r"\w+\.py\b", text)) - known == set()
-
-
-def test_the_places_that_contributing_names_exist() -> None:
+    text = page("docs/architecture.md") + page("docs/images/architecture.svg")
+    named = set(re.findall(r"[\w/]+/(?:\w+\.py)?(?=[`,<])", text))
+    assert len(named) > 20
+    rooms = [ROOT / "vergence" / room for room in ("", "envs", "eval")]
+    assert [path for path in named if not any((room / path).exists() for room in rooms)] == []
     text = page("CONTRIBUTING.md")
-    places = set(re.findall(r"`((?:vergence|tests|docs|benchmarks)/[^`*]*)`", text))
-    questions = re.findall(r"^\| .*\? \| `[^`]+` \|$", text, flags=re.MULTILINE)
-    assert len(questions) >= 20
-    assert {place for place in places if not (ROOT / place).exists()} == set()
+    assert len(re.findall(r"^\| .*\? \| `[^`]+` \|$", text, flags=re.MULTILINE)) >= 20
+    places = re.findall(r"`((?:vergence|tests|docs|benchmarks)/[^`*]*)`", text)
+    assert [place for place in places if not (ROOT / place).exists()] == []
 
 
 def test_the_configuration_of_a_robot_is_read_as_it_stands(tmp_path) -> None:

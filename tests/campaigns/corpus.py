@@ -73,11 +73,7 @@ OVERRIDES: Final = "[time-response]\ntrials = 3\ngain = 4.5\npoint_mm = [0.0, -1
 
 
 def make(folder: Path) -> Path:
-    """A folder with a head, a controller, and a run folder of each command.
-
-    Raises:
-        AssertionError: a command fails that should not.
-    """
+    """A folder with a head, a controller, and a run folder of each command."""
     fresh(folder)
     save_head(load_head("simulated"), folder / "head.toml")
     robot = document()
@@ -96,8 +92,8 @@ def make(folder: Path) -> Path:
     for words in MAKE:
         outcome = run(words, folder, 120.0)
         # a gaze of a tenth of a second does not settle, and says so
-        if outcome.code not in ((0, 1) if words[0] == "gaze" else (0,)):
-            raise AssertionError(f"{' '.join(words)}: {outcome.code}: {outcome.err}")
+        allowed = (0, 1) if words[0] == "gaze" else (0,)
+        assert outcome.code in allowed, f"{' '.join(words)}: {outcome.code}: {outcome.err}"
     shutil.copy(folder / "u" / "tied.urdf", folder / "robot.urdf")
     with zipfile.ZipFile(folder / "b.vgp") as bundle:
         (network,) = (name for name in bundle.namelist() if name.endswith(".onnx"))

@@ -20,9 +20,8 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
@@ -91,13 +90,10 @@ class Findings:
         return int(bool(self.faults))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """Result of a command."""
+class Outcome(NamedTuple):
+    """Result of a command; one that a signal has ended, at its limit too, has no exit code."""
 
-    words: tuple[str, ...]
     code: int | None
-    """None for a command that a signal has ended, that of the limit included."""
     seconds: float
     out: str
     err: str
@@ -168,7 +164,7 @@ def run(
 
     code, seconds, _ = forked(command, limit_s, watch)
     out, err = ((said / name).read_text("utf-8", "replace") for name in ("out", "err"))
-    return Outcome(words=tuple(words), code=code, seconds=seconds, out=out, err=err)
+    return Outcome(code, seconds, out, err)
 
 
 def forked(

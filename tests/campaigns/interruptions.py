@@ -18,7 +18,6 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -65,15 +64,12 @@ _CHANGES: Final = frozenset(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reference:
-    """A command that was left alone."""
+class Reference(NamedTuple):
+    """A command that was left alone: its changes of files, and the files of its run folder."""
 
     seconds: float
     changes: int
-    """Number of changes of files."""
     files: frozenset[str]
-    """Files in its run folder."""
     same: bytes
 
 
@@ -177,8 +173,7 @@ class Trial:
         self.empty()
         words, out, same = COMMANDS[command]
         outcome = self.run(words)
-        if outcome.code not in (0, 1):
-            raise AssertionError(f"{command} without a fault: {outcome.code}: {outcome.err}")
+        assert outcome.code in (0, 1), f"{command} without a fault: {outcome.code}: {outcome.err}"
         place = self.folder / out
         return Reference(
             seconds=outcome.seconds,

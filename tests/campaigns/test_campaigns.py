@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError
 
 
 def outcome(code=0, out="", err=""):
-    return Outcome(words=("gaze",), code=code, seconds=1.0, out=out, err=err)
+    return Outcome(code, 1.0, out, err)
 
 
 def test_what_nobody_should_see_of_a_command_is_a_fault():
