@@ -207,15 +207,11 @@ class Fuzz:
         self._case = folder / "case"
         self._found = found
 
-    def file(self, name: str, steps: Steps) -> None:
-        """Try a command on a damaged file."""
-        self.words(FILES[name], name, steps)
-
     def words(self, words: tuple[str, ...], name: str = "", steps: Steps = ()) -> None:
         """Try a command line, with a file damaged."""
         fresh(self._case, self._model)
         if name:
-            damage(next(self._case.glob(name), self._case / name), steps)
+            damage(min(self._case.glob(name), default=self._case / name), steps)
         outcome = run(words, self._case, _LIMIT_S)
         stopped = outcome.code is None and outcome.seconds >= _LIMIT_S
         self._found.ends["stopped" if stopped else f"exit code {outcome.code}"] += 1
@@ -242,6 +238,7 @@ def main(words: list[str], folder: Path) -> Findings:
             try_each(command_lines(), fuzz.words, number, _WORDS)
         for place, name in enumerate(FILES):
             if name in options.only:
-                try_each(damages(), partial(fuzz.file, name), 97 * number + place, _DAMAGES)
+                attempt = partial(fuzz.words, FILES[name], name)
+                try_each(damages(), attempt, 97 * number + place, _DAMAGES)
         found.show("commands")
     return found
