@@ -67,58 +67,54 @@ def actuator(name: str, joints: str, limits: str = LIMITS) -> str:
 
 
 TEXTS: Final = {
-    "tied": (
-        joint("neck_pitch", "neck", (0, 0, 0), (1, 0, 0))
-        + joint("neck_roll", "neck", (0, 0, 0), (0, 0, 1))
-        + joint("neck_yaw", "neck", (0, -0.1, 0), (0, 1, 0))
-        + joint("eyes_tilt", "both", (0, -0.05, 0.05), (1, 0, 0))
-        + joint("left_pan", "left", (-0.034, 0, 0), (0, 1, 0), "")
-        + joint("right_pan", "right", (0.034, 0, 0), (0, 1, 0), "")
-        + IMAGE
-        + eyes()
-        + actuator("tilt", "eyes_tilt = 1.0")
-        + actuator("version", "left_pan = 1.0, right_pan = 1.0")
-        + actuator(
-            "vergence",
-            "left_pan = 0.5, right_pan = -0.5",
-            "lower_rad = 0.0\nupper_rad = 1.2\nvelocity_rad_s = 5.0\nacceleration_rad_s2 = 80.0\n",
-        )
-    ),
-    "mis": (
-        joint("left_tilt", "left", (-0.034, 0, 0), (1, 0.01, 0))
-        + joint("left_pan", "left", (0, 0, 0.01), (0, 1, 0))
-        + joint("right_tilt", "right", (0.034, 0.001, 0), (1, 0, 0.01))
-        + joint("right_pan", "right", (0, 0, 0.01), (0, 1, 0))
-        + IMAGE
-        + eyes()
-        + actuator("tilt", "left_tilt = 1.0, right_tilt = 1.0")
-        + actuator("left_pan", "left_pan = 1.0")
-        + actuator("right_pan", "right_pan = 1.0")
-    ),
-    "panfirst": (
-        "".join(
-            joint(f"{eye}_pan", eye, (side * 0.1, 0, 0), (0, 1, 0))
-            + joint(f"{eye}_tilt", eye, (0, -0.05, 0.02), (1, 0, 0))
-            for eye, side in (("left", -1), ("right", 1))
-        )
-        + IMAGE
-        + eyes((0, -0.02, 0.03), (0, -0.02, 0.03))
-    ),
-    "common": (
-        joint("pan", "both", (0, 0, 0), (0, 1, 0))
-        + joint("tilt", "both", (0, -0.05, 0.02), (1, 0, 0))
-        + IMAGE
-        + eyes((-0.05, 0, 0), (0.05, 0, 0))
-    ),
-    "vergeonly": (
-        joint("pan", "neck", (0, 0, 0), (0, 1, 0))
-        + joint("left_pan", "left", (-0.03, 0, 0), (0, 1, 0))
-        + joint("right_pan", "right", (0.03, 0, 0), (0, 1, 0))
-        + IMAGE
-        + eyes()
-    ),
+    "tied": "".join((
+        joint("neck_pitch", "neck", CENTRE, (1, 0, 0)),
+        joint("neck_roll", "neck", CENTRE, (0, 0, 1)),
+        joint("neck_yaw", "neck", (0, -0.1, 0), (0, 1, 0)),
+        joint("eyes_tilt", "both", (0, -0.05, 0.05), (1, 0, 0)),
+        joint("left_pan", "left", (-0.034, 0, 0), (0, 1, 0), ""),
+        joint("right_pan", "right", (0.034, 0, 0), (0, 1, 0), ""),
+        IMAGE,
+        eyes(),
+        actuator("tilt", "eyes_tilt = 1.0"),
+        actuator("version", "left_pan = 1.0, right_pan = 1.0"),
+        actuator("vergence", "left_pan = 0.5, right_pan = -0.5",
+                 LIMITS.replace("-0.9", "0.0").replace("0.9", "1.2")),
+    )),
+    "mis": "".join((
+        joint("left_tilt", "left", (-0.034, 0, 0), (1, 0.01, 0)),
+        joint("left_pan", "left", (0, 0, 0.01), (0, 1, 0)),
+        joint("right_tilt", "right", (0.034, 0.001, 0), (1, 0, 0.01)),
+        joint("right_pan", "right", (0, 0, 0.01), (0, 1, 0)),
+        IMAGE,
+        eyes(),
+        actuator("tilt", "left_tilt = 1.0, right_tilt = 1.0"),
+        actuator("left_pan", "left_pan = 1.0"),
+        actuator("right_pan", "right_pan = 1.0"),
+    )),
+    "panfirst": "".join((
+        joint("left_pan", "left", (-0.1, 0, 0), (0, 1, 0)),
+        joint("left_tilt", "left", (0, -0.05, 0.02), (1, 0, 0)),
+        joint("right_pan", "right", (0.1, 0, 0), (0, 1, 0)),
+        joint("right_tilt", "right", (0, -0.05, 0.02), (1, 0, 0)),
+        IMAGE,
+        eyes((0, -0.02, 0.03), (0, -0.02, 0.03)),
+    )),
+    "common": "".join((
+        joint("pan", "both", CENTRE, (0, 1, 0)),
+        joint("tilt", "both", (0, -0.05, 0.02), (1, 0, 0)),
+        IMAGE,
+        eyes((-0.05, 0, 0), (0.05, 0, 0)),
+    )),
+    "vergeonly": "".join((
+        joint("pan", "neck", CENTRE, (0, 1, 0)),
+        joint("left_pan", "left", (-0.03, 0, 0), (0, 1, 0)),
+        joint("right_pan", "right", (0.03, 0, 0), (0, 1, 0)),
+        IMAGE,
+        eyes(),
+    )),
     "pair": IMAGE + eyes((-0.05, 0, 0), (0.05, 0, 0)),
-}
+}  # fmt: skip
 """The files of these heads."""
 MOVING: Final = ("tied", "mis", "panfirst", "common", "vergeonly")
 """Those whose eyes move."""

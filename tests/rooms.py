@@ -27,8 +27,7 @@ ELSEWHERE: Final = {
     "benchmarks/": ("benchmarks",),
     "models/": ("tests/models",),
     "tests/data/": ("tests/models", "tests/triangulation", "tests/eval"),
-    "pyproject.toml": (EVERYTHING,),
-    "constraints.txt": (EVERYTHING,),
+    **dict.fromkeys(("pyproject.toml", "constraints.txt"), (EVERYTHING,)),
 }
 """The rooms of files that stand in none, by how their paths begin."""
 
@@ -109,10 +108,7 @@ def importers(root: Path = ROOT) -> dict[str, set[str]]:
             for room in below - above:
                 found.setdefault(room, set()).update(above)
     for rooms in found.values():
-        for through in (
-            "init",
-            "commands",
-        ):  # the public names, and the commands as they are called
+        for through in ("init", "commands"):  # public names, and then commands as called
             rooms |= found.get(through, set()) if through in rooms else set()
     return found
 
@@ -161,11 +157,10 @@ def main(words: list[str], root: Path = ROOT) -> int:
     known = {room.removeprefix("tests/") for room in set(above).union(*above.values())}
     known |= {path.stem.removeprefix("test_") for path in (root / "tests").glob("test_*.py")}
     names = [word.strip("_/") for word in words]
-    for name in names:
-        if name not in known:
-            rooms = ", ".join(room for room in sorted(known) if places_of({room}, root))
-            print(f"no room {name}: expected some of {rooms}", file=sys.stderr)
-            return 2
+    for name in {*names} - known:
+        rooms = ", ".join(room for room in sorted(known) if places_of({room}, root))
+        print(f"no room {name}: expected some of {rooms}", file=sys.stderr)
+        return 2
     try:
         rooms = {*names, *(f"tests/{name}" for name in names)} or changed(root)
     except ConfigurationError as error:

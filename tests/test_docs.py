@@ -12,6 +12,7 @@ import pytest
 import vergence
 from benchmarks.made import made
 from benchmarks.stable_baselines import RECIPE
+from tests.hardware.fakes import FakeClock
 from vergence import load_head, make_controller
 from vergence.envs.encoding import FIELDS
 from vergence.envs.layout import ObservationLayout
@@ -22,21 +23,19 @@ from vergence.hardware.emulator.fault import load_faults
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALLER = {
-    "10_000": "64",
-    "2_000_000": "1_000",
-    "episodes=200": "episodes=5",
-    "range(240)": "range(30)",
-    "num_envs=1024": "num_envs=4",
-    "num_envs=256": "num_envs=4",
-    '"policy", 256': '"policy", 4',
-}
+    "10_000": "64", "2_000_000": "1_000", "episodes=200": "episodes=5", "range(240)": "range(30)",
+    "num_envs=1024": "num_envs=4", "num_envs=256": "num_envs=4", '"policy", 256': '"policy", 4',
+}  # fmt: skip
 """Numbers of the examples, and what stands for them here: time, not meaning, is in them."""
+
+
+def page(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
 
 
 def examples(name: str) -> list[str]:
     """The Python blocks of a document."""
-    text = (ROOT / name).read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", page(name), flags=re.DOTALL)
     for number, less in SMALLER.items():
         blocks = [block.replace(number, less) for block in blocks]
     return blocks
@@ -55,28 +54,24 @@ def test_the_examples_of_a_document_run_one_after_the_other(name, capsys) -> Non
 
 
 SHORT = [
-    "environment.md", "triangulation.md", "controllers.md", "heads.md", "vision.md", "bundles.md",
-    "learning.md", "own-head.md", "stereo.md",
+    "environment", "triangulation", "controllers", "heads", "vision", "bundles", "learning",
+    "own-head", "stereo",
 ]  # fmt: skip
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHORT)
 def test_each_example_of_a_page_runs_by_itself(name) -> None:
-    found = [block for block in examples(f"docs/{name}") if "torch" not in block]
+    found = [block for block in examples(f"docs/{name}.md") if "torch" not in block]
     assert found
     for block in found:
         exec(compile(block, name, "exec"), {"__name__": "example"})
 
 
-def test_the_recipe_for_stable_baselines_is_the_file_that_the_benchmark_runs() -> None:
-    text = (ROOT / "docs/stable-baselines3.md").read_text(encoding="utf-8")
+def test_the_recipes_for_stable_baselines_are_what_runs() -> None:
+    text = page("docs/stable-baselines3.md")
     (shown,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     assert shown == RECIPE.read_text(encoding="utf-8")
-
-
-def test_the_recipe_for_a_robot_makes_its_environments() -> None:
-    text = (ROOT / "docs/stable-baselines3.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```py\n(envs = .*?)```", text, flags=re.DOTALL)
     names = {"gymnasium": gymnasium, "AutoresetMode": gymnasium.vector.AutoresetMode}
     exec(block, names)
@@ -85,33 +80,23 @@ def test_the_recipe_for_a_robot_makes_its_environments() -> None:
 
 def test_the_pages_table_of_the_observation_is_that_of_the_layout() -> None:
     rows = re.findall(r"^ *(\| \d+:\d+ .*\|)$", str(ObservationLayout.__doc__), re.MULTILINE)
-    page = (ROOT / "docs/environment.md").read_text(encoding="utf-8")
-    assert [row for row in rows if row not in page] == []
+    text = page("docs/environment.md")
+    assert [row for row in rows if row not in text] == []
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     fields = {name: f"{part.start}:{part.stop}" for name, part in FIELDS.items()}
     assert {row[1].strip("`"): row[0] for row in cells} == fields
     layout = ObservationLayout.of(load_head("simulated"))
     for row in cells:
         part = FIELDS[row[1].strip("`")]
-        low, high = (float(number) for number in row[4].split(" to "))
+        low, high = map(float, row[4].split(" to "))
         assert (layout.low()[part] == low).all()
         assert (layout.high()[part] == high).all()
 
 
-@pytest.mark.parametrize("name", ["environment.md", "evaluate.md"])
+@pytest.mark.parametrize("name", ["docs/environment.md", "docs/evaluate.md"])
 def test_tables_of_imperfections_are_those_of_the_code(name) -> None:
-    page = (ROOT / "docs" / name).read_text(encoding="utf-8")
-    assert "<!-- rows " in page
-    assert made(page) == page
-
-
-def test_the_modules_that_the_page_of_architecture_names_are_there() -> None:
-    page = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
-    picture = (ROOT / "docs/images/architecture.svg").read_text(encoding="utf-8")
-    named = set(re.findall(r"[\w/]+/(?:\w+\.py)?(?=[`,<])", page + picture))
-    assert len(named) > 20
-    rooms = [ROOT / "vergence" / room for room in ("", "envs", "eval")]
-    assert [path for path in named if not any((room / path).exists() for room in rooms)] == []
+    assert "<!-- rows " in page(name)
+    assert made(page(name)) == page(name)
 
 
 @pytest.mark.parametrize("name", [name for name in vergence.__all__ if name != "__version__"])
@@ -120,20 +105,6 @@ def test_each_public_name_has_an_example_that_holds(name) -> None:
     failed, attempted = doctest.DocTestRunner().run(example)
     assert attempted > 0
     assert failed == 0
-
-
-class Clock:
-    """A clock that only sleeping and `late` move."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        self.now += seconds
 
 
 @pytest.fixture
@@ -148,7 +119,7 @@ def own_plant(tmp_path, monkeypatch):
 
 
 def test_the_plant_of_the_docs_keeps_time_and_brings_the_target_to_the_centre(own_plant) -> None:
-    clock = Clock()
+    clock = FakeClock()
     options = {"clock": clock, "sleep": clock.sleep}
     env = gymnasium.make("vergence/Gaze-v0", plant=own_plant, plant_options=options)
     controller = make_controller("ibvs", env.unwrapped.task.head)
@@ -162,7 +133,7 @@ def test_the_plant_of_the_docs_keeps_time_and_brings_the_target_to_the_centre(ow
 
 
 def test_the_plant_of_the_docs_skips_late_periods_and_stops_when_they_go_on(own_plant) -> None:
-    clock = Clock()
+    clock = FakeClock()
     plant = make_plant(own_plant, load_head("simulated"), clock=clock, sleep=clock.sleep)
     plant.reset(np.arange(1), np.zeros((1, 7)))
     command = np.array([[0.0, 0.0, 0.0, 0.1, 0.1, 0.1, 0.1]])
@@ -188,13 +159,12 @@ def test_the_plant_of_the_docs_skips_late_periods_and_stops_when_they_go_on(own_
 def test_a_controller_of_ones_own_takes_fifteen_lines() -> None:
     block = next(block for block in examples("docs/guide.md") if "class " in block)
     body = block[block.index("class ") : block.index("head = ")]
-    lines = [line for line in body.splitlines() if line.strip()]
-    assert len(lines) <= 15
+    assert len(list(filter(str.strip, body.splitlines()))) <= 15
 
 
-def anchors_of(page: str) -> set[str]:
+def anchors_of(text: str) -> set[str]:
     """Anchors that GitHub gives a page's headings."""
-    headings = re.findall(r"^#+ (.*)$", page, flags=re.MULTILINE)
+    headings = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
     plain = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings]
     return {re.sub(r"[^\w -]", "", heading).replace(" ", "-") for heading in plain}
 
@@ -205,8 +175,8 @@ def test_links_between_pages_lead_to_a_file_and_a_heading() -> None:
         for path in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"))
     }
     broken, found = [], 0
-    for path, page in pages.items():
-        for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page):
+    for path, text in pages.items():
+        for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", text):
             file, _, anchor = link.partition("#")
             target = (path.parent / file).resolve() if file else path
             found += 1
@@ -216,33 +186,31 @@ def test_links_between_pages_lead_to_a_file_and_a_heading() -> None:
     assert broken == []
 
 
-def test_modules_that_pages_name_exist() -> None:
+def test_modules_and_places_that_pages_name_exist() -> None:
     known = {"mine.py", "my_plant.py", "file.py"}  # a reader's own
     for folder in ("vergence", "tests", "benchmarks", "docs"):
         known |= {path.name for path in (ROOT / folder).rglob("*.py")}
-    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
-    text = "\n".join(path.read_text(encoding="utf-8") for path in pages)
+    text = "\n".join(map(page, (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"))))
     assert set(re.findall(r"\w+\.py\b", text)) - known == set()
-
-
-def test_the_places_that_contributing_names_exist() -> None:
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    places = set(re.findall(r"`((?:vergence|tests|docs|benchmarks)/[^`*]*)`", text))
-    questions = re.findall(r"^\| .*\? \| `[^`]+` \|$", text, flags=re.MULTILINE)
-    assert len(questions) >= 20
-    assert {place for place in places if not (ROOT / place).exists()} == set()
+    text = page("docs/architecture.md") + page("docs/images/architecture.svg")
+    named = set(re.findall(r"[\w/]+/(?:\w+\.py)?(?=[`,<])", text))
+    assert len(named) > 20
+    rooms = [ROOT / "vergence" / room for room in ("", "envs", "eval")]
+    assert [path for path in named if not any((room / path).exists() for room in rooms)] == []
+    text = page("CONTRIBUTING.md")
+    assert len(re.findall(r"^\| .*\? \| `[^`]+` \|$", text, flags=re.MULTILINE)) >= 20
+    places = re.findall(r"`((?:vergence|tests|docs|benchmarks)/[^`*]*)`", text)
+    assert [place for place in places if not (ROOT / place).exists()] == []
 
 
 def test_the_configuration_of_a_robot_is_read_as_it_stands(tmp_path) -> None:
-    text = (ROOT / "docs/robot.md").read_text(encoding="utf-8")
-    script, *blocks = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
-    block = "\n".join(blocks)
+    script, *blocks = re.findall(r"```toml\n(.*?)```", page("docs/robot.md"), flags=re.DOTALL)
     others = "".join(
         f'[[servos]]\nname = "{name}"\nid = {id}\nzero_ticks = 2048\nsign = 1\n'
         for id, name in enumerate(("left_tilt", "right_pan", "right_tilt"), 2)
     )
     file = tmp_path / "desk.toml"
-    file.write_text(block.replace("# ... and the others", others), encoding="utf-8")
+    file.write_text("\n".join(blocks).replace("# ... and the others", others), encoding="utf-8")
     config = load_hardware(file)
     assert [servo.id for servo in config.servos] == [1, 2, 3, 4]
     assert config.cameras[0].latency_s == 0.09

@@ -3,6 +3,7 @@
 import errno
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
@@ -21,20 +22,14 @@ def names(folder) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("content", "stored"), [("é\n", "é\n".encode()), (b"\x00\xff", b"\x00\xff")]
-)
-def test_text_and_bytes_are_written_as_they_are(tmp_path, content, stored):
-    write_atomic(tmp_path / "file", content)
-    assert (tmp_path / "file").read_bytes() == stored
+def test_text_and_bytes_are_written_as_they_are_with_the_permissions_of_any_file(tmp_path):
+    for content, stored in (("é\n", "é\n".encode()), (b"\x00\xff", b"\x00\xff")):
+        write_atomic(tmp_path / "file", content)
+        assert (tmp_path / "file").read_bytes() == stored
     assert names(tmp_path) == ["file"]
-
-
-def test_a_file_has_the_permissions_of_any_new_file(tmp_path):
     (tmp_path / "usual").touch()
-    write_atomic(tmp_path / "file", "")
-    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("usual", "file")]
-    assert modes[0] == modes[1]
+    usual, file = (stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("usual", "file"))
+    assert file == usual
 
 
 def test_the_file_being_written_has_the_suffix_of_its_name(tmp_path):
@@ -43,20 +38,28 @@ def test_the_file_being_written_has_the_suffix_of_its_name(tmp_path):
         partial.touch()
 
 
-def test_a_failure_leaves_the_former_file(tmp_path):
+def test_a_failure_leaves_the_former_file_or_folder(tmp_path):
     write_atomic(tmp_path / "file", "before")
     with pytest.raises(TypeError), atomic_file(tmp_path / "file") as partial:
         partial.write_text(b"no text")
     assert (tmp_path / "file").read_text() == "before"
-    assert names(tmp_path) == ["file"]
+    with atomic_folder(tmp_path / "run") as folder:
+        (folder / "one").touch()
+    with pytest.raises(FileNotFoundError), atomic_folder(tmp_path / "run") as folder:
+        (folder / "missing" / "two").touch()
+    assert names(tmp_path) == ["file", "run"]
+    assert names(tmp_path / "run") == ["one"]
 
 
 def test_the_last_of_several_files_comes_last(tmp_path, monkeypatch):
     order = []
     replace = os.replace
-    monkeypatch.setattr(
-        os, "replace", lambda a, b: (order.append(os.path.basename(b)), replace(a, b))
-    )
+
+    def noted(source, target):
+        order.append(os.path.basename(target))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", noted)
     with atomic_files(tmp_path, moved_last="a.json") as folder:
         for name in ("a.json", "b.csv", "c.csv"):
             (folder / name).write_text(name)
@@ -72,30 +75,9 @@ def test_a_folder_replaces_the_former_one_whole(tmp_path):
     assert names(tmp_path / "deep" / "run") == ["two"]
 
 
-def test_a_failure_leaves_the_former_folder(tmp_path):
-    with atomic_folder(tmp_path / "run") as folder:
-        (folder / "one").touch()
-    with pytest.raises(FileNotFoundError), atomic_folder(tmp_path / "run") as folder:
-        (folder / "missing" / "two").touch()
-    assert names(tmp_path) == ["run"]
-    assert names(tmp_path / "run") == ["one"]
-
-
-def test_what_a_kill_left_can_be_removed(tmp_path):
-    (tmp_path / f"{PARTIAL_PREFIX}x").mkdir()
-    (tmp_path / "kept").touch()
-    remove_partial(tmp_path)
-    assert names(tmp_path) == ["kept"]
-
-
 def test_a_folder_that_somebody_else_has_filled_meanwhile_is_kept(tmp_path):
-    def fill() -> None:
-        with atomic_folder(tmp_path / "run"):
-            (tmp_path / "run").mkdir()
-            (tmp_path / "run" / "theirs").touch()
-
-    with pytest.raises(OSError, match="not empty"):
-        fill()
+    with pytest.raises(OSError, match="not empty"), atomic_folder(tmp_path / "run"):
+        fill(tmp_path / "run")
     assert names(tmp_path) == ["run"]
     assert names(tmp_path / "run") == ["theirs"]
 
@@ -116,37 +98,31 @@ def test_a_folder_that_cannot_take_its_place_gives_it_back(tmp_path, monkeypatch
     assert names(tmp_path / "run") == ["one"]
 
 
-def test_an_empty_folder_makes_room(tmp_path):
-    (tmp_path / "run").mkdir()
-    with atomic_folder(tmp_path / "run") as folder:
-        (folder / "mine").touch()
-    assert names(tmp_path / "run") == ["mine"]
-
-
 def write_mine(folder) -> None:
     (folder / "mine").touch()
 
 
-def test_a_folder_is_saved_under_its_name(tmp_path):
-    assert (
-        save_folder_at_free_path(tmp_path / "deep" / "run", write_mine) == tmp_path / "deep" / "run"
-    )
-    assert names(tmp_path / "deep") == ["run"]
-    assert names(tmp_path / "deep" / "run") == ["mine"]
+def test_a_folder_is_saved_under_its_name_which_an_empty_one_makes_free(tmp_path):
+    for there in (False, True):
+        place = tmp_path / f"deep{there}" / "run"
+        if there:
+            place.mkdir(parents=True)
+        assert save_folder_at_free_path(place, write_mine) == place
+        assert names(place.parent) == ["run"]
+        assert names(place) == ["mine"]
 
 
-@pytest.mark.parametrize("taken_by", ["folder", "file", "dangling link"])
-def test_a_folder_whose_name_is_taken_meanwhile_is_saved_beside_it(tmp_path, taken_by):
+def fill(folder) -> None:
+    folder.mkdir()
+    (folder / "theirs").touch()
+
+
+@pytest.mark.parametrize("take", [fill, Path.touch, lambda path: path.symlink_to("nowhere")])
+def test_a_folder_whose_name_is_taken_meanwhile_is_saved_beside_it(tmp_path, take):
     def write(folder) -> None:
         write_mine(folder)
         for name in ("run", "run-2"):
-            if taken_by == "folder":
-                (tmp_path / name).mkdir()
-                (tmp_path / name / "theirs").touch()
-            elif taken_by == "file":
-                (tmp_path / name).touch()
-            else:
-                (tmp_path / name).symlink_to("nowhere")
+            take(tmp_path / name)
 
     assert save_folder_at_free_path(tmp_path / "run", write) == tmp_path / "run-3"
     assert names(tmp_path) == ["run", "run-2", "run-3"]
@@ -154,8 +130,7 @@ def test_a_folder_whose_name_is_taken_meanwhile_is_saved_beside_it(tmp_path, tak
 
 
 def test_a_folder_that_can_be_saved_nowhere_fails_once(tmp_path, monkeypatch):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "theirs").touch()
+    fill(tmp_path / "run")
 
     def refuse(_source, target) -> None:
         raise PermissionError(13, "Permission denied", target)
@@ -175,11 +150,12 @@ def test_an_error_without_a_name_gets_that_of_the_folder(tmp_path):
 
 
 def test_what_a_kill_left_of_one_folder_is_removed_and_nothing_of_others(tmp_path):
+    (tmp_path / "kept").touch()
     for name in ("mine", "another"):
         with atomic_folder(tmp_path / name) as partial:
-            hidden = partial.parent
-            (tmp_path / f"{hidden.name}left").mkdir()
+            (tmp_path / f"{partial.parent.name}left").mkdir()
+    (tmp_path / f"{PARTIAL_PREFIX}x").mkdir()
     remove_partial(tmp_path, "mine")
-    assert len([path for path in tmp_path.iterdir() if path.name.startswith(PARTIAL_PREFIX)]) == 1
+    assert len(names(tmp_path)) == 5
     remove_partial(tmp_path)
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(PARTIAL_PREFIX)]
+    assert names(tmp_path) == ["another", "kept", "mine"]

@@ -1,7 +1,9 @@
 """No call with an array of whatever shape and type reads or writes outside of its arrays."""
 
 import importlib
+import itertools
 import pkgutil
+import re
 from functools import partial
 
 import numpy as np
@@ -47,42 +49,48 @@ def sizes(core, length):
 
 
 def fitting(kernel, length=1):
-    """Operands that fit a kernel; dimensions of any size have the length.
+    """Truth values, which stand for numbers, that fit a kernel; what is open has the length."""
+    cores = kernel.input_core_dimensions.values()
+    return [np.zeros(sizes(core, length), np.bool_) for core in cores]
 
-    They are truth values, which stand for numbers where a kernel asks for those.
-    """
-    return [
-        np.zeros(sizes(core, length), np.bool_) for core in kernel.input_core_dimensions.values()
-    ]
+
+def each_operand():
+    """Every kernel and each of its operands: place, name and core dimensions."""
+    for label, kernel in KERNELS.items():
+        for place, (name, core) in enumerate(kernel.input_core_dimensions.items()):
+            yield label, kernel, place, name, core
 
 
 def test_a_kernel_refuses_another_length_by_the_name_of_the_argument():
-    for label, kernel in KERNELS.items():
-        with named(label):
-            for place, (name, core) in enumerate(kernel.input_core_dimensions.items()):
-                operands = fitting(kernel)
-                for axis, size in enumerate(core):
-                    for length in LENGTHS:
-                        if length == size or isinstance(size, str):
-                            continue
-                        wrong = list(sizes(core, 1))
-                        wrong[axis] = length
-                        operands[place] = np.zeros(wrong, np.bool_)
-                        with pytest.raises(ConfigurationError) as refusal:
-                            kernel(*operands)
-                        expected = f"{name}: expected shape (..., {', '.join(map(str, core))}), got"
-                        assert expected in str(refusal.value)
+    for label, kernel, place, name, core in each_operand():
+        expected = f"{name}: expected shape (..., {', '.join(map(str, core))}), got"
+        operands = fitting(kernel)
+        for axis, length in itertools.product(range(len(core)), LENGTHS):
+            if length != core[axis] and not isinstance(core[axis], str):
+                wrong = list(sizes(core, 1))
+                wrong[axis] = length
+                operands[place] = np.zeros(wrong, np.bool_)
+                refuses(label, kernel, operands, re.escape(expected))
+
+
+def refuses(label, kernel, operands, expected):
+    with named(label), pytest.raises(ConfigurationError, match=expected):
+        kernel(*operands)
 
 
 def test_a_kernel_refuses_another_rank_and_what_is_no_number():
-    for label, kernel in KERNELS.items():
-        with named(label):
-            for place, (name, core) in enumerate(kernel.input_core_dimensions.items()):
-                operands = fitting(kernel)
-                for wrong in (*NO_NUMBERS, *([0.0] if core else [])):
-                    operands[place] = wrong
-                    with pytest.raises(ConfigurationError, match=f": {name}: expected"):
-                        kernel(*operands)
+    for label, kernel, place, name, core in each_operand():
+        operands = fitting(kernel)
+        for wrong in (*NO_NUMBERS, *([0.0] if core else [])):
+            operands[place] = wrong
+            refuses(label, kernel, operands, f": {name}: expected")
+
+
+def results_of(kernel, *operands, **options):
+    """Results of a kernel, also of one that gives a single array."""
+    with np.errstate(all="ignore"):
+        results = kernel(*operands, **options)
+    return results if isinstance(results, tuple) else (results,)
 
 
 def test_a_kernel_takes_empty_batches_and_arrays_that_lie_apart():
@@ -90,14 +98,10 @@ def test_a_kernel_takes_empty_batches_and_arrays_that_lie_apart():
         with named(label):
             operands = fitting(kernel, LAYOUT.size)
             first = next(iter(kernel.input_core_dimensions.values()))
-            with np.errstate(all="ignore"):
-                expected = kernel(*operands)
-                apart = [np.zeros((*one.shape, 2), np.bool_)[..., 0] for one in operands]
-                np.testing.assert_equal(kernel(*apart), expected)
-                operands[0] = np.zeros((0, *sizes(first, LAYOUT.size)), np.bool_)
-                results = kernel(*operands)
-            for result in results if isinstance(results, tuple) else (results,):
-                assert len(result) == 0
+            apart = [np.zeros((*one.shape, 2), np.bool_)[..., 0] for one in operands]
+            np.testing.assert_equal(results_of(kernel, *apart), results_of(kernel, *operands))
+            operands[0] = np.zeros((0, *sizes(first, LAYOUT.size)), np.bool_)
+            assert not any(len(result) for result in results_of(kernel, *operands))
 
 
 def in_room(shape, filled, value=0.0):
@@ -130,20 +134,16 @@ def test_a_kernel_that_takes_any_length_stays_within_its_arrays(kernel):
 
 def stays_within(kernel, length):
     """Nothing beside the arrays of a length is read or written."""
-    with np.errstate(all="ignore"):
-        results = kernel(*fitting(kernel, length))
-    results = results if isinstance(results, tuple) else (results,)
+    fits = fitting(kernel, length)
+    results = results_of(kernel, *fits)
     told = []
     for filled in (0.0, 7e8):
         operands = [
-            in_room(sizes(core, length), filled)[1] if is_open(core) else operand
-            for core, operand in zip(
-                kernel.input_core_dimensions.values(), fitting(kernel, length), strict=True
-            )
+            in_room(one.shape, filled)[1] if is_open(core) else one
+            for core, one in zip(kernel.input_core_dimensions.values(), fits, strict=True)
         ]
         rooms = [in_room(np.shape(result), filled, 0.25) for result in results]
-        with np.errstate(all="ignore"):
-            kernel(*operands, out=tuple(array for _, array in rooms), casting="unsafe")
+        results_of(kernel, *operands, out=tuple(array for _, array in rooms), casting="unsafe")
         for memory, array in rooms:
             assert (memory[:ROOM] == filled).all(), length
             assert (memory[ROOM + array.size :] == filled).all(), length
@@ -181,13 +181,10 @@ def of_head(head):
     }
 
 
+OF_TIED = ("fixate", "least_error", "joints_of", "joint_velocities_of", "actuators_of")
 CALLS = {
     **of_head(HEAD),
-    **{
-        f"{name} of tied eyes": call
-        for name, call in of_head(TIED).items()
-        if name in ("fixate", "least_error", "joints_of", "joint_velocities_of", "actuators_of")
-    },
+    **{f"{name} of tied eyes": of_head(TIED)[name] for name in OF_TIED},
     "EyeCamera.project": (CAMERA.project, [POINT[None]]),
     "EyeCamera.rays": (CAMERA.rays, [PIXELS]),
     "EyeCamera.flat_view_about": (CAMERA.flat_view_about, [PIXELS]),
@@ -216,10 +213,8 @@ def test_public_geometry_takes_lists_and_other_real_numbers():
             expected = call(*arguments)
             for other in (np.ndarray.tolist, np.asfortranarray, np.float32):
                 told = call(*[other(one) for one in arguments])
-                several = isinstance(told, tuple)
-                for one, same in (
-                    zip(told, expected, strict=True) if several else [(told, expected)]
-                ):
+                pairs = zip(told, expected, strict=True) if isinstance(told, tuple) else ()
+                for one, same in pairs or [(told, expected)]:
                     if isinstance(one, np.ndarray):
                         np.testing.assert_allclose(one, same, rtol=1e-5, atol=1e-5)
 
@@ -237,10 +232,8 @@ def test_a_controller_refuses_another_length_and_another_state():
                 with pytest.raises(ConfigurationError, match="observation: expected"):
                     controller.predict(np.zeros(length, np.float32))
             _, state = controller.predict(np.zeros(LAYOUT.size, np.float32))
-            wrongs = (
-                ((np.zeros(3),), (np.zeros((2, *np.shape(state[0]))),), (None,), 1) if state else ()
-            )
-            for wrong in wrongs:
+            several = np.zeros((2, *np.shape(state[0]))) if state else None
+            for wrong in ((np.zeros(3),), (several,), (None,), 1) if state else ():
                 with pytest.raises(ConfigurationError, match="state: expected"):
                     controller.predict(np.zeros(LAYOUT.size, np.float32), wrong)
 
@@ -261,7 +254,6 @@ class Misreporting(Robot):
     field, value = "positions", None
 
     def step(self, command):
-        """See `Plant.step`."""
         told = super().step(command)
         return told._replace(**{self.field: self.value}) if self.field else self.value
 
@@ -272,7 +264,6 @@ class Narrow(Robot):
     told = None
 
     def step(self, command):
-        """See `Plant.step`."""
         now = super().step(command)
         self.told = self.told or Reading(*(np.float32(one) for one in now))
         for own, one in zip(self.told, now, strict=True):
@@ -295,9 +286,8 @@ def test_a_reading_of_another_form_is_refused_by_its_field(monkeypatch):
             monkeypatch.setattr(Misreporting, "value", value)
             env = GazeEnv(plant=f"{__name__}:Misreporting")
             env.reset(seed=0)
-            with pytest.raises(
-                ConfigurationError, match=f"Reading.{field}: expected" if field else "None"
-            ):
+            said = f"Reading.{field}: expected" if field else "None"
+            with pytest.raises(ConfigurationError, match=said):
                 env.step(np.zeros(4))
 
 

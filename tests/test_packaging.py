@@ -1,5 +1,6 @@
 """The built files carry what they should, and the installed wheel does its job."""
 
+import itertools
 import os
 import subprocess
 import sys
@@ -9,7 +10,6 @@ import tomllib
 import venv
 import zipfile
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 from packaging.requirements import Requirement
@@ -18,40 +18,38 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 STEM = f"{PROJECT['name']}-{PROJECT['version']}"
+WHEEL = f"{STEM}-py3-none-any.whl"
 
 
-class Built(NamedTuple):
-    sdist: Path
-    wheel: Path
+def ran(*command: object, **options) -> str:
+    """Output of a command that succeeds."""
+    result = subprocess.run([*map(str, command)], capture_output=True, text=True, **options)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory) -> Built:
-    """An sdist of the tree, and a wheel made from that sdist alone."""
+def built(tmp_path_factory) -> Path:
+    """The folder of an sdist of the tree, and of a wheel made from that sdist alone."""
     folder = tmp_path_factory.mktemp("dist")
-    result = subprocess.run(
-        [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)],
-        capture_output=True,
-        text=True,
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    return Built(folder / f"{STEM}.tar.gz", folder / f"{STEM}-py3-none-any.whl")
+    ran(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ROOT)
+    return folder
 
 
 @pytest.fixture(scope="module")
 def wheel_files(built) -> set[str]:
-    with zipfile.ZipFile(built.wheel) as wheel:
+    with zipfile.ZipFile(built / WHEEL) as wheel:
         return set(wheel.namelist())
 
 
 @pytest.fixture(scope="module")
 def sdist_files(built) -> set[str]:
-    with tarfile.open(built.sdist) as sdist:
+    with tarfile.open(built / f"{STEM}.tar.gz") as sdist:
         return {name.removeprefix(f"{STEM}/") for name in sdist.getnames()}
 
 
 @pytest.mark.nightly
-def test_the_wheel_carries_every_file_of_the_package_and_the_license(wheel_files):
+def test_the_wheel_carries_every_file_of_the_package_the_license_and_nothing_beside(wheel_files):
     package = {
         path.relative_to(ROOT).as_posix()
         for path in ROOT.glob("vergence/**/*")
@@ -65,10 +63,6 @@ def test_the_wheel_carries_every_file_of_the_package_and_the_license(wheel_files
     } <= package
     licensed = f"{STEM}.dist-info/licenses/LICENSE"
     assert {*package, licensed} <= wheel_files
-
-
-@pytest.mark.nightly
-def test_the_wheel_installs_nothing_beside_the_package(wheel_files):
     assert {name.split("/")[0] for name in wheel_files} == {"vergence", f"{STEM}.dist-info"}
 
 
@@ -80,39 +74,23 @@ def test_built_files_carry_no_compiled_code(wheel_files, sdist_files):
 
 @pytest.mark.nightly
 def test_the_sdist_carries_the_model_folder_and_all_that_make_test_needs(sdist_files):
-    tracked_models = {
-        path.relative_to(ROOT).as_posix()
-        for path in (ROOT / "models" / "bionic_eyes").rglob("*")
-        if path.is_file()
-    }
+    models = (ROOT / "models" / "bionic_eyes").rglob("*")
+    tracked_models = {path.relative_to(ROOT).as_posix() for path in models if path.is_file()}
     assert tracked_models
     assert tracked_models <= sdist_files
     assert {
-        "CHANGELOG.md",
-        "LICENSE",
-        "Makefile",
-        "README.md",
-        "constraints.txt",
-        "docs",
-        "benchmarks",
-        "pyproject.toml",
-        "tests/conftest.py",
-        "vergence/models/files/presets/simulated.toml",
-        "vergence/models/files/presets/physical.toml",
-        "vergence/py.typed",
-    } <= sdist_files | {name.split("/")[0] for name in sdist_files}
+        "CHANGELOG.md", "LICENSE", "Makefile", "README.md", "constraints.txt", "docs", "benchmarks",
+        "pyproject.toml", "tests/conftest.py", "vergence/models/files/presets/simulated.toml",
+        "vergence/models/files/presets/physical.toml", "vergence/py.typed",
+    } <= sdist_files | {name.split("/")[0] for name in sdist_files}  # fmt: skip
 
 
 def test_every_requirement_is_pinned_to_a_version_that_it_allows():
-    pins = {}
-    for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
-        if not line.startswith("#"):
-            name, _, version = line.partition("==")
-            pins[canonicalize_name(name)] = version
-    wanted = list(PROJECT["dependencies"])
-    for extra in PROJECT["optional-dependencies"].values():
-        wanted += extra
-    for requirement in map(Requirement, wanted):
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    stated = (line.partition("==") for line in lines if not line.startswith("#"))
+    pins = {canonicalize_name(name): version for name, _, version in stated}
+    wanted = (PROJECT["dependencies"], *PROJECT["optional-dependencies"].values())
+    for requirement in map(Requirement, itertools.chain(*wanted)):
         if requirement.name != PROJECT["name"]:
             pin = pins.get(canonicalize_name(requirement.name))
             assert pin is not None, f"{requirement} has no pin in constraints.txt"
@@ -135,40 +113,21 @@ def installed(built, tmp_path_factory) -> Path:
     (packages / "dependencies.pth").write_text(
         "\n".join({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
     )
-    install = [sys.executable, "-m", "pip", f"--python={scripts / 'python'}", "install"]
-    result = subprocess.run(
-        [*install, "--no-deps", "--no-index", "--ignore-installed", str(built.wheel)],
-        capture_output=True,
-        text=True,
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
+    install = (sys.executable, "-m", "pip", f"--python={scripts / 'python'}", "install")
+    ran(*install, "--no-deps", "--no-index", "--ignore-installed", built / WHEEL)
     return scripts
-
-
-def run_installed(scripts: Path, cwd: Path, *command: str) -> subprocess.CompletedProcess[str]:
-    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
-    program, *arguments = command
-    return subprocess.run(
-        [str(scripts / program), *arguments],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-    )
 
 
 @pytest.mark.nightly
 def test_the_installed_command_and_its_compiled_geometry_work(installed, tmp_path):
-    result = run_installed(installed, tmp_path, "vergence", "info")
-    assert result.returncode == 0, result.stderr
-    assert PROJECT["version"] in result.stdout
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
+    options = {"cwd": tmp_path, "env": environment}
+    assert PROJECT["version"] in ran(installed / "vergence", "info", **options)
     code = (
         "import vergence; print(vergence.__file__); head = vergence.load_head('simulated');"
         " print(*vergence.triangulate_gaze(head, head.fixate([0.0, -0.1, 1.0])).point)"
     )
-    result = run_installed(installed, tmp_path, "python", "-c", code)
-    assert result.returncode == 0, result.stderr
-    module, point = result.stdout.splitlines()
+    module, point = ran(installed / "python", "-c", code, **options).splitlines()
     assert Path(module).is_relative_to(installed.parent)
     assert [float(word) for word in point.split()] == pytest.approx([0.0, -0.1, 1.0])
 

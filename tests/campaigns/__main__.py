@@ -9,6 +9,8 @@ Each takes --seed and --help, names what it found, and exits with 1 if that was 
 
 import importlib
 import sys
+import tempfile
+from pathlib import Path
 
 CAMPAIGNS = ("commands", "interruptions", "robot")
 
@@ -17,4 +19,6 @@ if __name__ == "__main__":
     if name not in CAMPAIGNS:
         print(__doc__)
         sys.exit(0 if name in ("-h", "--help") else f"expected one of {CAMPAIGNS}, got {name!r}")
-    sys.exit(importlib.import_module(f"tests.campaigns.{name}").main(options))
+    with tempfile.TemporaryDirectory() as folder:
+        found = importlib.import_module(f"tests.campaigns.{name}").main(options, Path(folder))
+    sys.exit(found.report())

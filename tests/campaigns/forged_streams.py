@@ -23,50 +23,36 @@ from vergence.hardware.dynamixel.packets import (
 
 WIDTH, HEIGHT = 640, 480
 _TYPE: Final = b"Content-Type: multipart/x-mixed-replace; boundary=frame\r\n"
+_OK: Final = b"HTTP/1.1 200 OK\r\n"
 HEADS: Final = (
-    b"HTTP/1.0 200 OK\r\n" + _TYPE + b"\r\n",
-    b"HTTP/1.0 200 OK\r\n" + _TYPE + b"\r\n",
-    b"HTTP/1.0 200 OK\r\n" + _TYPE + b"\r\n",
-    b"HTTP/1.0 200 OK\r\n" + _TYPE + b"\r\n",
-    b"HTTP/1.0 200 OK\r\n" + _TYPE + b"\r\n",
-    b"HTTP/1.1 200 OK\r\nContent-Length: 999999999999999999\r\n" + _TYPE + b"\r\n",
-    b"HTTP/1.1 200 OK\r\nContent-Length: -1\r\n" + _TYPE + b"\r\n",
-    b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n" + _TYPE + b"\r\nFFFFFFFFFFFFFFFF\r\n",
-    b"HTTP/1.1 200 OK\r\nContent-Encoding: gzip\r\n" + _TYPE + b"\r\n",
+    *5 * (_OK + _TYPE + b"\r\n",),
+    _OK + b"Content-Length: 999999999999999999\r\n" + _TYPE + b"\r\n",
+    _OK + b"Transfer-Encoding: chunked\r\n" + _TYPE + b"\r\nFFFFFFFFFFFFFFFF\r\n",
+    _OK + b"Content-Encoding: gzip\r\n" + _TYPE + b"\r\n",
     b"HTTP/1.1 302 Found\r\nLocation: /\r\n\r\n",
     b"HTTP/1.1 302 Found\r\nLocation: file:///etc/passwd\r\n\r\n",
-    b"HTTP/1.0 200 OK\r\nContent-Type: image/jpeg\r\n\r\n",
-    b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=\r\n\r\n",
-    b"HTTP/1.0 200 OK\r\n" + _TYPE + b"X: " + 2**20 * b"a",
-    b"HTTP/1.0 200 OK\r\nContent-Type: application/vnd.apple.mpegurl\r\n\r\n#EXTM3U\n"
+    _OK + b"Content-Type: image/jpeg\r\n\r\n",
+    _OK + _TYPE.replace(b"=frame", b"=") + b"\r\n",
+    _OK + _TYPE + b"X: " + 2**20 * b"a",
+    _OK + b"Content-Type: application/vnd.apple.mpegurl\r\n\r\n#EXTM3U\n"
     b"#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nfile:///etc/passwd\n",
     b"HTTP/1.0 404 Not Found\r\n\r\n", b"\x00\xff" * 500, b"", b"RTSP/1.0 200 OK\r\n\r\n",
 )  # fmt: skip
-LENGTHS: Final = (
-    b"",
-    b"-1",
-    b"0",
-    b"5",
-    b"999999999",
-    b"99999999999999999999",
-    b"x",
-    b"2147483647",
-)
+LENGTHS: Final = (b"", b"-1", b"0", b"5", b"2147483647", b"99999999999999999999", b"x")
 
 
 @cache
 def jpeg(width: int = WIDTH, height: int = HEIGHT, colour: bool = False) -> bytes:
     """A JPEG of grey levels with a gradient."""
     image = np.tile(np.arange(width, dtype=np.uint8), (height, 1))
-    if colour:
-        image = np.repeat(image[..., None], 3, axis=2)
+    image = np.repeat(image[..., None], 3, axis=2) if colour else image
     return bytes(cv2.imencode(".jpg", image)[1].tobytes())
 
 
-def announced(data: bytes, width: int, height: int) -> bytes:
+def announced(width: int, height: int) -> bytes:
     """A JPEG that claims another size."""
-    at = data.find(b"\xff\xc0") + 5
-    return data[:at] + height.to_bytes(2, "big") + width.to_bytes(2, "big") + data[at + 4 :]
+    at = jpeg().find(b"\xff\xc0") + 5
+    return jpeg()[:at] + height.to_bytes(2, "big") + width.to_bytes(2, "big") + jpeg()[at + 4 :]
 
 
 @cache
@@ -75,12 +61,10 @@ def pictures() -> tuple[bytes, ...]:
     good, blank = jpeg(), np.zeros((HEIGHT, WIDTH), np.uint8)
     return (
         good, good, good, jpeg(colour=True), good[: len(good) // 2], good[:20], good[:-2],
-        jpeg(1, 1), jpeg(16, 16), jpeg(1280, 720), jpeg(8000, 8000),
-        announced(good, 30000, 30000), announced(good, 65500, 65500), announced(good, 0, 0),
-        announced(good, 640, 0), announced(good, 641, 480), b"", b"\xff\xd8", b"\xff\xd8\xff\xd9",
-        bytes(range(256)) * 40, b"\x00" * 10**6, good[:300] + b"\xff" * 3000 + good[300:],
-        bytes(cv2.imencode(".png", blank)[1].tobytes()), b"GIF89a" + bytes(300),
-        b"#EXTM3U\nfile:///etc/passwd\n", b"-----BEGIN", b"(lp0\n.", b"P5 99999 99999 255\n",
+        jpeg(1, 1), jpeg(1280, 720), jpeg(8000, 8000), announced(65500, 65500), announced(0, 0),
+        announced(641, 480), b"", b"\xff\xd8\xff\xd9", b"\x00" * 10**6, bytes(range(256)) * 40,
+        good[:300] + b"\xff" * 3000 + good[300:], bytes(cv2.imencode(".png", blank)[1].tobytes()),
+        b"GIF89a" + bytes(300), b"#EXTM3U\nfile:///etc/passwd\n", b"P5 99999 99999 255\n",
         b"\xff\xd8" + b"\xff\xfe\xff\xff" * 5000, good.replace(b"\xff\xda", b"\xff\xc4"),
     )  # fmt: skip
 
@@ -103,7 +87,6 @@ class Script(NamedTuple):
     head: bytes
     parts: tuple[Part, ...]
     after: str
-    """`close`, `silence`, `endless header`, `endless body` or `good`."""
 
 
 @st.composite
@@ -123,7 +106,7 @@ def scripts(draw: Any) -> Script:
 
 
 class Server:
-    """An HTTP server of one script, which forgets who goes away; use it in a `with` statement."""
+    """An HTTP server of one script, which forgets who goes away."""
 
     def __init__(self, script: Script) -> None:
         self._script, self._ended = script, False
@@ -131,10 +114,7 @@ class Server:
         self.url = f"http://127.0.0.1:{self._socket.getsockname()[1]}/"
         threading.Thread(target=self._run, daemon=True).start()
 
-    def __enter__(self) -> "Server":
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self._ended = True
         self._socket.close()
 
@@ -157,8 +137,8 @@ class Server:
                 elif self._script.after == "silence":
                     time.sleep(0.05)
                 else:
-                    ended = b"--frame\r\n" if self._script.after == "endless header" else b""
-                    connection.sendall(ended + b"X-Y: " + 2**16 * b"z" + b"\r\n")
+                    begun = b"--frame\r\n" if self._script.after == "endless header" else b""
+                    connection.sendall(begun + b"X-Y: " + 2**16 * b"z" + b"\r\n")
 
     def _send(self, connection: socket.socket, part: Part) -> None:
         data = pictures()[part.picture]
@@ -175,24 +155,18 @@ def lines(draw: Any) -> tuple[bytes, ...]:
     ids = st.sampled_from((0, 1, 2, 3, 4, 252, BROADCAST))
     data = st.binary(max_size=24) | st.sampled_from((HEADER, b"\xff\xff\xfd" * 5, bytes(380)))
     status = st.builds(status_packet, ids, data.map(lambda x: x[:370]), st.integers(0, 255))
-    answer = st.builds(
-        status_packet,
-        st.integers(1, 4),
-        st.sampled_from((3, 4, 10)).flatmap(lambda n: st.binary(min_size=n, max_size=n)),
-        st.sampled_from((0, 0, 0x80, 4)),
-    )
+    answered = st.sampled_from((3, 4, 10)).flatmap(lambda n: st.binary(min_size=n, max_size=n))
+    answer = st.builds(status_packet, st.integers(1, 4), answered, st.sampled_from((0, 0, 0x80, 4)))
     echo = st.builds(instruction_packet, ids, st.sampled_from(list(Instruction)), st.just(b""))
     announced_ = st.builds(
         lambda id, length, rest: HEADER + bytes((id,)) + length.to_bytes(2, "little") + rest,
         st.integers(0, 255), st.integers(0, 65535) | st.integers(0, 12), data,
     )  # fmt: skip
-    piece = (
-        answer | status | echo | announced_ | data | st.sampled_from((HEADER * 50, b"\xff" * 5000))
-    )
+    flood = st.sampled_from((HEADER * 50, b"\xff" * 5000))
+    piece = answer | status | echo | announced_ | data | flood
     found = bytearray(b"".join(draw(st.lists(piece, max_size=8))))
-    for place, bit in draw(
-        st.lists(st.tuples(st.integers(0, 2**12), st.integers(0, 7)), max_size=3)
-    ):
+    flips = st.tuples(st.integers(0, 2**12), st.integers(0, 7))
+    for place, bit in draw(st.lists(flips, max_size=3)):
         if found:
             found[place % len(found)] ^= 1 << bit
     cuts = sorted({0, len(found), *draw(st.lists(st.integers(0, len(found)), max_size=6))})
@@ -200,15 +174,11 @@ def lines(draw: Any) -> tuple[bytes, ...]:
 
 
 class ForgedLine:
-    """A serial line in place of the real one, on which whatever is sent is answered by a script.
+    """A serial line on which whatever is sent is answered by data, without end if it babbles."""
 
-    Args:
-        pieces: data to send, in order.
-        babbles: True to repeat the data without end.
-    """
+    port = "forged"
 
     def __init__(self, pieces: Sequence[bytes], babbles: bool) -> None:
-        self.port = "forged"
         self._pieces = [piece for piece in pieces if piece]
         self._babbles = babbles
         self._waiting: list[bytes] = []

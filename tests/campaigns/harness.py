@@ -1,10 +1,12 @@
-"""Runs the command line in a forked child: in a folder of its own, with a limit, watched.
+"""Shared by the campaigns: their options, rounds and findings, and children that are watched.
 
 A fork of a process that has loaded everything begins at once, so that thousands of commands can
 be tried.
 """
 
+import argparse
 import importlib
+import itertools
 import os
 import re
 import resource
@@ -14,32 +16,23 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Sequence
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
-from hypothesis import strategies as st
 
 from vergence.controllers.controller import CONTROLLERS
 
 MODULES: Final = (
-    "vergence.cli",
-    "vergence.eval.gaze_figure",
-    "vergence.eval.article.reproduce",
-    "vergence.eval.comparison.evaluate",
-    "vergence.eval.comparison.folder",
-    "vergence.eval.comparison.tables",
-    "vergence.perception.detect",
-    "vergence.eval.reporting.locate_figure",
-    "vergence.eval.tuning.tune",
-    "vergence.models.mujoco.export",
-    "vergence.training.choices",
-    "vergence.training.export",
-    "vergence.training.run",
-)
+    "cli", "eval.gaze_figure", "eval.article.reproduce", "eval.comparison.evaluate",
+    "eval.comparison.folder", "eval.comparison.tables", "perception.detect",
+    "eval.reporting.locate_figure", "eval.tuning.tune", "models.mujoco.export", "training.choices",
+    "training.export", "training.run",
+)  # fmt: skip
 MEMORY: Final = 6 * 2**30
 """Memory that a command may use beyond its parent, bytes (chosen: no command needs as much)."""
 ALLOWED: Final = (0, 1, 2, 130)
@@ -50,13 +43,57 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 _TRACE: Final = re.compile(r"Traceback \(most recent call last\)|^  File \"", re.MULTILINE)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """Result of a command."""
+def options_of(doc: str, words: Sequence[str], **options: Any) -> argparse.Namespace:
+    """Options of a campaign: each has a default, or choices of which one or more are taken."""
+    parser = argparse.ArgumentParser(description=doc.partition("\n")[0])
+    for name, given_ in options.items():
+        if isinstance(given_, tuple):
+            parser.add_argument(f"--{name}", nargs="+", choices=given_, default=given_)
+        else:
+            parser.add_argument(f"--{name}", type=type(given_), default=given_)
+    return parser.parse_args(words)
 
-    words: tuple[str, ...]
+
+def rounds(minutes: float, number: int) -> Iterator[int]:
+    """Seeds of rounds until the time is up; other ones for another number."""
+    begun_s = time.monotonic()
+    for place in itertools.count(1_000_003 * number):
+        if time.monotonic() - begun_s >= 60.0 * minutes:
+            return
+        yield place
+
+
+class Findings:
+    """Ends of inputs, and their faults by kind; a folder may keep the files of these."""
+
+    def __init__(self, keep: Path | None = None) -> None:
+        self.keep = keep
+        self.ends: Counter[str] = Counter()
+        self.faults: dict[str, list[str]] = {}
+
+    def add(self, kind: str, case: str, trace: str, folder: Path | None = None) -> None:
+        cases = self.faults.setdefault(kind, [])
+        cases.append(case)
+        if len(cases) == 1:
+            print(f"FAULT {kind}\n  {case}\n{trace[-2500:]}", flush=True)
+            if self.keep is not None and folder is not None:
+                shutil.copytree(folder, self.keep / f"{len(self.faults):03d}", symlinks=True)
+
+    def show(self, what: str) -> None:
+        said = ", ".join(f"{end}: {count}" for end, count in sorted(self.ends.items()))
+        print(f"{what}: {self.ends.total()} tried; {said}", flush=True)
+
+    def report(self) -> int:
+        for kind, cases in self.faults.items():
+            print(f"{len(cases)} x {kind}\n  {cases[0]}")
+        print(f"{len(self.faults)} kinds of fault")
+        return int(bool(self.faults))
+
+
+class Outcome(NamedTuple):
+    """Result of a command; one that a signal has ended, at its limit too, has no exit code."""
+
     code: int | None
-    """None for a command that a signal has ended, that of the limit included."""
     seconds: float
     out: str
     err: str
@@ -75,16 +112,12 @@ class Outcome:
         return found
 
 
-def load() -> None:
-    """Load modules, and compile the kernels that are not in the cache yet."""
+def load(commands: Sequence[Sequence[str]]) -> None:
+    """Load modules, and run commands in this process, whose machine code its forks begin with."""
     for name in MODULES:
-        importlib.import_module(name)
+        importlib.import_module(f"vergence.{name}")
     for place in CONTROLLERS.values():
         importlib.import_module(place.partition(":")[0])
-
-
-def warm(commands: Sequence[Sequence[str]]) -> None:
-    """Run commands in this process, whose machine code its forks then begin with."""
     from vergence.cli import main
 
     here = Path.cwd()
@@ -102,93 +135,78 @@ def run(
     words: Sequence[str],
     folder: Path,
     limit_s: float,
-    begin: Callable[[], None] | None = None,
-    watch: Callable[[int, float], None] | None = None,
+    begin: Callable[[], None] = lambda: None,
+    watch: Callable[[int, float], None] = lambda pid, seconds: None,
 ) -> Outcome:
-    """Run a command in a folder.
-
-    Args:
-        words: words of the command line.
-        folder: the current folder of the command; its HOME, caches and data lie beside it.
-        limit_s: time limit, s, after which it is killed.
-        begin: called in the child before the command.
-        watch: called in the parent, again and again, with the child's number and the seconds
-            since it began.
-    """
+    """Run a command in a folder; its HOME, caches and data lie beside it. See `forked`."""
     said = folder.parent / f"{folder.name}.said"
     said.mkdir(exist_ok=True)
-    begun = time.monotonic()
-    pid = os.fork()
-    if pid == 0:
-        _child(words, folder, said, begin)
-    status = _wait(pid, begun, limit_s, watch)
-    return Outcome(
-        words=tuple(words),
-        code=os.WEXITSTATUS(status) if os.WIFEXITED(status) else None,
-        seconds=time.monotonic() - begun,
-        out=(said / "out").read_text(encoding="utf-8", errors="replace"),
-        err=(said / "err").read_text(encoding="utf-8", errors="replace"),
-    )
 
-
-def _wait(
-    pid: int, begun: float, limit_s: float, watch: Callable[[int, float], None] | None
-) -> int:
-    while True:
-        done, status = os.waitpid(pid, os.WNOHANG)
-        seconds = time.monotonic() - begun
-        if done:
-            _kill_group(pid)  # workers that have outlived it
-            return status
-        if watch is not None:
-            watch(pid, seconds)
-        if seconds > limit_s:
-            _kill_group(pid)
-        time.sleep(0.002)
-
-
-def _kill_group(pid: int) -> None:
-    try:
-        os.killpg(pid, signal.SIGKILL)
-    except (ProcessLookupError, PermissionError):
-        return
-
-
-def _child(
-    words: Sequence[str], folder: Path, said: Path, begin: Callable[[], None] | None
-) -> None:
-    code = 70
-    try:
-        os.setsid()
+    def command() -> int:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         for number, name in ((1, "out"), (2, "err")):
             handle = os.open(said / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
             os.dup2(handle, number)
         sys.stdout = open(1, "w", encoding="utf-8", errors="replace", closefd=False)  # noqa: SIM115
         sys.stderr = open(2, "w", encoding="utf-8", errors="replace", closefd=False)  # noqa: SIM115
-        os.environ["HOME"] = str(said)
-        os.environ["XDG_DATA_HOME"] = str(said / "data")
-        os.environ["COLUMNS"] = "100"
+        os.environ |= {"HOME": str(said), "XDG_DATA_HOME": str(said / "data"), "COLUMNS": "100"}
         os.chdir(folder)
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
-        if begin is not None:
-            begin()
+        begin()
         from vergence.cli import main
 
         try:
             main(list(words))
-            code = 0
         except SystemExit as stop:
-            code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
-    except BaseException:
-        traceback.print_exc()
-    finally:
+            return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+        return 0
+
+    code, seconds, _ = forked(command, limit_s, watch)
+    out, err = ((said / name).read_text("utf-8", "replace") for name in ("out", "err"))
+    return Outcome(code, seconds, out, err)
+
+
+def forked(
+    work: Callable[[], int],
+    limit_s: float,
+    watch: Callable[[int, float], None] = lambda pid, seconds: None,
+) -> tuple[int | None, float, int]:
+    """Work in a child, which is killed after a time with all that it has started.
+
+    The parent calls `watch` again and again, with the child's number and age in seconds.
+
+    Returns:
+        Exit code, or None if a signal ended it; seconds; greatest memory, KiB.
+    """
+    begun_s = time.monotonic()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # a fork of a process with threads
+        pid = os.fork()
+    if pid == 0:
+        code = 70
         try:
-            sys.stdout.flush()
-            sys.stderr.flush()
+            os.setsid()
+            code = work()
+        except BaseException:
+            traceback.print_exc()
         finally:
-            os._exit(code)
+            try:
+                sys.stdout.flush()
+                sys.stderr.flush()
+            finally:
+                os._exit(code)
+    while True:
+        done, status, usage = os.wait4(pid, os.WNOHANG)
+        seconds = time.monotonic() - begun_s
+        if done or seconds > limit_s:
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(pid, signal.SIGKILL)  # workers that have outlived it, too
+        if done:
+            code = os.WEXITSTATUS(status) if os.WIFEXITED(status) else None
+            return code, seconds, usage.ru_maxrss
+        watch(pid, seconds)
+        time.sleep(0.002)
 
 
 def fresh(path: Path, model: Path | None = None) -> Path:
@@ -201,20 +219,14 @@ def fresh(path: Path, model: Path | None = None) -> Path:
     return path
 
 
-def try_each(
-    cases: st.SearchStrategy[Any], attempt: Callable[[Any], None], number: int, count: int
-) -> None:
+def try_each(cases: Any, attempt: Callable[[Any], None], number: int, count: int) -> None:
     """Try some inputs of a strategy; they are drawn anew for another number."""
 
     @seed(number)
     @settings(
-        max_examples=count,
-        database=None,
-        deadline=None,
-        derandomize=False,
-        phases=(Phase.generate,),
-        suppress_health_check=list(HealthCheck),
-    )
+        max_examples=count, database=None, deadline=None, derandomize=False,
+        phases=(Phase.generate,), suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
     @given(cases)
     def run_cases(case: Any) -> None:
         attempt(case)

@@ -1,15 +1,11 @@
 """Kills, full disks and lost permission at random moments of the commands that take long.
 
-    python -m tests.campaigns interruptions  # 50 moments each
-    python -m tests.campaigns interruptions --moments 5 --commands tune --faults kill
-
 A moment is a time, or just before the command's n-th change of its files, which is where faults
 do harm. After it nothing may be half-written under its own name; with the disk full or closed
 the command says so in a line; and the next call goes on, or says why not, and comes to the same
 tables as one that was left alone. Full disks need root, for a small tmpfs.
 """
 
-import argparse
 import contextlib
 import ctypes
 import json
@@ -20,37 +16,40 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import tempfile
-import time
-from collections import Counter
+import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
+
+import pandas as pd
 
 from tests.campaigns import corpus
-from tests.campaigns.harness import Outcome, fresh, load, run, warm
+from tests.campaigns.harness import Findings, Outcome, fresh, load, options_of, run
+from vergence.errors import VergenceError
 from vergence.files import PARTIAL_PREFIX
+
+
+class Command(NamedTuple):
+    """A command, its run folder, and a file of it that comes out the same if interrupted.
+
+    A search has none: an attempt that was cut off is not begun again, and the next one tries
+    another point.
+    """
+
+    words: tuple[str, ...]
+    out: str
+    same: str = ""
+
 
 FAULTS: Final = ("kill", "full", "permission")
 COMMANDS: Final = {
-    "evaluate": corpus.EVALUATE,
-    "train": ("train", "gain-schedule", *corpus.STEPS, "--out", "w", *corpus.TRAIN),
-    "tune": corpus.TUNE,
-    "reproduce": corpus.REPRODUCE,
-    "gaze": (*corpus.GAZE, "--out", "g"),
-    "export": ("export", "mjcf", "--out", "m"),
+    "evaluate": Command(corpus.EVALUATE, "e", "trials.csv"),
+    "train": Command(corpus.LEARN, "w"),
+    "tune": Command(corpus.TUNE, "t"),
+    "reproduce": Command(corpus.REPRODUCE, "r", "tables/time-response.csv"),
+    "gaze": Command((*corpus.GAZE, "--out", "g"), "g", "result.json"),
+    "export": Command(("export", "mjcf", "--out", "m"), "m"),
 }
-_OUT: Final = {"evaluate": "e", "train": "w", "tune": "t", "reproduce": "r", "gaze": "g",
-               "export": "m"}  # fmt: skip
-_SAME: Final = {
-    "evaluate": "trials.csv",
-    "reproduce": "tables/time-response.csv",
-    "gaze": "result.json",
-}
-"""A file of each command that comes out the same however often it was interrupted. A search is
-none of these: an attempt that was cut off is not begun again, and the next one tries another point.
-"""
 _LIMIT_S: Final = 240.0
 """Time limit of a command, s (chosen: far longer than any takes)."""
 _DISK: Final = "48m"
@@ -65,58 +64,33 @@ _CHANGES: Final = frozenset(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reference:
-    """A command that was left alone."""
+class Reference(NamedTuple):
+    """A command that was left alone: its changes of files, and the files of its run folder."""
 
     seconds: float
     changes: int
-    """Number of changes of files."""
     files: frozenset[str]
-    """Files in its run folder."""
     same: bytes
 
 
-@dataclass(kw_only=True)
-class Changes:
-    """Counts the changes of files below a folder, in the process of the command."""
+def watch_changes(folder: Path, each: Callable[[int], None]) -> None:
+    """Call with its number before each change of files below a folder, as long as we live."""
+    counted, busy = 0, False
 
-    folder: Path
-    moment: int = 0
-    """Number of the change to strike before; 0 for none."""
-    strike: Callable[[], None] | None = None
-    counted: int = 0
-    busy: bool = field(default=False)
-
-    def install(self) -> None:
-        """Begin to count; there is no end to it in this process."""
-        sys.addaudithook(self._hook)
-
-    def _hook(self, event: str, arguments: tuple[Any, ...]) -> None:
-        if self.busy or not self._counts(event, arguments):
+    def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        nonlocal counted, busy
+        writes = event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR)
+        if busy or not (writes or event in _CHANGES) or isinstance(arguments[0], int):
             return
-        self.busy = True
+        busy = True
         try:
-            self.counted += 1
-            if self.strike is None:
-                place = self.folder.parent / f"{self.folder.name}.changes"
-                place.write_text(str(self.counted))
-            elif self.counted == self.moment:
-                self.strike()
+            if os.path.abspath(os.fsdecode(arguments[0])).startswith(str(folder)):
+                counted += 1
+                each(counted)
         finally:
-            self.busy = False
+            busy = False
 
-    def _counts(self, event: str, arguments: tuple[Any, ...]) -> bool:
-        if event == "open":
-            path, _mode, flags = arguments
-            if not isinstance(path, str | bytes) or not flags & (os.O_WRONLY | os.O_RDWR):
-                return False
-        elif event in _CHANGES:
-            path = arguments[0]
-        else:
-            return False
-        name = os.path.abspath(os.fsdecode(path)) if not isinstance(path, int) else ""
-        return name.startswith(str(self.folder))
+    sys.addaudithook(hook)
 
 
 def obey_permissions() -> None:
@@ -133,16 +107,12 @@ def obey_permissions() -> None:
 
 
 class Trial:
-    """One command at a time in a folder that a fault can strike.
-
-    Args:
-        folder: working folder.
-        fault: one of `FAULTS`.
-    """
+    """One command at a time in a folder that one of the faults can strike."""
 
     def __init__(self, folder: Path, fault: str) -> None:
         self.folder = folder
         self.fault = fault
+        self.changes = folder.parent / "changes"
 
     def strike(self) -> None:
         """Let the fault happen, in whichever process calls; a kill is the caller's own end."""
@@ -154,34 +124,37 @@ class Trial:
                     ballast.write(bytes(65536))
                     ballast.flush()
         else:
-            for path in (self.folder, *self.folder.rglob("*")):
-                with contextlib.suppress(OSError):
-                    if path.is_dir():
-                        path.chmod(0o500)
+            self._permit(0o500)
 
     def mend(self) -> None:
         """Undo the fault."""
         (self.folder / _BALLAST).unlink(missing_ok=True)
+        self._permit(0o755)
+
+    def _permit(self, mode: int) -> None:
         for path in (self.folder, *self.folder.rglob("*")):
-            if path.is_dir():
-                path.chmod(0o755)
+            with contextlib.suppress(OSError):
+                if path.is_dir():
+                    path.chmod(mode)
 
     def run(
         self, words: tuple[str, ...], *, at_s: float | None = None, at_change: int | None = None
     ) -> Outcome:
         """Run a command, with the fault at a time, before a change, or not at all."""
-        changes = Changes(folder=self.folder)
-        if at_change is not None:
-            changes.moment, changes.strike = at_change, self.strike
+        struck = False
+
+        def change(number: int) -> None:
+            if at_change is None:
+                self.changes.write_text(str(number))
+            elif number == at_change:
+                self.strike()
 
         def begin() -> None:
             os.environ["TMPDIR"] = str(self.folder.parent)
             if self.fault == "permission":
                 obey_permissions()
             if at_s is None:
-                changes.install()
-
-        struck = False
+                watch_changes(self.folder, change)
 
         def watch(pid: int, seconds: float) -> None:
             nonlocal struck
@@ -189,46 +162,74 @@ class Trial:
                 return
             struck = True
             if self.fault == "kill":
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+                os.kill(pid, signal.SIGKILL)
             else:
                 self.strike()
 
         return run(words, self.folder, _LIMIT_S, begin, watch)
 
+    def left_alone(self, command: str) -> Reference:
+        """Run a command without a fault."""
+        self.empty()
+        words, out, same = COMMANDS[command]
+        outcome = self.run(words)
+        assert outcome.code in (0, 1), f"{command} without a fault: {outcome.code}: {outcome.err}"
+        place = self.folder / out
+        return Reference(
+            seconds=outcome.seconds,
+            changes=int(self.changes.read_text()),
+            files=frozenset(visible(place)),
+            same=(place / same).read_bytes() if same else b"",
+        )
+
+    def empty(self) -> None:
+        """Empty the folder, where a disk may be mounted."""
+        for path in self.folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+
+
+def visible(folder: Path) -> set[str]:
+    """The files of a folder that are not hidden, nor in a hidden folder."""
+    paths = [path.relative_to(folder) for path in folder.rglob("*") if path.is_file()]
+    return {
+        path.as_posix()
+        for path in paths
+        if not any(part.startswith(".") or part == "tensorboard" for part in path.parts)
+    }
+
 
 def check(command: str, folder: Path, reference: Reference | None) -> list[str]:
     """Faults of a folder: results that are half-written under their final names."""
+    from vergence.training.config import load_run
+
     found: list[str] = []
     for place in folder.iterdir():
         if place.name.startswith(".") or not place.is_dir():
             continue
-        names = {path.relative_to(place).as_posix() for path in visible(place)}
+        names = visible(place)
         if command in ("evaluate", "gaze", "export") and reference is not None:
             missing = reference.files - names
             if missing and names:
                 found.append(f"{place.name} lacks {sorted(missing)[:3]}")
-        found += [problem for name in sorted(names) if (problem := _unreadable(place / name))]
+        found += filter(None, (_damage(place / name) for name in sorted(names)))
         if command == "reproduce":
             found += _unfinished(place)
         if command == "train":
-            found += _untrained(place)
+            try:
+                load_run(place)
+            except VergenceError as error:
+                found.append(str(error))
     return found
 
 
-def visible(folder: Path) -> Iterator[Path]:
-    """The files of a folder that are not hidden, nor in a hidden folder."""
-    for path in folder.rglob("*"):
-        hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if path.is_file() and not hidden and "tensorboard" not in path.parts:
-            yield path
+_ENDS: Final = {".svg": "</svg>", ".html": "</html>", ".png": "IEND\xaeB`\x82"}
 
 
-def _unreadable(path: Path) -> str:
-    import tomllib
-
-    import pandas as pd
-
+def _damage(path: Path) -> str:
+    """The reason why a file cannot be read, if there is one."""
     try:
         if path.suffix == ".json":
             json.loads(path.read_text(encoding="utf-8"))
@@ -236,14 +237,11 @@ def _unreadable(path: Path) -> str:
             tomllib.loads(path.read_text(encoding="utf-8"))
         elif path.suffix == ".csv":
             pd.read_csv(path)
-        elif path.suffix == ".svg":
-            assert path.read_text(encoding="utf-8").rstrip().endswith("</svg>")
-        elif path.suffix == ".html":
-            assert path.read_text(encoding="utf-8").rstrip().endswith("</html>")
-        elif path.suffix == ".png":
-            assert path.read_bytes().endswith(b"IEND\xaeB`\x82")
+        elif path.suffix in _ENDS:
+            assert path.read_text(encoding="latin1").rstrip().endswith(_ENDS[path.suffix])
         elif path.suffix == ".db":
-            _sound(path)
+            with contextlib.closing(sqlite3.connect(path)) as database:
+                assert database.execute("pragma integrity_check").fetchone() == ("ok",)
         elif path.suffix == ".pt":
             from vergence.training.checkpoint import read_checkpoint
 
@@ -251,11 +249,6 @@ def _unreadable(path: Path) -> str:
     except Exception as error:
         return f"{path.name} is damaged: {type(error).__name__} {str(error)[:80]}"
     return ""
-
-
-def _sound(path: Path) -> None:
-    with contextlib.closing(sqlite3.connect(path)) as database:
-        assert database.execute("pragma integrity_check").fetchone() == ("ok",)
 
 
 def _unfinished(folder: Path) -> list[str]:
@@ -269,49 +262,18 @@ def _unfinished(folder: Path) -> list[str]:
     return found
 
 
-def _untrained(folder: Path) -> list[str]:
-    from vergence.errors import VergenceError
-    from vergence.training.config import load_run
-
-    try:
-        load_run(folder)
-    except VergenceError as error:
-        return [str(error)]
-    return []
-
-
-def _next_words(command: str, folder: Path) -> tuple[str, ...]:
-    """Command that a user would call next."""
-    if command == "train" and (folder / "w" / "config.toml").is_file():
-        return ("train", "--resume", "w")
-    return COMMANDS[command]
-
-
-def _complete(command: str, folder: Path, reference: Reference) -> bool:
-    """True if the result exists already, under its own name or a similar one."""
-    places = [path for path in folder.glob(f"{_OUT[command]}*") if path.is_dir()]
-    return any(
-        reference.files <= {path.relative_to(place).as_posix() for path in visible(place)}
-        for place in places
-    )
-
-
 def try_moment(
     trial: Trial, command: str, reference: Reference, rng: random.Random
-) -> tuple[str, list[str]]:
-    """Strike once, look, mend, call again, look.
-
-    Returns:
-        Outcome of the moment, and its faults.
-    """
-    fresh_contents(trial.folder)
+) -> tuple[str, str, list[str]]:
+    """Strike once, look, mend, call again, look: the moment, exit codes, and faults."""
+    trial.empty()
+    words, out, same = COMMANDS[command]
     if rng.random() < 0.5:
         at_s = rng.uniform(0.0, 1.1 * reference.seconds)
-        when, outcome = f"at {at_s:.2f} s", trial.run(COMMANDS[command], at_s=at_s)
+        when, outcome = f"at {at_s:.2f} s", trial.run(words, at_s=at_s)
     else:
         change = rng.randint(1, max(1, reference.changes))
-        when = f"before change {change}"
-        outcome = trial.run(COMMANDS[command], at_change=change)
+        when, outcome = f"before change {change}", trial.run(words, at_change=change)
     wrong = outcome.faults()
     if outcome.code is None and (trial.fault != "kill" or outcome.seconds >= _LIMIT_S):
         wrong.append("it did not end by itself")
@@ -319,14 +281,13 @@ def try_moment(
         wrong.append("exit code 2 without a reason")
     wrong += check(command, trial.folder, reference)
     trial.mend()
-    if (
-        trial.fault != "kill"
-        and list(trial.folder.glob(f"{PARTIAL_PREFIX}*"))
-        and trial.fault == "full"
-    ):
+    if trial.fault == "full" and list(trial.folder.glob(f"{PARTIAL_PREFIX}*")):
         wrong.append("a half-written folder is left")
-    there = _complete(command, trial.folder, reference)
-    again = trial.run(_next_words(command, trial.folder))
+    places = [path for path in trial.folder.glob(f"{out}*") if path.is_dir()]
+    there = any(reference.files <= visible(place) for place in places)
+    if command == "train" and (trial.folder / "w" / "config.toml").is_file():
+        words = ("train", "--resume", "w")
+    again = trial.run(words)
     wrong += [f"the next call: {fault}" for fault in again.faults()]
     wrong += [f"after the next call: {fault}" for fault in check(command, trial.folder, reference)]
     if list(trial.folder.glob(f"{PARTIAL_PREFIX}*")) and again.code != 2:
@@ -335,41 +296,13 @@ def try_moment(
         wrong.append(f"the next call does not go on: {again.err.strip()[-200:]}")
     if again.code not in (0, 1, 2):
         wrong.append(f"the next call ended with {again.code}")
-    name = _SAME.get(command)
-    result = trial.folder / _OUT[command] / (name or "")
-    if name and result.is_file() and result.read_bytes() != reference.same:
-        wrong.append(f"{name} is another than that of a run left alone")
+    result = trial.folder / out / same
+    if same and result.is_file() and result.read_bytes() != reference.same:
+        wrong.append(f"{same} is another than that of a run left alone")
     if wrong:
         wrong.append(f"stderr: {outcome.err.strip()[-1200:]}")
         wrong.append(f"stderr of the next call: {again.err.strip()[-600:]}")
-    said = f"{outcome.code if outcome.code is not None else 'killed'} then {again.code}"
-    return f"{when}: {said}", wrong
-
-
-def fresh_contents(folder: Path) -> None:
-    """Empty a folder, which may be where a disk is mounted."""
-    for path in folder.iterdir():
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
-
-
-def left_alone(trial: Trial, command: str) -> Reference:
-    """Run a command without a fault."""
-    fresh_contents(trial.folder)
-    outcome = trial.run(COMMANDS[command])
-    if outcome.code not in (0, 1):
-        raise AssertionError(f"{command} without a fault: {outcome.code}: {outcome.err}")
-    place = trial.folder / _OUT[command]
-    name = _SAME.get(command)
-    counted = trial.folder.parent / f"{trial.folder.name}.changes"
-    return Reference(
-        seconds=outcome.seconds,
-        changes=int(counted.read_text()) if counted.exists() else 1,
-        files=frozenset(path.relative_to(place).as_posix() for path in visible(place)),
-        same=(place / name).read_bytes() if name else b"",
-    )
+    return when, f"{'killed' if outcome.code is None else outcome.code} then {again.code}", wrong
 
 
 @contextlib.contextmanager
@@ -387,47 +320,29 @@ def disk(folder: Path, fault: str) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(work)], check=False)
 
 
-def main(arguments: list[str]) -> int:
-    """Interrupt; 1 if something was wrong."""
-    parser = argparse.ArgumentParser(
-        "tests.campaigns interruptions", description=(__doc__ or "").splitlines()[0]
+def main(words: list[str], folder: Path) -> Findings:
+    """Interrupt."""
+    options = options_of(
+        __doc__ or "", words, moments=50, seed=0, commands=tuple(COMMANDS), faults=FAULTS
     )
-    parser.add_argument("--moments", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--commands", nargs="+", choices=list(COMMANDS), default=list(COMMANDS)[:4])
-    parser.add_argument("--faults", nargs="+", choices=FAULTS, default=list(FAULTS))
-    options = parser.parse_args(arguments)
-    faults = [fault for fault in options.faults if fault != "full" or os.getuid() == 0]
-    if faults != options.faults:
-        print("full: left out, as a small tmpfs needs root")
-    load()
-    warm(corpus.WARM)
-    wrong = 0
-    for fault in faults:
+    load(corpus.WARM)
+    found = Findings()
+    for fault in options.faults:
+        if fault == "full" and os.getuid() != 0:
+            print("full: left out, as a small tmpfs needs root")
+            continue
         for command in options.commands:
-            wrong += _moments(fault, command, options.moments, options.seed)
-    print(f"{wrong} moments with something wrong")
-    return 1 if wrong else 0
-
-
-def _moments(fault: str, command: str, moments: int, seed: int) -> int:
-    """Strike at so many moments; how many of them came to harm."""
-    rng = random.Random(f"{seed} {fault} {command}")
-    with tempfile.TemporaryDirectory() as place, disk(Path(place), fault) as folder:
-        Path(place).chmod(0o777)
-        trial = Trial(folder, fault)
-        reference = left_alone(trial, command)
-        begun, wrong = time.monotonic(), 0
-        ends: Counter[str] = Counter()
-        for number in range(moments):
-            said, found = try_moment(trial, command, reference, rng)
-            ends[said.split(": ")[1]] += 1
-            if found:
-                wrong += 1
-                print(f"WRONG {fault} {command} {number} {said}", *found, sep="\n    ", flush=True)
-        taken = time.monotonic() - begun
-        shown = ", ".join(f"{how}: {n}" for how, n in sorted(ends.items()))
-        alone = f"{reference.seconds:.1f} s and {reference.changes} changes alone"
-        print(f"{fault} {command}: {wrong} of {moments} wrong; exit codes {shown} "
-              f"({alone}; {taken:.0f} s)", flush=True)  # fmt: skip
-    return wrong
+            rng = random.Random(f"{options.seed} {fault} {command}")
+            found.ends.clear()
+            with disk(folder / fault / command, fault) as work:
+                trial = Trial(work, fault)
+                reference = trial.left_alone(command)
+                for number in range(options.moments):
+                    when, codes, wrong = try_moment(trial, command, reference, rng)
+                    found.ends[codes] += 1
+                    if wrong:
+                        name = f"{fault} {command} {number} {when}: {codes}"
+                        found.add(name, "\n    ".join(wrong), "")
+            alone = f"{reference.seconds:.1f} s and {reference.changes} changes alone"
+            found.show(f"{fault} {command} ({alone})")
+    return found

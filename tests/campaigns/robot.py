@@ -1,26 +1,21 @@
 """Fuzzing of what a robot is given: its configuration, its log, and its streams.
 
-    python -m tests.campaigns robot                 # five minutes of each
-    python -m tests.campaigns robot --minutes 1 --seed 7 --only log
-
 Whatever comes, there is an answer or one error of the package, each of whose lines is a line; no
 warning, no hang, no memory without bound, and nothing that the input names is run.
 """
 
-import argparse
 import base64
 import json
 import os
 import resource
 import signal
 import sys
-import tempfile
 import time
 import traceback
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 from unittest import mock
@@ -29,21 +24,22 @@ from hypothesis import strategies as st
 
 from tests.campaigns import forged_logs, forged_streams
 from tests.campaigns.commands import damage, damages
-from tests.campaigns.harness import try_each
+from tests.campaigns.harness import Findings, forked, options_of, rounds, try_each
 from tests.hardware.fakes import HEAD, TAG, camera_config
+from tests.hardware.test_config import document
 from vergence.controllers.controller import CONTROLLERS
 from vergence.errors import VergenceError
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.replay import replay
 from vergence.hardware.cameras import EyeThread
 from vergence.hardware.config import load_hardware
-from vergence.hardware.config_parts import actuator_slots
 from vergence.hardware.dynamixel import bus as dynamixel_bus
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.control_table import PRESENT_POSITION
 from vergence.hardware.dynamixel.packets import MOST_LENGTH, PacketParser, status_packet
 from vergence.hardware.history import JointHistory
 from vergence.models.files.head_toml import head_to_toml
+from vergence.models.files.toml_text import toml_text
 from vergence.recording.log import read_log
 from vergence.recording.recovery import recover_log
 
@@ -60,14 +56,14 @@ _FORBIDDEN: Final = ("os.system", "os.exec", "os.posix_spawn", "subprocess.Popen
 """Audit events that no input may cause."""
 
 _SPECIAL: Final = (
-    "nan", "inf", "-inf", "-1", "0", "1e300", "true", '""', '" "', "[]", "{}", "[[]]", "1979-05-27",
-    "0x" + "f" * 9000, "9" * 400, "9" * 5000, "-0x1", "[" * 30000 + "]" * 30000, '"a\\nb"',
-    '"\\u0000"', '"\\u001b[31m"', '"/dev/zero"', '"/dev/stdin"', '"FIFO"', '"FIFO.toml"', '"."',
-    '"/"', '"evil.py:X"', '"evil.py"', '"robot.toml"', '"big.toml"', '"../x"', '"/proc/self/mem"',
-    '"tag:36h11:5:1e999"', '"tag:36h11:99999999999999999999"', '"checkerboard:99999999x99999999:1"',
-    '"charuco:7x5:40:30:4X4_50"', '"checkerboard:0x0"', '"tag:' + "9" * 5000 + '"', '"\\u0663"',
-    '"' + "9" * 5000 + '"', '"http://[::1"', '"' + "a" * 5000 + '"', "[1, 2, 3]", "{a = 1}",
-    "2048", "1", '"left_pan"', '"simulated"', '"h:99999"', "[0.1, 0.2]", "[nan, 1]", "0.001",
+    "nan", "-inf", "-1", "0", "1e300", "true", '""', '" "', "[]", "{}", "[[]]", "1979-05-27",
+    "0x" + "f" * 9000, "9" * 5000, "[" * 30000 + "]" * 30000, '"a\\nb"', '"\\u001b[31m"',
+    '"\\u0000"', '"/dev/zero"', '"/dev/stdin"', '"FIFO"', '"FIFO.toml"', '"."', '"evil.py:X"',
+    '"robot.toml"', '"../x"', '"/proc/self/mem"', '"tag:36h11:5:1e999"', '"checkerboard:0x0"',
+    '"tag:36h11:99999999999999999999"', '"charuco:7x5:40:30:4X4_50"', '"\\u0663"',
+    '"checkerboard:99999999x99999999:1"', '"tag:' + "9" * 5000 + '"', '"http://[::1"',
+    '"' + "a" * 5000 + '"', "[1, 2, 3]", "{a = 1}", "2048", "1", '"left_pan"', '"simulated"',
+    '"h:99999"', "[nan, 1]", "0.001",
 )  # fmt: skip
 _KEYS: Final = ("x", '"a\\nb"', '"\\u001b"', '""', "head", "port", "servos", "safety", "id", "'é'")
 
@@ -116,14 +112,9 @@ def watched(folder: Path) -> Iterator[list[str]]:
     except VergenceError as error:
         ended.append(type(error).__name__)
         said = error.lines
-        if not said or any(not line.strip() or not line.isprintable() for line in said):
-            raise FaultError(f"a message that is no line: {said!r:.300}") from error
-        if str(error) != "\n".join(said):
-            raise FaultError(f"a message of more than its lines: {str(error)!r:.300}") from error
-        if max(map(len, said)) > 3000:
-            raise FaultError(
-                f"a line of {max(map(len, said))} characters: {said!r:.300}"
-            ) from error
+        sound = [line.strip() and line.isprintable() and len(line) <= 3000 for line in said]
+        if not sound or not all(sound) or str(error) != "\n".join(said):
+            raise FaultError(f"no message of short lines: {str(error)!r:.300}") from error
     except Exception as error:
         raise FaultError(f"{type(error).__name__}: {error}"[:300]) from error
     finally:
@@ -139,15 +130,11 @@ def watched(folder: Path) -> Iterator[list[str]]:
 
 
 class Inputs:
-    """Tries inputs, each in its own way.
-
-    Args:
-        folder: working folder.
-    """
+    """Tries inputs, each in its own way, in a folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.ended: Counter[str] = Counter()
+        self.found = Findings()
         (folder / "evil.py").write_text(
             f"open({str(folder / 'ran')!r}, 'w').close()\nclass X: pass\n"
         )
@@ -184,7 +171,7 @@ class Inputs:
         damage(path, steps)
         with watched(self.folder) as ended:
             load_hardware(path)
-        self.ended.update(ended)
+        self.found.ends.update(ended)
 
     def log(self, case: tuple[tuple[forged_logs.Edit, ...], str]) -> None:
         """Read a log, look at it again, and recover it."""
@@ -202,7 +189,7 @@ class Inputs:
             found = replay(ReplayConfig(log=path, controller=word))
             json.dumps(found.summary(), allow_nan=False)
             found.trajectory()
-        self.ended.update(ended)
+        self.found.ends.update(ended)
         with watched(self.folder) as again:
             recover_log(path, out)
             read_log(out)
@@ -211,36 +198,23 @@ class Inputs:
 
     def stream(self, script: forged_streams.Script) -> None:
         """Let an eye look at a stream, in a process of its own."""
-        reader, writer = os.pipe()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # a fork of a process with threads
-            pid = os.fork()
-        if pid == 0:
-            os.close(reader)
+        said = self.folder / "said"
+
+        def look() -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-            os.write(writer, _look(script).encode("utf-8", "replace")[:4000])
-            os._exit(0)
-        os.close(writer)
-        until_s = time.monotonic() + _LIMIT_S
-        done, status, usage = os.wait4(pid, os.WNOHANG)
-        while not done and time.monotonic() < until_s:
-            time.sleep(0.02)
-            done, status, usage = os.wait4(pid, os.WNOHANG)
-        if not done:
-            os.kill(pid, signal.SIGKILL)
-            os.wait4(pid, 0)
-        with os.fdopen(reader, "rb") as file:
-            said = file.read().decode()
-        if not done:
-            raise FaultError(f"no end within {_LIMIT_S:g} s")
-        if status:
-            raise FaultError(f"the process ended by {status}")
-        own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        if usage.ru_maxrss - own > _STREAM_MEMORY:
-            raise FaultError(f"{(usage.ru_maxrss - own) >> 10} MiB more memory")
-        if said.startswith("FAULT "):
-            raise FaultError(said)
-        self.ended[said] += 1
+            said.write_text(_look(script)[:4000], encoding="utf-8", errors="replace")
+            return 0
+
+        said.unlink(missing_ok=True)
+        code, seconds, memory = forked(look, _LIMIT_S)
+        if code != 0:
+            raise FaultError(f"the process ended by {code} after {seconds:.0f} s")
+        grown = memory - resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        if grown > _STREAM_MEMORY:
+            raise FaultError(f"{grown >> 10} MiB more memory")
+        if said.read_text("utf-8").startswith("FAULT "):
+            raise FaultError(said.read_text("utf-8"))
+        self.found.ends[said.read_text("utf-8")] += 1
 
     def line(self, case: tuple[tuple[bytes, ...], bool]) -> None:
         """Take packets out of bytes, and let a bus ask a line that answers with them."""
@@ -254,9 +228,8 @@ class Inputs:
             parser.clear()
             if len(parser.feed(status_packet(7))) != 1:
                 raise FaultError("a whole packet after these bytes is not found")
-            with mock.patch.object(
-                dynamixel_bus, "SerialLine", return_value=forged_streams.ForgedLine(pieces, babbles)
-            ):
+            line = forged_streams.ForgedLine(pieces, babbles)
+            with mock.patch.object(dynamixel_bus, "SerialLine", return_value=line):
                 bus = Bus("forged")
             begun_s = time.monotonic()
             bus.sync_read((1, 2, 3, 4), 126, 10)
@@ -264,9 +237,22 @@ class Inputs:
             if time.monotonic() - begun_s > 1.0:
                 raise FaultError("a question takes more than a second")
             bus.read(1, PRESENT_POSITION)
-        self.ended.update(ended)
+        self.found.ends.update(ended)
 
-    def attempts(self) -> dict[str, tuple[st.SearchStrategy[Any], Callable[[Any], None]]]:
+    def judge(self, name: str, attempt: Callable[[Any], None], case: Any) -> None:
+        """Try an input and keep its fault."""
+        try:
+            attempt(case)
+        except FaultError as fault:
+            self.found.ends["fault"] += 1
+            cause = fault.__cause__
+            trace = "".join(traceback.format_exception(cause)) if cause else ""
+            places = [line for line in trace.splitlines() if line.startswith("  File")]
+            kind = f"{name}: {''.join(c for c in str(fault)[:90] if not c.isdigit())}"
+            kind += f" {places[-1].strip()[-110:]}" if places else ""
+            self.found.add(kind, f"{name} {case!r:.1500}", trace)
+
+    def attempts(self) -> dict[str, tuple[Any, Callable[[Any], None]]]:
         """Strategy and way to try by name of input."""
         laws = st.sampled_from(("", "", "state-feedback", "ibvs", "pid"))
         return {
@@ -279,47 +265,45 @@ class Inputs:
 
 @st.composite
 def configs(draw: Any) -> tuple[Any, ...]:
-    """Strategy for edits of a configuration's lines, and sometimes of its bytes."""
+    """Edits of a configuration's lines, and sometimes of its bytes."""
     kinds = st.sampled_from(("value", "value", "value", "key", "more", "without", "twice"))
-    step = st.tuples(
-        kinds, st.integers(0, 2**16), st.sampled_from(_SPECIAL), st.sampled_from(_KEYS)
-    )
-    lines = tuple(draw(st.lists(step, min_size=1, max_size=3)))
-    return lines, draw(damages()) if draw(st.integers(0, 3)) == 0 else ()
+    words = (st.sampled_from(_SPECIAL), st.sampled_from(_KEYS))
+    lines = st.lists(st.tuples(kinds, st.integers(0, 2**16), *words), min_size=1, max_size=3)
+    return draw(lines), draw(damages()) if draw(st.integers(0, 3)) == 0 else ()
 
 
 def _config_text() -> str:
     """A configuration with every key."""
-    servos = "".join(
-        f'[[servos]]\nname = "{name}"\nid = {ident}\nzero_ticks = 2048\nsign = 1\n'
-        "gear_ratio = 1.0\nlower_rad = -0.1\nupper_rad = 0.1\n"
-        for ident, name in enumerate(actuator_slots(HEAD), 1)
-    )
-    cameras = "".join(
-        f'[cameras.{eye}]\nsource = "http://127.0.0.1:1/{eye}"\npixel_format = "MJPG"\n'
-        "latency_s = 0.1\nexposure_s = 0.008\n"
-        for eye in ("left", "right")
-    )
-    return (
-        f'head = "head.toml"\nhead_digest = "{HEAD.digest}"\ntarget = "tag:36h11:0:150"\n'
-        '[bus]\nport = "/dev/ttyUSB0"\nbaud_rate = 1_000_000\nwatchdog_s = 0.2\n'
-        f"{servos}[cameras]\npairing_tolerance_s = 0.02\n{cameras}"
-        '[emulator]\naddress = "127.0.0.1:4711"\n'
-        "[safety]\nspeed_rad_s = 3.0\nacceleration_rad_s2 = 40.0\nimage_age_s = 0.5\n"
-        "lost_s = 0.5\nsearch = true\noverruns = 0.3\n"
-        '[[safety.forbidden]]\nname = "frame"\nleft_pan = [0.9, 1.2]\n'
-    )
+    values = document() | {
+        "head": "head.toml",
+        "head_digest": HEAD.digest,
+        "emulator": {"address": "127.0.0.1:4711"},
+        "places": [
+            {"target": f"tag:36h11:{n}:90", "point_mm": [10.0, -20.0, 900.0]} for n in (1, 2)
+        ],
+        "safety": {
+            "speed_rad_s": 3.0, "acceleration_rad_s2": 40.0, "image_age_s": 0.5, "lost_s": 0.5,
+            "search": True, "overruns": 0.3,
+            "forbidden": [{"name": "frame", "left_pan": [0.9, 1.2]}],
+        },
+    }  # fmt: skip
+    for servo in values["servos"]:
+        servo |= {"gear_ratio": 1.0, "lower_rad": -0.1, "upper_rad": 0.1}
+    for name, eye in values["cameras"].items():
+        eye |= {"source": f"http://127.0.0.1:1/{name}", "pixel_format": "MJPG"}
+        eye |= {"latency_s": 0.1, "exposure_s": 0.008}
+    values["cameras"]["pairing_tolerance_s"] = 0.02
+    return toml_text(values)
 
 
 def _look(script: forged_streams.Script) -> str:
     """Fault of an eye after it has watched a stream for a while."""
-    eye = None
     history = JointHistory()
     history.add(time.monotonic(), HEAD.rest(), HEAD.rest())
     try:
-        with forged_streams.Server(script) as server:
+        with closing(forged_streams.Server(script)) as server:
+            eye = EyeThread(camera_config(source=server.url), HEAD, TAG, history)
             try:
-                eye = EyeThread(camera_config(source=server.url), HEAD, TAG, history)
                 eye.start()
                 until_s = time.monotonic() + _STREAM_S
                 while time.monotonic() < until_s:
@@ -327,76 +311,40 @@ def _look(script: forged_streams.Script) -> str:
                     eye.take_searched_images()
                     time.sleep(0.01)
                 return "images" if eye.ready else "no image yet"
-            except VergenceError as error:
-                said = str(error)
-                known = ("the stream ended", "expected images", "expected a video")
-                if said.isprintable() and any(one in said for one in known):
-                    return type(error).__name__
-                return f"FAULT {said!r}"
             finally:
-                if eye is not None:
-                    eye.close()
-                    if eye.is_alive():
-                        time.sleep(3.0)
+                eye.close()
+                if eye.is_alive():
+                    time.sleep(3.0)
+    except VergenceError as error:
+        said = str(error)
+        known = ("the stream ended", "expected images", "expected a video")
+        if said.isprintable() and any(one in said for one in known):
+            return type(error).__name__
+        return f"FAULT {said!r}"
     except BaseException:
         return f"FAULT {traceback.format_exc()}"
 
 
-def main(arguments: list[str]) -> int:
-    """Fuzz; 1 if there was a fault."""
-    parser = argparse.ArgumentParser(
-        "tests.campaigns robot", description=(__doc__ or "").splitlines()[0]
+def main(words: list[str], folder: Path) -> Findings:
+    """Fuzz."""
+    options = options_of(
+        __doc__ or "",
+        words,
+        minutes=5.0,
+        seed=time.time_ns() % 10**6,
+        only=("config", "log", "stream", "line"),
     )
-    parser.add_argument("--minutes", type=float, default=5.0, help="for each input")
-    parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
-    parser.add_argument("--only", choices=("config", "log", "stream", "line"))
-    options = parser.parse_args(arguments)
     print(f"seed {options.seed}", flush=True)
-    faults: dict[str, list[str]] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        inputs = Inputs(Path(folder))
-        with suppress(FaultError):  # compile the kernels outside of any limit
-            inputs.log(((), "state-feedback"))
-        for name, (cases, attempt) in inputs.attempts().items():
-            if options.only in (None, name):
-                _fuzz(inputs, name, (cases, attempt), options, faults)
-        os.chdir("/")
-    for key, found in faults.items():
-        print(f"{len(found)} x {key}\n  {found[0]}")
-    print(f"{len(faults)} kinds of fault")
-    return 1 if faults else 0
-
-
-def _fuzz(
-    inputs: Inputs,
-    name: str,
-    way: tuple[st.SearchStrategy[Any], Callable[[Any], None]],
-    options: argparse.Namespace,
-    faults: dict[str, list[str]],
-) -> None:
-    """Fuzz one input for its time."""
-    cases, attempt = way
-    inputs.ended.clear()
-
-    def keep(case: Any) -> None:
-        try:
-            attempt(case)
-        except FaultError as fault:
-            inputs.ended["fault"] += 1
-            cause = fault.__cause__
-            trace = "".join(traceback.format_exception(cause)) if cause else ""
-            places = [line for line in trace.splitlines() if line.startswith("  File")]
-            key = f"{name}: {''.join(c for c in str(fault)[:90] if not c.isdigit())}"
-            key += f" {places[-1].strip()[-110:]}" if places else ""
-            found = faults.setdefault(key, [])
-            found.append(f"{name} {case!r:.1500}")
-            if len(found) == 1:
-                print(f"FAULT {key}\n  {found[0]}\n{trace[-2500:]}", flush=True)
-
-    begun, rounds = time.monotonic(), 0
-    while time.monotonic() - begun < 60.0 * options.minutes:
-        try_each(cases, keep, 1_000_003 * options.seed + rounds, 4 if name == "stream" else 25)
-        rounds += 1
-    said = ", ".join(f"{one}: {count}" for one, count in sorted(inputs.ended.items()))
-    print(f"{name}: {inputs.ended.total()} in {options.minutes:g} minutes; {said}", flush=True)
+    os.chdir(folder)
+    inputs = Inputs(folder)
+    with suppress(FaultError):  # compile the kernels outside of any limit
+        inputs.log(((), "state-feedback"))
+    for name in options.only:
+        cases, attempt = inputs.attempts()[name]
+        inputs.found.ends.clear()
+        for number in rounds(options.minutes, options.seed):
+            try_each(
+                cases, partial(inputs.judge, name, attempt), number, 4 if name == "stream" else 25
+            )
+        inputs.found.show(f"{name} in {options.minutes:g} minutes")
+    return inputs.found

@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError
 
 
 def outcome(code=0, out="", err=""):
-    return Outcome(words=("gaze",), code=code, seconds=1.0, out=out, err=err)
+    return Outcome(code, 1.0, out, err)
 
 
 def test_what_nobody_should_see_of_a_command_is_a_fault():
@@ -70,11 +70,18 @@ def test_what_nobody_should_see_of_an_input_is_a_fault(tmp_path):
     raises(ConfigurationError("one line"))
 
 
+def test_the_configuration_that_is_damaged_is_whole(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    inputs = Inputs(tmp_path)
+    inputs.config(((), ()))
+    assert inputs.found.ends == {"answer": 1}
+
+
 @pytest.mark.nightly
 def test_whatever_a_robot_is_given_is_an_answer_or_one_error_of_ours(tmp_path):
     inputs = Inputs(tmp_path)
     for name, count in (("config", 60), ("log", 60), ("line", 60), ("stream", 1)):
         cases, attempt = inputs.attempts()[name]
-        before = inputs.ended.total()
+        before = inputs.found.ends.total()
         try_each(cases, attempt, 20261125, count)
-        assert inputs.ended.total() > before, name
+        assert inputs.found.ends.total() > before, name

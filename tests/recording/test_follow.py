@@ -6,6 +6,7 @@ import os
 import tempfile
 from collections import defaultdict
 from contextlib import closing
+from itertools import pairwise
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -30,7 +31,6 @@ mcap_writer = pytest.importorskip("mcap.writer")
 
 PERIOD_S = 0.1
 STEPS = 30
-"""Periods of a trial of the short log."""
 
 
 def log_trial(log, clock, steps):
@@ -45,10 +45,8 @@ def log_trial(log, clock, steps):
         log.joints(clock.now, np.full(7, time_s), np.zeros(7))
         log.reading(Reading.empty(1)._replace(time_s=np.array([time_s])), begun_s)
         log.truth(Truth.unknown(1)._replace(time_s=np.array([time_s])))
-        log.detection(
-            LoggedDetection("right", clock.now - 0.05, clock.now, np.zeros(7), np.ones(2),
-                            np.ones(2), np.ones((4, 2)), np.ones((4, 2)))
-        )  # fmt: skip
+        pixels = (np.ones(2), np.ones(2), np.ones((4, 2)), np.ones((4, 2)))
+        log.detection(LoggedDetection("right", clock.now - 0.05, clock.now, np.zeros(7), *pixels))
         log.sync()
 
 
@@ -66,8 +64,8 @@ def logged(tmp_path_factory):
         clock.now += 1.0
         log_trial(log, clock, STEPS)
         for number in range(6):
-            image = np.full((48, 64), 40 + number, np.uint8)
-            log.image(number % 2, image, clock.now - 0.1 * (6 - number))
+            grey = np.full((48, 64), 40 + number, np.uint8)
+            log.image(number % 2, grey, clock.now - 0.1 * (6 - number))
         log.stopped("bus: gone")
     return path
 
@@ -83,16 +81,14 @@ def assert_holds(events, log):
     steps = [(trial, step) for trial in log.trials for step in range(trial.steps + 1)]
     readings = found["readings"]
     assert [one[:2] for one in readings] == [(trial.number, trial.begun_s) for trial, _ in steps]
-    for rows, expected in (
-        (
-            [one.reading for one in readings],
-            [[v[s, 0] for v in trial.readings] for trial, s in steps],
-        ),
-        (found["truths"], [[v[s, 0] for v in trial.truths] for trial, s in steps]),
-        (found["commands"], [one for trial in log.trials for one in trial.commands]),
-        (found["detections"], log.detections),
-    ):
-        for row, others in zip(rows, expected, strict=True):
+    found["readings"] = [one.reading for one in readings]
+    for name, expected in {
+        "readings": [[v[s, 0] for v in trial.readings] for trial, s in steps],
+        "truths": [[v[s, 0] for v in trial.truths] for trial, s in steps],
+        "commands": [one for trial in log.trials for one in trial.commands],
+        "detections": log.detections,
+    }.items():
+        for row, others in zip(found[name], expected, strict=True):
             for value, other in zip(row, others, strict=True):
                 np.testing.assert_array_equal(value, other)
     assert found["stop_reasons"] == list(log.stop_reasons)
@@ -100,8 +96,11 @@ def assert_holds(events, log):
         assert found["images", eye] == log.trials[-1].images[eye][-1]
 
 
+def times_of(events):
+    return [float(one.reading.time_s) for one in events.readings]
+
+
 def places_of(path):
-    """Places of all records of a file."""
     with closing(GrowingFile(path)) as file:
         return list(file.places())
 
@@ -117,7 +116,7 @@ def test_a_log_in_pieces_cut_anywhere_gives_each_event_once_and_stays_as_it_is(l
         path.touch()
         with LogFollower(path, history_s=math.inf) as follower, path.open("ab", 0) as file:
             events = [follower.poll()]
-            for start, end in zip([0, *ends], [*ends, len(data)], strict=True):
+            for start, end in pairwise([0, *ends, len(data)]):
                 file.write(data[start:end])
                 events.append(follower.poll())
             assert follower.closed
@@ -132,16 +131,13 @@ def test_an_open_log_gives_what_its_writer_has_flushed(tmp_path):
     log = open_log(tmp_path / "open.mcap", clock, facts={"seed": "7"})
     with log, LogFollower(log.path) as follower:
         assert follower.poll() is None
-        assert follower.head.digest == HEAD.digest
-        assert follower.config == "# a robot"
+        assert (follower.head.digest, follower.config) == (HEAD.digest, "# a robot")
         assert follower.facts["seed"] == "7"
         log_trial(log, clock, 3)
         assert len(follower.poll().readings) == 4
-        assert follower.poll() is None
-        assert not follower.closed
+        assert (follower.poll(), follower.closed) == (None, False)
         log.close()
-        assert follower.poll() is None
-        assert follower.closed
+        assert (follower.poll(), follower.closed) == (None, True)
 
 
 def test_a_record_that_is_cut_off_waits_for_its_rest(logged, tmp_path):
@@ -155,14 +151,13 @@ def test_a_record_that_is_cut_off_waits_for_its_rest(logged, tmp_path):
             with path.open("ab") as file:
                 file.write(data[cut : chunk.start + chunk.size])
             rest = follower.poll()
-            assert rest is not None
             assert follower.poll() is None
-        times = [float(one.reading.time_s) for part in (before, rest) for one in part.readings]
+        times = times_of(before) + times_of(rest)
         np.testing.assert_allclose(times, PERIOD_S * np.arange(len(times)))  # rounded in JSON
 
 
 def test_only_the_recent_part_of_a_long_log_is_unpacked(tmp_path, monkeypatch):
-    records = Mock(side_effect=GrowingFile.records, autospec=True)
+    records = Mock(side_effect=GrowingFile.records)
     monkeypatch.setattr(GrowingFile, "records", lambda *words: records(*words))
     clock, steps = FakeClock(), 300
     with open_log(tmp_path / "long.mcap", clock) as log:
@@ -173,7 +168,7 @@ def test_only_the_recent_part_of_a_long_log_is_unpacked(tmp_path, monkeypatch):
             attached = records.call_count
             log_trial(log, clock, 1)
             later = follower.poll()
-    times = [float(one.reading.time_s) for one in events.readings]
+    times = times_of(events)
     # A chunk spans one period, or two where the writer's own flush fell between.
     assert times[0] == pytest.approx(PERIOD_S * steps - 2.0, abs=2 * PERIOD_S)
     assert times[-1] == pytest.approx(PERIOD_S * steps)
@@ -232,18 +227,14 @@ def test_garbage_is_one_error_after_the_events_before_it(logged, tmp_path):
             assert follower.poll() is None
 
 
-def test_another_file_is_no_log(tmp_path):
-    path = tmp_path / "notes.txt"
-    path.write_text("nothing of the kind")
+def test_another_file_and_a_log_without_a_head_or_of_another_schema_are_refused(tmp_path):
     for one in (tmp_path / "none.mcap", tmp_path):
         with pytest.raises(UnreadableFileError, match="expected a log of a robot"):
             LogFollower(one)
+    path = tmp_path / "other.mcap"
+    path.write_text("nothing of the kind")
     with LogFollower(path) as follower, pytest.raises(UnreadableFileError, match="no MCAP file"):
         follower.poll()
-
-
-def test_a_log_without_a_head_or_of_another_schema_is_refused(tmp_path):
-    path = tmp_path / "other.mcap"
     for version, reason in ((None, "it has no head"), ("0", "its schema is")):
         with path.open("wb") as file:
             writer = mcap_writer.Writer(file)
@@ -253,11 +244,7 @@ def test_a_log_without_a_head_or_of_another_schema_is_refused(tmp_path):
                 writer.add_attachment(0, 0, schema.HEAD_FILE, "application/toml", b"")
             writer.add_message(writer.register_channel("/fault", "json", 0), 0, b'{"text": ""}', 0)
             writer.finish()
-        with (
-            named(reason),
-            LogFollower(path) as follower,
-            pytest.raises(UnreadableFileError, match=reason),
-        ):
+        with LogFollower(path) as follower, pytest.raises(UnreadableFileError, match=reason):
             follower.poll()
 
 

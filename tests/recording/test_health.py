@@ -51,6 +51,9 @@ def test_a_camera_that_has_moved_is_reported():
     assert any("warning" in line and "camera" in line for line in health.words())
     # gaps of moving eyes are not judged
     assert np.isnan(judged(readings(40, right_down_px=5.0, speed_rad_s=0.5)).gap_ratio)
+    rows = zip(*readings(40, right_down_px=5.0), strict=True)
+    with pytest.warns(VergenceWarning, match="a zero .* or a camera is off"):
+        warn_of_gap(HEAD, Reading._make(np.stack(part)[:, np.newaxis] for part in rows))
 
 
 def test_missed_periods_are_counted_within_a_gaze():
@@ -58,11 +61,3 @@ def test_missed_periods_are_counted_within_a_gaze():
     health = judged([*some[:4], *some[6:], *some[:5]])
     assert health.missed_periods == 2
     assert health.periods == 9 + 4
-
-
-def test_a_gaze_whose_rays_miss_each_other_is_told():
-    rows = Reading._make(
-        np.stack(part)[:, np.newaxis] for part in zip(*readings(40, right_down_px=5.0), strict=True)
-    )
-    with pytest.warns(VergenceWarning, match="a zero .* or a camera is off"):
-        warn_of_gap(HEAD, rows)

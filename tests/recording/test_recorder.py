@@ -13,9 +13,9 @@ from vergence.recording import Recorder
 STEPS = 20
 
 
-def recorded(task, steps=STEPS, **fields):
+def recorded(task, **fields):
     """A record of a law's trials, and copies of what the task reported in each step."""
-    record, told = Recorder(task, steps, **fields), []
+    record, told = Recorder(task, STEPS, **fields), []
 
     def keep(step):
         record(step)
@@ -25,7 +25,7 @@ def recorded(task, steps=STEPS, **fields):
             task.pixel_error.copy(), task.lost.copy(),
         ))  # fmt: skip
 
-    rollout(task, make_controller("ibvs", head=task.head), steps, keep, seed=3)
+    rollout(task, make_controller("ibvs", head=task.head), STEPS, keep, seed=3)
     return record, told
 
 
@@ -69,13 +69,10 @@ def test_fields_that_are_not_asked_for_have_no_rows_nor_truth(task, monkeypatch)
     assert record.truth is None
 
 
-def test_a_plant_without_truth_has_none_in_its_record(robot):
+def test_a_robot_has_no_truth_and_a_trial_that_ended_early_as_many_rows_as_were_recorded(robot):
     record, told = recorded(robot)
     assert record.truth is None
     assert same(record.reading, [reading for reading, *_others in told])
-
-
-def test_a_trial_that_ended_early_has_as_many_rows_as_were_recorded(robot):
     record = Recorder(robot, STEPS)
     rollout(robot, make_controller("ibvs", head=robot.head), 7, record)
     assert (len(record.reading.positions), len(record.lost)) == (8, 8)

@@ -38,22 +38,17 @@ def test_an_error_of_the_vergence_is_one_of_depth_and_one_of_the_version_is_not(
     assert sigmas["version"][0] > 100.0 * sigmas["version"][2]
 
 
-def test_the_noise_of_a_head_is_that_of_each_actuators_own_encoder():
+def test_the_noise_of_a_head_is_that_of_each_actuators_own_encoder_and_play():
+    steps, plays = np.array([1e-3, 2e-3, 3e-3]), np.array([0.0, 0.01, 0.02])
     head = head_of("mis")
-    steps = [1e-3, 2e-3, 3e-3]
-    own = head.replace(actuators={"encoder_resolution_rad": steps})
     of_head = head.sensor.encoder_resolution_rad
+    own = head.replace(actuators={"encoder_resolution_rad": steps})
     expected = np.array([of_head] * 3 + [*steps, 0.0]) / np.sqrt(12.0)
     assert Noise.of(own).joint_rad == pytest.approx(expected)
-
-
-def test_play_leaves_what_is_driven_on_either_side_of_its_encoder():
-    steps, plays = np.array([1e-3, 2e-3, 3e-3]), np.array([0.0, 0.01, 0.02])
-    head = head_of("mis").replace(
-        actuators={"encoder_resolution_rad": steps, "backlash_rad": plays}
-    )
+    # play leaves what is driven on either side of its encoder
+    loose = own.replace(actuators={"backlash_rad": plays})
     expected = np.sqrt(steps**2 / 12.0 + (0.5 * plays) ** 2)
-    assert Noise.of(head).joint_rad[3:6] == pytest.approx(expected)
+    assert Noise.of(loose).joint_rad[3:6] == pytest.approx(expected)
 
 
 def test_a_gaze_with_play_is_as_wrong_as_its_covariance_says():

@@ -37,21 +37,17 @@ def same(a: Fix, b: Fix) -> bool:
     )
 
 
-def test_gaze_finds_the_points_of_table_3(head: HeadModel) -> None:
+def test_gaze_and_views_from_eyes_at_rest_find_the_points_of_table_3(head: HeadModel) -> None:
     points = table_3()
     assert points.shape == (21, 3)
-    fix = triangulate_gaze(head, head.fixate(points))
-    assert fix.valid.all()
-    assert np.abs(fix.point - points).max() < NANOMETRE
-    assert fix.gap.max() < NANOMETRE
-
-
-def test_views_find_the_points_of_table_3_from_eyes_at_rest(head: HeadModel) -> None:
-    points = table_3()
-    fix = triangulate_views(head, np.zeros(7), head.project(np.zeros(7), points))
-    assert fix.valid.all()
-    assert np.abs(fix.point - points).max() < NANOMETRE
-    assert fix.gap.max() < NANOMETRE
+    q = np.zeros(7)
+    for fix in (
+        triangulate_gaze(head, head.fixate(points)),
+        triangulate_views(head, q, head.project(q, points)),
+    ):
+        assert fix.valid.all()
+        assert np.abs(fix.point - points).max() < NANOMETRE
+        assert fix.gap.max() < NANOMETRE
 
 
 _HEADS = {name: load_head(name) for name in ("simulated", "physical")}
@@ -90,22 +86,15 @@ def test_a_population_against_a_batch_of_angles_is_the_loop_over_both(
     pixels = head.project(q, points) + rng.normal(0.0, 5.0, (4, 2, 2))
     noise = Noise(pixel_px=0.05, joint_rad=1e-4)
 
-    def by_gaze(a_head: HeadModel, angles, _seen) -> Fix:
-        return triangulate_gaze(a_head, angles, noise)
-
-    def by_views(a_head: HeadModel, angles, seen) -> Fix:
-        return triangulate_views(a_head, angles, seen, noise)
-
-    for fix in (by_gaze, by_views):
-        with named(fix.__name__):
-            together = fix(heads, q, pixels)
+    for call, seen in ((triangulate_gaze, False), (triangulate_views, True)):
+        with named(call.__name__):
+            together = call(heads, q, *[pixels] * seen, noise)
             assert together.point.shape == (3, 4, 3)
             assert together.gap.shape == together.valid.shape == (3, 4)
             assert together.covariance.shape == (3, 4, 3, 3)
-            for i in range(3):
-                for j in range(4):
-                    alone = fix(heads[i, 0], q[j], pixels[j])
-                    assert same(alone, Fix(*(part[i, j] for part in together)))
+            for i, j in np.ndindex(3, 4):
+                alone = call(heads[i, 0], q[j], *[pixels[j]] * seen, noise)
+                assert same(alone, Fix(*(part[i, j] for part in together)))
 
 
 def test_noise_broadcasts_with_the_batch(simulated: HeadModel, rng) -> None:
@@ -160,42 +149,32 @@ def has_no_answer(fix: Fix) -> bool:
     return not fix.valid.any() and all(np.isnan(part).all() for part in numbers)
 
 
-def test_parallel_axes_and_nearly_parallel_ones_have_no_answer(head: HeadModel) -> None:
-    for vergence_rad in (0.0, 1e-12, 1e-8, 0.9e-4):
-        with named(vergence_rad):
-            q = np.zeros(7)
-            q[6] = vergence_rad  # a positive pan looks left, towards the other eye's axis
-            assert has_no_answer(triangulate_gaze(head, q))
+def turned(left_pan: float, right_pan: float) -> NDArray[np.float64]:
+    """Angles of eyes that only pan; a positive pan looks left."""
+    return np.array([0.0, 0.0, 0.0, 0.0, left_pan, 0.0, right_pan])
+
+
+def test_axes_that_are_nearly_parallel_or_cross_behind_an_eye_have_no_answer(head) -> None:
+    parallel = [(0.0, angle) for angle in (0.0, 1e-12, 1e-8, 0.9e-4)]
+    # diverging; and both far to the left, the left one even farther, so that it is behind that eye
+    for pans in (*parallel, (0.1, -0.1), (0.9, 0.5)):
+        with named(pans):
+            assert has_no_answer(triangulate_gaze(head, turned(*pans)))
 
 
 def test_barely_converging_axes_cross_where_they_must(simulated: HeadModel) -> None:
-    q = np.zeros(7)
-    q[6] = 2e-4
-    fix = triangulate_gaze(simulated, q)
+    fix = triangulate_gaze(simulated, turned(0.0, 2e-4))
     assert fix.valid
     # 92 mm of baseline; a relative 1e-6 is the rounding of the squared sine of 2e-4
     assert fix.point[2] == pytest.approx(0.092 / np.tan(2e-4) + 0.0138, rel=1e-6)
 
 
-def test_axes_that_cross_behind_an_eye_have_no_answer(simulated: HeadModel) -> None:
-    # diverging; and both far to the left, the left one even farther, so that it is behind that eye
-    for pans in ((0.1, -0.1), (0.9, 0.5)):
-        with named(pans):
-            q = np.zeros(7)
-            q[[4, 6]] = pans
-            assert has_no_answer(triangulate_gaze(simulated, q))
-
-
-def test_an_eye_that_does_not_see_leaves_no_answer(simulated: HeadModel) -> None:
-    for eye, axis in ((0, 0), (0, 1), (1, 0), (1, 1)):
+def test_an_eye_that_does_not_see_or_an_angle_of_nan_leaves_no_answer(head: HeadModel) -> None:
+    for eye, axis in np.ndindex(2, 2):
         with named(eye, axis):
-            point = np.array([0.0, -0.1, 1.0])
-            pixels = simulated.project(np.zeros(7), point)
+            pixels = head.project(np.zeros(7), [0.0, -0.1, 1.0])
             pixels[eye, axis] = np.nan
-            assert has_no_answer(triangulate_views(simulated, np.zeros(7), pixels))
-
-
-def test_a_joint_angle_that_is_nan_leaves_no_answer(head: HeadModel) -> None:
+            assert has_no_answer(triangulate_views(head, np.zeros(7), pixels))
     q = head.fixate([0.0, -0.1, 1.0])
     q[5] = np.nan
     assert has_no_answer(triangulate_gaze(head, q))

@@ -52,9 +52,7 @@ def test_fixations_in_which_an_eye_sees_nothing_do_not_count():
     q, pixels = looked_at(head, point, np.random.default_rng(2))
     blind = pixels.copy()
     blind[40:, 1] = np.nan
-    some, first = (
-        triangulate_fixations(head, *each, NOISE) for each in ((q, blind), (q[:40], pixels[:40]))
-    )
-    np.testing.assert_array_equal(some.point, first.point)
+    first = triangulate_fixations(head, q[:40], pixels[:40], NOISE)
+    assert np.array_equal(triangulate_fixations(head, q, blind, NOISE).point, first.point)
     with pytest.raises(ConfigurationError, match="both eyes see the point, got none in 64"):
         triangulate_fixations(head, q, np.full_like(pixels, np.nan), NOISE)
