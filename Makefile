@@ -25,7 +25,7 @@ BENCH := $(VENV)/.bench
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run view robot test test-all check lint style types kernels real-time wheel format dev bench clean
+.PHONY: help run view robot test test-all check lint style types tests kernels wheel format dev bench clean
 .DELETE_ON_ERROR:
 
 help: ## show this list
@@ -41,13 +41,15 @@ robot: $(ROBOT) ## a robot's functions on an emulated head: checks, gazes, a fau
 	@$(BIN)/python -m benchmarks.tour
 
 test: $(TEST) ## lint, type-check and run the tests (options: make test ARGS="-k triangulation")
-	@$(MAKE) -j2 style kernels
+	@$(MAKE) -j2 types tests
+
+tests: style kernels
 	@$(PYTEST) -n $(JOBS) --dist worksteal -m "not real_time and not nightly" $(ARGS) || $(NO_TESTS_SELECTED)
-	@$(MAKE) -j2 types real-time
+	@$(PYTEST) -m "real_time and not nightly" $(or $(ARGS),tests/hardware) || $(NO_TESTS_SELECTED)
 
 test-all: test ## what `make test` does, and the tests of many seconds that it leaves out
 	@$(PYTEST) -n $(JOBS) --dist worksteal -m "nightly and not real_time" $(ARGS) || $(NO_TESTS_SELECTED)
-	@$(PYTEST) -m "nightly and real_time" $(ARGS) || $(NO_TESTS_SELECTED)
+	@$(PYTEST) -m "nightly and real_time" $(or $(ARGS),tests/hardware) || $(NO_TESTS_SELECTED)
 
 check: $(TEST) ## lint and the quick tests of what differs from main, or of rooms (ROOM="models eval")
 	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && $(MAKE) -j2 lint kernels && \
@@ -60,11 +62,8 @@ style: $(TEST)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(TEST) # beside tests of real time, which come first
-	nice -n 19 $(BIN)/mypy
-
-real-time: $(TEST)
-	@$(PYTEST) -m "real_time and not nightly" $(ARGS) || $(NO_TESTS_SELECTED)
+types: $(TEST) # takes the time that others leave, and is told of at once
+	@echo "$(BIN)/mypy"; told=$$(nice -n 19 $(BIN)/mypy 2>&1); failed=$$?; echo "$$told"; exit $$failed
 
 kernels: $(TEST) ## compile what the tests call
 	@$(BIN)/python -m tests.kernels

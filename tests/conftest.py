@@ -47,6 +47,11 @@ def silent_kernels(monkeypatch):
     monkeypatch.setattr("vergence.cli._tell_of_kernels", lambda: None)
 
 
+def pytest_collection_modifyitems(items):
+    """Begin with the top folder's tests, which take longest: the last ones are then short."""
+    items.sort(key=lambda item: len(item.path.parts))
+
+
 def pytest_collection_finish():
     """Spare the searches for cyclic garbage all that was imported and lives until the end."""
     gc.collect()

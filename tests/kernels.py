@@ -93,7 +93,6 @@ SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
         partial(gaze, "simulated"),
         partial(gaze, "physical"),
         partial(info, "icub"),
-        board,
         partial(steps, "simulated", "rendered"),
         partial(steps, "simulated", "mujoco"),
         partial(laws, "tied"),
@@ -102,6 +101,7 @@ SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
         partial(steps, "tied", "mujoco"),
         *(partial(trials, head, name) for name in SCENARIOS for head in ("simulated", "tied")),
         partial(gaze, "icub"),
+        board,
     ),
 )
 """Work of each process; nothing large is compiled in both."""

@@ -42,7 +42,9 @@ def examples(name: str) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["README.md", "docs/guide.md"])
+@pytest.mark.parametrize(
+    "name", ["README.md", pytest.param("docs/guide.md", marks=pytest.mark.nightly)]
+)
 @pytest.mark.filterwarnings("ignore:You are trying to run PPO on the GPU:UserWarning")
 def test_the_examples_of_a_document_run_one_after_the_other(name, capsys) -> None:
     found = examples(name)

@@ -9,8 +9,8 @@ from tests.commands.called import run
 FEW = ("--trials", "2", "--workers", "1")
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.nightly
 def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
     code, out, _err = run(
         capsys, "evaluate", "ibvs", "--margins", "--imperfection", "command_latency_s", *FEW,

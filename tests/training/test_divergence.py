@@ -33,7 +33,7 @@ def test_a_training_that_diverges_says_when_and_what_to_try(tmp_path):
     assert "nan" not in (folder / "curve.csv").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_that_diverged_does_so_again_when_it_goes_on(tmp_path):
     folder = tmp_path / "run"
     config, head = small("policy", "algorithm.learning_rate=1e30")

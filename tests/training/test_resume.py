@@ -138,7 +138,7 @@ def test_a_run_goes_on_to_more_steps_at_the_learning_rate_of_a_run_of_as_many(tm
     learner.close()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_finished_run_that_could_not_draw_its_figure_draws_it(whole, tmp_path):
     folder = shutil.copytree(whole.folder, tmp_path / "run")
     figures = [folder / "curve.png", folder / "curve.svg"]

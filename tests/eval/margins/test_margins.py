@@ -90,7 +90,7 @@ def coarse(monkeypatch):
     monkeypatch.setattr("vergence.eval.margins.search.GRID_FRACTIONS", (0.5, 1.0))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
     measured, known, monkeypatch
 ):
@@ -122,8 +122,8 @@ def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(measured)
     assert cells["camera phase (of a frame)"] == "0 to 1"
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.nightly
 def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tmp_path):
     margins = measured(
         "command_latency_s",

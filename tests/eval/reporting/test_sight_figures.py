@@ -46,7 +46,7 @@ def titles(figure):
     return [panel.get_title() for panel in figure.axes]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_point_far_away_leaves_the_others_their_scale_and_is_counted():
     usual, far = (
         compose_located(tags_at(0.5, 0.6, 0.7)),

@@ -30,7 +30,7 @@ def table() -> pd.DataFrame:
     return EXPERIMENT.run(CONFIG, 0, SerialMapper())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_seed_is_that_of_the_noise_and_who_runs_the_jobs_does_not_change_a_bit():
     few = {"gain_step": 1.0, "plane_step": 4.0, "duration_s": 0.5, "delays_frames": [8, 9]}
     config = resolve_config(EXPERIMENT, TINY | few, quick=True)

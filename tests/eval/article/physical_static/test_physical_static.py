@@ -36,6 +36,7 @@ def test_at_settled_fixations_the_methods_differ_by_the_noise_of_the_images_alon
     assert 0.3 < (apart / sigma).median(axis=None) < 1.2
 
 
+@pytest.mark.nightly
 def test_the_head_with_images_errs_as_it_does_without(table):
     imaged = table[(table["case"] == "fixation") & (table["group"] == "imaged")]
     assert (imaged["seen_share"] == 1.0).all()

@@ -35,12 +35,14 @@ def settled():
     return EXPERIMENT.run(SETTLED, 1, SerialMapper())
 
 
+@pytest.mark.nightly
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit():
     few = dataclasses.replace(CONFIG, point_step=21, samples=3)
     tables = [EXPERIMENT.run(few, 1, mapper) for mapper in (SerialMapper(), Backwards())]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 
 
+@pytest.mark.nightly
 def test_the_board_is_seen_in_every_image_at_every_depth(table):
     assert sorted(table["depth_mm"].round().unique()) == [500.0, 2500.0]
     assert (table["seen"] == 1.0).all()
@@ -117,6 +119,7 @@ def test_the_numbers_of_the_text_are_those_of_the_table(table):
     assert numbers["article_z_over_x"] == pytest.approx(0.005 * 2500.0 / 3.96, rel=1e-3)
 
 
+@pytest.mark.nightly
 def test_a_further_case_is_one_more_entry(monkeypatch, table):
     exact = dataclasses.replace(CASES["exact"], title="calibrated model")
     monkeypatch.setitem(CASES, "calibrated", exact)

@@ -18,7 +18,7 @@ def nominal():
     return load_head("physical")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_scale_makes_the_median_head_the_article_s(nominal):
     config = TwinConfig(heads=30)
     scale = find_error_scale(nominal, config, 1)

@@ -58,6 +58,7 @@ def test_propagation_agrees_with_the_real_detector():
     assert ((exact - 1.0).abs() < sigma_ratio_tolerance(CONFIG)).to_numpy().all()
 
 
+@pytest.mark.nightly
 def test_white_noise_scatters_as_the_bandwidth_says(table):
     gains = noise_gains(table, CONFIG)
     white = gains[gains["source"] == "white noise"]
