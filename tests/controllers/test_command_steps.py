@@ -35,6 +35,11 @@ def test_all_that_is_sent_is_whole_steps_that_move_within_the_limits(command) ->
     assert np.abs(counts).max() <= 250.0 + 1e-9
 
 
+def test_what_exceeds_the_limits_is_not_made_up_for_later() -> None:
+    later = sent(np.repeat([[7.0] * 4, [2.0] * 4], [20, 5], axis=0))[20:]
+    assert np.abs(np.cumsum(later - 2.0, axis=0)).max() <= 3.0 * STEP + 1e-9
+
+
 def test_a_command_of_rest_rests_and_forgets() -> None:
     slow = np.full((1, 4), 0.6 * STEP)
     assert not sent(np.concatenate([slow, slow, np.zeros((5, 4)), slow, slow]))[2:].any()

@@ -133,6 +133,7 @@ def test_the_observation_tells_nothing_of_an_unknown_delay() -> None:
 def test_an_environment_takes_a_variation_by_its_fields() -> None:
     env = gymnasium.make("vergence/Gaze-v0", plant="kinematic", variation=EVERYTHING)
     vector = gymnasium.make_vec("vergence/Gaze-v0", 3, plant="kinematic", variation=EVERYTHING)
+    env.reset(seed=3)  # whose trial of the same number has another head
     env.reset(seed=12)
     vector.reset(seed=10)
     single = conditions(env.unwrapped.task)

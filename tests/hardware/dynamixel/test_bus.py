@@ -54,6 +54,14 @@ def test_a_sync_read_keeps_those_that_answer(serve, connect):
     assert bus.missed_answers == 1
 
 
+def test_a_sync_read_waits_for_the_answers_of_all_on_the_line(serve, connect, monkeypatch):
+    bus, sizes = connect(serve([make_servo(1)]), **BRIEF), []
+    monkeypatch.setattr(bus.line, "wire_s", lambda size: sizes.append(size) or 0.0)
+    for ids in ([1], [1, 2, 3]):
+        bus.sync_read(ids, table.PRESENT_POSITION.address, 4)
+    assert sizes[1] - sizes[0] == 2 * (1 + 11 + 4)  # an id asked, and a packet with four bytes
+
+
 def test_a_servo_that_is_silent_is_named(serve, connect):
     served = serve([make_servo(1)])
     bus = connect(served, **BRIEF)
