@@ -111,15 +111,11 @@ def record(
                 age += timing.latency_s - delay
         observations.append(
             Observation(
-                pixel_error=error,
-                visible=np.isfinite(error).all(axis=-1),
-                image_age_s=np.array(age),
-                positions=joints,
-                positions_at_exposure=joints,
-                velocities=np.concatenate([np.zeros(3), at(now, rates)]),
-                last_command=before,
+                pixel_error=error, visible=np.isfinite(error).all(axis=-1),
+                image_age_s=np.array(age), positions=joints, positions_at_exposure=joints,
+                velocities=np.concatenate([np.zeros(3), at(now, rates)]), last_command=before,
             )
-        )
+        )  # fmt: skip
         positions.append(joints[3:])
         before = command
     return Recording(observations, np.array(positions))

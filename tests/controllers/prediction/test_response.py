@@ -16,12 +16,10 @@ HEAD = load_head("simulated")
 @pytest.mark.parametrize(
     ("latency_s", "lag_s", "ratio", "gain", "speed"),
     [
-        (0.004, 0.03, 1.0, 1.0, 6.0),
-        (0.0083, 0.03, 0.4, 0.85, 2.5),
-        (0.034, 0.06, 1.2, 0.9, 6.0),
+        (0.004, 0.03, 1.0, 1.0, 6.0), (0.0083, 0.03, 0.4, 0.85, 2.5), (0.034, 0.06, 1.2, 0.9, 6.0),
         (0.1, 0.03, 0.7, 1.1, 2.5),
     ],
-)
+)  # fmt: skip
 def test_one_turn_and_back_tells_how_actuators_answer(latency_s, lag_s, ratio, gain, speed):
     # so fast that the acceleration is at its limit, and so slow that the speed is reached
     commands = turns(HEAD, 75, speed=speed, time_s=0.1)

@@ -147,13 +147,10 @@ def test_both_eyes_find_random_targets_in_their_first_images(simulated, physical
 @pytest.mark.slow
 def test_they_do_whatever_the_targets_and_the_boards_options() -> None:
     for options in [
-        {"target": {"kind": "random", "start": "rest", "depth": (0.3, 0.5)}},
-        {"target": "orbit"},
-        {"plant_options": {"width_rad": None}},
-        {"plant_options": {"width_rad": 0.2}},
-        {"plant_options": {"facing": "forward"}},
-        {"plant_options": {"board": "checkerboard"}},
-    ]:
+        {"target": {"kind": "random", "start": "rest", "depth": (0.3, 0.5)}}, {"target": "orbit"},
+        {"plant_options": {"width_rad": None}}, {"plant_options": {"width_rad": 0.2}},
+        {"plant_options": {"facing": "forward"}}, {"plant_options": {"board": "checkerboard"}},
+    ]:  # fmt: skip
         with named(options):
             assert first_images(2, **options).sum() >= 3
 

@@ -126,11 +126,9 @@ def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(measured)
 @pytest.mark.nightly
 def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tmp_path):
     margins = measured(
-        "command_latency_s",
-        "speed_gain",
-        toy=KnowsTheWay(5),
+        "command_latency_s", "speed_gain", toy=KnowsTheWay(5),
         never=KnowsTheWay(5, never=tuple(range(4))),
-    )
+    )  # fmt: skip
     folder = tmp_path / "run"
     folder.mkdir()
     write_margins(folder, margins)
@@ -147,11 +145,9 @@ def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tm
         for row in rows
     )  # fmt: skip
     assert [(row["controller"], row["imperfection"], row["unit"]) for row in rows] == [
-        ("toy", "command_latency_s", "s"),
-        ("toy", "speed_gain", "1"),
-        ("never", "command_latency_s", "s"),
-        ("never", "speed_gain", "1"),
-    ]
+        ("toy", "command_latency_s", "s"), ("toy", "speed_gain", "1"),
+        ("never", "command_latency_s", "s"), ("never", "speed_gain", "1"),
+    ]  # fmt: skip
     table = pd.read_csv(folder / "margins.csv")
     assert table["searched_high"].tolist() == [0.1, 1.6, 0.1, 1.6]
     points = pd.read_csv(folder / "points.csv")

@@ -47,15 +47,10 @@ def test_simulation_has_the_robots_head_and_its_loop(desk):
     )  # as for that head's servos
     trials = evaluate(config).trials()
     for name, value in (
-        ("latency_s", 0.082),
-        ("jitter_s", 0.008),
-        ("lag_s", 0.045),
-        ("command_latency_s", 0.01),
-        ("feedback_latency_s", 0.0),
-        ("acceleration_ratio", 0.5),
-        ("speed_gain_left_pan", 0.9),
+        ("latency_s", 0.082), ("jitter_s", 0.008), ("lag_s", 0.045), ("command_latency_s", 0.01),
+        ("feedback_latency_s", 0.0), ("acceleration_ratio", 0.5), ("speed_gain_left_pan", 0.9),
         ("backlash_rad_right_tilt", 0.002),
-    ):
+    ):  # fmt: skip
         assert trials[name].to_numpy() == pytest.approx(value), name
     assert trials["frame_phase"].nunique() == 3
 

@@ -97,11 +97,7 @@ def test_the_grid_of_bounds_is_whole_periods_after_the_delay() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "plant", "beyond_px"),
-    [
-        ("workspace", "mujoco", 0.6),
-        ("robust", "kinematic", 0.5),
-    ],
+    ("name", "plant", "beyond_px"), [("workspace", "mujoco", 0.6), ("robust", "kinematic", 0.5)]
 )
 def test_an_oracle_meets_the_bound_within_a_period_and_never_beats_it(name, plant, beyond_px):
     scenario = load_scenario(name)

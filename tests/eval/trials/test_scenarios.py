@@ -68,14 +68,9 @@ def test_every_scenario_runs_on_each_of_its_plants(plant: str) -> None:
 @pytest.mark.slow
 def test_scenarios_run_with_any_head() -> None:
     for name, shape in [
-        ("hardware", "tied"),
-        ("webcam-fast", "mis"),
-        ("desk", "panfirst"),
-        ("step", "common"),
-        ("robust", "vergeonly"),
-        ("occluded", "common"),
-        ("double-step", "vergeonly"),
-    ]:
+        ("hardware", "tied"), ("webcam-fast", "mis"), ("desk", "panfirst"), ("step", "common"),
+        ("robust", "vergeonly"), ("occluded", "common"), ("double-step", "vergeonly"),
+    ]:  # fmt: skip
         with named(name, shape):
             scenario, head = load_scenario(name), head_of(shape)
             trials = run_trials(make_controller("ibvs", head), scenario, episodes=4, head=head)

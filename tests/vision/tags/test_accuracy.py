@@ -143,12 +143,10 @@ def test_a_moving_tag_is_at_the_middle_of_its_way(length_px, angle):
 @pytest.mark.parametrize(
     ("name", "depth_m", "blur_px", "light"),
     [
-        ("physical", 0.5, None, None),
-        ("physical", 4.0, None, None),
-        ("simulated", 1.0, 1.5, None),
+        ("physical", 0.5, None, None), ("physical", 4.0, None, None), ("simulated", 1.0, 1.5, None),
         pytest.param("simulated", 1.0, None, shadow(), marks=pytest.mark.slow),
     ],
-)
+)  # fmt: skip
 def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
     """Mean over the coordinates of 16 images, to 35 %, or more with systematic errors.
 

@@ -54,12 +54,9 @@ def test_delay_and_a_lower_rate_let_more_noise_through():
 def test_loops_that_run_scatter_as_much():
     head = load_head("simulated")
     loop = ClosedLoop(
-        head=head,
-        target={"kind": "static", "point": (0.0, -0.1, 1.0), "start": "fixation"},
-        plant="kinematic",
-        num=60,
-        samples=600,
-    )
+        head=head, target={"kind": "static", "point": (0.0, -0.1, 1.0), "start": "fixation"},
+        plant="kinematic", num=60, samples=600,
+    )  # fmt: skip
     record = hold_gaze(loop)
     axis = record.true_pixels_at_exposure - head.cameras.principal
     noise = record.pixels - record.true_pixels_at_exposure

@@ -83,16 +83,11 @@ def test_the_closed_loop_settles_where_the_geometry_says(nominal, heads):
     for point in POINTS[[0, 20]]:
         record = hold_gaze(
             ClosedLoop(
-                head=exact,
-                true_head=true,
-                num=COUNT,
-                target={"kind": "static", "point": point.tolist(), "start": "fixation"},
-                samples=3,
-                settle_s=4.0,
-                plant="kinematic",
-                plant_options={"detection_noise_px": 0.0},
+                head=exact, true_head=true, num=COUNT,
+                target={"kind": "static", "point": point.tolist(), "start": "fixation"}, samples=3,
+                settle_s=4.0, plant="kinematic", plant_options={"detection_noise_px": 0.0},
             )
-        )
+        )  # fmt: skip
         foreseen = 1000.0 * settled_fix_errors_m(exact, true, point[None])[:, 0]
         # what is left of the approach, exp(-4 x 4), is worth a thousandth of a millimetre
         assert np.allclose(record.gaze_error_mm[-1], foreseen, atol=2e-3)

@@ -22,18 +22,9 @@ from vergence.eval.jobs import SerialMapper
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("uncertainty")
 CONFIG = UncertaintyConfig(
-    draws=20,
-    point_step=20,
-    gains=(4.0,),
-    heads=40,
-    loop_samples=200,
-    image_gains=(4.0,),
-    image_samples=20,
-    reach_draws=4,
-    averaging_depths_m=(2.5,),
-    frames=16,
-    replicates=2,
-)
+    draws=20, point_step=20, gains=(4.0,), heads=40, loop_samples=200, image_gains=(4.0,),
+    image_samples=20, reach_draws=4, averaging_depths_m=(2.5,), frames=16, replicates=2,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
