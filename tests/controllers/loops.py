@@ -41,7 +41,6 @@ def begin(task: GazeTask, seed: int = 0) -> GazeTask:
 def pixel_errors(task: GazeTask) -> Array:
     """(num, 2, 2) the present true pixel errors by eye and image axis."""
     truth = task.truth()
-    assert truth is not None
     return truth.pixel_error.copy()
 
 

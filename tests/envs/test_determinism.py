@@ -67,25 +67,6 @@ def alone(plant: str, count: int, target: str):
 
 
 @cases
-def test_a_trial_is_the_same_alone_and_in_a_vector(plant, count, num, target) -> None:
-    expected = alone(plant, count, target)
-    task = GazeTask(num, head=NOISY, plant=plant, target=target)
-    task.begin(np.arange(num), *keys(num, num - 1))
-    assert identical(record(task, num - 1, count), expected)
-
-
-@cases
-def test_a_trial_is_the_same_after_other_trials(plant, count, num, target) -> None:
-    expected = alone(plant, count, target)
-    task = GazeTask(1, head=NOISY, plant=plant, target=target)
-    for trial in range(2):
-        task.begin(np.arange(1), np.zeros(1, np.uint64), np.full(1, trial, np.uint64))
-        record(task, 0, count // 3)
-    task.begin(np.arange(1), *keys(1, 0))
-    assert identical(record(task, 0, count), expected)
-
-
-@cases
 def test_a_trial_is_the_same_among_earlier_and_later_ones(plant, count, num, target):
     expected = alone(plant, count, target)
     task = GazeTask(num, head=NOISY, plant=plant, target=target)

@@ -61,12 +61,9 @@ class RobotWithCameras(Robot):
         return left, right
 
 
-def words_of(figure):
-    return [text.get_text() for text in figure.findobj(Text)]
-
-
 def test_without_truth_no_picture_and_no_table_has_a_target(on_robot, capsys):
-    assert not any("target" in words for words in words_of(compose_gaze(on_robot)))
+    texts = compose_gaze(on_robot).findobj(Text)
+    assert not any("target" in text.get_text() for text in texts)
     _print_gaze(on_robot)
     assert "truth" not in capsys.readouterr().out
 

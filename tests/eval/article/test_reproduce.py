@@ -58,10 +58,6 @@ def run(finished, tmp_path):
     return shutil.copytree(finished, tmp_path / "run")
 
 
-def ran(log) -> int:
-    return len(log.read_text().splitlines()) if log.exists() else 0
-
-
 def test_a_run_writes_tables_figures_summary_config_and_report(finished):
     names = {str(path.relative_to(finished)) for path in finished.rglob("*.*")}
     assert names == {
@@ -98,16 +94,6 @@ def test_the_report_has_the_ratio_of_our_figure_to_the_articles(finished):
     assert f'data-label="ratio">{ratio}</td>' in (finished / "report.html").read_text()
 
 
-@pytest.mark.slow
-def test_a_second_call_keeps_what_is_finished(tmp_path):
-    log = tmp_path / "log"
-    options = config(tmp_path, overrides={"toy": {"log": str(log)}})
-    reproduce(options)
-    assert ran(log) == 5
-    reproduce(options)
-    assert ran(log) == 5
-
-
 def test_the_numbers_of_the_text_are_saved_by_experiment(finished):
     numbers = json.loads((finished / "numbers.json").read_text())
     mean = pd.read_csv(finished / "tables" / "toy.csv")["value_mm"].mean()
@@ -116,8 +102,7 @@ def test_the_numbers_of_the_text_are_saved_by_experiment(finished):
 
 @pytest.mark.slow
 def test_an_interrupted_run_keeps_what_is_finished_and_goes_on(tmp_path, monkeypatch):
-    log = tmp_path / "log"
-    options = config(tmp_path, overrides={"toy": {"log": str(log)}})
+    options = config(tmp_path)
 
     def interrupt(*_args: object, **_options: object) -> None:
         raise KeyboardInterrupt

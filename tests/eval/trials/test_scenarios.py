@@ -60,7 +60,6 @@ def test_every_scenario_runs_on_each_of_its_plants(plant: str) -> None:
             task.step(np.zeros((2, 4)))
         assert np.isfinite(task.observation).all(), scenario.name
         truth = task.truth()
-        assert truth is not None
         assert truth.time_s == pytest.approx(20 * scenario.model().timing.period_s), scenario.name
         task.close()
 
@@ -165,7 +164,6 @@ def test_fast_targets_are_as_fast_as_drawn_and_within_reach() -> None:
 
 def test_robust_trials_draw_the_delays_of_the_issue() -> None:
     conditions = begin(load_scenario("robust"), 400).plant.conditions
-    assert conditions is not None
     assert conditions.latency_s.min() == pytest.approx(0.03, abs=2e-3)
     assert conditions.latency_s.max() == pytest.approx(0.13, abs=2e-3)
     assert len(np.unique(conditions.heads, axis=0)) == 400
@@ -188,7 +186,6 @@ def test_model_errors_are_the_physical_twins() -> None:
     assert TWIN_SPREADS.scaled(0.41) == TWIN_ERRORS
     for name in ("robust", "physical"):
         variation = load_scenario(name).variation
-        assert variation is not None
         assert variation.model_errors == TWIN_ERRORS
 
 
