@@ -202,8 +202,7 @@ def test_the_last_image_of_both_eyes_counts_where_one_eyes_comes_alone(monkeypat
     assert not result.view_fix.valid[0]
 
 
-def test_a_gaze_that_ended_early_is_judged_by_what_was_recorded(on_robot, monkeypatch):
-    monkeypatch.setitem(PLANTS, "robot", "tests.envs.robot:Robot")
+def test_a_gaze_that_ended_early_is_judged_by_what_was_recorded(on_robot):
     task = GazeTask(1, plant="robot", target="static")
     record = Recorder(task, 180)
     rollout(task, make_controller("ibvs", head=task.head, gain=4.0), 60, record)

@@ -86,13 +86,6 @@ def test_a_saccade_tells_command_and_feedback_latency_together(latency_s) -> Non
     assert np.abs(np.median(last.response_latency_s) - latency_s) < 0.0025
 
 
-@pytest.mark.parametrize("lag_s", [0.015, 0.06])
-def test_a_saccade_tells_the_joints_lag(lag_s) -> None:
-    task = GazeTask(12, plant="kinematic", plant_options={"lag_s": lag_s})
-    trial = run(task, "saccade", 60)
-    assert np.abs(trial.predicted[-1].lag_s / lag_s - 1.0).mean() < 0.1
-
-
 def test_each_actuator_has_a_gain_of_its_own() -> None:
     gains = np.tile([0.85, 1.15, 0.95, 1.05], (12, 1))
     task = GazeTask(12, plant="kinematic", plant_options={"speed_gain": gains})

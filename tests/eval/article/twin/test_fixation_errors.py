@@ -13,16 +13,10 @@ from vergence.eval.article.twin.fixation_errors import (
 )
 from vergence.eval.article.twin.heads import draw_heads
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
-from vergence.models.files.head_file import load_head
 from vergence.models.perturbation import ModelErrors
 
 POINTS = static_points("physical")
 COUNT = 12
-
-
-@pytest.fixture(scope="module")
-def nominal():
-    return load_head("physical")
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,7 @@ import pytest
 from vergence.errors import ConfigurationError
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads, with_common_tilt
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
-from vergence.models.files.head_file import load_head
 from vergence.models.perturbation import ModelErrors
-
-
-@pytest.fixture(scope="module")
-def nominal():
-    return load_head("physical")
 
 
 def test_a_common_tilt_leaves_the_cameras_as_they_were_to_each_other(nominal):
