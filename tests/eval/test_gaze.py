@@ -155,16 +155,14 @@ def test_a_gaze_settles_about_the_least_error_and_reports_it(file_of, tmp_path):
 
 def test_a_target_out_of_reach_is_told_by_its_actuator(file_of):
     narrow = text_of("tied").replace("upper_rad = 1.2", "upper_rad = 0.05")
-    with pytest.raises(
-        ConfigurationError, match=r"which vergence would be at 4\.\d degrees, outside"
-    ):
+    said = r"which vergence would be at 4\.\d degrees, outside"
+    with pytest.raises(ConfigurationError, match=said):
         gaze_of(file_of("tied", narrow))
 
 
 def test_a_fixed_pair_has_no_gaze(file_of):
-    with pytest.raises(
-        ConfigurationError, match=r"^head: expected one whose eyes move, got 'pair'"
-    ):
+    said = "^head: expected one whose eyes move, got 'pair'"
+    with pytest.raises(ConfigurationError, match=said):
         gaze_of(file_of("pair"))
 
 
@@ -209,9 +207,8 @@ def test_a_gaze_that_ended_early_is_judged_by_what_was_recorded(on_robot):
     result = gaze_result(on_robot.config, task, record)
     for name, column in on_robot.trajectory.items():
         assert np.array_equal(result.trajectory[name], column[:61], equal_nan=True)
-    assert result.gaze_fix.point[0] * MM == pytest.approx(
-        [on_robot.trajectory[f"gaze_{axis}_mm"][60] for axis in "xyz"]
-    )
+    point_mm = [on_robot.trajectory[f"gaze_{axis}_mm"][60] for axis in "xyz"]
+    assert result.gaze_fix.point[0] * MM == pytest.approx(point_mm)
     assert result.images is None
 
 

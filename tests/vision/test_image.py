@@ -175,9 +175,8 @@ def test_an_image_of_another_size_than_the_cameras_is_refused():
             detector = make_detector(target, camera)
             image = np.zeros(size[::-1], np.uint8)
             for find in (detector.detect, detector.detect_all, detector.search):
-                with pytest.raises(
-                    ConfigurationError, match=rf"image: expected .* {size[0]} x {size[1]}"
-                ):
+                said = rf"image: expected .* {size[0]} x {size[1]}"
+                with pytest.raises(ConfigurationError, match=said):
                     find(image)
 
 

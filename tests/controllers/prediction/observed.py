@@ -133,13 +133,9 @@ def predictor_of(head: HeadModel, *, moving: bool = False) -> SmithPredictor:
 
 
 def turns(head: HeadModel, steps: int, *, speed: float = inf, time_s: float = 0.06) -> Array:
-    """(steps, 4) commands that turn both eyes there and back, then let them rest.
+    """(steps, 4) commands that turn both eyes there and back in times of `time_s`, then rest.
 
-    Args:
-        head: the head.
-        steps: number of periods.
-        speed: largest command of the second joints, rad/s.
-        time_s: duration of each turn, s.
+    The second joints turn at `speed` at most.
     """
     fastest = np.minimum(head.actuation.velocity[3:], speed)
     commands = np.zeros((steps, 4))

@@ -122,14 +122,12 @@ def first_images(trials: int, **options) -> np.ndarray:
 
 def lens(head: HeadModel, width: int, height: int, focal: float, k1: float = 0.0) -> HeadModel:
     """The head with other cameras."""
-    return head.replace(
-        cameras={
-            "size": (width, height),
-            "focal": np.full((2, 2), focal),
-            "principal": np.tile([0.5 * width, 0.5 * height], (2, 1)),
-            "distortion": np.tile([k1, 0.0, 0.0, 0.0, 0.0], (2, 1)),
-        }
-    )
+    cameras = {
+        "size": (width, height), "focal": np.full((2, 2), focal),
+        "principal": np.tile([0.5 * width, 0.5 * height], (2, 1)),
+        "distortion": np.tile([k1, 0.0, 0.0, 0.0, 0.0], (2, 1)),
+    }  # fmt: skip
+    return head.replace(cameras=cameras)
 
 
 @pytest.mark.slow

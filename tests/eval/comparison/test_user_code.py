@@ -232,9 +232,8 @@ def test_an_object_that_raises_is_told_by_its_place_and_keeps_its_error():
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             raise OSError(5, "no camera")
 
-    with pytest.raises(
-        UserControllerError, match=r"test_user_code\.py:\d+ in predict: OSError"
-    ) as caught:
+    said = r"test_user_code\.py:\d+ in predict: OSError"
+    with pytest.raises(UserControllerError, match=said) as caught:
         evaluate(EvaluateConfig(episodes=2), {"mine": Rash()})
     assert isinstance(caught.value.__cause__, OSError)
 

@@ -36,11 +36,8 @@ def fineness(name: str, share: float) -> float:
     """Largest shortfall of a search from the limit, on one side of the expected value."""
     following = min(one for one in GRID_FRACTIONS if one > share)
     last = max((0.0, *(one for one in GRID_FRACTIONS if one <= share)))
-    return (
-        (following - last)
-        / 2**BISECTIONS
-        * (IMPERFECTION_RANGES[name].highest - IMPERFECTION_RANGES[name].lowest)
-    )
+    span = IMPERFECTION_RANGES[name].highest - IMPERFECTION_RANGES[name].lowest
+    return (following - last) / 2**BISECTIONS * span
 
 
 def test_the_range_of_a_gain_is_what_the_band_allows(measured):
@@ -97,9 +94,8 @@ def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
     coarse(monkeypatch)
     known(duration_s=0.1)
     margins = measured(toy=KnowsTheWay(5), episodes=1)
-    assert [row["imperfection"] for row in margins.rows()] == [
-        name for name in IMPERFECTION_RANGES if not IMPERFECTIONS[name].probability
-    ]
+    moved = [name for name in IMPERFECTION_RANGES if not IMPERFECTIONS[name].probability]
+    assert [row["imperfection"] for row in margins.rows()] == moved
     for one in margins.margins:
         low, high = one.settles_low, one.settles_high
         assert low is not None
@@ -138,7 +134,6 @@ def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tm
 
     rows = json.loads((folder / "margins.json").read_text(), parse_constant=refuse)
     assert rows == margins.rows()
-    assert isinstance(rows, list)
     assert all(
         list(row) == ["controller", "scenario", "imperfection", "unit", "settles_low",
                       "settles_high", "doubles_low", "doubles_high"]

@@ -58,8 +58,7 @@ def test_brute_force_over_all_switch_times_finds_nothing_faster() -> None:
 def every_switch(near: float, lag: float, acceleration: float) -> tuple[float, Array, Array]:
     """Joints that reverse at every time of a grid, each followed through tiny periods.
 
-    Returns:
-        The grid's step; when each joint enters the band, s, and how far it gets, rad.
+    The grid's step; when each joint enters the band, s, and how far it gets, rad.
     """
     step = 2e-4
     switch = np.arange(0.0, 0.1, step)

@@ -197,9 +197,8 @@ def test_a_plant_of_ones_own_runs_in_every_scenario_if_it_is_simulated() -> None
 
 
 def test_a_plant_that_looks_at_the_world_cannot_draw_a_scenarios_targets() -> None:
-    with pytest.raises(
-        ConfigurationError, match="expected a simulated one for the scenario 'step'"
-    ):
+    said = "expected a simulated one for the scenario 'step'"
+    with pytest.raises(ConfigurationError, match=said):
         load_scenario("step").task(1, "tests.envs.robot:Robot")
 
 

@@ -320,9 +320,8 @@ def test_the_result_is_kept_in_the_users_table_for_its_head_and_never_in_the_pac
         "--episodes 2 --seed 2"
     )
     # the package's own head keeps its gain
-    assert tuned_or_fallback_options("ibvs-tuned", "workspace", load_head("simulated")) == {
-        "gain": 4.1
-    }
+    own = tuned_or_fallback_options("ibvs-tuned", "workspace", load_head("simulated"))
+    assert own == {"gain": 4.1}
 
 
 def test_the_recorded_command_names_all_that_changes_the_result():

@@ -17,9 +17,8 @@ REPORTED = {
 pytestmark = pytest.mark.slow
 
 
-NIGHTLY = [
-    pytest.param(f"physical-{end}", marks=pytest.mark.nightly) for end in ("moving", "static")
-]
+LATER = ("physical-moving", "physical-static")
+NIGHTLY = [pytest.param(name, marks=pytest.mark.nightly) for name in LATER]
 
 
 @pytest.mark.parametrize("name", ["fixed-pair", *NIGHTLY])
