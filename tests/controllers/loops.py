@@ -10,17 +10,7 @@ Array = NDArray[np.float64]
 
 
 def true_errors(task: GazeTask, controller: Controller, time_s: float, seed: int = 0) -> Array:
-    """Run a trial of each head, handing the controller's state on.
-
-    Args:
-        task: heads and targets.
-        controller: controller of the heads.
-        time_s: duration, s.
-        seed: seed of the trials.
-
-    Returns:
-        (steps + 1, num, 2, 2) true pixel errors by eye and image axis, from time zero on.
-    """
+    """(steps + 1, num, 2, 2) true pixel errors of a trial of each head, by eye and image axis."""
     begin(task, seed)
     errors, state, start = [pixel_errors(task)], None, np.ones(task.num, dtype=np.bool_)
     for _ in range(round(time_s * task.head.timing.control_rate_hz)):
@@ -41,7 +31,6 @@ def begin(task: GazeTask, seed: int = 0) -> GazeTask:
 def pixel_errors(task: GazeTask) -> Array:
     """(num, 2, 2) the present true pixel errors by eye and image axis."""
     truth = task.truth()
-    assert truth is not None
     return truth.pixel_error.copy()
 
 

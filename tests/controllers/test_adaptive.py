@@ -37,15 +37,6 @@ def test_each_eye_has_its_own_gain_and_an_unseen_target_the_far_one() -> None:
     assert gains[1, 0] == 2.0
 
 
-def test_with_equal_ends_it_is_the_fixed_gain_law() -> None:
-    rng = np.random.default_rng(0)
-    q = HEAD.fixate(np.array([0.0, -0.1, 1.0]))
-    errors = rng.uniform(-200, 200, (50, 2, 2))
-    adaptive = make_controller("adaptive", head=HEAD, lambda_zero=3.0, lambda_inf=3.0)
-    fixed = make_controller("ibvs", head=HEAD, gain=3.0)
-    assert np.array_equal(adaptive.command(q, errors), fixed.command(q, errors))
-
-
 def test_it_settles_random_targets_no_later_than_the_articles_law() -> None:
     times = []
     for name in ("ibvs", "adaptive"):

@@ -9,7 +9,6 @@ from vergence.controllers.tuned import (
     is_tuned_for,
     tuned_or_fallback_options,
 )
-from vergence.envs.layout import ObservationLayout
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 
@@ -26,12 +25,3 @@ def test_it_settles_on_heads_whose_speeds_come_in_ticks(scenario: str) -> None:
     trials = run_trials(make_controller("delay-compensated", head, **options), loaded, episodes=20)
     # without what steps leave being carried on, half of them stop short of the band
     assert np.isfinite(trials.settle_s(2.0)).mean() >= 0.95
-
-
-def test_what_is_carried_over_stands_behind_the_predictors_state() -> None:
-    head = load_scenario("hardware").model()
-    controller = make_controller("delay-compensated", head)
-    layout = ObservationLayout.of(head)
-    _action, state = controller.predict(np.zeros((3, layout.size), dtype=np.float32))
-    assert state is not None
-    assert state[0].shape == (3, controller.predictor.size + 4)

@@ -24,19 +24,15 @@ MISSED = np.array([[np.nan, np.nan], [0.0, 0.0]])
 def pass_on(errors, speed_rad_s=0.0, every=1, head=HEAD) -> list[GatedDetections]:
     """Detections that pass the gate, for (2, 2) errors, px, of images some periods apart."""
     gate = OutlierGate(head, LAYOUT)
-    leading = np.shape(errors)[1:-2]
-    state, found = np.tile(gate.initial(), (*leading, 1)), []
+    state, found = gate.initial(), []
     for k, error in enumerate(errors):
         for age in range(every):
             seen = Observation(
-                pixel_error=np.asarray(error),
-                visible=np.isfinite(error).all(axis=-1),
-                image_age_s=np.full(leading, LATENCY_S + age * PERIOD_S),
-                positions=np.full((*leading, 7), 0.01 * k),
-                positions_at_exposure=np.full((*leading, 7), 0.001 * k),
-                velocities=np.full((*leading, 7), speed_rad_s),
-                last_command=np.zeros((*leading, 4)),
-            )
+                pixel_error=np.asarray(error), visible=np.isfinite(error).all(axis=-1),
+                image_age_s=np.asarray(LATENCY_S + age * PERIOD_S), positions=np.full(7, 0.01 * k),
+                positions_at_exposure=np.full(7, 0.001 * k), velocities=np.full(7, speed_rad_s),
+                last_command=np.zeros(4),
+            )  # fmt: skip
             found.append(gate.update(seen, state))
     return found
 
@@ -134,12 +130,3 @@ def test_an_eye_that_turns_too_fast_to_see_is_not_bridged() -> None:
     for speed_rad_s, sees in ((0.2, True), (1.0, False)):
         found = pass_on([HERE, HERE + MISSED], speed_rad_s=speed_rad_s, head=slow)
         assert np.isfinite(found[1].pixel_error).all(axis=1).tolist() == [sees, True]
-
-
-def test_a_batch_is_the_loop_over_its_heads() -> None:
-    rng = np.random.default_rng(2)
-    errors = HERE + np.where(rng.random((40, 6, 2, 1)) < 0.2, 80.0, 0.0)
-    errors[rng.random((40, 6, 2)) < 0.2] = np.nan
-    together = shown(pass_on(list(errors)))
-    alone = np.stack([shown(pass_on(list(errors[:, n]))) for n in range(6)], axis=1)
-    assert np.array_equal(together, alone, equal_nan=True)

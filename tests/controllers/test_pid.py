@@ -21,14 +21,10 @@ def feed(controller, errors, ages=None, speed_rad_s=0.0):
     commands = []
     for error, age in zip(errors, ages, strict=True):
         seen = Observation(
-            pixel_error=np.asarray(error),
-            visible=np.isfinite(error).all(axis=-1),
-            image_age_s=np.asarray(age),
-            positions=AT,
-            positions_at_exposure=AT,
-            velocities=np.full(7, speed_rad_s),
-            last_command=np.zeros(4),
-        )
+            pixel_error=np.asarray(error), visible=np.isfinite(error).all(axis=-1),
+            image_age_s=np.asarray(age), positions=AT, positions_at_exposure=AT,
+            velocities=np.full(7, speed_rad_s), last_command=np.zeros(4),
+        )  # fmt: skip
         commands.append(controller._command(seen, state))
     return np.array(commands)
 

@@ -147,22 +147,18 @@ def test_options_that_cannot_be_are_refused_by_name() -> None:
         ("pid", "filter_s", -0.1, "expected a number of at least 0"),
         ("fuzzy", "span_p", 1.5, "expected 0 to 1, got 1.5"),
         ("fuzzy", "error_px", 0.0, "expected a finite number above 0"),
-        ("fuzzy", "filter_s", -1.0, "expected a number of at least 0"),
         ("adaptive", "lambda_zero", -1.0, "expected a number of at least 0, got -1.0"),
         ("adaptive", "lambda_inf", np.nan, "expected a finite number"),
         ("adaptive", "slope_zero", np.inf, "expected a finite number"),
         ("saccade", "braking", 0.0, "expected"),
-        ("saccade", "braking", 1.1, "expected"),
         ("saccade", "caution", -1.0, "expected"),
         ("saccade", "trim_px", -1.0, "expected"),
         ("saccade", "trim_gain", 0.0, "expected"),
         ("saccade", "lag", "known", "expected"),
         ("pursuit", "braking", 1.5, "expected a share above 0 up to 1, got 1.5"),
-        ("pursuit", "delay", "guessed", "expected 'estimated' or 'nominal', got 'guessed'"),
         ("state-feedback", "gain", 0.0, "expected"),
         ("state-feedback", "damping", -0.1, "expected"),
         ("state-feedback", "damping", True, "expected"),
-        ("state-feedback", "lag", "known", "expected"),
     ]:
         said = rf"{option}: {message}"
         with named(name, option, value), pytest.raises(ConfigurationError, match=said):

@@ -149,7 +149,6 @@ def test_the_users_options_come_before_the_packages_and_only_for_their_head(user
 def test_a_head_without_options_starts_from_those_of_the_scenarios_head() -> None:
     head = other_head()
     found = tuned.find_tuned_or_fallback("pid", "workspace", head)
-    assert found is not None
     assert found.head == "simulated"
     assert not tuned.is_tuned_for(found, head)
     law = make_controller("ibvs-tuned", head=head)

@@ -24,11 +24,9 @@ class Robot(Plant):
         self._reading = Reading.empty(num)
 
     def prepare(self):
-        """See `Plant.prepare`."""
         self.calls.append("prepare")
 
     def reset(self, ids, positions):
-        """See `Plant.reset`."""
         self.calls.append("reset")
         blank = Reading.empty(len(ids))._replace(positions=positions)
         for now, begun in zip(self._reading, blank, strict=True):
@@ -37,7 +35,6 @@ class Robot(Plant):
         return self._reading
 
     def step(self, command):
-        """See `Plant.step`."""
         self.calls.append("step")
         if np.isnan(command).any():
             raise ConfigurationError("command: expected numbers, got nan")
@@ -60,7 +57,6 @@ class Robot(Plant):
         return reading
 
     def close(self):
-        """See `Plant.close`."""
         self.calls.append("close")
         self.open = False
         self._reading.command[:] = self._reading.velocities[:] = 0.0
@@ -72,12 +68,10 @@ class Emulated(Robot):
     places_targets = True
 
     def show(self, ids, motions):
-        """See `Plant.show`."""
         self.calls.append("show")
         self.shown = motions
 
     def truth(self):
-        """See `Plant.truth`."""
         q, target = self._reading.positions, np.tile(WORLD, (self.num, 1))
         pixels = self.head.project(q, target)
         return Truth.unknown(self.num)._replace(
@@ -98,14 +92,12 @@ class Late(Plant):
         self._seed = seed
 
     def reset(self, ids, positions):
-        """See `Plant.reset`."""
         self._rng = np.random.default_rng(self._seed)
         self._reading = Reading.empty(1)._replace(positions=positions.copy())
         self.steps = self._period = 0
         return self._reading
 
     def step(self, command):
-        """See `Plant.step`."""
         rng, reading, period = self._rng, self._reading, self.head.timing.period_s
         self.steps += 1
         self._period += 1

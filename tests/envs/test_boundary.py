@@ -58,13 +58,6 @@ def test_a_refused_reset_leaves_the_trials_where_they_were() -> None:
     assert np.array_equal(one.reset()[0], other.reset()[0])
 
 
-def test_unknown_options_of_a_plant_are_answered_with_the_known_ones() -> None:
-    for plant in ("kinematic", "mujoco", "rendered"):
-        said = r"plant_options\.latency: .*latency_s"
-        with named(plant), pytest.raises(ConfigurationError, match=said):
-            GazeTask(1, plant=plant, plant_options={"latency": 3})
-
-
 def test_arguments_of_a_wrong_kind_are_refused() -> None:
     for options in (
         {"plant_options": [3]}, {"plant_options": {"true_head": "physical"}}, {"plant": 3},

@@ -1,7 +1,5 @@
 """A trial is the same alone, in a vector, after other trials and on any number of workers."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -52,42 +50,16 @@ NOISY = load_head("physical").replace(sensor={"dropped_frame_probability": 0.1})
 
 # longer than a block of random numbers, which is 256 steps
 CASES = [
-    ("kinematic", 270, 7, "random"),
-    ("mujoco", 60, 3, "step"),
+    ("kinematic", 270, 7, "random"), ("mujoco", 60, 3, "step"),
     pytest.param("rendered", 14, 2, "step", marks=pytest.mark.slow),
-]
-cases = pytest.mark.parametrize(("plant", "count", "num", "target"), CASES)
+]  # fmt: skip
 
 
-@cache
-def alone(plant: str, count: int, target: str):
+@pytest.mark.parametrize(("plant", "count", "num", "target"), CASES)
+def test_a_trial_is_the_same_alone_and_among_earlier_and_later_ones(plant, count, num, target):
     task = GazeTask(1, head=NOISY, plant=plant, target=target)
     task.begin(np.arange(1), *keys(1, 0))
-    return record(task, 0, count)
-
-
-@cases
-def test_a_trial_is_the_same_alone_and_in_a_vector(plant, count, num, target) -> None:
-    expected = alone(plant, count, target)
-    task = GazeTask(num, head=NOISY, plant=plant, target=target)
-    task.begin(np.arange(num), *keys(num, num - 1))
-    assert identical(record(task, num - 1, count), expected)
-
-
-@cases
-def test_a_trial_is_the_same_after_other_trials(plant, count, num, target) -> None:
-    expected = alone(plant, count, target)
-    task = GazeTask(1, head=NOISY, plant=plant, target=target)
-    for trial in range(2):
-        task.begin(np.arange(1), np.zeros(1, np.uint64), np.full(1, trial, np.uint64))
-        record(task, 0, count // 3)
-    task.begin(np.arange(1), *keys(1, 0))
-    assert identical(record(task, 0, count), expected)
-
-
-@cases
-def test_a_trial_is_the_same_among_earlier_and_later_ones(plant, count, num, target):
-    expected = alone(plant, count, target)
+    expected = record(task, 0, count)
     task = GazeTask(num, head=NOISY, plant=plant, target=target)
     seeds, trials = keys(num, 1)
     task.begin(np.arange(num), seeds + np.uint64(1), trials)

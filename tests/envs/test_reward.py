@@ -20,11 +20,6 @@ def terms_of(task: GazeTask) -> dict[str, float]:
     return {name: float(value[0]) for name, value in task.info()["reward_terms"].items()}
 
 
-def coarse(size):
-    """An eye's part of `tracking` by its error, px."""
-    return (10.0 / (10.0 + size) + 100.0 / (100.0 + size)) / 6.0
-
-
 def test_reward_is_the_sum_of_its_terms() -> None:
     task = begin(GazeTask(5, plant="kinematic"))
     rng = np.random.default_rng(0)
@@ -47,7 +42,8 @@ def test_tracking_and_precision_follow_their_formula() -> None:
         size = np.linalg.norm(task.pixel_error[0], axis=-1)
         assert size == pytest.approx(height * 620.0, rel=0.05)
         terms = terms_of(task)
-        assert terms["tracking"] == pytest.approx(coarse(size).sum(), abs=1e-12)
+        coarse = (10.0 / (10.0 + size) + 100.0 / (100.0 + size)) / 6.0
+        assert terms["tracking"] == pytest.approx(coarse.sum(), abs=1e-12)
         assert terms["precision"] == pytest.approx((1.0 / (1.0 + size)).sum() / 6.0, abs=1e-12)
         assert terms["effort"] == 0.0
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.controllers.loops import begin
-from tests.envs.robot import EARLIER_S, LATENCY, Robot
+from tests.envs.robot import EARLIER_S, LATENCY
 from tests.naming import named
 from vergence import make_controller
 from vergence.envs.eye_images import given_or_drawn_eye_images
@@ -12,7 +12,6 @@ from vergence.envs.gaze import GazeEnv
 from vergence.envs.plant import PLANTS, make_plant
 from vergence.envs.plants.simulation import is_simulated, simulation_of
 from vergence.envs.rollout import rollout
-from vergence.envs.targets.board import POINT
 from vergence.envs.targets.motion import BEFORE
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -130,6 +129,7 @@ def test_its_picture_has_the_fix_but_no_board_for_a_target_that_nobody_knows(mon
 
 
 def test_what_needs_a_simulation_says_so(task):
+    assert not is_simulated("robot")
     with pytest.raises(ConfigurationError, match="expected a simulated one, got Robot"):
         simulation_of(task.plant)
     with pytest.raises(ConfigurationError, match="expected a simulated one"):
@@ -143,15 +143,6 @@ def test_every_simulated_plant_is_a_simulation(simulated):
             assert is_simulated(plant)
             assert simulation_of(made) is made
             assert (made.frames() is None) == (plant != "rendered")
-
-
-def test_a_plant_has_neither_truth_nor_images_nor_targets_unless_it_says_so(simulated):
-    robot = Robot(simulated)
-    assert not is_simulated("robot")
-    assert robot.truth() is None
-    assert robot.frames() is None
-    assert robot.board is POINT
-    assert not robot.places_targets
 
 
 def test_an_action_that_is_nan_never_reaches_the_plant(task, monkeypatch):

@@ -36,9 +36,7 @@ def drawn() -> np.ndarray:
 
 
 @given(seed=WORD, trial=WORD, purpose=st.integers(0, 3), block=st.integers(0, 2**62))
-def test_uniform_numbers_are_those_of_numpys_philox(
-    seed: int, trial: int, purpose: int, block: int
-) -> None:
+def test_uniform_numbers_are_those_of_numpys_philox(seed, trial, purpose, block) -> None:
     out = np.empty((3, 4))
     uniforms(np.uint64(seed), np.uint64(trial), purpose, block, out)
     counter = np.array([0, 0, purpose, block], np.uint64)

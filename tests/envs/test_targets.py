@@ -170,16 +170,12 @@ def test_a_value_that_cannot_be_is_refused_by_key_and_value() -> None:
 
 
 MM = {
-    "static": {"point": [0, -100, 1000]},
-    "step": {"after": [0, -200, 1000]},
-    "circle": {"radius": 100},
-    "line": {"end": [-390.02, -30.39, 1111.91]},
-    "random": {"depth": (300, 2500)},
-    "double-step": {"depth": (300, 2500)},
-    "orbit": {"depth": (400, 2500)},
-    "occluded": {"depth": (400, 2500)},
+    "static": {"point": [0, -100, 1000]}, "step": {"after": [0, -200, 1000]},
+    "circle": {"radius": 100}, "line": {"end": [-390.02, -30.39, 1111.91]},
+    "random": {"depth": (300, 2500)}, "double-step": {"depth": (300, 2500)},
+    "orbit": {"depth": (400, 2500)}, "occluded": {"depth": (400, 2500)},
     "wander": {"depth": (400, 2500)},
-}
+}  # fmt: skip
 
 
 def test_millimetres_are_refused_with_a_hint() -> None:

@@ -25,14 +25,10 @@ def start_of(
 ) -> TrialStart:
     """A trial each of some heads: a target at rest at `point`, at `before` until time zero."""
     points = np.broadcast_to(np.asarray(point, dtype=np.float64), (num, 3))
+    angles = np.broadcast_to(np.asarray(positions, dtype=np.float64), (num, 7)).copy()
+    ids, seeds = np.arange(num), np.full(num, seed, dtype=np.uint64)
     rows = motion_rows(points, before=before)
-    return TrialStart(
-        ids=np.arange(num),
-        seeds=np.full(num, seed, dtype=np.uint64),
-        trials=np.arange(num, dtype=np.uint64),
-        positions=np.broadcast_to(np.asarray(positions, dtype=np.float64), (num, 7)).copy(),
-        motions=rows,
-    )
+    return TrialStart(ids, seeds, ids.astype(np.uint64), angles, rows)
 
 
 def begin(plant: Plant, start: TrialStart) -> Reading:
@@ -46,16 +42,9 @@ def steps(
     count: int,
     command: ArrayLike | Callable[[int], ArrayLike] = 0.0,
 ) -> tuple[list[Reading], Array, Array]:
-    """Run trials and keep, from time zero on, the readings, true angles and velocities.
+    """Readings, angles and velocities (count + 1, num, 7) of trials, from time zero on.
 
-    Args:
-        plant: plant to step.
-        start: initial conditions of the trials.
-        count: number of control periods.
-        command: joint velocities that broadcast to (num, 7), or a function of the step.
-
-    Returns:
-        count + 1 readings, (count + 1, num, 7) rad and rad/s.
+    The command is one that broadcasts to (num, 7), or a function of the step, rad/s.
     """
     readings, positions, velocities = [begin(plant, start).copy()], [], []
 

@@ -12,7 +12,8 @@ from vergence.eval.article import folder
 from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evaluate
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
-from vergence.models.files.head_file import save_head
+from vergence.models import HeadModel
+from vergence.models.files.head_file import load_head, save_head
 
 SOURCES = folder._sources_digest()
 
@@ -66,6 +67,11 @@ def known(monkeypatch, tmp_path) -> Callable[..., None]:
 
     register()
     return register
+
+
+@pytest.fixture(scope="session")
+def nominal() -> HeadModel:
+    return load_head("physical")
 
 
 @pytest.fixture(scope="session")

@@ -8,14 +8,9 @@ from vergence.errors import VergenceError
 
 
 def not_refused(call: Callable[[Any], object], cases: Iterable[tuple[Any, str]]) -> list[Any]:
-    """The values that a call does not refuse in one line with words that match.
+    """Each value that a call does not refuse in one line, what was to be said of it and what was.
 
-    Args:
-        call: takes a value.
-        cases: values, and a regular expression that is found in what is said of each.
-
-    Returns:
-        Each such value, what was to be said and what was.
+    The cases are values with a regular expression that is to be found in what is said.
     """
     wrong = []
     for value, pattern in cases:

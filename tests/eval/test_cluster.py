@@ -105,13 +105,7 @@ def mapper(nodes) -> Iterator[RayMapper]:
 
 
 class LosesTheSecond(RayMapper):
-    """Runs jobs on two nodes, of which the second is killed while it has one of them.
-
-    Args:
-        nodes: the cluster.
-        second: the second node's id.
-        begun: a file that tells that a job has begun there.
-    """
+    """Runs jobs on two nodes; the second is killed once the file `begun` tells that it has one."""
 
     def __init__(self, nodes: Nodes, second: str, begun: Path) -> None:
         super().__init__(nodes.address)

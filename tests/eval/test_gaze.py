@@ -61,12 +61,9 @@ class RobotWithCameras(Robot):
         return left, right
 
 
-def words_of(figure):
-    return [text.get_text() for text in figure.findobj(Text)]
-
-
 def test_without_truth_no_picture_and_no_table_has_a_target(on_robot, capsys):
-    assert not any("target" in words for words in words_of(compose_gaze(on_robot)))
+    texts = compose_gaze(on_robot).findobj(Text)
+    assert not any("target" in text.get_text() for text in texts)
     _print_gaze(on_robot)
     assert "truth" not in capsys.readouterr().out
 
@@ -158,16 +155,14 @@ def test_a_gaze_settles_about_the_least_error_and_reports_it(file_of, tmp_path):
 
 def test_a_target_out_of_reach_is_told_by_its_actuator(file_of):
     narrow = text_of("tied").replace("upper_rad = 1.2", "upper_rad = 0.05")
-    with pytest.raises(
-        ConfigurationError, match=r"which vergence would be at 4\.\d degrees, outside"
-    ):
+    said = r"which vergence would be at 4\.\d degrees, outside"
+    with pytest.raises(ConfigurationError, match=said):
         gaze_of(file_of("tied", narrow))
 
 
 def test_a_fixed_pair_has_no_gaze(file_of):
-    with pytest.raises(
-        ConfigurationError, match=r"^head: expected one whose eyes move, got 'pair'"
-    ):
+    said = "^head: expected one whose eyes move, got 'pair'"
+    with pytest.raises(ConfigurationError, match=said):
         gaze_of(file_of("pair"))
 
 
@@ -205,17 +200,15 @@ def test_the_last_image_of_both_eyes_counts_where_one_eyes_comes_alone(monkeypat
     assert not result.view_fix.valid[0]
 
 
-def test_a_gaze_that_ended_early_is_judged_by_what_was_recorded(on_robot, monkeypatch):
-    monkeypatch.setitem(PLANTS, "robot", "tests.envs.robot:Robot")
+def test_a_gaze_that_ended_early_is_judged_by_what_was_recorded(on_robot):
     task = GazeTask(1, plant="robot", target="static")
     record = Recorder(task, 180)
     rollout(task, make_controller("ibvs", head=task.head, gain=4.0), 60, record)
     result = gaze_result(on_robot.config, task, record)
     for name, column in on_robot.trajectory.items():
         assert np.array_equal(result.trajectory[name], column[:61], equal_nan=True)
-    assert result.gaze_fix.point[0] * MM == pytest.approx(
-        [on_robot.trajectory[f"gaze_{axis}_mm"][60] for axis in "xyz"]
-    )
+    point_mm = [on_robot.trajectory[f"gaze_{axis}_mm"][60] for axis in "xyz"]
+    assert result.gaze_fix.point[0] * MM == pytest.approx(point_mm)
     assert result.images is None
 
 

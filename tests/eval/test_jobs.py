@@ -84,12 +84,7 @@ def test_a_job_runs_single_threaded_and_prints_beside_the_results(capfd):
 
 
 class NoRay:
-    """Stands for Ray and its cluster: runs tasks here, the last one first, when they are asked for.
-
-    Attributes:
-        ran: the jobs that have run.
-        joined: True as long as the cluster has not been left.
-    """
+    """Stands for Ray and its cluster: runs tasks here, the last one first, when asked."""
 
     class exceptions:  # noqa: N801  as Ray has it
         class RayError(Exception):

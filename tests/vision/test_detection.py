@@ -11,12 +11,10 @@ from hypothesis import strategies as st
 from tests.grids import some_of
 from tests.naming import named
 from tests.vision.poses import pose
-from vergence.models.parts import Rendering
 from vergence.vision import (
     AprilTag,
     Checkerboard,
     Detection,
-    EyeCamera,
     TargetRenderer,
     make_detector,
     make_planar_target,
@@ -47,9 +45,7 @@ use_fixtures = settings(
 @pytest.mark.parametrize("eye", ["pinhole", "lens"])
 @use_fixtures
 @given(T_C_T=poses)
-def test_point_is_the_projection_of_the_targets_origin(
-    eye: str, name: str, rendering: Rendering, request: pytest.FixtureRequest, T_C_T: np.ndarray
-) -> None:
+def test_point_is_the_projection_of_the_targets_origin(eye, name, rendering, request, T_C_T):
     """Within 0.08 px, four times the rms bias of the smallest tag among these poses.
 
     Corners are held to the same: a tag's, L-shaped, lie where the lines of its edge meet, which
@@ -59,7 +55,6 @@ def test_point_is_the_projection_of_the_targets_origin(
     drawing = TargetRenderer(camera, target, rendering)
     drawing.draw(T_C_T)
     detection = make_detector(target, camera).detect(drawing.frame)
-    assert detection is not None
     assert detection.point_px == pytest.approx(camera.project(T_C_T[None, :3, 3])[0], abs=0.08)
     corners = np.column_stack([target.corners_m, np.zeros(len(target.corners_m))])
     corners_C = corners @ T_C_T[:3, :3].T + T_C_T[:3, 3]
@@ -68,7 +63,7 @@ def test_point_is_the_projection_of_the_targets_origin(
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_no_bias_over_sub_pixel_shifts(name: str, pinhole: EyeCamera, rendering: Rendering) -> None:
+def test_no_bias_over_sub_pixel_shifts(name, pinhole, rendering):
     """The mean over a pixel's phases is 0.01 px: half a pixel of convention would show."""
     target = make_planar_target(name)
     drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
@@ -78,15 +73,12 @@ def test_no_bias_over_sub_pixel_shifts(name: str, pinhole: EyeCamera, rendering:
         x, y = (wanted - pinhole.principal_px) / pinhole.focal_px
         drawing.draw(pose(x, y, 1.0))
         detection = detector.detect(drawing.frame)
-        assert detection is not None
         errors.append(detection.point_px - wanted)
     assert np.mean(errors, axis=0) == pytest.approx([0, 0], abs=0.01)
     assert np.abs(errors).max() < 0.04
 
 
-def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_kind_of_image(
-    pinhole: EyeCamera, rendering: Rendering
-) -> None:
+def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_images_kind(pinhole, rendering):
     target = make_planar_target("tag")
     drawing = TargetRenderer(pinhole, target, rendering)
     drawing.draw(pose(0.0, 0.0, 1.0))
@@ -102,7 +94,7 @@ def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_kind_of_image
                 np.testing.assert_array_equal(each.detect(image).corners_px, expected.corners_px)
 
 
-def test_every_detector_reads_images_by_the_stated_response() -> None:
+def test_every_detector_reads_images_by_the_stated_response():
     for target in (
         "tag:36h11", "checkerboard:9x6", "charuco:7x5:40:30:4X4_50", "aprilgrid:6x6:30:0.3",
     ):  # fmt: skip
@@ -111,7 +103,7 @@ def test_every_detector_reads_images_by_the_stated_response() -> None:
             assert detector.response_of(np.zeros((9, 9), np.uint8)) == "srgb"
 
 
-def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> None:
+def test_tracked_equals_full_frame(pinhole, rendering):
     """Both refinements end at one place, whether the prediction was near or far."""
     for name, miss_px in some_of(TARGETS, [(0, 0), (1.5, -2), (9, 7)]):
         with named(name, miss_px):
@@ -122,7 +114,6 @@ def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> 
             assert before is not None
             drawing.draw(pose(0.05, -0.02, 1.02, (0, 0.05, 0)), np.random.default_rng(1))
             full = detector.detect(drawing.frame)
-            assert full is not None
             shift = full.point_px + miss_px - before.point_px
             tracked = detector.track(drawing.frame, moved(before, shift))
             assert tracked is not None
@@ -134,9 +125,7 @@ def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> 
 @pytest.mark.parametrize(
     ("name", "side"), list(zip(TARGETS * 2, [(-1, 0), (1, 0), (0, -1), (0, 1)], strict=True))
 )
-def test_target_partly_outside_is_none(
-    name: str, side: tuple[int, int], pinhole: EyeCamera, rendering: Rendering
-) -> None:
+def test_target_partly_outside_is_none(name, side, pinhole, rendering):
     target = make_planar_target(name)
     drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
     drawing.draw(pose(0, 0, 1.0))
@@ -154,9 +143,7 @@ def test_target_partly_outside_is_none(
 @pytest.mark.parametrize(
     ("name", "angle"), [("tag", 0.7), ("checkerboard", 0.0), ("checkerboard", np.pi / 2)]
 )
-def test_motion_blinds_before_it_misleads(
-    name: str, angle: float, pinhole: EyeCamera, rendering: Rendering
-) -> None:
+def test_motion_blinds_before_it_misleads(name, angle, pinhole, rendering):
     """Up to 5 px of smear are seen, and what is seen of longer ones is right."""
     target = make_planar_target(name)
     drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
@@ -175,9 +162,7 @@ def test_motion_blinds_before_it_misleads(
             assert away < max(0.25, 3.0 * seen.sigma_px.max())
 
 
-def test_noise_lies_in_the_articles_range_on_the_simulated_rig(
-    pinhole: EyeCamera, rendering: Rendering
-) -> None:
+def test_noise_lies_in_the_articles_range_on_the_simulated_rig(pinhole, rendering):
     """0.006 to 0.057 px, or a little less of a tag, whose cells count; known to 9 %."""
     for target in (AprilTag(), Checkerboard()):
         drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
@@ -190,7 +175,6 @@ def test_noise_lies_in_the_articles_range_on_the_simulated_rig(
         for _ in range(60):
             drawing.draw(T_C_T, rng)
             seen = detector.track(drawing.frame, first)
-            assert seen is not None
             points.append(seen.point_px)
         deviation = np.std(points, axis=0, ddof=1)
         assert (deviation > 0.004).all()

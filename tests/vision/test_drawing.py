@@ -32,7 +32,6 @@ def assert_ray_cast(
     """A drawing differs from a ray cast by shares of the contrast, at most and in the rms."""
     drawing = TargetRenderer(camera, target, rendering)
     drawing.draw(T_C_T)
-    assert drawing.region is not None
     x0, y0, x1, y1 = drawing.region
     error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
     assert np.abs(error).max() < most * 170
@@ -47,20 +46,14 @@ def assert_ray_cast(
         ("checkerboard", "pinhole", pose(0.05, 0.03, 2.4, (-0.3, 0.2, 0.5))),
     ],
 )
-def test_pixels_equal_a_ray_cast(
-    eye: str,
-    T_C_T: NDArray[np.float64],
-    name: str,
-    rendering: Rendering,
-    request: pytest.FixtureRequest,
-) -> None:
+def test_pixels_equal_a_ray_cast(eye, T_C_T, name, rendering, request):
     """Within 4 % of the contrast everywhere, and 0.5 % rms, a third of it the rounding."""
     camera, target = request.getfixturevalue(eye), make_planar_target(name)
     assert_ray_cast(camera, target, rendering, T_C_T, most=0.04, rms=0.005)
 
 
 @pytest.mark.slow
-def test_pixels_equal_a_ray_cast_through_a_fisheye(rendering: Rendering) -> None:
+def test_pixels_equal_a_ray_cast_through_a_fisheye(rendering):
     """Aside, where it has down to a quarter of a pinhole's scale, as good as ahead."""
     camera, target = EyeCamera.of(wide("fisheye"), 0), make_planar_target("tag")
     side = np.deg2rad(60.0)
@@ -68,7 +61,7 @@ def test_pixels_equal_a_ray_cast_through_a_fisheye(rendering: Rendering) -> None
     assert_ray_cast(camera, target, rendering, T_C_T, most=0.05, rms=0.01)
 
 
-def test_a_stated_response_encodes_the_light(pinhole: EyeCamera, rendering: Rendering) -> None:
+def test_a_stated_response_encodes_the_light(pinhole, rendering):
     """Within what levels of 8 bits hold of light: two of 255 where it is bright."""
     light, target, T_C_T = light_table("srgb"), make_planar_target("tag"), pose(0, 0, 0.8)
     encoded = TargetRenderer(replace(pinhole, response="srgb"), target, rendering)
@@ -86,7 +79,7 @@ def test_a_stated_response_encodes_the_light(pinhole: EyeCamera, rendering: Rend
 
 
 @pytest.mark.slow
-def test_pixels_of_a_steep_board_equal_a_ray_cast(rendering: Rendering) -> None:
+def test_pixels_of_a_steep_board_equal_a_ray_cast(rendering):
     """One blur for both directions of the texture would be off by 2 % rms and more."""
     camera, target = EyeCamera.of(load_head("physical"), 0), make_planar_target("tag")
     soft, tilt = replace(rendering, blur_px=0.7), np.deg2rad(65.0)
@@ -94,16 +87,14 @@ def test_pixels_of_a_steep_board_equal_a_ray_cast(rendering: Rendering) -> None:
     assert_ray_cast(camera, target, soft, T_C_T, most=0.04, rms=0.008)
 
 
-def test_one_sample_a_pixel_has_the_blur_that_is_asked_for(
-    pinhole: EyeCamera, rendering: Rendering
-) -> None:
+def test_one_sample_a_pixel_has_the_blur_that_is_asked_for(pinhole, rendering):
     """Half as much blur again would be off by twice as much and more."""
     plain, target = replace(rendering, supersampling=1), make_planar_target("tag")
     T_C_T = pose(0.013, 0.02, 1.9, (0.3, -0.4, 0.2))
     assert_ray_cast(pinhole, target, plain, T_C_T, most=0.075, rms=0.009)
 
 
-def test_pixel_centres_are_integers(pinhole: EyeCamera, rendering: Rendering) -> None:
+def test_pixel_centres_are_integers(pinhole, rendering):
     """The centroid of a board's brightness is the projection of the board's centre.
 
     A frame half a pixel off, the usual mistake, fails by 25 times the tolerance.
@@ -123,7 +114,7 @@ def test_pixel_centres_are_integers(pinhole: EyeCamera, rendering: Rendering) ->
             assert centroid == pytest.approx(wanted, abs=0.02)
 
 
-def test_unseen_target_leaves_plain_background(pinhole: EyeCamera, rendering: Rendering) -> None:
+def test_unseen_target_leaves_plain_background(pinhole, rendering):
     for T_C_T in [
         pose(0, 0, -1.0), pose(2.0, 0, 1.0), pose(0, 0, 1.0, (np.pi, 0, 0)), pose(0, 0, 0.01),
     ]:  # fmt: skip
@@ -135,7 +126,7 @@ def test_unseen_target_leaves_plain_background(pinhole: EyeCamera, rendering: Re
             assert (drawing.frame == 120).all()
 
 
-def test_nothing_of_the_last_frame_remains(pinhole: EyeCamera, rendering: Rendering) -> None:
+def test_nothing_of_the_last_frame_remains(pinhole, rendering):
     drawing, fresh = (TargetRenderer(pinhole, AprilTag(), rendering) for _ in range(2))
     drawing.draw(pose(0.1, 0.1, 0.6), np.random.default_rng(1), smear_px=(20.0, 5.0))
     for each in (drawing, fresh):
@@ -143,22 +134,19 @@ def test_nothing_of_the_last_frame_remains(pinhole: EyeCamera, rendering: Render
     assert (drawing.frame == fresh.frame).all()
 
 
-def test_target_across_the_frames_edge_is_cut_not_moved(
-    pinhole: EyeCamera, lens: EyeCamera, rendering: Rendering
-) -> None:
+def test_target_across_the_frames_edge_is_cut_not_moved(pinhole, lens, rendering):
     places = (pose(-1.24, -1.02, 1.5, (0.1, 0.2, 0)), pose(-1.02, -0.6, 1.5, (0.1, 0.2, 0)))
     for camera, T_C_T in zip((pinhole, lens), places, strict=True):
         target = AprilTag()
         drawing = TargetRenderer(camera, target, rendering)
         drawing.draw(T_C_T)
-        assert drawing.region is not None
         x0, y0, x1, y1 = drawing.region
         assert (x0, y0) == (0, 0)
         error = drawing.frame[:y1, :x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
         assert np.abs(error).max() < 0.04 * 170
 
 
-def test_same_seed_same_image(pinhole: EyeCamera, rendering: Rendering) -> None:
+def test_same_seed_same_image(pinhole, rendering):
     drawing = TargetRenderer(pinhole, AprilTag(), rendering)
     images = []
     for each, seed in ((drawing, 5), (pickle.loads(pickle.dumps(drawing)), 5), (drawing, 6)):
@@ -169,9 +157,7 @@ def test_same_seed_same_image(pinhole: EyeCamera, rendering: Rendering) -> None:
     assert (images[0] != images[2]).any()
 
 
-def test_noise_has_the_stated_deviation_and_is_white(
-    pinhole: EyeCamera, rendering: Rendering
-) -> None:
+def test_noise_has_the_stated_deviation_and_is_white(pinhole, rendering):
     drawing = TargetRenderer(pinhole, AprilTag(), replace(rendering, noise_grey=3.0))
     drawing.draw(pose(0, 0, 1))
     still = drawing.frame.astype(float)
@@ -190,9 +176,7 @@ def test_noise_has_the_stated_deviation_and_is_white(
         assert abs(product.mean()) / centred.var() < 0.03
 
 
-def test_smear_conserves_light_and_lies_along_its_direction(
-    pinhole: EyeCamera, rendering: Rendering
-) -> None:
+def test_smear_conserves_light_and_lies_along_its_direction(pinhole, rendering):
     drawing = TargetRenderer(pinhole, AprilTag(), rendering)
     second_moments = []
     v, u = np.mgrid[: pinhole.height, : pinhole.width]
@@ -215,7 +199,7 @@ def test_smear_conserves_light_and_lies_along_its_direction(
     assert along_v - still == pytest.approx([0, 81 / 12], abs=2.0)
 
 
-def test_impossible_renderings_are_refused(pinhole: EyeCamera, rendering: Rendering) -> None:
+def test_impossible_renderings_are_refused(pinhole, rendering):
     for change in [
         {"white_grey": 30.0}, {"background_grey": 220.0}, {"noise_grey": -1.0},
         {"supersampling": 0},

@@ -33,12 +33,9 @@ def boxes(rng: np.random.Generator) -> np.ndarray:
     """Turned rectangles upon each other: windows, books, boxes."""
     image = np.full(SIZE, 128, np.uint8)
     for _ in range(25):
-        box = (
-            tuple(rng.uniform(0, SIZE[::-1])),
-            tuple(rng.uniform(8, 60, 2)),
-            rng.uniform(0, 90) * rng.integers(0, 2),
-        )
-        corners = cv2.boxPoints(box).astype(np.int32)
+        middle, sides = tuple(rng.uniform(0, SIZE[::-1])), tuple(rng.uniform(8, 60, 2))
+        turn = rng.uniform(0, 90) * rng.integers(0, 2)
+        corners = cv2.boxPoints((middle, sides, turn)).astype(np.int32)
         cv2.fillConvexPoly(image, corners, int(rng.integers(0, 256)))
     return image
 

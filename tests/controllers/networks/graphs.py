@@ -42,11 +42,9 @@ def perceptron(size: int = 27, seed: int = 0, outputs: int = 4, **options: Any) 
     """tanh(tanh(x A + a) B + b)."""
     a, b = weights_of(size, seed, outputs)
     nodes = [
-        helper.make_node("Gemm", ["x", "A", "a"], ["h"]),
-        helper.make_node("Tanh", ["h"], ["t"]),
-        helper.make_node("Gemm", ["t", "B", "b"], ["o"]),
-        helper.make_node("Tanh", ["o"], ["y"]),
-    ]
+        helper.make_node("Gemm", ["x", "A", "a"], ["h"]), helper.make_node("Tanh", ["h"], ["t"]),
+        helper.make_node("Gemm", ["t", "B", "b"], ["o"]), helper.make_node("Tanh", ["o"], ["y"]),
+    ]  # fmt: skip
     weights = {"A": a[0], "a": a[1], "B": b[0], "b": b[1]}
     return model(nodes, weights, size, outputs, **options).SerializeToString()
 

@@ -85,11 +85,9 @@ def test_the_manifest_says_all_that_is_needed_to_run_it(parts):
     assert content["layout"] == ObservationLayout.of(head).to_dict()
     assert content["inputs"] == Inputs.of("to_go", head).to_dict()
     assert content["actions"] == {
-        "names": ["left_tilt", "left_pan", "right_tilt", "right_pan"],
-        "unit": "rad/s",
-        "low": [-6.0] * 4,
-        "high": [6.0] * 4,
-    }
+        "names": ["left_tilt", "left_pan", "right_tilt", "right_pan"], "unit": "rad/s",
+        "low": [-6.0] * 4, "high": [6.0] * 4,
+    }  # fmt: skip
     assert content["training"] == TRAINING
     digest = hashlib.sha256(parts["policy.onnx"]).hexdigest()
     part = {"sha256": digest, "size": len(parts["policy.onnx"])}
@@ -99,11 +97,9 @@ def test_the_manifest_says_all_that_is_needed_to_run_it(parts):
 def test_the_outputs_of_a_gain_schedule_are_gains(tmp_path):
     manifest = read_bundle(bundle_of(tmp_path, "gain-schedule")).manifest
     assert manifest.actions == {
-        "names": ["left_v", "left_u", "right_v", "right_u"],
-        "unit": "1/s",
-        "low": [0.0] * 4,
+        "names": ["left_v", "left_u", "right_v", "right_u"], "unit": "1/s", "low": [0.0] * 4,
         "high": [20.0] * 4,
-    }
+    }  # fmt: skip
 
 
 def test_a_stored_bundle_is_read_as_a_deflated_one(path, parts):

@@ -6,7 +6,6 @@ import pytest
 from tests.controllers.loops import begin
 from tests.naming import named
 from vergence.controllers.networks.inputs import KINDS, Inputs
-from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.models import load_head
@@ -184,16 +183,6 @@ def test_each_joint_finds_its_own_numbers() -> None:
             for row, joint in zip(places, joints, strict=True):
                 assert all(inputs.names[i].endswith(joint) for i in row)
             assert sorted(places.ravel()) == list(range(inputs.size))
-
-
-def test_a_manifest_brings_the_same_inputs_back() -> None:
-    for kind in sorted(KINDS):
-        with named(kind):
-            head = load_head("physical")
-            inputs = Inputs.of(kind, head)
-            again = Inputs.from_dict(inputs.to_dict(), head, ObservationLayout.of(head))
-            assert again.names == inputs.names
-            assert again.size == len(set(inputs.names))
 
 
 def test_a_manifest_of_other_channels_is_refused() -> None:

@@ -36,21 +36,16 @@ def test_a_perceptron_is_what_numpy_computes():
 def test_every_allowed_kind_of_operator_runs_row_by_row():
     nodes = [
         node("Constant", [], ["half"], value=numpy_helper.from_array(np.float32(0.5), "half")),
-        node("Sub", ["x", "mean"], ["a"]),
-        node("Div", ["a", "std"], ["b"]),
+        node("Sub", ["x", "mean"], ["a"]), node("Div", ["a", "std"], ["b"]),
         node("Clip", ["b", "low", "high"], ["c"]),
         node("Slice", ["c", "start", "end", "axis"], ["d"]),
         node("Concat", ["c", "d"], ["e"], axis=-1),
         node("LayerNormalization", ["e", "scale"], ["f"], axis=-1),
-        node("MatMul", ["f", "W"], ["g"]),
-        node("Add", ["g", "half"], ["h"]),
-        node("Elu", ["h"], ["i"], alpha=0.7),
-        node("Sigmoid", ["i"], ["j"]),
-        node("Mul", ["i", "j"], ["k"]),
-        node("Flatten", ["k"], ["l"]),
-        node("Reshape", ["l", "shape"], ["m"]),
-        node("Pow", ["m", "three"], ["y"]),
-    ]
+        node("MatMul", ["f", "W"], ["g"]), node("Add", ["g", "half"], ["h"]),
+        node("Elu", ["h"], ["i"], alpha=0.7), node("Sigmoid", ["i"], ["j"]),
+        node("Mul", ["i", "j"], ["k"]), node("Flatten", ["k"], ["l"]),
+        node("Reshape", ["l", "shape"], ["m"]), node("Pow", ["m", "three"], ["y"]),
+    ]  # fmt: skip
     weights = {
         "mean": np.full(27, 0.1, "f4"), "std": np.full((1, 27), 0.5, "f4"),
         "low": np.float32(-1), "high": np.float32(1), "three": np.float32(3),
@@ -114,14 +109,7 @@ def gemm(**options) -> onnx.ModelProto:
     return model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT}, **options)
 
 
-def test_control_flow_functions_and_other_domains_are_refused():
-    inner = helper.make_graph([], "inner", [], [])
-    loop = node("Gemm", ["x", "W"], ["y"], body=inner)
-    refused(model([loop], {"W": OUT}), "AttributeProto: expected the fields .*, got g$")
-    function = helper.make_function(
-        "evil", "f", ["a"], ["b"], [node("Tanh", ["a"], ["b"])], [helper.make_opsetid("", 20)]
-    )
-    refused(gemm(functions=[function]), "ModelProto: expected the fields .*, got functions$")
+def test_other_sets_of_operators_are_refused():
     opsets = [helper.make_opsetid("", 20), helper.make_opsetid("evil", 1)]
     refused(gemm(opset_imports=opsets), "default operator set alone.*evil")
     refused(gemm(opset=11), "version 13 to 25")
@@ -130,12 +118,8 @@ def test_control_flow_functions_and_other_domains_are_refused():
 def test_weights_in_other_files_are_refused(monkeypatch):
     monkeypatch.setattr("builtins.open", lambda *_args: pytest.fail("a file was opened"))
     proto = gemm()
-    tensor = proto.graph.initializer[0]
-    tensor.ClearField("raw_data")
-    tensor.external_data.add(key="location", value="/etc/passwd")
-    tensor.data_location = onnx.TensorProto.EXTERNAL
-    refused(proto, "TensorProto: expected the fields .*, got external_data$")
-    tensor.ClearField("external_data")
+    proto.graph.initializer[0].ClearField("raw_data")
+    proto.graph.initializer[0].data_location = onnx.TensorProto.EXTERNAL
     refused(proto, "weights inside the file")
 
 
@@ -265,12 +249,6 @@ def test_attributes_that_come_twice_or_are_of_another_type_are_refused():
     refused(proto, "each attribute once")
     proto = model([node("Gemm", ["x", "W"], ["y"], transA=0.0)], {"W": OUT})
     refused(proto, "expected a graph that ONNX allows, got .*transA")
-
-
-def test_a_format_of_the_future_is_refused():
-    proto = gemm()
-    proto.ir_version = 10_000
-    refused(proto, "expected a graph that ONNX allows, got .*ir_version 10000")
 
 
 def refused_or_runs(data: bytes) -> None:

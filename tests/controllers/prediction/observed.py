@@ -111,15 +111,11 @@ def record(
                 age += timing.latency_s - delay
         observations.append(
             Observation(
-                pixel_error=error,
-                visible=np.isfinite(error).all(axis=-1),
-                image_age_s=np.array(age),
-                positions=joints,
-                positions_at_exposure=joints,
-                velocities=np.concatenate([np.zeros(3), at(now, rates)]),
-                last_command=before,
+                pixel_error=error, visible=np.isfinite(error).all(axis=-1),
+                image_age_s=np.array(age), positions=joints, positions_at_exposure=joints,
+                velocities=np.concatenate([np.zeros(3), at(now, rates)]), last_command=before,
             )
-        )
+        )  # fmt: skip
         positions.append(joints[3:])
         before = command
     return Recording(observations, np.array(positions))
@@ -137,13 +133,9 @@ def predictor_of(head: HeadModel, *, moving: bool = False) -> SmithPredictor:
 
 
 def turns(head: HeadModel, steps: int, *, speed: float = inf, time_s: float = 0.06) -> Array:
-    """(steps, 4) commands that turn both eyes there and back, then let them rest.
+    """(steps, 4) commands that turn both eyes there and back in times of `time_s`, then rest.
 
-    Args:
-        head: the head.
-        steps: number of periods.
-        speed: largest command of the second joints, rad/s.
-        time_s: duration of each turn, s.
+    The second joints turn at `speed` at most.
     """
     fastest = np.minimum(head.actuation.velocity[3:], speed)
     commands = np.zeros((steps, 4))

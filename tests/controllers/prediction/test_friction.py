@@ -20,12 +20,9 @@ class Actuator:
     def __init__(self):
         one, zero = np.ones(1), np.zeros(1)
         self.params = SimpleNamespace(
-            angle_step=1e-3 * one,
-            speed_step=0.02 * one,
-            period_s=PERIOD_S,
-            max_joint_per_actuator=one,
-            pixel_rad=PIXEL_RAD,
-        )
+            angle_step=1e-3 * one, speed_step=0.02 * one, period_s=PERIOD_S,
+            max_joint_per_actuator=one, pixel_rad=PIXEL_RAD,
+        )  # fmt: skip
         arrays = ("angle", "motion_tick", "push", "mode", "step_tick", "step_error")
         self.state = SimpleNamespace(absent_rad=0.0, **{name: zero.copy() for name in arrays})
         self.tick = 0

@@ -28,12 +28,10 @@ def late(speeds: FloatArray) -> FloatArray:
 
 
 READINGS = {
-    "prompt": (lambda speeds: speeds, 0.0),
-    "filtered": (filtered, 0.06),
-    "late": (late, 3.0 * PERIOD_S),
-    "in other units": (lambda speeds: 60.0 * speeds, None),
+    "prompt": (lambda speeds: speeds, 0.0), "filtered": (filtered, 0.06),
+    "late": (late, 3.0 * PERIOD_S), "in other units": (lambda speeds: 60.0 * speeds, None),
     "none": (np.zeros_like, None),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("reading", READINGS)

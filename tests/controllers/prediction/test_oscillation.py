@@ -41,22 +41,13 @@ def test_an_eye_that_swings_about_a_goal_at_rest_is_found_within_a_second() -> N
             assert swings(lasting[max(1.0, 3.0 / hz) > TIME_S]) > OSCILLATING_HALF_SWINGS
 
 
-def dying(time_s):
-    return 0.3 - 0.3 * np.exp(-12.0 * time_s) * np.cos(20.0 * time_s)
-
-
-def tremor(time_s):
-    return 0.001 * np.sin(60.0 * time_s)
-
-
-def slow(time_s):
-    return 0.02 * np.sin(3.0 * time_s)
-
-
 def test_what_dies_away_or_hardly_moves_is_no_swing() -> None:
-    for motion in [dying, tremor, slow]:
-        with named(motion):
-            assert swings(motion(TIME_S)) < 0.5
+    for what, motion in {
+        "dying": 0.3 - 0.3 * np.exp(-12.0 * TIME_S) * np.cos(20.0 * TIME_S),
+        "tremor": 0.001 * np.sin(60.0 * TIME_S), "slow": 0.02 * np.sin(3.0 * TIME_S),
+    }.items():  # fmt: skip
+        with named(what):
+            assert swings(motion) < 0.5
 
 
 def test_an_eye_that_follows_a_target_to_and_fro_does_not_swing() -> None:

@@ -63,16 +63,6 @@ def test_what_is_left_to_turn_ends_where_both_eyes_fixate() -> None:
             assert np.abs(now.positions + now.angle_error - goal).max() < 2e-4
 
 
-def test_the_pixel_error_is_that_of_the_predicted_angles() -> None:
-    task = GazeTask(20, head=quiet_head(), plant="kinematic")
-    trial = run(task, "saccade", 40)
-    target = task.truth().target
-    for now in trial.predicted[10::5]:
-        q = np.concatenate([np.tile(task.head.rest()[:3], (20, 1)), now.positions], axis=-1)
-        error = task.head.project(q, target, distorted=False) - task.head.cameras.principal
-        assert np.abs(now.pixel_error - error).max() < 0.7
-
-
 def test_angles_between_the_steps_of_the_encoders_are_followed() -> None:
     head = load_head("physical")
     task = GazeTask(30, head=head, plant="kinematic")

@@ -25,15 +25,6 @@ def test_every_joint_stops_at_both_its_limits(exact: HeadModel, plant) -> None:
         assert beyond < 0.05  # what the layout of observations leaves room for
 
 
-def test_speed_stays_below_the_joints_greatest_command(exact: HeadModel) -> None:
-    for plant in ["kinematic", "mujoco"]:
-        with named(plant):
-            heads = make_plant(plant, exact, 1)
-            _r, _q, velocities = steps(heads, start_of(), 20, 100.0 * exact.limits.velocity)
-            assert (np.abs(velocities) <= exact.limits.velocity * (1 + 1e-3)).all()
-            assert np.abs(velocities[-1, 0, 3]) > 5.0
-
-
 def test_a_command_that_is_nan_is_refused_and_moves_nothing(exact: HeadModel) -> None:
     for plant in ["kinematic", "mujoco"]:
         with named(plant):

@@ -12,25 +12,19 @@ from vergence.envs.task import GazeTask
 NUM, STEPS = 24, 150
 
 
-def begun(plant: str, **options: object) -> GazeTask:
-    own = {"neck": "welded"} if plant == "mujoco" else {}
-    return begin(GazeTask(NUM, plant=plant, variation=EVERYTHING, plant_options=own, **options), 4)
-
-
-def actions(count: int) -> np.ndarray:
-    """(count, 4) that turn the eyes to and fro by some ten degrees."""
-    return 0.3 * np.sign(np.sin(0.11 * np.arange(count)[:, None] + [0.0, 1.0, 2.0, 3.0]))
-
-
 def test_all_that_there_is_to_draw_is_drawn() -> None:
     assert set(EVERYTHING) == {*IMPERFECTIONS, "model_errors"} == {*RANGES, "model_errors"}
 
 
 @pytest.mark.parametrize("target", ["step", "circle"])
 def test_both_plants_agree_with_everything_drawn(target) -> None:
-    tasks = [begun(plant, target=target) for plant in ("kinematic", "mujoco")]
+    tasks = []
+    for plant, own in (("kinematic", {}), ("mujoco", {"neck": "welded"})):
+        options = {"variation": EVERYTHING, "plant_options": own, "target": target}
+        tasks.append(begin(GazeTask(NUM, plant=plant, **options), 4))
     off, moved, pixels = [], [], []
-    for action in actions(STEPS):
+    # to and fro by some ten degrees
+    for action in 0.3 * np.sign(np.sin(0.11 * np.arange(STEPS)[:, None] + [0.0, 1.0, 2.0, 3.0])):
         for task in tasks:
             task.step(np.tile(action, (NUM, 1)))
         ours, theirs = (task.truth() for task in tasks)

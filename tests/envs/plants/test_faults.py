@@ -13,11 +13,7 @@ NUM, COUNT = 64, 160
 
 
 def seen_in(head: HeadModel, **faults: object):
-    """Visibility and pixels of the images of all heads whose target has been there.
-
-    Returns:
-        (images, 2) and (images, 2, 2) px less where the target is.
-    """
+    """(images, 2) visibility and (images, 2, 2) px less where the target is, once it is there."""
     plant = make_plant("kinematic", head, NUM, **faults)
     readings, _q, _v = steps(plant, start_of(NUM), COUNT)
     visible, pixels = [], []

@@ -68,11 +68,9 @@ def test_each_actuator_has_its_own_lag_which_a_trial_scales() -> None:
 
 def test_each_actuator_keeps_its_own_limits() -> None:
     head = tied(
-        velocity=np.array([1.0, 2.0, 3.0]),
-        lower=np.array([-0.2, -0.3, 0.0]),
-        upper=np.array([0.2, 0.3, 0.5]),
-        acceleration=np.array([10.0, 20.0, 30.0]),
-    )
+        velocity=np.array([1.0, 2.0, 3.0]), lower=np.array([-0.2, -0.3, 0.0]),
+        upper=np.array([0.2, 0.3, 0.5]), acceleration=np.array([10.0, 20.0, 30.0]),
+    )  # fmt: skip
     own = head.actuation
     readings, q, v = steps(KinematicPlant(head), start_of(), 90, command(9.0, -9.0, 9.0))
     assert readings[-1].command[0, 3:].tolist() == [1.0, -2.0, 3.0, 0.0]

@@ -15,11 +15,6 @@ T = 1 / 120
 ONSETS = np.array([0.0, 23 / 120, 0.1375, 0.4])
 
 
-def first_date(onset_s: float) -> float:
-    """Exposure time of the target's first frame, with cameras at the control rate, s."""
-    return float(np.ceil(onset_s / T - 1e-9) * T)
-
-
 def test_nothing_is_seen_of_a_target_before_its_onset(exact) -> None:
     for plant_name in ["kinematic", "mujoco"]:
         with named(plant_name):
@@ -29,7 +24,8 @@ def test_nothing_is_seen_of_a_target_before_its_onset(exact) -> None:
                 dates = np.array([reading.exposure_s[i] for reading in readings])
                 seen = np.array([reading.visible[i].all() for reading in readings])
                 assert np.array_equal(seen, dates > onset_s - 1e-9)
-                assert dates[seen].min() == pytest.approx(first_date(onset_s), abs=1e-9)
+                first = np.ceil(onset_s / T - 1e-9) * T  # with cameras at the control rate
+                assert dates[seen].min() == pytest.approx(first, abs=1e-9)
 
 
 def test_a_target_that_jumps_stays_where_it_was_until_the_onset(exact) -> None:

@@ -35,39 +35,6 @@ def test_joint_angles_agree_over_a_servoed_gaze() -> None:
     assert worst < 0.02
 
 
-def bang_bang(head: HeadModel, seed: int, num: int, count: int):
-    """Eye commands of +-6 rad/s that switch at random and turn round 8 degrees off rest."""
-    rng = np.random.default_rng(seed)
-    plant = make_plant("kinematic", head, num)
-    plant.begin(start_of(num))
-    commands = np.zeros((count, num, 7))
-    for step in range(count):
-        if step % 5 == 0:
-            side = 6.0 * rng.choice([-1.0, 1.0], (num, 4))
-        q = plant.truth().positions[:, 3:]
-        side = np.where(np.abs(q) > 0.15, -6.0 * np.sign(q), side)
-        commands[step, :, 3:] = side
-        plant.step(commands[step])
-    return commands
-
-
-@pytest.mark.parametrize("preset", ["simulated", "physical"])
-def test_joint_angles_agree_under_bang_bang_commands(preset) -> None:
-    head = load_head(preset)
-    num, count = 4, 240
-    commands = bang_bang(head, 0, num, count)
-    runs = [
-        steps(make_plant(name, head, num), start_of(num), count, lambda k: commands[k])
-        for name in ("kinematic", "mujoco")
-    ]
-    (_, q, v), (_, q_mujoco, v_mujoco) = runs
-    assert head.limits.contains(q, 0.1).all()
-    assert np.abs(v).max() > 5.0
-    assert worst_deg(q[..., 3:], q_mujoco[..., 3:]) < 0.1
-    # the angle is right because the velocity is: a tenth of what a period at the limit adds
-    assert np.abs(v - v_mujoco)[..., 3:].max() < 0.1
-
-
 def test_joint_angles_agree_where_a_heads_lag_is_not_the_nominal_one(exact) -> None:
     def command(step):
         return [0, 0, 0, 1, -1, 1, 1] if step < 30 else [0, 0, 0, -1, 1, -1, 0]
@@ -103,6 +70,7 @@ def test_the_moving_neck_agrees(exact: HeadModel) -> None:
 
 PAN_AND_VERGENCE = "pan of both eyes and vergence of one"
 PLAY_AND_LAGS = "play, and a lag for each actuator"
+PRESETS = ("simulated", "physical", "turrets")
 
 
 def any_head(name: str) -> HeadModel:
@@ -113,7 +81,7 @@ def any_head(name: str) -> HeadModel:
         text = text_of("tied").replace('name = "tilt"', 'name = "tilt"\nlag_s = 0.0')
         version = 'name = "version"\nlag_s = 0.06\nbacklash_rad = 0.01'
         return parse_head(text.replace('name = "version"', version))
-    return load_head(name) if name == "turrets" else head_of(name)
+    return load_head(name) if name in PRESETS else head_of(name)
 
 
 def switching(head: HeadModel, seed: int, num: int, count: int):
@@ -134,7 +102,7 @@ def switching(head: HeadModel, seed: int, num: int, count: int):
     return start, commands
 
 
-@pytest.mark.parametrize("name", ["mis", "panfirst", "turrets", PAN_AND_VERGENCE, PLAY_AND_LAGS])
+@pytest.mark.parametrize("name", ["mis", "panfirst", *PRESETS, PAN_AND_VERGENCE, PLAY_AND_LAGS])
 def test_joints_of_any_head_agree_under_switching_commands(name) -> None:
     head, num, count = any_head(name), 2, 180
     start, commands = switching(head, 0, num, count)
@@ -143,8 +111,11 @@ def test_joints_of_any_head_agree_under_switching_commands(name) -> None:
         for plant in ("kinematic", "mujoco")
     )
     assert worst_deg(q, q[0]) > 10.0
-    assert worst_deg(q, q_mujoco) < 0.1
-    assert np.abs(v - v_mujoco).max() < 0.1
+    # eyes push a neck a little, whose commands are zero
+    eyes = np.s_[..., 3:] if name in PRESETS else np.s_[...]
+    assert worst_deg(q[eyes], q_mujoco[eyes]) < 0.1
+    # the angle is right because the velocity is: a tenth of what a period at the limit adds
+    assert np.abs(v - v_mujoco)[eyes].max() < 0.1
     # MuJoCo's ties give a little; the plant's joints are what its motors say
     own = head.actuation
     assert np.abs(own.joints_of(own.actuators_of(q_mujoco)) - q_mujoco).max() < 1e-12

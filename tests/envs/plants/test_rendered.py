@@ -122,14 +122,12 @@ def first_images(trials: int, **options) -> np.ndarray:
 
 def lens(head: HeadModel, width: int, height: int, focal: float, k1: float = 0.0) -> HeadModel:
     """The head with other cameras."""
-    return head.replace(
-        cameras={
-            "size": (width, height),
-            "focal": np.full((2, 2), focal),
-            "principal": np.tile([0.5 * width, 0.5 * height], (2, 1)),
-            "distortion": np.tile([k1, 0.0, 0.0, 0.0, 0.0], (2, 1)),
-        }
-    )
+    cameras = {
+        "size": (width, height), "focal": np.full((2, 2), focal),
+        "principal": np.tile([0.5 * width, 0.5 * height], (2, 1)),
+        "distortion": np.tile([k1, 0.0, 0.0, 0.0, 0.0], (2, 1)),
+    }  # fmt: skip
+    return head.replace(cameras=cameras)
 
 
 @pytest.mark.slow
@@ -147,13 +145,10 @@ def test_both_eyes_find_random_targets_in_their_first_images(simulated, physical
 @pytest.mark.slow
 def test_they_do_whatever_the_targets_and_the_boards_options() -> None:
     for options in [
-        {"target": {"kind": "random", "start": "rest", "depth": (0.3, 0.5)}},
-        {"target": "orbit"},
-        {"plant_options": {"width_rad": None}},
-        {"plant_options": {"width_rad": 0.2}},
-        {"plant_options": {"facing": "forward"}},
-        {"plant_options": {"board": "checkerboard"}},
-    ]:
+        {"target": {"kind": "random", "start": "rest", "depth": (0.3, 0.5)}}, {"target": "orbit"},
+        {"plant_options": {"width_rad": None}}, {"plant_options": {"width_rad": 0.2}},
+        {"plant_options": {"facing": "forward"}}, {"plant_options": {"board": "checkerboard"}},
+    ]:  # fmt: skip
         with named(options):
             assert first_images(2, **options).sum() >= 3
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from vergence.envs.targets.motion import (
-    MOTION,
     is_shown,
     last_jump_time,
     motion_rows,
@@ -65,9 +64,3 @@ def test_a_hidden_target_is_gone_from_the_first_moment_and_back_at_the_last() ->
     assert shown(rows[0], times) == [True, True, False, False, True, True]
     for_ever = motion_rows([FIRST], hidden_from=1.0)
     assert shown(for_ever[0], [0.9, 1.0, 1e9]) == [True, False, False]
-
-
-def test_only_rows_with_a_path_are_longer() -> None:
-    path = np.array([[0.5, 0.0, 0.0, 0.0, 0.0, *FIRST, 0.1, 0.0, -0.05, 1.0]])
-    assert motion_rows([FIRST]).shape == (1, MOTION)
-    assert motion_rows([FIRST], path=path).shape == (1, MOTION + 12)

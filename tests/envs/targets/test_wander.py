@@ -30,11 +30,6 @@ def sight(head: HeadModel, points: Array) -> tuple[Array, Array]:
     return seen / distance[..., None], 1.0 / distance
 
 
-def turned(first: Array, second: Array) -> Array:
-    """(...) the angles between directions, rad."""
-    return 2.0 * np.arcsin(0.5 * np.linalg.norm(second - first, axis=-1))
-
-
 def test_between_turns_its_angular_speed_is_the_trials(simulated: HeadModel) -> None:
     target = WanderTarget()
     rows, _q = draw(simulated, target, 100)
@@ -45,7 +40,8 @@ def test_between_turns_its_angular_speed_is_the_trials(simulated: HeadModel) -> 
         t = begin + share * span
         now, near = sight(simulated, target_position(rows[:, None], t))
         then, later = sight(simulated, target_position(rows[:, None], t + 0.1 * span))
-        speeds.append(turned(now, then) / (0.1 * span))
+        turned = 2.0 * np.arcsin(0.5 * np.linalg.norm(then - now, axis=-1))
+        speeds.append(turned / (0.1 * span))
         assert (np.abs(later - near) / (0.1 * span) <= target.approach + 1e-9).all()
     speed = np.array(speeds)
     assert np.ptp(speed, axis=(0, 2)) == pytest.approx(0.0, abs=1e-9)

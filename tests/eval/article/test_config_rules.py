@@ -8,24 +8,16 @@ from vergence.eval.article.registry import EXPERIMENTS
 from vergence.models import load_head, save_head
 
 CASES = [
-    ("gain-sweep", {"gain_step": 0}),
-    ("gain-sweep", {"plane_step": 0.0}),
-    ("gain-sweep", {"lag_step_s": 0.0}),
-    ("gain-sweep", {"gain_step": 1e-9}),
-    ("gain-sweep", {"least_gain": 7.0}),
-    ("gain-sweep", {"onset_gains": [4.2, 4.0]}),
-    ("gain-sweep", {"onset_gains": [4.2]}),
-    ("gain-sweep", {"point_mm": [0.0, 1000.0]}),
-    ("time-response", {"threshold_step_px": 0.0}),
-    ("time-response", {"least_threshold_px": 6.0}),
-    ("time-response", {"delays_frames": [-1]}),
-    ("simulated-moving", {"period_s": 0.0}),
-    ("simulated-static", {"point_step": 0}),
-    ("uncertainty", {"gains": [0.0]}),
-    ("physical-static", {"samples": 0}),
-    ("physical-moving", {"speed_m_s": 0.0}),
+    ("gain-sweep", {"gain_step": 0}), ("gain-sweep", {"plane_step": 0.0}),
+    ("gain-sweep", {"lag_step_s": 0.0}), ("gain-sweep", {"gain_step": 1e-9}),
+    ("gain-sweep", {"least_gain": 7.0}), ("gain-sweep", {"onset_gains": [4.2, 4.0]}),
+    ("gain-sweep", {"onset_gains": [4.2]}), ("gain-sweep", {"point_mm": [0.0, 1000.0]}),
+    ("time-response", {"threshold_step_px": 0.0}), ("time-response", {"least_threshold_px": 6.0}),
+    ("time-response", {"delays_frames": [-1]}), ("simulated-moving", {"period_s": 0.0}),
+    ("simulated-static", {"point_step": 0}), ("uncertainty", {"gains": [0.0]}),
+    ("physical-static", {"samples": 0}), ("physical-moving", {"speed_m_s": 0.0}),
     ("fixed-pair", {"pair_focal_px": 0.0}),
-]
+]  # fmt: skip
 
 
 def resolve(case) -> None:

@@ -38,11 +38,8 @@ def test_a_template_chooses_no_words():
         assert blocks >= {"what", "found"}, name
         assert all(b.startswith("caption_") for b in blocks - {"what", "found", "headline"}), name
         assert list(tree.find_all(_CHOICES)) == [], name
-        assert [each.value for each in tree.find_all(nodes.Const) if _word(each)] == [], name
-
-
-def _word(constant):
-    return isinstance(constant.value, str)
+        words = [each.value for each in tree.find_all(nodes.Const)]
+        assert [each for each in words if isinstance(each, str)] == [], name
 
 
 def test_a_template_counts_nothing_by_itself():

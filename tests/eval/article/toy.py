@@ -42,18 +42,11 @@ def run(config: ToyConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
 def summarise(table: pd.DataFrame, config: ToyConfig) -> list[SummaryRow]:
     return [
         SummaryRow(
-            experiment="toy",
-            quantity="value",
-            method="both",
-            axis="x",
-            unit="mm",
-            article_low=1.0,
-            article_high=None,
-            ours_low=float(table["value_mm"].min()),
-            ours_high=float(table["value_mm"].max()),
-            verdict="reproduced",
+            experiment="toy", quantity="value", method="both", axis="x", unit="mm", article_low=1.0,
+            article_high=None, ours_low=float(table["value_mm"].min()),
+            ours_high=float(table["value_mm"].max()), verdict="reproduced",
         )
-    ]
+    ]  # fmt: skip
 
 
 def draw(table: pd.DataFrame, config: ToyConfig) -> dict[str, Figure]:
@@ -88,14 +81,6 @@ Each of {{ config.draws }} values is a dot. They scatter.
 """
 
 EXPERIMENT = Experiment(
-    name="toy",
-    title="A toy <experiment>",
-    article="Section 0",
-    text=TEXT,
-    config=ToyConfig,
-    quick={"draws": 2},
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    name="toy", title="A toy <experiment>", article="Section 0", text=TEXT, config=ToyConfig,
+    quick={"draws": 2}, run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip

@@ -21,12 +21,9 @@ from vergence.eval.trials.settling import SettlingBand
 NEAR = InTwoTurns(20, 50, 1.5)
 """Within 2 px after 21 periods, within 1 px after 51."""
 TWO_PX = (
-    "settled_2px_fraction",
-    "settle_2px_median_s",
-    "settle_2px_p95_s",
-    "ratio_to_bound_2px_median",
+    "settled_2px_fraction", "settle_2px_median_s", "settle_2px_p95_s", "ratio_to_bound_2px_median",
     "ratio_to_bound_2px_p95",
-)
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -68,10 +65,7 @@ def test_what_never_settles_to_one_pixel_may_settle_to_two(run) -> None:
 
 @pytest.mark.slow
 def test_ratios_are_of_trials_that_settled(run) -> None:
-    toys = {
-        "some": KnowsTheWay(20, never=(0, 5)),
-        "most": KnowsTheWay(20, never=tuple(range(11))),
-    }
+    toys = {"some": KnowsTheWay(20, never=(0, 5)), "most": KnowsTheWay(20, never=tuple(range(11)))}
     evaluation = run(**toys)
     some, most = row_of(evaluation, "some"), row_of(evaluation, "most")
     plain = row_of(run(all=KnowsTheWay(20)), "all")
@@ -104,9 +98,8 @@ def test_any_band_may_lead(run, tmp_path) -> None:
     row, bound = row_of(evaluation, "near"), row_of(evaluation, BOUND)
     assert row[band.settled_fraction_column] == 1.0
     assert row[band.settle_median_s_column] == pytest.approx(21 * PERIOD_S, abs=1e-12)
-    assert row[band.ratio_median_column] == pytest.approx(
-        row[band.settle_median_s_column] / bound[band.settle_median_s_column]
-    )
+    ratio = row[band.settle_median_s_column] / bound[band.settle_median_s_column]
+    assert row[band.ratio_median_column] == pytest.approx(ratio)
     report = (tmp_path / "report.html").read_text()
     assert f"median settle time to {band_px:g} px" in " ".join(report.split())
 

@@ -133,13 +133,10 @@ def test_what_is_wrong_in_the_file_is_said_with_its_place_in_one_line(tmp_path):
 
 def test_a_place_that_is_none_is_refused_in_one_line():
     for word, said in [
-        ("mine_f:Gentle", "no module mine_f, in"),
-        ("mine_f.py:Gentle", "no such file"),
-        ("there/mine_f:Gentle", "path/to/file.py:class"),
-        (":Gentle", "module:class"),
-        ("mine_f:", "module:class"),
-        ("json:Gentle", "expected Gentle in"),
-    ]:
+        ("mine_f:Gentle", "no module mine_f, in"), ("mine_f.py:Gentle", "no such file"),
+        ("there/mine_f:Gentle", "path/to/file.py:class"), (":Gentle", "module:class"),
+        ("mine_f:", "module:class"), ("json:Gentle", "expected Gentle in"),
+    ]:  # fmt: skip
         with named(word):
             assert said in refusal(word)
 
@@ -235,9 +232,8 @@ def test_an_object_that_raises_is_told_by_its_place_and_keeps_its_error():
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             raise OSError(5, "no camera")
 
-    with pytest.raises(
-        UserControllerError, match=r"test_user_code\.py:\d+ in predict: OSError"
-    ) as caught:
+    said = r"test_user_code\.py:\d+ in predict: OSError"
+    with pytest.raises(UserControllerError, match=said) as caught:
         evaluate(EvaluateConfig(episodes=2), {"mine": Rash()})
     assert isinstance(caught.value.__cause__, OSError)
 

@@ -36,11 +36,8 @@ def fineness(name: str, share: float) -> float:
     """Largest shortfall of a search from the limit, on one side of the expected value."""
     following = min(one for one in GRID_FRACTIONS if one > share)
     last = max((0.0, *(one for one in GRID_FRACTIONS if one <= share)))
-    return (
-        (following - last)
-        / 2**BISECTIONS
-        * (IMPERFECTION_RANGES[name].highest - IMPERFECTION_RANGES[name].lowest)
-    )
+    span = IMPERFECTION_RANGES[name].highest - IMPERFECTION_RANGES[name].lowest
+    return (following - last) / 2**BISECTIONS * span
 
 
 def test_the_range_of_a_gain_is_what_the_band_allows(measured):
@@ -97,9 +94,8 @@ def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
     coarse(monkeypatch)
     known(duration_s=0.1)
     margins = measured(toy=KnowsTheWay(5), episodes=1)
-    assert [row["imperfection"] for row in margins.rows()] == [
-        name for name in IMPERFECTION_RANGES if not IMPERFECTIONS[name].probability
-    ]
+    moved = [name for name in IMPERFECTION_RANGES if not IMPERFECTIONS[name].probability]
+    assert [row["imperfection"] for row in margins.rows()] == moved
     for one in margins.margins:
         low, high = one.settles_low, one.settles_high
         assert low is not None
@@ -126,11 +122,9 @@ def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(measured)
 @pytest.mark.nightly
 def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tmp_path):
     margins = measured(
-        "command_latency_s",
-        "speed_gain",
-        toy=KnowsTheWay(5),
+        "command_latency_s", "speed_gain", toy=KnowsTheWay(5),
         never=KnowsTheWay(5, never=tuple(range(4))),
-    )
+    )  # fmt: skip
     folder = tmp_path / "run"
     folder.mkdir()
     write_margins(folder, margins)
@@ -140,18 +134,15 @@ def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tm
 
     rows = json.loads((folder / "margins.json").read_text(), parse_constant=refuse)
     assert rows == margins.rows()
-    assert isinstance(rows, list)
     assert all(
         list(row) == ["controller", "scenario", "imperfection", "unit", "settles_low",
                       "settles_high", "doubles_low", "doubles_high"]
         for row in rows
     )  # fmt: skip
     assert [(row["controller"], row["imperfection"], row["unit"]) for row in rows] == [
-        ("toy", "command_latency_s", "s"),
-        ("toy", "speed_gain", "1"),
-        ("never", "command_latency_s", "s"),
-        ("never", "speed_gain", "1"),
-    ]
+        ("toy", "command_latency_s", "s"), ("toy", "speed_gain", "1"),
+        ("never", "command_latency_s", "s"), ("never", "speed_gain", "1"),
+    ]  # fmt: skip
     table = pd.read_csv(folder / "margins.csv")
     assert table["searched_high"].tolist() == [0.1, 1.6, 0.1, 1.6]
     points = pd.read_csv(folder / "points.csv")

@@ -25,17 +25,11 @@ def test_margins_are_shown_part_by_part_of_the_loop():
 
 def test_what_robots_do_lies_within_what_is_searched():
     for name, low, high in (
-        ("command_latency_s", 0.0, 0.025),
-        ("feedback_latency_s", 0.0, 0.02),
-        ("latency_s", 0.0, 0.2),
-        ("frame_phase", 0.0, 1.0),
-        ("acceleration_ratio", 0.3, 1.5),
-        ("speed_gain", 0.7, 1.3),
-        ("detection_noise_px", 0.02, 1.0),
-        ("backlash_rad", 0.0, 0.004),
-        ("outlier_probability", 0.0, 0.02),
-        ("frame_rate_hz", 15.0, 120.0),
-    ):
+        ("command_latency_s", 0.0, 0.025), ("feedback_latency_s", 0.0, 0.02),
+        ("latency_s", 0.0, 0.2), ("frame_phase", 0.0, 1.0), ("acceleration_ratio", 0.3, 1.5),
+        ("speed_gain", 0.7, 1.3), ("detection_noise_px", 0.02, 1.0), ("backlash_rad", 0.0, 0.004),
+        ("outlier_probability", 0.0, 0.02), ("frame_rate_hz", 15.0, 120.0),
+    ):  # fmt: skip
         found = search_interval(name, WORKSPACE, WORKSPACE.model())
         assert found.low <= low < high <= found.high, name
 

@@ -33,10 +33,8 @@ def test_the_limit_is_found_from_the_good_side():
 
 
 def test_where_all_of_it_is_good_the_end_itself_is_found():
-    assert steps_of(1.0, 0.1, 0.3) == (
-        0.3,
-        pytest.approx([0.1, *(0.1 + 0.2 * s for s in GRID_FRACTIONS)]),
-    )
+    asked = [0.1, *(0.1 + 0.2 * share for share in GRID_FRACTIONS)]
+    assert steps_of(1.0, 0.1, 0.3) == (0.3, pytest.approx(asked))
 
 
 def test_a_gap_ends_the_range_whatever_is_beyond_it():

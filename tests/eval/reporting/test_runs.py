@@ -76,14 +76,10 @@ def test_a_result_that_cannot_be_written_is_called_lost_with_its_place_and_the_r
 
 def test_the_run_folder_of_a_command_is_called_that(tmp_path):
     for sign, command in [
-        ("trajectory.parquet", "gaze"),
-        ("trajectory.csv", "gaze"),
-        ("evaluation.json", "evaluate"),
-        ("checkpoints", "train"),
-        ("tune.json", "tune"),
-        ("study.db", "tune"),
+        ("trajectory.parquet", "gaze"), ("trajectory.csv", "gaze"), ("evaluation.json", "evaluate"),
+        ("checkpoints", "train"), ("tune.json", "tune"), ("study.db", "tune"),
         ("experiments", "reproduce"),
-    ]:
+    ]:  # fmt: skip
         folder = tmp_path / sign.replace(".", "-")
         folder.mkdir()
         (folder / sign).touch()

@@ -84,13 +84,10 @@ NO_RUN = "include: expected the folder of a run"
 @pytest.mark.slow
 def test_a_section_with_values_of_another_type_is_refused(tmp_path, run):
     values = [
-        ("what", 3),
-        ("rows", "many"),
-        ("summary", [{"experiment": "x"}]),
-        ("tables", [{"title": "x", "columns": ["a"], "rows": [[1]]}]),
-        ("tables", {"title": "x"}),
+        ("what", 3), ("rows", "many"), ("summary", [{"experiment": "x"}]),
+        ("tables", [{"title": "x", "columns": ["a"], "rows": [[1]]}]), ("tables", {"title": "x"}),
         ("figures", 5),
-    ]
+    ]  # fmt: skip
     copy = shutil.copytree(run, tmp_path / "run")
     content = json.loads((copy / SECTION_FILE).read_text())
 

@@ -48,10 +48,7 @@ def titles(figure):
 
 @pytest.mark.nightly
 def test_a_point_far_away_leaves_the_others_their_scale_and_is_counted():
-    usual, far = (
-        compose_located(tags_at(0.5, 0.6, 0.7)),
-        compose_located(tags_at(0.5, 0.6, 0.7, 400.0)),
-    )
+    usual, far = (compose_located(tags_at(0.5, 0.6, 0.7, *more)) for more in ((), (400.0,)))
     for one in (usual, far):
         one.draw_without_rendering()
     assert "outside" not in "".join(titles(usual))

@@ -14,15 +14,9 @@ from vergence.eval.reporting.text import (
 
 def test_numbers_have_three_significant_digits_and_no_exponent():
     for value, text in [
-        (0.0, "0"),
-        (0.00912, "0.00912"),
-        (1.0, "1.00"),
-        (-2.5, "-2.50"),
-        (124.49, "124"),
-        (3780.0, "3780"),
-        (float("nan"), "–"),
-        (None, "–"),
-    ]:
+        (0.0, "0"), (0.00912, "0.00912"), (1.0, "1.00"), (-2.5, "-2.50"), (124.49, "124"),
+        (3780.0, "3780"), (float("nan"), "–"), (None, "–"),
+    ]:  # fmt: skip
         assert format_number(value) == text
 
 

@@ -42,20 +42,14 @@ def test_simulation_has_the_robots_head_and_its_loop(desk):
     lineup = resolve_lineup(config, None, SerialMapper())
     (scenario, plant), head = lineup.scenario_plant_pairs[0], load_hardware(desk).head
     assert (scenario.name, plant, lineup.head.digest) == ("webcam", "kinematic", head.digest)
-    assert all(
-        resolved.tuned for _, resolved in lineup.contestants_by_scenario["webcam"]
-    )  # as for that head's servos
+    resolved = [one for _, one in lineup.contestants_by_scenario["webcam"]]
+    assert all(one.tuned for one in resolved)  # as for that head's servos
     trials = evaluate(config).trials()
     for name, value in (
-        ("latency_s", 0.082),
-        ("jitter_s", 0.008),
-        ("lag_s", 0.045),
-        ("command_latency_s", 0.01),
-        ("feedback_latency_s", 0.0),
-        ("acceleration_ratio", 0.5),
-        ("speed_gain_left_pan", 0.9),
+        ("latency_s", 0.082), ("jitter_s", 0.008), ("lag_s", 0.045), ("command_latency_s", 0.01),
+        ("feedback_latency_s", 0.0), ("acceleration_ratio", 0.5), ("speed_gain_left_pan", 0.9),
         ("backlash_rad_right_tilt", 0.002),
-    ):
+    ):  # fmt: skip
         assert trials[name].to_numpy() == pytest.approx(value), name
     assert trials["frame_phase"].nunique() == 3
 
@@ -70,9 +64,8 @@ def test_the_bound_of_a_robots_trials_is_that_of_their_simulation(desk):
     for band_px, bound_s in trials.bounds_s.items():
         assert found[band_px] == pytest.approx(bound_s, abs=1e-9)
     points[0] = np.nan
-    assert np.flatnonzero(
-        np.isnan(robot_settle_bounds(hardware, trials, points)[2.0])
-    ).tolist() == [0]
+    unknown = np.isnan(robot_settle_bounds(hardware, trials, points)[2.0])
+    assert np.flatnonzero(unknown).tolist() == [0]
 
 
 def test_what_a_robot_cannot_have_is_refused(desk):

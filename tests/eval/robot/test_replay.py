@@ -24,11 +24,9 @@ def logged(tmp_path_factory):
 def test_the_same_law_asks_for_the_same_to_the_bit(logged):
     found = replay(ReplayConfig(log=logged[0], controller="state-feedback"))
     assert found.rerun.summary() == {
-        "controller": "state-feedback",
-        "commands": 2 * STEPS,
-        "identical": 2 * STEPS,
+        "controller": "state-feedback", "commands": 2 * STEPS, "identical": 2 * STEPS,
         "greatest_difference_rad_s": 0.0,
-    }
+    }  # fmt: skip
 
 
 def test_another_law_asks_for_something_else_on_the_same_readings(logged):

@@ -51,13 +51,10 @@ def test_places_take_turns_and_the_eyes_look_for_each(monkeypatch):
 
 
 def test_a_place_that_the_eyes_cannot_look_at_is_refused():
-    behind = (
-        *PLACES,
-        MeasuredTarget(target=parse_target("tag:36h11:9:120"), point=np.array([0, 0, -1.0])),
-    )
-    with pytest.raises(
-        ConfigurationError, match=r"places\[3\]\.point_mm .* got \[0.0, 0.0, -1000.0\]"
-    ):
+    target = parse_target("tag:36h11:9:120")
+    behind = (*PLACES, MeasuredTarget(target=target, point=np.array([0, 0, -1.0])))
+    said = r"places\[3\]\.point_mm .* got \[0.0, 0.0, -1000.0\]"
+    with pytest.raises(ConfigurationError, match=said):
         make_stage("places", dataclasses.replace(DESK, measured_targets=behind))
 
 

@@ -115,16 +115,10 @@ def eye_goals(task: GazeTask) -> Array:
 
 
 def run(task: GazeTask, steps: int, beyond_px: float) -> tuple[Array, Array]:
-    """Run trials that have just begun.
+    """Run trials that have just begun: (steps + 1,) s and (steps + 1, n, 2, 2) true pixel errors.
 
-    Args:
-        task: the trials.
-        steps: number of control periods.
-        beyond_px: distance beyond the goal at which each actuator stops: it enters the band
-            earlier, but stops nearer to its edge.
-
-    Returns:
-        (steps + 1,) seconds and (steps + 1, n, 2, 2) true pixel errors.
+    Each actuator stops so far beyond its goal: it enters the band earlier, and stops nearer to its
+    edge.
     """
     simulation = simulation_of(task.plant)
     truth, conditions = simulation.truth(), simulation.conditions

@@ -58,8 +58,7 @@ def test_brute_force_over_all_switch_times_finds_nothing_faster() -> None:
 def every_switch(near: float, lag: float, acceleration: float) -> tuple[float, Array, Array]:
     """Joints that reverse at every time of a grid, each followed through tiny periods.
 
-    Returns:
-        The grid's step; when each joint enters the band, s, and how far it gets, rad.
+    The grid's step; when each joint enters the band, s, and how far it gets, rad.
     """
     step = 2e-4
     switch = np.arange(0.0, 0.1, step)
@@ -97,11 +96,7 @@ def test_the_grid_of_bounds_is_whole_periods_after_the_delay() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "plant", "beyond_px"),
-    [
-        ("workspace", "mujoco", 0.6),
-        ("robust", "kinematic", 0.5),
-    ],
+    ("name", "plant", "beyond_px"), [("workspace", "mujoco", 0.6), ("robust", "kinematic", 0.5)]
 )
 def test_an_oracle_meets_the_bound_within_a_period_and_never_beats_it(name, plant, beyond_px):
     scenario = load_scenario(name)

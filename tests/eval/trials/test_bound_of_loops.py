@@ -59,15 +59,11 @@ def test_with_play_an_oracle_comes_as_near_and_never_below() -> None:
 @pytest.mark.parametrize(("plant", "target"), [("kinematic", "random"), ("mujoco", "step")])
 def test_the_first_sight_is_when_the_target_is_seen_first(plant, target) -> None:
     faults = {
-        "latency_s": (0.03, 0.13),
-        "jitter_s": (0.0, 0.05),
-        "frame_rate_hz": (15.0, 150.0),
-        "frame_phase": (0.0, 1.0),
-        "clock_drift": (-0.01, 0.01),
-        "dropped_frame_probability": (0.0, 0.5),
-        "missed_detection_probability": (0.0, 0.7),
+        "latency_s": (0.03, 0.13), "jitter_s": (0.0, 0.05), "frame_rate_hz": (15.0, 150.0),
+        "frame_phase": (0.0, 1.0), "clock_drift": (-0.01, 0.01),
+        "dropped_frame_probability": (0.0, 0.5), "missed_detection_probability": (0.0, 0.7),
         "onset_s": (0.0, 0.3),
-    }
+    }  # fmt: skip
     num = 60
     task = begin(GazeTask(num, plant=plant, target=target, variation=faults), 3)
     simulation = simulation_of(task.plant)
@@ -154,14 +150,10 @@ def test_what_hinders_a_motor_never_makes_it_faster() -> None:
 @pytest.mark.parametrize(
     ("name", "scenario"),
     [
-        ("saccade", "step"),
-        ("learned-policy", "workspace"),
-        ("pursuit", "robust"),
-        ("delay-compensated", "hardware"),
-        ("pid", "webcam"),
-        ("pursuit", "double-step"),
+        ("saccade", "step"), ("learned-policy", "workspace"), ("pursuit", "robust"),
+        ("delay-compensated", "hardware"), ("pid", "webcam"), ("pursuit", "double-step"),
     ],
-)
+)  # fmt: skip
 def test_no_controller_beats_the_bound(name: str, scenario: str) -> None:
     described = load_scenario(scenario)
     trials = run_trials(

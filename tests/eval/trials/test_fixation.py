@@ -55,9 +55,8 @@ def test_a_trial_is_judged_by_its_last_seconds_or_half_once_the_eyes_could_appro
 def test_a_sinusoid_has_its_peak_to_peak_and_its_rms():
     swing = sinusoid(10.0, 5.0)
     assert np.rad2deg(worst_joint_speed_range(TIME, swing, 1.0)) == pytest.approx(10.0, rel=0.01)
-    assert np.rad2deg(worst_joint_speed_rms(TIME, swing, 1.0)) == pytest.approx(
-        5.0 / np.sqrt(2.0), rel=0.01
-    )
+    rms = np.rad2deg(worst_joint_speed_rms(TIME, swing, 1.0))
+    assert rms == pytest.approx(5.0 / np.sqrt(2.0), rel=0.01)
 
 
 def test_a_drift_has_an_rms_and_no_peak_to_peak():
@@ -68,9 +67,8 @@ def test_a_drift_has_an_rms_and_no_peak_to_peak():
 
 def test_speed_counts_from_each_trials_own_time():
     turn = np.stack([pulse(1.0, 0.1), pulse(1.0, 0.1)], axis=1)
-    assert np.rad2deg(worst_joint_speed_range(TIME, turn, [0.9, 1.2])) == pytest.approx(
-        [300.0, 0.0]
-    )
+    spans = np.rad2deg(worst_joint_speed_range(TIME, turn, [0.9, 1.2]))
+    assert spans == pytest.approx([300.0, 0.0])
     assert worst_joint_speed_rms(TIME, turn, [0.9, 1.2])[1] == 0.0
 
 
@@ -165,9 +163,8 @@ def test_without_truth_the_speed_is_that_of_the_measured_angles(monkeypatch):
     monkeypatch.setitem(PLANTS, "blind", "tests.eval.trials.toys:BlindPlant")
     measured, true = (shaken((1, 3), plant=plant) for plant in ("blind", "kinematic"))
     assert measured.swings.tolist() == true.swings.tolist()
-    assert measured.fixation_peak_to_peak_rad_s[1::2] == pytest.approx(
-        true.fixation_peak_to_peak_rad_s[1::2], rel=0.05
-    )
+    found, expected = (one.fixation_peak_to_peak_rad_s[1::2] for one in (measured, true))
+    assert found == pytest.approx(expected, rel=0.05)
 
 
 def test_of_a_target_that_never_rests_there_is_no_fixation():

@@ -94,9 +94,8 @@ def test_the_lag_is_the_error_by_the_velocity_and_a_constant_bias_of_a_turn_does
     time = np.linspace(0.0, 2.0, 201)
     velocity = both(30.0 * np.cos(2.0 * np.pi * time))
     error = 0.2 * velocity + 5.0
-    assert tracking_lag(time, error[:, None], velocity[:, None], after_s=1.001) == (
-        pytest.approx([0.2])
-    )
+    lags = tracking_lag(time, error[:, None], velocity[:, None], after_s=1.001)
+    assert lags == pytest.approx([0.2])
     assert tracking_lag(time, -error, velocity, after_s=1.001) == pytest.approx(-0.2)
     assert np.isnan(tracking_lag(time, error, 0.0 * velocity, after_s=1.0))
 

@@ -60,7 +60,6 @@ def test_every_scenario_runs_on_each_of_its_plants(plant: str) -> None:
             task.step(np.zeros((2, 4)))
         assert np.isfinite(task.observation).all(), scenario.name
         truth = task.truth()
-        assert truth is not None
         assert truth.time_s == pytest.approx(20 * scenario.model().timing.period_s), scenario.name
         task.close()
 
@@ -68,14 +67,9 @@ def test_every_scenario_runs_on_each_of_its_plants(plant: str) -> None:
 @pytest.mark.slow
 def test_scenarios_run_with_any_head() -> None:
     for name, shape in [
-        ("hardware", "tied"),
-        ("webcam-fast", "mis"),
-        ("desk", "panfirst"),
-        ("step", "common"),
-        ("robust", "vergeonly"),
-        ("occluded", "common"),
-        ("double-step", "vergeonly"),
-    ]:
+        ("hardware", "tied"), ("webcam-fast", "mis"), ("desk", "panfirst"), ("step", "common"),
+        ("robust", "vergeonly"), ("occluded", "common"), ("double-step", "vergeonly"),
+    ]:  # fmt: skip
         with named(name, shape):
             scenario, head = load_scenario(name), head_of(shape)
             trials = run_trials(make_controller("ibvs", head), scenario, episodes=4, head=head)
@@ -170,7 +164,6 @@ def test_fast_targets_are_as_fast_as_drawn_and_within_reach() -> None:
 
 def test_robust_trials_draw_the_delays_of_the_issue() -> None:
     conditions = begin(load_scenario("robust"), 400).plant.conditions
-    assert conditions is not None
     assert conditions.latency_s.min() == pytest.approx(0.03, abs=2e-3)
     assert conditions.latency_s.max() == pytest.approx(0.13, abs=2e-3)
     assert len(np.unique(conditions.heads, axis=0)) == 400
@@ -193,7 +186,6 @@ def test_model_errors_are_the_physical_twins() -> None:
     assert TWIN_SPREADS.scaled(0.41) == TWIN_ERRORS
     for name in ("robust", "physical"):
         variation = load_scenario(name).variation
-        assert variation is not None
         assert variation.model_errors == TWIN_ERRORS
 
 
@@ -205,9 +197,8 @@ def test_a_plant_of_ones_own_runs_in_every_scenario_if_it_is_simulated() -> None
 
 
 def test_a_plant_that_looks_at_the_world_cannot_draw_a_scenarios_targets() -> None:
-    with pytest.raises(
-        ConfigurationError, match="expected a simulated one for the scenario 'step'"
-    ):
+    said = "expected a simulated one for the scenario 'step'"
+    with pytest.raises(ConfigurationError, match=said):
         load_scenario("step").task(1, "tests.envs.robot:Robot")
 
 

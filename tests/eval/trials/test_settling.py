@@ -16,19 +16,15 @@ def test_two_bands_never_share_a_column(one, other):
 
 
 def test_the_columns_of_published_tables_keep_their_names():
-    half, one, two = SettlingBand(0.5), SettlingBand(1.0), SettlingBand(2.0)
-    assert [band.settle_s_column for band in (half, one, two)] == [
-        "settle_05px_s", "settle_1px_s", "settle_2px_s",
-    ]  # fmt: skip
-    assert (
-        one.bound_s_column, one.ratio_p95_column, one.settled_fraction_column,
-        one.settle_median_s_column,
-    ) == (
-        "bound_s", "ratio_to_bound_p95", "settled_fraction", "settle_1px_median_s",
-    )  # fmt: skip
-    assert (
-        two.bound_s_column, two.ratio_p95_column, two.settled_fraction_column,
-        two.settle_median_s_column,
-    ) == (
-        "bound_2px_s", "ratio_to_bound_2px_p95", "settled_2px_fraction", "settle_2px_median_s",
-    )  # fmt: skip
+    names = ("settle_s", "bound_s", "ratio_p95", "settled_fraction", "settle_median_s")
+    found = {
+        size: [getattr(SettlingBand(size), f"{name}_column") for name in names]
+        for size in (1.0, 2.0)
+    }
+    assert found == {
+        1.0: ["settle_1px_s", "bound_s", "ratio_to_bound_p95", "settled_fraction",
+              "settle_1px_median_s"],
+        2.0: ["settle_2px_s", "bound_2px_s", "ratio_to_bound_2px_p95", "settled_2px_fraction",
+              "settle_2px_median_s"],
+    }  # fmt: skip
+    assert SettlingBand(0.5).settle_s_column == "settle_05px_s"

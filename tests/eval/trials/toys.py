@@ -81,13 +81,7 @@ class KnowsTheWay:
 
 
 class InTwoTurns:
-    """Turns the eyes to some pixels beside the step's target, and later onto it.
-
-    Args:
-        first: periods until the first turn.
-        second: periods until the second turn.
-        beside_px: approximate distance from the target at which it waits.
-    """
+    """Turns the eyes to some pixels beside the step's target and onto it, after so many periods."""
 
     def __init__(self, first: int, second: int, beside_px: float) -> None:
         head = ideal_head()
@@ -104,13 +98,9 @@ class InTwoTurns:
 
 
 class Shaking:
-    """Another law, with a sinusoid on the second actuator's commands.
+    """Another law, with a sinusoid on the second actuator's commands in the trials of some numbers.
 
-    Args:
-        law: the other one.
-        share: the sinusoid's amplitude, by the actuator's speed.
-        hertz: its frequency.
-        whose: the numbers of the trials that have it.
+    Its amplitude is a share of the actuator's speed.
     """
 
     def __init__(self, law: Any, share: float, hertz: float, whose: tuple[int, ...]) -> None:

@@ -44,14 +44,9 @@ def bowl(options):
 
 def search(tmp_path, attempts=12, **changes):
     options = {
-        "name": "bowl",
-        "storage": str(tmp_path / "study.db"),
-        "search_ranges": BOWL,
-        "fixed_settings": {"episodes": 3},
-        "attempts": attempts,
-        "seed": 0,
-        "grid": False,
-    }
+        "name": "bowl", "storage": str(tmp_path / "study.db"), "search_ranges": BOWL,
+        "fixed_settings": {"episodes": 3}, "attempts": attempts, "seed": 0, "grid": False,
+    }  # fmt: skip
     return SearchSpec(**{**options, **changes})
 
 
@@ -152,11 +147,9 @@ def test_a_storage_that_is_none_is_refused(tmp_path):
     file = tmp_path / "file"
     file.write_text("no database")
     for storage in (
-        str(file),
-        str(file / "study.db"),
-        "postgresql://127.0.0.1:1/nothing?connect_timeout=1",
+        str(file), str(file / "study.db"), "postgresql://127.0.0.1:1/nothing?connect_timeout=1",
         "nonsense://x",
-    ):
+    ):  # fmt: skip
         with pytest.raises(ConfigurationError, match="storage: expected"):
             run_search(search(tmp_path, storage=storage), bowl)
 
@@ -191,13 +184,11 @@ def test_several_processes_share_a_study_on_postgresql(postgres, tmp_path):
     root = str(Path(__file__).parents[3])
     workers = [
         subprocess.Popen(
-            [sys.executable, "-c", WORKER, root, postgres],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
+            [sys.executable, "-c", WORKER, root, postgres], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, text=True,
         )
         for _ in range(2)
-    ]
+    ]  # fmt: skip
     for worker in workers:
         assert worker.stdout.readline() == "ready\n"
     for worker in workers:
@@ -329,9 +320,8 @@ def test_the_result_is_kept_in_the_users_table_for_its_head_and_never_in_the_pac
         "--episodes 2 --seed 2"
     )
     # the package's own head keeps its gain
-    assert tuned_or_fallback_options("ibvs-tuned", "workspace", load_head("simulated")) == {
-        "gain": 4.1
-    }
+    own = tuned_or_fallback_options("ibvs-tuned", "workspace", load_head("simulated"))
+    assert own == {"gain": 4.1}
 
 
 def test_the_recorded_command_names_all_that_changes_the_result():
@@ -403,15 +393,12 @@ def test_several_options_are_drawn_in_slices(tmp_path, capsys):
 def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words, said in [
-        (["nonsense"], "'nonsense'"),
-        (["ibvs", "--scenario", "nonsense"], "'nonsense'"),
-        (["ibvs", "--episodes", "0"], "episodes"),
-        (["adaptive", "--trials", "0"], "trials"),
-        (["adaptive", "--grid"], "slope_zero"),
-        (["policy", "--write"], "write"),
+        (["nonsense"], "'nonsense'"), (["ibvs", "--scenario", "nonsense"], "'nonsense'"),
+        (["ibvs", "--episodes", "0"], "episodes"), (["adaptive", "--trials", "0"], "trials"),
+        (["adaptive", "--grid"], "slope_zero"), (["policy", "--write"], "write"),
         (["policy", "--cluster", "127.0.0.1:6379"], "cluster"),
         (["ibvs", "--workers", "0"], "workers"),
-    ]:
+    ]:  # fmt: skip
         assert call("tune", *words) == 2, words
         out, err = capsys.readouterr()
         assert out == ""

@@ -29,9 +29,6 @@ from vergence.models.parts import Rendering
 from vergence.vision import Checkerboard, Detection, EyeCamera, make_detector
 from vergence.vision.boards.corners import crossing_asymmetries
 
-SIZES = [(3, 3), (5, 4), (4, 5), (6, 4), (5, 5), (9, 6), (12, 9)]
-"""Columns and rows of inner corners; some look the same turned by half a turn, or by a quarter."""
-
 
 def board(columns: int, rows: int, *, rim: bool = True) -> Checkerboard:
     """Checkerboard with squares of 20 px at 1 m before the simulated rig."""
@@ -64,18 +61,6 @@ def detector_of(target: Checkerboard):
     return make_detector(target, rig("simulated")[0])
 
 
-def test_every_corner_is_found_in_the_boards_order():
-    for rim, size in some_of([True, False], SIZES):
-        with named(rim, size):
-            target = board(*size, rim=rim)
-            one = drawn(target, 0.1, (0.3, -0.4))
-            found = detector_of(target).detect(one.image)
-            assert found.target == target
-            assert found.corners_px == pytest.approx(one.corners, abs=0.2)
-            assert found.point_px == pytest.approx(one.point, abs=0.2)
-            assert rms(found.corners_px - one.corners) < 0.08
-
-
 def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall():
     """Before a wall of the grey of its black squares or of its white ones."""
     for surround, size in [(45.0, (5, 4)), (120.0, (5, 5)), (205.0, (9, 6)), (45.0, (9, 6))]:
@@ -90,11 +75,13 @@ def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall():
 
 def test_a_board_that_tells_up_from_down_has_its_corners_in_order_at_every_roll():
     sizes = [(5, 4), (4, 5), (9, 6), (12, 9)]
-    for roll, size in some_of([0.0, 0.7, np.pi / 2, np.pi, -2.0], sizes):
-        with named(roll, size):
-            target = board(*size)
-            one = drawn(target, roll, (0.2, -0.2))
+    for rim, roll, size in some_of([True, False], [0.0, 0.7, np.pi / 2, np.pi, -2.0], sizes):
+        with named(rim, roll, size):
+            target = board(*size, rim=rim)
+            one = drawn(target, roll, (0.3, -0.4))
             found = detector_of(target).detect(one.image)
+            assert found.target == target
+            assert rms(found.corners_px - one.corners) < 0.08
             assert found.corners_px == pytest.approx(one.corners, abs=0.2)
             assert found.point_px == pytest.approx(one.point, abs=0.2)
 
@@ -193,7 +180,6 @@ def test_a_keyboard_below_the_board_is_no_more_of_it():
     one = drawn(target, 0.1, (0.1, 0.2))
     corners = one.corners.reshape(6, 9, 2)
     found = detector_of(target).detect(beyond(one.image, corners, (97, 160)))
-    assert found is not None
     assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
@@ -350,7 +336,6 @@ def test_small_boards_are_found_at_every_place_in_the_pixel_grid(name, square_px
         x, y = rng.uniform(-0.1, 0.1, 2) * z
         one = scene(camera, target, pose(x, y, z, turned(rng, 0.3)), rendering, rng)
         found = detector.detect(one.image)
-        assert found is not None
         errors.append(found.corners_px - one.corners)
     assert rms(errors) < 0.12
 

@@ -77,7 +77,6 @@ def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
     corners = points[:4]
     assert number in [square.id for square in find_squares(image, FAMILY.family)]
     found = found_in(image, number)
-    assert found is not None
     assert (np.abs(found.corners_px - corners) < 3.0 * found.corners_sigma_px).all()
     assert (found.corners_sigma_px < 0.02 * np.ptp(corners)).all()
     # the point lies between the four corners, which err by themselves

@@ -1,5 +1,7 @@
 """The loop's noise bandwidth, against closed forms and against loops that run."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from vergence.eval.article.common.loop_noise import (
 from vergence.models.files.head_file import load_head
 
 PERIOD = 1.0 / 120.0
+RIG = LinearLoop(gain=4.0, period_s=PERIOD, delay_periods=8, lag_s=0.03)
 
 
 def test_without_delay_and_lag_it_is_that_of_an_exponential_average():
@@ -20,46 +23,36 @@ def test_without_delay_and_lag_it_is_that_of_an_exponential_average():
         loop = LinearLoop(gain=gain, period_s=PERIOD, delay_periods=0, lag_s=0.0)
         share = gain * PERIOD
         assert noise_gain(loop) ** 2 == pytest.approx(share / (2.0 - share))
-    assert noise_gain(LinearLoop(gain=30.0, period_s=PERIOD, delay_periods=8, lag_s=0.03)) == np.inf
+    assert noise_gain(replace(RIG, gain=30.0)) == np.inf
 
 
 def test_a_slow_loop_has_the_bandwidth_of_a_first_order_low_pass():
-    loop = LinearLoop(gain=0.1, period_s=PERIOD, delay_periods=8, lag_s=0.03)
-    assert noise_bandwidth_hz(loop) == pytest.approx(0.1 / 4.0, rel=0.03)
+    assert noise_bandwidth_hz(replace(RIG, gain=0.1)) == pytest.approx(0.1 / 4.0, rel=0.03)
 
 
 def test_the_variance_is_the_sum_of_the_squared_impulse_response():
     for gain in (1.0, 4.0):
-        loop = LinearLoop(gain=gain, period_s=PERIOD, delay_periods=8, lag_s=0.03)
+        loop = replace(RIG, gain=gain)
         response = impulse_response(loop, 4000)
         assert np.sum(response**2) == pytest.approx(noise_gain(loop) ** 2, rel=1e-9)
 
 
 def test_a_constant_bias_reaches_the_eyes_in_full():
     # the axis moves against the bias: what is measured settles at zero
-    response = impulse_response(
-        LinearLoop(gain=4.0, period_s=PERIOD, delay_periods=8, lag_s=0.03), 4000
-    )
-    assert response.sum() == pytest.approx(-1.0, abs=1e-9)
+    assert impulse_response(RIG, 4000).sum() == pytest.approx(-1.0, abs=1e-9)
 
 
 def test_delay_and_a_lower_rate_let_more_noise_through():
-    loop = LinearLoop(gain=4.0, period_s=PERIOD, delay_periods=8, lag_s=0.03)
-    assert noise_gain(loop) > noise_gain(
-        LinearLoop(gain=4.0, period_s=PERIOD, delay_periods=0, lag_s=0.0)
-    )
-    assert noise_gain(loop.at_rate(30.0)) > noise_gain(loop)
+    assert noise_gain(RIG) > noise_gain(replace(RIG, delay_periods=0, lag_s=0.0))
+    assert noise_gain(RIG.at_rate(30.0)) > noise_gain(RIG)
 
 
 def test_loops_that_run_scatter_as_much():
     head = load_head("simulated")
     loop = ClosedLoop(
-        head=head,
-        target={"kind": "static", "point": (0.0, -0.1, 1.0), "start": "fixation"},
-        plant="kinematic",
-        num=60,
-        samples=600,
-    )
+        head=head, target={"kind": "static", "point": (0.0, -0.1, 1.0), "start": "fixation"},
+        plant="kinematic", num=60, samples=600,
+    )  # fmt: skip
     record = hold_gaze(loop)
     axis = record.true_pixels_at_exposure - head.cameras.principal
     noise = record.pixels - record.true_pixels_at_exposure

@@ -13,15 +13,9 @@ from vergence.eval.jobs import SerialMapper
 
 EXPERIMENT = load_experiment("gain-sweep")
 TINY = {
-    "least_gain": 2.0,
-    "gain_step": 0.5,
-    "plane_step": 2.0,
-    "mujoco_gains": [4.0],
-    "duration_s": 3.0,
-    "delays_frames": [7, 8, 9, 12],
-    "lag_step_s": 0.01,
-    "greatest_lag_s": 0.05,
-}
+    "least_gain": 2.0, "gain_step": 0.5, "plane_step": 2.0, "mujoco_gains": [4.0],
+    "duration_s": 3.0, "delays_frames": [7, 8, 9, 12], "lag_step_s": 0.01, "greatest_lag_s": 0.05,
+}  # fmt: skip
 CONFIG = resolve_config(EXPERIMENT, TINY, quick=True)
 
 

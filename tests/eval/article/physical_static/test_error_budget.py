@@ -15,14 +15,8 @@ from vergence.eval.article.physical_static.error_budget import (
 )
 from vergence.eval.article.reported import static_points
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
-from vergence.models.files.head_file import load_head
 
 POINTS = static_points("physical")[::5]
-
-
-@pytest.fixture(scope="module")
-def nominal():
-    return load_head("physical")
 
 
 def case(nominal):

@@ -11,14 +11,11 @@ from vergence.eval.jobs import SerialMapper
 _HEADS: Final = {"heads": 4, "scale": 0.4, "noise_poses": 1, "noise_frames": 3}
 _SMALL: Final[dict[str, dict[str, Any]]] = {
     "physical-static": {
-        "imaged_every": 21,
-        "samples": 4,
-        "offsets_px": [0.0, 200.0],
-        "settle_s": 0.5,
+        "imaged_every": 21, "samples": 4, "offsets_px": [0.0, 200.0], "settle_s": 0.5,
     },
     "physical-moving": {"speed_m_s": 1.0, "settle_s": 0.5, "table_every": 4},
     "fixed-pair": {"samples": 4, "settle_s": 0.5},
-}
+}  # fmt: skip
 _TINY: Final[dict[str, dict[str, Any]]] = {
     "physical-static": {"samples": 2},
     "physical-moving": {"speed_m_s": 2.0},

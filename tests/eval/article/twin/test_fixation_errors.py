@@ -13,16 +13,10 @@ from vergence.eval.article.twin.fixation_errors import (
 )
 from vergence.eval.article.twin.heads import draw_heads
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
-from vergence.models.files.head_file import load_head
 from vergence.models.perturbation import ModelErrors
 
 POINTS = static_points("physical")
 COUNT = 12
-
-
-@pytest.fixture(scope="module")
-def nominal():
-    return load_head("physical")
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +64,8 @@ def test_every_other_source_is_felt_on_the_axis(nominal):
 def test_a_tremble_blurs_the_edge_between_two_steps_of_an_encoder_only(nominal):
     step = nominal.sensor.encoder_resolution_rad
     at = step * np.array([0.0, 0.4, 0.5, 0.6, 1.0])
-    assert np.allclose(
-        mean_encoder_readings(nominal, at) / step, [0.0, 0.0, 0.5, 1.0, 1.0], atol=1e-6
-    )
+    counts = mean_encoder_readings(nominal, at) / step
+    assert np.allclose(counts, [0.0, 0.0, 0.5, 1.0, 1.0], atol=1e-6)
     exact = nominal.replace(sensor={"encoder_resolution_rad": 0.0})
     assert np.array_equal(mean_encoder_readings(exact, at), at)
 
@@ -83,16 +76,11 @@ def test_the_closed_loop_settles_where_the_geometry_says(nominal, heads):
     for point in POINTS[[0, 20]]:
         record = hold_gaze(
             ClosedLoop(
-                head=exact,
-                true_head=true,
-                num=COUNT,
-                target={"kind": "static", "point": point.tolist(), "start": "fixation"},
-                samples=3,
-                settle_s=4.0,
-                plant="kinematic",
-                plant_options={"detection_noise_px": 0.0},
+                head=exact, true_head=true, num=COUNT,
+                target={"kind": "static", "point": point.tolist(), "start": "fixation"}, samples=3,
+                settle_s=4.0, plant="kinematic", plant_options={"detection_noise_px": 0.0},
             )
-        )
+        )  # fmt: skip
         foreseen = 1000.0 * settled_fix_errors_m(exact, true, point[None])[:, 0]
         # what is left of the approach, exp(-4 x 4), is worth a thousandth of a millimetre
         assert np.allclose(record.gaze_error_mm[-1], foreseen, atol=2e-3)

@@ -8,13 +8,7 @@ import pytest
 from vergence.errors import ConfigurationError
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads, with_common_tilt
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
-from vergence.models.files.head_file import load_head
 from vergence.models.perturbation import ModelErrors
-
-
-@pytest.fixture(scope="module")
-def nominal():
-    return load_head("physical")
 
 
 def test_a_common_tilt_leaves_the_cameras_as_they_were_to_each_other(nominal):
@@ -46,10 +40,9 @@ def test_the_rest_of_a_head_is_the_same_without_a_common_tilt(nominal):
 
 
 def test_deviations_are_proportional_to_the_errors(nominal):
-    once, twice = (draw_heads(nominal, TWIN_SPREADS.scaled(f), 12, 3) for f in (0.5, 1.0))
-    assert np.allclose(
-        2.0 * (once.links.offset - nominal.links.offset), twice.links.offset - nominal.links.offset
-    )
+    heads = [draw_heads(nominal, TWIN_SPREADS.scaled(f), 12, 3) for f in (0.5, 1.0)]
+    once, twice = (one.links.offset - nominal.links.offset for one in heads)
+    assert np.allclose(2.0 * once, twice)
 
 
 def test_a_population_of_none_is_refused(nominal):

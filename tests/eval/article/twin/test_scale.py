@@ -8,14 +8,8 @@ from vergence.eval.article.reported import static_points
 from vergence.eval.article.twin.fixation_errors import settled_fix_errors_m
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads
 from vergence.eval.article.twin.scale import find_error_scale, largest_depth_error_percent
-from vergence.models.files.head_file import load_head
 
 POINTS = static_points("physical")
-
-
-@pytest.fixture(scope="module")
-def nominal():
-    return load_head("physical")
 
 
 @pytest.mark.nightly
