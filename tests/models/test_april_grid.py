@@ -5,7 +5,7 @@ import pytest
 
 from tests.naming import named
 from vergence.errors import ConfigurationError
-from vergence.vision import AprilGrid, AprilTag, parse_target
+from vergence.vision import AprilGrid, parse_target
 
 CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC)
 """The first tags of 36h11, as Kalibr's createTargetPDF.py lists them."""
@@ -33,10 +33,6 @@ def test_the_print_is_kalibrs() -> None:
     grid = AprilGrid(columns=3, rows=2, spacing=0.3)
     gap = 3
     np.testing.assert_array_equal(grid.cells[gap:-gap, gap:-gap], kalibrs(3, 2, gap))
-
-
-def test_the_bits_are_the_librarys_upright_tag() -> None:
-    np.testing.assert_array_equal(AprilGrid().tag_bits(7)[2:8, 2:8], AprilTag(id=7).cells[2:8, 2:8])
 
 
 def test_black_and_white_alternate_at_every_corner() -> None:

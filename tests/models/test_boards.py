@@ -23,13 +23,6 @@ from vergence.vision import (
 )
 
 
-def test_tag_has_a_black_border_inside_a_white_quiet_zone() -> None:
-    rings = AprilTag().cells.copy()
-    rings[2:-2, 2:-2] = 7
-    expected = np.pad(np.pad(np.full((6, 6), 7), 1), 1, constant_values=255)
-    assert np.array_equal(rings, expected)
-
-
 def test_tag_is_measured_at_the_centre_of_its_black_square() -> None:
     tag = AprilTag(edge_m=0.16)
     assert tag.corners_m.mean(axis=0) == pytest.approx([0, 0])
@@ -87,7 +80,6 @@ def test_board_without_a_rim_ends_with_its_squares() -> None:
 
 
 def test_tags_are_the_librarys_own() -> None:
-    """Cell by cell as the AprilTag library draws them, and found upright by it."""
     for family in sorted(CORRECTED_BITS):
         with named(family):
             library = load_library()
@@ -102,7 +94,6 @@ def test_tags_are_the_librarys_own() -> None:
 
 
 def test_charuco_board_is_opencvs() -> None:
-    """Its corners are OpenCV's, and so is what OpenCV draws at ten times the size."""
     for legacy in (False, True):
         for columns, rows in ((7, 5), (6, 8)):
             with named(legacy, columns, rows):

@@ -5,7 +5,7 @@ import pytest
 
 from tests.models.lenses import LENSES, wide
 from tests.naming import named
-from vergence.errors import ConfigurationError, VergenceError
+from vergence.errors import ConfigurationError
 from vergence.models import HeadModel
 from vergence.models.cameras import Cameras
 
@@ -58,14 +58,6 @@ def test_what_cannot_be_is_refused_with_what_came():
     ]:
         with named(fields, message), pytest.raises(ConfigurationError, match=message):
             cameras(**fields)
-
-
-def test_a_change_of_a_heads_cameras_is_checked_as_well(physical):
-    with pytest.raises(VergenceError, match="size: expected"):
-        physical.replace(cameras={"size": [[640, 480]]})
-    other = physical.replace(cameras={"size": (320, 240)})
-    assert other.cameras.size.tolist() == [[320, 240], [320, 240]]
-    assert other.cameras.lens == physical.cameras.lens
 
 
 def test_a_population_keeps_lenses_and_sizes(errors, rng):

@@ -23,14 +23,6 @@ def test_every_point_of_the_article_is_fixated(request, table_points):
                 assert head.limits.contains(q).all()
 
 
-def test_drawn_heads_fixate(physical, errors, rng, table_points):
-    heads = physical.perturbed(rng, errors, size=200)
-    point = table_points(7)[0]
-    q = heads.fixate(point)
-    assert q.shape == (200, 7)
-    assert np.abs(heads.project(q, point) - heads.cameras.principal).max() < 1e-9
-
-
 def test_points_at_the_edge_of_the_limits_are_fixated(head, random_poses):
     q = random_poses(head, 500)
     poses = head.camera_poses(q)

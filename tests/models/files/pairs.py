@@ -30,15 +30,10 @@ def write_opencv(path: Path, values: dict[str, Any]) -> Path:
 def opencv_pair(**changes: Any) -> dict[str, Any]:
     """Values written by a program around `cv2.stereoCalibrate`; values of None are left out."""
     values: dict[str, Any] = {
-        "cameraMatrix1": K_LEFT,
-        "distCoeffs1": D_LEFT.reshape(1, -1),
-        "cameraMatrix2": K_RIGHT,
-        "distCoeffs2": D_RIGHT.reshape(1, -1),
-        "R": R,
-        "T": T.reshape(3, 1),
-        "image_width": SIZE[0],
+        "cameraMatrix1": K_LEFT, "distCoeffs1": D_LEFT.reshape(1, -1), "cameraMatrix2": K_RIGHT,
+        "distCoeffs2": D_RIGHT.reshape(1, -1), "R": R, "T": T.reshape(3, 1), "image_width": SIZE[0],
         "image_height": SIZE[1],
-    } | changes
+    } | changes  # fmt: skip
     return {key: value for key, value in values.items() if value is not None}
 
 
@@ -65,7 +60,6 @@ def camera_info(
 
 
 def camchain(path: Path, model: str = "radtan") -> Path:
-    """Write a pair as kalibr does."""
     lines = []
     for eye, (k, d) in enumerate(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))):
         lines.append(f"cam{eye}:")

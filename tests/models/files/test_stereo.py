@@ -38,13 +38,11 @@ def check(pair, atol=1e-12, coefficients=5):
 
 
 def written(path, values):
-    """A JSON file of values."""
     path.write_text(json.dumps(values), encoding="utf-8")
     return path
 
 
 def info_pair(folder):
-    """Files of a left and a right camera, as ROS writes them."""
     return [camera_info(folder / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
 
 
@@ -274,7 +272,6 @@ def test_brackets_in_texts_are_of_no_matter(tmp_path):
 
 
 def message(path, more: str):
-    """A camera_info file with more in it."""
     camera_info(path, 0)
     path.write_text(path.read_text("utf-8") + more, encoding="utf-8")
     return path
@@ -328,7 +325,6 @@ def test_a_principal_point_far_from_the_middle_asks_about_the_size(tmp_path):
 
 
 def camera(**more):
-    """A calibration of one camera."""
     return {"image_size": list(SIZE), "K": K_LEFT.tolist(), "D": D_LEFT.tolist()} | more
 
 

@@ -54,7 +54,6 @@ ALL = (*TEXTS, "turrets", "vergence_of_one", "three_from_two")
 
 
 def postures(head, rng, count=6):
-    """Joint angles that the actuators of a head can give."""
     own = head.actuation
     return own.joints_of(rng.uniform(own.lower, own.upper, (count, 7)))
 
