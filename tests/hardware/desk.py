@@ -11,7 +11,6 @@ from vergence.hardware.dynamixel.packets import PacketParser
 
 
 def ready_servos():
-    """Servos as the checks want them."""
     return [make_servo(ident, lower=-3.2, upper=3.2) for ident in range(1, 5)]
 
 
@@ -62,7 +61,6 @@ class TimelessLine:
 
 
 def timeless_bus(monkeypatch, servos, clock):
-    """A bus of servos, in which no time passes but that of the clock."""
     line = TimelessLine(servos, clock)
     monkeypatch.setattr(bus_module, "SerialLine", lambda port, baud: line)
     return Bus(line.port)

@@ -25,20 +25,13 @@ class FakeClock:
 
 
 def noisy(image, count):
-    """An image as a sensor has it: no two are alike."""
     image = image.copy()
     image[0, 0] ^= np.uint8(count % 2)
     return image
 
 
 class ScriptedCapture:
-    """A capture that gives images at given times of a fake clock, and then ends.
-
-    Args:
-        image: content of all images; None for one that cannot be decoded.
-        hangs: True to send the very same image again and again.
-        stamped_before_s: time by which the driver's stamps are earlier; None for stamps of zero.
-    """
+    """Images at given times of a fake clock; an image of None cannot be decoded."""
 
     def __init__(self, clock, times, image, stamped_before_s=None, hangs=False):
         self._hangs, self._count = hangs, 0
@@ -78,7 +71,6 @@ class LiveCapture:
         self.released = 0
 
     def end(self):
-        """Let the stream end."""
         self._end.set()
 
     def get(self, property):
@@ -98,7 +90,6 @@ class LiveCapture:
 
 
 def blank(head, eye=0, channels=1):
-    """An image of nothing, of the size of an eye's."""
     width, height = head.cameras.size[eye].tolist()
     shape = (height, width) if channels == 1 else (height, width, channels)
     return np.full(shape, 110, np.uint8)
@@ -119,7 +110,6 @@ TAG = AprilTag(family="36h11", id=0, edge_m=0.15)
 
 
 def camera_config(eye=0, **values):
-    """A camera of a head."""
     return CameraConfig(
         **{"eye": eye, "source": "7", "pixel_format": "", "latency_s": 0.1, **values}
     )

@@ -38,11 +38,9 @@ class ServedLine:
         self._thread.start()
 
     def send(self, data):
-        """Send bytes that nobody asked for."""
         os.write(self._master, data)
 
     def hang_up(self):
-        """Pull the cable."""
         if self._thread.is_alive():
             os.write(self._waker, b"x")
             self._thread.join()
@@ -52,7 +50,6 @@ class ServedLine:
         self._master = self._slave = -1
 
     def close(self):
-        """Stop serving."""
         self.hang_up()
         os.close(self._wake)
         os.close(self._waker)
@@ -76,5 +73,4 @@ class ServedLine:
 
 
 def served_line(servos, **options):
-    """Servos behind a port, to be closed."""
     return ServedLine(ServoLine(servos), **options)

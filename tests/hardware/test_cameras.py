@@ -25,8 +25,6 @@ PACE = [100.0 + FRAME_S * i for i in range(1, 11)]
 
 @pytest.fixture
 def eye_of(monkeypatch):
-    """Make an eye that takes its images from a given capture."""
-
     def make(capture, clock=None, **values):
         monkeypatch.setattr(cameras, "open_capture", lambda *_words, **_options: capture)
         history = JointHistory()
@@ -38,7 +36,6 @@ def eye_of(monkeypatch):
 
 
 def seen(eye_of, times, image=None, **values):
-    """An eye after images at some times, which has then ended."""
     clock = FakeClock()
     capture = ScriptedCapture(clock, times, blank(HEAD) if image is None else image)
     eye = eye_of(capture, clock, **values)

@@ -13,12 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.hardware.emulated import REAL_TIME, emulated
-from vergence.errors import HardwareError
-from vergence.eval.comparison.config import EvaluateConfig
+from tests.hardware.emulated import REAL_TIME
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import GazeState, deploy
-from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
 from vergence.eval.robot.replay import replay
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import WorldClient
@@ -124,41 +121,6 @@ def test_a_dry_run_asks_the_policy_and_moves_nothing(desk: Path, tmp_path: Path)
     assert np.abs(log.trials[0].requested_velocities()).max() > 0.01
     assert not log.trials[0].readings.command.any()
     assert result.summary()["settled_fraction"] is None
-
-
-@pytest.mark.nightly
-def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: Path) -> None:
-    run, ran = tmp_path / "run", []
-
-    def pull(done: int, total: int) -> None:
-        ran.append(done)
-        if done == 1:
-            with closing(WorldClient(load_hardware(desk).emulator_address)) as world:
-                world.begin_fault(what="unplug")
-
-    with emulated(tmp_path) as (desk, _process):
-        config = EvaluateConfig(
-            controllers=("ibvs-tuned",), plants=("hardware", "kinematic"), hardware=desk,
-            scenarios=("workspace",), episodes=2,
-        )  # fmt: skip
-        for attempt in range(5):  # what a busy machine stops before, goes on as well
-            with pytest.raises(HardwareError):
-                evaluate_on_robot(config, run, progress=pull, resume=attempt > 0)
-            if 1 in ran:
-                break
-    assert ran[-2:] == [0, 1]
-    begun = len(ran)
-    with emulated(tmp_path):
-        found = evaluate_on_robot(
-            read_begun_config(run), run, progress=lambda done, total: ran.append(done), resume=True
-        )
-    assert ran[begun:] == [1, 2]
-    trials = found.trials()
-    assert len(trials) == 4
-    settled = trials.dropna(subset=["settle_2px_s"])  # a starved machine may miss one's end
-    assert len(settled) >= 2
-    assert (settled["settle_2px_s"] >= settled["bound_2px_s"]).all()
-    assert (trials["fix_error_end_m"] < 0.1).all()
 
 
 def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(

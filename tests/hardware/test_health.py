@@ -25,7 +25,6 @@ FINE = {"temperature_c": 31.0, "voltage_v": 12.0, "load": 0.1, "errors": 0}
 
 @pytest.fixture
 def bus(serve):
-    """A line with four servos, and the servos."""
     served = serve(ready_servos())
     bus = Bus(served.port)
     yield bus, served.line.servos

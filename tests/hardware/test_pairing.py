@@ -17,7 +17,6 @@ def sight(exposed_s, ready_s=None):
 
 
 def drain(pairing, now_s):
-    """All that comes out at a time."""
     out = []
     while (sights := pairing.next(now_s)) is not None:
         out.append(sights)

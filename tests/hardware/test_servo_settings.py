@@ -38,7 +38,6 @@ def refuse_shutdown(servo, monkeypatch, error):
 
 
 def torque_writes(servo, monkeypatch):
-    """Writes into the torque and the locked registers of a servo, in order."""
     seen, write = [], servo.write
 
     def watched(address, data):

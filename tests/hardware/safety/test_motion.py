@@ -73,7 +73,6 @@ def test_a_request_within_all_bounds_is_the_command():
 
 
 def corner(lower, upper):
-    """A forbidden posture of the left eye's pan and tilt."""
     return ForbiddenPosture(
         name="the frame", slots=(3, 4), lower=np.array(lower), upper=np.array(upper)
     )

@@ -14,12 +14,7 @@ LEFT_PAN = np.eye(7)[3]
 
 
 class Robot:
-    """A robot whose joints and sensors do as they are told, in simulated time.
-
-    Args:
-        follows: gives the joints' speeds for the commands.
-        **bounds: fields of `SafetyConfig`.
-    """
+    """A robot in simulated time; `follows` gives its joints' speeds for the commands."""
 
     def __init__(self, follows=lambda sent: sent, **bounds):
         limits = HEAD.actuation.lower, HEAD.actuation.upper
