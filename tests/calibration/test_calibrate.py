@@ -44,7 +44,6 @@ def pair():
 
 @pytest.fixture(scope="module")
 def found(pair):
-    """The calibration of the pair."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cameras, "_SAMPLE_COUNT", 2)
         patch.setattr(cameras, "FOLDS", 2)

@@ -27,7 +27,6 @@ BOARD = parse_target("checkerboard:9x6:24")
 
 @pytest.fixture(scope="module")
 def frames():
-    """Eight poses of three frames."""
     return simulate_recording(
         HEAD, HEAD, np.random.default_rng(1), poses=8, frames_per_pose=3
     ).frames

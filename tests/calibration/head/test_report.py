@@ -45,7 +45,6 @@ def found(true):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Reports without the time that figures take."""
     monkeypatch.setattr(report, "_figures", lambda found: {})
 
 
@@ -157,10 +156,6 @@ def test_the_page_says_before_and_after_and_what_was_not_seen(found, tmp_path, u
     assert f"one standard deviation is {after} mm" in text
     assert "tilt of both eyes: 17 mm at 1 m. To determine it: move the neck." in text
     assert all(fact in text for fact in FACTS.values())
-
-
-def test_a_page_without_anything_unseen_says_so(found, tmp_path, undrawn):
-    assert "Nothing that matters to depth." in written(tmp_path, found, unseen=()).text
 
 
 @pytest.mark.nightly

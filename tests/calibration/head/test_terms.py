@@ -36,7 +36,6 @@ MORE = {"target": "checkerboard:5x4:40", "poses": 16, "frames_per_pose": 4}
 
 
 def recorded(true=TRUE, faults=None, options=FEW):
-    """Frames of a head."""
     rng = np.random.default_rng(8)
     return simulate_recording(HEAD, true, rng, reading_errors=faults, **options).frames
 
