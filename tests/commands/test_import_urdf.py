@@ -11,7 +11,6 @@ from vergence.models.files.head_file import load_head
 
 @pytest.fixture
 def robot(tmp_path, monkeypatch):
-    """A robot's URDF in the working directory."""
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "robot.urdf"
     path.write_text(urdf(NECK, eye("left"), eye("right")), encoding="utf-8")

@@ -10,7 +10,6 @@ from matplotlib.patches import Polygon
 
 from tests.commands.called import call, refused
 from tests.heads import MOVING, head_of, text_of
-from tests.models.files.pairs import K_LEFT
 from tests.naming import named
 from vergence import Noise, triangulate_gaze, triangulate_views
 from vergence.eval.head_figure import compose_head
@@ -250,8 +249,3 @@ def test_what_cannot_be_shown_is_refused_in_one_line(capsys):
         (["--head", "physical", "--figure", "nodir/x.png"], "expected a file that can be written"),
     ]:  # fmt: skip
         assert said in refused(capsys, "info", *words)
-
-
-def test_the_focal_length_of_the_file_is_told(told):
-    text = text_of("pair").replace("[343.0, 343.0]", f"[{K_LEFT[0, 0]}, {K_LEFT[1, 1]}]", 1)
-    assert told("focal", text)["eyes"][0]["focal_px"] == [K_LEFT[0, 0], K_LEFT[1, 1]]

@@ -201,12 +201,9 @@ def test_edges_that_are_not_as_stated_are_explained_by_the_likeliest_unit():
     for size_mm, hint in (
         (120.0, None),
         (121.0, None),  # 0.8 %: such a calibration is no mistake
-        (100.0, ""),
-        (0.12, "was the size given in m"),
-        (12.0, "was the size given in cm"),
-        (4.724, "was the size given in inches"),
-        (120000.0, "was the size given in micrometres"),
-    ):
+        (100.0, ""), (0.12, "was the size given in m"), (12.0, "was the size given in cm"),
+        (4.724, "was the size given in inches"), (120000.0, "was the size given in micrometres"),
+    ):  # fmt: skip
         with named(size_mm):
             tag = AprilTag(id=5, edge_m=1e-3 * size_mm)
             pairs = [MeanEdge(pair, tag, 0.12, 1e-4) for pair in ("2.png", "10.png")]

@@ -19,11 +19,9 @@ PX_MM = 0.1
 BOARDS = [
     ("checkerboard:9x6:24", "a4", "pdf"),  # its ruler stands at the side
     ("charuco:5x7:31.7:23.1:5X5_100", "letter", "pdf"),  # a marker's bit is no part of a square
-    ("charuco:5x7:31.7:23.1:5X5_100", "letter", "png"),
-    ("aprilgrid:6x6:20:0.3", "a4", "png"),
-    ("tag:36h11:5:120", "a4", "png"),
-    ("tag:Standard41h12:7:35", "100x150", "pdf"),
-]
+    ("charuco:5x7:31.7:23.1:5X5_100", "letter", "png"), ("aprilgrid:6x6:20:0.3", "a4", "png"),
+    ("tag:36h11:5:120", "a4", "png"), ("tag:Standard41h12:7:35", "100x150", "pdf"),
+]  # fmt: skip
 
 
 def laid_out(text: str, paper: str) -> PrintSheet:
