@@ -5,13 +5,6 @@ import numpy as np
 from tests.naming import named
 
 
-def assert_both_eyes_hold(head, points):
-    q = head.fixate(points)
-    pixels = head.project(q, points)
-    assert np.abs(pixels - head.cameras.principal).max() < 1e-9
-    return q
-
-
 def test_every_point_of_the_article_is_fixated(request, table_points):
     for table in (3, 5, 7):
         for preset in ("simulated", "physical"):
@@ -19,7 +12,8 @@ def test_every_point_of_the_article_is_fixated(request, table_points):
                 head = request.getfixturevalue(preset)
                 points = table_points(table)
                 assert len(points) == {3: 21, 5: 21, 7: 8}[table]
-                q = assert_both_eyes_hold(head, points)
+                q = head.fixate(points)
+                assert np.abs(head.project(q, points) - head.cameras.principal).max() < 1e-9
                 assert head.limits.contains(q).all()
 
 

@@ -45,10 +45,6 @@ def spread_rays(rng, count, most_deg=89.0):
     return np.tan(angle)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 
 
-def on_rays(rays):
-    return np.column_stack([rays, np.ones(len(rays))])
-
-
 def test_projection_is_opencvs(rng):
     for lens in LENSES:
         with named(lens):
@@ -58,7 +54,7 @@ def test_projection_is_opencvs(rng):
                 pixels = rays_to_pixels(rays, row)
                 inside = ((pixels >= -0.5) & (pixels <= head.cameras.size[eye] - 0.5)).all(axis=-1)
                 assert inside.mean() > 0.5
-                expected = by_opencv(head, eye, on_rays(rays[inside]))
+                expected = by_opencv(head, eye, np.insert(rays[inside], 2, 1.0, axis=1))
                 # rounding of pixels
                 assert np.abs(pixels[inside] - expected).max() < 1e-9
 

@@ -23,8 +23,6 @@ from tests.naming import named
 from vergence.errors import ConfigurationError, HeadFileError, VergenceError
 from vergence.models.files.head_file import load_head
 from vergence.models.files.import_urdf import ImportedHead, UrdfSource, import_urdf
-from vergence.models.joints import JOINTS
-from vergence.models.mujoco.export import export_files
 
 TURNS = ("yaw", "roll", "pitch")
 CAMERAS = ("left_optical", "right_optical")
@@ -454,7 +452,6 @@ def compiled(text: str) -> mujoco.MjModel:
 
 
 def compiled_pose(text: str, kind: str, name: str, angles: dict[str, float]) -> np.ndarray:
-    """T_base_frame by MuJoCo itself."""
     model = compiled(text)
     data = mujoco.MjData(model)
     for joint_name, angle in angles.items():
@@ -591,27 +588,6 @@ def test_what_a_urdf_says_and_nothing_reads_is_refused(head_of):
 def test_what_stands_off_the_way_to_the_cameras_may_say_anything(head_of):
     jaw = joint("jaw", "head", "chin", lower="", velocity="").replace("<origin xyz", "<origin xzy")
     assert head_of(urdf(NECK, eye("left"), eye("right"), jaw), neck=TURNS).head.joints[-1]
-
-
-def test_a_head_that_was_exported_as_mjcf_comes_back(tmp_path):
-    head = load_head("physical")
-    for name, content in export_files(head, "mjcf").items():
-        if name.endswith(".xml"):
-            (tmp_path / name).write_bytes(content)
-    source = next(path for path in tmp_path.iterdir() if "scene" not in path.name)
-    options = {"base": "world", "cameras": ("left", "right"), "neck": JOINTS[:3]}
-    imported = import_urdf(UrdfSource(file=source, speed=("5",), **options)).head
-    assert imported.joints == JOINTS
-    q = np.random.default_rng(0).uniform(head.limits.lower, head.limits.upper, (50, 7))
-    np.testing.assert_allclose(
-        imported.base_pose(q)[:, None] @ imported.camera_poses(q),
-        head.base_pose(q)[:, None] @ head.camera_poses(q),
-        atol=1e-12,
-    )
-    # an MJCF is written with six digits
-    np.testing.assert_allclose(imported.limits.lower, head.limits.lower, atol=1e-5)
-    np.testing.assert_allclose(imported.cameras.focal, head.cameras.focal)
-    np.testing.assert_allclose(imported.cameras.principal, head.cameras.principal, atol=1e-4)
 
 
 def test_what_an_mjcf_has_that_no_head_can_have_says_why(head_of):
