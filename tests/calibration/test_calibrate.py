@@ -57,7 +57,6 @@ def picked(seen, views):
 
 
 def both(seen):
-    """The numbers of the views in which both cameras see the board."""
     return np.flatnonzero(seen.usable.all(axis=0))
 
 

@@ -45,15 +45,6 @@ def serve():
         line.close()
 
 
-@pytest.fixture(scope="session")
-def emulated_desk(tmp_path_factory):
-    """The configuration of one emulated head in real time, which tests leave without faults."""
-    from tests.hardware.emulated import emulated
-
-    with emulated(tmp_path_factory.mktemp("desk")) as (path, _process):
-        yield path
-
-
 @pytest.fixture(autouse=True)
 def idle_core(request):
     """Tests of real time wait, for 20 s at most, until other work leaves them a core."""

@@ -12,8 +12,6 @@ from vergence.models.boards import AprilTag
 
 
 class FakeClock:
-    """Time that stands still until it is told to go on."""
-
     def __init__(self, now=100.0):
         self.now = now
 

@@ -32,7 +32,6 @@ def each_head_read_once(monkeypatch):
 
 
 def document(head="turrets"):
-    """The plain values of a complete configuration of a head."""
     return {
         "head": head,
         "target": "tag:36h11:5:120",

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.hardware.emulated import REAL_TIME
+from tests.hardware.emulated import REAL_TIME, emulated
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import GazeState, deploy
 from vergence.eval.robot.replay import replay
@@ -38,9 +39,10 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 pytestmark = REAL_TIME
 
 
-@pytest.fixture
-def desk(emulated_desk: Path) -> Path:
-    return emulated_desk
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with emulated(tmp_path_factory.mktemp("desk")) as (path, _process):
+        yield path
 
 
 def gaze(desk: Path, out: Path, *target: str, **options: Any) -> subprocess.Popen[str]:

@@ -205,14 +205,10 @@ def photographs(tmp_path_factory) -> Path:
         for eye, image in zip(("left", "right"), looker.images, strict=True):
             cv2.imwrite(str(folder / eye / f"{number}.png"), image)
         rows.append([f"{number}.png", *np.rad2deg(sight.positions), 0, POSES - number])
-    write_table(folder, rows)
-    return folder
-
-
-def write_table(folder, rows):
     names = [f"{name}_deg" for name in SMALL.joints]
     with (folder / "joints.csv").open("w", newline="") as file:
         csv.writer(file).writerows([["pair", *names, "placement", "time_s"], *rows])
+    return folder
 
 
 @pytest.fixture
