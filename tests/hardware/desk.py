@@ -2,9 +2,9 @@
 
 import dataclasses
 
-from tests.hardware.fakes import HEAD, TAG, camera_config
+from tests.hardware.fakes import robot_config
 from tests.hardware.line import ServoLine, make_servo
-from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
+from vergence.hardware.config import BusConfig
 from vergence.hardware.dynamixel import bus as bus_module
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.packets import PacketParser
@@ -16,19 +16,9 @@ def ready_servos():
 
 def desk_config(port, baud_rate=1_000_000, **servo_values):
     """The configuration of such a robot; other values are those of the first servo."""
-    servos = [
-        ServoConfig(
-            name=name, slot=slot, id=ident, zero_ticks=2048, sign=1, gear_ratio=1.0,
-            lower_rad=-1.5, upper_rad=1.5,
-        )
-        for ident, (name, slot) in enumerate(actuator_slots(HEAD).items(), 1)
-    ]  # fmt: skip
-    servos[0] = dataclasses.replace(servos[0], **servo_values)
-    return HardwareConfig(
-        path="robot.toml", head=HEAD, target=TAG, bus=BusConfig(port=port, baud_rate=baud_rate),
-        servos=tuple(servos), cameras=(camera_config(0), camera_config(1, source="8")),
-        pairing_tolerance_s=0.6 * HEAD.timing.frame_s, emulator_address="",
-    )  # fmt: skip
+    config = robot_config(BusConfig(port=port, baud_rate=baud_rate))
+    first = dataclasses.replace(config.servos[0], **servo_values)
+    return dataclasses.replace(config, servos=(first, *config.servos[1:]))
 
 
 class TimelessLine:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from vergence import load_head
-from vergence.hardware.config import CameraConfig
+from vergence.hardware.config import CameraConfig, HardwareConfig, ServoConfig, actuator_slots
 from vergence.models.boards import AprilTag
 
 
@@ -111,3 +111,21 @@ def camera_config(eye=0, **values):
     return CameraConfig(
         **{"eye": eye, "source": "7", "pixel_format": "", "latency_s": 0.1, **values}
     )
+
+
+def robot_config(bus, head=HEAD, limit_rad=1.5, latency_s=0.1, **more):
+    """The configuration of a robot of a head, whose joints turn less than the head's limits."""
+    lower, upper = head.actuation.lower, head.actuation.upper
+    return HardwareConfig(
+        path="robot.toml", head=head, target=TAG, bus=bus,
+        servos=tuple(
+            ServoConfig(
+                name=name, slot=slot, id=id, zero_ticks=2048, sign=1, gear_ratio=1.0,
+                lower_rad=max(-limit_rad, float(lower[slot])),
+                upper_rad=min(limit_rad, float(upper[slot])),
+            )
+            for id, (name, slot) in enumerate(actuator_slots(head).items(), 1)
+        ),
+        cameras=tuple(camera_config(i, source=f"{7 + i}", latency_s=latency_s) for i in range(2)),
+        pairing_tolerance_s=0.75 * head.timing.frame_s, emulator_address="", **more,
+    )  # fmt: skip

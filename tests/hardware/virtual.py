@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from tests.hardware.fakes import HEAD, TAG, FakeClock, camera_config
+from tests.hardware.fakes import HEAD, FakeClock, camera_config, robot_config
 from vergence.errors import HardwareError
 from vergence.hardware import plant
-from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
+from vergence.hardware.config import BusConfig
 from vergence.hardware.drive import DriveThread
 from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import PacketParser
@@ -186,23 +186,8 @@ class VirtualClock(FakeClock):
 
 def virtual_config(head=HEAD, latency_s=0.1, **safety):
     """The configuration of a robot in simulated time, with bounds of `SafetyConfig`."""
-    return HardwareConfig(
-        path="robot.toml", head=head, target=TAG, bus=BusConfig(port=PORT, watchdog_s=WATCHDOG_S),
-        servos=tuple(
-            ServoConfig(
-                name=name, slot=slot, id=id, zero_ticks=2048, sign=1, gear_ratio=1.0,
-                lower_rad=max(-LIMIT_RAD, float(head.actuation.lower[slot])),
-                upper_rad=min(LIMIT_RAD, float(head.actuation.upper[slot])),
-            )
-            for id, (name, slot) in enumerate(actuator_slots(head).items(), 1)
-        ),
-        cameras=tuple(
-            camera_config(eye, source=source, latency_s=latency_s)
-            for eye, source in enumerate(("7", "8"))
-        ),
-        pairing_tolerance_s=0.75 * head.timing.frame_s, emulator_address="",
-        safety=SafetyConfig(**safety),
-    )  # fmt: skip
+    bus_config = BusConfig(port=PORT, watchdog_s=WATCHDOG_S)
+    return robot_config(bus_config, head, LIMIT_RAD, latency_s, safety=SafetyConfig(**safety))
 
 
 class VirtualRobot:

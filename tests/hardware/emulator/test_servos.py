@@ -156,9 +156,7 @@ def test_no_packet_is_too_odd_to_answer(id, instruction, params):
     assert all(PacketParser().feed(answer.data) for answer in answers)
 
 
-@pytest.mark.parametrize(
-    ("goal", "stops"), [(0, 1.0), (100, 1.0), (100, 1e9)], ids=["rest", "stop", "wheel"]
-)
+@pytest.mark.parametrize(("goal", "stops"), [(0, 1.0), (100, 1.0), (100, 1e9)])
 def test_a_pause_of_an_hour_takes_few_steps(goal, stops, monkeypatch):
     line = turning(goal, lower=-stops, upper=stops, speed_filter_s=0.05)
     step = Mock(side_effect=line.servos[0]._step)

@@ -101,7 +101,6 @@ def test_a_camera_without_images_stops():
 @pytest.mark.parametrize(
     ("gain", "speed", "bound_s"),
     [(0.0, 1.0, 0.8), (-1.0, 1.0, 0.8), (3.0, 1.0, 0.8), (0.0, 0.04, 5.0), (-1.0, 0.06, 5.0)],
-    ids=["stuck", "the wrong way", "much too far", "slow and stuck", "slow and the wrong way"],
 )
 def test_a_joint_that_does_not_follow_stops(gain, speed, bound_s):
     robot = Robot(lambda sent: gain * sent)
