@@ -69,9 +69,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
         assert not (tmp_path / "run").exists()
 
 
-def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
-    capsys, tmp_path, monkeypatch
-):
+def test_an_unwritable_place_is_refused_before_any_trial(capsys, tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setattr("vergence.eval.comparison.evaluate.evaluate", None)
     code, _out, err = run(capsys, "evaluate", "ibvs", "--out", tmp_path / "file" / "run")

@@ -95,9 +95,7 @@ def test_files_are_written_before_a_reader_that_leaves_early_is_noticed(tmp_path
     assert {path.name for path in tmp_path.iterdir()} == {"pair.yml", "desk.toml", "desk.png"}
 
 
-def test_a_fault_of_the_package_is_one_line_that_says_where_and_a_trace_if_asked(
-    monkeypatch, capsys
-):
+def test_a_fault_of_the_package_says_where_and_traces_if_asked(monkeypatch, capsys):
     monkeypatch.setattr(cli, "disable_broken_opengl", None)
     with pytest.raises(TypeError):
         main(["info"])

@@ -120,10 +120,9 @@ def test_fisheyes_of_two_sizes_are_imported_as_they_are(tmp_path):
     pixels = [
         cv2.fisheye.projectPoints(points[:, None], rotation, t, k, values["distCoeffs1"].T)[0]
         for rotation, t, k in (
-            (np.zeros(3), np.zeros(3), K_LEFT),
-            (cv2.Rodrigues(R)[0], T, K_RIGHT),
+            (np.zeros(3), np.zeros(3), K_LEFT), (cv2.Rodrigues(R)[0], T, K_RIGHT),
         )
-    ]
+    ]  # fmt: skip
     views = np.stack([one.reshape(-1, 2) for one in pixels], axis=1)
     T_N_Cl = head.camera_poses(head.rest())[0]
     fix = triangulate_views(head, head.rest(), views)

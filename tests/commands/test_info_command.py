@@ -159,9 +159,8 @@ def test_a_lens_that_folds_inside_the_image_is_warned_of(tmp_path, capsys, told)
     numbers = told("folding", folding)
     assert [eye["folds"] for eye in numbers["eyes"]] == [True, False]
     # d (r - 2 r^3) / dr = 0 at r^2 = 1/6
-    assert numbers["eyes"][0]["horizontal_deg"] == pytest.approx(
-        2.0 * np.degrees(np.arctan(np.sqrt(1.0 / 6.0))), abs=1.0
-    )
+    fold_deg = 2.0 * np.degrees(np.arctan(np.sqrt(1.0 / 6.0)))
+    assert numbers["eyes"][0]["horizontal_deg"] == pytest.approx(fold_deg, abs=1.0)
     assert call("info", "--head", tmp_path / "folding.toml") == 0
     warnings = capsys.readouterr().err.splitlines()
     assert len(warnings) == 1

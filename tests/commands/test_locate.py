@@ -94,9 +94,7 @@ def test_the_table_and_the_run_folder_hold_what_was_located(locate, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
-def test_joint_angles_that_are_off_are_told_by_the_edges_and_none_are_taken_for_rest(
-    capsys, tmp_path
-):
+def test_edges_tell_wrong_joint_angles_and_none_stand_for_rest(capsys, tmp_path):
     head, place = load_head("turrets"), [0.1, 0.05, 0.7]
     q = head.fixate(place)
     images = Studio(head, TAG, q).take(pose_at(place), np.random.default_rng(1))

@@ -97,9 +97,8 @@ def test_an_svg_has_the_size_of_the_paper_and_outlines_where_they_are_laid_out(t
 @pytest.mark.slow
 def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
     for text, paper, margin_mm in [
-        ("tag:Standard41h12:7:35", "100x150", 7.0),
-        ("charuco:5x3:36:27:4X4_50", "a5", 9.0),
-    ]:
+        ("tag:Standard41h12:7:35", "100x150", 7.0), ("charuco:5x3:36:27:4X4_50", "a5", 9.0),
+    ]:  # fmt: skip
         image = printed(tmp_path / "board.pdf", text, paper, "--force")
         black = image < 250
         outside = black.copy()
@@ -118,9 +117,7 @@ def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_text_of_the_board_stands_on_it_and_the_same_board_gives_the_same_bytes(
-    tmp_path, monkeypatch
-):
+def test_a_print_has_its_text_and_the_same_bytes_later(tmp_path, monkeypatch):
     text = "charuco:4x3:30:22:4X4_50"
     files = [tmp_path / f"a.{ending}" for ending in ("pdf", "svg", "png")]
     contents = []
@@ -133,18 +130,16 @@ def test_the_text_of_the_board_stands_on_it_and_the_same_board_gives_the_same_by
     assert contents[0] == contents[1]
     with pypdfium2.PdfDocument(files[0]) as document:
         assert document[0].get_textpage().get_text_range().split("\r\n") == [
-            "print at 100 %, measure this: 100 mm",
-            text,
-        ]
+            "print at 100 %, measure this: 100 mm", text,
+        ]  # fmt: skip
     assert b"/PrintScaling /None" in contents[0][0]
 
 
 def test_a_refusal_names_paper_and_size_that_work(capsys, tmp_path):
     for text, paper in (("checkerboard:9x6:40", "a4"), ("tag:36h11:5:300", "200x150")):
         line = refused(capsys, "print-target", text, "--paper", paper, "--out", tmp_path / "a.pdf")
-        found = re.search(
-            r"fits on .* got (\S+) that needs .* --paper (\S+), or .* (\S+) mm$", line
-        )
+        said = r"fits on .* got (\S+) that needs .* --paper (\S+), or .* (\S+) mm$"
+        found = re.search(said, line)
         assert found is not None, line
         assert found[1] == text
         laid_out(text, found[2])

@@ -108,9 +108,8 @@ TAG = AprilTag(family="36h11", id=0, edge_m=0.15)
 
 
 def camera_config(eye=0, **values):
-    return CameraConfig(
-        **{"eye": eye, "source": "7", "pixel_format": "", "latency_s": 0.1, **values}
-    )
+    usual = {"eye": eye, "source": "7", "pixel_format": "", "latency_s": 0.1}
+    return CameraConfig(**usual | values)
 
 
 def robot_config(bus, head=HEAD, limit_rad=1.5, latency_s=0.1, **more):

@@ -33,15 +33,14 @@ def each_head_read_once(monkeypatch):
 
 def document(head="turrets"):
     return {
-        "head": head,
-        "target": "tag:36h11:5:120",
+        "head": head, "target": "tag:36h11:5:120",
         "bus": {"port": "/dev/ttyUSB0", "baud_rate": 1_000_000, "watchdog_s": 0.5},
         "servos": [
             {"name": name, "id": ident, "zero_ticks": 2048, "sign": 1}
             for ident, name in enumerate(actuator_slots(load_head(head)), 1)
         ],
         "cameras": {"left": {"source": 0}, "right": {"source": "http://127.0.0.1/right"}},
-    }
+    }  # fmt: skip
 
 
 def load(folder, values):

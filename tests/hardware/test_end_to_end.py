@@ -95,9 +95,7 @@ def test_a_law_is_deployed_logged_and_asks_for_the_same_again(desk: Path, tmp_pa
     assert len(again.log.detections) > 2 * 2 * 25
 
 
-def test_a_policy_that_raises_leaves_servos_at_rest_and_names_its_line(
-    desk: Path, tmp_path: Path
-) -> None:
+def test_a_policy_that_raises_rests_and_names_its_line(desk: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine.py"
     mine.write_text(BREAKS)
     config = DeployConfig(controller=f"{mine}:Breaks", hardware=desk)
@@ -125,9 +123,7 @@ def test_a_dry_run_asks_the_policy_and_moves_nothing(desk: Path, tmp_path: Path)
     assert result.summary()["settled_fraction"] is None
 
 
-def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(
-    desk: Path, tmp_path: Path
-) -> None:
+def test_a_termination_brakes_though_ctrl_c_is_ignored(desk: Path, tmp_path: Path) -> None:
     def ignore() -> None:
         """As a shell starts what is to run in the background."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)

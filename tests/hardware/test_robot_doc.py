@@ -86,12 +86,11 @@ def test_the_lines_of_a_servos_checks(serve):
 
 RUNNING = {
     "silent": {"what": "lost", "ids": [2]},
-    "late-running": {"what": "late", "ids": [2], "value": 0.012},
-    "unplugged": {"what": "unplug"},
+    "late-running": {"what": "late", "ids": [2], "value": 0.012}, "unplugged": {"what": "unplug"},
     "voltage-running": {"what": "voltage", "ids": [2], "value": 5.8},
     "overload-running": {"what": "overload", "ids": [2]},
     "camera-running": None,  # it stalls
-}
+}  # fmt: skip
 
 
 @pytest.mark.slow

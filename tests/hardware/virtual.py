@@ -102,9 +102,8 @@ class WatchedWorld(World):
         pixel = pixel + self._draws.normal(0.0, noise_px, 2)
         late_s = latency_s + jitter_s * self._draws.random()
         received_s = max([at_s + late_s, *(one[1] for one in self.seen[eye][-1:])])
-        self.seen[eye].append(
-            (at_s, received_s, pixel if shown and not smeared else pixel + np.nan)
-        )
+        pixel = pixel if shown and not smeared else pixel + np.nan
+        self.seen[eye].append((at_s, received_s, pixel))
 
 
 class Eye:

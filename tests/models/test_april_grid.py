@@ -68,9 +68,8 @@ def test_grids_that_cannot_be_are_refused() -> None:
     for text, said in (
         ("aprilgrid:6x6:88", "expected aprilgrid:COLUMNSxROWS:TAG:SPACING"),
         ("aprilgrid:6x6:88:0.3:1", "expected aprilgrid:COLUMNSxROWS:TAG:SPACING"),
-        ("aprilgrid:0x6:88:0.3", "1 to 587 tags"),
-        ("aprilgrid:30x20:88:0.3", "1 to 587 tags"),
+        ("aprilgrid:0x6:88:0.3", "1 to 587 tags"), ("aprilgrid:30x20:88:0.3", "1 to 587 tags"),
         ("aprilgrid:6x6:88:26.4", "the gap between two tags by the edge of one, between 0 and 1"),
-    ):
+    ):  # fmt: skip
         with named(text), pytest.raises(ConfigurationError, match=said):
             parse_target(text)

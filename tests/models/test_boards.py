@@ -108,8 +108,7 @@ def test_charuco_board_is_opencvs() -> None:
 
 def test_targets_are_read_from_text() -> None:
     for text, target in [
-        ("tag:36h11:5:120", AprilTag(id=5, edge_m=0.12)),
-        ("tag:tag36h11:5", AprilTag(id=5)),
+        ("tag:36h11:5:120", AprilTag(id=5, edge_m=0.12)), ("tag:tag36h11:5", AprilTag(id=5)),
         ("tag:standard41h12:3:50", AprilTag(family="Standard41h12", id=3, edge_m=0.05)),
         ("tag:36h11", TagFamily()),
         ("checkerboard:9x6:24.23", Checkerboard(columns=9, rows=6, square_m=0.02423)),
@@ -117,7 +116,7 @@ def test_targets_are_read_from_text() -> None:
             "charuco:5x7:40:30:DICT_5X5_100:legacy",
             CharucoBoard(columns=5, rows=7, dictionary="DICT_5X5_100", legacy=True),
         ),
-    ]:
+    ]:  # fmt: skip
         with named(text, target):
             assert parse_target(text) == target
             assert parse_target(str(parse_target(text))) == target

@@ -26,10 +26,9 @@ def test_one_size_and_one_lens_stand_for_both_eyes():
 
 def test_one_response_stands_for_both_eyes():
     for given, pair in [
-        ("srgb", ("srgb", "srgb")),
-        ([0.0, 0.2, 1.0], ((0.0, 0.2, 1.0), (0.0, 0.2, 1.0))),
+        ("srgb", ("srgb", "srgb")), ([0.0, 0.2, 1.0], ((0.0, 0.2, 1.0), (0.0, 0.2, 1.0))),
         ((None, 2.2), (None, 2.2)),
-    ]:
+    ]:  # fmt: skip
         with named(given, pair):
             assert cameras().response == (None, None)
             assert cameras(response=given).response == pair

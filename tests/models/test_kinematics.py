@@ -41,10 +41,9 @@ class TestDirections:
 
     def test_neck(self, simulated):
         for what, joint, axis, towards in (
-            ("yaw turns left", 0, Z, -X),
-            ("roll lowers the right ear", 1, X, Y),
+            ("yaw turns left", 0, Z, -X), ("roll lowers the right ear", 1, X, Y),
             ("pitch looks up", 2, Z, -Y),
-        ):
+        ):  # fmt: skip
             with named(what):
                 rest, moved = simulated.base_pose(np.zeros(7)), simulated.base_pose(turned(joint))
                 in_rest = rest[:3, :3].T @ moved[:3, :3] @ axis

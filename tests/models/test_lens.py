@@ -17,9 +17,8 @@ from vergence.models.packed import camera_at, pack_camera, pack_cameras
 
 K1_ONLY = {
     "brown-conrady": (-0.3, 0.0, 0.0, 0.0, 0.0),
-    "rational": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 0.0),
-    "fisheye": (-0.3, 0.0, 0.0, 0.0),
-}
+    "rational": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 0.0), "fisheye": (-0.3, 0.0, 0.0, 0.0),
+}  # fmt: skip
 FOLD = {
     # r (1 - 0.3 r^2) turns back at r^2 = 1 / 0.9
     "brown-conrady": 1.0 / np.sqrt(0.9),

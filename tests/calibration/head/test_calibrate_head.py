@@ -125,9 +125,8 @@ def test_wrong_detections_are_left_out(usual):
 @pytest.mark.nightly
 def test_angles_that_belong_to_other_frames_count_for_what_they_are_worth(usual):
     head, true, frames, _ = usual
-    found = calibrate_head(
-        head, replace(frames, joint_positions=np.roll(frames.joint_positions, 1, axis=0))
-    )
+    q = np.roll(frames.joint_positions, 1, axis=0)
+    found = calibrate_head(head, replace(frames, joint_positions=q))
     assert surprise(found, true) < 1.9
     assert any("scatter more than their quantisation" in line for line in found.remarks)
 
@@ -140,9 +139,8 @@ def test_a_board_that_was_moved_by_two_millimetres_is_another_place():
     frames, q = seen.frames, seen.true_q
     later = np.arange(len(q)) >= len(q) // 2
     boards = seen.boards.moved(np.array([[0.0, 0.0, 0.0, 0.001, -0.001, 0.0014]]))
-    points, turned = board_points_and_offsets(
-        frames.corners, boards, np.zeros(later.sum(), dtype=int)
-    )
+    place = np.zeros(later.sum(), dtype=int)
+    points, turned = board_points_and_offsets(frames.corners, boards, place)
     pixels, chain = frames.pixels.copy(), ParametricHead(true, true.parameters().values)
     for eye in range(2):
         there = chain.project_board(eye, q[later], points, turned).pixels

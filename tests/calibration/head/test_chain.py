@@ -54,9 +54,8 @@ def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
     chain = ParametricHead(about, values)
     points, turned = board_points_and_offsets(corners, boards, np.zeros(len(q), dtype=int))
     seen = chain.project_board(eye, q, points, turned)
-    np.testing.assert_allclose(
-        seen.pixels, pixels(about, values, q, corners, boards)[:, :, eye], atol=1e-9
-    )
+    expected = pixels(about, values, q, corners, boards)[:, :, eye]
+    np.testing.assert_allclose(seen.pixels, expected, atol=1e-9)
     by_head = np.zeros((*seen.pixels.shape, len(values)))
     by_head[..., chain.eye_parameter_indices[eye]] = seen.head_jacobian
     assert_derivative(

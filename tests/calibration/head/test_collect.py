@@ -127,9 +127,7 @@ def test_a_later_run_goes_on_with_other_postures(tmp_path):
 
 
 @pytest.mark.nightly
-def test_a_board_that_was_moved_has_another_place_and_is_noticed_if_nobody_says_so(
-    collected, tmp_path
-):
+def test_a_moved_board_has_another_place_and_is_noticed_unsaid(collected, tmp_path):
     (tmp_path / "0001.mcap").write_bytes((collected[0] / "0001.mcap").read_bytes())
     with pytest.raises(ConfigurationError, match=r"px away: has it been moved \(--moved\)"):
         collect(Counted(0.9), tmp_path, CollectOptions(poses=14, frames=2), {})
@@ -208,9 +206,8 @@ def test_a_detection_of_something_else_does_not_change_the_prediction(collected)
     frames = collected[2].frames()
     pixels = frames.pixels.copy()
     pixels[0, 3], pixels[1, 20] = pixels[0, 23], 1e14
-    told, usual = (
-        preview_calibration(HEAD, each) for each in (replace(frames, pixels=pixels), frames)
-    )
+    wrong = replace(frames, pixels=pixels)
+    told, usual = (preview_calibration(HEAD, each) for each in (wrong, frames))
     assert told.depth_percent == pytest.approx(usual.depth_percent, rel=0.2)
     nothing = replace(frames, pixels=np.full(pixels.shape, 50.0))
     assert preview_calibration(HEAD, nothing) is None
@@ -225,9 +222,8 @@ def test_advice_says_what_would_tell_more(collected):
     frames = found.frames()
     still = frames.joint_positions.copy()
     still[:, :3] = 0.0
-    assert advise_recording(looker.head, found, replace(frames, joint_positions=still))[
-        0
-    ].startswith("the neck has not moved")
+    advice = advise_recording(looker.head, found, replace(frames, joint_positions=still))
+    assert advice[0].startswith("the neck has not moved")
 
 
 def test_what_cannot_be_is_refused_in_one_line(tmp_path):

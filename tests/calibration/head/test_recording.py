@@ -93,9 +93,7 @@ def test_places_of_the_board_have_numbers_without_gaps(tmp_path, frames):
     assert found.placement.tolist() == [0] * 12 + [1] * 12
 
 
-def test_an_eye_that_does_not_see_the_board_is_nan_and_a_frame_without_it_is_left_out(
-    tmp_path, frames
-):
+def test_an_eye_without_the_board_is_nan_and_no_frame_lacks_it(tmp_path, frames):
     pixels = frames.pixels.copy()
     pixels[1, 0] = pixels[:, 1] = np.nan
     half = type(frames)(

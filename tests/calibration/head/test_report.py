@@ -87,9 +87,8 @@ def test_the_error_before_is_the_one_that_the_true_head_tells(found, true):
 def test_the_floor_is_that_of_a_settled_fixation(found):
     q = found.head.fixate(midpoint_between_cameras(found.head) + points_ahead(DISTANCES_M))
     floor = triangulate_gaze(found.head, q).sigma[:, 2]
-    np.testing.assert_allclose(
-        predict_depth_errors(found, points_ahead(DISTANCES_M)).noise_floor_m, floor, rtol=1e-6
-    )
+    depth = predict_depth_errors(found, points_ahead(DISTANCES_M))
+    np.testing.assert_allclose(depth.noise_floor_m, floor, rtol=1e-6)
 
 
 def test_directions_beyond_the_limits_have_no_error(found):
@@ -133,9 +132,8 @@ def test_the_run_folder_has_the_head_all_numbers_and_every_view(found, tmp_path,
     kept = [row for row in rows if row["kept"] == "True"]
     assert len(kept) == result["views"]
     squares = np.array([[float(row["corners"]), float(row["rms_px"]) ** 2] for row in kept])
-    assert np.sqrt(np.average(squares[:, 1], weights=squares[:, 0])) == pytest.approx(
-        result["rms_px"]
-    )
+    mean = np.average(squares[:, 1], weights=squares[:, 0])
+    assert np.sqrt(mean) == pytest.approx(result["rms_px"])
 
 
 def test_the_view_that_was_wrong_is_named(found, tmp_path, undrawn):

@@ -98,14 +98,12 @@ def test_a_joint_outside_its_limits_is_found_unless_zeros_are_being_set(check):
 
 
 def test_a_forbidden_posture_is_found_with_the_angles_that_make_it(check):
-    frame = ForbiddenPosture(
-        name="the frame", slots=(3, 4), lower=np.full(2, 0.5), upper=np.full(2, 1.0)
-    )
+    low, high = np.full(2, 0.5), np.full(2, 1.0)
+    frame = ForbiddenPosture(name="the frame", slots=(3, 4), lower=low, upper=high)
     own = ready_servos()
     own[0].q, own[1].q = 0.6, 0.7  # 0.699 by whole ticks
-    (finding,) = check(
-        own, lambda config: dataclasses.replace(config, safety=SafetyConfig(forbidden=(frame,)))
-    )
+    safety = SafetyConfig(forbidden=(frame,))
+    (finding,) = check(own, lambda config: dataclasses.replace(config, safety=safety))
     assert "'the frame', got left_pan 0.600 rad, left_tilt 0.699 rad" in finding.problem
 
 
@@ -197,9 +195,8 @@ def test_a_line_too_slow_for_the_control_period_is_an_error():
     config = desk_config("/dev/ttyNONE", baud_rate=57_600)
     (finding,) = check_exchange_fits_period(config, dict.fromkeys("abcd", 0))
     assert not finding.warning
-    assert "within 60% of the control period of 16.7 ms, got 22.2 ms at 57600 baud" in (
-        finding.problem
-    )
+    said = "within 60% of the control period of 16.7 ms, got 22.2 ms at 57600 baud"
+    assert said in finding.problem
 
 
 def test_return_delays_that_take_a_tenth_of_the_period_are_a_warning(check):

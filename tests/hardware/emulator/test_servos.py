@@ -103,14 +103,13 @@ def test_writes_under_torque_are_checked():
     for register, value, error in (
         (table.OPERATING_MODE, 1, ErrorNumber.ACCESS),
         (table.PRESENT_POSITION, 0, ErrorNumber.ACCESS),
-        (table.HARDWARE_ERROR_STATUS, 0, ErrorNumber.ACCESS),
-        (table.GOAL_VELOCITY, 265, 0),
+        (table.HARDWARE_ERROR_STATUS, 0, ErrorNumber.ACCESS), (table.GOAL_VELOCITY, 265, 0),
         (table.GOAL_VELOCITY, -266, ErrorNumber.DATA_LIMIT),
         (table.TORQUE_ENABLE, 2, ErrorNumber.DATA_RANGE),
         (table.BUS_WATCHDOG, -1, ErrorNumber.DATA_RANGE),
         (table.GOAL_VELOCITY._replace(length=2), 1, ErrorNumber.DATA_LENGTH),
         (table.Register("BEHIND", 660, 2), 0, ErrorNumber.DATA_RANGE),
-    ):
+    ):  # fmt: skip
         line = turning()
         before = bytes(line.servos[0].memory.bytes)
         with named(register.name, value):

@@ -131,9 +131,8 @@ def test_a_joint_that_is_pushed_beyond_its_limit_stops():
 
 
 def test_a_forbidden_posture_stops():
-    frame = ForbiddenPosture(
-        name="the frame", slots=(3, 4), lower=np.full(2, -0.1), upper=np.full(2, 0.1)
-    )
+    far = np.full(2, 0.1)
+    frame = ForbiddenPosture(name="the frame", slots=(3, 4), lower=-far, upper=far)
     robot = Robot(forbidden=(frame,))
     robot.step()
     assert "'the frame'" in robot.supervisor.fault

@@ -43,15 +43,13 @@ def _rows(matrix: np.ndarray) -> str:
     return f"\n  rows: {rows}\n  cols: {cols}\n  data: [{data}]\n"
 
 
-def camera_info(
-    path: Path, eye: int, model: str = "plumb_bob", distortion: np.ndarray | None = None
-) -> Path:
+def camera_info(path: Path, eye: int) -> Path:
     """Write the file of one camera as ROS's camera_calibration does."""
     k, d = ((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))[eye]
     path.write_text(
         f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: pair/{path.stem}\n"
-        f"camera_matrix:{_rows(k)}distortion_model: {model}\n"
-        f"distortion_coefficients:{_rows(d if distortion is None else distortion)}"
+        f"camera_matrix:{_rows(k)}distortion_model: plumb_bob\n"
+        f"distortion_coefficients:{_rows(d)}"
         f"rectification_matrix:{_rows(RECTIFIED[eye])}"
         f"projection_matrix:{_rows(RECTIFIED[2 + eye])}",
         encoding="utf-8",

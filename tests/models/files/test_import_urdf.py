@@ -203,12 +203,11 @@ FIRST = joint("turn", "foot", "top")
 
 def test_a_refused_neck_comes_with_options_that_work(head_of):
     for text, options in [
-        ((TOP, FIRST), {"base": "foot"}),
-        ((TOP,), {"base": "top", "neck": TURNS}),
+        ((TOP, FIRST), {"base": "foot"}), ((TOP,), {"base": "top", "neck": TURNS}),
         ((TOP,), {"base": "top", "neck": ("nod", *TURNS)}),
         ((TOP, FIRST), {"base": "foot", "neck": TURNS}),
         ((TOP,), {"base": "top", "neck": ("nod", "roll", "pitch")}),
-    ]:
+    ]:  # fmt: skip
         with named(text, options):
             text = urdf(*text, NECK, eye("left"), eye("right"))
             with pytest.raises(ConfigurationError, match="neck: ") as refused:
@@ -372,9 +371,8 @@ def test_version_and_vergence_are_given_to_two_pans(head_of):
 def test_version_and_vergence_stay_within_the_pans(head_of):
     imported = head_of(
         urdf(NECK, eye("left", lower="-0.5", upper="0.9"), eye("right", lower="-0.4", upper="0.5")),
-        neck=TURNS,
-        couplings=("version-vergence",),
-    )
+        neck=TURNS, couplings=("version-vergence",),
+    )  # fmt: skip
     version, vergence, *_ = imported.motors
     ends = [(motor.limits.lower, motor.limits.upper) for motor in (version, vergence)]
     for v, g in itertools.product(*ends):
@@ -494,9 +492,8 @@ def test_a_camera_of_an_mjcf_brings_its_image(head_of):
     assert head.cameras.size.tolist() == [[800, 600]] * 2
     np.testing.assert_allclose(2 * np.rad2deg(np.arctan(300 / head.cameras.focal[:, 1])), 50.0)
     assert "eyes.left.focal_px" not in head.assumptions
-    given = PLAIN_MJCF.replace(
-        'fovy="50"', 'focalpixel="500 510" principalpixel="3 4" sensorsize="0.008 0.006"'
-    )
+    lens = 'focalpixel="500 510" principalpixel="3 4" sensorsize="0.008 0.006"'
+    given = PLAIN_MJCF.replace('fovy="50"', lens)
     head = head_of(given, **MJCF_OPTIONS).head
     np.testing.assert_allclose(head.cameras.focal, [[500.0, 510.0]] * 2)
     np.testing.assert_allclose(head.cameras.principal, [[396.5, 295.5]] * 2)
@@ -532,9 +529,8 @@ def test_an_equality_of_tendons_ties_joints_as_in_mujoco(head_of):
         ),
     ]:
         with named(tendons, equality):
-            text = MJCF.replace("EQUALITY", equality).replace(
-                "</mujoco>", f"<tendon>{tendons}</tendon></mujoco>"
-            )
+            more = f"<tendon>{tendons}</tendon></mujoco>"
+            text = MJCF.replace("EQUALITY", equality).replace("</mujoco>", more)
             imported = head_of(text, **MJCF_OPTIONS)
             assert imported.head.actuation.count == 3
             model = compiled(text)
@@ -554,9 +550,8 @@ def test_an_equality_of_tendons_ties_joints_as_in_mujoco(head_of):
 
 def test_what_ties_joints_and_no_head_has_is_said_to_be_left_out(head_of):
     tendons = '<fixed name="t"><joint joint="lt" coef="1"/><joint joint="rt" coef="1"/></fixed>'
-    text = MJCF.replace("EQUALITY", '<weld body1="le" body2="re"/>').replace(
-        "</mujoco>", f"<tendon>{tendons}</tendon></mujoco>"
-    )
+    text = MJCF.replace("EQUALITY", '<weld body1="le" body2="re"/>')
+    text = text.replace("</mujoco>", f"<tendon>{tendons}</tendon></mujoco>")
     said = "; ".join(head_of(text, **MJCF_OPTIONS).ignored)
     assert "tendon t (ties lt, rt: see --actuators)" in said
     assert "weld of le, which may tie bodies" in said
@@ -616,11 +611,10 @@ def test_a_tie_of_three_joints_or_that_is_no_straight_line_says_so(head_of):
 
 def test_a_file_that_is_no_description_is_refused(head_of):
     for text, why in [
-        ("<robot><link", "no well-formed XML"),
-        ("<sdf version='1.7'/>", "got '<sdf>'"),
+        ("<robot><link", "no well-formed XML"), ("<sdf version='1.7'/>", "got '<sdf>'"),
         ('<robot xmlns:xacro="http://x/xacro"><xacro:macro name="m"/></robot>', "xacro FILE > h"),
         ('<robot name="a"><link name="l"/><joint name="j" type="fixed"/></robot>', "MuJoCo can"),
-    ]:
+    ]:  # fmt: skip
         with named(text, why):
             with pytest.raises(HeadFileError, match=why) as raised:
                 head_of(text)
