@@ -118,10 +118,8 @@ def test_few_views_and_lost_views_are_said(good):
     rig, poses = make_rig(), make_poses(rng, 30)
     seen = look(rig, poses, rng)
     some = as_calibrated(rig, poses.select(np.arange(30) < 9), seen.select(np.arange(30) < 9))
-    assert (
-        advise_on_view_count(some)
-        == f"The calibration has {some.fit.kept_views.sum()} views: take 20 or more."
-    )
+    said = f"The calibration has {some.fit.kept_views.sum()} views: take 20 or more."
+    assert advise_on_view_count(some) == said
     lost = as_calibrated(rig, poses, seen, dropped=range(12))
     said = f"{(~lost.fit.kept_views).sum()} of 30 views were left out"
     assert advise_on_view_count(lost).startswith(said)

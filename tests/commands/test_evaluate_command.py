@@ -16,9 +16,8 @@ from vergence.eval.comparison.tables import report_tables
 
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path):
-    code, out, _err = run(
-        capsys, "evaluate", "ibvs", "--episodes", "2", "--workers", "1", "--out", tmp_path / "run"
-    )
+    words = ("ibvs", "--episodes", "2", "--workers", "1", "--out", tmp_path / "run")
+    code, out, _err = run(capsys, "evaluate", *words)
     assert code == 0
     assert "workspace on kinematic: 2 trials of 2 s" in out
     for word in ("ibvs", "gain 4", "ibvs-tuned", "bound", "x bound", "written to"):

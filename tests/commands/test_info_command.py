@@ -134,9 +134,8 @@ def test_what_iterations_leave_is_no_pixel_error(capsys, monkeypatch):
     summary = summarise_head(load_head("turrets"))
     for least_px, said in ((2e-6, False), (0.02, True)):
         found = replace(summary, least_error_px=least_px)
-        monkeypatch.setattr(
-            "vergence.eval.head_summary.summarise_head", lambda _head, found=found: found
-        )
+        place = "vergence.eval.head_summary.summarise_head"
+        monkeypatch.setattr(place, lambda _head, found=found: found)
         assert call("info", "--head", "turrets") == 0
         assert ("least pixel error" in capsys.readouterr().out) == said
 

@@ -42,12 +42,8 @@ def printed(path: Path, text: str, paper: str, *words: str) -> np.ndarray:
 
 def ruler_length_mm(image: np.ndarray, sheet: PrintSheet) -> float:
     """The distance of the end ticks' middles, along a line that the other ticks do not reach."""
-    x, y = sheet.ruler_zero_mm
-    line = (
-        image[:, round((x + 2.9) / PX_MM)]
-        if sheet.ruler_upright
-        else image[round((y + 2.9) / PX_MM)]
-    )
+    column, row = (round((place + 2.9) / PX_MM) for place in sheet.ruler_zero_mm)
+    line = image[:, column] if sheet.ruler_upright else image[row]
     dark = 255.0 - line
     dark[dark < 40.0] = 0.0
     places = np.flatnonzero(dark)

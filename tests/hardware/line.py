@@ -16,9 +16,8 @@ from vergence.hardware.emulator.terminal import baud_rate_of
 
 def make_servo(id=1, **options):
     """A servo with a quick joint, at 1 Mb/s, that answers at once, and stops without encoder."""
-    servo = EmulatedServo(
-        id, **{"lag_s": 0.02, "acceleration": 50.0, "lower": -1.0, "upper": 1.0, **options}
-    )
+    usual = {"lag_s": 0.02, "acceleration": 50.0, "lower": -1.0, "upper": 1.0}
+    servo = EmulatedServo(id, **usual | options)
     servo.set(table.BAUD_RATE, table.BAUD_RATES.index(1_000_000))
     servo.set(table.RETURN_DELAY_TIME, 0)
     servo.set(table.SHUTDOWN, servo.get(table.SHUTDOWN) | ENCODER_ERROR)

@@ -38,12 +38,8 @@ def test_closed_form_is_the_solution_of_the_equation_of_motion() -> None:
     left_limit = (np.abs(u - v) > a * tau) & (np.abs(u - v) < a * (tau + period))
     assert left_limit.sum() > 50
     expected_q, expected_v = integrate(q, v, lambda rate: np.clip((u - rate) / tau, -a, a), period)
-    got = np.array(
-        [
-            follow_one(*row[:3], tau=row[3], a=row[4], period=period)
-            for row in zip(q, v, u, tau, a, strict=True)
-        ]
-    )
+    rows = zip(q, v, u, tau, a, strict=True)
+    got = np.array([follow_one(*row[:3], tau=row[3], a=row[4], period=period) for row in rows])
     # Heun's error where the limit ends within a step: h^2 a / tau, some 1e-7 rad/s here
     assert np.abs(got[:, 0] - expected_q).max() < 1e-8
     assert np.abs(got[:, 1] - expected_v).max() < 1e-6
@@ -95,12 +91,8 @@ def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equati
     v, u = rng.uniform(-6, 6, n), rng.uniform(-6, 6, n)
     tau, a = rng.uniform(0.005, 0.08, n), rng.uniform(20.0, 200.0, n)
     torque_falloff = rng.uniform(0.01, 0.8, n) / 6.0
-    got = np.array(
-        [
-            follow_torque_limited_joint(0.0, *row, period)
-            for row in zip(v, u, tau, a, torque_falloff, strict=True)
-        ]
-    )
+    rows = zip(v, u, tau, a, torque_falloff, strict=True)
+    got = np.array([follow_torque_limited_joint(0.0, *row, period) for row in rows])
 
     def slope(rate):
         up = a * (1.0 - torque_falloff * np.maximum(rate, 0.0))
@@ -111,12 +103,8 @@ def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equati
     # Heun's error where a limit ends within a step, see above: h^2 a / tau
     assert np.abs(got[:, 0] - q).max() < 1e-7
     assert np.abs(got[:, 1] - rate).max() < 1e-5
-    plain = np.array(
-        [
-            follow_one(0.0, *row[:2], tau=row[2], a=row[3], period=period)
-            for row in zip(v, u, tau, a, strict=True)
-        ]
-    )
+    rows = zip(v, u, tau, a, strict=True)
+    plain = [follow_one(0.0, *row[:2], tau=row[2], a=row[3], period=period) for row in rows]
     assert np.abs(got - plain).max(axis=0).min() > 0.005
 
 

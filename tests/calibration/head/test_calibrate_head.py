@@ -45,9 +45,8 @@ def depth_error(head, true):
 def surprise(found, true):
     """Mean square, in deviations, of the errors along what the frames tell."""
     spreads = found.solution.problem.prior_sigma
-    error = (
-        found.solution.state.head_parameters - true.parameters(found.nominal_head).values
-    ) / spreads
+    error = found.solution.state.head_parameters - true.parameters(found.nominal_head).values
+    error /= spreads
     values, vectors = np.linalg.eigh(found.covariance / np.outer(spreads, spreads))
     told = values < 0.1
     return np.mean(((vectors.T @ error) ** 2 / values)[told])
@@ -57,9 +56,8 @@ def assert_right(found, true):
     """The head is within what is claimed, and better than its file by far."""
     # 40 numbers: the mean square deviates by 0.22
     assert surprise(found, true) < 1.9
-    error, before = (
-        np.abs(depth_error(head, true)).max() for head in (found.head, found.nominal_head)
-    )
+    heads = found.head, found.nominal_head
+    error, before = (np.abs(depth_error(head, true)).max() for head in heads)
     assert error < min(0.01, 0.2 * before)
 
 

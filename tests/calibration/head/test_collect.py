@@ -138,10 +138,8 @@ def test_a_moved_board_has_another_place_and_is_noticed_unsaid(collected, tmp_pa
     # the next run is of the same place
     found = collect(Counted(1.6), tmp_path, CollectOptions(poses=4, frames=2), {})
     assert (found.placement, found.poses) == (1, 4)
-    assert (
-        found.frames().placement.tolist()
-        == read_recording(tmp_path, HEAD).frames.placement.tolist()
-    )
+    frames = read_recording(tmp_path, HEAD).frames
+    assert found.frames().placement.tolist() == frames.placement.tolist()
 
 
 def test_a_board_that_is_taken_away_ends_the_recording_which_keeps_its_frames(tmp_path):
@@ -182,9 +180,8 @@ def test_it_ends_as_soon_as_depth_would_be_known_well_enough(tmp_path):
 
 
 def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covariance():
-    frames = simulate_recording(
-        HEAD, HEAD, np.random.default_rng(3), poses=10, frames_per_pose=3
-    ).frames
+    rng = np.random.default_rng(3)
+    frames = simulate_recording(HEAD, HEAD, rng, poses=10, frames_per_pose=3).frames
     rng = np.random.default_rng(4)
     values, spreads = HEAD.parameters().values, parameter_prior_sigma(HEAD)
     covariance = np.diag((0.05 * spreads) ** 2)

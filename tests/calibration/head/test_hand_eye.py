@@ -33,9 +33,8 @@ def seen_by(name, *, distances_m=(0.7,), poses=20, **options):
         true, true, np.random.default_rng(1), poses=poses, frames_per_pose=2, noise_px=0.0,
         distances_m=distances_m, **options,
     )  # fmt: skip
-    frames = dataclasses.replace(
-        seen.frames, joint_positions=seen.true_q, sigma=np.full_like(seen.frames.sigma, SIGMA_PX)
-    )
+    sigma = np.full_like(seen.frames.sigma, SIGMA_PX)
+    frames = dataclasses.replace(seen.frames, joint_positions=seen.true_q, sigma=sigma)
     return true, true.replace(head_eye=head_eye), frames
 
 

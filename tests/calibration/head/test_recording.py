@@ -27,9 +27,8 @@ BOARD = parse_target("checkerboard:9x6:24")
 
 @pytest.fixture(scope="module")
 def frames():
-    return simulate_recording(
-        HEAD, HEAD, np.random.default_rng(1), poses=8, frames_per_pose=3
-    ).frames
+    rng = np.random.default_rng(1)
+    return simulate_recording(HEAD, HEAD, rng, poses=8, frames_per_pose=3).frames
 
 
 def assert_same(read, frames):
@@ -265,9 +264,8 @@ def test_a_photograph_of_nothing_and_one_without_a_partner_are_told(photographs,
 
 def test_a_tag_is_a_board_of_photographs_too(tmp_path):
     tag = parse_target("tag:36h11:0:120")
-    looker = SimulatedLooker(
-        SMALL, tag, board_ahead(SMALL, tag, 0.7), np.random.default_rng(2), drawn=True
-    )
+    pose = board_ahead(SMALL, tag, 0.7)
+    looker = SimulatedLooker(SMALL, tag, pose, np.random.default_rng(2), drawn=True)
     sight = looker.look(SMALL.rest())
     for eye, image in zip(("left", "right"), looker.images, strict=True):
         (tmp_path / eye).mkdir()

@@ -55,9 +55,8 @@ def written(folder, found, unseen=UNSEEN):
 
 @pytest.mark.nightly
 def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
-    from_eyes = np.concatenate(
-        [points_ahead(DISTANCES_M), points_at_angles(1.0, np.array([-0.4]), np.array([0.3]))]
-    )
+    aside = points_at_angles(1.0, np.array([-0.4]), np.array([0.3]))
+    from_eyes = np.concatenate([points_ahead(DISTANCES_M), aside])
     points = midpoint_between_cameras(found.head) + from_eyes
     q = found.head.fixate(points)
     free = found.sigma > 1e-8
@@ -146,10 +145,8 @@ def test_the_view_that_was_wrong_is_named(found, tmp_path, undrawn):
 def test_the_page_says_before_and_after_and_what_was_not_seen(found, tmp_path, undrawn):
     text = written(tmp_path, found).text
     depth = predict_depth_errors(found, points_ahead(DISTANCES_M))
-    before, after = (
-        "{}, {} and {}".format(*map(format_number, np.abs(1e3 * values)))
-        for values in (depth.nominal_error_m, depth.sigma_m)
-    )
+    values_mm = (np.abs(1e3 * one) for one in (depth.nominal_error_m, depth.sigma_m))
+    before, after = ("{}, {} and {}".format(*map(format_number, one)) for one in values_mm)
     assert f"{before} mm off in depth at 0.5, 1 and 2.5 m" in text
     assert f"one standard deviation is {after} mm" in text
     assert "tilt of both eyes: 17 mm at 1 m. To determine it: move the neck." in text

@@ -52,9 +52,8 @@ def test_what_is_no_fault_is_refused_with_what_there_is():
 
 def test_a_script_says_when_faults_begin(tmp_path):
     path = tmp_path / "faults.toml"
-    path.write_text(
-        '[[fault]]\nwhat = "lost"\nat_s = 2\nids = [3]\n[[fault]]\nwhat = "unplug"\nat_s = 5'
-    )
+    first, second = 'what = "lost"\nat_s = 2\nids = [3]', 'what = "unplug"\nat_s = 5'
+    path.write_text(f"[[fault]]\n{first}\n[[fault]]\n{second}")
     assert [(one.what, one.at_s) for one in load_faults(path, IDS)] == [("lost", 2), ("unplug", 5)]
 
 

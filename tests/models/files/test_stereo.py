@@ -55,10 +55,8 @@ def test_a_file_that_opencv_writes_is_read_in_each_of_its_formats(tmp_path):
 def test_the_two_files_of_opencvs_stereo_sample_are_read_together(tmp_path):
     intrinsics = {"M1": K_LEFT, "D1": D_LEFT, "M2": K_RIGHT, "D2": D_RIGHT}
     extrinsics = {"R": R, "T": T, "R1": np.eye(3), "R2": np.eye(3), "Q": np.eye(4)}
-    paths = [
-        write_opencv(tmp_path / "intrinsics.yml", intrinsics),
-        write_opencv(tmp_path / "extrinsics.yml", extrinsics),
-    ]
+    paths = [write_opencv(tmp_path / "intrinsics.yml", intrinsics)]
+    paths.append(write_opencv(tmp_path / "extrinsics.yml", extrinsics))
     check(read_stereo(paths, size=SIZE))
     check(read_stereo(paths[::-1], size=SIZE))
 
