@@ -206,10 +206,8 @@ def test_the_command_line_tells_each_mistake_in_a_line_of_its_own(tmp_path, caps
 def test_each_joint_needs_a_servo(tmp_path):
     values = document()
     del values["servos"][2]
-    with pytest.raises(
-        HeadFileError,
-        match=r"servos: expected a servo for each of .*, got \['left_pan', 'left_tilt', 'right_til",
-    ):
+    said = r"servos: expected a servo for each of .*, got \['left_pan', 'left_tilt', 'right_til"
+    with pytest.raises(HeadFileError, match=said):
         load(tmp_path, values)
 
 

@@ -243,8 +243,6 @@ def test_a_port_that_is_not_there_is_told_with_those_that_are(monkeypatch):
 
 def test_a_port_that_somebody_has_open_is_told_with_the_cure(serve):
     config = desk_config(serve(ready_servos()).port).bus
-    with (
-        closing(open_bus(config)),
-        pytest.raises(ChecksFailedError, match=r"another process has open; cure: .*fuser"),
-    ):
+    said = "another process has open; cure: .*fuser"
+    with closing(open_bus(config)), pytest.raises(ChecksFailedError, match=said):
         open_bus(config)
