@@ -70,9 +70,8 @@ def as_calibrated(rig, poses, seen, dropped=()):
         if camera:
             turned = rig.rotation @ poses.rotation
             mine = BoardPoses(turned, poses.translation @ rig.rotation.T + rig.translation)
-        alone.append(
-            _fit(seen.problem.select_camera(camera), single, mine, seen.usable[camera] & ~out)
-        )
+        problem = seen.problem.select_camera(camera)
+        alone.append(_fit(problem, single, mine, seen.usable[camera] & ~out))
     fit = alone[0]
     if cameras > 1:
         fit = _fit(seen.problem, rig, poses, seen.usable.any(axis=0) & ~out)
@@ -87,7 +86,6 @@ def _fit(problem, rig, poses, kept):
     views = compute_view_residuals(problem, problem.linearised(rig, poses))
     one = problem.select(kept)
     return CameraFit(
-        BundleSolution(one, rig, poses.select(kept), one.linearised(rig, poses.select(kept))),
-        kept,
+        BundleSolution(one, rig, poses.select(kept), one.linearised(rig, poses.select(kept))), kept,
         views,
-    )
+    )  # fmt: skip

@@ -23,14 +23,12 @@ def test_jacobians_are_those_of_small_steps(lens, rng):
     row = rig.packed()
     for place in range(len(row)):
         step = 1e-5 * max(abs(row[place]), 0.1) * np.eye(len(row))[place]
-        ahead, behind = (
-            problem.linearised(rig.unpacked(row + sign * step), poses).residuals for sign in (1, -1)
-        )
+        moved = (rig.unpacked(row + step), rig.unpacked(row - step))
+        ahead, behind = (problem.linearised(one, poses).residuals for one in moved)
         expected = (ahead - behind) / (2.0 * step[place])
         scale = np.abs(expected).max()
-        np.testing.assert_allclose(
-            found.rig_jacobian[..., place], expected, atol=1e-5 * scale + 1e-5
-        )
+        own = found.rig_jacobian[..., place]
+        np.testing.assert_allclose(own, expected, atol=1e-5 * scale + 1e-5)
 
 
 def test_exact_corners_give_the_true_numbers_back(rng):
@@ -65,12 +63,9 @@ def test_a_board_that_moved_between_exposures_makes_the_baseline_less_sure(rng):
     pixels = still.pixels.copy()
     pixels[1] = look_at(rig, moved, rng).pixels[1]
     views &= np.isfinite(pixels).all(axis=(0, 2, 3))
-    sure, unsure = (
-        BundleAdjustment(
-            still.problem.board_corners, each[:, views], np.full_like(each[:, views], 0.1)
-        ).solve(rig, poses.select(views))
-        for each in (still.pixels, pixels)
-    )
+    seen, corners = (still.pixels[:, views], pixels[:, views]), still.problem.board_corners
+    fits = (BundleAdjustment(corners, each, np.full_like(each, 0.1)) for each in seen)
+    sure, unsure = (fit.solve(rig, poses.select(views)) for fit in fits)
     between = rig.blocks[-2]
     told = [np.sqrt(rig_covariance(one)[between, between][3, 3]) for one in (sure, unsure)]
     naive = np.linalg.inv(unsure.information.sum(axis=0))[between, between][3, 3] ** 0.5

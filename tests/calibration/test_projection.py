@@ -47,6 +47,5 @@ def test_derivatives_are_those_of_small_steps(lens, points):
 
 def test_points_behind_the_camera_have_no_pixel():
     values = np.array([500.0, 500.0, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert np.isnan(
-        project_with_jacobians("brown-conrady", values, np.array([0.0, 0.0, -1.0])).pixels
-    ).all()
+    behind = np.array([0.0, 0.0, -1.0])
+    assert np.isnan(project_with_jacobians("brown-conrady", values, behind).pixels).all()

@@ -14,8 +14,6 @@ from vergence.eval.reporting.runs import run_folder_command
 
 
 class Page(HTMLParser):
-    """Text, images and links of a page."""
-
     def __init__(self, text):
         super().__init__()
         self.text, self.figures, self.links = "", [], []
@@ -57,7 +55,6 @@ def test_the_report_of_a_pair_is_one_file_with_all_figures(pair, tmp_path):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Reports without the time that figures take."""
     monkeypatch.setattr(report, "svg_text", lambda figure: "<svg viewBox='0 0 1 1'></svg>")
 
 

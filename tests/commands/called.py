@@ -6,7 +6,6 @@ from vergence.cli import main
 
 
 def call(*words: object) -> int:
-    """Run a command and return its exit code."""
     with pytest.raises(SystemExit) as stopped:
         main([str(word) for word in words])
     return int(stopped.value.code or 0)

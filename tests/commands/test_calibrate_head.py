@@ -28,9 +28,8 @@ def recordings(tmp_path_factory):
     frames = simulate_recording(head, true, rng, **OPTIONS).frames
     for place, name in enumerate(("first", "second")):
         shown = np.flatnonzero(frames.placement == place)
-        log_frames(
-            folder / "good" / f"{name}.mcap", head, frames, order=shown, placement=str(place)
-        )
+        path = folder / "good" / f"{name}.mcap"
+        log_frames(path, head, frames, order=shown, placement=str(place))
     log_frames(folder / "short" / "only.mcap", head, frames, order=range(4))
     return true, folder
 

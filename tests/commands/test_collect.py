@@ -118,8 +118,6 @@ def test_wrong_input_ends_in_one_line_and_exit_code_2(tmp_path, capsys):
     folder = tmp_path / "r"
     for words, said in (
         (("--target", "tag:36h11"), "expected one tag, with its number"),
-        (("--target", "checkerboard:9x6"), "expected a size in mm"),
-        ((*BOARD, "--poses", "0"), "poses: expected 1 to 10000"),
         ((*BOARD, "--distance", "nan"), "distance: expected 0.05 to 50 metres, got nan"),
         ((*BOARD, "--config", "desk.toml"), "config: expected --plant hardware"),
         ((*BOARD, "--plant", "hardware"), "config: expected the file that describes the robot"),

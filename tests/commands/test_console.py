@@ -46,12 +46,6 @@ def test_every_table_is_printed_in_ascii_too(tmp_path):
     assert terminal.err == ""
 
 
-def test_help_is_printed_in_ascii_too():
-    with Terminal("ascii") as terminal:
-        assert call("gaze", "--help") == 0
-    assert "gaze" in terminal.out
-
-
 def test_a_name_that_the_terminal_cannot_show_is_still_one_line():
     with Terminal("ascii") as terminal:
         assert call("gaze", "--head", "κεφάλι.toml") == 2

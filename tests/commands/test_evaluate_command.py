@@ -16,9 +16,8 @@ from vergence.eval.comparison.tables import report_tables
 
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path):
-    code, out, _err = run(
-        capsys, "evaluate", "ibvs", "--episodes", "2", "--workers", "1", "--out", tmp_path / "run"
-    )
+    words = ("ibvs", "--episodes", "2", "--workers", "1", "--out", tmp_path / "run")
+    code, out, _err = run(capsys, "evaluate", *words)
     assert code == 0
     assert "workspace on kinematic: 2 trials of 2 s" in out
     for word in ("ibvs", "gain 4", "ibvs-tuned", "bound", "x bound", "written to"):
@@ -69,9 +68,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
         assert not (tmp_path / "run").exists()
 
 
-def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
-    capsys, tmp_path, monkeypatch
-):
+def test_an_unwritable_place_is_refused_before_any_trial(capsys, tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setattr("vergence.eval.comparison.evaluate.evaluate", None)
     code, _out, err = run(capsys, "evaluate", "ibvs", "--out", tmp_path / "file" / "run")

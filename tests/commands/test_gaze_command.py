@@ -70,9 +70,7 @@ def test_a_head_of_another_form_is_told_by_its_joints_actuators_and_residual(cap
     assert re.search(r"within 1 px of it after 0\.\d+ s", out)
 
 
-def test_eyes_whose_axes_never_cross_are_not_said_to_have_settled_and_are_no_failure(
-    capsys, tmp_path
-):
+def test_eyes_whose_axes_never_cross_have_not_settled(capsys, tmp_path):
     gaze = gaze_of("common", tmp_path)
     show(gaze)
     out = capsys.readouterr().out

@@ -50,15 +50,6 @@ def test_an_imported_pair_finds_points_where_opencv_puts_them(tmp_path):
         np.testing.assert_allclose(fix.point, expected, atol=within_m)
 
 
-def test_n_is_midway_between_the_cameras_of_a_pair_and_looks_where_they_look(tmp_path):
-    head = imported(tmp_path, write_opencv(tmp_path / "pair.yml", opencv_pair()))
-    poses = head.camera_poses(head.rest())
-    np.testing.assert_allclose(poses[:, :3, 3].mean(axis=0), 0.0, atol=1e-12)
-    np.testing.assert_allclose(poses[:, :2, 2].sum(axis=0), 0.0, atol=1e-12)
-    assert poses[1, 0, 3] > 0.0 > poses[0, 0, 3]
-    assert head.actuation.count == 0
-
-
 def test_what_was_read_is_printed_and_what_a_calibration_does_not_say_is_marked(tmp_path, capsys):
     four = {f"distCoeffs{i}": np.array([[0.1, 0.02, 1e-3, 2e-3]]) for i in (1, 2)}
     assumed = imported(tmp_path, write_opencv(tmp_path / "pair.yml", opencv_pair(**four)))
@@ -129,10 +120,9 @@ def test_fisheyes_of_two_sizes_are_imported_as_they_are(tmp_path):
     pixels = [
         cv2.fisheye.projectPoints(points[:, None], rotation, t, k, values["distCoeffs1"].T)[0]
         for rotation, t, k in (
-            (np.zeros(3), np.zeros(3), K_LEFT),
-            (cv2.Rodrigues(R)[0], T, K_RIGHT),
+            (np.zeros(3), np.zeros(3), K_LEFT), (cv2.Rodrigues(R)[0], T, K_RIGHT),
         )
-    ]
+    ]  # fmt: skip
     views = np.stack([one.reshape(-1, 2) for one in pixels], axis=1)
     T_N_Cl = head.camera_poses(head.rest())[0]
     fix = triangulate_views(head, head.rest(), views)

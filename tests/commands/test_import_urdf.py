@@ -11,7 +11,6 @@ from vergence.models.files.head_file import load_head
 
 @pytest.fixture
 def robot(tmp_path, monkeypatch):
-    """A robot's URDF in the working directory."""
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "robot.urdf"
     path.write_text(urdf(NECK, eye("left"), eye("right")), encoding="utf-8")
@@ -66,9 +65,7 @@ def test_axes_may_begin_with_a_minus(robot, capsys):
     assert run(capsys, *IMPORT, *words, "--camera-axes=-y,-z,x", "--force")[0] == 0
 
 
-def test_a_calibration_gives_each_eye_its_camera_and_one_for_both_is_marked(
-    robot, capsys, monkeypatch
-):
+def test_each_eye_has_its_camera_and_one_for_both_is_marked(robot, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
     for name, focal in (("l.yaml", 700), ("r.yaml", 710)):
         (robot.parent / name).write_text(
@@ -103,10 +100,9 @@ def test_a_mistake_is_one_line_and_leaves_nothing(robot, capsys):
         (("--base", "bsae"), "base: expected a frame of the file (near: base"),
         (("--lock", "jaw"), "lock: expected JOINT=DEG, got 'jaw'"),
         (("--out", "head.yaml"), "out: expected a name that ends in .toml"),
-        (("--name", "a/b"), "name: expected"),
-        (("--actuators", "tilt"), "actuators"),
+        (("--name", "a/b"), "name: expected"), (("--actuators", "tilt"), "actuators"),
         (("--intrinsics", "none.yaml"), "none.yaml"),
-    ]:
+    ]:  # fmt: skip
         code, _, err = run(capsys, *IMPORT, *WHOLE, "--no-figure", *words)
         assert code == 2, words
         assert len(err.splitlines()) == 1

@@ -10,7 +10,6 @@ from matplotlib.patches import Polygon
 
 from tests.commands.called import call, refused
 from tests.heads import MOVING, head_of, text_of
-from tests.models.files.pairs import K_LEFT
 from tests.naming import named
 from vergence import Noise, triangulate_gaze, triangulate_views
 from vergence.eval.head_figure import compose_head
@@ -135,9 +134,8 @@ def test_what_iterations_leave_is_no_pixel_error(capsys, monkeypatch):
     summary = summarise_head(load_head("turrets"))
     for least_px, said in ((2e-6, False), (0.02, True)):
         found = replace(summary, least_error_px=least_px)
-        monkeypatch.setattr(
-            "vergence.eval.head_summary.summarise_head", lambda _head, found=found: found
-        )
+        place = "vergence.eval.head_summary.summarise_head"
+        monkeypatch.setattr(place, lambda _head, found=found: found)
         assert call("info", "--head", "turrets") == 0
         assert ("least pixel error" in capsys.readouterr().out) == said
 
@@ -160,9 +158,8 @@ def test_a_lens_that_folds_inside_the_image_is_warned_of(tmp_path, capsys, told)
     numbers = told("folding", folding)
     assert [eye["folds"] for eye in numbers["eyes"]] == [True, False]
     # d (r - 2 r^3) / dr = 0 at r^2 = 1/6
-    assert numbers["eyes"][0]["horizontal_deg"] == pytest.approx(
-        2.0 * np.degrees(np.arctan(np.sqrt(1.0 / 6.0))), abs=1.0
-    )
+    fold_deg = 2.0 * np.degrees(np.arctan(np.sqrt(1.0 / 6.0)))
+    assert numbers["eyes"][0]["horizontal_deg"] == pytest.approx(fold_deg, abs=1.0)
     assert call("info", "--head", tmp_path / "folding.toml") == 0
     warnings = capsys.readouterr().err.splitlines()
     assert len(warnings) == 1
@@ -250,8 +247,3 @@ def test_what_cannot_be_shown_is_refused_in_one_line(capsys):
         (["--head", "physical", "--figure", "nodir/x.png"], "expected a file that can be written"),
     ]:  # fmt: skip
         assert said in refused(capsys, "info", *words)
-
-
-def test_the_focal_length_of_the_file_is_told(told):
-    text = text_of("pair").replace("[343.0, 343.0]", f"[{K_LEFT[0, 0]}, {K_LEFT[1, 1]}]", 1)
-    assert told("focal", text)["eyes"][0]["focal_px"] == [K_LEFT[0, 0], K_LEFT[1, 1]]

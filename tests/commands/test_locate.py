@@ -94,9 +94,7 @@ def test_the_table_and_the_run_folder_hold_what_was_located(locate, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
-def test_joint_angles_that_are_off_are_told_by_the_edges_and_none_are_taken_for_rest(
-    capsys, tmp_path
-):
+def test_edges_tell_wrong_joint_angles_and_none_stand_for_rest(capsys, tmp_path):
     head, place = load_head("turrets"), [0.1, 0.05, 0.7]
     q = head.fixate(place)
     images = Studio(head, TAG, q).take(pose_at(place), np.random.default_rng(1))
@@ -201,12 +199,9 @@ def test_edges_that_are_not_as_stated_are_explained_by_the_likeliest_unit():
     for size_mm, hint in (
         (120.0, None),
         (121.0, None),  # 0.8 %: such a calibration is no mistake
-        (100.0, ""),
-        (0.12, "was the size given in m"),
-        (12.0, "was the size given in cm"),
-        (4.724, "was the size given in inches"),
-        (120000.0, "was the size given in micrometres"),
-    ):
+        (100.0, ""), (0.12, "was the size given in m"), (12.0, "was the size given in cm"),
+        (4.724, "was the size given in inches"), (120000.0, "was the size given in micrometres"),
+    ):  # fmt: skip
         with named(size_mm):
             tag = AprilTag(id=5, edge_m=1e-3 * size_mm)
             pairs = [MeanEdge(pair, tag, 0.12, 1e-4) for pair in ("2.png", "10.png")]

@@ -47,9 +47,8 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
         (("--margins", "--plant", "kinematic", "mujoco"), "plant: expected one with --margins"),
         (("--margins", "--trials", "0"), "episodes: expected at least 1, got 0"),
     ]:
-        code, out, err = run(
-            capsys, "evaluate", "ibvs", *words, "--workers", "1", "--out", tmp_path / "run"
-        )
+        words = ("evaluate", "ibvs", *words, "--workers", "1", "--out", tmp_path / "run")
+        code, out, err = run(capsys, *words)
         assert code == 2
         assert out == ""
         (line,) = [line for line in err.splitlines() if "error: " in line]

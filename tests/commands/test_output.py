@@ -12,9 +12,7 @@ from vergence.locks import hold_lock
 GAZE = ("gaze", "--plant", "kinematic", "--duration", "0.1", "--json")
 
 
-def test_a_command_whose_place_another_holds_is_refused_before_any_work(
-    tmp_path, capsys, monkeypatch
-):
+def test_a_place_that_another_holds_is_refused_at_once(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words in [
         ("gaze", "--out", "R"), ("evaluate", "ibvs", "--out", "R"),
@@ -32,9 +30,7 @@ def test_a_command_whose_place_another_holds_is_refused_before_any_work(
             assert list(tmp_path.iterdir()) == []
 
 
-def test_a_result_whose_place_is_taken_meanwhile_is_saved_beside_it_and_said(
-    tmp_path, capsys, monkeypatch
-):
+def test_a_result_goes_beside_a_place_taken_meanwhile(tmp_path, capsys, monkeypatch):
     def draw_while_somebody_comes(*_args: object) -> None:
         (tmp_path / "R").mkdir()
         (tmp_path / "R" / "theirs").touch()
@@ -49,9 +45,7 @@ def test_a_result_whose_place_is_taken_meanwhile_is_saved_beside_it_and_said(
     assert [path.name for path in (tmp_path / "R").iterdir()] == ["theirs"]
 
 
-def test_a_result_that_cannot_be_written_is_printed_and_said_to_be_lost(
-    tmp_path, capsys, monkeypatch
-):
+def test_a_result_that_cannot_be_written_is_said_to_be_lost(tmp_path, capsys, monkeypatch):
     def fail(*_args: object) -> None:
         raise OSError(errno.ENOSPC, "the disk says no")
 

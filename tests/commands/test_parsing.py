@@ -15,10 +15,9 @@ from vergence.models import load_head
 
 COMMANDS = [
     *(["gaze"], ["reproduce"], ["train"], ["evaluate"], ["tune"], ["locate"], ["detect"], ["info"]),
-    ["print-target"],
-    *(["export", "mjcf"], ["export", "urdf"], ["export", "bundle"]),
+    ["print-target"], *(["export", "mjcf"], ["export", "urdf"], ["export", "bundle"]),
     *(["import", "urdf"], ["import", "stereo"]),
-]
+]  # fmt: skip
 
 
 def test_version_is_that_of_the_package(capsys):
@@ -47,12 +46,11 @@ def test_what_is_missing_is_named_with_the_help_of_its_own_command(capsys):
 @pytest.mark.slow
 def test_a_misspelt_name_is_answered_by_the_one_that_was_meant(capsys):
     for words, meant in [
-        (["gaez"], "gaze"),
-        (["gaze", "--targt", "1", "2", "3"], "--target"),
+        (["gaez"], "gaze"), (["gaze", "--targt", "1", "2", "3"], "--target"),
         (["import", "urdf", "robot.urdf", "--actuators", "comon-tilt"], "common-tilt"),
         (["evaluate", "--scenario", "workspce"], "workspace"),
         (["reproduce", "time-respons"], "time-response"),
-    ]:
+    ]:  # fmt: skip
         assert f"did you mean {meant}?" in refused(capsys, *words)
 
 

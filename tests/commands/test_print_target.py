@@ -19,11 +19,9 @@ PX_MM = 0.1
 BOARDS = [
     ("checkerboard:9x6:24", "a4", "pdf"),  # its ruler stands at the side
     ("charuco:5x7:31.7:23.1:5X5_100", "letter", "pdf"),  # a marker's bit is no part of a square
-    ("charuco:5x7:31.7:23.1:5X5_100", "letter", "png"),
-    ("aprilgrid:6x6:20:0.3", "a4", "png"),
-    ("tag:36h11:5:120", "a4", "png"),
-    ("tag:Standard41h12:7:35", "100x150", "pdf"),
-]
+    ("charuco:5x7:31.7:23.1:5X5_100", "letter", "png"), ("aprilgrid:6x6:20:0.3", "a4", "png"),
+    ("tag:36h11:5:120", "a4", "png"), ("tag:Standard41h12:7:35", "100x150", "pdf"),
+]  # fmt: skip
 
 
 def laid_out(text: str, paper: str) -> PrintSheet:
@@ -44,12 +42,8 @@ def printed(path: Path, text: str, paper: str, *words: str) -> np.ndarray:
 
 def ruler_length_mm(image: np.ndarray, sheet: PrintSheet) -> float:
     """The distance of the end ticks' middles, along a line that the other ticks do not reach."""
-    x, y = sheet.ruler_zero_mm
-    line = (
-        image[:, round((x + 2.9) / PX_MM)]
-        if sheet.ruler_upright
-        else image[round((y + 2.9) / PX_MM)]
-    )
+    column, row = (round((place + 2.9) / PX_MM) for place in sheet.ruler_zero_mm)
+    line = image[:, column] if sheet.ruler_upright else image[row]
     dark = 255.0 - line
     dark[dark < 40.0] = 0.0
     places = np.flatnonzero(dark)
@@ -99,9 +93,8 @@ def test_an_svg_has_the_size_of_the_paper_and_outlines_where_they_are_laid_out(t
 @pytest.mark.slow
 def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
     for text, paper, margin_mm in [
-        ("tag:Standard41h12:7:35", "100x150", 7.0),
-        ("charuco:5x3:36:27:4X4_50", "a5", 9.0),
-    ]:
+        ("tag:Standard41h12:7:35", "100x150", 7.0), ("charuco:5x3:36:27:4X4_50", "a5", 9.0),
+    ]:  # fmt: skip
         image = printed(tmp_path / "board.pdf", text, paper, "--force")
         black = image < 250
         outside = black.copy()
@@ -120,9 +113,7 @@ def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_text_of_the_board_stands_on_it_and_the_same_board_gives_the_same_bytes(
-    tmp_path, monkeypatch
-):
+def test_a_print_has_its_text_and_the_same_bytes_later(tmp_path, monkeypatch):
     text = "charuco:4x3:30:22:4X4_50"
     files = [tmp_path / f"a.{ending}" for ending in ("pdf", "svg", "png")]
     contents = []
@@ -135,18 +126,16 @@ def test_the_text_of_the_board_stands_on_it_and_the_same_board_gives_the_same_by
     assert contents[0] == contents[1]
     with pypdfium2.PdfDocument(files[0]) as document:
         assert document[0].get_textpage().get_text_range().split("\r\n") == [
-            "print at 100 %, measure this: 100 mm",
-            text,
-        ]
+            "print at 100 %, measure this: 100 mm", text,
+        ]  # fmt: skip
     assert b"/PrintScaling /None" in contents[0][0]
 
 
 def test_a_refusal_names_paper_and_size_that_work(capsys, tmp_path):
     for text, paper in (("checkerboard:9x6:40", "a4"), ("tag:36h11:5:300", "200x150")):
         line = refused(capsys, "print-target", text, "--paper", paper, "--out", tmp_path / "a.pdf")
-        found = re.search(
-            r"fits on .* got (\S+) that needs .* --paper (\S+), or .* (\S+) mm$", line
-        )
+        said = r"fits on .* got (\S+) that needs .* --paper (\S+), or .* (\S+) mm$"
+        found = re.search(said, line)
         assert found is not None, line
         assert found[1] == text
         laid_out(text, found[2])

@@ -49,10 +49,7 @@ def test_text_wraps_between_words_and_is_no_markup():
 
 def test_no_word_of_two_columns_of_text_is_cut():
     rows = [
-        [
-            "eyes.left.focal_px, eyes.right.focal_px",
-            "not in the file: a field of view of 60 degrees",
-        ],
+        ["eyes.left.focal_px, eyes.right.focal_px", "not in the file: a view of 60 degrees"],
         ["actuators.version.acceleration_rad_s2, b", "given in place of 50000 rad/s in the file"],
     ]
     expected = {word for row in rows for cell in row for word in cell.split()}

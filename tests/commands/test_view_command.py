@@ -34,12 +34,9 @@ def test_without_its_extra_it_says_what_to_install(capsys, monkeypatch):
 def test_the_page_is_served_until_ctrl_c(tmp_path):
     command = [sys.executable, "-m", "vergence", "view", "--no-browser", "--port", "0"]
     process = subprocess.Popen(
-        command,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
+        command, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in background
-    )
+    )  # fmt: skip
     try:
         line = process.stderr.readline()
         url = next(word for word in line.split() if word.startswith("http://127.0.0.1:"))

@@ -9,17 +9,14 @@ import pytest
 
 # these need pseudo-terminals
 NEED = [
-    "checks",
-    "dynamixel/test_bus.py",
-    "emulator",
+    "checks", "dynamixel/test_bus.py", "emulator",
     *(f"test_{one}.py" for one in ("health", "jog", "plant", "scan_bus")),
-]
+]  # fmt: skip
 collect_ignore = NEED if sys.platform == "win32" else []
 
 
 @pytest.fixture
 def robot(monkeypatch):
-    """An emulated robot in simulated time."""
     from tests.hardware.virtual import VirtualRobot
 
     return VirtualRobot(monkeypatch)
@@ -35,7 +32,6 @@ def proved(request, monkeypatch):
 
 @pytest.fixture
 def serve():
-    """Serve servos on a pseudo-terminal until the test ends."""
     from tests.hardware.line import served_line
 
     lines = []
@@ -47,15 +43,6 @@ def serve():
     yield start
     for line in lines:
         line.close()
-
-
-@pytest.fixture(scope="session")
-def emulated_desk(tmp_path_factory):
-    """The configuration of one emulated head in real time, which tests leave without faults."""
-    from tests.hardware.emulated import emulated
-
-    with emulated(tmp_path_factory.mktemp("desk")) as (path, _process):
-        yield path
 
 
 @pytest.fixture(autouse=True)

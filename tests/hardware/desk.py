@@ -2,34 +2,23 @@
 
 import dataclasses
 
-from tests.hardware.fakes import HEAD, TAG, camera_config
+from tests.hardware.fakes import robot_config
 from tests.hardware.line import ServoLine, make_servo
-from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
+from vergence.hardware.config import BusConfig
 from vergence.hardware.dynamixel import bus as bus_module
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.packets import PacketParser
 
 
 def ready_servos():
-    """Servos as the checks want them."""
     return [make_servo(ident, lower=-3.2, upper=3.2) for ident in range(1, 5)]
 
 
 def desk_config(port, baud_rate=1_000_000, **servo_values):
     """The configuration of such a robot; other values are those of the first servo."""
-    servos = [
-        ServoConfig(
-            name=name, slot=slot, id=ident, zero_ticks=2048, sign=1, gear_ratio=1.0,
-            lower_rad=-1.5, upper_rad=1.5,
-        )
-        for ident, (name, slot) in enumerate(actuator_slots(HEAD).items(), 1)
-    ]  # fmt: skip
-    servos[0] = dataclasses.replace(servos[0], **servo_values)
-    return HardwareConfig(
-        path="robot.toml", head=HEAD, target=TAG, bus=BusConfig(port=port, baud_rate=baud_rate),
-        servos=tuple(servos), cameras=(camera_config(0), camera_config(1, source="8")),
-        pairing_tolerance_s=0.6 * HEAD.timing.frame_s, emulator_address="",
-    )  # fmt: skip
+    config = robot_config(BusConfig(port=port, baud_rate=baud_rate))
+    first = dataclasses.replace(config.servos[0], **servo_values)
+    return dataclasses.replace(config, servos=(first, *config.servos[1:]))
 
 
 class TimelessLine:
@@ -62,7 +51,6 @@ class TimelessLine:
 
 
 def timeless_bus(monkeypatch, servos, clock):
-    """A bus of servos, in which no time passes but that of the clock."""
     line = TimelessLine(servos, clock)
     monkeypatch.setattr(bus_module, "SerialLine", lambda port, baud: line)
     return Bus(line.port)

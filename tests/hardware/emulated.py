@@ -23,15 +23,7 @@ REAL_TIME = [
 
 @contextmanager
 def emulated(folder: Path, *options: str) -> Iterator[tuple[Path, subprocess.Popen[str]]]:
-    """Emulate a head while the block runs.
-
-    Args:
-        folder: folder for the configuration.
-        *options: further words of the command.
-
-    Yields:
-        The path of the configuration, and the process.
-    """
+    """Emulate a head while the block runs: the path of its configuration, and the process."""
     desk = folder / "desk.toml"
     words = [*COMMAND, "--out", str(desk), *options]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:

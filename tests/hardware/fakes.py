@@ -7,13 +7,11 @@ import cv2
 import numpy as np
 
 from vergence import load_head
-from vergence.hardware.config import CameraConfig
+from vergence.hardware.config import CameraConfig, HardwareConfig, ServoConfig, actuator_slots
 from vergence.models.boards import AprilTag
 
 
 class FakeClock:
-    """Time that stands still until it is told to go on."""
-
     def __init__(self, now=100.0):
         self.now = now
 
@@ -25,20 +23,13 @@ class FakeClock:
 
 
 def noisy(image, count):
-    """An image as a sensor has it: no two are alike."""
     image = image.copy()
     image[0, 0] ^= np.uint8(count % 2)
     return image
 
 
 class ScriptedCapture:
-    """A capture that gives images at given times of a fake clock, and then ends.
-
-    Args:
-        image: content of all images; None for one that cannot be decoded.
-        hangs: True to send the very same image again and again.
-        stamped_before_s: time by which the driver's stamps are earlier; None for stamps of zero.
-    """
+    """Images at given times of a fake clock; an image of None cannot be decoded."""
 
     def __init__(self, clock, times, image, stamped_before_s=None, hangs=False):
         self._hangs, self._count = hangs, 0
@@ -78,7 +69,6 @@ class LiveCapture:
         self.released = 0
 
     def end(self):
-        """Let the stream end."""
         self._end.set()
 
     def get(self, property):
@@ -98,7 +88,6 @@ class LiveCapture:
 
 
 def blank(head, eye=0, channels=1):
-    """An image of nothing, of the size of an eye's."""
     width, height = head.cameras.size[eye].tolist()
     shape = (height, width) if channels == 1 else (height, width, channels)
     return np.full(shape, 110, np.uint8)
@@ -119,7 +108,23 @@ TAG = AprilTag(family="36h11", id=0, edge_m=0.15)
 
 
 def camera_config(eye=0, **values):
-    """A camera of a head."""
-    return CameraConfig(
-        **{"eye": eye, "source": "7", "pixel_format": "", "latency_s": 0.1, **values}
-    )
+    usual = {"eye": eye, "source": "7", "pixel_format": "", "latency_s": 0.1}
+    return CameraConfig(**usual | values)
+
+
+def robot_config(bus, head=HEAD, limit_rad=1.5, latency_s=0.1, **more):
+    """The configuration of a robot of a head, whose joints turn less than the head's limits."""
+    lower, upper = head.actuation.lower, head.actuation.upper
+    return HardwareConfig(
+        path="robot.toml", head=head, target=TAG, bus=bus,
+        servos=tuple(
+            ServoConfig(
+                name=name, slot=slot, id=id, zero_ticks=2048, sign=1, gear_ratio=1.0,
+                lower_rad=max(-limit_rad, float(lower[slot])),
+                upper_rad=min(limit_rad, float(upper[slot])),
+            )
+            for id, (name, slot) in enumerate(actuator_slots(head).items(), 1)
+        ),
+        cameras=tuple(camera_config(i, source=f"{7 + i}", latency_s=latency_s) for i in range(2)),
+        pairing_tolerance_s=0.75 * head.timing.frame_s, emulator_address="", **more,
+    )  # fmt: skip

@@ -16,9 +16,8 @@ from vergence.hardware.emulator.terminal import baud_rate_of
 
 def make_servo(id=1, **options):
     """A servo with a quick joint, at 1 Mb/s, that answers at once, and stops without encoder."""
-    servo = EmulatedServo(
-        id, **{"lag_s": 0.02, "acceleration": 50.0, "lower": -1.0, "upper": 1.0, **options}
-    )
+    usual = {"lag_s": 0.02, "acceleration": 50.0, "lower": -1.0, "upper": 1.0}
+    servo = EmulatedServo(id, **usual | options)
     servo.set(table.BAUD_RATE, table.BAUD_RATES.index(1_000_000))
     servo.set(table.RETURN_DELAY_TIME, 0)
     servo.set(table.SHUTDOWN, servo.get(table.SHUTDOWN) | ENCODER_ERROR)
@@ -38,11 +37,9 @@ class ServedLine:
         self._thread.start()
 
     def send(self, data):
-        """Send bytes that nobody asked for."""
         os.write(self._master, data)
 
     def hang_up(self):
-        """Pull the cable."""
         if self._thread.is_alive():
             os.write(self._waker, b"x")
             self._thread.join()
@@ -52,7 +49,6 @@ class ServedLine:
         self._master = self._slave = -1
 
     def close(self):
-        """Stop serving."""
         self.hang_up()
         os.close(self._wake)
         os.close(self._waker)
@@ -76,5 +72,4 @@ class ServedLine:
 
 
 def served_line(servos, **options):
-    """Servos behind a port, to be closed."""
     return ServedLine(ServoLine(servos), **options)

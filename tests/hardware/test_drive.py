@@ -15,7 +15,6 @@ FAST = np.full((1, 7), 2.0)
 
 @pytest.fixture
 def robot(monkeypatch):
-    """A robot whose joints all turn at 2 rad/s."""
     one = VirtualRobot(monkeypatch)
     one.begin()
     for _ in range(20):

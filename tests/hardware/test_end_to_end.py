@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,8 @@ import numpy as np
 import pytest
 
 from tests.hardware.emulated import REAL_TIME, emulated
-from vergence.errors import HardwareError
-from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import GazeState, deploy
-from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
 from vergence.eval.robot.replay import replay
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import WorldClient
@@ -41,9 +39,10 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 pytestmark = REAL_TIME
 
 
-@pytest.fixture
-def desk(emulated_desk: Path) -> Path:
-    return emulated_desk
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with emulated(tmp_path_factory.mktemp("desk")) as (path, _process):
+        yield path
 
 
 def gaze(desk: Path, out: Path, *target: str, **options: Any) -> subprocess.Popen[str]:
@@ -96,9 +95,7 @@ def test_a_law_is_deployed_logged_and_asks_for_the_same_again(desk: Path, tmp_pa
     assert len(again.log.detections) > 2 * 2 * 25
 
 
-def test_a_policy_that_raises_leaves_servos_at_rest_and_names_its_line(
-    desk: Path, tmp_path: Path
-) -> None:
+def test_a_policy_that_raises_rests_and_names_its_line(desk: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine.py"
     mine.write_text(BREAKS)
     config = DeployConfig(controller=f"{mine}:Breaks", hardware=desk)
@@ -126,44 +123,7 @@ def test_a_dry_run_asks_the_policy_and_moves_nothing(desk: Path, tmp_path: Path)
     assert result.summary()["settled_fraction"] is None
 
 
-@pytest.mark.nightly
-def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: Path) -> None:
-    run, ran = tmp_path / "run", []
-
-    def pull(done: int, total: int) -> None:
-        ran.append(done)
-        if done == 1:
-            with closing(WorldClient(load_hardware(desk).emulator_address)) as world:
-                world.begin_fault(what="unplug")
-
-    with emulated(tmp_path) as (desk, _process):
-        config = EvaluateConfig(
-            controllers=("ibvs-tuned",), plants=("hardware", "kinematic"), hardware=desk,
-            scenarios=("workspace",), episodes=2,
-        )  # fmt: skip
-        for attempt in range(5):  # what a busy machine stops before, goes on as well
-            with pytest.raises(HardwareError):
-                evaluate_on_robot(config, run, progress=pull, resume=attempt > 0)
-            if 1 in ran:
-                break
-    assert ran[-2:] == [0, 1]
-    begun = len(ran)
-    with emulated(tmp_path):
-        found = evaluate_on_robot(
-            read_begun_config(run), run, progress=lambda done, total: ran.append(done), resume=True
-        )
-    assert ran[begun:] == [1, 2]
-    trials = found.trials()
-    assert len(trials) == 4
-    settled = trials.dropna(subset=["settle_2px_s"])  # a starved machine may miss one's end
-    assert len(settled) >= 2
-    assert (settled["settle_2px_s"] >= settled["bound_2px_s"]).all()
-    assert (trials["fix_error_end_m"] < 0.1).all()
-
-
-def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(
-    desk: Path, tmp_path: Path
-) -> None:
+def test_a_termination_brakes_though_ctrl_c_is_ignored(desk: Path, tmp_path: Path) -> None:
     def ignore() -> None:
         """As a shell starts what is to run in the background."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -20,8 +20,6 @@ BOUNDS = Bounds(virtual_config())
 
 
 def emulated(request):
-    """A fault of the emulator, while the policy goes on."""
-
     def happen(now):
         now.robot.fault(**request)
         now.drive(6.0)
@@ -30,8 +28,6 @@ def emulated(request):
 
 
 def of_eye(eye, name):
-    """An eye that fails from now on."""
-
     def happen(now):
         setattr(now.robot.eyes[eye], name, now.robot.clock())
         now.drive(3.0)

@@ -25,7 +25,6 @@ FINE = {"temperature_c": 31.0, "voltage_v": 12.0, "load": 0.1, "errors": 0}
 
 @pytest.fixture
 def bus(serve):
-    """A line with four servos, and the servos."""
     served = serve(ready_servos())
     bus = Bus(served.port)
     yield bus, served.line.servos
@@ -93,15 +92,10 @@ def test_the_worst_decides_and_all_are_told():
     ]  # fmt: skip
 
 
-def test_full_load_stops_at_the_third_reading_in_a_row():
-    watch = HealthWatch(LIMITS)
-    loads = (0.96, 0.96, 0.5, -0.96, -0.96, -0.96)
-    levels = [watch.judge(Health(**FINE | {"load": load})).level for load in loads]
-    assert levels == ["ok", "ok", "ok", "ok", "ok", "stop"]
-
-
-def test_high_load_is_warned_of_at_the_third_reading_in_a_row():
-    watch = HealthWatch(LIMITS)
-    loads = (0.9, 0.9, 0.79, 0.8, -0.96, 0.9, 0.9)
-    levels = [watch.judge(Health(**FINE | {"load": load})).level for load in loads]
-    assert levels == ["ok", "ok", "ok", "ok", "ok", "warn", "warn"]
+def test_a_high_load_counts_at_the_third_reading_in_a_row():
+    for loads, expected in (
+        ((0.96, 0.96, 0.5, -0.96, -0.96, -0.96), [*["ok"] * 5, "stop"]),
+        ((0.9, 0.9, 0.79, 0.8, -0.96, 0.9, 0.9), [*["ok"] * 5, "warn", "warn"]),
+    ):
+        watch = HealthWatch(LIMITS)
+        assert [watch.judge(Health(**FINE | {"load": load})).level for load in loads] == expected

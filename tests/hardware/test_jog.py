@@ -186,9 +186,8 @@ def test_signs_and_zeros_are_written_and_all_else_stays(tmp_path):
         path.write_bytes(text.encode())
         left = load_hardware(path).servos[0]
         write_servos(path, [dataclasses.replace(left, sign=-1, zero_ticks=100)])
-        expected = text.replace("2_048  # m", "100  # m").replace(
-            "1            # c", "-1            # c"
-        )
+        expected = text.replace("2_048  # m", "100  # m")
+        expected = expected.replace("1            # c", "-1            # c")
         assert path.read_bytes().decode() == expected
 
 

@@ -13,20 +13,6 @@ def all_lines(caplog):
     caplog.set_level(logging.DEBUG, "vergence")
 
 
-def test_a_trial_says_what_opens_drives_begins_and_closes(robot, caplog):
-    robot.begin()
-    for _ in range(10):
-        robot.plant.step(STILL)
-    robot.plant.close()
-    said = "\n".join(one.message for one in caplog.records)
-    for text in (
-        "left_pan: XL430-W250 with the id 1", "torque on", "watchdog armed: 0.2 s",
-        "neck and actuators driven to [0.0, 0.0", "trial 1 begins", "closed: image pairs ",
-    ):  # fmt: skip
-        assert text in said, text
-    assert all(one.levelno == logging.INFO for one in caplog.records)
-
-
 @pytest.mark.slow
 def test_a_period_says_nothing(robot, caplog):
     robot.begin()

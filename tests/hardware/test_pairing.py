@@ -17,7 +17,6 @@ def sight(exposed_s, ready_s=None):
 
 
 def drain(pairing, now_s):
-    """All that comes out at a time."""
     out = []
     while (sights := pairing.next(now_s)) is not None:
         out.append(sights)
@@ -62,10 +61,9 @@ def test_each_image_comes_out_once_in_order_and_in_pairs_within_the_tolerance(le
 
 
 @given(
-    st.floats(0.0, 0.5),
-    st.booleans(),
+    st.floats(0.0, 0.5), st.booleans(),
     st.lists(st.tuples(st.floats(0.0, 0.1), st.floats(0.0, 0.1)), min_size=2, max_size=30),
-)
+)  # fmt: skip
 def test_free_running_cameras_always_pair(apart, right_first, jitters):
     early = [(i + jitter) * FRAME_S for i, (jitter, _) in enumerate(jitters)]
     late = [(i + apart + jitter) * FRAME_S for i, (_, jitter) in enumerate(jitters)]

@@ -16,7 +16,6 @@ BOUND_S, TRAVEL_RAD = 0.5, 0.5
 
 @pytest.fixture
 def robot(monkeypatch):
-    """A robot whose joints have friction."""
     world = World(HEAD, np.array([0.0, -0.1, 1.0]), MotorOptions(friction=0.03))
     return VirtualRobot(monkeypatch, world)
 

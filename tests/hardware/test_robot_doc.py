@@ -55,21 +55,18 @@ def collide(_packet, answers):
 
 
 SERVOS = {
-    "no-answer": (list, {}),
-    "missing-id": (lambda: ready_servos()[:3], {}),
+    "no-answer": (list, {}), "missing-id": (lambda: ready_servos()[:3], {}),
     "equal-ids": (lambda: at(0.3, -1, [make_servo(1, upper=3.2)]), {}),
     "secondary-id": (lambda: desk(SECONDARY_ID=3), {}),
     "damaged": (ready_servos, {"alter": collide}),
     "other-rate": (lambda: desk(BAUD_RATE=FACTORY_RATE), {"hears_rate": True}),
     "voltage": (lambda: desk(PRESENT_INPUT_VOLTAGE=58), {}),
     "overload": (lambda: desk(HARDWARE_ERROR_STATUS=0b100000), {}),
-    "homing-offset": (lambda: desk(HOMING_OFFSET=512), {}),
-    "wrapped-angle": (lambda: at(1.6), {}),
-}
+    "homing-offset": (lambda: desk(HOMING_OFFSET=512), {}), "wrapped-angle": (lambda: at(1.6), {}),
+}  # fmt: skip
 
 
 def found(serve, servos, **served):
-    """The lines of the checks of servos."""
     line = serve(servos, **served)
     bus = Bus(line.port, single_timeout_s=0.01)
     findings = check_servos(desk_config(line.port), bus)
@@ -89,12 +86,11 @@ def test_the_lines_of_a_servos_checks(serve):
 
 RUNNING = {
     "silent": {"what": "lost", "ids": [2]},
-    "late-running": {"what": "late", "ids": [2], "value": 0.012},
-    "unplugged": {"what": "unplug"},
+    "late-running": {"what": "late", "ids": [2], "value": 0.012}, "unplugged": {"what": "unplug"},
     "voltage-running": {"what": "voltage", "ids": [2], "value": 5.8},
     "overload-running": {"what": "overload", "ids": [2]},
     "camera-running": None,  # it stalls
-}
+}  # fmt: skip
 
 
 @pytest.mark.slow
@@ -128,11 +124,9 @@ CAMERAS = {
     "camera-bandwidth": (Desk(40.0, at0={}, at2={}), {}, False),
     "camera-setting": (Desk(at0={"pixel_format": "YUYV"}, at2={}), {"pixel_format": "MJPG"}, True),
     "camera-exposure": (
-        Desk(at0={"locked": 3, "exposure_s": 0.02}, at2={}),
-        {"exposure_s": 0.008},
-        True,
+        Desk(at0={"locked": 3, "exposure_s": 0.02}, at2={}), {"exposure_s": 0.008}, True,
     ),
-}
+}  # fmt: skip
 
 
 def test_the_line_of_a_camera():

@@ -37,16 +37,13 @@ class Rig:
         self.configs = configs(head, sign, gear_ratio, zero_ticks)
         self.line = ServoLine(
             EmulatedServo(
-                one.id,
-                lag_s=float(head.timing.lag_s * head.actuation.lag_ratio[one.slot]),
-                acceleration=float(head.actuation.acceleration[one.slot]),
-                sign=sign,
-                gear_ratio=gear_ratio,
-                zero_ticks=zero_ticks + turns_off * table.TICKS_PER_TURN,
+                one.id, lag_s=float(head.timing.lag_s * head.actuation.lag_ratio[one.slot]),
+                acceleration=float(head.actuation.acceleration[one.slot]), sign=sign,
+                gear_ratio=gear_ratio, zero_ticks=zero_ticks + turns_off * table.TICKS_PER_TURN,
                 **options,
             )
             for one in self.configs
-        )
+        )  # fmt: skip
         for servo in self.line.servos:
             servo.write(table.OPERATING_MODE.address, bytes([table.VELOCITY_MODE]))
             servo.write(table.TORQUE_ENABLE.address, b"\1")
@@ -175,7 +172,6 @@ def test_an_angle_that_nobody_has_told_is_not_known():
 
 
 def answer(angle, speed=0.0):
-    """Answer of a servo on its joint."""
     speed_ticks, ticks = round(speed / table.TICK_RAD_S), 2048 + round(angle / table.TICK_RAD)
     return speed_ticks.to_bytes(4, "little", signed=True) + ticks.to_bytes(4, "little", signed=True)
 

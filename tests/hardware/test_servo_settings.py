@@ -38,7 +38,6 @@ def refuse_shutdown(servo, monkeypatch, error):
 
 
 def torque_writes(servo, monkeypatch):
-    """Writes into the torque and the locked registers of a servo, in order."""
     seen, write = [], servo.write
 
     def watched(address, data):
@@ -58,9 +57,8 @@ def test_a_register_that_shapes_motion_is_set_and_said(robot, register, old, new
     if torque:
         hold(servo)
     caplog.set_level(logging.INFO, "vergence.hardware.servo_settings")
-    with pytest.warns(
-        VergenceWarning, match=rf"left_tilt: expected {new} in {register.name}, got {old}, which is"
-    ):
+    said = f"left_tilt: expected {new} in {register.name}, got {old}, which is"
+    with pytest.warns(VergenceWarning, match=said):
         robot.plant.prepare()
     assert servo.get(register) == new
     assert servo.get(table.TORQUE_ENABLE) == torque
@@ -89,9 +87,8 @@ def test_an_eeprom_that_cannot_be_put_back_is_said_and_torque_is_on_again(robot,
     with pytest.warns(VergenceWarning, match="in SHUTDOWN, got 52"):
         robot.begin()
     refuse_shutdown(servo, monkeypatch, ErrorNumber.ACCESS)
-    with pytest.warns(
-        VergenceWarning, match="left_tilt: expected to put back SHUTDOWN 52 at the end, got id 2"
-    ):
+    said = "left_tilt: expected to put back SHUTDOWN 52 at the end, got id 2"
+    with pytest.warns(VergenceWarning, match=said):
         robot.plant.close()
     assert (servo.get(table.SHUTDOWN), servo.get(table.TORQUE_ENABLE)) == (0b111100, 1)
 

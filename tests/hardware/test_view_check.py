@@ -36,9 +36,8 @@ def seen(head=HEAD, angles=lambda q: q, pixels=lambda uv: uv, ranges=False, nois
         point = T_N_0[:3, :3] @ POINT + T_N_0[:3, 3]
         shown = head.project(q, point) + rng.normal(0.0, noise_px, (2, 2))
         away = np.linalg.norm(point - head.camera_poses(q)[:, :3, 3], axis=-1)
-        check.postures.append(
-            Posture(told.copy(), pixels(shown), away if ranges else np.full(2, np.nan))
-        )
+        away = away if ranges else np.full(2, np.nan)
+        check.postures.append(Posture(told.copy(), pixels(shown), away))
     return check.findings(TAG, None)
 
 

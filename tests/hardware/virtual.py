@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from tests.hardware.fakes import HEAD, TAG, FakeClock, camera_config
+from tests.hardware.fakes import HEAD, FakeClock, camera_config, robot_config
 from vergence.errors import HardwareError
 from vergence.hardware import plant
-from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
+from vergence.hardware.config import BusConfig
 from vergence.hardware.drive import DriveThread
 from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import PacketParser
@@ -67,11 +67,7 @@ class VirtualLine:
 
 
 class WatchedWorld(World):
-    """A world whose target two cameras see, with latency, jitter, noise and smear.
-
-    Attributes:
-        seen: images by eye: exposure and receipt, s, and the pixel.
-    """
+    """A world that two cameras see; `seen` has by eye exposure and receipt, s, and the pixel."""
 
     def __init__(self, head, point, motors=None, *, latency_s, jitter_s=0.0, noise_px=0.1, seed=0):
         super().__init__(head, point, motors, seed)
@@ -106,9 +102,8 @@ class WatchedWorld(World):
         pixel = pixel + self._draws.normal(0.0, noise_px, 2)
         late_s = latency_s + jitter_s * self._draws.random()
         received_s = max([at_s + late_s, *(one[1] for one in self.seen[eye][-1:])])
-        self.seen[eye].append(
-            (at_s, received_s, pixel if shown and not smeared else pixel + np.nan)
-        )
+        pixel = pixel if shown and not smeared else pixel + np.nan
+        self.seen[eye].append((at_s, received_s, pixel))
 
 
 class Eye:
@@ -127,11 +122,8 @@ class Eye:
 
 
 class VirtualCamera(Eye):
-    """An eye of a `WatchedWorld`."""
-
-    def __init__(self, clock, config, images, transform=None):
+    def __init__(self, clock, config, images):
         self.config, self._clock, self._images = config, clock, images
-        self._transform = transform or (lambda pixel: pixel)
         self._taken = 0
         self.newest_received_s = clock()
 
@@ -140,7 +132,7 @@ class VirtualCamera(Eye):
         while self._taken < len(self._images) and self._images[self._taken][1] <= self._clock():
             _, received_s, pixel = self._images[self._taken]
             exposed_s = received_s - self.config.latency_s
-            new.append(SearchedImage(exposed_s, received_s, self._transform(pixel)))
+            new.append(SearchedImage(exposed_s, received_s, pixel))
             self.newest_received_s = received_s
             self._taken += 1
         return new
@@ -193,49 +185,21 @@ class VirtualClock(FakeClock):
 
 def virtual_config(head=HEAD, latency_s=0.1, **safety):
     """The configuration of a robot in simulated time, with bounds of `SafetyConfig`."""
-    return HardwareConfig(
-        path="robot.toml",
-        head=head,
-        target=TAG,
-        bus=BusConfig(port=PORT, watchdog_s=WATCHDOG_S),
-        servos=tuple(
-            ServoConfig(
-                name=name, slot=slot, id=id, zero_ticks=2048, sign=1, gear_ratio=1.0,
-                lower_rad=max(-LIMIT_RAD, float(head.actuation.lower[slot])),
-                upper_rad=min(LIMIT_RAD, float(head.actuation.upper[slot])),
-            )
-            for id, (name, slot) in enumerate(actuator_slots(head).items(), 1)
-        ),
-        cameras=tuple(
-            camera_config(eye, source=source, latency_s=latency_s)
-            for eye, source in enumerate(("7", "8"))
-        ),
-        pairing_tolerance_s=0.75 * head.timing.frame_s,
-        emulator_address="",
-        safety=SafetyConfig(**safety),
-    )  # fmt: skip
+    bus_config = BusConfig(port=PORT, watchdog_s=WATCHDOG_S)
+    return robot_config(bus_config, head, LIMIT_RAD, latency_s, safety=SafetyConfig(**safety))
 
 
 class VirtualRobot:
-    """A plant on an emulated robot, in simulated time.
-
-    Args:
-        transforms: map of each camera's pixels, see `VirtualCamera`.
-        eyes: eye of the world that each camera shows; (1, 0) exchanges them.
-        **safety: bounds of `SafetyConfig`, without a configuration.
-
-    Attributes:
-        proves: whether the joints still have to prove that they follow.
-    """
+    """A plant in simulated time; camera i shows the world's eye `eyes[i]`; more are bounds."""
 
     proves = True
 
     def __init__(
-        self, monkeypatch, world=None, config=None, transforms=(None, None), eyes=(0, 1),
+        self, monkeypatch, world=None, config=None, eyes=(0, 1),
         plant_options=None, **safety,
     ):  # fmt: skip
         self.clock = VirtualClock(1000.0)
-        self._transforms, self._order = transforms, eyes
+        self._order = eyes
         self.world = world or World(HEAD, np.array([0.0, -0.1, 1.0]))
         self.world.advance_to(self.clock())
         monkeypatch.setattr(
@@ -257,10 +221,8 @@ class VirtualRobot:
     def _open_cameras(self, eyes):
         if isinstance(self.world, WatchedWorld):
             self.eyes = [
-                VirtualCamera(self.clock, camera, self.world.seen[shown], transform)
-                for camera, shown, transform in zip(
-                    self.config.cameras, self._order, self._transforms, strict=True
-                )
+                VirtualCamera(self.clock, camera, self.world.seen[shown])
+                for camera, shown in zip(self.config.cameras, self._order, strict=True)
             ]
         else:
             self.eyes = [VirtualEye(self.clock, 0), VirtualEye(self.clock, 1)]
@@ -273,7 +235,6 @@ class VirtualRobot:
         self.plant.reset(np.zeros(1, np.int64), start)
 
     def fault(self, **request):
-        """Let a fault of the emulator begin."""
         fault = parse_fault(request, self.world.ids, timed=False)
         self.world.begin_fault(fault, self.clock())
 
@@ -283,5 +244,4 @@ class VirtualRobot:
         return np.inf if rested_s is None else rested_s - since_s
 
     def registers(self, register):
-        """Value of a register of each servo."""
         return [servo.get(register) for servo in self.world.servos.values()]

@@ -45,8 +45,6 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def random_poses(rng):
-    """Draw joint angles within a head's limits, all seven joints."""
-
     def draw(head: HeadModel, count: int) -> np.ndarray:
         return rng.uniform(head.limits.lower, head.limits.upper, (count, 7))
 

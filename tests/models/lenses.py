@@ -26,17 +26,13 @@ def wide(left: str, right: str | None = None) -> HeadModel:
     focal = np.array([[FOCAL[lens[0]]], [0.8 * FOCAL[lens[1]]]]) * [1.0, 1.004]
     return load_head("physical").replace(
         cameras={
-            "size": [[800, 600], [640, 480]],
-            "focal": focal,
-            "principal": [[402.5, 296.0], [318.0, 243.0]],
-            "distortion": distortion,
-            "lens": lens,
+            "size": [[800, 600], [640, 480]], "focal": focal,
+            "principal": [[402.5, 296.0], [318.0, 243.0]], "distortion": distortion, "lens": lens,
         }
-    )
+    )  # fmt: skip
 
 
 def camera_matrix(head: HeadModel, eye: int) -> np.ndarray:
-    """K of one eye."""
     matrix = np.eye(3)
     matrix[[0, 1], [0, 1]] = head.cameras.focal[eye]
     matrix[:2, 2] = head.cameras.principal[eye]

@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.heads import MOVING, head_of
-from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.models import Actuators, load_head
 
@@ -77,14 +76,6 @@ def test_fixation_leaves_the_least_sum_of_squares(name):
         np.testing.assert_allclose(own, best.x, atol=2e-6)
         np.testing.assert_allclose(head.least_error(point).ravel(), error(own), atol=1e-9)
         assert error(own) @ error(own) <= 2.0 * best.cost * (1.0 + 1e-9) + 1e-12
-
-
-def test_what_ties_leave_is_told():
-    assert np.abs(head_of("tied").least_error(POINTS)).max() < 1e-9
-    for name, most in [("mis", 1.0), ("common", 200.0)]:
-        with named(name, most):
-            left = np.linalg.norm(head_of(name).least_error(POINTS), axis=-1)
-            assert 0.1 < left.max() < most
 
 
 def test_eyes_that_do_not_move_fixate_nothing():

@@ -23,13 +23,6 @@ from vergence.vision import (
 )
 
 
-def test_tag_has_a_black_border_inside_a_white_quiet_zone() -> None:
-    rings = AprilTag().cells.copy()
-    rings[2:-2, 2:-2] = 7
-    expected = np.pad(np.pad(np.full((6, 6), 7), 1), 1, constant_values=255)
-    assert np.array_equal(rings, expected)
-
-
 def test_tag_is_measured_at_the_centre_of_its_black_square() -> None:
     tag = AprilTag(edge_m=0.16)
     assert tag.corners_m.mean(axis=0) == pytest.approx([0, 0])
@@ -87,7 +80,6 @@ def test_board_without_a_rim_ends_with_its_squares() -> None:
 
 
 def test_tags_are_the_librarys_own() -> None:
-    """Cell by cell as the AprilTag library draws them, and found upright by it."""
     for family in sorted(CORRECTED_BITS):
         with named(family):
             library = load_library()
@@ -102,7 +94,6 @@ def test_tags_are_the_librarys_own() -> None:
 
 
 def test_charuco_board_is_opencvs() -> None:
-    """Its corners are OpenCV's, and so is what OpenCV draws at ten times the size."""
     for legacy in (False, True):
         for columns, rows in ((7, 5), (6, 8)):
             with named(legacy, columns, rows):
@@ -117,8 +108,7 @@ def test_charuco_board_is_opencvs() -> None:
 
 def test_targets_are_read_from_text() -> None:
     for text, target in [
-        ("tag:36h11:5:120", AprilTag(id=5, edge_m=0.12)),
-        ("tag:tag36h11:5", AprilTag(id=5)),
+        ("tag:36h11:5:120", AprilTag(id=5, edge_m=0.12)), ("tag:tag36h11:5", AprilTag(id=5)),
         ("tag:standard41h12:3:50", AprilTag(family="Standard41h12", id=3, edge_m=0.05)),
         ("tag:36h11", TagFamily()),
         ("checkerboard:9x6:24.23", Checkerboard(columns=9, rows=6, square_m=0.02423)),
@@ -126,7 +116,7 @@ def test_targets_are_read_from_text() -> None:
             "charuco:5x7:40:30:DICT_5X5_100:legacy",
             CharucoBoard(columns=5, rows=7, dictionary="DICT_5X5_100", legacy=True),
         ),
-    ]:
+    ]:  # fmt: skip
         with named(text, target):
             assert parse_target(text) == target
             assert parse_target(str(parse_target(text))) == target

@@ -5,7 +5,7 @@ import pytest
 
 from tests.models.lenses import LENSES, wide
 from tests.naming import named
-from vergence.errors import ConfigurationError, VergenceError
+from vergence.errors import ConfigurationError
 from vergence.models import HeadModel
 from vergence.models.cameras import Cameras
 
@@ -26,10 +26,9 @@ def test_one_size_and_one_lens_stand_for_both_eyes():
 
 def test_one_response_stands_for_both_eyes():
     for given, pair in [
-        ("srgb", ("srgb", "srgb")),
-        ([0.0, 0.2, 1.0], ((0.0, 0.2, 1.0), (0.0, 0.2, 1.0))),
+        ("srgb", ("srgb", "srgb")), ([0.0, 0.2, 1.0], ((0.0, 0.2, 1.0), (0.0, 0.2, 1.0))),
         ((None, 2.2), (None, 2.2)),
-    ]:
+    ]:  # fmt: skip
         with named(given, pair):
             assert cameras().response == (None, None)
             assert cameras(response=given).response == pair
@@ -58,14 +57,6 @@ def test_what_cannot_be_is_refused_with_what_came():
     ]:
         with named(fields, message), pytest.raises(ConfigurationError, match=message):
             cameras(**fields)
-
-
-def test_a_change_of_a_heads_cameras_is_checked_as_well(physical):
-    with pytest.raises(VergenceError, match="size: expected"):
-        physical.replace(cameras={"size": [[640, 480]]})
-    other = physical.replace(cameras={"size": (320, 240)})
-    assert other.cameras.size.tolist() == [[320, 240], [320, 240]]
-    assert other.cameras.lens == physical.cameras.lens
 
 
 def test_a_population_keeps_lenses_and_sizes(errors, rng):

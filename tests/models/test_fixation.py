@@ -5,13 +5,6 @@ import numpy as np
 from tests.naming import named
 
 
-def assert_both_eyes_hold(head, points):
-    q = head.fixate(points)
-    pixels = head.project(q, points)
-    assert np.abs(pixels - head.cameras.principal).max() < 1e-9
-    return q
-
-
 def test_every_point_of_the_article_is_fixated(request, table_points):
     for table in (3, 5, 7):
         for preset in ("simulated", "physical"):
@@ -19,16 +12,9 @@ def test_every_point_of_the_article_is_fixated(request, table_points):
                 head = request.getfixturevalue(preset)
                 points = table_points(table)
                 assert len(points) == {3: 21, 5: 21, 7: 8}[table]
-                q = assert_both_eyes_hold(head, points)
+                q = head.fixate(points)
+                assert np.abs(head.project(q, points) - head.cameras.principal).max() < 1e-9
                 assert head.limits.contains(q).all()
-
-
-def test_drawn_heads_fixate(physical, errors, rng, table_points):
-    heads = physical.perturbed(rng, errors, size=200)
-    point = table_points(7)[0]
-    q = heads.fixate(point)
-    assert q.shape == (200, 7)
-    assert np.abs(heads.project(q, point) - heads.cameras.principal).max() < 1e-9
 
 
 def test_points_at_the_edge_of_the_limits_are_fixated(head, random_poses):

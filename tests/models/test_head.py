@@ -13,7 +13,6 @@ PARTS = ("links", "cameras", "limits", "timing", "sensor", "rendering")
 
 
 def numbers(head):
-    """Every number of a head as (part, field, index)."""
     for part in PARTS:
         for field, value in vars(getattr(head, part)).items():
             for index in np.ndindex(np.shape(value)):

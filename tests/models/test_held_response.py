@@ -26,9 +26,8 @@ def test_it_solves_the_equation_of_motion() -> None:
     for build_up, solved in zip(build_ups, expected, strict=True):
         response = prepare_held_response(LAG_S, build_up, np.inf, PERIOD_S)
         with named(build_up):
-            assert follow_held_command(0.0, 1.0, -30.0, 4.0, response) == pytest.approx(
-                solved, abs=3e-3
-            )
+            found = follow_held_command(0.0, 1.0, -30.0, 4.0, response)
+            assert found == pytest.approx(solved, abs=3e-3)
 
 
 def test_no_acceleration_passes_its_limit() -> None:
@@ -45,9 +44,8 @@ def test_no_acceleration_passes_its_limit() -> None:
 
 
 def test_without_a_build_up_it_is_the_lag_of_first_order() -> None:
-    q, v, w = follow_held_command(
-        0.1, 1.0, 5.0, 4.0, prepare_held_response(LAG_S, 0.0, 40.0, PERIOD_S)
-    )
+    response = prepare_held_response(LAG_S, 0.0, 40.0, PERIOD_S)
+    q, v, w = follow_held_command(0.1, 1.0, 5.0, 4.0, response)
     expected = follow_joint(0.1, 1.0, 4.0, LAG_S, 40.0, PERIOD_S, lag_decay(PERIOD_S, LAG_S))
     assert (q, v) == expected
     assert w == 40.0

@@ -41,10 +41,9 @@ class TestDirections:
 
     def test_neck(self, simulated):
         for what, joint, axis, towards in (
-            ("yaw turns left", 0, Z, -X),
-            ("roll lowers the right ear", 1, X, Y),
+            ("yaw turns left", 0, Z, -X), ("roll lowers the right ear", 1, X, Y),
             ("pitch looks up", 2, Z, -Y),
-        ):
+        ):  # fmt: skip
             with named(what):
                 rest, moved = simulated.base_pose(np.zeros(7)), simulated.base_pose(turned(joint))
                 in_rest = rest[:3, :3].T @ moved[:3, :3] @ axis
@@ -71,12 +70,9 @@ class TestDirections:
 @pytest.mark.nightly
 def test_poses_agree_with_the_robotics_toolbox(head, random_poses):
     toolbox = pytest.importorskip("roboticstoolbox")
-    links = [
-        toolbox.RevoluteMDH(a=a, alpha=alpha, d=d, offset=offset)
-        for a, alpha, d, offset in zip(
-            head.links.a, head.links.alpha, head.links.d, head.links.offset, strict=True
-        )
-    ]
+    own = head.links
+    rows = zip(own.a, own.alpha, own.d, own.offset, strict=True)
+    links = [toolbox.RevoluteMDH(a=a, alpha=b, d=d, offset=c) for a, b, d, c in rows]
     # the rotation from frame 3 to N, from the words of the article
     T_3_N = np.eye(4)[[2, 1, 0, 3]] * [1, -1, 1, 1]
     q = random_poses(head, 1000)

@@ -17,9 +17,8 @@ from vergence.models.packed import camera_at, pack_camera, pack_cameras
 
 K1_ONLY = {
     "brown-conrady": (-0.3, 0.0, 0.0, 0.0, 0.0),
-    "rational": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 0.0),
-    "fisheye": (-0.3, 0.0, 0.0, 0.0),
-}
+    "rational": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 0.0), "fisheye": (-0.3, 0.0, 0.0, 0.0),
+}  # fmt: skip
 FOLD = {
     # r (1 - 0.3 r^2) turns back at r^2 = 1 / 0.9
     "brown-conrady": 1.0 / np.sqrt(0.9),
@@ -45,10 +44,6 @@ def spread_rays(rng, count, most_deg=89.0):
     return np.tan(angle)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 
 
-def on_rays(rays):
-    return np.column_stack([rays, np.ones(len(rays))])
-
-
 def test_projection_is_opencvs(rng):
     for lens in LENSES:
         with named(lens):
@@ -58,7 +53,7 @@ def test_projection_is_opencvs(rng):
                 pixels = rays_to_pixels(rays, row)
                 inside = ((pixels >= -0.5) & (pixels <= head.cameras.size[eye] - 0.5)).all(axis=-1)
                 assert inside.mean() > 0.5
-                expected = by_opencv(head, eye, on_rays(rays[inside]))
+                expected = by_opencv(head, eye, np.insert(rays[inside], 2, 1.0, axis=1))
                 # rounding of pixels
                 assert np.abs(pixels[inside] - expected).max() < 1e-9
 

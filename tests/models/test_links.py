@@ -29,10 +29,9 @@ def test_a_chain_is_the_product_of_its_joints_turns(rng):
     head = head_of("tied")
     origin = np.array([0.0, -0.15, 0.05])  # midway between the eyes at zero
     neck = chain(
-        (CENTRE, q[0] * np.array([1.0, 0, 0])),
-        (CENTRE, q[1] * np.array([0, 0, 1.0])),
+        (CENTRE, q[0] * np.array([1.0, 0, 0])), (CENTRE, q[1] * np.array([0, 0, 1.0])),
         ((0, -0.1, 0), q[2] * np.array([0, 1.0, 0])),
-    )
+    )  # fmt: skip
     frame = chain((origin - [0, -0.1, 0], np.zeros(3)))
     np.testing.assert_allclose(head.base_pose(q), neck @ frame, atol=1e-15)
     q[5] = q[3]  # one tilt carries both eyes

@@ -42,8 +42,6 @@ def test_what_is_no_response_is_refused():
         "sRGB!", "0,x,1", 0.0, -2.2, float("nan"), True, None, [0.0, 0.5], [0.0, 0.6, 0.5, 1.0],
         [1.0],
     ):  # fmt: skip
-        with (
-            named(value),
-            pytest.raises(ConfigurationError, match="response: expected 'linear', 'srgb', a gamma"),
-        ):
+        said = "response: expected 'linear', 'srgb', a gamma"
+        with named(value), pytest.raises(ConfigurationError, match=said):
             parse_response(value)

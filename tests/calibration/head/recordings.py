@@ -8,16 +8,7 @@ from vergence.recording.writer import LogWriter
 
 
 def log_frames(path, head, frames, *, order=None, skew_s=0.0, **facts):
-    """Write frames as a robot's log.
-
-    Args:
-        path: path of the new log.
-        head: recorded head.
-        frames: `HeadFrames`.
-        order: indices of the frames to write, in order; all by default.
-        skew_s: delay of the right eye's images against the left eye's, s.
-        **facts: further facts; target and at_rest are by default those of the frames.
-    """
+    """Write frames in an order as a robot's log; the right eye's images are `skew_s` late."""
     facts = {"target": str(frames.target), "at_rest": "True"} | facts
     with LogWriter(path, head=head, facts=facts) as log:
         for frame in range(len(frames.time_s)) if order is None else order:
@@ -27,18 +18,13 @@ def log_frames(path, head, frames, *, order=None, skew_s=0.0, **facts):
 
 
 def log_view(log, frames, eye, frame, time_s):
-    """Write what one eye saw in a frame."""
     nothing, missing = np.empty((0, 2)), np.full(2, np.nan)
     seen = frames.seen[eye, frame].any()
     log.detection(
         LoggedDetection(
-            eye=EYE_NAMES[eye],
-            exposed_s=time_s,
-            ready_s=time_s + 0.01,
-            positions=frames.joint_positions[frame],
-            point_px=missing,
-            sigma_px=missing,
+            eye=EYE_NAMES[eye], exposed_s=time_s, ready_s=time_s + 0.01,
+            positions=frames.joint_positions[frame], point_px=missing, sigma_px=missing,
             corners_px=frames.pixels[eye, frame] if seen else nothing,
             corners_sigma_px=frames.sigma[eye, frame] if seen else nothing,
         )
-    )
+    )  # fmt: skip

@@ -54,27 +54,18 @@ def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
     chain = ParametricHead(about, values)
     points, turned = board_points_and_offsets(corners, boards, np.zeros(len(q), dtype=int))
     seen = chain.project_board(eye, q, points, turned)
-    np.testing.assert_allclose(
-        seen.pixels, pixels(about, values, q, corners, boards)[:, :, eye], atol=1e-9
-    )
+    expected = pixels(about, values, q, corners, boards)[:, :, eye]
+    np.testing.assert_allclose(seen.pixels, expected, atol=1e-9)
     by_head = np.zeros((*seen.pixels.shape, len(values)))
     by_head[..., chain.eye_parameter_indices[eye]] = seen.head_jacobian
-    assert_derivative(
-        by_head,
-        by_differences(
-            lambda step: pixels(about, values + step, q, corners, boards)[:, :, eye], len(values)
-        ),
-    )
+
+    def at(values, q, boards):
+        return pixels(about, values, q, corners, boards)[:, :, eye]
+
+    expected = by_differences(lambda step: at(values + step, q, boards), len(values))
+    assert_derivative(by_head, expected)
     there = np.array([bool(name) for name in about.joints])
-    assert_derivative(
-        seen.joint_jacobian[..., there],
-        by_differences(lambda step: pixels(about, values, q + step, corners, boards)[:, :, eye], 7)[
-            ..., there
-        ],
-    )
-    assert_derivative(
-        seen.board_jacobian,
-        by_differences(
-            lambda step: pixels(about, values, q, corners, boards.moved(step[None]))[:, :, eye], 6
-        ),
-    )
+    expected = by_differences(lambda step: at(values, q + step, boards), 7)
+    assert_derivative(seen.joint_jacobian[..., there], expected[..., there])
+    expected = by_differences(lambda step: at(values, q, boards.moved(step[None])), 6)
+    assert_derivative(seen.board_jacobian, expected)

@@ -18,9 +18,8 @@ HEAD = vergence.load_head("physical")
 @pytest.fixture(scope="module")
 def frames():
     true = HEAD.perturbed(np.random.default_rng(1), TWIN_SPREADS)
-    return simulate_recording(
-        HEAD, true, np.random.default_rng(2), poses=12, frames_per_pose=3
-    ).frames
+    rng = np.random.default_rng(2)
+    return simulate_recording(HEAD, true, rng, poses=12, frames_per_pose=3).frames
 
 
 @pytest.mark.nightly

@@ -33,9 +33,8 @@ def seen_by(name, *, distances_m=(0.7,), poses=20, **options):
         true, true, np.random.default_rng(1), poses=poses, frames_per_pose=2, noise_px=0.0,
         distances_m=distances_m, **options,
     )  # fmt: skip
-    frames = dataclasses.replace(
-        seen.frames, joint_positions=seen.true_q, sigma=np.full_like(seen.frames.sigma, SIGMA_PX)
-    )
+    sigma = np.full_like(seen.frames.sigma, SIGMA_PX)
+    frames = dataclasses.replace(seen.frames, joint_positions=seen.true_q, sigma=sigma)
     return true, true.replace(head_eye=head_eye), frames
 
 
@@ -114,17 +113,13 @@ def test_noise_of_corners_and_encoders_leaves_a_tenth_of_a_degree():
 def test_reprojection_finds_both_exactly_and_leaves_the_rest_of_the_head():
     true, head, frames = seen_by("physical")
     noisy = solve_each_eye(head, frames)
-    start = noisy._replace(head_eye=noisy.head_eye @ _nudge())
+    nudge = np.eye(4)
+    nudge[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.01]).as_matrix()
+    nudge[:3, 3] = [0.002, -0.001, 0.002]
+    start = noisy._replace(head_eye=noisy.head_eye @ nudge)
     found = refine_by_reprojection(head, frames, start)
     assert_found(found, true, 1e-7)
     assert found.rms_px < 1e-4
-
-
-def _nudge():
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.01]).as_matrix()
-    pose[:3, 3] = [0.002, -0.001, 0.002]
-    return pose
 
 
 def test_what_tells_no_pose_is_refused():

@@ -57,9 +57,8 @@ def gaps(seed):
     by_head, by_point = np.zeros((60, 4, len(SPREADS))), np.zeros((60, 4, 3))
     for eye in range(2):
         seen = chain.project_board(eye, q, there, there)
-        by_head[:, 2 * eye : 2 * eye + 2, chain.eye_parameter_indices[eye]] = seen.head_jacobian[
-            :, 0
-        ]
+        own = chain.eye_parameter_indices[eye]
+        by_head[:, 2 * eye : 2 * eye + 2, own] = seen.head_jacobian[:, 0]
         by_point[:, 2 * eye : 2 * eye + 2] = seen.board_jacobian[:, 0, :, 3:]
     # what is left of four pixels once the point may be anywhere
     across = np.linalg.svd(by_point)[0][:, :, 3:]

@@ -27,10 +27,8 @@ BOARD = parse_target("checkerboard:9x6:24")
 
 @pytest.fixture(scope="module")
 def frames():
-    """Eight poses of three frames."""
-    return simulate_recording(
-        HEAD, HEAD, np.random.default_rng(1), poses=8, frames_per_pose=3
-    ).frames
+    rng = np.random.default_rng(1)
+    return simulate_recording(HEAD, HEAD, rng, poses=8, frames_per_pose=3).frames
 
 
 def assert_same(read, frames):
@@ -94,9 +92,7 @@ def test_places_of_the_board_have_numbers_without_gaps(tmp_path, frames):
     assert found.placement.tolist() == [0] * 12 + [1] * 12
 
 
-def test_an_eye_that_does_not_see_the_board_is_nan_and_a_frame_without_it_is_left_out(
-    tmp_path, frames
-):
+def test_an_eye_without_the_board_is_nan_and_no_frame_lacks_it(tmp_path, frames):
     pixels = frames.pixels.copy()
     pixels[1, 0] = pixels[:, 1] = np.nan
     half = type(frames)(
@@ -206,14 +202,10 @@ def photographs(tmp_path_factory) -> Path:
         for eye, image in zip(("left", "right"), looker.images, strict=True):
             cv2.imwrite(str(folder / eye / f"{number}.png"), image)
         rows.append([f"{number}.png", *np.rad2deg(sight.positions), 0, POSES - number])
-    write_table(folder, rows)
-    return folder
-
-
-def write_table(folder, rows):
     names = [f"{name}_deg" for name in SMALL.joints]
     with (folder / "joints.csv").open("w", newline="") as file:
         csv.writer(file).writerows([["pair", *names, "placement", "time_s"], *rows])
+    return folder
 
 
 @pytest.fixture
@@ -272,9 +264,8 @@ def test_a_photograph_of_nothing_and_one_without_a_partner_are_told(photographs,
 
 def test_a_tag_is_a_board_of_photographs_too(tmp_path):
     tag = parse_target("tag:36h11:0:120")
-    looker = SimulatedLooker(
-        SMALL, tag, board_ahead(SMALL, tag, 0.7), np.random.default_rng(2), drawn=True
-    )
+    pose = board_ahead(SMALL, tag, 0.7)
+    looker = SimulatedLooker(SMALL, tag, pose, np.random.default_rng(2), drawn=True)
     sight = looker.look(SMALL.rest())
     for eye, image in zip(("left", "right"), looker.images, strict=True):
         (tmp_path / eye).mkdir()

@@ -36,7 +36,6 @@ MORE = {"target": "checkerboard:5x4:40", "poses": 16, "frames_per_pose": 4}
 
 
 def recorded(true=TRUE, faults=None, options=FEW):
-    """Frames of a head."""
     rng = np.random.default_rng(8)
     return simulate_recording(HEAD, true, rng, reading_errors=faults, **options).frames
 
@@ -57,12 +56,8 @@ def depth_error(found, true=TRUE, faults=None):
         read = q - faults.output_angles(read, read[0])[0] + read
     reading_terms = found.solution.problem.terms
     here = replace(reading_terms, actuator_readings=read, frame_index=np.arange(len(read)))
-    mine = (
-        read
-        + here.evaluate(
-            np.where(reading_terms.is_backlash, 0.0, found.solution.state.term_parameters)
-        )[0]
-    )
+    told = np.where(reading_terms.is_backlash, 0.0, found.solution.state.term_parameters)
+    mine = read + here.evaluate(told)[0]
     points = triangulate_views(found.head, mine, true.project(q, POINTS)).point
     return np.sqrt(np.mean((points - POINTS)[:, 2] ** 2))
 
@@ -73,12 +68,8 @@ FAULTS = {"play": (TRUE, PLAY), "harmonics": (TRUE, WAVES), "axes": (turned(), N
 @pytest.fixture(scope="module")
 def knowing():
     """Calibrations of a head by its fault, with its term; the axes are chosen."""
-    return {
-        fault: calibrate_head(
-            HEAD, recorded(*FAULTS[fault]), terms=(AUTO if fault == "axes" else fault,)
-        )
-        for fault in FAULTS
-    }
+    terms = {"play": ("play",), "harmonics": ("harmonics",), "axes": (AUTO,)}
+    return {one: calibrate_head(HEAD, recorded(*FAULTS[one]), terms=terms[one]) for one in FAULTS}
 
 
 @pytest.mark.slow
@@ -100,11 +91,8 @@ def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
     p = problem.common_count - len(values)
     slope = normal(values).gradient[p : problem.common_count]
     ways = np.random.default_rng(3).standard_normal((3, len(values)))  # of all numbers at once
-    differences = [
-        (normal(values + step).cost - normal(values - step).cost) / (4.0 * STEP)
-        for step in STEP * ways
-    ]
-    np.testing.assert_allclose(ways @ slope, differences, rtol=1e-5)
+    differences = [normal(values + s).cost - normal(values - s).cost for s in STEP * ways]
+    np.testing.assert_allclose(ways @ slope, np.divide(differences, 4.0 * STEP), rtol=1e-5)
 
 
 @pytest.mark.slow

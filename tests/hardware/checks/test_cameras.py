@@ -1,6 +1,4 @@
-"""Checks of both cameras, on captures without devices whose time passes by their own images, and
-their command.
-"""
+"""Checks of both cameras, on captures whose time passes by their own images, and their command."""
 
 import threading
 
@@ -20,8 +18,6 @@ ASKED = {"size": (640, 480), "frame_rate_hz": 30.0}
 
 
 class ThreadClock(threading.local):
-    """Time that each thread lets pass by itself."""
-
     now = 100.0
 
     def __call__(self):
@@ -97,10 +93,7 @@ def test_cameras_with_nothing_wrong_have_no_findings():
 FOUND = [
     ({"size": (320, 240)}, "expected images of 640 x 480, as the head has them, got 320 x 240", 0),
     ({"rate_hz": 23.0}, "expected 30 images a second, got 23", 0),
-    ({"rate_hz": 0.0}, "expected images from the camera 2, got none", 0),
     ({"set_hz": 25.0}, "expected the setting of 30 images a second to be kept, got 25", 1),
-    ({"pixel_format": "YUYV"}, "expected the pixel format MJPG, got YUYV", 1),
-    ({"locked": 3}, "expected an exposure locked to 0.008 s, got automatic, 0.008 s", 1),
     ({"exposure_s": 0.02}, "expected an exposure locked to 0.008 s, got locked, 0.02 s", 1),
     ({"error": "2: no such device"}, "expected a camera, got 2: no such device", 0),
 ]
@@ -140,16 +133,6 @@ def test_a_camera_that_starts_only_alone_is_the_controllers_limit():
     _states, found = desk.check()
     (finding,) = found
     assert "cameras.right 0 (30 alone)" in finding.problem
-
-
-def test_the_cures_of_a_stream_are_those_of_its_server():
-    request = CameraRequest(name="left", source="http://left", **ASKED, exposure_s=0.01)
-    for wrong in ({"rate_hz": 12.0}, {"rate_hz": 0.0}, {"size": (320, 240)}):
-        desk = Desk(**{"athttp://left": wrong})
-        _states, (finding,) = check_cameras([request], open=desk.open_capture, clock=desk.clock)
-        for word in ("v4l2-ctl", "MJPG", "exposure", "cable"):
-            assert word not in finding.cure, wrong
-        assert finding.cure
 
 
 def test_a_streams_settings_are_not_judged():

@@ -31,9 +31,8 @@ def test_a_reading_is_dated_to_within_its_exchange():
     for at_s in range(50):  # measured within 3 ms
         collector.joints(float(at_s), np.zeros(7), np.zeros(7))
     late_s = np.random.default_rng(0).uniform(0.0, 0.003, 10_000)
-    assert collector.samples("left", 3, 0.0).joint_time_sigma_s == pytest.approx(
-        np.sqrt(np.mean(late_s**2)), rel=0.02
-    )
+    sigma_s = collector.samples("left", 3, 0.0).joint_time_sigma_s
+    assert sigma_s == pytest.approx(np.sqrt(np.mean(late_s**2)), rel=0.02)
 
 
 def measured(monkeypatch, motors, actuator):

@@ -46,9 +46,8 @@ def test_a_jitter_that_was_not_told_is_left_out_and_said():
 def test_what_only_the_prior_knows_has_the_priors_deviation():
     data, before = np.array([[2.0, 0.0]] * 40), np.array([[0.0, 5.0]])
     residual = np.append(np.random.default_rng(0).normal(size=40), 0.0)
-    found = jackknife_covariance(
-        np.concatenate([data, before]), residual, np.arange(40) // 4, loss_scale=1e6, prior_count=1
-    )
+    rows, blocks = np.concatenate([data, before]), np.arange(40) // 4
+    found = jackknife_covariance(rows, residual, blocks, loss_scale=1e6, prior_count=1)
     assert found[1, 1] == pytest.approx(0.2**2)
     assert found[0, 0] == pytest.approx(1.0 / (4.0 * 40), rel=0.6)
 

@@ -38,12 +38,6 @@ def test_what_is_written_is_read(serve, connect):
         bus.write(1, table.TORQUE_ENABLE, 256)
 
 
-def test_a_sync_write_reaches_each_servo(serve, connect):
-    bus = connect(serve([make_servo(1), make_servo(2)]))
-    bus.sync_write(table.GOAL_VELOCITY, {1: -5, 2: 7})
-    assert [bus.read(id, table.GOAL_VELOCITY) for id in (1, 2)] == [-5, 7]
-
-
 def test_a_sync_read_keeps_those_that_answer(serve, connect):
     servos = [make_servo(id, position_rad=0.1 * id) for id in (1, 2, 3)]
     servos[1].silent = True

@@ -47,11 +47,6 @@ def test_every_model_has_these_units():
             assert ["value_of_zero_radian_position", str(control_table.CENTRE_TICKS)] in cells
 
 
-def test_negative_numbers_come_back():
-    register = control_table.GOAL_VELOCITY
-    assert register.decode(register.encode(-265)) == -265
-
-
 def test_a_tripped_watchdog_reads_as_all_ones():
     tripped = control_table.BUS_WATCHDOG.encode(control_table.WATCHDOG_TRIPPED)
     assert tripped == b"\xff"

@@ -14,8 +14,6 @@ POINT = np.array([0.0, -0.1, 1.0])
 
 
 class Served:
-    """A world behind its server, at a time that the test sets."""
-
     def __init__(self, name="turrets", clock=None):
         self.clock = clock or FakeClock()
         self.world = World(load_head(name), POINT)

@@ -78,14 +78,12 @@ class Rig:
             thread.start()
 
     def ask(self, request):
-        """Stand for the world."""
         if self.over:
             raise HardwareError("over")
         state = {name: [0.0] for name in ("positions", "velocities", "target", "target_velocity")}
         return {**state, "target_axes": None, "faults": self.faults}
 
     def draw(self, *_words):
-        """Stand for the views."""
         self.drawn += 1
         image = np.full((32, 32), self.drawn % 200, np.uint8)  # more than the corner with noise
         return image, image.copy()
@@ -98,7 +96,6 @@ class Rig:
         return urllib.request.urlopen(f"{self.url}/{eye}?images={images}", timeout=5.0)
 
     def pictures(self, eye, images):
-        """Mean brightness of some images."""
         parts = self.open(eye, images).read().split(b"\xff\xd8")[1:]
         arrays = [np.frombuffer(b"\xff\xd8" + part, np.uint8) for part in parts]
         return [cv2.imdecode(one, cv2.IMREAD_GRAYSCALE).mean() for one in arrays]

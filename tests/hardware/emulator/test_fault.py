@@ -44,30 +44,27 @@ def test_what_is_no_fault_is_refused_with_what_there_is():
         ({"what": "late", "eye": "middle"}, r"fault\.eye: expected one of left, right, both"),
         ({"what": "late", "eye": "left", "ids": [1]}, r"fault\.ids: .* what, eye, for_s, value"),
         ({"what": "voltage"}, r"fault\.value: expected V"),
-        ({"what": "lost", "at_s": 1.0}, r"fault\.at_s: "),
-        (5, "fault: expected a table"),
-    ):
+        ({"what": "lost", "at_s": 1.0}, r"fault\.at_s: "), (5, "fault: expected a table"),
+    ):  # fmt: skip
         with named(values), pytest.raises(HeadFileError, match=said):
             parse_fault(values, IDS, timed=False)
 
 
 def test_a_script_says_when_faults_begin(tmp_path):
     path = tmp_path / "faults.toml"
-    path.write_text(
-        '[[fault]]\nwhat = "lost"\nat_s = 2\nids = [3]\n[[fault]]\nwhat = "unplug"\nat_s = 5'
-    )
+    first, second = 'what = "lost"\nat_s = 2\nids = [3]', 'what = "unplug"\nat_s = 5'
+    path.write_text(f"[[fault]]\n{first}\n[[fault]]\n{second}")
     assert [(one.what, one.at_s) for one in load_faults(path, IDS)] == [("lost", 2), ("unplug", 5)]
 
 
 def test_a_wrong_script_is_refused_in_a_line_before_anything_starts(capsys, tmp_path):
     path = tmp_path / "faults.toml"
     for text, said in (
-        ("[[fault", "no TOML"),
-        ("", "fault: expected tables"),
+        ("[[fault", "no TOML"), ("", "fault: expected tables"),
         ('[[fault]]\nwhat = "lost"', "fault[0].at_s: expected seconds since torque"),
         ('[[fault]]\nwhat = "lost"\nat_s = 1\nids = [9]', "fault[0].ids: "),
         ('[[faults]]\nwhat = "lost"\nat_s = 1', "is it meant by faults?"),
-    ):
+    ):  # fmt: skip
         path.write_text(text)
         with named(text):
             assert call("emulate", "--faults", str(path)) == 2

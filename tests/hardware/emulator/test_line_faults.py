@@ -16,7 +16,6 @@ def sent(*faults, seed=0):
 
 
 def heard(data):
-    """Ids of the answers that a parser finds."""
     return [packet.id for packet in PacketParser().feed(data)]
 
 

@@ -9,7 +9,6 @@ ACCELERATION, LAG_S = 80.0, 0.03
 
 
 def turning(speed_rad_s=0.0, **options):
-    """A servo with torque in velocity mode, and its goal set."""
     servo = EmulatedServo(1, lag_s=LAG_S, acceleration=ACCELERATION, max_speed=6.0, **options)
     servo.advance_to(0.0)
     servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)

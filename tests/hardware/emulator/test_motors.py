@@ -23,7 +23,6 @@ def turn(world, ticks, now_s):
 
 
 def made(**motors):
-    """A world whose servos have torque in velocity mode."""
     world = World(HEAD, POINT, MotorOptions(**motors))
     world.advance_to(0.0)
     for servo in world.line.servos:

@@ -24,7 +24,6 @@ at_s = 2.0
 
 
 def speak_until_gone(bus):
-    """Time of the last answer before the line was gone."""
     spoken_s = time.monotonic()
     try:
         while True:

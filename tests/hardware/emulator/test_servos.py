@@ -103,14 +103,13 @@ def test_writes_under_torque_are_checked():
     for register, value, error in (
         (table.OPERATING_MODE, 1, ErrorNumber.ACCESS),
         (table.PRESENT_POSITION, 0, ErrorNumber.ACCESS),
-        (table.HARDWARE_ERROR_STATUS, 0, ErrorNumber.ACCESS),
-        (table.GOAL_VELOCITY, 265, 0),
+        (table.HARDWARE_ERROR_STATUS, 0, ErrorNumber.ACCESS), (table.GOAL_VELOCITY, 265, 0),
         (table.GOAL_VELOCITY, -266, ErrorNumber.DATA_LIMIT),
         (table.TORQUE_ENABLE, 2, ErrorNumber.DATA_RANGE),
         (table.BUS_WATCHDOG, -1, ErrorNumber.DATA_RANGE),
         (table.GOAL_VELOCITY._replace(length=2), 1, ErrorNumber.DATA_LENGTH),
         (table.Register("BEHIND", 660, 2), 0, ErrorNumber.DATA_RANGE),
-    ):
+    ):  # fmt: skip
         line = turning()
         before = bytes(line.servos[0].memory.bytes)
         with named(register.name, value):
@@ -156,9 +155,7 @@ def test_no_packet_is_too_odd_to_answer(id, instruction, params):
     assert all(PacketParser().feed(answer.data) for answer in answers)
 
 
-@pytest.mark.parametrize(
-    ("goal", "stops"), [(0, 1.0), (100, 1.0), (100, 1e9)], ids=["rest", "stop", "wheel"]
-)
+@pytest.mark.parametrize(("goal", "stops"), [(0, 1.0), (100, 1.0), (100, 1e9)])
 def test_a_pause_of_an_hour_takes_few_steps(goal, stops, monkeypatch):
     line = turning(goal, lower=-stops, upper=stops, speed_filter_s=0.05)
     step = Mock(side_effect=line.servos[0]._step)

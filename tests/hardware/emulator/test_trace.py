@@ -21,12 +21,6 @@ def rest(line, since_s):
     return rest_start_and_top_speed([servo.trace for servo in line.servos], since_s)
 
 
-def test_a_joint_that_turns_is_not_at_rest():
-    line = stopping()
-    line.advance_to(1.05)
-    assert rest(line, 1.0)[0] is None
-
-
 def test_rest_begins_when_the_speed_falls_below_a_step():
     line = stopping()
     line.advance_to(5.0)

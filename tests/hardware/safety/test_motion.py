@@ -72,15 +72,10 @@ def test_a_request_within_all_bounds_is_the_command():
     assert (limited == requested).all()
 
 
-def corner(lower, upper):
-    """A forbidden posture of the left eye's pan and tilt."""
-    return ForbiddenPosture(
-        name="the frame", slots=(3, 4), lower=np.array(lower), upper=np.array(upper)
-    )
-
-
 def test_an_eye_slides_along_a_forbidden_posture():
-    config = SafetyConfig(forbidden=(corner([0.5, -1.0], [1.0, 0.6]),))
+    lower, upper = np.array([0.5, -1.0]), np.array([1.0, 0.6])
+    frame = ForbiddenPosture(name="the frame", slots=(3, 4), lower=lower, upper=upper)
+    config = SafetyConfig(forbidden=(frame,))
     requested = np.zeros(7)
     requested[3], requested[4] = 1.0, 0.25
     end = drive(requested, config=config)

@@ -14,12 +14,7 @@ LEFT_PAN = np.eye(7)[3]
 
 
 class Robot:
-    """A robot whose joints and sensors do as they are told, in simulated time.
-
-    Args:
-        follows: gives the joints' speeds for the commands.
-        **bounds: fields of `SafetyConfig`.
-    """
+    """A robot in simulated time; `follows` gives its joints' speeds for the commands."""
 
     def __init__(self, follows=lambda sent: sent, **bounds):
         limits = HEAD.actuation.lower, HEAD.actuation.upper
@@ -106,7 +101,6 @@ def test_a_camera_without_images_stops():
 @pytest.mark.parametrize(
     ("gain", "speed", "bound_s"),
     [(0.0, 1.0, 0.8), (-1.0, 1.0, 0.8), (3.0, 1.0, 0.8), (0.0, 0.04, 5.0), (-1.0, 0.06, 5.0)],
-    ids=["stuck", "the wrong way", "much too far", "slow and stuck", "slow and the wrong way"],
 )
 def test_a_joint_that_does_not_follow_stops(gain, speed, bound_s):
     robot = Robot(lambda sent: gain * sent)
@@ -137,9 +131,8 @@ def test_a_joint_that_is_pushed_beyond_its_limit_stops():
 
 
 def test_a_forbidden_posture_stops():
-    frame = ForbiddenPosture(
-        name="the frame", slots=(3, 4), lower=np.full(2, -0.1), upper=np.full(2, 0.1)
-    )
+    far = np.full(2, 0.1)
+    frame = ForbiddenPosture(name="the frame", slots=(3, 4), lower=-far, upper=far)
     robot = Robot(forbidden=(frame,))
     robot.step()
     assert "'the frame'" in robot.supervisor.fault

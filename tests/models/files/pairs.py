@@ -30,15 +30,10 @@ def write_opencv(path: Path, values: dict[str, Any]) -> Path:
 def opencv_pair(**changes: Any) -> dict[str, Any]:
     """Values written by a program around `cv2.stereoCalibrate`; values of None are left out."""
     values: dict[str, Any] = {
-        "cameraMatrix1": K_LEFT,
-        "distCoeffs1": D_LEFT.reshape(1, -1),
-        "cameraMatrix2": K_RIGHT,
-        "distCoeffs2": D_RIGHT.reshape(1, -1),
-        "R": R,
-        "T": T.reshape(3, 1),
-        "image_width": SIZE[0],
+        "cameraMatrix1": K_LEFT, "distCoeffs1": D_LEFT.reshape(1, -1), "cameraMatrix2": K_RIGHT,
+        "distCoeffs2": D_RIGHT.reshape(1, -1), "R": R, "T": T.reshape(3, 1), "image_width": SIZE[0],
         "image_height": SIZE[1],
-    } | changes
+    } | changes  # fmt: skip
     return {key: value for key, value in values.items() if value is not None}
 
 
@@ -48,15 +43,13 @@ def _rows(matrix: np.ndarray) -> str:
     return f"\n  rows: {rows}\n  cols: {cols}\n  data: [{data}]\n"
 
 
-def camera_info(
-    path: Path, eye: int, model: str = "plumb_bob", distortion: np.ndarray | None = None
-) -> Path:
+def camera_info(path: Path, eye: int) -> Path:
     """Write the file of one camera as ROS's camera_calibration does."""
     k, d = ((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))[eye]
     path.write_text(
         f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: pair/{path.stem}\n"
-        f"camera_matrix:{_rows(k)}distortion_model: {model}\n"
-        f"distortion_coefficients:{_rows(d if distortion is None else distortion)}"
+        f"camera_matrix:{_rows(k)}distortion_model: plumb_bob\n"
+        f"distortion_coefficients:{_rows(d)}"
         f"rectification_matrix:{_rows(RECTIFIED[eye])}"
         f"projection_matrix:{_rows(RECTIFIED[2 + eye])}",
         encoding="utf-8",
@@ -65,7 +58,6 @@ def camera_info(
 
 
 def camchain(path: Path, model: str = "radtan") -> Path:
-    """Write a pair as kalibr does."""
     lines = []
     for eye, (k, d) in enumerate(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))):
         lines.append(f"cam{eye}:")

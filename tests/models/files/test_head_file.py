@@ -20,7 +20,6 @@ from vergence.models.files.head_toml import head_to_toml
 
 @pytest.fixture
 def content(physical) -> dict:
-    """The physical head's file, taken apart."""
     return tomllib.loads(head_to_toml(physical))
 
 
@@ -31,20 +30,15 @@ def parse(content: dict):
 def changed(content: dict, key: str, value: object) -> dict:
     """A copy in which a key has another value, or is missing if that is `...`."""
     fresh = copy.deepcopy(content)
-    table, name = table_of(fresh, key)
-    if value is ...:
-        del table[name]
-    else:
-        table[int(name) if name.isdigit() else name] = value
-    return fresh
-
-
-def table_of(content: dict, key: str) -> tuple[dict, str]:
-    """The table that holds a dotted key such as `links[1].d_m`, and the key's last part."""
     *path, last = key.replace("[", ".").replace("]", "").split(".")
+    table = fresh
     for name in path:
-        content = content[int(name) if name.isdigit() else name]
-    return content, last
+        table = table[int(name) if name.isdigit() else name]
+    if value is ...:
+        del table[last]
+    else:
+        table[int(last) if last.isdigit() else last] = value
+    return fresh
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones():
@@ -300,7 +294,6 @@ class TestCameras:
             ({"lens": 5}, "eyes[1].lens", "one of pinhole, brown-conrady, rational"),
             ({"lens": "fisheye"}, "eyes[1].distortion", "list of 4 numbers"),
             ({"lens": "rational"}, "eyes[1].distortion", "list of 8 numbers"),
-            ({"distortion": [0.1] * 8}, "eyes[1].distortion", "5 numbers, or lens = .rational."),
             ({"distortion": [12.0, 0, 0, 0, 0]}, "eyes[1].distortion[0]", "below 10 in size"),
             ({"response": "sRBG"}, "eyes[1].response", "'linear', 'srgb', a gamma"),
             ({"response": [0.0, 0.5]}, "eyes[1].response", "rising from 0 to 1"),
@@ -334,10 +327,8 @@ def test_another_unit_is_asked_after_only_where_it_would_explain_the_value():
         ("lower_rad = -0.9", "lower_rad = -51.6", "joints[0].lower_rad", "radians", True),
         ("lower_rad = -0.9", "lower_rad = nan", "joints[0].lower_rad", "radians", False),
         ("lower_rad = -0.9", "lower_rad = '-0.9'", "joints[0].lower_rad", "radians", False),
-        ("velocity_rad_s = 5.0", "velocity_rad_s = 300", "joints[0].velocity_rad_s", "rad/s", True),
         ("velocity_rad_s = 5.0", "velocity_rad_s = -5", "joints[0].velocity_rad_s", "rad/s", False),
         ("velocity_rad_s = 5.0\n", "", "joints[0].velocity_rad_s", "rad/s", False),
-        ("latency_s = 0.0", "latency_s = 66", "timing.latency_s", "seconds", True),
         ("latency_s = 0.0", "latency_s = -1.0", "timing.latency_s", "seconds", False),
     ]:
         with named(old, new, key, expected, hint):
@@ -365,9 +356,6 @@ def test_a_pinhole_is_a_lens_without_distortion():
         head = parse_head(text.replace(zeros, lens))
         assert head.digest == plain.digest
         assert parse_head(head_to_toml(head)).digest == plain.digest
-    bent = text.replace(zeros, 'lens = "pinhole"\ndistortion = [0.1, 0.0, 0.0, 0.0, 0.0]')
-    with pytest.raises(HeadFileError, match="zeros, or no such key"):
-        parse_head(bent)
 
 
 def test_a_file_that_is_not_there_and_a_folder_are_told_first(tmp_path):

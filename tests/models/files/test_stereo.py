@@ -38,13 +38,11 @@ def check(pair, atol=1e-12, coefficients=5):
 
 
 def written(path, values):
-    """A JSON file of values."""
     path.write_text(json.dumps(values), encoding="utf-8")
     return path
 
 
 def info_pair(folder):
-    """Files of a left and a right camera, as ROS writes them."""
     return [camera_info(folder / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
 
 
@@ -57,10 +55,8 @@ def test_a_file_that_opencv_writes_is_read_in_each_of_its_formats(tmp_path):
 def test_the_two_files_of_opencvs_stereo_sample_are_read_together(tmp_path):
     intrinsics = {"M1": K_LEFT, "D1": D_LEFT, "M2": K_RIGHT, "D2": D_RIGHT}
     extrinsics = {"R": R, "T": T, "R1": np.eye(3), "R2": np.eye(3), "Q": np.eye(4)}
-    paths = [
-        write_opencv(tmp_path / "intrinsics.yml", intrinsics),
-        write_opencv(tmp_path / "extrinsics.yml", extrinsics),
-    ]
+    paths = [write_opencv(tmp_path / "intrinsics.yml", intrinsics)]
+    paths.append(write_opencv(tmp_path / "extrinsics.yml", extrinsics))
     check(read_stereo(paths, size=SIZE))
     check(read_stereo(paths[::-1], size=SIZE))
 
@@ -192,8 +188,7 @@ def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path):
         ({"image_width": None}, "--size WIDTHxHEIGHT"),
         ({"image_width": 300}, "principal point inside the image of 300 x 480"),
         ({"R": None}, r"expected the rotation R .* got .*: T alone"),
-        ({"R": None, "T": None}, "got neither"),
-        ({"R": 1.01 * R}, "expected a rotation matrix"),
+        ({"R": None, "T": None}, "got neither"), ({"R": 1.01 * R}, "expected a rotation matrix"),
         ({"R": -R}, "expected a rotation matrix"),
         ({"R": np.eye(2)}, "expected a rotation of 3 x 3 numbers"),
         ({"T": np.zeros(3)}, "how large the squares are"),
@@ -206,7 +201,7 @@ def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path):
         ({"distCoeffs1": np.zeros((1, 6))}, "4, 5, 8, 12 or 14 distortion coefficients"),
         ({"distCoeffs1": np.full((1, 12), 0.01)}, "thin prism"),
         ({"distortion_model": "omni"}, "expected a lens model"),
-    ]:
+    ]:  # fmt: skip
         with named(changes, said):
             path = write_opencv(tmp_path / "pair.yml", opencv_pair(**changes))
             with pytest.raises(ConfigurationError, match=said) as caught:
@@ -274,7 +269,6 @@ def test_brackets_in_texts_are_of_no_matter(tmp_path):
 
 
 def message(path, more: str):
-    """A camera_info file with more in it."""
     camera_info(path, 0)
     path.write_text(path.read_text("utf-8") + more, encoding="utf-8")
     return path
@@ -328,7 +322,6 @@ def test_a_principal_point_far_from_the_middle_asks_about_the_size(tmp_path):
 
 
 def camera(**more):
-    """A calibration of one camera."""
     return {"image_size": list(SIZE), "K": K_LEFT.tolist(), "D": D_LEFT.tolist()} | more
 
 
@@ -337,8 +330,7 @@ def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(tmp_path)
         ({"xi": 1.27}, "xi: .* an omnidirectional lens"),
         ({"mirror_parameters": {"xi": 0.9}}, r"mirror_parameters\.xi: .* an omnidirectional lens"),
         ({"alpha": 0.6, "beta": 1.1}, "alpha: .* skew, or a lens of another model"),
-        ({"alpha_c": 0.001}, "alpha_c: .* skew"),
-        ({"mirror": True}, "mirror: .* mirrored images"),
+        ({"alpha_c": 0.001}, "alpha_c: .* skew"), ({"mirror": True}, "mirror: .* mirrored images"),
         ({"flip_left": "horizontal"}, "flip_left: .* mirrored images"),
         ({"rotate": 180}, "rotate: .* turned images"),
         ({"camera_model": "omni", "distortion_model": "radtan"}, "camera_model: .* got 'omni'"),
@@ -346,7 +338,7 @@ def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(tmp_path)
         ({"model": "double_sphere"}, "model: .* not supported"),
         ({"lens_type": "FOV"}, "lens_type: .* not supported"),
         ({"fisheye": True, "distortion_model": "plumb_bob"}, "fisheye and .* one lens model"),
-    ]:
+    ]:  # fmt: skip
         with named(more, said), pytest.raises(ConfigurationError, match=said):
             read_intrinsics([written(tmp_path / "one.json", camera(**more))])
 
@@ -360,12 +352,11 @@ def test_such_a_value_that_changes_nothing_is_accepted(tmp_path):
 def test_the_lens_model_is_read_under_the_names_of_other_programs(tmp_path):
     four = {"D": [0.1, 0.02, 1e-3, 2e-3]}
     for more, lens in [
-        ({"model": "OPENCV_FISHEYE"}, "fisheye"),
-        ({"model_type": "KANNALA_BRANDT"}, "fisheye"),
+        ({"model": "OPENCV_FISHEYE"}, "fisheye"), ({"model_type": "KANNALA_BRANDT"}, "fisheye"),
         ({"Camera.type": "KannalaBrandt8", "camera_type": "KannalaBrandt8"}, "fisheye"),
         ({"camera_model": "pinhole-equi"}, "fisheye"),
         ({"camera_model": "pinhole", "distortion_type": "radial-tangential"}, "brown-conrady"),
-    ]:
+    ]:  # fmt: skip
         with named(more, lens):
             both = read_intrinsics([written(tmp_path / "one.json", camera(**four, **more))])
             assert both.left.lens == lens

@@ -2,8 +2,6 @@
 
 import tomllib
 
-from vergence.models import load_head
-from vergence.models.files.head_toml import head_to_toml
 from vergence.models.files.toml_text import toml_text
 
 
@@ -22,9 +20,3 @@ def test_a_short_list_is_on_one_line_and_everything_is_read_back():
     assert "    [1.0, 0.0, 0.0]," in lines
     assert "values = [1, 2]" in lines
     assert max(map(len, lines)) <= 100
-
-
-def test_a_head_has_its_vectors_on_one_line():
-    lines = head_to_toml(load_head("icub")).splitlines()
-    assert any(line.startswith("origin_m = [") and line.endswith("]") for line in lines)
-    assert any(line.startswith("focal_px = [") and line.endswith("]") for line in lines)

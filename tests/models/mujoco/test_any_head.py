@@ -12,7 +12,6 @@ from tests.models.mujoco.test_export import urdf_poses
 from tests.models.mujoco.test_model import mujoco_pixel
 from tests.naming import named
 from vergence.models import load_head, parse_head
-from vergence.models.files.import_urdf import UrdfSource, import_urdf
 from vergence.models.mujoco.drives import couplings_of
 from vergence.models.mujoco.export import export_files
 from vergence.models.mujoco.loads import load_inertias
@@ -54,7 +53,6 @@ ALL = (*TEXTS, "turrets", "vergence_of_one", "three_from_two")
 
 
 def postures(head, rng, count=6):
-    """Joint angles that the actuators of a head can give."""
     own = head.actuation
     return own.joints_of(rng.uniform(own.lower, own.upper, (count, 7)))
 
@@ -185,25 +183,6 @@ class TestExports:
                     for eye, name in enumerate(("left_camera", "right_camera")):
                         expected = base @ head.camera_poses(q)[eye]
                         np.testing.assert_allclose(poses[name], expected, atol=1e-12)
-
-    def test_the_urdf_is_imported_as_the_head_that_was_exported(self, tmp_path, rng):
-        for name in (*ALL, "simulated", "icub"):
-            with named(name):
-                head = load_head(name) if name in ("simulated", "icub") else any_head(name)
-                file = tmp_path / "head.urdf"
-                file.write_text(to_urdf(head), encoding="utf-8")
-                cameras, neck = ("left_camera", "right_camera"), filter(None, head.joints[:3])
-                options = {"neck": [*neck], "acceleration": ["80"]}  # which a URDF does not have
-                again = import_urdf(UrdfSource(file=file, base="base", cameras=cameras, **options))
-                again = again.head
-                assert again.joints == head.joints
-                q = postures(head, rng, 20)
-                # N is the importer's own where the head's file places it elsewhere
-                ours, theirs = (h.base_pose(q)[:, None] @ h.camera_poses(q) for h in (head, again))
-                np.testing.assert_allclose(theirs, ours, atol=1e-12)
-                for side in ("lower", "upper", "velocity"):
-                    expected = getattr(head.limits, side)
-                    np.testing.assert_allclose(getattr(again.limits, side), expected, atol=1e-12)
 
     def test_a_joint_that_follows_one_other_is_a_mimic_and_a_version_a_comment(self):
         joints = {j.get("name"): j for j in ET.fromstring(to_urdf(head_of("mis"))).iter("joint")}

@@ -92,8 +92,6 @@ def test_exported_files_carry_the_heads_name(simulated):
 
 
 class TestFolder:
-    """Files in models/bionic_eyes equal the output of `vergence export` for the simulated head."""
-
     def test_is_what_is_generated(self, simulated):
         files = [item for kind in FORMATS for item in export_files(simulated, kind).items()]
         for name, content in files:

@@ -34,16 +34,13 @@ def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
 
 @pytest.mark.nightly
 def test_the_whole_head_is_better_than_its_model(table):
-    assert worst_depth_error_percent(table, "whole head") < 0.5 * worst_depth_error_percent(
-        table, "before"
-    )
+    before, after = (worst_depth_error_percent(table, one) for one in ("before", "whole head"))
+    assert after < 0.5 * before
 
 
 def test_the_encoders_cost_a_well_known_head_most_of_its_error(table):
-    errors = depth_errors_percent(table, "whole head", "encoders") - depth_errors_percent(
-        table, "whole head"
-    )
-    assert np.median(errors) > 0.1
+    read = depth_errors_percent(table, "whole head", "encoders")
+    assert np.median(read - depth_errors_percent(table, "whole head")) > 0.1
 
 
 def test_the_docs_and_the_captions_are_those_of_the_table(table):

@@ -81,13 +81,10 @@ class UrdfKinematics:
             pose[:3, 3] = [float(number) for number in numbers.get("xyz", "0 0 0").split()]
             direction = "1 0 0" if axis is None else axis.get("xyz")
             self.joints[element.find("child").get("link")] = (
-                element.get("name"),
-                element.get("type"),
-                element.find("parent").get("link"),
-                pose,
+                element.get("name"), element.get("type"), element.find("parent").get("link"), pose,
                 np.array([float(number) for number in direction.split()]),
                 None if mimic is None else mimic.attrib,
-            )
+            )  # fmt: skip
 
     def in_root(self, link: str, angles: Mapping[str, float]) -> np.ndarray:
         """(4, 4) a link in the root link; a joint that is not among the angles is at zero."""
@@ -108,7 +105,6 @@ class UrdfKinematics:
         return self.in_root(parent, angles) @ pose @ turned
 
     def pose(self, link: str, base: str, angles: Mapping[str, float]) -> np.ndarray:
-        """(4, 4) a link in another."""
         return np.linalg.inv(self.in_root(base, angles)) @ self.in_root(link, angles)
 
 
