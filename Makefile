@@ -40,14 +40,14 @@ view: $(VIEW) ## a simulated head in the browser: drag its target (options: make
 robot: $(ROBOT) ## a robot's functions on an emulated head: checks, gazes, a fault, a replayed log
 	@$(BIN)/python -m benchmarks.tour
 
-test: $(TEST) ## lint, type-check and run the tests (options: make test ARGS="-k triangulation")
+test: $(TEST) ## lint, types, and all tests but the nightly ones (options: make test ARGS="-k triangulation")
 	@$(MAKE) -j2 types tests
 
 tests: style kernels
 	@$(PYTEST) -n $(JOBS) --dist worksteal -m "not real_time and not nightly" $(ARGS) || $(NO_TESTS_SELECTED)
 	@$(PYTEST) -m "real_time and not nightly" $(or $(ARGS),tests/hardware) || $(NO_TESTS_SELECTED)
 
-test-all: test ## what `make test` does, and the tests of many seconds that it leaves out
+test-all: test ## what `make test` does, and the nightly tests
 	@$(PYTEST) -n $(JOBS) --dist worksteal -m "nightly and not real_time" $(ARGS) || $(NO_TESTS_SELECTED)
 	@$(PYTEST) -m "nightly and real_time" $(or $(ARGS),tests/hardware) || $(NO_TESTS_SELECTED)
 
@@ -63,7 +63,7 @@ style: $(TEST)
 	$(BIN)/ruff format --check .
 
 types: $(TEST) # takes the time that others leave, and is told of at once
-	@echo "$(BIN)/mypy"; told=$$(nice -n 19 $(BIN)/mypy 2>&1); failed=$$?; echo "$$told"; exit $$failed
+	@echo "$(BIN)/mypy"; told=$$(nice $(BIN)/mypy 2>&1); failed=$$?; echo "$$told"; exit $$failed
 
 kernels: $(TEST) ## compile what the tests call
 	@$(BIN)/python -m tests.kernels

@@ -38,6 +38,7 @@ def test_each_camera_is_measured_by_its_own_response(photographs):
     np.testing.assert_array_equal(seen.pixels, swapped.pixels[::-1])
 
 
+@pytest.mark.slow
 def test_corners_of_a_soft_image_that_was_halved_are_in_its_own_pixels(tmp_path: Path):
     board = Checkerboard(columns=5, rows=4, square_m=0.03)
     camera, rendering = rig("physical")
