@@ -128,6 +128,14 @@ def test_place_i_of_seed_s_runs_the_episodes_of_a_single_environment_with_seed_s
     assert episodes == 9
 
 
+def test_the_first_observation_stays_as_it_was() -> None:
+    env = gym.make_vec(ID, num_envs=2, plant="kinematic")
+    first = env.reset(seed=1)[0]
+    kept = first.copy()
+    env.step(env.action_space.sample())
+    assert np.array_equal(first, kept)
+
+
 def test_a_mask_resets_some_and_leaves_the_others() -> None:
     envs = GazeVectorEnv(3, plant="kinematic")
     envs.reset(seed=0)

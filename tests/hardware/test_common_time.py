@@ -60,3 +60,15 @@ def test_a_pair_is_seen_from_the_joint_angles_of_each_exposure() -> None:
     common_s, found = merge_pair(head, pair, SimpleNamespace(at=at))
     assert common_s == pytest.approx(0.014)
     assert found == pytest.approx(head.project(at(0.014), point), abs=1e-6)
+
+
+def test_rays_that_diverge_keep_their_directions() -> None:
+    head = load_head("turrets")
+    common = head.rest()
+    exposed = np.stack([common, common])
+    exposed[0, EYES.start] += 0.03
+    pixels = head.cameras.principal + np.array([[-30.0, 0.0], [30.0, 0.0]])
+    found = pixels_at_common_time(head, pixels, exposed, common)
+    left = head.camera_poses(exposed[0])[0] @ [-30.0 / head.cameras.focal[0, 0], 0.0, 1.0, 0.0]
+    far = head.camera_poses(common)[0, :3, 3] + 1e4 * left[:3]
+    assert found[0] == pytest.approx(head.project(common, far)[0], abs=0.1)

@@ -3,6 +3,7 @@
 import functools
 import itertools
 import pickle
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -268,3 +269,11 @@ def test_no_document_is_a_fault_of_the_program(tmp_path):
         table[key] = next(garbage)
         with named(key, table[key]), suppress(VergenceError):
             assert load(tmp_path, values).servos
+
+
+def test_a_misspelt_preset_is_refused_by_its_whole_place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("robot.toml").write_text(toml_text(edited("head", "turret")), encoding="utf-8")
+    place = re.escape(str(tmp_path / "turret"))
+    with pytest.raises(HeadFileError, match=rf"robot\.toml: head: expected .*{place}.*'turret'"):
+        load_hardware("robot.toml")

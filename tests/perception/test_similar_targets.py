@@ -1,14 +1,18 @@
 """Hints at the cause if a board or a tag is not found."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from tests.naming import named
 from vergence.models.boards import CharucoBoard, texture
-from vergence.perception.similar_targets import describe_similar_targets
+from vergence.models.files.head_file import load_head
+from vergence.perception.similar_targets import _reduced, describe_similar_targets
 from vergence.perception.target_finder import parse_targets
 from vergence.vision import make_detector
+from vergence.vision.optics import EyeCamera
 
 
 def drawn(name):
@@ -19,6 +23,19 @@ def drawn(name):
 
 def hint(image, asked):
     return describe_similar_targets(image, parse_targets([asked]))
+
+
+def test_a_large_images_camera_is_reduced_with_it():
+    camera = EyeCamera.of(load_head("simulated"), 0)
+    wide = replace(camera, width=4000, height=2000)
+    image, less = _reduced(np.zeros((2000, 4000), np.uint8), wide)
+    scale = image.shape[1] / 4000
+    assert (less.width, less.height) == image.shape[::-1]
+    assert scale < 1.0
+    assert less.focal_px == pytest.approx([scale * one for one in camera.focal_px])
+    assert less.principal_px == pytest.approx(
+        [scale * (one + 0.5) - 0.5 for one in camera.principal_px]
+    )
 
 
 @pytest.mark.slow

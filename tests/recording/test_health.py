@@ -61,3 +61,10 @@ def test_missed_periods_are_counted_within_a_gaze():
     health = judged([*some[:4], *some[6:], *some[:5]])
     assert health.missed_periods == 2
     assert health.periods == 9 + 4
+
+
+def test_images_from_before_a_gaze_are_not_judged():
+    early = [
+        one._replace(exposure_s=one.exposure_s - 1.0) for one in readings(40, right_down_px=50.0)
+    ]
+    assert judged([*readings(40), *early]).gap_ratio < MAX_GAP_RATIO

@@ -74,7 +74,9 @@ def test_a_log_shows_each_reading_at_its_time(log):
     assert recorded.begins == (0, STEPS + 1)
     assert (np.diff(recorded.times_s) > 0.0).all()
     shown = recorded.moment(STEPS + 1 + 40)
-    assert shown.pixels == pytest.approx(trials[1].readings.pixels[40, 0], nan_ok=True)
+    seen = trials[1].readings
+    assert shown.pixels == pytest.approx(seen.pixels[40, 0], nan_ok=True)
+    assert shown.detection_age_s == pytest.approx((seen.time_s - seen.exposure_s)[40, 0])
     assert shown.target == pytest.approx(trials[1].truths.target[40, 0])
     left, right, drawn = shown.images
     assert ([left.mean(), right.mean()], drawn) == (pytest.approx([40, 90], abs=2.0), False)

@@ -48,6 +48,9 @@ def test_places_take_turns_and_the_eyes_look_for_each(monkeypatch):
     assert {one.id for one in looked[:3]} == {0, 1, 2}
     assert looked[3] is looked[0]
     assert [point[0] for point in points] == pytest.approx([0.1 * one.id for one in looked])
+    desk = dataclasses.replace(DESK, measured_targets=PLACES)
+    firsts = {make_stage("places", desk, seed=n).place(plant, 0)[0] for n in range(8)}
+    assert len(firsts) > 1  # the seed's order
 
 
 def test_a_place_that_the_eyes_cannot_look_at_is_refused():

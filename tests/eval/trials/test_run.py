@@ -1,5 +1,7 @@
 """Trials: what is known beforehand comes out, and nothing depends on how they were run."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from vergence.envs.plant import PLANTS
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.run import headline_metric, run_trials
 from vergence.eval.trials.scenarios import load_scenario
+from vergence.models.files.head_file import load_head
 
 RANDOM = ToyScenario("random", duration_s=0.8)
 
@@ -38,6 +41,13 @@ def test_a_trial_that_never_settles_counts_as_the_whole_trial():
     # of a trial that never settled there is no ratio
     ratio = np.where(np.isnan(trials.settle_s()), np.inf, 6 * PERIOD_S / trials.bound_s)
     assert trials.ratio_to_bound() == pytest.approx(ratio)
+
+
+def test_a_missing_error_counts_as_the_larger_images_diagonal():
+    cameras = {"size": [[640, 480], [640, 360]], "principal": [[320.0, 240.0], [320.0, 180.0]]}
+    trials = run_trials(KnowsTheWay(5), STEP, episodes=1)
+    trials = dataclasses.replace(trials, head=load_head("physical").replace(cameras=cameras))
+    assert trials.missing_px == 800.0
 
 
 def test_a_trial_is_the_same_alone_and_in_any_batch():

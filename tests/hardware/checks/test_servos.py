@@ -19,6 +19,7 @@ from vergence.hardware.checks.servos import check_servos, raise_errors
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
+from vergence.hardware.servo_memory import describe_fault_bits
 
 
 @pytest.fixture
@@ -246,3 +247,10 @@ def test_a_port_that_somebody_has_open_is_told_with_the_cure(serve):
     said = "another process has open; cure: .*fuser"
     with closing(open_bus(config)), pytest.raises(ChecksFailedError, match=said):
         open_bus(config)
+
+
+def test_faults_are_told_in_words():
+    words = "input voltage, overheating, motor encoder, electrical shock, overload"
+    assert describe_fault_bits(0b111101) == words
+    for bit, word in zip((0, 2, 3, 4, 5), words.split(", "), strict=True):
+        assert describe_fault_bits(1 << bit) == word

@@ -56,6 +56,14 @@ def test_a_sync_read_waits_for_the_answers_of_all_on_the_line(serve, connect, mo
     assert sizes[1] - sizes[0] == 2 * (1 + 11 + 4)  # an id asked, and a packet with four bytes
 
 
+def test_a_servo_has_time_to_write_what_it_keeps_without_power(serve, connect, monkeypatch):
+    bus, given = connect(serve([make_servo(1)]), **BRIEF), []
+    monkeypatch.setattr(bus, "_answer", lambda *words: given.append(words[-1]))
+    bus.write(1, table.HOMING_OFFSET, 5)
+    bus.write(1, table.GOAL_VELOCITY, 5)
+    assert given[0] > 2.0 * given[1] == 0.04
+
+
 def test_a_servo_that_is_silent_is_named(serve, connect):
     served = serve([make_servo(1)])
     bus = connect(served, **BRIEF)
