@@ -67,7 +67,7 @@ def test_a_run_killed_in_mid_training_goes_on_to_the_same_number_of_steps(tmp_pa
     names = {path.name for path in folder.rglob("*")}
     names = {name for name in names if not name.startswith("events.")}
     assert names == {
-        *("config.toml", "head.toml", "curve.csv"),
+        *("config.toml", "head.toml", "curve.csv", "curve.png", "curve.svg"),
         *("checkpoints", "best.pt", "last.pt", "tensorboard"),
     }
 
