@@ -63,8 +63,7 @@ def test_missed_periods_are_counted_within_a_gaze():
     assert health.periods == 9 + 4
 
 
-def test_images_from_before_a_gaze_are_not_judged():
-    early = [
-        one._replace(exposure_s=one.exposure_s - 1.0) for one in readings(40, right_down_px=50.0)
-    ]
-    assert judged([*readings(40), *early]).gap_ratio < MAX_GAP_RATIO
+def test_a_gaze_is_judged_though_the_eyes_moved_later_in_the_one_before():
+    moving = readings(40, speed_rad_s=0.5)
+    health = judged([*moving, *readings(40, right_down_px=5.0)])
+    assert health.gap_ratio > MAX_GAP_RATIO
