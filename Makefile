@@ -25,7 +25,7 @@ BENCH := $(VENV)/.bench
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run view robot test test-all check lint style types tests kernels wheel format dev bench clean
+.PHONY: help run view robot test test-all check lint style types tests quick-tests kernels wheel format dev bench clean
 .DELETE_ON_ERROR:
 
 help: ## show this list
@@ -52,8 +52,10 @@ test-all: test ## what `make test` does, and the nightly tests
 	@$(PYTEST) -m "nightly and real_time" $(or $(ARGS),tests/hardware) || $(NO_TESTS_SELECTED)
 
 check: $(TEST) ## lint and the quick tests of what differs from main, or of rooms (ROOM="models eval")
-	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && $(MAKE) -j2 lint kernels && \
-	  echo "pytest $$places" && \
+	@$(MAKE) -j2 types quick-tests
+
+quick-tests: style kernels
+	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && echo "pytest $$places" && \
 	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow and not nightly" $(ARGS) $$places || $(NO_TESTS_SELECTED); }
 
 lint: style types ## ruff and mypy
