@@ -55,7 +55,7 @@ check: $(TEST) ## lint and the quick tests of what differs from main, or of room
 	@$(MAKE) -j2 types quick-tests
 
 quick-tests: style kernels
-	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && echo "pytest $$places" && \
+	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && \
 	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow and not nightly" $(ARGS) $$places || $(NO_TESTS_SELECTED); }
 
 lint: style types ## ruff and mypy

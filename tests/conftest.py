@@ -13,6 +13,7 @@ os.environ["VERGENCE_TRACE"] = "1"  # a fault of the package fails a test with i
 # Never the real one: fixtures of a module run before those of its tests, see `user_table`.
 os.environ["VERGENCE_TUNED"] = os.path.join(os.sep, "no-such-folder", "tuned.toml")
 
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -32,13 +33,26 @@ def user_table(monkeypatch, tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Figures become empty files, where a test looks at what stands beside them."""
+@contextmanager
+def sketched():
+    """Figures are empty: drawing them takes longer than all else where a test looks elsewhere."""
     from matplotlib.figure import Figure
 
-    monkeypatch.setattr(Figure, "draw_without_rendering", lambda _figure: None)
-    monkeypatch.setattr(Figure, "savefig", lambda _figure, path, **_options: Path(path).touch())
+    def save(_figure, place, **_options):
+        write = getattr(place, "write", None) or Path(place).write_text
+        write("<svg viewBox='0 0 1 1'></svg>")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "draw_without_rendering", lambda _figure: None)
+        patch.setattr(Figure, "savefig", save)
+        yield patch
+
+
+@pytest.fixture
+def undrawn():
+    """See `sketched`."""
+    with sketched() as patch:
+        yield patch
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""List the tests that a change can break: those of changed rooms and of rooms that import them.
+"""List the tests of what changed: those of its rooms, and all that name a changed module.
 
 `python -m tests.rooms` prints them for the differences from `main`, `python -m tests.rooms vision`
 for one room. A room is a folder or a module right below the package, with its tests; a folder or a
@@ -19,17 +19,19 @@ from vergence.errors import ConfigurationError
 ROOT: Final = Path(__file__).resolve().parents[1]
 ALWAYS: Final = frozenset({"architecture", "words"})
 """Rooms whose tests are quick and look at all others."""
-EVERYTHING: Final = "tests/conftest"
+EVERYTHING: Final = "conftest"
 ELSEWHERE: Final = {
     "README": ("docs",),
     "CONTRIBUTING": ("docs",),
-    "docs/": ("docs", "tests/controllers", "tests/eval", "tests/training"),
+    "docs/": ("docs", "controllers", "eval", "training"),
     "benchmarks/": ("benchmarks",),
-    "models/": ("tests/models",),
-    "tests/data/": ("tests/models", "tests/triangulation", "tests/eval"),
+    "models/": ("models",),
+    "tests/data/": ("models", "triangulation", "eval"),
     **dict.fromkeys(("pyproject.toml", "constraints.txt"), (EVERYTHING,)),
 }
 """The rooms of files that stand in none, by how their paths begin."""
+CALLING: Final = frozenset({"vergence.cli", "vergence.commands"})
+"""What tests name that call commands, and so all that the commands name."""
 
 
 class Import(NamedTuple):
@@ -46,8 +48,7 @@ def sources_of(package: Path) -> dict[str, Path]:
     """Every module of a package by its absolute name."""
     sources = {}
     for path in sorted(package.rglob("*.py")):
-        parts = path.relative_to(package.parent).with_suffix("").parts
-        sources[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+        sources[_module_at(PurePosixPath(path.relative_to(package.parent)))] = path
     return sources
 
 
@@ -58,9 +59,20 @@ def imports_of(package: Path) -> list[Import]:
     return [
         Import(module, imported)
         for module, path in sources.items()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path)))
+        for node in _statements(ast.parse(path.read_text(encoding="utf-8"), str(path)))
         for imported in _imported(node, module, path, sources)
     ]
+
+
+def _statements(tree: ast.Module) -> Iterator[ast.AST]:
+    """All statements, at any depth; `ast.walk` takes three times as long, for expressions."""
+    waiting: list[ast.AST] = [tree]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+            inner = getattr(node, field, ())
+            waiting += inner if isinstance(inner, list) else ()
 
 
 def _imported(node: ast.AST, module: str, path: Path, sources: dict[str, Path]) -> Iterator[str]:
@@ -78,18 +90,14 @@ def _imported(node: ast.AST, module: str, path: Path, sources: dict[str, Path]) 
 
 
 def rooms_of(path: str) -> set[str]:
-    """The rooms of a file, given from the root with slashes.
-
-    That of a test begins with `tests/`, so that a change in it is no change of what it tests.
-    """
+    """The rooms of a file, given from the root with slashes."""
     for place, rooms in ELSEWHERE.items():
         if path.startswith(place):
             return set(rooms)
     parts = PurePosixPath(path).with_suffix("").parts
     if parts[0] not in ("vergence", "tests"):
         return set()
-    name = [*parts, "__init__"][1].strip("_").removeprefix("test_")
-    return {name if parts[0] == "vergence" else f"tests/{name}"}
+    return {[*parts, "__init__"][1].strip("_").removeprefix("test_")}
 
 
 def named_in(package: Path) -> Iterator[Import]:
@@ -99,26 +107,42 @@ def named_in(package: Path) -> Iterator[Import]:
             yield Import(module, name)
 
 
-def importers(root: Path = ROOT) -> dict[str, set[str]]:
-    """The rooms that import or name each room; who imports the package has its public names."""
-    found: dict[str, set[str]] = {}
+def named_by_tests(root: Path = ROOT) -> dict[str, set[str]]:
+    """The modules that each file of tests names, from the root.
+
+    It does so itself, by a folder's public names, or by the commands that it calls. What a helper
+    of tests names does not count: nearly all tests make a head by one.
+    """
+    named: dict[str, set[str]] = {}
     for package in ("vergence", "tests", "benchmarks"):
         for edge in (*imports_of(root / package), *named_in(root / package)):
-            above, below = (rooms_of(f"{name.replace('.', '/')}.py") for name in edge)
-            for room in below - above:
-                found.setdefault(room, set()).update(above)
-    for rooms in found.values():
-        for through in ("init", "commands"):  # public names, and then commands as called
-            rooms |= found.get(through, set()) if through in rooms else set()
-    return found
+            named.setdefault(edge.importer, set()).add(edge.imported)
+    folders = {
+        name for name, path in sources_of(root / "vergence").items() if path.stem == "__init__"
+    }
+    folders -= {"vergence"}  # many tests import it so that environments are registered
+    called = {name for caller, found in named.items() if _calls({caller}) for name in found}
+    tests = {}
+    for path in (root / "tests").rglob("test_*.py"):
+        place = PurePosixPath(path.relative_to(root))
+        found: set[str] = set()
+        waiting = {_module_at(place)}
+        while waiting:
+            new = named.get(waiting.pop(), set()) - found
+            found |= new
+            waiting |= new & folders
+        tests[place.as_posix()] = found | called if _calls(found) else found
+    return tests
+
+
+def _calls(names: set[str]) -> bool:
+    return any(".".join(name.split(".")[:2]) in CALLING for name in names)
 
 
 def places_of(rooms: set[str], root: Path = ROOT) -> list[str]:
     """The folders and files of tests of some rooms, from the root."""
-    if EVERYTHING in rooms:
-        return ["tests"]
     found = []
-    for room in sorted({room.removeprefix("tests/") for room in rooms}):
+    for room in sorted(rooms):
         folder, files = root / "tests" / room, (root / "tests").glob(f"test_{room}*.py")
         found += [folder] if any(folder.rglob("test_*.py")) else []
         found += sorted(files)
@@ -126,7 +150,7 @@ def places_of(rooms: set[str], root: Path = ROOT) -> list[str]:
 
 
 def changed(root: Path = ROOT) -> set[str]:
-    """The rooms of the files that differ from where this branch left `main`, new ones too.
+    """The files that differ from where this branch left `main`, new ones too, from the root.
 
     Raises:
         ConfigurationError: there is no git, no repository, or no `main`.
@@ -148,26 +172,52 @@ def changed(root: Path = ROOT) -> set[str]:
         raise ConfigurationError(f"expected a branch main to compare with, got: {why}") from error
     if not paths:
         print(f"nothing differs from {trunk}: name a room to test it", file=sys.stderr)
-    return set().union(*map(rooms_of, paths))
+    return set(paths)
 
 
 def main(words: list[str], root: Path = ROOT) -> int:
-    """Print the tests of the named rooms, or of those that changed, and of what imports them."""
-    above = importers(root)
-    known = {room.removeprefix("tests/") for room in set(above).union(*above.values())}
-    known |= {path.stem.removeprefix("test_") for path in (root / "tests").glob("test_*.py")}
-    names = [word.strip("_/") for word in words]
-    for name in {*names} - known:
-        rooms = ", ".join(room for room in sorted(known) if places_of({room}, root))
-        print(f"no room {name}: expected some of {rooms}", file=sys.stderr)
+    """Print the tests of the named rooms, or of what changed, and those that name its modules."""
+    modules = {
+        name: rooms_of(path.relative_to(root).as_posix())
+        for package in ("vergence", "tests", "benchmarks")
+        for name, path in sources_of(root / package).items()
+    }
+    known = set().union(*modules.values())
+    rooms = {word.strip("_/") for word in words}
+    for room in rooms - known:
+        names = ", ".join(name for name in sorted(known) if places_of({name}, root))
+        print(f"no room {room}: expected some of {names}", file=sys.stderr)
         return 2
-    try:
-        rooms = {*names, *(f"tests/{name}" for name in names)} or changed(root)
-    except ConfigurationError as error:
-        print(f"no room was named, {error}".strip(), file=sys.stderr)
-        return 2
-    print(*places_of(ALWAYS.union(rooms, *(above.get(room, set()) for room in rooms)), root))
+    changes = {name for name, its in modules.items() if its & rooms}
+    if not rooms:
+        try:
+            paths = changed(root)
+        except ConfigurationError as error:
+            print(f"no room was named, {error}".strip(), file=sys.stderr)
+            return 2
+        rooms = set().union(*map(rooms_of, paths))
+        changes = set()
+        for path in map(PurePosixPath, paths):
+            if path.suffix == ".py":
+                changes.add(_module_at(path))
+            else:  # data of the modules beside it
+                folder = ".".join((*path.parent.parts, ""))
+                changes |= {name for name in modules if f"{name}.".startswith(folder or ".")}
+    if EVERYTHING in rooms:
+        print("tests")
+        return 0
+    places = places_of(ALWAYS | rooms, root)
+    inside = tuple(f"{place}/" for place in places)
+    named = {file for file, names in named_by_tests(root).items() if names & changes}
+    others = sorted(file for file in named.difference(places) if not file.startswith(inside))
+    told = f"quick tests of {' '.join(places)} and of {len(others)} files that name modules of it"
+    print(told, file=sys.stderr)
+    print(*places, *others)
     return 0
+
+
+def _module_at(path: PurePosixPath) -> str:
+    return ".".join(path.with_suffix("").parts).removesuffix(".__init__")
 
 
 if __name__ == "__main__":

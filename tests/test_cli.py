@@ -38,6 +38,7 @@ def test_a_gaze_writes_result_trajectory_picture_config_and_head(run):
     assert names == ["config.toml", "gaze.png", "head.toml", "result.json", "trajectory.csv"]
 
 
+@pytest.mark.slow
 def test_the_result_holds_settle_times_and_both_methods(run):
     result = json.loads((run / "result.json").read_text())
     assert result["truth_mm"] == pytest.approx([0.0, -100.0, 1000.0], abs=1e-4)
@@ -73,6 +74,7 @@ def test_the_picture_is_a_png_of_readable_size(run):
     assert height >= 800
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_json_is_the_result_and_nothing_else_and_that_of_a_seed(tmp_path, capsys):
     texts = []

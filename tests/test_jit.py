@@ -149,6 +149,7 @@ def test_a_device_called_from_python_runs_as_python():
     assert direction_to_outer(Pose(*pose), 1.0, 0.0, 0.0) == (0.0, 4.0, 8.0)
 
 
+@pytest.mark.slow
 def test_compiling_is_said_once_and_not_when_it_is_kept(monkeypatch, tmp_path):
     monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)
     (first,) = said_by_a_call()
@@ -157,6 +158,7 @@ def test_compiling_is_said_once_and_not_when_it_is_kept(monkeypatch, tmp_path):
     assert said_by_a_call() == []
 
 
+@pytest.mark.slow
 def test_compiling_at_every_call_is_said_with_its_reason(monkeypatch):
     monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: None)
     for _call in range(2):
@@ -196,6 +198,7 @@ def test_a_cache_that_cannot_be_read_is_done_without(monkeypatch, tmp_path):
     assert said_by_a_call()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damaged", [".nbi", ".nbc"])
 def test_a_damaged_cache_is_compiled_again_once(monkeypatch, tmp_path, damaged):
     monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)

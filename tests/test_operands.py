@@ -61,6 +61,7 @@ def each_operand():
             yield label, kernel, place, name, core
 
 
+@pytest.mark.slow
 def test_a_kernel_refuses_another_length_by_the_name_of_the_argument():
     for label, kernel, place, name, core in each_operand():
         expected = f"{name}: expected shape (..., {', '.join(map(str, core))}), got"

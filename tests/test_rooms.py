@@ -1,4 +1,4 @@
-"""`make check` runs the tests of what changed and of what imports it, and no others."""
+"""`make check` runs the tests of what changed and those that name it, and no others."""
 
 import subprocess
 
@@ -6,8 +6,6 @@ import pytest
 
 from tests import rooms
 from tests.naming import named
-
-ROOMS = ("eval", "training", "architecture")
 
 
 def git(house, *words):
@@ -21,19 +19,21 @@ def commit(house):
 
 @pytest.fixture
 def house(tmp_path):
-    """A package of three rooms, tests of two, and a page; all of it on `main`."""
+    """A package of three rooms, tests of four, and a page; all of it on `main`."""
     sources = {
-        "vergence/__init__.py": "from vergence.models import head",
-        "vergence/vision/tag.py": "from vergence.models.head import Head",
-        "vergence/eval/run.py": "def late():\n    from ..vision import tag",
-        "vergence/training/run.py": 'LAW = "vergence.eval.run:run"',
-        "tests/models/test_head.py": "from tests.heads import tied",
+        "vergence/models/__init__.py": "from .head import Head",
+        "vergence/commands/run.py": 'RUN = "vergence.eval.run:run"',
+        "tests/heads.py": "try:\n    import vergence.models.lens\nfinally:\n    pass",
+        "tests/vision/test_tag.py": "def late():\n    from vergence.models import Head",
+        "tests/eval/test_run.py": "from tests.heads import tied",
+        "tests/test_cli.py": "from vergence.cli import main",
         "tests/test_docs.py": "import vergence",
     }
-    for name in ("vergence/models/head.py", "benchmarks/__init__.py", "docs/vision.md"):
-        sources[name] = ""
-    for name in ("conftest", "heads", "vision/test_tag", *map("test_{}".format, ROOMS)):
-        sources[f"tests/{name}.py"] = ""
+    empty = ("__init__", "cli", "models/head", "models/lens", "vision/tag", "eval/run")
+    sources |= dict.fromkeys((f"vergence/{name}.py" for name in empty), "")
+    empty = ("conftest", "test_architecture", "models/test_head")
+    sources |= dict.fromkeys((f"tests/{name}.py" for name in empty), "")
+    sources |= {"benchmarks/__init__.py": "", "docs/vision.md": ""}
     for name, text in sources.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
@@ -48,16 +48,18 @@ def places(house, capsys, *words):
 
 
 ALWAYS = "tests/test_architecture.py"
-EVAL = [ALWAYS, "tests/test_eval.py", "tests/test_training.py"]
-"""Its own tests, and those of the room that names it."""
+EVAL = [ALWAYS, "tests/eval", "tests/test_cli.py"]
+"""Its own tests, and those of the commands."""
+HEAD = [ALWAYS, "tests/models", "tests/vision/test_tag.py"]
+"""Its own tests, and those that take it from its folder."""
 
 
-def test_a_room_is_tested_with_those_that_import_it(house, capsys):
+def test_a_room_is_tested_by_all_that_name_it(house, capsys):
     for room, expected in (
         ("eval", EVAL),
-        ("vision", [ALWAYS, "tests/test_eval.py", "tests/vision"]),
-        ("models", [ALWAYS, "tests/test_docs.py", "tests/models", "tests/vision"]),
-        ("heads", [ALWAYS, "tests/models"]),
+        ("vision", [ALWAYS, "tests/vision"]),
+        ("models", HEAD),
+        ("heads", [ALWAYS, "tests/eval/test_run.py"]),
     ):
         with named(room, expected):
             assert places(house, capsys, room) == expected
@@ -70,6 +72,9 @@ def test_a_room_is_tested_with_those_that_import_it(house, capsys):
         (["vergence/eval/run.py"], EVAL, False),
         (["vergence/eval/run.py"], EVAL, True),
         (["vergence/eval/section.jinja", "vergence/eval/größe.txt"], EVAL, False),
+        (["vergence/models/lens.py"], HEAD[:2], False),
+        (["vergence/models/head.py"], HEAD, False),
+        (["vergence/__init__.py"], [ALWAYS, "tests/test_docs.py"], False),
         (["README.md", "LICENSE"], [ALWAYS, "tests/test_docs.py"], False),
         (["tests/vision/test_tag.py"], [ALWAYS, "tests/vision"], False),
         (["tests/conftest.py"], ["tests"], False),

@@ -27,6 +27,7 @@ def test_what_looks_better_at_the_target_earns_more(table) -> None:
                 assert all(worse < better for worse, better in pairwise(earned))
 
 
+@pytest.mark.slow
 def test_full_speed_loses_the_target_and_nothing_else_does(table) -> None:
     lost = table["lost"].unstack("policy")
     assert (lost["full speed"] > 0.9).all()

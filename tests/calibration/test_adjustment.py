@@ -42,6 +42,7 @@ def test_exact_corners_give_the_true_numbers_back(rng):
     np.testing.assert_allclose(found.rig.packed(), rig.packed(), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_errors_are_of_the_size_of_their_covariance(rng):
     rig, squares = make_rig(), []
     for _ in range(6):

@@ -74,6 +74,7 @@ def test_the_lens_is_told(lens, cameras):
     assert np.abs((found.rig.packed() - true) / found.sigma).max() < 4.0
 
 
+@pytest.mark.slow
 def test_the_cameras_are_found(pair, found):
     rig = pair[1]
     assert np.abs((found.rig.packed() - rig.packed()) / found.sigma).max() < 4.0
@@ -142,6 +143,7 @@ def test_a_fifth_of_bad_views_changes_nothing(pair, found):
     assert {one.view for one in fewer.dropped} >= {f"l{view}.png" for view in bad}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bad", [1, 2])
 def test_pairs_of_five_may_be_left_out(pair, bad):
     few = picked(pair[0], both(pair[0])[:5])
@@ -231,6 +233,7 @@ def test_what_gives_no_pair_is_refused(pair):
             calibrate_views(case, LENS)
 
 
+@pytest.mark.slow
 def test_a_right_camera_that_is_upside_down_is_said(pair):
     seen = picked(pair[0], both(pair[0])[:6])
     pixels = seen.pixels.copy()

@@ -32,6 +32,7 @@ def test_photographs_with_colours_are_measured_by_srgb_and_grey_ones_as_they_are
     assert not np.array_equal(seen.pixels[0], seen.pixels[1])
 
 
+@pytest.mark.slow
 def test_each_camera_is_measured_by_its_own_response(photographs):
     seen, _ = detect_board_corners(TAG, photographs, responses=("linear", "srgb"))
     swapped, _ = detect_board_corners(TAG, photographs[::-1], responses=("srgb", "linear"))

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tests.calibration.rigs import as_calibrated, look, make_poses, make_rig
-from vergence.calibration import report
 from vergence.calibration.coverage import advise_next_photographs
 from vergence.calibration.report import write_run
 from vergence.eval.reporting.runs import run_folder_command
@@ -53,11 +52,7 @@ def test_the_report_of_a_pair_is_one_file_with_all_figures(pair, tmp_path):
     assert run_folder_command(tmp_path) == "calibrate"
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    monkeypatch.setattr(report, "svg_text", lambda figure: "<svg viewBox='0 0 1 1'></svg>")
-
-
+@pytest.mark.slow
 def test_it_says_the_baseline_what_was_left_out_and_what_to_do(pair, tmp_path, undrawn):
     write_run(tmp_path, pair, "", "pair.toml")
     text = Page((tmp_path / "calibration.html").read_text(encoding="utf-8")).text
@@ -69,6 +64,7 @@ def test_it_says_the_baseline_what_was_left_out_and_what_to_do(pair, tmp_path, u
     assert all(line in text for line in advise_next_photographs(pair))
 
 
+@pytest.mark.slow
 def test_one_camera_has_a_report_without_a_baseline(tmp_path, undrawn):
     rng = np.random.default_rng(0)
     rig, poses = make_rig(), make_poses(rng, 12)

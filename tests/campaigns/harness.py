@@ -43,14 +43,27 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 _TRACE: Final = re.compile(r"Traceback \(most recent call last\)|^  File \"", re.MULTILINE)
 
 
+_HELP: Final = {
+    "minutes": "in all, or of each input of a robot",
+    "moments": "of each fault and command",
+    "seed": "another one tries others",
+    "keep": "folder for the files of what was found",
+}
+
+
 def options_of(doc: str, words: Sequence[str], **options: Any) -> argparse.Namespace:
     """Options of a campaign: each has a default, or choices of which one or more are taken."""
-    parser = argparse.ArgumentParser(description=doc.partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog=" ".join(("python -m tests.campaigns", *sys.argv[1:2])),
+        description=doc.partition("\n")[0],
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
     for name, given_ in options.items():
         if isinstance(given_, tuple):
-            parser.add_argument(f"--{name}", nargs="+", choices=given_, default=given_)
+            more = {"nargs": "+", "choices": given_, "help": "one or more"}
         else:
-            parser.add_argument(f"--{name}", type=type(given_), default=given_)
+            more = {"type": type(given_), "help": _HELP[name]}
+        parser.add_argument(f"--{name}", default=given_, **more)
     return parser.parse_args(words)
 
 

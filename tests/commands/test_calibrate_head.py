@@ -80,6 +80,7 @@ def test_several_recordings_are_heads_by_themselves(recordings, tmp_path, capsys
     assert (tmp_path / "run" / "short" / "refused.txt").exists()
 
 
+@pytest.mark.slow
 def test_what_gives_no_head_is_said_in_a_line(recordings, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.toml").write_text("mine")

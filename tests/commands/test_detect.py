@@ -145,6 +145,7 @@ def test_a_target_that_no_image_has_is_named_beside_those_found(folder, capsys):
     ]
 
 
+@pytest.mark.slow
 def test_live_ends_when_its_time_is_over_or_by_ctrl_c(video, capsys, monkeypatch):
     words = ("detect", "--live", video, "--target", "tag:36h11:5:120", "--json")
     call(*words, "--seconds", "1e-6")  # the tag is not in the first image
@@ -164,6 +165,7 @@ def test_live_ends_when_its_time_is_over_or_by_ctrl_c(video, capsys, monkeypatch
     assert json.loads(capsys.readouterr().out)["images"] == 10
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     cv2.imwrite("a.png", np.zeros((48, 64), np.uint8))

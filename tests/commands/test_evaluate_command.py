@@ -14,6 +14,7 @@ from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
 from vergence.eval.comparison.tables import report_tables
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path):
     words = ("ibvs", "--episodes", "2", "--workers", "1", "--out", tmp_path / "run")
@@ -42,6 +43,7 @@ def test_the_table_names_the_head_and_what_it_cannot_do_away_with(capsys, tmp_pa
     assert "residual" in (tmp_path / "run" / "report.html").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(
@@ -55,6 +57,7 @@ def test_json_alone_on_standard_output(capsys, tmp_path):
     assert all(row["head"] == "simulated" and row["residual_px"] is None for row in rows)
 
 
+@pytest.mark.slow
 def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
     for words in [
         ("ibsv",), ("ibvs", "--scenario", "moon"), ("ibvs", "--workers", "0"), ("none.vgp",),
@@ -76,6 +79,7 @@ def test_an_unwritable_place_is_refused_before_any_trial(capsys, tmp_path, monke
     assert "out: expected a folder that can be written" in err
 
 
+@pytest.mark.slow
 def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(capsys, monkeypatch):
     evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("robust",), episodes=4))
     (table,) = report_tables(evaluation)

@@ -39,6 +39,7 @@ def test_words_that_are_no_text_are_refused(capsys):
         assert "expected words of text" in refused(capsys, "gaze", "--out", word)
 
 
+@pytest.mark.slow
 def test_a_name_of_5000_characters_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for words in [

@@ -95,6 +95,7 @@ def test_a_file_is_not_replaced_unless_forced(robot, capsys):
     assert run(capsys, *IMPORT, *WHOLE, "--no-figure", "--force")[0] == 0
 
 
+@pytest.mark.slow
 def test_a_mistake_is_one_line_and_leaves_nothing(robot, capsys):
     for words, said in [
         (("--base", "bsae"), "base: expected a frame of the file (near: base"),

@@ -4,6 +4,8 @@ import errno
 import json
 from pathlib import Path
 
+import pytest
+
 from tests.commands.called import call, refused
 from tests.naming import named
 from vergence.eval import gaze_figure
@@ -12,6 +14,7 @@ from vergence.locks import hold_lock
 GAZE = ("gaze", "--plant", "kinematic", "--duration", "0.1", "--json")
 
 
+@pytest.mark.slow
 def test_a_place_that_another_holds_is_refused_at_once(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words in [

@@ -73,6 +73,7 @@ def test_with_full_damping_what_is_left_decays_at_the_rate_of_the_gain() -> None
                 assert angle_error - q - 0.03 * v == pytest.approx(after, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_tuned_it_settles_sooner_than_any_gain_on_the_predicted_error() -> None:
     times = {}
     for name in ("delay-compensated", "state-feedback"):

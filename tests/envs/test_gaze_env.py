@@ -108,6 +108,7 @@ def test_an_option_names_the_trial(each) -> None:
     assert np.array_equal(first_sight(each, seed=4, options={"trial": 1}), observations[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("plant", "count"), [("mujoco", 60), ("rendered", 16)])
 def test_pickled_in_mid_episode_the_copy_goes_on_identically(plant, count) -> None:
     env = gym.make("vergence/Gaze-v0", plant=plant, head="physical", max_episode_steps=40)
@@ -117,6 +118,7 @@ def test_pickled_in_mid_episode_the_copy_goes_on_identically(plant, count) -> No
     assert identical(rollout(env, count, 6, reset=False), rollout(copy, count, 6, reset=False))
 
 
+@pytest.mark.slow
 def test_a_spec_with_values_of_python_goes_through_json() -> None:
     for argument, id in some_of(
         [

@@ -180,6 +180,7 @@ def glances(longest):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["simulated", "icub"])
 @settings(max_examples=20, deadline=None)
 @given(script=glances(90), seed=st.integers(0, 2**32 - 1))

@@ -43,6 +43,7 @@ def steps(env, number, seed):
         yield observation, reward, terminated, truncated, tracking, *truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_a_restored_environment_goes_on_as_the_saved_one_did(case):
     saved, fresh = CASES[case](), CASES[case]()

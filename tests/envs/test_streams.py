@@ -35,6 +35,7 @@ def drawn() -> np.ndarray:
     return out
 
 
+@pytest.mark.slow
 @given(seed=WORD, trial=WORD, purpose=st.integers(0, 3), block=st.integers(0, 2**62))
 def test_uniform_numbers_are_those_of_numpys_philox(seed, trial, purpose, block) -> None:
     out = np.empty((3, 4))
@@ -44,6 +45,7 @@ def test_uniform_numbers_are_those_of_numpys_philox(seed, trial, purpose, block)
     assert (out.ravel() == np.random.Generator(philox).random(12)).all()
 
 
+@pytest.mark.slow
 def test_normal_numbers_have_the_moments_of_the_normal_distribution(drawn: np.ndarray) -> None:
     five = 5.0 / drawn.size**0.5  # standard errors of the mean
     assert drawn.mean() == pytest.approx(0.0, abs=five)

@@ -1,12 +1,10 @@
 """Fixtures of the evaluation's tests."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
-from matplotlib.figure import Figure
 
+from tests.conftest import sketched
 from tests.eval.trials.toys import STEP, ideal_head
 from vergence.eval.article import folder
 from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evaluate
@@ -26,26 +24,6 @@ def toy_alone(patch: pytest.MonkeyPatch) -> None:
             f"vergence.eval.article.{module}.EXPERIMENTS",
             {"toy": "tests.eval.article.toy:EXPERIMENT"},
         )
-
-
-@contextmanager
-def sketched() -> Iterator[pytest.MonkeyPatch]:
-    """Figures are not drawn, which takes longer than all else: an empty one is written."""
-
-    def write(_figure: Figure, path: Path, **_options: object) -> None:
-        Path(path).write_text("<svg></svg>")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "draw_without_rendering", lambda _figure: None)
-        patch.setattr(Figure, "savefig", write)
-        yield patch
-
-
-@pytest.fixture
-def undrawn():
-    """See `sketched`."""
-    with sketched() as patch:
-        yield patch
 
 
 @pytest.fixture

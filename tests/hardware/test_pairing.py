@@ -46,6 +46,7 @@ def exposures(period=FRAME_S):
     return st.lists(steps, max_size=12).map(made)
 
 
+@pytest.mark.slow
 @given(exposures(), exposures())
 def test_each_image_comes_out_once_in_order_and_in_pairs_within_the_tolerance(left, right):
     pairing = Pairing(TOLERANCE_S, FRAME_S)

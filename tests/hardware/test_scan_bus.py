@@ -32,6 +32,7 @@ def test_servos_are_found_at_their_own_rates(serve):
     assert shares == [0.0, 0.5]
 
 
+@pytest.mark.slow
 def test_servos_that_tell_only_their_model_are_listed(serve):
     own = ready_servos()[:2]
     own[0].set(table.MODEL_NUMBER, 12)
@@ -77,6 +78,7 @@ def test_a_line_on_which_nobody_answers_ends_with_the_usual_reasons(serve, monke
     assert "Protocol 2.0" in said
 
 
+@pytest.mark.slow
 def test_equal_ids_are_listed_and_told(serve, monkeypatch, capsys):
     own = ready_servos()[:3]
     own[1].set(table.ID, 1)
@@ -87,6 +89,7 @@ def test_equal_ids_are_listed_and_told(serve, monkeypatch, capsys):
     assert "error: id 1: expected one servo at 1000000 baud, got two or more" in said.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [(), ("--ids", "1")])
 def test_damaged_answers_are_told_as_ids_that_collide(serve, monkeypatch, capsys, options):
     served = serve(ready_servos()[:1], alter=lambda _packet, answers: answers[:-1] + b"\0")

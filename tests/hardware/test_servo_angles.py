@@ -85,6 +85,7 @@ def test_angles_are_read_on_whatever_turn_the_servo_was_switched_on(wiring, angl
     assert rig.servos.angles[there] == pytest.approx(angle, abs=1.001 * half_a_tick)
 
 
+@pytest.mark.slow
 @settings(max_examples=5)
 @given(WIRINGS)
 def test_a_joint_turns_the_way_and_as_far_as_it_is_told(wiring):

@@ -22,6 +22,7 @@ def test_a_start_in_a_forbidden_posture_is_refused_before_anything_moves(robot):
     assert [one.q for one in robot.world.servos.values()] == [0.0] * 4
 
 
+@pytest.mark.slow
 def test_a_start_behind_a_forbidden_posture_names_what_is_in_the_way(robot):
     begun_s = robot.clock()
     with pytest.raises(HardwareError, match=r"left_pan: .* 'the bar' is in the way"):
@@ -42,6 +43,7 @@ def test_an_overload_before_the_start_names_the_joint_and_what_to_do(robot):
         robot.begin()
 
 
+@pytest.mark.slow
 def test_beginning_anew_brakes_a_moving_head_first(monkeypatch):
     robot = VirtualRobot(monkeypatch, acceleration_rad_s2=20.0)
     robot.begin()

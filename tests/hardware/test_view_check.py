@@ -64,6 +64,7 @@ def test_a_right_head_passes_and_exchanged_cameras_are_named(head):
     assert not finding.warning
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_is_named_with_its_joint():
     for name, slot in SLOTS.items():
         with named(name):

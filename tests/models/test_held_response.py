@@ -20,6 +20,7 @@ def integrate(v, w, u, build_up, a, period=PERIOD_S, count=20000):
     return q, v, w
 
 
+@pytest.mark.slow
 def test_it_solves_the_equation_of_motion() -> None:
     build_ups = np.array([0.05, 0.25, 0.9, 2.0])
     expected = np.stack(integrate(1.0, -30.0, 4.0, build_ups, np.inf), axis=-1)

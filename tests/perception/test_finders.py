@@ -49,6 +49,7 @@ def test_tags_that_stay_are_followed_and_found_in_every_image():
     assert (counting.full, counting.quick) == (2, 0)
 
 
+@pytest.mark.slow
 def test_tags_that_blink_are_found_whenever_they_are_there():
     find = FamilyTracker(Counting())
     for image in range(20):

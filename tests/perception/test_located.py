@@ -106,6 +106,7 @@ def test_points_of_drawn_images_lie_within_their_own_sigma(target):
 CHI_SQUARE = (1.5, 4.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "target"), [("physical", TARGETS[1]), ("icub", TARGETS[0]), ("pair", TARGETS[1])]
 )

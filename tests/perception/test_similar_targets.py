@@ -50,6 +50,7 @@ def test_a_charuco_board_of_other_counts_or_markers_is_named():
             assert hint(image, asked) == "charuco:6x5:40:30:4X4_50 is there"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shown", "asked", "there"),
     [

@@ -23,6 +23,7 @@ def forged_log(folder, whole, kind, **numbers):
     return path
 
 
+@pytest.mark.slow
 def test_a_chunk_that_cannot_be_unpacked_is_where_a_log_breaks(tmp_path, whole):
     assert len(read_log(forged_log(tmp_path, whole, "compression", value=2)).trials) == 2
     log = read_log(forged_log(tmp_path, whole, "compression", value=3))

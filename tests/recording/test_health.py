@@ -39,6 +39,7 @@ def judged(some):
     return health
 
 
+@pytest.mark.slow
 def test_noise_alone_is_not_reported():
     ratios = [judged(readings(40, seed=seed)).gap_ratio for seed in range(8)]
     assert 0.7 < np.median(ratios) < 1.3

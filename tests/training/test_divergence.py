@@ -84,6 +84,7 @@ def _fail_to_rename(folder, number, good, monkeypatch):
     assert read_checkpoint(folder / "checkpoints" / "last.pt")["steps"] >= saved["steps"]
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_any_more_is_said_in_one_line(
     begun, tmp_path, monkeypatch, capsys
 ):

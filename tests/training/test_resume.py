@@ -161,6 +161,7 @@ def test_a_run_without_its_last_checkpoint_is_refused_and_keeps_its_best(mine):
     assert content_of(mine) == before
 
 
+@pytest.mark.slow
 def test_a_run_that_lost_both_checkpoints_is_not_begun_again_over_its_curve(mine):
     shutil.rmtree(mine / "checkpoints")
     with pytest.raises(ConfigurationError, match=r"last\.pt.* there is .*curve\.csv"):
@@ -275,6 +276,7 @@ def test_all_edited_fields_are_named(mine):
         resume(mine, Silent())
 
 
+@pytest.mark.slow
 def test_another_number_of_steps_is_no_other_run(mine):
     assert resume(mine, Silent(), steps=STEPS + 128).finished
 

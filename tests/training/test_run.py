@@ -27,6 +27,7 @@ def parameters(folder, which="last"):
     return read_checkpoint(folder / "checkpoints" / f"{which}.pt")["parameters"]
 
 
+@pytest.mark.slow
 def test_a_run_folder_says_all_that_is_needed_to_run_again(run):
     content = tomllib.loads((run.folder / "config.toml").read_text())
     assert {"torch", "stable-baselines3", "python"} <= set(content["versions"])

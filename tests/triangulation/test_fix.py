@@ -53,6 +53,7 @@ def test_gaze_and_views_from_eyes_at_rest_find_the_points_of_table_3(head: HeadM
 _HEADS = {name: load_head(name) for name in ("simulated", "physical")}
 
 
+@pytest.mark.slow
 @given(
     name=st.sampled_from(sorted(_HEADS)),
     slope=st.tuples(st.floats(-0.45, 0.45), st.floats(-0.45, 0.45)),

@@ -22,6 +22,7 @@ def looked_at(head, point, rng):
     return quantised(head, q), pixels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["physical", "icub"])
 def test_points_are_as_sure_as_they_are_said_to_be_and_surer_than_a_mean(name):
     head, rng = vergence.load_head(name), np.random.default_rng(1)

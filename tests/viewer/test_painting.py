@@ -35,6 +35,7 @@ def coloured(picture, colour):
     return (spread > 60) & (picture.argmax(axis=2) == hue[2])
 
 
+@pytest.mark.slow
 def test_the_board_and_both_axes_are_painted_on_every_preset():
     for name in presets():
         with named(name):

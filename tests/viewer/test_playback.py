@@ -26,6 +26,7 @@ def shown(playback):
     return index, playback._words(index)[1]
 
 
+@pytest.mark.slow
 def test_buttons_step_to_moments_and_gazes_within_the_log(playback):
     assert playback.playing
     second, last = STEPS + 1, 2 * STEPS + 1

@@ -57,6 +57,7 @@ def test_what_is_not_possible_sets_the_controls_back(playground):
     )
 
 
+@pytest.mark.slow
 def test_a_target_that_is_dragged_upwards_rises(playground):
     handles, before = playground.view.scene.target, playground.simulated.target
     run(playground)

@@ -51,6 +51,7 @@ def test_a_run_folder_shows_the_gaze_that_was_run(run):
     assert recorded.errors_px()[-1] == pytest.approx(errors)
 
 
+@pytest.mark.slow
 def test_a_gaze_without_faults_raises_no_alarm(tmp_path):
     result = run_gaze(GazeConfig(plant="mujoco", target_mm=(120, -80, 350)))
     write_json(tmp_path / "result.json", result.summary())

@@ -50,6 +50,7 @@ def test_eyes_with_images_of_their_own_size_stand_side_by_side() -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_looking_changes_nothing() -> None:
     observations = []
     for mode in (None, "rgb_array"):
@@ -106,6 +107,7 @@ def test_a_window_without_pygame_says_what_to_install(monkeypatch: pytest.Monkey
             make(plant="kinematic", render_mode="human")
 
 
+@pytest.mark.slow
 def test_gymnasiums_checker_passes_without_pygame(monkeypatch: pytest.MonkeyPatch) -> None:
     assert GazeEnv(plant="kinematic").metadata["render_modes"] == ["rgb_array", "human"]
     monkeypatch.setitem(sys.modules, "pygame", None)

@@ -41,6 +41,7 @@ use_fixtures = settings(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
 @pytest.mark.parametrize("eye", ["pinhole", "lens"])
 @use_fixtures
@@ -122,6 +123,7 @@ def test_tracked_equals_full_frame(pinhole, rendering):
             assert tracked.corners_px == pytest.approx(full.corners_px, abs=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "side"), list(zip(TARGETS * 2, [(-1, 0), (1, 0), (0, -1), (0, 1)], strict=True))
 )

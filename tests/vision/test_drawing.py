@@ -87,6 +87,7 @@ def test_pixels_of_a_steep_board_equal_a_ray_cast(rendering):
     assert_ray_cast(camera, target, soft, T_C_T, most=0.04, rms=0.008)
 
 
+@pytest.mark.slow
 def test_one_sample_a_pixel_has_the_blur_that_is_asked_for(pinhole, rendering):
     """Half as much blur again would be off by twice as much and more."""
     plain, target = replace(rendering, supersampling=1), make_planar_target("tag")
@@ -134,6 +135,7 @@ def test_nothing_of_the_last_frame_remains(pinhole, rendering):
     assert (drawing.frame == fresh.frame).all()
 
 
+@pytest.mark.slow
 def test_target_across_the_frames_edge_is_cut_not_moved(pinhole, lens, rendering):
     places = (pose(-1.24, -1.02, 1.5, (0.1, 0.2, 0)), pose(-1.02, -0.6, 1.5, (0.1, 0.2, 0)))
     for camera, T_C_T in zip((pinhole, lens), places, strict=True):
@@ -157,6 +159,7 @@ def test_same_seed_same_image(pinhole, rendering):
     assert (images[0] != images[2]).any()
 
 
+@pytest.mark.slow
 def test_noise_has_the_stated_deviation_and_is_white(pinhole, rendering):
     drawing = TargetRenderer(pinhole, AprilTag(), replace(rendering, noise_grey=3.0))
     drawing.draw(pose(0, 0, 1))

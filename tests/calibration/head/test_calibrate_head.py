@@ -80,6 +80,7 @@ def test_any_head_is_found(name):
     assert surprise(calibrate_head(head, frames), true) < 1.9
 
 
+@pytest.mark.slow
 def test_true_angles_are_told_better_than_they_were_read(usual):
     head, _, frames, found = usual
     rng = np.random.default_rng(0)  # drawn again, for the true angles of the same frames
@@ -193,6 +194,7 @@ def test_a_board_of_nearly_another_size_is_pointed_out(usual):
     assert "mm apart, where the file has 92.0" in found.remarks[0]
 
 
+@pytest.mark.slow
 def test_all_but_redundant_directions_are_told_if_the_neck_moves(usual):
     told = unobservable_directions(usual[3].solution)
     assert [one.what.split(" ")[0] for one in told] == ["10"]

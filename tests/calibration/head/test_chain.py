@@ -48,6 +48,7 @@ def assert_derivative(exact, differences):
     assert (np.abs(exact - differences).max(axis=(0, 1, 2)) < 1e-6 * scale).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eye", [0, 1])
 def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
     about, values, q, corners, boards = case

@@ -70,6 +70,7 @@ def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(c
     assert read_log(folder / "0001.mcap").facts["plant"] == "none"
 
 
+@pytest.mark.slow
 def test_boards_are_spread_over_the_images_and_all_joints_move(collected):
     frames = read_recording(collected[0], HEAD).frames
     assert (image_coverage_percent(HEAD, frames) >= 80.0).all()
@@ -112,6 +113,7 @@ def test_a_board_that_is_nowhere_is_refused_and_nothing_is_written(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_a_later_run_goes_on_with_other_postures(tmp_path):
     for poses in (2, 5):
         collect(Counted(), tmp_path, CollectOptions(poses=poses, frames=2), {})
@@ -155,6 +157,7 @@ def test_a_board_that_is_taken_away_ends_the_recording_which_keeps_its_frames(tm
     assert len(read_recording(tmp_path, HEAD).frames.time_s) == 4
 
 
+@pytest.mark.slow
 def test_an_eye_that_misses_the_board_now_and_then_costs_its_views_alone(tmp_path):
     looker = Counted()
     see = looker.look
@@ -172,6 +175,7 @@ def test_an_eye_that_misses_the_board_now_and_then_costs_its_views_alone(tmp_pat
     assert frames.seen[0].all(axis=-1).sum() == 12
 
 
+@pytest.mark.slow
 def test_it_ends_as_soon_as_depth_would_be_known_well_enough(tmp_path):
     options = CollectOptions(poses=30, frames=2, until=5.0)
     found = collect(Counted(), tmp_path, options, {})
@@ -179,6 +183,7 @@ def test_it_ends_as_soon_as_depth_would_be_known_well_enough(tmp_path):
     assert (found.preview.depth_percent < 5.0).all()
 
 
+@pytest.mark.slow
 def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covariance():
     rng = np.random.default_rng(3)
     frames = simulate_recording(HEAD, HEAD, rng, poses=10, frames_per_pose=3).frames
@@ -199,6 +204,7 @@ def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covari
     assert (preview_calibration(HEAD, frames).depth_percent < few).all()
 
 
+@pytest.mark.slow
 def test_a_detection_of_something_else_does_not_change_the_prediction(collected):
     frames = collected[2].frames()
     pixels = frames.pixels.copy()
@@ -239,6 +245,7 @@ def test_what_cannot_be_is_refused_in_one_line(tmp_path):
         collect(Counted(), tmp_path / "file", CollectOptions(), {})
 
 
+@pytest.mark.slow
 def test_a_kill_loses_one_frame_at_most_and_the_next_run_goes_on(tmp_path):
     left = tmp_path / "left"
 

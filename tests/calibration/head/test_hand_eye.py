@@ -101,6 +101,7 @@ def test_views_without_the_board_do_not_count():
             assert not found.kept_views[0, :10].any()
 
 
+@pytest.mark.slow
 def test_noise_of_corners_and_encoders_leaves_a_tenth_of_a_degree():
     true = vergence.load_head("physical")
     seen = simulate_recording(true, true, np.random.default_rng(3), poses=40, frames_per_pose=4)

@@ -7,6 +7,7 @@ largest.
 """
 
 import numpy as np
+import pytest
 
 import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights
@@ -71,6 +72,7 @@ def rank(matrix):
     return int((values > SEEN * values[-1]).sum())
 
 
+@pytest.mark.slow
 def test_boards_tell_all_but_where_the_eyes_are_in_the_neck():
     assert rank(recorded(0, move_neck=False)) == 30
 

@@ -262,6 +262,7 @@ def test_a_photograph_of_nothing_and_one_without_a_partner_are_told(photographs,
     assert "1.png" in found.read_errors[0]
 
 
+@pytest.mark.slow
 def test_a_tag_is_a_board_of_photographs_too(tmp_path):
     tag = parse_target("tag:36h11:0:120")
     pose = board_ahead(SMALL, tag, 0.7)

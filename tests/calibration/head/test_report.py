@@ -73,6 +73,7 @@ def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
     np.testing.assert_allclose(predict_depth_errors(found, from_eyes).sigma_m, scatter, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_the_error_before_is_the_one_that_the_true_head_tells(found, true):
     depth = predict_depth_errors(found, points_ahead(DISTANCES_M))
     points = midpoint_between_cameras(true) + points_ahead(DISTANCES_M)

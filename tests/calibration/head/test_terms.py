@@ -106,6 +106,7 @@ def test_a_term_is_what_was_put_in(knowing, term, true):
     assert 0.5 < np.sqrt(np.mean(np.square(away))) < 1.7
 
 
+@pytest.mark.slow
 def test_a_tilt_axis_is_where_it_is(knowing):
     found = knowing["axes"]
     q = HEAD.rest()
@@ -130,6 +131,7 @@ def test_a_term_makes_depth_better_where_its_fault_is(term):
     assert ignorant.solution.problem.scatter_ratio.max() > 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [pytest.param("play", marks=pytest.mark.nightly), "axes"])
 def test_what_frames_call_for_is_chosen_and_nothing_else(knowing, fault):
     found = knowing[fault]
@@ -167,6 +169,7 @@ def test_terms_that_are_asked_for_are_there_whether_they_help_or_not():
     np.testing.assert_array_equal(found.head.cameras.focal, HEAD.cameras.focal)
 
 
+@pytest.mark.slow
 def test_play_goes_into_the_file_and_the_rest_is_said(knowing):
     found = knowing["play"]
     head = parse_head(head_file_text(found, "0" * 64, "mine"))

@@ -31,6 +31,7 @@ def with_outlier(task: GazeTask, eye: int) -> np.ndarray:
     return seen
 
 
+@pytest.mark.slow
 def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
     for head in (load_head("simulated"), STEPPED):
         for kind in ("error", "history", "predicted", "to_go", "observation"):

@@ -173,6 +173,7 @@ def test_another_compression_is_refused(parts):
     refused(packed(list(parts.items()), method=zipfile.ZIP_BZIP2), "stored or deflated")
 
 
+@pytest.mark.slow
 def test_a_bomb_is_refused_whether_its_size_is_announced_or_not(parts):
     bomb = packed([("manifest.json", parts["manifest.json"]), ("policy.onnx", bytes(2**26))])
     assert len(bomb) < 2**17

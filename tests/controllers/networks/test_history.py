@@ -85,6 +85,7 @@ def test_how_far_it_has_turned_since_is_what_the_observation_says() -> None:
     assert loop.channel("turned_middle_0")[sees] == pytest.approx(turned[sees], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_commands_and_velocities_are_those_of_the_last_periods() -> None:
     loop = Loop(load_head("simulated"), 60)
     speeds = np.array([seen.velocities[:, 3:] for seen in loop.seen])

@@ -192,6 +192,7 @@ def test_the_head_of_a_scenario_gets_the_network_of_its_name():
             assert controller.manifest.kind == kind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_shipped_networks_settle_in_a_robots_loop(kind):
     """In 2 px; not in every trial, as chance has a part in what a network learns."""
@@ -202,6 +203,7 @@ def test_the_shipped_networks_settle_in_a_robots_loop(kind):
     assert np.nanmedian(settle_s) < 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_shipped_networks_are_calm_on_servos_that_overshoot(kind):
     scenario = with_imperfection(load_scenario("hardware"), "overshoot", 0.3)

@@ -75,6 +75,7 @@ def swinging(
     return np.array(angles)
 
 
+@pytest.mark.slow
 def test_a_servo_of_second_order_swings_within_its_acceleration(exact: HeadModel) -> None:
     overshoot, commands = 0.25, np.zeros((26, 7))
     # a limit that falls with speed stays through each eighth of a lag; MuJoCo looks four times a

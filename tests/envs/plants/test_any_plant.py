@@ -7,6 +7,7 @@ from tests.envs.any_head import begun, least_squares, uneven
 from tests.heads import head_of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("plant", "name"), [("mujoco", "common"), ("rendered", "mis")])
 def test_a_vector_of_any_head_settles(plant, name) -> None:
     head = head_of(name)

@@ -13,6 +13,7 @@ STEP = 0.024
 """Quantisation of a Dynamixel's goal velocity, 0.229 rev/min, rad/s."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("periods", "plant_name", "within_rad"),
     [(1.0, "kinematic", 1e-9), (4.25, "kinematic", 1e-9), (1.7, "mujoco", 2e-4)],

@@ -16,6 +16,7 @@ def test_all_that_there_is_to_draw_is_drawn() -> None:
     assert set(EVERYTHING) == {*IMPERFECTIONS, "model_errors"} == {*RANGES, "model_errors"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["step", "circle"])
 def test_both_plants_agree_with_everything_drawn(target) -> None:
     tasks = []

@@ -30,6 +30,7 @@ def test_joints_begin_anywhere_in_their_play(exact) -> None:
             assert np.abs(pairs).max() < 4 / np.sqrt(num)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
 def test_a_joint_lags_half_its_play_behind_the_motor_that_pushes_it(exact, plant_name) -> None:
     own = {"neck": "welded"} if plant_name == "mujoco" else {}

@@ -161,6 +161,7 @@ def test_near_targets_are_among_those_that_both_eyes_find(simulated: HeadModel) 
     assert depth.max() > 2.0
 
 
+@pytest.mark.slow
 def test_a_head_whose_eyes_can_see_no_whole_board_is_told(simulated: HeadModel) -> None:
     task = GazeTask(1, head=lens(simulated, 64, 48, 60.0), plant="rendered")
     with pytest.raises(ConfigurationError, match="see with the whole board, 3 px from the images'"):

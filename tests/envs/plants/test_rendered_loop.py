@@ -49,6 +49,7 @@ def test_faults_are_those_of_the_other_plants(simulated: HeadModel) -> None:
     assert missed > 5
 
 
+@pytest.mark.slow
 def test_outliers_lie_on_top_of_what_the_detector_found(simulated: HeadModel) -> None:
     plain = rendered(simulated, 2, 30)
     beside = rendered(simulated, 2, 30, outlier_probability=0.2, outlier_px=60.0)

@@ -12,7 +12,8 @@ import pandas as pd
 import pytest
 import tomli_w
 
-from tests.eval.conftest import sketched, toy_alone
+from tests.conftest import sketched
+from tests.eval.conftest import toy_alone
 from tests.eval.mappers import Backwards
 from tests.eval.refusals import not_refused
 from tests.naming import named

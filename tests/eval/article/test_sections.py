@@ -3,6 +3,7 @@
 import dataclasses
 import re
 
+import pytest
 from jinja2 import meta, nodes
 
 from vergence.eval.article.experiment import load_experiment, resolve_config
@@ -59,6 +60,7 @@ def test_the_text_of_a_quick_run_has_no_count_of_the_full_one():
         assert not counts & {float(number.strip(",").replace(",", "")) for number in numbers}, name
 
 
+@pytest.mark.slow
 def test_every_count_of_a_configuration_that_a_text_states_is_that_runs():
     for name in EXPERIMENTS:
         quick, full = words(rendered(name, quick=True)), words(rendered(name, quick=False))

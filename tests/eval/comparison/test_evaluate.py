@@ -46,6 +46,7 @@ def test_trials_that_never_settle_are_counted_as_the_whole_trial():
     assert table[table["controller"] == "most"]["settle_1px_s"].isna().sum() == 11
 
 
+@pytest.mark.slow
 def test_trials_that_swing_are_counted_and_have_not_settled(known):
     known(duration_s=2.0, band_px=8.0)
     shaking = Shaking(KnowsTheWay(20), 0.03, 10.0, (0, 5))

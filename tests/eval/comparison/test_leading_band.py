@@ -80,6 +80,7 @@ def test_ratios_are_of_trials_that_settled(run) -> None:
     assert np.isinf(table["ratio_to_bound_2px"]).sum() == 2
 
 
+@pytest.mark.slow
 def test_the_leading_band_decides_who_is_faster(run) -> None:
     for band_px, faster in {1.0: 41 / 51, 2.0: 41 / 21}.items():
         evaluation = run(band_px, near=NEAR, steady=KnowsTheWay(40))

@@ -82,6 +82,7 @@ def test_nothing_is_marked_for_a_scenarios_own_head():
     assert evaluation.notes == []
 
 
+@pytest.mark.slow
 def test_defaults_that_nothing_was_tuned_for_are_marked_too():
     rows = rows_of(evaluate(EvaluateConfig(controllers=("pid",), scenarios=("line",), episodes=1)))
     assert (rows["pid"]["tuned"], rows["pid"]["tuned_for"]) == (False, None)

@@ -156,6 +156,7 @@ def test_the_run_folder_is_what_strict_readers_and_reports_can_read(measured, tm
     assert "command latency" in (folder / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_jobs_find_the_same_elsewhere_and_who_was_not_asked_for_does_not_run(monkeypatch):
     coarse(monkeypatch)
     names = ("frame_phase",)

@@ -76,6 +76,7 @@ def test_a_trial_in_which_the_head_was_stopped_as_it_swung_counts_and_never_sett
     assert np.isfinite(whole["settle_2px_s"]).all()
 
 
+@pytest.mark.slow
 def test_a_controller_that_fails_when_it_is_asked_again_is_left_out(logged):
     found = outcome(as_recorded(logged[0]), controller=f"{__name__}:Forgetful")
     assert isinstance(found, ControllerFailure)

@@ -56,6 +56,7 @@ def test_with_play_an_oracle_comes_as_near_and_never_below() -> None:
     assert (late <= 2).mean() >= 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("plant", "target"), [("kinematic", "random"), ("mujoco", "step")])
 def test_the_first_sight_is_when_the_target_is_seen_first(plant, target) -> None:
     faults = {

@@ -92,6 +92,7 @@ def test_points_that_cannot_be_are_passed_over(tmp_path):
     assert all(options["x"] >= 0.0 for options in points(attempts))
 
 
+@pytest.mark.slow
 def test_a_search_without_a_possible_point_says_why(tmp_path):
     def impossible(options):
         raise ConfigurationError("x: expected another")

@@ -58,6 +58,7 @@ REGISTERS = [
 ]
 
 
+@pytest.mark.slow
 def test_a_register_that_must_not_be_so_is_one_finding_of_its_servo(check):
     for register, value, said, warning in REGISTERS:
         with named(register.name, value):
@@ -115,6 +116,7 @@ def test_a_posture_is_taken_on_the_turn_nearest_the_range(check):
     assert check(own) == []
 
 
+@pytest.mark.slow
 def test_equal_ids_are_found_by_their_clocks_where_all_else_is_alike(check):
     own = ready_servos()
     own[1].set(table.ID, 1)
@@ -123,6 +125,7 @@ def test_equal_ids_are_found_by_their_clocks_where_all_else_is_alike(check):
     assert any("expected one servo with the id 1, got two or more" in str(one) for one in found)
 
 
+@pytest.mark.slow
 def test_a_noisy_line_is_not_taken_for_equal_ids(serve):
     rng = np.random.default_rng(3)
 

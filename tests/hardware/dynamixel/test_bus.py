@@ -38,6 +38,7 @@ def test_what_is_written_is_read(serve, connect):
         bus.write(1, table.TORQUE_ENABLE, 256)
 
 
+@pytest.mark.slow
 def test_a_sync_read_keeps_those_that_answer(serve, connect):
     servos = [make_servo(id, position_rad=0.1 * id) for id in (1, 2, 3)]
     servos[1].silent = True

@@ -39,6 +39,7 @@ def test_no_header_stands_inside_a_packet_before_its_checksum(packet):
     assert HEADER not in bytes_of(packet)[1:-2]
 
 
+@pytest.mark.slow
 @given(packets=st.lists(PACKETS, min_size=1, max_size=4), cuts=st.lists(st.integers(0, 400)))
 def test_packets_come_whole_whatever_the_pieces(packets, cuts):
     stream = b"".join(bytes_of(packet) for packet in packets)
@@ -48,6 +49,7 @@ def test_packets_come_whole_whatever_the_pieces(packets, cuts):
     assert found == packets
 
 
+@pytest.mark.slow
 @given(garbage=TROUBLE, packet=PACKETS)
 def test_a_good_packet_is_found_at_once_behind_any_garbage(garbage, packet):
     assert PacketParser().feed(garbage + bytes_of(packet)) == [packet]
@@ -79,6 +81,7 @@ def test_a_damaged_packet_does_not_come_and_the_next_one_does(packet, data):
     assert PacketParser().feed(bytes(sent) + bytes_of(good)) == [good]
 
 
+@pytest.mark.slow
 @given(packet=PACKETS, data=st.data())
 def test_a_cut_packet_does_not_come_and_the_next_one_does(packet, data):
     sent = bytes_of(packet)

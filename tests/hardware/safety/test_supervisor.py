@@ -168,6 +168,7 @@ def test_a_policy_that_swings_stops_unless_its_target_does():
     assert not swing(Robot(), lambda side: 0.15 * side)
 
 
+@pytest.mark.slow
 def test_a_lost_target_holds_until_it_is_seen_again():
     robot = Robot(lost_s=0.3)
     robot.prove()

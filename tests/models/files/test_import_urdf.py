@@ -465,6 +465,7 @@ def compiled_pose(text: str, kind: str, name: str, angles: dict[str, float]) -> 
     return np.linalg.inv(world(data.body("base"))) @ world(getattr(data, kind)(name))
 
 
+@pytest.mark.slow
 def test_an_mjcf_moves_as_mujoco_moves_it(head_of):
     in_frame = PLAIN_MJCF.replace(
         '<joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>',

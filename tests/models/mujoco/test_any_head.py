@@ -81,6 +81,7 @@ class TestTree:
                         optical = camera.xmat.reshape(3, 3) * [1.0, -1.0, -1.0]
                         np.testing.assert_allclose(optical, expected[eye, :3, :3], atol=1e-12)
 
+    @pytest.mark.slow
     def test_joints_are_the_heads_and_actuators_its_actuators(self):
         for name in ALL:
             with named(name):
@@ -207,6 +208,7 @@ class TestAppearance:
                 assert ((data.cam_xpos - floor.xpos) @ up > 0.2).all()
                 np.testing.assert_allclose(model.opt.gravity, -9.81 * up, atol=1e-12)
 
+    @pytest.mark.slow
     def test_eyeballs_are_about_the_cameras_and_do_not_touch(self):
         for name in ALL:
             with named(name):

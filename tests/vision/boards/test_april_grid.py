@@ -41,6 +41,7 @@ def drawn(
     return scene(camera, board, pose(x, 0.01, z, turn), rendering, rng)
 
 
+@pytest.mark.slow
 def test_every_corner_is_found_in_the_boards_order():
     for roll in (0.1, np.pi / 2, np.pi, -1.7):
         with named(roll):
@@ -61,6 +62,7 @@ def test_sigmas_hold_the_errors(z, blur_px):
     assert rms(errors) < 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_a_wide_lens_hides_no_corner_that_it_bends(known):
     """The board reaches 50 degrees off the axis."""
@@ -133,6 +135,7 @@ def test_other_boards_are_none():
     assert make_detector(GRID).detect(np.ascontiguousarray(image[:, ::-1])) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turn", "columns", "rows"), [((0.0, 0.0, 0.0), 3, 1), ((0.6, 0.3, 1.0), 10, 10)]
 )

@@ -73,6 +73,7 @@ def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall():
                 assert found.corners_px == pytest.approx(one.corners, abs=0.12)
 
 
+@pytest.mark.slow
 def test_a_board_that_tells_up_from_down_has_its_corners_in_order_at_every_roll():
     sizes = [(5, 4), (4, 5), (9, 6), (12, 9)]
     for rim, roll, size in some_of([True, False], [0.0, 0.7, np.pi / 2, np.pi, -2.0], sizes):
@@ -147,6 +148,7 @@ def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
     assert found.corners_px == pytest.approx(one.corners[::-1], abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("roll", "rim", "asked", "shown"),
     [(0.9, False, (5, 4), (5, 5)), (2.0, True, (3, 3), (5, 4)), (2.0, False, (6, 4), (7, 5))],
@@ -214,6 +216,7 @@ def test_a_smaller_board_is_none(asked, roll):
     assert make_detector(board(*asked)).detect(one.image) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("side", "size"), [((1, 0), (5, 4)), ((-1, 0), (9, 6)), ((0, 1), (9, 6)), ((0, -1), (5, 4))]
 )
@@ -248,6 +251,7 @@ LIGHTS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_light_and_files_move_no_corner():
     for what, size in some_of(list(LIGHTS), [(5, 4), (9, 6), (5, 5)]):
         with named(what, size):
@@ -265,6 +269,7 @@ def in_shadow(columns: int, rows: int, left: float, angle: float) -> tuple[Scene
     return one, shadow(left, angle)(one.image, one.corners.mean(axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("angle", "size"), [(0.0, (5, 5)), (0.5, (5, 4)), (2.0, (9, 6))])
 def test_the_edge_of_a_deep_shadow_moves_few_corners_and_sigmas_say_so(size, angle):
     """Half are moved by less than 0.1 px; those that the edge crosses are in the sigma of all."""
@@ -323,6 +328,7 @@ def test_a_prediction_between_the_corners_finds_no_board_there():
                 assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("square_px", "name"), [(5.0, "physical"), (7.0, "simulated"), (10.0, "simulated")]
 )
@@ -354,6 +360,7 @@ def test_corners_are_as_exact_as_said(name, z):
     assert rms(errors) < 0.08
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "columns", "rows", "z"), [(2.0, 5, 4, 0.7), (6.0, 9, 6, 1.5), (6.0, 3, 3, 0.7)]
 )

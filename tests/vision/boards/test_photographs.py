@@ -10,6 +10,8 @@ from vergence.vision import Detection, Tracker, make_detector, parse_target, rea
 SHARED = Path(__file__).resolve().parents[3] / ".." / "shared" / "data" / "stereo_chessboard"
 DETECTOR = make_detector(parse_target("checkerboard:9x6:24.23"))
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def found() -> dict[str, Detection | None]:
@@ -20,7 +22,6 @@ def found() -> dict[str, Detection | None]:
     return {path.stem: DETECTOR.detect(read_image(path)) for path in paths}
 
 
-@pytest.mark.slow
 def test_the_board_is_found_in_every_image(found):
     assert len(found) == 58
     assert [name for name, each in found.items() if each is None] == []
@@ -53,7 +54,6 @@ def test_sigmas_are_those_of_a_hand_held_board_in_compressed_images(found):
     assert max(said) < 1.0
 
 
-@pytest.mark.slow
 def test_the_tracker_finds_the_board_in_every_image_as_the_detector_does(found):
     tracker = Tracker(DETECTOR)
     for name in sorted(name for name in found if name.startswith("left"))[:12]:

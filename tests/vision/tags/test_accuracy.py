@@ -27,6 +27,7 @@ def poses(depth_m: float, count: int, seed: int = 0) -> list[np.ndarray]:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("depth_m", "name"), [(0.4, "physical"), (1.0, "simulated"), (2.4, "simulated")]
 )
@@ -67,6 +68,7 @@ def test_small_tags_are_found_at_every_place_in_the_pixel_grid_and_every_roll(na
     assert rms(errors) < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("angle", "light", "depth_m"), [(0.0, shadow, 1.0), (0.8, ramp, 0.5), (2.5, shadow, 2.0)]
 )
@@ -110,6 +112,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", CHANGES)
 def test_a_poor_image_is_read_and_its_corners_are_right(what):
     change, most_px = CHANGES[what]

@@ -102,6 +102,7 @@ def test_the_point_of_a_bent_tag_is_the_middle_of_its_print(sagitta_m):
     assert rms(sigmas) < 0.01 + 60.0 * sagitta_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("along", [0, 1])
 def test_the_corners_of_a_wavy_sheet_are_where_it_has_them(along):
     """The wave runs along one side, and shifts points along the other."""

@@ -33,6 +33,7 @@ def drawn(target: AprilTag, roll: float = 0.0, turn: tuple[float, float] = (0.0,
 ROLLS = dict(zip(FAMILIES, [0.0, 0.8, np.pi / 2, np.pi, -1.0] * 2, strict=False))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_tag_is_found_by_its_number_its_upper_left_corner_first(family):
     """To 0.1 px: taken for another corner it would be beside by the edge, 60 px and more."""
@@ -46,6 +47,7 @@ def test_a_tag_is_found_by_its_number_its_upper_left_corner_first(family):
         assert found.point_px == pytest.approx(one.point, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_family_finds_its_tags_and_says_which():
     for family in FAMILIES:
         with named(family):
@@ -68,6 +70,7 @@ def test_a_drawing_is_found_with_a_sigma_as_small_as_its_error():
             assert found.corners_sigma_px.max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_tag_of_another_family_is_none():
     for family, other in zip(FAMILIES, FAMILIES[1:] + FAMILIES[:1], strict=True):
         with named(family, other):
@@ -75,6 +78,7 @@ def test_a_tag_of_another_family_is_none():
             assert make_detector(TagFamily(family=family)).detect_all(one.image) == []
 
 
+@pytest.mark.slow
 def test_a_tag_of_another_number_is_none():
     for family in FAMILIES:
         with named(family):
@@ -85,6 +89,7 @@ def test_a_tag_of_another_number_is_none():
             assert tracker.track(one.image, seen._replace(target=tag(family, 5))) is None
 
 
+@pytest.mark.slow
 def test_a_mirrored_tag_is_none_nor_an_inverted_one():
     for family in FAMILIES:
         image = cropped(drawn(tag(family, 2))).image

@@ -133,6 +133,7 @@ def test_a_copy_through_pickle_says_the_same(target):
         np.testing.assert_array_equal(again.corners_sigma_px, first.corners_sigma_px)
 
 
+@pytest.mark.slow
 def test_two_threads_at_once_find_what_one_finds():
     camera, rendering = rig("physical")
     images = []

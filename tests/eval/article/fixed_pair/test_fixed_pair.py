@@ -58,6 +58,7 @@ def test_an_unknown_pose_of_the_pair_moves_all_points_alike(table):
     assert (shift.std(axis=1) < 0.5 * shift.abs().max(axis=1)).all()
 
 
+@pytest.mark.slow
 def test_the_verdict_names_what_is_nearer_to_the_truth(table):
     quantity = "mean absolute error, median head over median pair"
     for factor, verdict in {1000.0: "head nearer", 1e-3: "pair nearer"}.items():

@@ -36,6 +36,7 @@ def test_the_seed_is_that_of_the_noise_and_who_runs_the_jobs_does_not_change_a_b
     pd.testing.assert_frame_equal(one[~noisy], other[~noisy], check_exact=True)
 
 
+@pytest.mark.slow
 def test_a_step_of_100_mm_at_one_metre_is_about_a_tenth_of_the_focal_length(table):
     # the eyes are 986 mm from the target's plane, which is seen up to 12 degrees from its normal
     assert table.query("case == 'sweep'")["step_px"].between(61.0, 64.0).all()

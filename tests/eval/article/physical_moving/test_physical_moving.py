@@ -37,6 +37,7 @@ def test_half_the_common_tilt_makes_smaller_errors_in_y(table):
     assert numbers["common_tilt_deg"] == pytest.approx(0.4 * 1.4)
 
 
+@pytest.mark.slow
 def test_verdicts_follow_the_numbers(table):
     larger = scaled(table, "mean_abs_z_mm", 1e3, table["case"] == "head")
     rows = [r for r in EXPERIMENT.summarise(larger, CONFIG) if r.axis == "z"]
@@ -45,6 +46,7 @@ def test_verdicts_follow_the_numbers(table):
     assert EXPERIMENT.numbers(larger, CONFIG) != EXPERIMENT.numbers(table, CONFIG)
 
 
+@pytest.mark.slow
 def test_the_text_has_the_numbers_of_the_table(table):
     imaged = table[(table["case"] == "head") & (table["group"] == "imaged")]
     seen = imaged.set_index("method")["mean_abs_z_mm"]

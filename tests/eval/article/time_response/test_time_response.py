@@ -28,6 +28,7 @@ def table() -> pd.DataFrame:
     return EXPERIMENT.run(CONFIG, 0, SerialMapper())
 
 
+@pytest.mark.slow
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
     again = EXPERIMENT.run(CONFIG, 0, Backwards())
     pd.testing.assert_frame_equal(table, again, check_exact=True)
