@@ -49,6 +49,11 @@ def test_every_number_is_printed(capsys, tmp_path, told):
             assert ("do not move" in said) == (name not in MOVING)
 
 
+def test_degrees_have_no_rounding_errors(told):
+    text = text_of("tied").replace("lower_rad = -0.9", f"lower_rad = {-np.pi / 3}")
+    assert told("tied", text)["joints"][0]["lower_deg"] == -60.0  # exactly
+
+
 def test_a_heads_calibration_is_told(capsys, tmp_path, told, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     record = f"""
