@@ -18,6 +18,7 @@ BASE := $(VENV)/.base
 ROBOT := $(VENV)/.robot
 VIEW := $(VENV)/.view
 TEST := $(VENV)/.test
+NIGHTLY := $(VENV)/.nightly
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
@@ -47,7 +48,7 @@ tests: style kernels
 	@$(PYTEST) -n $(JOBS) --dist worksteal -m "not real_time and not nightly" $(ARGS) || $(NO_TESTS_SELECTED)
 	@$(PYTEST) -m "real_time and not nightly" $(or $(ARGS),tests/hardware) || $(NO_TESTS_SELECTED)
 
-test-all: test ## what `make test` does, and the nightly tests
+test-all: $(NIGHTLY) test ## what `make test` does, and the nightly tests
 	@$(PYTEST) -n $(JOBS) --dist worksteal -m "nightly and not real_time" $(ARGS) || $(NO_TESTS_SELECTED)
 	@$(PYTEST) -m "nightly and real_time" $(or $(ARGS),tests/hardware) || $(NO_TESTS_SELECTED)
 
@@ -120,9 +121,13 @@ $(TEST): $(CREATED) $(REQUIREMENTS)
 	$(call install,[test])
 	@touch $(BASE)
 
+$(NIGHTLY): $(CREATED) $(REQUIREMENTS)
+	$(call install,[nightly])
+	@touch $(BASE) $(TEST)
+
 $(DEV): $(CREATED) $(REQUIREMENTS)
 	$(call install,[dev$(comma)train$(comma)render$(comma)view])
-	@touch $(BASE) $(TEST)
+	@touch $(BASE) $(TEST) $(NIGHTLY)
 
 $(BENCH): $(CREATED) $(REQUIREMENTS)
 	$(call install,[bench])

@@ -65,6 +65,7 @@ def test_the_command_turns_the_head_to_the_target(desk: Path, tmp_path: Path) ->
         assert (np.abs(fix["error_mm"]) < 3.5 * np.array(fix["sigma_mm"])).all()
 
 
+@pytest.mark.nightly
 def test_the_ten_lines_of_the_readme_run_on_it(desk: Path) -> None:
     code = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)[0]
     simulated, robot = re.findall(r"^(?:# )?env = .*$", code, re.MULTILINE)
