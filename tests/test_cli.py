@@ -97,6 +97,7 @@ def test_a_controller_has_its_own_gain_or_none(tmp_path):
         assert tomllib.loads((folder / "config.toml").read_text())["config"].get("gain") == gain
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_table_shows_truth_methods_sigma_and_errors(tmp_path, capsys):
     call("gaze", "--plant", "kinematic", "--out", str(tmp_path / "run"))
@@ -151,6 +152,7 @@ def test_a_folder_with_files_in_it_is_left_alone(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["kept.txt"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_eyes_that_do_not_settle_are_written_and_end_in_exit_code_1(tmp_path, capsys):
     folder = tmp_path / "run"

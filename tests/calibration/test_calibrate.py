@@ -121,6 +121,7 @@ def test_the_covariance_of_the_place_follows_small_changes(pair):
     np.testing.assert_allclose(np.std(moved, axis=0), told, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_one_camera_gives_a_file_of_its_own(pair):
     found = calibrate_views(pair[0].select_camera(0), LENS)
     document = ros_camera_document(found)

@@ -61,6 +61,7 @@ def test_the_table_and_the_figure_show_what_was_found(folder, capsys, tmp_path):
     assert min(cv2.imread(str(figure)).shape[:2]) > 300
 
 
+@pytest.mark.slow
 def test_a_calibration_may_give_the_lens(folder, capsys, tmp_path):
     pair = write_opencv(tmp_path / "pair.yml", opencv_pair())
     words = ("detect", folder / "tag.png", "--target", "tag:36h11:5:120", "--camera", pair)
@@ -201,6 +202,7 @@ def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
     assert "target: expected at least one" in refused(capsys, "detect", "a.png")
 
 
+@pytest.mark.slow
 def test_white_that_is_clipped_is_said(folder, capsys, tmp_path):
     image = cv2.imread(str(folder / "tag.png"), cv2.IMREAD_GRAYSCALE)
     bright = np.clip(2.0 * image.astype(float), 0, 255).astype(np.uint8)

@@ -129,6 +129,7 @@ def test_the_reach_of_moving_eyes_ends_where_a_joint_does(told):
     assert told("tied")["reach"]["nearest_m"] == pytest.approx(0.034 / np.tan(0.6), rel=0.01)
 
 
+@pytest.mark.slow
 def test_what_tied_eyes_cannot_make_zero_is_told(told):
     assert told("panfirst")["least_error_px"] == 0.0
     assert 0.1 < told("mis")["least_error_px"] < 2.0

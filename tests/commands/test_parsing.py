@@ -33,6 +33,7 @@ def test_no_words_at_all_are_misuse_and_print_the_help():
     assert "triangulate" in done.stderr
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_named_with_the_help_of_its_own_command(capsys):
     for words, missing, command in [
         (["locate"], ["LEFT", "RIGHT", "--head HEAD"], "locate"),

@@ -48,6 +48,7 @@ def distances(
     return np.linalg.norm(np.array(seen) - least, axis=-1).max(axis=-1)[:, in_view]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "name"), [(law, HEADS[i % len(HEADS)]) for i, law in enumerate(LAWS)]
 )

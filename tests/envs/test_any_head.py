@@ -69,6 +69,7 @@ def test_an_orbit_asks_for_half_of_what_the_actuators_can_do() -> None:
             assert (rates <= 0.53 * own.velocity[3 : 3 + own.count]).all()
 
 
+@pytest.mark.slow
 def test_least_squares_settle_on_the_least_error_and_that_is_a_success() -> None:
     for name in MOVING:
         with named(name):

@@ -109,6 +109,7 @@ def test_actions_are_joint_velocities_by_their_limits() -> None:
     assert task.truth().velocities[0] == pytest.approx([0, 0, 0, 3.0, -5.0, 4.0, 0.5], abs=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(
     seed=st.integers(0, 2**32),

@@ -61,6 +61,7 @@ class RobotWithCameras(Robot):
         return left, right
 
 
+@pytest.mark.slow
 def test_without_truth_no_picture_and_no_table_has_a_target(on_robot, capsys):
     texts = compose_gaze(on_robot).findobj(Text)
     assert not any("target" in text.get_text() for text in texts)
@@ -68,6 +69,7 @@ def test_without_truth_no_picture_and_no_table_has_a_target(on_robot, capsys):
     assert "truth" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_errors_say_whether_they_are_true_or_measured(on_robot):
     true = gaze_of("simulated", duration_s=0.1)
     for result, kind in ((true, "true"), (on_robot, "measured")):

@@ -148,6 +148,7 @@ REFUSED = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_value_that_cannot_be_is_named(tmp_path):
     for place, value, said in REFUSED:
         with named(place, value):

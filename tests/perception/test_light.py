@@ -24,6 +24,7 @@ def image_of(name: str, response: str) -> np.ndarray:
     return cv2.cvtColor(levels(encoded), cv2.COLOR_GRAY2BGR)
 
 
+@pytest.mark.slow
 def test_encoded_levels_that_are_taken_for_light_are_noticed():
     finder = TargetFinder([make_planar_target("checkerboard")], response="linear")
     assert finder.find(image_of("checkerboard", "srgb"))
@@ -31,6 +32,7 @@ def test_encoded_levels_that_are_taken_for_light_are_noticed():
     assert "were srgb, not linear" in line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius_px", [2.0, 2.5])
 def test_a_lens_out_of_focus_is_no_response(radius_px):
     """It blurs to a disk, whose edges are no Gaussian's, and even all the same."""

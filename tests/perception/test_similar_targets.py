@@ -72,6 +72,7 @@ def test_a_named_charuco_board_has_the_layout_that_is_there(shown, asked, there)
     assert make_detector(*parse_targets([spelled(there)])).detect(image) is not None
 
 
+@pytest.mark.slow
 def test_markers_that_begin_at_another_id_are_said():
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     board = cv2.aruco.CharucoBoard((6, 5), 0.04, 0.03, dictionary, np.arange(20, 35))

@@ -38,6 +38,7 @@ def test_the_board_without_the_rows_that_no_image_shows_is_named(asked, there):
     assert notes(there, [drawn(there)]) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", ["aprilgrid:3x4:40:0.3", "charuco:6x5:40:30:4X4_50"])
 def test_a_row_that_one_image_shows_or_that_is_out_of_view_is_not_missed(asked):
     whole = drawn(asked)

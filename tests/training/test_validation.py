@@ -13,6 +13,7 @@ from vergence.training.listener import TrainingResult
 from vergence.training.validation import BASELINES, Validation, ValidationScore
 
 
+@pytest.mark.slow
 def test_baselines_of_a_head_that_nothing_was_tuned_for_are_named_as_untuned():
     scenario = load_scenario("hardware")
     preset = scenario.model()

@@ -75,6 +75,7 @@ def test_joint_noise_of_gaze(head: HeadModel, point, rng) -> None:
     assert agree(fix.covariance, triangulate_gaze(head, draws, Noise()).point)
 
 
+@pytest.mark.slow
 def test_pixel_noise_of_gaze_reaches_the_point_through_the_settled_loop(
     head: HeadModel, point, rng
 ) -> None:

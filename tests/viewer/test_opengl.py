@@ -8,6 +8,7 @@ from vergence.cli import main
 from vergence.viewer import opengl
 
 
+@pytest.mark.slow
 def test_a_choice_with_which_mujoco_cannot_be_imported_is_switched_off(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
     failure = opengl.disable_broken_opengl()

@@ -25,6 +25,7 @@ def run(playground, rounds=8):
     playground.run(until=lambda: next(left, None) is None)
 
 
+@pytest.mark.slow
 def test_what_is_asked_is_done_between_two_periods(playground):
     playground.ask(lambda: playground._change(controller="pid"))
     playground.ask(lambda: playground._change_head("icub"))
@@ -46,6 +47,7 @@ def test_all_that_a_slider_passes_on_its_way_is_done_at_once(playground, monkeyp
     assert playground._sliders["latency_s"].value == pytest.approx(139.0)
 
 
+@pytest.mark.slow
 def test_what_is_not_possible_sets_the_controls_back(playground):
     before = playground.simulated.setup
     playground._sliders["latency_s"].value = -5.0

@@ -12,6 +12,7 @@ def heads():
     return {name: load_head(name) for name in presets()}
 
 
+@pytest.mark.slow
 def test_every_surface_faces_outwards(heads):
     for name, head in heads.items():
         for mesh in HeadShapes(head).meshes:
@@ -31,6 +32,7 @@ def test_a_closed_surface_has_each_edge_twice(heads):
         assert {edge[::-1] for edge in there} == there
 
 
+@pytest.mark.slow
 def test_an_eye_stays_around_its_camera_in_every_posture(heads):
     rng = np.random.default_rng(1)
     for name, head in heads.items():

@@ -27,6 +27,7 @@ def test_the_eyes_settle_on_a_target_that_is_moved_by_hand():
         assert 0.1 < simulated.settled_s < 0.6
 
 
+@pytest.mark.slow
 def test_a_jump_is_timed_against_its_bound():
     simulated = SimulatedHead(SETUP, seed=3)
     run(simulated, 1.0 + 3 * STEP_S - 0.1)
@@ -45,6 +46,7 @@ def test_images_show_where_the_target_was_when_they_were_exposed():
     assert np.abs(simulated.moment().pixels - before).max() > 20.0
 
 
+@pytest.mark.slow
 def test_pursuit_stays_on_a_target_that_moves():
     setup = Setup(head=SETUP.head, plant="kinematic", controller="pursuit")
     for mode in ("circle", "wander"):

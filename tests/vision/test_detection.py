@@ -104,6 +104,7 @@ def test_every_detector_reads_images_by_the_stated_response():
             assert detector.response_of(np.zeros((9, 9), np.uint8)) == "srgb"
 
 
+@pytest.mark.slow
 def test_tracked_equals_full_frame(pinhole, rendering):
     """Both refinements end at one place, whether the prediction was near or far."""
     for name, miss_px in some_of(TARGETS, [(0, 0), (1.5, -2), (9, 7)]):
@@ -164,6 +165,7 @@ def test_motion_blinds_before_it_misleads(name, angle, pinhole, rendering):
             assert away < max(0.25, 3.0 * seen.sigma_px.max())
 
 
+@pytest.mark.slow
 def test_noise_lies_in_the_articles_range_on_the_simulated_rig(pinhole, rendering):
     """0.006 to 0.057 px, or a little less of a tag, whose cells count; known to 9 %."""
     for target in (AprilTag(), Checkerboard()):

@@ -86,6 +86,7 @@ def test_a_camera_that_turns_by_100_mrad_between_images_tracks_by_its_pose(kind,
         T_0_C = T_0_C @ pose(0, 0, 0, tuple(turn if step % 2 == 0 else -turn))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TARGETS)
 def test_a_target_that_was_hidden_is_found_again_where_it_then_is(kind):
     camera, rendering = rig("simulated")
@@ -115,6 +116,7 @@ def test_a_target_beyond_the_eye_is_not_expected_anywhere_else():
     assert tracker.find(one.image, T_0_C=np.eye(4)) is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.0, 0.8])
 def test_a_shadow_that_comes_over_a_tag_does_not_end_its_track(angle):
     """From even light into half shadow while the tag moves by 3 px an image."""

@@ -102,6 +102,7 @@ def test_a_checkerboard_is_no_tag():
             assert detector.detect_all(floor_of_tiles(square)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "square"), [("5x4", 13), ("3x3", 30)])
 def test_a_floor_of_tiles_that_fills_the_image_is_no_board(name, square):
     assert make_detector(TARGETS[name]).detect_all(floor_of_tiles(square)) == []

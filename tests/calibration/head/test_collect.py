@@ -91,6 +91,7 @@ def test_a_recording_makes_a_calibration(collected):
     assert found.kept_corners.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["turrets", "icub"])
 def test_other_heads_see_their_boards_too(name, tmp_path):
     head = vergence.load_head(name)
@@ -100,6 +101,7 @@ def test_other_heads_see_their_boards_too(name, tmp_path):
     assert all(head.reaches(q) for q in looker.asked)
 
 
+@pytest.mark.slow
 def test_a_board_aside_is_looked_for_and_found(tmp_path):
     looker = Counted(aside_m=0.7)
     assert looker.look(HEAD.rest()).corners_px == (None, None)
@@ -144,6 +146,7 @@ def test_a_moved_board_has_another_place_and_is_noticed_unsaid(collected, tmp_pa
     assert found.frames().placement.tolist() == frames.placement.tolist()
 
 
+@pytest.mark.slow
 def test_a_board_that_is_taken_away_ends_the_recording_which_keeps_its_frames(tmp_path):
     looker = Counted()
     see = looker.look

@@ -123,6 +123,7 @@ def test_reprojection_finds_both_exactly_and_leaves_the_rest_of_the_head():
     assert found.rms_px < 1e-4
 
 
+@pytest.mark.slow
 def test_what_tells_no_pose_is_refused():
     _, still, about_one_axis = seen_by("simulated", move_neck=False, off_axis=0.0, dither_rad=0.0)
     _, head, frames = seen_by("physical")

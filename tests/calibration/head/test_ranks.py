@@ -77,6 +77,7 @@ def test_boards_tell_all_but_where_the_eyes_are_in_the_neck():
     assert rank(recorded(0, move_neck=False)) == 30
 
 
+@pytest.mark.slow
 def test_boards_and_a_moving_neck_tell_all_but_redundant_directions():
     assert rank(recorded(0)) == 34
 

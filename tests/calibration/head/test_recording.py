@@ -153,6 +153,7 @@ def test_another_geometry_of_the_logs_head_is_a_remark(tmp_path, frames):
     assert found.remarks == ("1 of 1 logs: the head had other numbers than physical",)
 
 
+@pytest.mark.slow
 def test_logs_that_do_not_fit_are_refused_in_one_line(tmp_path, frames):
     none = frames.select(np.zeros(24, dtype=bool))
     cases = [

@@ -200,6 +200,7 @@ def test_what_is_no_file_is_refused(tmp_path):
 # Damage: refused, or harmless; never another exception, which would be a BundleError's absence.
 
 
+@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
 @given(data=st.data())
 def test_flipped_bytes_are_refused_or_change_nothing(path, data):

@@ -43,6 +43,7 @@ def test_the_articles_law_settles_at_every_rate(exact, control_hz, plant_name) -
     assert np.linalg.norm(errors[-1], axis=-1).max() < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("control_hz", "plant_name"), [(77.0, "kinematic"), (50.0, "mujoco"), (250.0, "mujoco")]
 )

@@ -48,6 +48,7 @@ def seen(physical):
     return plant
 
 
+@pytest.mark.slow
 def test_eyes_at_rest_see_what_the_rendered_plant_shows(physical):
     plant = make_plant("rendered", physical, 1, **VIEW)
     begin(plant, start_of(point=POINT, seed=SEED))
@@ -59,6 +60,7 @@ def test_eyes_at_rest_see_what_the_rendered_plant_shows(physical):
     assert worst_grey(drawn, plant.frames()) <= 1
 
 
+@pytest.mark.slow
 def test_eyes_in_motion_see_what_the_rendered_plant_shows(physical, seen):
     truth = seen.truth()
     q, v, point = truth.positions[0], truth.velocities[0], truth.target[0]

@@ -133,6 +133,7 @@ def test_actuators_stop_alike_at_their_limits() -> None:
             assert worst_deg(paths[0][-1], paths[1][-1]) < 0.1
 
 
+@pytest.mark.slow
 def test_a_welded_neck_leaves_the_eyes_as_they_are(exact: HeadModel) -> None:
     for head in (exact, any_head("tied")):
         with named(head.name):

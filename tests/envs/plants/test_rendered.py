@@ -29,6 +29,7 @@ def test_the_loop_settles_on_what_the_detector_sees() -> None:
     assert task.success.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "board"), [("physical", "tag"), ("simulated", "checkerboard")])
 def test_detections_agree_with_the_projection_of_the_moving_target(preset, board, request) -> None:
     head = request.getfixturevalue(preset)

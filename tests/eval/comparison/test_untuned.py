@@ -74,6 +74,7 @@ def test_a_baseline_of_another_head_is_marked_in_rows_tables_text_and_files(mine
     assert config["tuned"] == {BASELINE: {"workspace": False}, "pid": {"workspace": False}}
 
 
+@pytest.mark.slow
 def test_nothing_is_marked_for_a_scenarios_own_head():
     evaluation = evaluate(EvaluateConfig(controllers=("pid",), episodes=2))
     assert {row["tuned"] for row in evaluation.rows()} == {True, None}
@@ -136,6 +137,7 @@ def test_the_search_finds_the_best_gain_of_the_grid_whoever_runs_the_jobs(few_ga
     assert baseline.best_gain(scenario, head, Backwards()) == best
 
 
+@pytest.mark.slow
 def test_a_best_gain_at_the_edge_of_the_search_is_refused(few_gains, monkeypatch):
     monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(2.0, 3.0, "linear", 0.25)})
     scenario = load_scenario("workspace")
@@ -143,6 +145,7 @@ def test_a_best_gain_at_the_edge_of_the_search_is_refused(few_gains, monkeypatch
         baseline.best_gain(scenario, scenario.model(), SerialMapper())
 
 
+@pytest.mark.slow
 def test_a_head_with_which_nothing_settles_has_no_best_gain(few_gains):
     head = load_head("simulated").replace(timing={"latency_s": 1.5, "lag_s": 0.2})
     with pytest.raises(ConfigurationError, match="expected trials of workspace that settle"):
@@ -274,6 +277,7 @@ def test_options_of_a_controller_that_does_not_take_part_are_noted(tmp_path):
     assert evaluation.notes == ["options of pid in options are not used: it does not take part"]
 
 
+@pytest.mark.slow
 def test_a_law_with_one_set_of_options_is_never_untuned(mine):
     names = ("saccade", "pursuit")
     rows = rows_of(evaluate(EvaluateConfig(controllers=names, episodes=1, head=mine)))

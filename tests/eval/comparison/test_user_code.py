@@ -82,6 +82,7 @@ def test_a_module_in_the_current_folder_is_found_with_the_folder_last_on_the_pat
     assert sys.path.count(str(tmp_path)) == 1
 
 
+@pytest.mark.slow
 def test_a_file_is_found_by_its_path_with_what_lies_beside_it(tmp_path):
     write(tmp_path / "there" / "mine_b.py", first="import mine_helper")
     (tmp_path / "there" / "mine_helper.py").touch()

@@ -71,6 +71,7 @@ def test_without_a_point_there_are_the_images_alone_and_a_word():
         assert ["nothing found" in title for title in titles(figure)] == [not result.located] * 2
 
 
+@pytest.mark.slow
 def test_long_titles_do_not_overlap():
     tag = AprilTag(edge_m=0.02)
     name = "a_very_long_name_of_a_photograph_of_2024-05-06_at_12_13_14_by_the_camera_left.jpg"

@@ -108,6 +108,7 @@ def test_both_eyes_find_the_whole_drawn_tag_however_near_the_target_is() -> None
     task.close()
 
 
+@pytest.mark.slow
 def test_environments_take_the_options() -> None:
     for name in NAMES:
         scenario = load_scenario(name)

@@ -98,6 +98,7 @@ def test_a_board_that_the_images_edge_cuts_is_found_in_part():
     np.testing.assert_allclose(found.corners_px[there], one.corners[there], atol=0.15)
 
 
+@pytest.mark.slow
 def test_light_and_files_move_corners_by_little():
     one = drawn()
     for kind, change in {"shadow": shadow(0.5), "ramp": ramp(0.2), "JPEG": jpeg(30)}.items():
@@ -169,6 +170,7 @@ def test_a_board_is_tracked_and_a_copy_through_pickle_says_the_same():
     np.testing.assert_allclose(found.corners_px, other.corners, atol=0.15)
 
 
+@pytest.mark.slow
 def test_no_tag_of_it_is_taken_for_a_single_one_with_a_border_of_one_bit():
     """The inside of its border reads like one, of 4/5 of the size."""
     near = drawn(z=0.15, turn=(0.1, -0.1, 0.05))

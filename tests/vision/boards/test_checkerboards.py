@@ -61,6 +61,7 @@ def detector_of(target: Checkerboard):
     return make_detector(target, rig("simulated")[0])
 
 
+@pytest.mark.slow
 def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall():
     """Before a wall of the grey of its black squares or of its white ones."""
     for surround, size in [(45.0, (5, 4)), (120.0, (5, 5)), (205.0, (9, 6)), (45.0, (9, 6))]:
@@ -210,6 +211,7 @@ def test_a_board_whose_outermost_squares_are_cut_is_no_smaller_one(asked):
     assert detector.track(image, seen) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("roll", "asked"), [(0.9, (6, 4)), (0.0, (5, 5))])
 def test_a_smaller_board_is_none(asked, roll):
     one = cropped(drawn(board(5, 4), roll, (0.1, 0.1)))
@@ -281,6 +283,7 @@ def test_the_edge_of_a_deep_shadow_moves_few_corners_and_sigmas_say_so(size, ang
         assert rms(errors) < 2.0 * rms(found.corners_sigma_px) + 0.05
 
 
+@pytest.mark.slow
 def test_the_edge_of_a_shadow_moves_no_corner_far():
     """It runs through windows of 11 px and moves corners by 3 px that nobody looks after."""
     for angle, size in some_of([0.0, 0.5, 1.2, 2.0, 2.8], [(5, 4), (9, 6), (5, 5)]):
@@ -346,6 +349,7 @@ def test_small_boards_are_found_at_every_place_in_the_pixel_grid(name, square_px
     assert rms(errors) < 0.12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "z"), [("simulated", 0.5), ("physical", 1.0), ("simulated", 2.4)])
 def test_corners_are_as_exact_as_said(name, z):
     """0.08 px rms of each coordinate with the rig's noise."""

@@ -99,6 +99,7 @@ def test_a_board_among_blocks_is_found(way):
     assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
+@pytest.mark.slow
 def test_small_squares_are_found_in_the_turn_that_looks_at_the_whole_image():
     target = board(9, 6, 11.0)
     one, detector = drawn(target), make_detector(target)

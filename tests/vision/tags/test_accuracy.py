@@ -51,6 +51,7 @@ def test_corners_and_depth_are_as_exact_as_said(name, depth_m):
     assert rms(depths) < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "edge_px"), [("simulated", 14.0), ("physical", 17.0)])
 def test_small_tags_are_found_at_every_place_in_the_pixel_grid_and_every_roll(name, edge_px):
     """Down to 1.75 px a cell, with the rig's noise; corners to 0.15 px rms."""
@@ -196,6 +197,7 @@ def test_a_gamma_that_nobody_states_moves_no_corner(name, depth_m):
     assert rms(centres) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edge_px", [40.0, 120.0])
 def test_sigma_grows_with_the_noise(edge_px):
     """Twice the noise is twice the sigma, but for the rounding's share of it."""
@@ -268,6 +270,7 @@ def test_a_tag_with_a_side_that_something_covers_is_seldom_found_beside_its_plac
     assert beside <= 2
 
 
+@pytest.mark.slow
 def test_edges_are_fitted_in_the_light_that_levels_stand_for():
     """By the levels as they are a blurred edge is no Gaussian's, and sigma says so."""
     camera, rendering = rig("simulated")
@@ -299,6 +302,7 @@ def test_black_that_blur_makes_lighter_than_midway_in_grey_levels_is_read(number
     assert detector.detect(image) is not None
 
 
+@pytest.mark.slow
 def test_clipped_white_counts_for_nothing():
     """Depth by PnP, which a fifth too much light makes larger by 0.6 % where white counts."""
     camera, rendering = rig("simulated")

@@ -139,6 +139,7 @@ def test_of_several_tags_the_one_asked_for_is_found():
         assert found.point_px == pytest.approx(scenes[2].point, abs=0.1)
 
 
+@pytest.mark.slow
 def test_of_prints_of_one_number_the_nearest_is_taken_or_the_largest():
     camera, image, scenes = tags_around(7, 7, 7, 7)
     detector = make_detector(AprilTag(id=7), camera)

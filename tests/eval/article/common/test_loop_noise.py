@@ -47,6 +47,7 @@ def test_delay_and_a_lower_rate_let_more_noise_through():
     assert noise_gain(RIG.at_rate(30.0)) > noise_gain(RIG)
 
 
+@pytest.mark.slow
 def test_loops_that_run_scatter_as_much():
     head = load_head("simulated")
     loop = ClosedLoop(

@@ -78,6 +78,7 @@ def test_our_rig_is_faster_than_the_article_by_about_a_tenth_of_a_second(table):
     assert 0.5 < low <= high < 0.56
 
 
+@pytest.mark.slow
 def test_figures_and_numbers_are_those_of_the_docs_and_no_panel_is_empty(table):
     assert incomplete("time-response", table, CONFIG) == []
 

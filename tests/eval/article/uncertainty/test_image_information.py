@@ -54,6 +54,7 @@ def test_a_larger_image_of_the_board_tells_more(head):
     assert (far.board < far.window).all()
 
 
+@pytest.mark.slow
 def test_the_detector_scatters_more_than_the_bound_of_its_window(head):
     board = pose(head, 2.0)
     pixels = FixedView(head, 0).detect([board] * 100, np.random.default_rng(0))
