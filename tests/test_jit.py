@@ -280,7 +280,7 @@ def test_other_packages_keep_their_own_cache_setting(package):
     assert run(package, code) == "''"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_process_at_a_time_compiles_a_kernel(package):
     """Two at once may leave a wrapper that calls the other's loop by a name it does not have."""
     pytest.importorskip("fcntl", reason="no locks of this kind here")

@@ -74,7 +74,7 @@ def found(serve, servos, **served):
     return "\n".join(map(str, findings)).replace(line.port, PORT)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_lines_of_a_servos_checks(serve):
     everywhere = {
         "no-answer": (lambda: desk(range(4), BAUD_RATE=FACTORY_RATE), {"hears_rate": True})

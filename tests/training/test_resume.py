@@ -122,7 +122,7 @@ def test_a_killed_and_a_stopped_run_end_as_the_uninterrupted_one_to_the_last_bit
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_goes_on_to_more_steps_at_the_learning_rate_of_a_run_of_as_many(tmp_path):
     changes = ("final_learning_rate=1e-5", "evaluations=1", "episodes=2")
     config, head = small("gain-schedule", *changes, steps=128)

@@ -78,7 +78,7 @@ def test_a_stated_response_encodes_the_light(pinhole, rendering):
     assert {middle[0], middle.min(), middle.max()} == {120, 40, 210}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pixels_of_a_steep_board_equal_a_ray_cast(rendering):
     """One blur for both directions of the texture would be off by 2 % rms and more."""
     camera, target = EyeCamera.of(load_head("physical"), 0), make_planar_target("tag")

@@ -102,7 +102,7 @@ def test_eyes_and_corners_may_be_missing(usual):
     assert_right(calibrate_head(head, replace(frames, pixels=pixels)), true)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_wrong_detections_are_left_out(usual):
     head, true, frames, _ = usual
     rng = np.random.default_rng(3)

@@ -73,7 +73,7 @@ def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects() -
     assert np.sqrt((error**2).mean()) < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_each_true_head_draws_its_own_images(physical: HeadModel) -> None:
     errors = ModelErrors(head_eye_rad=0.02, principal_px=5.0, distortion=0.01)
     true = physical.perturbed(np.random.default_rng(2), errors, 2)

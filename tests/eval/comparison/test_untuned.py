@@ -127,7 +127,7 @@ def test_tune_tunes_the_baseline_first_and_keeps_what_it_found(few_gains, mine, 
     assert user_table.read_bytes() == before
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_search_finds_the_best_gain_of_the_grid_whoever_runs_the_jobs(few_gains):
     scenario = load_scenario("workspace")
     head = scenario.model()

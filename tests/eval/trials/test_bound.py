@@ -110,7 +110,7 @@ def test_an_oracle_meets_the_bound_within_a_period_and_never_beats_it(name, plan
     assert (late == 0).mean() > 0.4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_oracle_meets_the_bound_of_any_head() -> None:
     lates = []
     for number, shape in enumerate(MOVING):

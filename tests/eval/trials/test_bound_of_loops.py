@@ -37,7 +37,7 @@ def lateness(task: GazeTask, beyond_px: float = 1.0) -> np.ndarray:
     return np.round(late)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_oracle_comes_within_periods_of_the_bound_and_never_below() -> None:
     task = task_of("webcam", 20, "mujoco", backlash_rad=None, torque_falloff=(0.0, 0.5))
     late = lateness(task)

@@ -85,7 +85,7 @@ def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
     assert np.abs(again.point_px - found.point_px).max() < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("sagitta_m", [0.0, 0.004])
 def test_the_point_of_a_bent_tag_is_the_middle_of_its_print(sagitta_m):
     """The crossing of its diagonals lies 0.3 px per mm beside it."""

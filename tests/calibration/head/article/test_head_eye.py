@@ -38,6 +38,7 @@ def test_the_whole_head_is_better_than_its_model(table):
     assert after < 0.5 * before
 
 
+@pytest.mark.nightly
 def test_the_encoders_cost_a_well_known_head_most_of_its_error(table):
     read = depth_errors_percent(table, "whole head", "encoders")
     assert np.median(read - depth_errors_percent(table, "whole head")) > 0.1

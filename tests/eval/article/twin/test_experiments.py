@@ -21,6 +21,7 @@ LATER = ("physical-moving", "physical-static")
 NIGHTLY = [pytest.param(name, marks=pytest.mark.nightly) for name in LATER]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["fixed-pair", *NIGHTLY])
 def test_the_seed_draws_the_heads_and_who_runs_the_jobs_does_not_change_a_bit(name):
     one, again = (tiny_table(name, 0, mapper) for mapper in (SerialMapper(), Backwards()))
