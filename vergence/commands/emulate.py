@@ -29,6 +29,9 @@ class Emulate:
             raise ConfigurationError(
                 f"out: expected a file in a folder that is there, got {self.out}"
             )
+        head = Path(self.config.head)
+        if self.out and self.out.exists() and head.exists() and self.out.samefile(head):
+            raise ConfigurationError(f"out: expected another file than the head, got {self.out}")
         if not 0.0 <= self.errors <= 10.0:
             raise ConfigurationError(f"errors: expected a scale, 0 to 10, got {self.errors}")
         from vergence.eval.trials.twin_errors import TWIN_SPREADS

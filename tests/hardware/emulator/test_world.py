@@ -13,11 +13,13 @@ from vergence import load_head
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import load_hardware
+from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.board import parse_sized_board, tilted_board_pose
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.emulator import hardware_config_values
 from vergence.hardware.emulator.server import EmulatorServer
-from vergence.hardware.emulator.world import World
+from vergence.hardware.emulator.world import MotorOptions, World
+from vergence.models.files.head_toml import head_to_toml
 from vergence.models.files.toml_text import toml_text
 
 
@@ -121,6 +123,22 @@ def test_a_tied_heads_joints_are_its_actuators():
     assert state["pixels"] == [pytest.approx(eye) for eye in head.project(q, state["target"])]
 
 
+def test_a_servo_model_moves_and_answers_as_itself():
+    servo = World(load_head("turrets"), POINT, MotorOptions(servo="XL330")).servos["left_pan"]
+    assert table.MODELS[servo.get(table.MODEL_NUMBER)] == "XL330-M288"
+    assert servo.get(table.VELOCITY_LIMIT) * 0.229 == pytest.approx(103.0, abs=0.229)  # rev/min
+    assert servo.acceleration == 144.0
+    assert servo.get(table.PRESENT_INPUT_VOLTAGE) == 50
+
+
+def test_the_command_keeps_the_head_file(tmp_path, capsys):
+    path = tmp_path / "desk.toml"
+    path.write_text(head_to_toml(load_head("turrets")), encoding="utf-8")
+    assert call("emulate", "--head", path, "--out", path) == 2
+    assert "expected another file than the head" in capsys.readouterr().err
+    assert load_head(path).name == "turrets"
+
+
 def test_a_controller_reads_the_configuration(tmp_path):
     name = "icub"
     world = World(load_head(name), POINT)
@@ -143,6 +161,7 @@ def test_the_command_refuses_wrong_numbers_in_a_line(capsys):
         (("--port", "70000"), "port: expected 0 to 65535, got 70000"),
         (("--target", "0", "nan", "1"), "target: expected three finite numbers"),
         (("--head", "turret"), "did you mean turrets?"),
+        (("--servo", "STS3215"), "servo: expected one of Dynamixel's X series"),
     ):
         with named(words):
             assert call("emulate", *words) == 2

@@ -105,3 +105,13 @@ def print_imported_pair(head: HeadModel) -> None:
     print(f"baseline {baseline_mm(head):.2f} mm at rest\n")
     warn_of_lens_folds(eyes)
     print_assumptions(assumed_values(head))
+
+
+def print_measured_head(head: HeadModel, path: Path) -> None:
+    """Print a summary of a head measured with a ruler."""
+    joints, eyes = joint_summaries(head), eye_summaries(head)
+    print(f"head {head.name}: {', '.join(map(_range, joints))} degrees")
+    print(f"cameras: {' and '.join(dict.fromkeys(map(_camera, eyes)))}, ", end="")
+    print(f"{baseline_mm(head):.2f} mm apart at rest")
+    _print_assumed(assumed_values(head))
+    print(f"correct in {path} what you know better")

@@ -31,21 +31,6 @@ _DRIVE_MODES: Final = {
 """Texts of the bits of DRIVE_MODE."""
 
 
-_VELOCITY_GAINS: Final = {
-    model: gains
-    for models, gains in (
-        ((1060,), ((1000, 100), (1920, 100))),
-        ((1090,), ((1000, 100), (1800, 100), (1920, 100))),
-        ((1190, 1200, 1210, 1220, 1230, 1240), ((1600, 180), (1200, 40))),
-    )
-    for model in models
-}
-"""VELOCITY_I_GAIN and VELOCITY_P_GAIN from the factory, by MODEL_NUMBER: all that ROBOTIS's manuals
-have had for XL430, 2XL430, XL330 and XC330 (physical)."""
-_USUAL_VELOCITY_GAINS: Final = ((1920, 100),)
-"""Both gains of the other models (physical: ROBOTIS's manuals of XC430, XM, XH, XW and MX)."""
-
-
 def check_registers(
     config: HardwareConfig, servo: ServoConfig, memory: ServoMemory, *, check_joint_in_limits: bool
 ) -> Iterator[Finding]:
@@ -166,7 +151,7 @@ def _velocity_limit(one: _ServoRegisters) -> Iterator[Finding]:
 
 def _velocity_gains(one: _ServoRegisters) -> Iterator[Finding]:
     model = one.get(table.MODEL_NUMBER)
-    known = _VELOCITY_GAINS.get(model, _USUAL_VELOCITY_GAINS)
+    known = table.factory_velocity_gains(model)
     got = one.get(table.VELOCITY_I_GAIN), one.get(table.VELOCITY_P_GAIN)
     if got not in known:
         expected = " or ".join(f"{i} and {p}" for i, p in known)

@@ -7,6 +7,8 @@ power-off and cannot be written while torque is on.
 from math import pi
 from typing import Final, NamedTuple
 
+from vergence.errors import ConfigurationError
+
 
 class Register(NamedTuple):
     """A number in a servo's memory, little-endian.
@@ -193,3 +195,29 @@ MODELS: Final = {
 Users report that on XL330 and XC330 with firmware 51 a tripped BUS_WATCHDOG does not stop the motor
 (forum.robotis.com/t/4814).
 """
+
+
+def model_number(name: str) -> int:
+    """MODEL_NUMBER of a servo.
+
+    Raises:
+        ConfigurationError: it has other registers.
+    """
+    for number, known in MODELS.items():
+        if known == name:
+            return number
+    raise ConfigurationError(
+        f"servo: expected one of Dynamixel's X series with Protocol 2.0, got {name}"
+    )
+
+
+def factory_velocity_gains(number: int) -> tuple[tuple[int, int], ...]:
+    """VELOCITY_I_GAIN and VELOCITY_P_GAIN from the factory: all that ROBOTIS's manuals have had."""
+    name = MODELS.get(number, "")
+    if name.startswith("XL430"):
+        return (1000, 100), (1920, 100)
+    if name.startswith("2XL430"):
+        return (1000, 100), (1800, 100), (1920, 100)
+    if name.startswith(("XL330", "XC330")):
+        return (1600, 180), (1200, 40)
+    return ((1920, 100),)

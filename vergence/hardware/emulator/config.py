@@ -8,6 +8,8 @@ from typing import Annotated, Final
 import tyro
 
 from vergence.errors import ConfigurationError
+from vergence.hardware.dynamixel.control_table import model_number
+from vergence.models.servo_models import find_servo_model
 
 _MAX_TIME_S: Final = 10.0
 """Greatest value of options that are times, s (chosen)."""
@@ -33,6 +35,9 @@ class EmulatorConfig:
     checkerboard:9x6:24 (inner corners, square in mm); none by default."""
     board_distance_m: Annotated[float, tyro.conf.arg(name="board-distance", metavar="METRES")] = 0.7
     """Distance of that board ahead of the head at rest."""
+    servo: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="MODEL")] = None
+    """Model of the servos, such as XL330: its model number, speed, acceleration and voltage; an
+    XL430-W250 with the head's own speed and acceleration by default."""
     latency_s: Annotated[
         float | None, tyro.conf.arg(name="latency", help_behavior_hint="", metavar="SECONDS")
     ] = None
@@ -50,7 +55,7 @@ class EmulatorConfig:
     acceleration_rad_s2: Annotated[
         float | None, tyro.conf.arg(name="acceleration", help_behavior_hint="", metavar="RAD/S^2")
     ] = None
-    """Greatest acceleration of the joints; the head's by default."""
+    """Greatest acceleration of the joints; the servo model's or the head's by default."""
     speed_gain: Annotated[float, tyro.conf.arg(metavar="RATIO")] = 1.0
     """Steady-state speed of the joints per commanded speed."""
     command_latency_s: Annotated[
@@ -104,6 +109,8 @@ class EmulatorConfig:
                 raise ConfigurationError(
                     f"{option.replace('_', '-')}: expected {least:g} to {most:g}, got {value}"
                 )
+        if self.servo is not None:
+            model_number(find_servo_model(self.servo).name)
         if not 0 <= self.port <= 65535:
             raise ConfigurationError(f"port: expected 0 to 65535, got {self.port}")
         if self.seed < 0:

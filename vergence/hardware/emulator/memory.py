@@ -55,7 +55,7 @@ _RANGES: Final = {
     table.MAX_VOLTAGE_LIMIT: (60, 140),
     table.MIN_VOLTAGE_LIMIT: (60, 140),
     table.PWM_LIMIT: (0, table.FULL_PWM),
-    table.VELOCITY_LIMIT: (0, 1023),
+    table.VELOCITY_LIMIT: (0, 2047),
     table.MAX_POSITION_LIMIT: (0, 4095),
     table.MIN_POSITION_LIMIT: (0, 4095),
     table.TORQUE_ENABLE: (0, 1),

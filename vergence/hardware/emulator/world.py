@@ -6,6 +6,7 @@ them to the present, in pieces between the instants at which faults begin and en
 
 from collections import deque
 from dataclasses import dataclass
+from math import ceil
 from typing import Any, Final
 
 import numpy as np
@@ -29,11 +30,17 @@ from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo
 from vergence.hardware.emulator.trace import rest_start_and_top_speed
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.models.servo_models import ServoModel, find_servo_model
 
 _DIFFERENCE_S: Final = 1e-4
 """Step of the central difference for the target's velocity, s (numerical)."""
 _LEVER_STEP_RAD: Final = 1e-4
 """Step of the difference that finds a joint's axis, rad (numerical)."""
+_SIX_VOLTS: Final = 6.0
+"""Supply below which a servo's limits are those of the XL330, 3.5 to 7 V (physical: Dynamixel X
+series)."""
+_FIRMWARE: Final = 52
+"""Firmware of emulated models (chosen: the first without reports of a failing watchdog)."""
 _BAUD_RATE: Final = 1_000_000
 """Baud rate that the servos are set to, bit/s (chosen)."""
 
@@ -42,12 +49,15 @@ _BAUD_RATE: Final = 1_000_000
 class MotorOptions:
     """Dynamics and encoders of the servos of an emulated head, and the adapter of their line."""
 
+    servo: str | None = None
+    """Servo model, see `vergence.models.servo_models`; None for an XL430-W250 as the head has it.
+    """
     speed_filter_s: float = 0.0
     """Time constant of the low-pass filter on reported speeds, s."""
     lag_s: float | None = None
     """Time constant of their response, s; None for the head's."""
     acceleration_rad_s2: float | None = None
-    """Their greatest acceleration, rad/s^2; None for the head's."""
+    """Their greatest acceleration, rad/s^2; None for the model's or the head's."""
     speed_gain: float = 1.0
     """Steady-state speed per commanded speed."""
     command_latency_s: float = 0.0
@@ -62,6 +72,21 @@ class MotorOptions:
     """Coulomb friction, as a fraction of the greatest torque."""
     gravity: float = 0.0
     """Greatest torque of gravity about a horizontal axis, as a fraction of the greatest torque."""
+
+
+def _make_model(servo: EmulatedServo, model: ServoModel) -> None:
+    """Set the registers in which a model differs from an XL430-W250."""
+    number = table.model_number(model.name)
+    servo.set(table.MODEL_NUMBER, number)
+    servo.set(table.FIRMWARE_VERSION, _FIRMWARE)
+    servo.set(table.VELOCITY_LIMIT, ceil(model.speed_rad_s / table.TICK_RAD_S))
+    i_gain, p_gain = table.factory_velocity_gains(number)[0]
+    servo.set(table.VELOCITY_I_GAIN, i_gain)
+    servo.set(table.VELOCITY_P_GAIN, p_gain)
+    servo.set(table.PRESENT_INPUT_VOLTAGE, round(10.0 * model.volts))
+    if model.volts < _SIX_VOLTS:
+        servo.set(table.MIN_VOLTAGE_LIMIT, 35)
+        servo.set(table.MAX_VOLTAGE_LIMIT, 70)
 
 
 def _lever(head: HeadModel, slot: int) -> float:
@@ -105,8 +130,11 @@ class World:
         actuation, timing = head.actuation, head.timing
         lag_s = timing.lag_s if motors.lag_s is None else motors.lag_s
         acceleration = actuation.acceleration
+        model = None if motors.servo is None else find_servo_model(motors.servo)
         if motors.acceleration_rad_s2 is not None:
             acceleration = np.full(7, motors.acceleration_rad_s2)
+        elif model is not None:
+            acceleration = np.full(7, model.acceleration_rad_s2)
         start = actuation.actuators_of(head.rest())
         self.servos = {
             name: EmulatedServo(
@@ -120,7 +148,7 @@ class World:
                 speed_gain=motors.speed_gain,
                 backlash_rad=motors.backlash_rad,
                 feedback_latency_s=motors.feedback_latency_s,
-                max_speed=float(actuation.velocity[slot]),
+                max_speed=model.speed_rad_s if model else float(actuation.velocity[slot]),
                 friction=motors.friction,
                 gravity=motors.gravity * _lever(head, slot),
             )
@@ -130,6 +158,8 @@ class World:
             servo.set(table.BAUD_RATE, table.BAUD_RATES.index(_BAUD_RATE))
             servo.set(table.RETURN_DELAY_TIME, 0)
             servo.set(table.SHUTDOWN, servo.get(table.SHUTDOWN) | ENCODER_ERROR)
+            if model is not None:
+                _make_model(servo, model)
         self.ids = tuple(servo.id for servo in self.servos.values())
         self.line = ServoLine(self.servos.values())
         self.faults = ActiveFaults(self.servos.values())

@@ -1,0 +1,77 @@
+"""A head measured with a ruler: its geometry is that of the measures, by hand."""
+
+import dataclasses
+from math import cos, radians, sin, tan
+
+import numpy as np
+import pytest
+
+from vergence.errors import ConfigurationError
+from vergence.models import parse_head
+from vergence.models.files.ruler import Ruler, focal_of_view, ruler_to_toml
+from vergence.models.servo_models import find_servo_model
+
+XL430 = find_servo_model("XL430")
+MEASURED = Ruler(
+    name="measured", mount="turrets", first="pan", baseline=120.0, axes_apart=100.0, height=150.0,
+    axes_ahead=15.0, lens_ahead=25.0, lens_above=40.0, size=(640, 480), focal=554.256,
+    view_note="view 60 degrees", pan=80.0, tilt=45.0, fps=30.0, speed=XL430.speed_rad_s,
+    acceleration=80.0, servo=XL430, assumed=(),
+)  # fmt: skip
+
+
+def lenses(ruler: Ruler, angles: dict[str, float]) -> np.ndarray:
+    """(2, 3) positions of the lenses in frame 0, mm, at joint angles in degrees."""
+    head = parse_head(ruler_to_toml(ruler))
+    q = np.array([radians(angles.get(name, 0.0)) for name in head.joints])
+    return 1e3 * (head.base_pose(q) @ head.camera_poses(q))[:, :3, 3]
+
+
+def test_lenses_at_rest_are_where_they_were_measured():
+    np.testing.assert_allclose(
+        lenses(MEASURED, {}), [[-60.0, -150.0, 40.0], [60.0, -150.0, 40.0]], atol=1e-9
+    )
+
+
+def test_a_lens_turns_about_the_axes_that_were_measured():
+    left, right = lenses(MEASURED, {"left_pan": 30.0, "right_tilt": 20.0})
+    c, s = cos(radians(30.0)), sin(radians(30.0))
+    # 40 mm ahead of the pan axis and 10 mm left of it; a positive pan turns right
+    np.testing.assert_allclose(left, [-50 - 10 * c + 40 * s, -150, 10 * s + 40 * c], atol=1e-9)
+    c, s = cos(radians(20.0)), sin(radians(20.0))
+    # 25 mm ahead of the tilt axis and 40 mm above it; a positive tilt looks up
+    np.testing.assert_allclose(
+        right, [60.0, -110.0 - 40 * c - 25 * s, 15.0 + 25 * c - 40 * s], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("mount", ["turrets", "neck"])
+@pytest.mark.parametrize("first", ["pan", "tilt"])
+def test_every_build_looks_at_a_point_ahead(mount, first):
+    ruler = dataclasses.replace(MEASURED, mount=mount, first=first)
+    head = parse_head(ruler_to_toml(ruler))
+    target = [0.05, -0.02, 0.8]
+    off = head.project(head.fixate(target), target) - head.cameras.principal
+    error = np.linalg.norm(off, axis=-1)
+    # a neck turns both eyes alike: their errors are equal halves of the disparity
+    half = 0.5 * 0.12 / 0.8 * 554.256
+    assert error == pytest.approx([0.0, 0.0] if mount == "turrets" else [half, half], abs=1.5)
+
+
+def test_a_view_is_that_of_a_pinhole():
+    assert focal_of_view((640, 480), 60.0) == pytest.approx(320 / tan(radians(30.0)))
+    assert focal_of_view((640, 480), 60.0, diagonal=True) == pytest.approx(400 / tan(radians(30.0)))
+
+
+def test_a_tilt_axis_below_the_plate_is_refused():
+    with pytest.raises(ConfigurationError, match="height: expected at least"):
+        ruler_to_toml(dataclasses.replace(MEASURED, height=30.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [("xl330", "XL330-M288"), ("XL430-W250-T", "XL430-W250"), ("xm430w210", "XM430-W210"),
+     ("STS3215", "STS3215"), ("hobby", "hobby")],
+)  # fmt: skip
+def test_servos_are_found_by_the_beginning_of_their_names(text, name):
+    assert find_servo_model(text).name == name
