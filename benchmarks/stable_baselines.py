@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
         learn, steps, plant = ways[way]
         for seed in options.seeds:
             model = learn(options.steps or steps, seed)
-            lost, error_px = recipe["judge"](model, options.trials, plant)
+            lost, error_px = recipe["judge"](model, options.trials, plant=plant)
             rows.append(
                 {
                     "way": way,

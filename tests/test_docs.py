@@ -2,7 +2,9 @@
 
 import doctest
 import re
+import shlex
 import sys
+import tomllib
 from pathlib import Path
 
 import gymnasium
@@ -14,6 +16,7 @@ from benchmarks.made import made
 from benchmarks.stable_baselines import RECIPE
 from tests.hardware.fakes import FakeClock
 from vergence import load_head, make_controller
+from vergence.commands.parsing import parse_command
 from vergence.envs.encoding import FIELDS
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant
@@ -24,21 +27,34 @@ from vergence.hardware.emulator.fault import load_faults
 ROOT = Path(__file__).resolve().parents[1]
 SMALLER = {
     "10_000": "64", "2_000_000": "1_000", "episodes=200": "episodes=5", "range(240)": "range(30)",
+    "learn(1_000_000)": "learn(64)", "episodes=1000": "episodes=5",
+    "batch_size=4096": "batch_size=64",
+    "EvaluateConfig()": "EvaluateConfig(controllers=('saccade',), episodes=5)",
     "num_envs=1024": "num_envs=4", "num_envs=256": "num_envs=4", '"policy", 256': '"policy", 4',
 }  # fmt: skip
 """Numbers of the examples, and what stands for them here: time, not meaning, is in them."""
+
+PAGES = [
+    *(path.name for path in ROOT.glob("*.md")),
+    *(f"docs/{path.name}" for path in ROOT.glob("docs/*.md")),
+]
 
 
 def page(name: str) -> str:
     return (ROOT / name).read_text(encoding="utf-8")
 
 
+def blocks(name: str, kind: str) -> list[str]:
+    """Fenced blocks of a document."""
+    return re.findall(rf"^ *```{kind}\n(.*?)^ *```$", page(name), re.MULTILINE | re.DOTALL)
+
+
 def examples(name: str) -> list[str]:
     """The Python blocks of a document."""
-    blocks = re.findall(r"```python\n(.*?)```", page(name), flags=re.DOTALL)
+    found = blocks(name, "python")
     for number, less in SMALLER.items():
-        blocks = [block.replace(number, less) for block in blocks]
-    return blocks
+        found = [block.replace(number, less) for block in found]
+    return found
 
 
 @pytest.mark.slow
@@ -55,29 +71,49 @@ def test_the_examples_of_a_document_run_one_after_the_other(name, capsys) -> Non
     assert capsys.readouterr().out.strip()  # each document's examples show something
 
 
-SHORT = [
-    "environment", "triangulation", "controllers", "heads", "vision", "bundles", "learning",
-    "own-head", "stereo",
-]  # fmt: skip
+ALONE = {name for name in PAGES if examples(name)} - {
+    "README.md", "docs/guide.md", "docs/evaluate.md", "docs/stable-baselines3.md",
+}  # fmt: skip
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SHORT)
-def test_each_example_of_a_page_runs_by_itself(name) -> None:
-    found = [block for block in examples(f"docs/{name}.md") if "torch" not in block]
-    assert found
-    for block in found:
-        exec(compile(block, name, "exec"), {"__name__": "example"})
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param("docs/evaluate.md", marks=pytest.mark.nightly), *sorted(ALONE)],
+)
+@pytest.mark.filterwarnings("ignore:You are trying to run PPO on the GPU:UserWarning")
+def test_each_example_of_a_page_runs_by_itself(name, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for block in examples(name):
+        code = compile(block, name, "exec")
+        if "runs/" not in block and "torch.onnx" not in block:  # these need a trained network
+            model = make_controller("ibvs", load_head("simulated"))
+            exec(code, {"__name__": "example", "model": model})
 
 
-def test_the_recipes_for_stable_baselines_are_what_runs() -> None:
-    text = page("docs/stable-baselines3.md")
-    (shown,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    assert shown == RECIPE.read_text(encoding="utf-8")
-    (block,) = re.findall(r"```py\n(envs = .*?)```", text, flags=re.DOTALL)
-    names = {"gymnasium": gymnasium, "AutoresetMode": gymnasium.vector.AutoresetMode}
-    exec(block, names)
-    names["envs"].reset(seed=0)
+def test_blocks_of_pages_are_of_kinds_that_are_checked() -> None:
+    known = {"python", "toml", "sh", "json", "text", ""}
+    for name in PAGES:
+        assert set(re.findall(r"^ *```(\w*)\n.*?```$", page(name), re.M | re.S)) <= known
+        for block in blocks(name, "toml"):
+            tomllib.loads(block)
+
+
+@pytest.mark.slow
+def test_commands_in_blocks_of_pages_are_ones_that_exist() -> None:
+    found = 0
+    for name in PAGES:
+        for block in blocks(name, r"\w*"):
+            joined = re.sub(r"\$\w+", "0", block.replace("\\\n", ""))
+            for words in re.findall(r"^ *(?:\$ )?vergence ([^#&\n]*)", joined, re.MULTILINE):
+                parse_command(shlex.split(words))
+                found += 1
+    assert found > 90
+
+
+def test_the_recipe_for_stable_baselines_is_what_runs() -> None:
+    (shown,) = blocks("docs/stable-baselines3.md", "python")
+    assert shown in RECIPE.read_text(encoding="utf-8")
 
 
 def test_the_pages_table_of_the_observation_is_that_of_the_layout() -> None:

@@ -27,6 +27,13 @@ def test_the_eyes_settle_on_a_target_that_is_moved_by_hand():
         assert 0.1 < simulated.settled_s < 0.6
 
 
+def test_no_settling_is_timed_on_a_target_that_was_there_from_the_beginning():
+    simulated = SimulatedHead(SETUP)
+    run(simulated, 0.5)
+    assert (simulated.moment().errors_px < 1.0).all()
+    assert simulated.settled_s is None
+
+
 @pytest.mark.slow
 def test_a_jump_is_timed_against_its_bound():
     simulated = SimulatedHead(SETUP, seed=3)

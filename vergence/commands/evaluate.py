@@ -1,10 +1,11 @@
 """`vergence evaluate`: compare controllers on the same trials, or measure their margins."""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
@@ -12,7 +13,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table
 from tyro.conf import arg
 
@@ -27,7 +28,7 @@ from vergence.commands.options import (
     claimed_run_folder,
     dated_run_folder,
 )
-from vergence.commands.tables import print_cards, print_table
+from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.comparison.config import EvaluateConfig
 
@@ -42,6 +43,7 @@ _NAME_WIDTH: Final = 18
 _FILE_WIDTH: Final = 120
 """Width of tables that go to a file or a pipe, characters (chosen: whole rows against
 narrow pages)."""
+_LEGEND_HINT: Final = "--legend explains every column."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +60,8 @@ class Evaluate:
     tables: Flat[TableOptions] = field(default_factory=TableOptions)
     json: bool = False
     """Print the rows as JSON, and nothing else, on standard output."""
+    legend: bool = False
+    """Explain every column below the table."""
     margins: bool = False
     """Vary one imperfection of the loop at a time, and find the range of its values in which 99 %
     of the trials still settle and the median settling time is less than doubled."""
@@ -127,7 +131,7 @@ class Evaluate:
                 )  # fmt: skip
             for text in found.notes:
                 print_to_stderr(text)
-            result = _as_result(found)
+            result = _as_result(found, self.legend)
             with atomic_files(run, moved_last="evaluation.json") as folder:
                 self._write(result, folder)
                 rmtree(run / "figures", ignore_errors=True)  # of an earlier evaluation of this run
@@ -160,7 +164,7 @@ class Evaluate:
     def _evaluation(self, mapper: "Mapper") -> "_Result":
         from vergence.eval.comparison.evaluate import evaluate
 
-        return _as_result(evaluate(self.config, mapper=mapper, keep_going=True))
+        return _as_result(evaluate(self.config, mapper=mapper, keep_going=True), self.legend)
 
     def _margins(self, mapper: "Mapper") -> "_Result":
         from vergence.eval.margins.config import MarginsConfig
@@ -170,7 +174,7 @@ class Evaluate:
         config = MarginsConfig(**vars(self.config), imperfections=self.imperfections)
         found = measure_margins(config, mapper=mapper, keep_going=True)
         return _Result(
-            found.notes, found.failures, found.rows, lambda: _print_margins(found),
+            found.notes, found.failures, found.rows, lambda: _print_margins(found, self.legend),
             lambda folder: write_margins(folder, found),
         )  # fmt: skip
 
@@ -185,11 +189,11 @@ class _Result(NamedTuple):
     write: Callable[[Path], None]
 
 
-def _as_result(evaluation: "Evaluation") -> _Result:
+def _as_result(evaluation: "Evaluation", legend: bool) -> _Result:
     from vergence.eval.comparison.folder import write_evaluation
 
     return _Result(
-        evaluation.notes, evaluation.failures, evaluation.rows, lambda: _print(evaluation),
+        evaluation.notes, evaluation.failures, evaluation.rows, lambda: _print(evaluation, legend),
         lambda folder: write_evaluation(folder, evaluation),
     )  # fmt: skip
 
@@ -218,72 +222,65 @@ def _kept(run: Path) -> Iterator[None]:
         raise
 
 
-def _print_margins(margins: "Margins") -> None:
+def _print_margins(margins: "Margins", legend: bool) -> None:
     from vergence.eval.margins.tables import LEGEND, report_tables
 
     console = _console()
     for found in report_tables(margins):
         print_table(found.columns, found.rows, title=found.title, console=console)
         console.print()
-    console.print(LEGEND, markup=False)
+    console.print(LEGEND if legend else _LEGEND_HINT, markup=False)
 
 
 def _console() -> Console:
+    """Console of the width of the terminal or of COLUMNS; wide for a file or a pipe."""
     console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=_FILE_WIDTH)
+    known = console.is_terminal or "COLUMNS" in os.environ
+    return console if known else Console(highlight=False, width=_FILE_WIDTH)
 
 
-def _print(evaluation: "Evaluation") -> None:
-    from vergence.eval.comparison.tables import describe_evaluation, report_tables, table_legend
+def _print(evaluation: "Evaluation", legend: bool) -> None:
+    from vergence.eval.comparison.tables import (
+        describe_evaluation,
+        report_tables,
+        table_hint,
+        table_legend,
+    )
 
-    intervals = True
     console = _console()
     for found in report_tables(evaluation):
-        fitting = (
-            table
-            for table in (_table(found, padding=2), _table(found, padding=0))
-            if _width(table) <= console.width
-        )
-        table = next(fitting, None)
-        if table is None:
-            table = _table(_without_intervals(found), padding=0)
-            intervals = False
-        if _width(table) > console.width:
-            print_cards(found.columns, found.rows, title=found.title, console=console)
-            intervals = True
-            continue
-        console.print(table, markup=False, width=console.width)
-    console.print(table_legend(evaluation, intervals=intervals), markup=False)
+        console.print(found.title, markup=False)
+        for table in _tables(found, console.width):
+            console.print(table, markup=False, width=console.width)
+    text = table_legend(evaluation) if legend else f"{table_hint(evaluation)} {_LEGEND_HINT}"
+    console.print(text, markup=False)
     console.print(describe_evaluation(evaluation).found, markup=False)
 
 
-def _table(report_table: "ReportTable", padding: int) -> Table:
-    """Table whose columns are as wide as the longest word of a heading or line of a cell."""
-    table = Table(
-        title=report_table.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False,
-        padding=(0, padding, 0, 0),
-    )  # fmt: skip
-    rows = [[_wrapped(row[0]), *row[1:]] for row in report_table.rows]
-    for place, column in enumerate(report_table.columns):
-        words = [*column.split(), *(line for row in rows for line in row[place].splitlines())]
-        table.add_column(column, justify="right" if place else "left", width=max(map(len, words)))
-    for row in rows:
-        table.add_row(*row)
-    return table
+def _tables(found: "ReportTable", width: int) -> Iterator[Table]:
+    """Tables that fit a width and have all columns together, each with the names of the rows."""
+    names, *columns = (
+        [head, *cells] for head, *cells in zip(found.columns, *found.rows, strict=True)
+    )
+    names[1:] = map(_wrapped, names[1:])
+    while columns:
+        table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+        shown = [names, columns.pop(0)]
+        while columns and 1 + sum(_width(one) + 2 for one in (*shown, columns[0])) <= width:
+            shown.append(columns.pop(0))
+        for column in shown:
+            justify: JustifyMethod = "left" if column is names else "right"
+            table.add_column(column[0], justify=justify, width=_width(column))
+        for cells in zip(*(column[1:] for column in shown), strict=True):
+            table.add_row(*cells)
+        yield table
+        names = [name.split("\n")[0] for name in names]  # options once are enough
 
 
-def _width(table: Table) -> int:
-    """Width that a table takes, including the edges of its frame, characters."""
-    return 1 + sum((column.width or 0) + 1 + table.padding[1] for column in table.columns)
-
-
-def _without_intervals(report_table: "ReportTable") -> "ReportTable":
-    """Table without the intervals in the second lines of its cells."""
-    rows = [
-        [row[0], *(cell.split("\n")[0] if "–" in cell else cell for cell in row[1:])]
-        for row in report_table.rows
-    ]
-    return replace(report_table, rows=rows)
+def _width(column: list[str]) -> int:
+    """Width of the longest word of a heading or line of a cell."""
+    head, *cells = column
+    return max(map(len, [*head.split(), *(line for cell in cells for line in cell.splitlines())]))
 
 
 def _wrapped(name: str) -> str:

@@ -133,7 +133,7 @@ class Playground:
         settled, bound = self.simulated.settled_s, self.simulated.bound_s
         ratio = f", ratio **{settled / bound:.2f}**" if settled and bound else ""
         return [
-            "settled to 1 px after **" + (f"{1e3 * settled:.0f} ms**" if settled else "-**"),
+            f"settled to 1 px after **{1e3 * settled:.0f} ms**" if settled else "&nbsp;",
             f"time-optimal bound {1e3 * bound:.0f} ms{ratio}" if bound else "&nbsp;",
         ]
 

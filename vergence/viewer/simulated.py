@@ -105,8 +105,8 @@ class SimulatedHead:
         mode: motion of the target.
         time_s: time since the beginning, s.
         settled_s: time from the target's last jump until both true pixel errors stayed within
-            `BAND_PX` of the least that the head can reach, s; None before, and for a target that
-            keeps moving.
+            `BAND_PX` of the least that the head can reach, s; None before, without a jump, and for
+            a target that keeps moving.
         bound_s: time-optimal bound on that time, s; None if it is not known.
 
     Raises:
@@ -222,6 +222,7 @@ class SimulatedHead:
         self._task.begin(_FIRST, *keys)
         self._state, self._starts = None, True
         self._forget_settling()
+        self._onset_s = np.nan  # the target was there before
 
     def _jump(self) -> None:
         """Let the target jump somewhere in the workspace."""
@@ -289,8 +290,8 @@ class SimulatedHead:
             self.settled_s = None
         elif np.isnan(self._inside_since_s):
             self._inside_since_s = self.time_s
-        rests = self.mode not in ("circle", "wander")
-        if rests and self._was_outside and self.time_s - self._inside_since_s >= HELD_S:
+        timed = self.mode not in ("circle", "wander") and not np.isnan(self._onset_s)
+        if timed and self._was_outside and self.time_s - self._inside_since_s >= HELD_S:
             self.settled_s = self._inside_since_s - self._onset_s
 
 

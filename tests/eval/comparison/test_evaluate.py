@@ -65,8 +65,8 @@ def test_trials_that_swing_are_counted_and_have_not_settled(known):
     (shown,) = (cells for cells in table.rows if cells[0].startswith("shaking"))
     cell = dict(zip(table.columns, shown, strict=True))
     assert cell["settled (%)"] == "90\n2 swing"
-    assert cell["lost left (%)"] == "0\n0"
-    assert cell["speed (deg/s)"].splitlines()[1] == f"{np.rad2deg(swing):.1f}"
+    assert (cell["lost (%)"], cell["left again (%)"]) == ("0", "0")
+    assert cell["speed at rest (deg/s)"].splitlines()[1] == f"{np.rad2deg(swing):.1f}"
 
 
 def test_the_rows_are_those_of_the_controllers_and_the_bound_with_exactly_the_agreed_fields(few):

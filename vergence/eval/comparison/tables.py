@@ -20,12 +20,13 @@ from vergence.eval.reporting.text import (
 from vergence.eval.trials.settling import ONE_PX, SettlingBand, bands_with_bound
 
 SETTLING_COLUMNS: Final = (
-    "controller", "settled (%)", "settle (ms)", "95 % within (ms)", "x bound",
-    "overshoot (%)", "lost left (%)", "speed (deg/s)", "x faster", "predict (us)",
+    "controller", "settled (%)", "time to settle (ms)", "95 % within (ms)", "x bound",
+    "x faster", "lost (%)", "left again (%)", "overshoot (%)", "speed at rest (deg/s)",
+    "compute (µs)",
 )  # fmt: skip
 MOVING_COLUMNS: Final = (
-    "controller", "tracking (px)", "95 % within (px)", "lag (ms)", "lost (%)", "x nearer",
-    "predict (us)",
+    "controller", "error (px)", "95 % within (px)", "lag (ms)", "x nearer", "lost (%)",
+    "compute (µs)",
 )  # fmt: skip
 _PEAK_TO_PEAK_COLUMNS: Final = (
     "fixation_peak_to_peak_median_rad_s",
@@ -56,7 +57,7 @@ def report_tables(evaluation: Evaluation) -> list[ReportTable]:
             ReportTable(
                 title=f"{scenario} on {plant}: {len(group[0].trials)} trials of "
                 f"{group[0].duration_s:g} s, head {group[0].head.name}"
-                + ("" if target_moves else f", settling in {group[0].band_px:g} px"),
+                + ("" if target_moves else f", settled within {group[0].band_px:g} px"),
                 columns=_columns(group),
                 rows=[
                     _moving_row(row) if target_moves else _settling_row(row, group)
@@ -75,10 +76,8 @@ def _columns(group: list[EvaluationResult]) -> list[str]:
     if has_residual(group):
         columns.insert(columns.index("overshoot (%)"), RESIDUAL_COLUMN)
     mark = _mark_of_baseline(group)
-    if not mark:
-        return columns
-    which = "untuned" if mark == UNTUNED else "given"
-    ratios = {"x faster": f"x faster than {which}", "x nearer": f"x nearer than {which}"}
+    which = {"": BASELINE, UNTUNED: "untuned"}.get(mark, "given")
+    ratios = {name: f"{name} than {which}" for name in ("x faster", "x nearer")}
     return [ratios.get(column, column) for column in columns]
 
 
@@ -111,11 +110,12 @@ def _settling_row(row: dict[str, Any], group: list[EvaluationResult]) -> list[st
         _number(row, band.settle_p95_s_column, 1000.0),
         *([_number(row, ONE_PX.settle_median_s_column, 1000.0)] if group[0].band_px != 1.0 else []),
         _cell(row, band.ratio_median_column),
+        _cell(row, "faster"),
+        _share(row, "lost_fraction"),
+        _share(row, "left_again_fraction"),
         *([_stacked(row, "residual_px", "residual_p95_px")] if has_residual(group) else []),
         _stacked(row, "overshoot_median", "overshoot_p95", 100.0),
-        _lines(_share(row, "lost_fraction"), _share(row, "left_again_fraction")),
         _stacked(row, *_PEAK_TO_PEAK_COLUMNS, _DEGREES_PER_RADIAN),
-        _cell(row, "faster"),
         _stacked(row, "predict_us", "predict_one_us"),
     ]
 
@@ -126,21 +126,26 @@ def _moving_row(row: dict[str, Any]) -> list[str]:
         _cell(row, "tracking_rms_px"),
         _number(row, "tracking_rms_p95_px"),
         _number(row, "tracking_lag_median_s", 1000.0),
-        _share(row, "lost_fraction"),
         _cell(row, "faster"),
+        _share(row, "lost_fraction"),
         _stacked(row, "predict_us", "predict_one_us"),
     ]
 
 
+_SETTLING_HINT: Final = (
+    "Time to settle: until both eyes stay on the target; x bound: ratio to the fastest possible. "
+)
+_MOVING_HINT: Final = "Error: distance of the target's image from the centre, rms. "
 _LEGEND: Final = (
-    "Settle: the median time to the band; tracking: the median of the trials' rms errors. "
-    "{intervals}. "
+    "Time to settle: the median time to the band; error: the median of the trials' rms errors. "
+    "Below a median its 95 % interval by bootstrap. "
     "A trial that never settles counts as the whole trial in every time, and no ratio is made from "
-    "it. Swing: how many trials go on swinging, none of which counts as settled. Overshoot: the "
-    "median, below it the 95th percentile. Left: below those lost, the trials that left the band "
-    "again after 0.1 s in it. Speed: of the worst joint while fixating, peak to peak, the median "
-    "and below it the 95th percentile. x faster, x nearer: than {baseline} on the same trials, "
-    "below 1 slower or farther. Predict: for one head in the batch, below it alone."
+    "it. Swing: how many trials go on swinging, none of which counts as settled. x bound: the "
+    "median ratio to the fastest possible time of the same trial. x faster, x nearer: than "
+    f"{BASELINE} on the same trials, below 1 slower or farther. Left again: the trials that left "
+    "the band after 0.1 s in it. Overshoot: the median, below it the 95th percentile. Speed at "
+    "rest: of the worst joint while fixating, peak to peak, the median and below it the 95th "
+    "percentile. Compute: predict's time for one head in the batch, below it alone."
 )
 _RESIDUAL_LEGEND: Final = (
     " Residual: the least error that the head's actuators can reach, of the worse eye, the median "
@@ -152,17 +157,17 @@ _UNTUNED_LEGEND: Final = (
 )
 
 
-def table_legend(evaluation: Evaluation, *, intervals: bool = True) -> str:
-    """Explanation of the tables' columns and marks.
+def table_hint(evaluation: Evaluation) -> str:
+    """The tables' leading columns in a sentence or two."""
+    moves = {group[0].target_moves for group in evaluation.groups().values()}
+    hints = {False: _SETTLING_HINT, True: _MOVING_HINT}
+    leading = "".join(hint for moving, hint in hints.items() if moving in moves)
+    return f"{leading}Below: 95 % interval or percentile."
 
-    Args:
-        evaluation: the evaluation of the tables.
-        intervals: True if the tables show intervals.
-    """
-    below = "Below a median its 95 % interval by bootstrap"
-    text = _LEGEND.format(
-        intervals=below if intervals else "Intervals are in the report", baseline=BASELINE
-    )
+
+def table_legend(evaluation: Evaluation) -> str:
+    """Explanation of the tables' columns and marks."""
+    text = _LEGEND
     if any(has_residual(group) for group in evaluation.groups().values()):
         text += _RESIDUAL_LEGEND
     if any(one.tuned is False for one in evaluation.outcomes):
@@ -176,7 +181,7 @@ _MOST_OPTIONS: Final = 3
 
 def _label(row: dict[str, Any]) -> str:
     if row["controller"] == BOUND:
-        return f"{BOUND}\ntime-optimal"
+        return f"{BOUND}\nfastest possible"
     return f"{row['controller']}\n{_describe(row)}"
 
 
@@ -215,9 +220,9 @@ def _share(row: dict[str, Any], key: str) -> str:
 
 
 def _with_swinging(settled: str, row: dict[str, Any]) -> str:
-    """The settled fraction, and below it the number of trials that swing, except for the bound."""
+    """The settled fraction, and below it the number of trials that swing, if any do."""
     swinging = row.get(SWINGING, math.nan)
-    return settled if math.isnan(swinging) else f"{settled}\n{int(swinging)} swing"
+    return f"{settled}\n{int(swinging)} swing" if swinging > 0 else settled
 
 
 def _with_interval(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
