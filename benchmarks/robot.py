@@ -38,11 +38,11 @@ PRIORITY = 50
 GAZE_S = 3.0
 
 
-def bare(seconds: float) -> tuple[int, int, list[float]]:
+def bare(seconds: float, period_s: float = 1.0 / RATE_HZ) -> tuple[int, int, list[float]]:
     """Missed periods and all periods of a loop that only sleeps, and its wake-up latencies, s."""
-    period_s, begun_s = 1.0 / RATE_HZ, time.monotonic()
+    begun_s = time.monotonic()
     missed, tick, lateness = 0, 0, []
-    while tick < seconds * RATE_HZ:
+    while tick * period_s < seconds:
         tick += 1
         due_s = begun_s + tick * period_s
         time.sleep(max(due_s - time.monotonic(), 0.0))

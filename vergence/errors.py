@@ -202,6 +202,10 @@ class BundleError(VergenceError):
     """A bundle or network file that is damaged, not allowed, or made for something else."""
 
 
+class OtherHeadError(BundleError, ConfigurationError):
+    """A network that was trained for another head."""
+
+
 class UserControllerError(VergenceError):
     """A user's own controller that cannot be created, raises an error, or returns invalid values.
 

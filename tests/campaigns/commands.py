@@ -48,7 +48,7 @@ SHORT: Final[dict[str, tuple[str, ...]]] = {
 }
 """Words that make a command short."""
 _OPTIONS: Final = """
-gaze: --target=0,-100,1000|100,-150,1500|0,0,-5|1e9,0,1|nan,0,1|1,2
+gaze: --point=0,-100,1000|100,-150,1500|0,0,-5|1e9,0,1|nan,0,1|1,2
     --head=simulated|turrets|any.toml|head.toml|mine.py|b.vgp --gain=4|1000|-4
     --plant=kinematic|mujoco|rendered|mine:Gentle
     --controller=ibvs|pid|saccade|pursuit|learned-gain|nothing --duration=0.02|0.1|-1|1e9
@@ -153,7 +153,7 @@ def command_lines(draw: Any) -> tuple[str, ...]:
         if draw(st.integers(0, 3)) == 0:
             value = draw(st.sampled_from(HOSTILE))
         # a positional word comes first, where another is expected already
-        several = filter(None, value.split(",") if option == "--target" else [value])
+        several = filter(None, value.split(",") if option == "--point" else [value])
         words = [*words, option, *several] if option else [value, *words]
     for _ in range(draw(st.sampled_from((0, 0, 0, 1, 2)))):
         words.insert(draw(st.integers(0, len(words))), draw(st.sampled_from(HOSTILE)))

@@ -47,7 +47,7 @@ def test_what_rounds_to_zero_is_printed_without_a_sign(capsys, result):
 @pytest.mark.usefixtures("undrawn")
 def test_a_robot_is_not_asked_for_a_target_in_view(capsys, tmp_path):
     words = ("--duration", "0.1", "--out", tmp_path / "run")
-    call("gaze", *words, "--plant", "tests.envs.robot:Robot", "--target", 0, 0, -1000)
+    call("gaze", *words, "--plant", "tests.envs.robot:Robot", "--point", 0, 0, -1000)
     assert "target: expected" not in capsys.readouterr().err
 
 

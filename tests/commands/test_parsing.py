@@ -8,6 +8,7 @@ import pytest
 
 import vergence
 from tests.commands.called import call, refused
+from vergence.commands.parsing import parse_command
 from vergence.controllers.controller import make_controller
 from vergence.envs.plant import make_plant
 from vergence.errors import UnknownNameError
@@ -47,7 +48,7 @@ def test_what_is_missing_is_named_with_the_help_of_its_own_command(capsys):
 @pytest.mark.slow
 def test_a_misspelt_name_is_answered_by_the_one_that_was_meant(capsys):
     for words, meant in [
-        (["gaez"], "gaze"), (["gaze", "--targt", "1", "2", "3"], "--target"),
+        (["gaez"], "gaze"), (["gaze", "--pont", "1", "2", "3"], "--point"),
         (["import", "urdf", "robot.urdf", "--actuators", "comon-tilt"], "common-tilt"),
         (["evaluate", "--scenario", "workspce"], "workspace"),
         (["reproduce", "time-respons"], "time-response"),
@@ -73,9 +74,9 @@ def test_a_value_that_cannot_be_is_answered_by_what_could(capsys):
     for words, expected in [
         (["gaze", "--gain", "much"], "--gain: expected a number, got 'much'"),
         (["evaluate", "--trials=1.5"], "--trials: expected a whole number, got '1.5'"),
-        (["gaze", "--target", "0", "a", "1"], "--target: expected numbers X Y Z, got '0' 'a' '1'"),
+        (["gaze", "--point", "0", "a", "1"], "--point: expected numbers X Y Z, got '0' 'a' '1'"),
         (["detect", "--eye", "middle"], "--eye: expected one of left, right, got 'middle'"),
-        (["gaze", "--target", "0"], "--target: expected 3 values"),
+        (["gaze", "--point", "0"], "--point: expected 3 values"),
     ]:
         assert expected in refused(capsys, *words)
 
@@ -86,3 +87,17 @@ def test_help_shows_nothing_of_python(capsys):
         assert call(*command, "--help") == 0, command
         text = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
         assert not re.findall(r"None|typing|Tuple|<class|\(default: \)|STR", text), command
+
+
+@pytest.mark.slow
+def test_a_point_may_still_be_given_by_its_former_name(capsys):
+    command = parse_command(["gaze", "--target", "0", "-100", "900"])
+    assert command.config.target_mm == (0.0, -100.0, 900.0)
+    assert "--point" in capsys.readouterr().err
+
+
+def test_a_target_that_is_no_printed_one_is_told_what_can_be_looked_at(capsys):
+    for words in (["gaze", "--target", "face"], ["detect", "a.png", "--target", "red ball"]):
+        line = refused(capsys, *words)
+        assert "printed board" in line
+        assert repr(words[-1]) in line

@@ -9,6 +9,7 @@ from tests.controllers.loops import true_errors
 from tests.grids import some_of
 from tests.naming import named
 from vergence import HeadModel, load_head, make_controller
+from vergence.controllers.ibvs import gain_for_loop
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import UnknownNameError
@@ -18,6 +19,9 @@ BEFORE, AFTER = (0.0, -0.1, 1.0), (0.06, -0.16, 0.95)
 JUMP = {"kind": "step", "before": BEFORE, "after": AFTER}
 
 
+SENSOR_ERRORS = ("detection_noise_px", "encoder_resolution_rad", "velocity_resolution_rad_s")
+
+
 @pytest.fixture
 def preset() -> HeadModel:
     return load_head("physical")
@@ -25,11 +29,10 @@ def preset() -> HeadModel:
 
 def ideal_head(name: str) -> HeadModel:
     """A head without delay, lag, limits and noise."""
-    exact = ("detection_noise_px", "encoder_resolution_rad", "velocity_resolution_rad_s")
     return load_head(name).replace(
         timing={"latency_s": 0.0, "lag_s": 0.0, "exposure_s": 0.0},
         limits={"velocity": np.full(7, 100.0), "acceleration": np.full(7, np.inf)},
-        sensor=dict.fromkeys(exact, 0.0),
+        sensor=dict.fromkeys(SENSOR_ERRORS, 0.0),
     )
 
 
@@ -61,6 +64,21 @@ def test_without_delay_every_error_decays_as_exp_minus_k_t() -> None:
 def test_each_eye_and_axis_decays_with_its_own_gain() -> None:
     gains = [[1.0, 4.0], [3.0, 2.0]]
     assert deviation(run(IDEAL, gain=gains), gains).max() < 0.01
+
+
+def test_the_gain_for_a_loop_is_the_articles_and_does_not_ring_in_a_slower_one() -> None:
+    assert gain_for_loop(load_head("physical").timing) == 4.0
+    slow = load_head("turrets").replace(sensor=dict.fromkeys(SENSOR_ERRORS, 0.0))
+    jump = {"kind": "static", "point": (0.15, 0.06, 0.9), "start": "rest"}
+
+    def overshoot(gain: float) -> float:
+        task = GazeTask(1, head=slow, plant="kinematic", target=jump)
+        law = make_controller("ibvs", head=slow, layout=task.layout, gain=gain)
+        errors = true_errors(task, law, 3.0)[:, 0]
+        return float((-errors / errors[0]).max())
+
+    assert overshoot(gain_for_loop(slow.timing)) < 0.01
+    assert overshoot(4.0) > 0.05
 
 
 @settings(max_examples=20)

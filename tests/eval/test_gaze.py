@@ -177,7 +177,7 @@ def test_unknown_names_are_refused_before_a_plant_is_opened_or_a_head_is_loaded(
 
 def test_a_target_in_metres_is_asked_about():
     for target, asked in {(0.0, -0.1, 1.0): True, (0.0, -100.0, -1000.0): False}.items():
-        with pytest.raises(ConfigurationError, match="target: expected") as caught:
+        with pytest.raises(ConfigurationError, match="point: expected") as caught:
             run_gaze(GazeConfig(target_mm=target, plant="kinematic"))
         assert ("is it in metres?" in str(caught.value)) == asked
 

@@ -1,5 +1,6 @@
 """The whole way: an emulated head on the wire, two streams, and a law that turns it."""
 
+import dataclasses
 import json
 import re
 import signal
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from tests.hardware.emulated import REAL_TIME, emulated
+from vergence.errors import ConfigurationError
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import GazeState, deploy
 from vergence.eval.robot.replay import replay
@@ -48,7 +50,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def gaze(desk: Path, out: Path, *target: str, **options: Any) -> subprocess.Popen[str]:
     """`vergence gaze` on the emulated head, in a process of its own."""
     words = ["gaze", "--plant", "hardware", "--config", str(desk), "--out", str(out)]
-    words += ["--controller", "state-feedback", "--target", *target]
+    words += ["--point", *target]
     return subprocess.Popen(
         [sys.executable, "-m", "vergence", *words], stderr=subprocess.PIPE, text=True, **options
     )
@@ -94,6 +96,24 @@ def test_a_law_is_deployed_logged_and_asks_for_the_same_again(desk: Path, tmp_pa
     assert again.gazes.rows() == result.gazes.rows()
     assert all(one.images is not None for one in again.results)
     assert len(again.log.detections) > 2 * 2 * 25
+
+
+def test_a_deployment_is_resumed_with_the_gazes_that_are_missing(
+    desk: Path, tmp_path: Path
+) -> None:
+    config = DeployConfig(controller="state-feedback", hardware=desk, gazes=1, duration_s=1.0)
+    first = deploy(config, tmp_path / "first.mcap")
+    config = dataclasses.replace(config, gazes=2, resume=first.log)
+    second = deploy(config, tmp_path / "second.mcap")
+    assert second.gazes.rows()[:1] == first.gazes.rows()
+    assert second.summary()["gazes"] == 2
+    assert len(read_log(second.log).trials) == 1
+    for changed, said in (
+        ({"resume": second.log}, "with which 2 are complete"),
+        ({"controller": "ibvs"}, "resume: expected the controller of"),
+    ):
+        with pytest.raises(ConfigurationError, match=said):
+            deploy(dataclasses.replace(config, **changed), tmp_path / "third.mcap")
 
 
 def test_a_policy_that_raises_rests_and_names_its_line(desk: Path, tmp_path: Path) -> None:

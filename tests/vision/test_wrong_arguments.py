@@ -21,7 +21,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
 def test_what_was_expected_is_said():
     for call, expected in [
         (lambda: make_detector("tag:36h11"), "target: expected a target, as parse_target makes"),
-        (lambda: parse_target(None), "target: expected tag:FAMILY"),
+        (lambda: parse_target(None), "target: expected a printed board"),
         (lambda: EyeCamera.of("head.toml", 0), "head: expected a head, see load_head"),
         (lambda: EyeCamera.of(load_head("simulated"), 2), "eye: expected 0 for left or 1"),
         (lambda: TAG.detect(IMAGE, near_px=(np.nan, 1)), "near_px: expected a pixel (u, v)"),

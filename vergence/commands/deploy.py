@@ -14,6 +14,7 @@ from rich.text import Text
 
 from vergence import interrupts
 from vergence.commands.checks import check_robot_and_print
+from vergence.commands.console import print_to_stderr
 from vergence.commands.extras import require_modules
 from vergence.commands.gaze_rows import print_gazes
 from vergence.commands.options import Flat, dated_run_folder
@@ -55,6 +56,8 @@ class Deploy:
             print_gazes(result.gazes.rows(), result.summary())
         if not self.json:
             print(f"logged to {result.log} (vergence replay {result.log})")
+        if result.error is not None and not self.config.dry_run:
+            print_to_stderr(f"the same command with --resume {result.log} runs the missing gazes")
         if isinstance(result.error, KeyboardInterrupt):
             raise KeyboardInterrupt(f"{result.log} is written up to here")
         if result.error is not None:

@@ -47,8 +47,7 @@ class Emulate:
                 return
             write_atomic(self.out, text)
             print_to_stderr(
-                f"emulating until Ctrl-C: vergence gaze --plant hardware --config {self.out} "
-                "--controller state-feedback"
+                f"emulating until Ctrl-C: vergence gaze --plant hardware --config {self.out}"
             )
 
         errors = TWIN_SPREADS.scaled(self.errors) if self.errors else None

@@ -27,6 +27,7 @@ from vergence.commands.options import (
     TableOptions,
     claimed_run_folder,
     dated_run_folder,
+    print_written,
 )
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError, VergenceError
@@ -139,7 +140,7 @@ class Evaluate:
             print(json.dumps(result.rows(), indent=2, allow_nan=False))
         else:
             result.show()
-            print(f"written to {run}")
+            print_written(run)
         for text in result.failures:
             print_to_stderr(f"error: {text}")
         return 2 if result.failures else 0
@@ -240,6 +241,7 @@ def _console() -> Console:
 
 
 def _print(evaluation: "Evaluation", legend: bool) -> None:
+    from vergence.eval.comparison.evaluation import laws_for_loop
     from vergence.eval.comparison.tables import (
         describe_evaluation,
         report_tables,
@@ -255,6 +257,8 @@ def _print(evaluation: "Evaluation", legend: bool) -> None:
     text = table_legend(evaluation) if legend else f"{table_hint(evaluation)} {_LEGEND_HINT}"
     console.print(text, markup=False)
     console.print(describe_evaluation(evaluation).found, markup=False)
+    for line in laws_for_loop(evaluation):
+        console.print(line, markup=False)
 
 
 def _tables(found: "ReportTable", width: int) -> Iterator[Table]:

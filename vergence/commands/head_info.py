@@ -47,6 +47,8 @@ def print_head_description(source: str, *, as_json: bool, figure: Path | None) -
 
 
 def _print_tables(summary: "HeadSummary") -> None:
+    from vergence.controllers.controller import WHICH_LAW
+
     rows = [
         ["digest", summary.digest[:12]],
         ["baseline", f"{summary.baseline_mm:.2f} mm at rest"],
@@ -55,6 +57,7 @@ def _print_tables(summary: "HeadSummary") -> None:
             f"{summary.control_rate_hz:g} Hz, {summary.frame_rate_hz:g} images a second, "
             f"{summary.latency_ms:.1f} ms old",
         ],
+        *([["law", WHICH_LAW]] if summary.has_moving_eyes else []),
         *_reach(summary),
         *_depth_errors(summary),
     ]

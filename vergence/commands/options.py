@@ -127,7 +127,13 @@ class RunFolder:
             return
         print_text()
         if self.saved:
-            print(f"written to {self.folder}")
+            print_written(self.folder)
+
+
+def print_written(folder: Path) -> None:
+    """Print the path of a run folder, and of the report in it, if it has one."""
+    report = next(folder.glob("*.html"), None)
+    print(f"written to {folder}" + ("" if report is None else f"; report: {report}"))
 
 
 @contextmanager

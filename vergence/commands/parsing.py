@@ -11,7 +11,7 @@ import tyro
 
 from vergence.commands import Command
 from vergence.commands.console import print_to_stderr
-from vergence.errors import UnknownNameError, did_you_mean
+from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
 
 
 class Runnable(Protocol):
@@ -32,10 +32,11 @@ def parse_command(words: list[str]) -> Runnable:
         with redirect_stdout(sys.stderr), suppress(SystemExit):
             _call(["--help"])
         raise SystemExit(2)
+    words = _with_axes_joined(_with_point(words))
     parser_output = io.StringIO()
     try:
         with redirect_stderr(parser_output):
-            return _call(_with_axes_joined(words))
+            return _call(words)
     except SystemExit as stop:
         if stop.code == 2:
             path, commands = _command_of(words)
@@ -74,6 +75,23 @@ def _help(path: list[str]) -> str:
 
 _NEGATIVE_AXES_PATTERN: Final = re.compile(r"-[xyz](,[+-]?[xyz]){2}")
 """Pattern of a value that looks like an option: camera axes whose first axis is negative."""
+
+
+def _with_point(words: list[str]) -> list[str]:
+    """Words in which a position that is given as --target, as until 0.1, is given as --point."""
+    if words[0] not in ("gaze", "emulate") or "--target" not in words:
+        return words
+    place = words.index("--target")
+    given = words[place + 1] if place + 1 < len(words) else ""
+    with suppress(ValueError):
+        float(given)
+        print_to_stderr("--target: it is called --point now, and will be refused by later versions")
+        return [*words[:place], "--point", *words[place + 1 :]]
+    raise ConfigurationError(
+        f"--target: expected a position in its place, as --point X Y Z in mm, got {given!r}: a "
+        "simulation draws its own tag there, and a robot looks at the printed board that `target` "
+        "in its configuration names; nothing else can be looked at, such as a face or a ball"
+    )
 
 
 def _with_axes_joined(words: list[str]) -> list[str]:

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from vergence.commands.console import print_to_stderr
 from vergence.commands.extras import require_modules
-from vergence.commands.options import Flat, dated_run_folder
+from vergence.commands.options import Flat, dated_run_folder, print_written
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 from vergence.training.options import TrainOptions
@@ -185,5 +185,5 @@ def _end(result: "TrainingResult") -> int:
     print_table(
         ["controller", f"validation ({result.unit})", "mean", "good", f"than {baseline}"], rows
     )
-    print(f"written to {result.folder}")
+    print_written(result.folder)
     return 0

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from vergence.commands.console import print_to_stderr, progress_bar
 from vergence.commands.extras import require_modules
-from vergence.commands.options import Flat, JobOptions
+from vergence.commands.options import Flat, JobOptions, print_written
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 from vergence.eval.tuning.config import TuneConfig
@@ -89,7 +89,7 @@ class Tune:
         for path in self._tables():
             write_tuned(path, self._entry(result, head))
             print(f"written to {path}")
-        print(f"written to {folder}")
+        print_written(folder)
         return 0
 
     def _check_training(self) -> None:

@@ -106,6 +106,13 @@ def make_controller(
     return controller
 
 
+WHICH_LAW: Final = (
+    "state-feedback; once `vergence measure-delay` has measured the loop, saccade, or pursuit if "
+    "targets move"
+)
+"""The law to choose: the steadiest under unknown faults first, then the quickest."""
+
+
 def default_options(name: str) -> dict[str, Any]:
     """Return a controller's options that have a default, with it, by name.
 

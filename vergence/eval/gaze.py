@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import default_options, make_controller
+from vergence.controllers.ibvs import gain_for_loop
 from vergence.envs.eye_images import EyeImages, given_or_drawn_eye_images
 from vergence.envs.plants.simulation import is_simulated
 from vergence.envs.policy import Policy
@@ -149,9 +150,12 @@ def run_gaze(
             fixate the target.
     """
     # what needs no head first: to load one compiles kernels
+    if not config.controller:
+        law = "state-feedback" if config.plant == _HARDWARE_PLANT else "ibvs"
+        config = dataclasses.replace(config, controller=law)
     defaults, simulated = default_options(config.controller), is_simulated(config.plant)
     if not np.isfinite(config.target_mm).all():
-        raise ConfigurationError(f"target: expected three finite numbers, got {config.target_mm}")
+        raise ConfigurationError(f"point: expected three finite numbers, got {config.target_mm}")
     if not 0.0 < config.duration_s < inf:
         raise ConfigurationError(
             f"duration: expected a number of seconds above 0, got {config.duration_s}"
@@ -165,7 +169,8 @@ def run_gaze(
             f"most a million, got {config.duration_s}"
         )
     if config.gain is None:
-        config = dataclasses.replace(config, gain=defaults.get("gain"))
+        gain = gain_for_loop(head.timing) if config.controller == "ibvs" else defaults.get("gain")
+        config = dataclasses.replace(config, gain=gain)
     options: dict[str, Any] = {} if config.gain is None else {"gain": config.gain}
     controller = make_controller(config.controller, head=head, **options)
     point = np.asarray(config.target_mm) / MM
@@ -297,10 +302,10 @@ def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> s
     for eye, (name, size) in enumerate(zip(EYE_NAMES, head.cameras.size, strict=True)):
         if not ((pixels[eye] >= -0.5) & (pixels[eye] <= size - 0.5)).all():
             return (
-                f"target: expected a point in the {name} eye's view at rest, "
+                f"point: expected one in the {name} eye's view at rest, "
                 f"got {target_mm} mm, which is {_outside(pixels[eye], size)}"
             )
-    expected = f"target: expected a point that both eyes can fixate, got {target_mm} mm, for which"
+    expected = f"point: expected one that both eyes can fixate, got {target_mm} mm, for which"
     q = head.fixate(point, head.rest()[NECK], warn=False)
     if not np.isfinite(q).all():
         return f"{expected} the eyes have no angles"

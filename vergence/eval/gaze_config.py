@@ -14,15 +14,16 @@ class GazeConfig:
     """Head: a preset's name (see `vergence info`) or the path of a TOML file; simulated by default,
     on a robot the head of its configuration."""
     target_mm: Annotated[
-        tuple[float, float, float], tyro.conf.arg(name="target", metavar="X Y Z")
+        tuple[float, float, float], tyro.conf.arg(name="point", metavar="X Y Z")
     ] = (0.0, -100.0, 1000.0)
     """Position of the target in the base frame N, mm: x right, y down, z forward. The emulator
     places it there; a robot looks at the target that it detects instead."""
-    controller: Annotated[str, tyro.conf.arg(metavar="CONTROLLER")] = "ibvs"
-    """Controller that turns the eyes (see `vergence info`); on a robot begin with
+    controller: Annotated[str, tyro.conf.arg(help_behavior_hint="", metavar="CONTROLLER")] = ""
+    """Controller that turns the eyes (see `vergence info`); ibvs by default, on a robot
     state-feedback."""
     gain: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
-    """Gain of the controller, 1/s; by default the controller's own, 4 for ibvs."""
+    """Gain of the controller, 1/s; by default the controller's own, and for ibvs 4, less in a
+    loop that is slower than the article's."""
     plant: Annotated[str, tyro.conf.arg(metavar="PLANT")] = "rendered"
     """Plant that moves the head and takes the images: rendered (drawn images and a detector),
     mujoco, kinematic, hardware (a robot, or vergence emulate), or module:class of a custom

@@ -42,6 +42,13 @@ def parse_target(text: str) -> Target:
     text = str(text).strip()
     kind, *parts = text.split(":")
     read = _READERS.get(kind.strip().lower())
+    if read is None and text.isprintable():
+        raise ConfigurationError(
+            "target: expected a printed board, such as checkerboard:9x6:24, "
+            "charuco:7x5:40:30:4X4_50, aprilgrid:6x6:88:0.3 or tag:36h11:0:120 (lengths in mm; "
+            "`vergence print-target` prints it); nothing else can be looked at, such as a face or "
+            f"a ball; got {text!r:.100}"
+        )
     if read is None or len(text) > _LONGEST or not text.isprintable():
         raise ConfigurationError(
             f"target: expected {'; or '.join(_FORMS.values())}; got {text!r:.100}"

@@ -47,6 +47,16 @@ def rows_of(evaluation) -> dict[str, dict]:
 
 
 @pytest.mark.slow
+def test_a_network_of_another_head_is_left_out_unless_nothing_else_was_asked(mine):
+    config = EvaluateConfig(controllers=("learned-policy", "ibvs"), episodes=2, head=mine)
+    evaluation = evaluate(config)
+    assert set(rows_of(evaluation)) == {"ibvs", BASELINE, "bound"}
+    assert any(note.startswith("learned-policy is left out") for note in evaluation.notes)
+    with pytest.raises(ConfigurationError, match="trained for head"):
+        evaluate(EvaluateConfig(controllers=("learned-policy",), episodes=2, head=mine))
+
+
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_baseline_of_another_head_is_marked_in_rows_tables_text_and_files(mine, tmp_path):
     config = EvaluateConfig(controllers=("ibvs", "pid"), episodes=2, head=mine)

@@ -159,7 +159,7 @@ def test_the_command_refuses_wrong_numbers_in_a_line(capsys):
     for words, said in (
         (("--jitter", "-0.1"), "jitter: expected seconds, 0 to 10, got -0.1"),
         (("--port", "70000"), "port: expected 0 to 65535, got 70000"),
-        (("--target", "0", "nan", "1"), "target: expected three finite numbers"),
+        (("--point", "0", "nan", "1"), "point: expected three finite numbers"),
         (("--head", "turret"), "did you mean turrets?"),
         (("--servo", "STS3215"), "servo: expected one of Dynamixel's X series"),
     ):

@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from vergence.commands.console import print_read_errors, print_to_stderr, progress_bar
-from vergence.commands.options import check_writable, claimed_run_folder, dated_run_folder
+from vergence.commands.options import (
+    check_writable,
+    claimed_run_folder,
+    dated_run_folder,
+    print_written,
+)
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
@@ -92,7 +97,7 @@ class CalibrationOptions:
         else:
             print_calibration(found, out)
             if run.saved:
-                print(f"written to {run.folder}")
+                print_written(run.folder)
         for line in advised:
             print_to_stderr(line)
         print_read_errors(found.read_errors)

@@ -16,6 +16,7 @@ from vergence.commands.options import (
     check_writable,
     claimed_run_folder,
     dated_run_folder,
+    print_written,
 )
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
@@ -174,7 +175,7 @@ class CalibrateHead:
         else:
             print_head_calibrations(outcomes, outs)
         if run.saved and not self.json:
-            print(f"written to {run.folder}")
+            print_written(run.folder)
         for out, outcome in zip(outs, outcomes, strict=True):
             before = f"{out.stem}: " if len(outs) > 1 else ""
             if outcome.refusal:

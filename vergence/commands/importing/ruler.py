@@ -2,7 +2,7 @@
 
 import sys
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 
@@ -10,8 +10,9 @@ from vergence.commands.console import print_to_stderr
 from vergence.commands.importing.head_output import HeadOutput
 from vergence.commands.options import parse_size
 from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
-from vergence.models.files.ruler import Ruler, check_measure, focal_of_view, ruler_to_toml
-from vergence.models.servo_models import SERVO_MODELS, find_servo_model, others_of_family
+
+if TYPE_CHECKING:
+    from vergence.models.files.ruler import Ruler
 
 _Mm = Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")]
 _Degrees = Annotated[float | None, tyro.conf.arg(metavar="DEG", help_behavior_hint="")]
@@ -87,6 +88,7 @@ class ImportRuler(HeadOutput):
         from vergence.commands.importing.shown import print_measured_head
         from vergence.hardware.dynamixel.control_table import MODELS
         from vergence.models.files.head_toml import check_head_name, parse_head
+        from vergence.models.files.ruler import ruler_to_toml
 
         self.check()
         name = self.name or self.out.stem
@@ -106,8 +108,11 @@ class ImportRuler(HeadOutput):
         )
         return 0
 
-    def _measured(self, name: str) -> Ruler:
+    def _measured(self, name: str) -> "Ruler":
         """The measures, with what is missing asked for on a terminal."""
+        from vergence.models.files.ruler import Ruler, check_measure, focal_of_view
+        from vergence.models.servo_models import find_servo_model, others_of_family
+
         given = {key: value for key, value in vars(self).items() if value is not None}
         views = [key for key in ("view", "diagonal", "focal") if key in given]
         if len(views) > 1:
@@ -169,7 +174,7 @@ _QUESTIONS: Final = (
     ("lens_above", "Height of the lenses above the tilt axis, mm", _USUAL["lens_above"]),
     ("size", "Image size in pixels", "640x480"),
     ("view", "Field of view in degrees: horizontal, or diagonal as 78d", None),
-    ("servo", f"Servo ({', '.join(SERVO_MODELS)})", None),
+    ("servo", "Servo, such as XL330-M288, XL430, XM430-W350, STS3215 or hobby", None),
     ("pan", "Range of a pan to either side, degrees", _USUAL["pan"]),
     ("tilt", "Range of a tilt to either side, degrees", _USUAL["tilt"]),
 )
@@ -202,6 +207,9 @@ def _asked(given: dict[str, Any], *, has_view: bool) -> dict[str, Any]:
 
 def _answer(key: str, text: str) -> dict[str, Any]:
     """The measure that an answer states, by its name."""
+    from vergence.models.files.ruler import check_measure
+    from vergence.models.servo_models import find_servo_model
+
     if key == "servo":
         find_servo_model(text)
         return {key: text}

@@ -103,7 +103,7 @@ def prefix_bundle_errors(source: str) -> Iterator[None]:
     try:
         yield
     except BundleError as error:
-        raise BundleError(f"{source}: {error}") from error
+        raise type(error)(f"{source}: {error}") from error
 
 
 def write_bundle(

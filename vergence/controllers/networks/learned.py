@@ -36,7 +36,7 @@ from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network,
 from vergence.controllers.networks.runtime import Runtime
 from vergence.controllers.stateful import continued_state
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import BundleError, ConfigurationError
+from vergence.errors import BundleError, ConfigurationError, OtherHeadError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -292,7 +292,7 @@ def _shipped_for(kind: str, head: HeadModel, shipped: Mapping[str, Path]) -> Bun
         if bundle.manifest.is_for(head):
             return bundle
     fitting = ", ".join(bundle.manifest.fits for bundle in of_kind) or "none"
-    raise ConfigurationError(
+    raise OtherHeadError(
         f"bundle: expected a network trained for head {head.name!r} ({head.digest[:12]}), got none "
         f"with the package, which fits {fitting}: `vergence train {kind} --head FILE` learns one, "
         f"`vergence export bundle RUN NAME{SUFFIX}` makes it a file for the option `bundle`"

@@ -10,7 +10,7 @@ from typing import Any, Final
 from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_names_of_head
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import BundleError, ConfigurationError, UnknownNameError
+from vergence.errors import BundleError, ConfigurationError, OtherHeadError, UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.joints import JOINTS
 from vergence.models.parts import SensorModel
@@ -179,12 +179,12 @@ class Manifest:
             detail = f"{path}: expected {wanted!r} for head {head.name!r}, got {got!r}"
         if not self.is_for(head) and not allow_other_head:
             joined = f": {detail}" if difference is not None else detail
-            raise BundleError(
+            raise OtherHeadError(
                 f"head: expected a bundle for {head.name} ({head.digest[:12]}), got one for "
                 f"{self.fits} alone{joined}"
             )
         if difference is not None:
-            raise BundleError(f"{detail}, made for head {self.fits}")
+            raise OtherHeadError(f"{detail}, made for head {self.fits}")
         try:
             return Inputs.from_dict(dict(self.inputs), head, layout)
         except (ConfigurationError, UnknownNameError) as error:

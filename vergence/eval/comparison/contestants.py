@@ -18,6 +18,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.envs.rollout import rollout
 from vergence.errors import (
     ConfigurationError,
+    OtherHeadError,
     UnknownNameError,
     UserControllerError,
     VergenceError,
@@ -214,7 +215,8 @@ def available_contestants(
         contestants: the contestants.
         head: the head for which to make them.
         scenario: the scenario for which to make them.
-        requested: requested names and paths, which are never left out.
+        requested: requested names and paths, which are left out only if they were trained for
+            another head and others remain.
 
     Returns:
         The contestants that can be made, with their options; and a note for each other one.
@@ -223,15 +225,21 @@ def available_contestants(
         VergenceError: a requested contestant cannot be made.
     """
     available, notes = [], []
+    unfit: list[OtherHeadError] = []
+    fit = 0
     for one in contestants:
+        is_requested = not set(requested).isdisjoint(one.names)
         try:
             available.append((one, one.check(head, scenario)))
+            fit += is_requested and one.label != BASELINE
         except VergenceError as error:
-            if not set(requested).isdisjoint(one.names) or one.given_options.for_controller(
-                one.names, scenario.name
-            ):
+            if isinstance(error, OtherHeadError) and is_requested:
+                unfit.append(error)
+            elif is_requested or one.given_options.for_controller(one.names, scenario.name):
                 raise
             notes.append(f"{one.label} is left out of {scenario.name}: {error}")
+    if unfit and not fit:
+        raise unfit[0]
     return available, notes
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import itemgetter
 from typing import Any, Final
 
 import pandas as pd
@@ -9,9 +10,12 @@ import pandas as pd
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import BASELINE
 from vergence.eval.comparison.summary import SWINGING, bound_summary, bound_trials, speed_up
-from vergence.eval.trials.settling import bands_with_bound
+from vergence.eval.trials.settling import SettlingBand, bands_with_bound
+from vergence.hardware.config import load_hardware
 from vergence.models.head import HeadModel
 
+_LESS_OFTEN: Final = 0.01
+"""Share of the trials by which a steady law may settle less often than the best (chosen)."""
 _KEY_FIELDS: Final = ("scenario", "plant", "controller", "head", "trials")
 _RESULT_FIELDS: Final = (
     "overshoot_median",
@@ -152,6 +156,31 @@ class Evaluation:
     def trials(self) -> pd.DataFrame:
         """All trials, one row each."""
         return pd.concat([one.trials for one in self.outcomes], ignore_index=True)
+
+
+def laws_for_loop(evaluation: Evaluation) -> list[str]:
+    """The law to choose for a robot's measured loop, a sentence per scenario and plant.
+
+    It is the quickest, or for a moving target the nearest, of those that settle as often as the
+    best (to 1 %) and never swing. Empty if the loop is not known.
+    """
+    robot = evaluation.config.hardware
+    if robot is None or load_hardware(robot).loop is None:
+        return []
+    found = []
+    for (scenario, plant), group in evaluation.groups().items():
+        band = SettlingBand(group[0].band_px)
+        judged = "tracking_rms_px" if group[0].target_moves else band.settle_median_s_column
+        share = band.settled_fraction_column
+        rows = [one.summary for one in group if not one.summary[SWINGING]]
+        most = max((row[share] for row in rows), default=0.0)
+        steady = [row for row in rows if row[share] >= most - _LESS_OFTEN and most > 0.0]
+        law = min(steady, key=itemgetter(judged))["controller"] if steady else "none of these"
+        found.append(
+            f"law for this loop ({scenario} on {plant}): {law}, of those compared the "
+            f"{'nearest' if group[0].target_moves else 'quickest'} that settles and does not swing"
+        )
+    return found
 
 
 def nonfinite_to_none(value: Any) -> Any:

@@ -32,6 +32,8 @@ class DeployConfig:
     0.1 rad with the target in view; without it, a head is moved that may be wired wrongly."""
     images: bool = False
     """Keep the eyes' images in the log, as JPEGs."""
+    resume: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="LOG")] = None
+    """Log of a deployment that has ended early: run the gazes that are missing there."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,6 @@
 """Deployment of a policy on a robot: gazes from rest, all in one log."""
 
+import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,15 +14,17 @@ from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.reporting.runs import package_versions
-from vergence.eval.robot.config import DeployConfig
+from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.gazes import MOST_PERIODS, RobotGazes
+from vergence.eval.robot.replay import replay
 from vergence.eval.robot.stage import REST_TARGET
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
 from vergence.recording.health import warn_of_gap
+from vergence.recording.log import read_log
 from vergence.recording.writer import LogWriter
 
 _MOST_GAZES: Final = 10_000
@@ -81,7 +84,7 @@ def deploy(
     deployment and is reported in its result; so does Ctrl-C.
 
     Args:
-        config: the deployment.
+        config: the deployment; with `resume`, only its missing gazes run, and the result has all.
         log: the new file to log to.
         check: called with the robot once all else is ready; it may raise to refuse it.
         show: called in each control period; it must not delay the loop.
@@ -93,6 +96,8 @@ def deploy(
     hardware = load_hardware(config.hardware)
     gazes = RobotGazes(steps=_steps(config, hardware.head), dry_run=config.dry_run)
     robot = RobotController.of(config.controller, hardware.head, config.options)
+    if config.resume is not None:
+        _resume(config, config.resume, hardware, robot, gazes)
     error: VergenceError | KeyboardInterrupt | None = None
     with _open_log(config, hardware, robot, gazes, log) as writer:
         try:
@@ -133,6 +138,8 @@ def _gaze(
     # the last pixel error is known only once its image has arrived
     steps = (gazes.steps or 0) + hardware.head.timing.latency_frames
 
+    first = len(gazes.trials)
+
     def gaze(number: int) -> None:
         record = Recorder(task, steps)
 
@@ -144,7 +151,7 @@ def _gaze(
             run_trial(task, robot.policy, steps, keep, seed=config.seed, first_trial=number)
             if not config.images:
                 _keep_images(task, writer)
-            if number == 0:
+            if number == first:
                 warn_of_gap(task.head, record.reading)
         finally:
             gazes.add(task, record)
@@ -152,7 +159,7 @@ def _gaze(
     try:
         with robot.attributing_errors():
             task.prepare(robot.policy)
-            for number in range(config.gazes):
+            for number in range(first, config.gazes):
                 gaze(number)
     finally:
         task.close()
@@ -191,16 +198,57 @@ def _open_log(
         head=hardware.head,
         config=hardware.text,
         facts={
-            "controller": robot.name,
-            "controller_sha256": robot.sha256,
-            "options": robot.stated_options,
-            "steps": str(gazes.steps),
-            "seed": str(config.seed),
-            "dry_run": str(config.dry_run),
+            **_facts(config, robot, gazes),
+            **({"resumes": os.path.relpath(config.resume, path.parent)} if config.resume else {}),
             **{f"version {name}": text for name, text in package_versions().items()},
         },
         images=config.images,
     )
+
+
+def _resume(
+    config: DeployConfig,
+    path: Path,
+    hardware: HardwareConfig,
+    robot: RobotController,
+    gazes: RobotGazes,
+) -> None:
+    """Add the complete gazes of a log, and of the logs that it resumes, in their order."""
+    if config.dry_run:
+        raise ConfigurationError("resume: expected no --dry-run beside it, got both")
+    log = read_log(path)
+    if earlier := log.facts.get("resumes"):
+        _resume(config, path.parent / earlier, hardware, robot, gazes)
+    same = _facts(config, robot, gazes) | {"head": hardware.head.digest}
+    of_log = log.facts | {"head": log.head.digest}
+    for name, value in same.items():
+        if of_log.get(name, "") != value:
+            raise ConfigurationError(
+                f"resume: expected the {name} of {path}, {of_log.get(name, '')!r:.80}, "
+                f"got {value!r:.80}"
+            )
+    done = replay(ReplayConfig(log=path)).gazes
+    complete = [trial for trial in done.trials if len(trial.time_s) > (gazes.steps or 0)]
+    gazes.trials += complete
+    gazes.periods += done.periods
+    gazes.missed_periods += done.missed_periods
+    if path == config.resume and len(gazes.trials) >= config.gazes:
+        raise ConfigurationError(
+            f"resume: expected a log without some of the {config.gazes} gazes, got {path}, "
+            f"with which {len(gazes.trials)} are complete"
+        )
+
+
+def _facts(config: DeployConfig, robot: RobotController, gazes: RobotGazes) -> dict[str, str]:
+    """What makes two deployments parts of one, as a log states it."""
+    return {
+        "controller": robot.name,
+        "controller_sha256": robot.sha256,
+        "options": robot.stated_options,
+        "steps": str(gazes.steps),
+        "seed": str(config.seed),
+        "dry_run": str(config.dry_run),
+    }
 
 
 def _steps(config: DeployConfig, head: HeadModel) -> int:

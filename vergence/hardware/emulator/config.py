@@ -8,8 +8,6 @@ from typing import Annotated, Final
 import tyro
 
 from vergence.errors import ConfigurationError
-from vergence.hardware.dynamixel.control_table import model_number
-from vergence.models.servo_models import find_servo_model
 
 _MAX_TIME_S: Final = 10.0
 """Greatest value of options that are times, s (chosen)."""
@@ -26,7 +24,7 @@ class EmulatorConfig:
     head: Annotated[str, tyro.conf.arg(metavar="HEAD")] = "turrets"
     """Head: a preset's name (see `vergence info`) or the path of a TOML file."""
     target_mm: Annotated[
-        tuple[float, float, float], tyro.conf.arg(name="target", metavar="X Y Z")
+        tuple[float, float, float], tyro.conf.arg(name="point", metavar="X Y Z")
     ] = (0.0, -100.0, 1000.0)
     """Position of the target until a trial places it, in mm, in the base frame N: x right, y down,
     z forward."""
@@ -110,10 +108,13 @@ class EmulatorConfig:
                     f"{option.replace('_', '-')}: expected {least:g} to {most:g}, got {value}"
                 )
         if self.servo is not None:
+            from vergence.hardware.dynamixel.control_table import model_number
+            from vergence.models.servo_models import find_servo_model
+
             model_number(find_servo_model(self.servo).name)
         if not 0 <= self.port <= 65535:
             raise ConfigurationError(f"port: expected 0 to 65535, got {self.port}")
         if self.seed < 0:
             raise ConfigurationError(f"seed: expected 0 or more, got {self.seed}")
         if not all(map(math.isfinite, self.target_mm)):
-            raise ConfigurationError(f"target: expected three finite numbers, got {self.target_mm}")
+            raise ConfigurationError(f"point: expected three finite numbers, got {self.target_mm}")
