@@ -15,7 +15,8 @@ _COLUMNS: Final = {
 }
 _LEGEND: Final = (
     "2 px, 1 px: when both eyes come so near the target to stay; at rest: peak to peak of a\n"
-    "joint's speed while the eyes hold it; error: distance of the last fix by gaze from the target"
+    "joint's speed while the eyes hold it; error: distance of the last fix by gaze, or\n"
+    "by ITPC of eyes that cannot converge, from the target"
 )
 
 
