@@ -104,10 +104,14 @@ class _StatusPrinter:
                     live.update(Text("\n".join(self._lines(self._present))), refresh=True)
 
     def _lines(self, present: "GazeState") -> list[str]:
-        from vergence.triangulation import triangulate_gaze
+        from vergence.triangulation import triangulate_gaze, triangulate_views
 
-        fix = triangulate_gaze(present.head, present.reading.positions)
-        time_s = float(present.reading.time_s[0])
+        head, reading = present.head, present.reading
+        fix, by = triangulate_gaze(head, reading.positions), ""
+        if head.has_fixed_pair:  # its optical axes do not cross
+            fix = triangulate_views(head, reading.positions_at_exposure, reading.pixels)
+            by = " by ITPC"
+        time_s = float(reading.time_s[0])
         rate_hz = present.step / time_s if time_s else float("nan")
         left, right = (float((eye @ eye) ** 0.5) for eye in present.pixel_error)
         lines = [
@@ -115,7 +119,7 @@ class _StatusPrinter:
             f"error {_number(left)} {_number(right)} px  {_number(rate_hz)} Hz  "
             f"{present.late_periods} late",
             f"gap {_number(1e3 * float(fix.gap[0]), 2)} mm  "
-            f"point {_three(1e3 * fix.point[0])} +- {_three(1e3 * fix.sigma[0])} mm",
+            f"point{by} {_three(1e3 * fix.point[0])} +- {_three(1e3 * fix.sigma[0])} mm",
         ]
         if self._config.dry_run:
             asked = zip(present.head.actuation.names, present.requested[3:], strict=False)

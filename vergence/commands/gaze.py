@@ -142,10 +142,15 @@ def _verdict(result: "GazeResult") -> int:
     if unseen:
         print_to_stderr(f"error: the target was never seen by the {' and the '.join(unseen)} eye")
         return 1
+    fixed_pair = result.head.has_fixed_pair
     for name, fix in (("gaze", result.gaze_fix), ("ITPC", result.view_fix)):
-        if not fix.valid[0] and name == "gaze" and result.residual_px > 1.0:
+        if name == "gaze" and not fix.valid[0] and (fixed_pair or result.residual_px > 1.0):
+            why = (
+                "no joint turns one eye alone" if fixed_pair else "the eyes cannot both look at it"
+            )
             print_to_stderr(
-                "gaze found no point: the eyes of this head cannot both look at the target"
+                f"gaze found no point: the optical axes do not cross at the target, as {why}; "
+                "ITPC's point comes from the images"
             )
         elif not fix.valid[0]:
             print_to_stderr(

@@ -17,7 +17,8 @@ _COLUMNS: Final = {
 """Field, heading, decimals, and factor to the heading's unit, the one of `vergence evaluate`."""
 _LEGEND: Final = (
     "to 2 px: until both eyes come so near the target to stay; at rest: peak to peak speed of the\n"
-    "worst joint while they hold it; error: distance of the last fix by gaze from the target"
+    "worst joint while they hold it; error: distance of the last fix by gaze, or by ITPC of eyes\n"
+    "that cannot converge, from the target"
 )
 
 

@@ -154,8 +154,9 @@ def _draw_axes(axes: Axes, result: GazeResult) -> None:
     """Draw the two optical axes from above, z upwards, with the target and the fix by gaze."""
     poses = result.head.camera_poses(result.positions)
     fix = result.gaze_fix
+    shown, by = (fix, "gaze") if fix.valid[0] else (result.view_fix, "ITPC")
     # without ground truth the view reaches as far as the fix, or 1 m if there is none
-    target = MM * (result.true_target_m if result.has_truth else fix.point[0])
+    target = MM * (result.true_target_m if result.has_truth else shown.point[0])
     if not np.isfinite(target).all():
         target = np.array([0.0, 0.0, MM])
     for eye, name in enumerate(EYE_NAMES):
@@ -170,9 +171,9 @@ def _draw_axes(axes: Axes, result: GazeResult) -> None:
         axes.plot(
             target[0], target[2], "o", ms=15, mfc="none", color="black", mew=1.5, label="target"
         )
-    if fix.valid[0]:
-        point = MM * fix.point[0]
-        axes.plot(point[0], point[2], "x", color=GREEN, ms=9, mew=2.2, label="fix by gaze")
+    if shown.valid[0]:
+        point = MM * shown.point[0]
+        axes.plot(point[0], point[2], "x", color=GREEN, ms=9, mew=2.2, label=f"fix by {by}")
     span = max(0.3 * abs(target[2]), abs(target[0]) + 0.2 * abs(target[2]), 120.0)
     axes.set(
         xlim=(-span, span),

@@ -16,6 +16,7 @@ from vergence.models.actuation import Actuation, Actuators, assemble_actuation
 from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import Cameras
 from vergence.models.digest import digest_of
+from vergence.models.joints import EYES
 from vergence.models.links import Links, map_arrays
 from vergence.models.parameters import Geometry, Parameters, geometry_with, parameters_of
 from vergence.models.parts import (
@@ -105,6 +106,12 @@ class HeadModel:
         The name of a joint that both eyes share occurs twice.
         """
         return self.links.joints
+
+    @property
+    def has_fixed_pair(self) -> bool:
+        """True if no joint turns one eye alone, so that the eyes cannot converge."""
+        left_1, left_2, right_1, right_2 = self.joints[EYES]
+        return (left_1, left_2) == (right_1, right_2)
 
     @cached_property
     def _missing(self) -> NDArray[np.intp]:

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.envs.task import GazeTask
-from vergence.eval.gaze_trajectory import MM
+from vergence.eval.gaze_trajectory import MM, gaze_and_view_fixes
 from vergence.eval.trials.recorded import trials_from_record
 from vergence.eval.trials.results import Trials
 from vergence.json_values import null_nonfinite_rows
@@ -31,6 +31,9 @@ class RobotGazes:
     """True if a fault has ended the last gaze; it then counts as not settled. A gaze that ended
     early for another reason, such as Ctrl-C or a kill, does not count."""
     trials: list[Trials] = field(default_factory=list)
+    point_errors_m: list[float] = field(default_factory=list)
+    """Distance of each gaze's last fix from the target: by gaze, or by ITPC if the axes of the eyes
+    do not cross; nan if not known."""
     missed_periods: int = 0
     """Number of missed control periods."""
     periods: int = 0
@@ -46,11 +49,15 @@ class RobotGazes:
         self.missed_periods += passed - made
         self.periods += passed
         steps = min(passed if self.steps is None else self.steps, MOST_PERIODS)
-        self.trials.append(
-            trials_from_record(
-                task, record, steps, scenario="robot", plant="hardware", band_px=BAND_PX
-            )
+        trial = trials_from_record(
+            task, record, steps, scenario="robot", plant="hardware", band_px=BAND_PX
         )
+        self.trials.append(trial)
+        error_m = trial.fix_error_m[-1, 0]
+        if task.head.has_fixed_pair:
+            _gaze, itpc = gaze_and_view_fixes(task.head, record)
+            error_m = np.linalg.norm(itpc.point[-1] - trial.target[-1, 0])
+        self.point_errors_m.append(float(error_m))
 
     def rows(self) -> list[dict[str, Any]]:
         """A row per gaze; None for undefined metrics."""
@@ -63,9 +70,11 @@ class RobotGazes:
                 "left_again": bool(trial.left_again[0]),
                 "swings": bool(trial.swings[0]),
                 "fixation_speed_pp": self._speed(trial),
-                "point_error_mm": self._error_mm(trial),
+                "point_error_mm": self._answer(trial, MM * error_m),
             }
-            for place, trial in enumerate(self.trials)
+            for place, (trial, error_m) in enumerate(
+                zip(self.trials, self.point_errors_m, strict=True)
+            )
         ]
 
     def summary(self) -> dict[str, Any]:
@@ -78,7 +87,7 @@ class RobotGazes:
             "settled_fraction": len(settled) / count if count and not self.dry_run else None,
             "settle_2px_median_s": _median(settled),
             "fixation_speed_pp": _median([self._speed(one) for one in judged]),
-            "point_error_median_mm": _median([self._error_mm(one) for one in judged]),
+            "point_error_median_mm": _median([row["point_error_mm"] for row in self.rows()]),
             "overrun_fraction": self.missed_periods / self.periods if self.periods else None,
         }
 
@@ -98,10 +107,6 @@ class RobotGazes:
     def _speed(self, trial: Trials) -> float | None:
         """Peak-to-peak joint speed while fixating, rad/s."""
         return self._answer(trial, trial.fixation_peak_to_peak_rad_s[0])
-
-    def _error_mm(self, trial: Trials) -> float | None:
-        """Distance of the last fix by gaze from the target, mm."""
-        return self._answer(trial, MM * trial.fix_error_m[-1, 0])
 
 
 def _median(values: list[float | None] | list[float]) -> float | None:
