@@ -24,10 +24,19 @@ from vergence.calibration.image_figures import (
     LEAST_IN_CELL,
     draw_corner_coverage,
     draw_residual_arrows,
-    set_image_axes,
+    new_image_figure,
     thinning_slice,
 )
-from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figure_style, new_figure
+from vergence.eval.reporting.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    figure_style,
+    legend_below,
+    new_figure,
+)
 from vergence.models.parts import FloatArray
 
 _PAGE_WIDTH: Final = 11.2
@@ -45,7 +54,7 @@ _MOST_NAMED_VIEWS: Final = 40
 
 
 def residual_field(calibration: Calibration, camera: int) -> Figure:
-    """Draw residuals over a camera's image as magnified arrows: per corner, and cell means."""
+    """Draw mean residuals over a camera's image as magnified arrows."""
     return draw_residual_arrows(
         *_residuals(calibration, camera),
         calibration.observations.image_sizes[camera],
@@ -64,7 +73,7 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
     edges = np.linspace(0.0, radius.max(), _RINGS + 1)
     ring = np.clip(np.digitize(radius, edges) - 1, 0, _RINGS - 1)
     with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 3.6)
+        figure = new_figure(CAMERA_FIGURE_WIDTH, 3.9)
         panel = figure.add_subplot()
         every = thinning_slice(len(radius))
         panel.plot(
@@ -86,7 +95,7 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
             xlabel="radius from the principal point (px)", ylabel="residual (px)",
             ylim=(-limit, limit), title=camera_names(calibration)[camera],
         )  # fmt: skip
-        panel.legend(loc="upper left", ncols=2, fontsize=10)
+        legend_below(figure, 2, fontsize=10)
     return figure
 
 
@@ -138,7 +147,7 @@ def tilts_by_distance(calibration: Calibration) -> Figure:
         )  # fmt: skip
         panel.set_ylim(bottom=0.0)
         if len(calibration.single_fits) > 1:
-            figure.legend(loc="outside lower center", ncols=2)
+            legend_below(figure, 2)
     return figure
 
 
@@ -200,8 +209,7 @@ def direction_sigma(calibration: Calibration, camera: int) -> Figure:
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
     pixels, _ = _residuals(calibration, camera)
     with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, CAMERA_FIGURE_WIDTH * height / width + 0.7)
-        panel = figure.add_subplot()
+        figure, panel = new_image_figure((width, height))
         panel.contourf(
             *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high)
         )
@@ -212,7 +220,6 @@ def direction_sigma(calibration: Calibration, camera: int) -> Figure:
         panel.set_facecolor("#bbbbbb")
         hull = _hull(pixels)
         panel.plot(*hull.T, "--", color=ORANGE, lw=2.0)
-        set_image_axes(panel, (width, height))
         panel.set_title(f"{camera_names(calibration)[camera]}, sigma of directions (px)")
     return figure
 
@@ -235,7 +242,7 @@ def depth_sigma(depth: DepthSigma, in_percent: bool) -> Figure:
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter("")
-        figure.legend(loc="outside lower center", ncols=3, fontsize=10)
+        legend_below(figure, 3, fontsize=10)
     return figure
 
 

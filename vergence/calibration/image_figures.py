@@ -21,10 +21,10 @@ LEAST_IN_CELL: Final = 3
 """Fewest corners whose mean residual is shown (chosen: a mean of fewer is mostly noise)."""
 _CELLS_ACROSS: Final = 14
 """Cells across an image in which residuals are averaged (chosen)."""
-_LONG_ARROW_CELLS: Final = 0.9
-"""Length of a long mean arrow (95th percentile), in cells (chosen: arrows hardly overlap)."""
-_MAGNIFICATIONS: Final = tuple(digit * 10**power for power in range(5) for digit in (1, 2, 5))
-"""Round magnifications of arrows (chosen)."""
+_LONG_ARROW_CELLS: Final = 1.0
+"""Length of a long mean arrow (90th percentile), in cells (chosen: arrows hardly overlap)."""
+_MARGINS_IN: Final = (0.7, 0.85)
+"""Width and height of a figure beside its image, inches (measured: labels and title)."""
 _MOST_DOTS: Final = 4000
 """Most dots of a scatter plot (chosen: more only fill the page with ink)."""
 
@@ -32,9 +32,8 @@ _MOST_DOTS: Final = 4000
 def draw_residual_arrows(
     pixels: FloatArray, residuals: FloatArray, size: tuple[int, int], name: str
 ) -> Figure:
-    """Draw residuals over an image as magnified arrows, per corner and averaged in cells."""
-    width, height = size
-    cell = width / _CELLS_ACROSS
+    """Draw corners over an image, and arrows of their mean residuals in cells."""
+    cell = size[0] / _CELLS_ACROSS
     keys = np.floor((pixels + 0.5) / cell).astype(int)
     cells, which, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     mean = np.zeros((len(cells), 2))
@@ -43,26 +42,21 @@ def draw_residual_arrows(
     mean = mean[full] / count[full, None]
     places = (cells[full] + 0.5) * cell - 0.5
     lengths = np.linalg.norm(mean, axis=-1)
-    long = float(np.quantile(lengths, 0.95)) if len(lengths) else 1.0
-    wanted = max(_LONG_ARROW_CELLS * cell / max(long, 1e-6), 1.0)
-    factor = max(each for each in _MAGNIFICATIONS if each <= wanted)
+    long = max(float(np.quantile(lengths, 0.9)), 1e-6) if len(lengths) else 1.0
     with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, CAMERA_FIGURE_WIDTH * height / width + 0.7)
-        panel = figure.add_subplot()
-        every = thinning_slice(len(pixels))
-        arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
-        usual = float(np.median(np.linalg.norm(residuals, axis=-1))) if len(residuals) else 0.0
-        if factor * usual > cell:
-            # arrows of single corners would be a tangle
-            panel.plot(*pixels[every].T, ".", ms=2, mew=0, alpha=0.5, color=GREY, rasterized=True)
-        else:
-            panel.quiver(
-                *pixels[every].T, *residuals[every].T, color=GREY, alpha=0.2, width=0.0015,
-                rasterized=True, **arrows,
-            )  # fmt: skip
-        panel.quiver(*places.T, *mean.T, color=BLACK, width=0.0045, headwidth=4, **arrows)
-        set_image_axes(panel, size)
-        panel.set_title(f"{name}, arrows {factor:g} times as long")
+        figure, panel = new_image_figure(size)
+        panel.plot(
+            *pixels[thinning_slice(len(pixels))].T, ".", ms=3, mew=0, alpha=0.4, color=GREY,
+            rasterized=True,
+        )  # fmt: skip
+        arrows = panel.quiver(
+            *places.T, *mean.T, color=BLACK, width=0.006, headwidth=3.5, angles="xy",
+            scale_units="xy", scale=long / (_LONG_ARROW_CELLS * cell),
+        )  # fmt: skip
+        key = float(f"{long:.1g}")
+        above = 1.0 + 0.03 * size[0] / size[1]
+        panel.quiverkey(arrows, 0.9, above, key, f"{key:g} px", labelpos="W")
+        panel.set_title(name)
     return figure
 
 
@@ -73,8 +67,7 @@ def draw_corner_coverage(
     width, height = size
     pixels = views[np.isfinite(views).all(axis=-1)]
     with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, CAMERA_FIGURE_WIDTH * height / width + 0.7)
-        panel = figure.add_subplot()
+        figure, panel = new_image_figure(size)
         panel.plot(
             *pixels[thinning_slice(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=colour,
             rasterized=True,
@@ -95,7 +88,6 @@ def draw_corner_coverage(
                 va="center", fontsize=13, fontweight="bold", color=BLACK,
                 bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8},
             )  # fmt: skip
-        set_image_axes(panel, size)
         panel.set_title(f"{name}, views in each part")
     return figure
 
@@ -105,12 +97,18 @@ def thinning_slice(count: int) -> slice:
     return slice(None, None, -(-count // _MOST_DOTS) or 1)
 
 
-def set_image_axes(panel: Axes, size: tuple[int, int]) -> None:
-    """Set a panel's axes to an image's frame, v downwards."""
+def new_image_figure(size: tuple[int, int]) -> tuple[Figure, Axes]:
+    """Make a figure of an image's shape; its axes are the image's frame, v downwards."""
     width, height = size
+    beside, above = _MARGINS_IN
+    figure = new_figure(
+        CAMERA_FIGURE_WIDTH, (CAMERA_FIGURE_WIDTH - beside) * height / width + above
+    )
+    panel = figure.add_subplot()
     panel.set(
         xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
         xlabel="u (px)", ylabel="v (px)",
     )  # fmt: skip
     panel.grid(False)
     panel.spines[:].set_visible(True)
+    return figure, panel

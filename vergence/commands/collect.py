@@ -5,6 +5,7 @@ import tomllib
 from contextlib import closing
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
@@ -158,6 +159,7 @@ class Collect:
     def _conclude(self, recording: "CollectedRecording", head: "HeadModel") -> None:
         """Print a summary of the recording, advice, and the next command."""
         from vergence.calibration.head.advice import advise_recording
+        from vergence.calibration.head.checks import refuse_few_poses
 
         frames = recording.frames()
         placements = int(frames.placement.max()) + 1
@@ -171,8 +173,15 @@ class Collect:
             print_to_stderr(f"{recording.looks_without_board} looks without the board, left out")
         for line in advise_recording(head, recording, frames):
             print_to_stderr(line)
+        try:
+            refuse_few_poses(frames)
+        except ConfigurationError as error:
+            print_to_stderr(str(error))
+            return
+        names = chain(["calibrated.toml"], (f"calibrated-{n}.toml" for n in count(2)))
+        out = next(name for name in names if not Path(name).exists())
         named = _head_of(self.config) if self.config is not None else self.head or _DEFAULT_HEAD
-        words = ["calibrate", "head", str(self.folder), "--head", named, "--out", "calibrated.toml"]
+        words = ["calibrate", "head", str(self.folder), "--head", named, "--out", out]
         print(f"next: vergence {shlex.join(words)}")
 
 

@@ -23,7 +23,10 @@ from vergence.triangulation import triangulate_gaze, triangulate_views
 
 HEAD = vergence.load_head("physical")
 DISTANCES_M = np.array([0.5, 1.0, 2.5])
-UNSEEN = (UnobservableDirection("tilt of both eyes", "move the neck", "17 mm at 1 m"),)
+UNSEEN = (
+    UnobservableDirection("tilt of both eyes", "move the neck", "17 mm at 1 m"),
+    UnobservableDirection("an offset against a turn", "", "nothing depends on it"),
+)
 FACTS = {"frames": "frames.npz", "sha256": "0123"}
 WRONG = (0, 5)
 """Eye and frame of a view whose corners are not where they were seen."""
@@ -104,8 +107,9 @@ def test_the_document_is_plain_and_counts_every_view(found):
     depth = predict_depth_errors(found, points_ahead(np.ones(1)))
     assert row["before_mm"] == pytest.approx(1e3 * depth.nominal_error_m[0])
     assert row["after_percent"] == pytest.approx(0.1 * row["after_sigma_mm"])
-    assert told["unseen"] == [{"what": "tilt of both eyes", "cure": "move the neck",
-                               "cost": "17 mm at 1 m"}]  # fmt: skip
+    assert told["unseen"][0] == {
+        "what": "tilt of both eyes", "cure": "move the neck", "cost": "17 mm at 1 m",
+    }  # fmt: skip
     # the corners' noise was 0.05 px in either coordinate
     assert told["rms_px"] == pytest.approx(0.05 * np.sqrt(2.0), rel=0.1)
 
@@ -151,6 +155,7 @@ def test_the_page_says_before_and_after_and_what_was_not_seen(found, tmp_path, u
     assert f"{before} mm off in depth at 0.5, 1 and 2.5 m" in text
     assert f"one standard deviation is {after} mm" in text
     assert "tilt of both eyes: 17 mm at 1 m. To determine it: move the neck." in text
+    assert text.count("To determine it") == 1  # nothing is said of what needs nothing
     assert all(fact in text for fact in FACTS.values())
 
 

@@ -179,7 +179,7 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
             title="both eyes' joints",
         )  # fmt: skip
         eyes.set_aspect("equal", adjustable="datalim")
-        eyes.legend(loc="best", fontsize=10)
+        eyes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, fontsize=10)
     return figure
 
 
@@ -297,7 +297,7 @@ def depth_error_by_distance(calibration: HeadCalibration) -> Figure:
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter("")
         panel.set_xlim(*_DISTANCES_M)
-        panel.legend(loc="upper left", fontsize=10)
+        legend_below(figure, 2, fontsize=10)
     return figure
 
 

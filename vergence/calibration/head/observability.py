@@ -49,7 +49,7 @@ _RIGID_MOTIONS: Final = (
 )
 """Rigid motions of the eyes in N, about and along x, y and z, with units."""
 
-_NO_NECK_REMEDY: Final = "none without a neck: N is where the file has it"
+_NO_NECK_REMEDY: Final = "a neck; without one, N is where the file has it"
 
 
 class UnobservableDirection(NamedTuple):
