@@ -86,6 +86,17 @@ def test_long_titles_do_not_overlap():
         assert all("1 tag" in title and "left.jpg" in title for title in titles(figure))
 
 
+def test_numbers_of_small_tags_do_not_overlap():
+    tags = [AprilTag(id=100 + i, edge_m=0.02) for i in range(3)]
+    places = [pose_at((0.03 * i, 0.0, 1.0)) for i in range(3)]
+    found = [exact(HEAD, HEAD.rest(), *one)[0] for one in zip(tags, places, strict=True)]
+    figure = compose_detections([Photograph(Path("a.png"), IMAGE, found)])
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in figure.axes[0].texts]
+    assert len(boxes) == 3
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+
+
 def test_a_text_loses_its_middle_where_it_is_too_wide():
     assert shorten_to_width("left1.jpg", 3.0, 10.0) == "left1.jpg"
     short = shorten_to_width("x" * 60 + "end.jpg", 3.0, 10.0)

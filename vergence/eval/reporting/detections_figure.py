@@ -25,7 +25,8 @@ _TITLE_PT: Final = 10.0
 _LETTER_WIDTH: Final = 0.62
 """Estimated width of a letter as a fraction of the font size, slightly above the mean of file names
 (chosen)."""
-_TEXT_OUTLINE: Final = [patheffects.withStroke(linewidth=3.0, foreground="black", alpha=0.75)]
+_NUMBER_PT: Final = (3.5, 12.0)
+"""Least and largest font size of a tag's number, pt (chosen: legibility)."""
 
 
 class TargetColours:
@@ -75,20 +76,29 @@ def draw_detections(
         colours: colours of targets.
     """
     height, width = image.shape
+    pt_per_px = 72.0 / panel.figure.dpi * panel.bbox.width / width
     panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
     for detection in found:
         target, corners = detection.target, detection.corners_px
         style: dict[str, Any] = {"color": colours.of(target)}
-        panel.plot(*target_outline(target, corners).T, lw=1.4, **style)
+        outline = target_outline(target, corners)
+        # marks of a small target are small, so that they lie on no other
+        across_pt = pt_per_px * float(np.ptp(outline, axis=0).min())
+        fine = min(across_pt / 40.0, 1.0)
+        panel.plot(*outline.T, lw=max(1.4 * fine, 0.7), **style)
         if len(corners) > 4:
             panel.plot(*corners.T, "+", ms=5, mew=1.0, **style)
         first = np.nanargmin(corners.sum(axis=1) * 0.0 + target.corners_m.sum(axis=1))
-        panel.plot(*corners[first], "s", ms=7, mfc="none", mew=1.8, **style)
-        number = tag_number(target)
-        if number is not None:
+        panel.plot(
+            *corners[first], "s", ms=max(7.0 * fine, 2.0), mfc="none", mew=1.8 * fine, **style
+        )
+        number = str(tag_number(target)) if tag_number(target) is not None else ""
+        if number:
+            size_pt = float(np.clip(across_pt / (_LETTER_WIDTH * len(number) + 0.3), *_NUMBER_PT))
+            edge = patheffects.withStroke(linewidth=0.25 * size_pt, foreground="black", alpha=0.75)
             panel.text(
-                *as_float_pair(detection.point_px), str(number), ha="center", va="center",
-                fontsize=12, fontweight="bold", path_effects=_TEXT_OUTLINE, **style,
+                *as_float_pair(detection.point_px), number, ha="center", va="center",
+                fontsize=size_pt, fontweight="bold", path_effects=[edge], **style,
             )  # fmt: skip
     panel.grid(False)
     panel.set(

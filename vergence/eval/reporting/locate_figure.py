@@ -17,7 +17,7 @@ from vergence.eval.reporting.detections_figure import (
     shorten_to_width,
     target_outline,
 )
-from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, new_figure
+from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, legend_below, new_figure
 from vergence.files import atomic_file
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -115,6 +115,7 @@ def _draw_space(
     for panel, (title, across, up, xlabel, ylabel) in zip(panels, _VIEWS, strict=True):
         _draw_view(panel, seen, near, eyes, (across, up), colours, shown)
         panel.set(xlabel=xlabel, ylabel=ylabel, title=title)
+    legend_below(figure, 2)
     figure.draw_without_rendering()  # ellipses are scaled to the panels' final size
     _draw_sigma(panels, seen, near, colours)
     if outside:
@@ -168,14 +169,12 @@ def _draw_view(
             panel.plot(*points.T, ".", ms=2.5 if many else 4.0, color=colour)
         if not many and (drawn == one.valid).all():
             for place in eyes[:2][:, axes]:
-                panel.plot(
-                    *np.stack([place, MM * one.centre.point[list(axes)]]).T, ":", color=GREY, lw=1.0
-                )
+                sight = np.stack([place, MM * one.centre.point[list(axes)]])
+                panel.plot(*sight.T, ":", color=GREY, lw=1.0 if len(seen) <= 5 else 0.4)
     panel.set_aspect("equal", adjustable="datalim")
     if axes[1] == 1:
         panel.invert_yaxis()
     panel.margins(0.08)
-    panel.legend(loc="best", fontsize=10)
 
 
 def _draw_sigma(
