@@ -100,11 +100,12 @@ class ImportRuler(HeadOutput):
         print_measured_head(head, self.out)
         self.print_paths()
         servo = f" --servo {ruler.servo.name}" if ruler.servo.name in MODELS.values() else ""
+        robot = "robot.toml" if self.out.name == "desk.toml" else "desk.toml"
         print(
             "next: look at the drawing, then\n"
             f"  vergence gaze --head {self.out}\n"
             f"  vergence info --head {self.out}\n"
-            f"  vergence emulate --head {self.out}{servo} --out robot.toml"
+            f"  vergence emulate --head {self.out}{servo} --out {robot}"
         )
         return 0
 
