@@ -17,6 +17,7 @@ from benchmarks.stable_baselines import RECIPE
 from tests.hardware.fakes import FakeClock
 from vergence import load_head, make_controller
 from vergence.commands.parsing import parse_command
+from vergence.controllers.controller import WHICH_LAW
 from vergence.envs.encoding import FIELDS
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant
@@ -256,3 +257,10 @@ def test_the_configuration_of_a_robot_is_read_as_it_stands(tmp_path) -> None:
     file = tmp_path / "faults.toml"
     file.write_text(script, encoding="utf-8")
     assert [fault.what for fault in load_faults(file, [1, 2, 3, 4])] == ["lost"]
+
+
+@pytest.mark.parametrize(
+    "name", ["README.md", "docs/turrets.md", "docs/controllers.md", "docs/robot.md"]
+)
+def test_every_page_gives_the_same_answer_to_which_law(name) -> None:
+    assert WHICH_LAW in page(name)

@@ -5,6 +5,7 @@ Run ``python learn_to_gaze.py``: minutes on one core; ``--help`` lists the optio
 """
 
 import argparse
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -90,6 +91,8 @@ if __name__ == "__main__":
     parser.add_argument("--save", metavar="ZIP", help="keep the policy")
     chosen = parser.parse_args()
     torch.set_num_threads(1)  # more are slower for so small a network
+    if chosen.save and not Path(chosen.save).absolute().parent.is_dir():
+        parser.error(f"save: expected a folder that exists, got {chosen.save}")
     task = {"head": chosen.head, "plant": chosen.plant, "variation": ROBOT if chosen.robot else {}}
     try:
         model = learn(chosen.steps, chosen.seed, **task)

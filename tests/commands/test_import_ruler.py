@@ -28,7 +28,10 @@ def test_measures_become_a_head_file(tmp_path):
     [
         (["--baseline", "0.12"], r"baseline: expected 10 to 2000 mm \(is it in metres\?\), got"),
         (["--baseline", "120", "--view", "60"], "servo: expected it as --servo, got none"),
-        (["--view", "60", "--focal", "500"], "expected one of --view, --diagonal and --focal"),
+        (
+            ["--baseline", "120", "--servo", "XL430", "--view", "60", "--focal", "500"],
+            "expected one of --view, --diagonal and --focal",
+        ),
         (["--servo", "XL99"], "servo: expected one of XL330-M288"),
         (["--view", "3"], "view: expected 5 to 150 degrees"),
     ],

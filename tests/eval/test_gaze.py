@@ -205,7 +205,8 @@ def test_the_last_image_of_both_eyes_counts_where_one_eyes_comes_alone(monkeypat
 def test_a_gaze_that_ended_early_is_judged_by_what_was_recorded(on_robot):
     task = GazeTask(1, plant="robot", target="static")
     record = Recorder(task, 180)
-    rollout(task, make_controller("ibvs", head=task.head, gain=4.0), 60, record)
+    law = make_controller(on_robot.config.controller, head=task.head, gain=on_robot.config.gain)
+    rollout(task, law, 60, record)
     result = gaze_result(on_robot.config, task, record)
     for name, column in on_robot.trajectory.items():
         assert np.array_equal(result.trajectory[name], column[:61], equal_nan=True)

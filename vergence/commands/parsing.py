@@ -78,14 +78,14 @@ _NEGATIVE_AXES_PATTERN: Final = re.compile(r"-[xyz](,[+-]?[xyz]){2}")
 
 
 def _with_point(words: list[str]) -> list[str]:
-    """Words in which a position that is given as --target, as until 0.1, is given as --point."""
+    """Words in which a position given by its first name, --target, is given as --point."""
     if words[0] not in ("gaze", "emulate") or "--target" not in words:
         return words
     place = words.index("--target")
     given = words[place + 1] if place + 1 < len(words) else ""
     with suppress(ValueError):
         float(given)
-        print_to_stderr("--target: it is called --point now, and will be refused by later versions")
+        print_to_stderr("--target: it is --point now; --target is accepted until version 0.2")
         return [*words[:place], "--point", *words[place + 1 :]]
     raise ConfigurationError(
         f"--target: expected a position in its place, as --point X Y Z in mm, got {given!r}: a "

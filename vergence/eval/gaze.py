@@ -40,6 +40,8 @@ from vergence.recording import Recorder
 from vergence.recording.health import warn_of_gap
 from vergence.triangulation import Fix
 
+_ROBOT_LAW: Final = "state-feedback"
+"""The first law of `vergence.controllers.controller.WHICH_LAW`."""
 _HARDWARE_PLANT: Final = "hardware"
 """The plant of robots."""
 
@@ -150,10 +152,10 @@ def run_gaze(
             fixate the target.
     """
     # what needs no head first: to load one compiles kernels
-    if not config.controller:
-        law = "state-feedback" if config.plant == _HARDWARE_PLANT else "ibvs"
-        config = dataclasses.replace(config, controller=law)
-    defaults, simulated = default_options(config.controller), is_simulated(config.plant)
+    default_options(config.controller or _ROBOT_LAW)  # raises for an unknown name
+    simulated = is_simulated(config.plant)
+    law = config.controller or ("ibvs" if simulated else _ROBOT_LAW)
+    config, defaults = dataclasses.replace(config, controller=law), default_options(law)
     if not np.isfinite(config.target_mm).all():
         raise ConfigurationError(f"point: expected three finite numbers, got {config.target_mm}")
     if not 0.0 < config.duration_s < inf:

@@ -96,13 +96,3 @@ def find_servo_model(text: str) -> ServoModel:
         if asked and (name.startswith(asked) or asked in (name + "t", name + "r")):
             return model
     raise UnknownNameError("servo", text, list(SERVO_MODELS))
-
-
-def others_of_family(model: ServoModel) -> list[ServoModel]:
-    """Other models whose names begin alike, and which the beginning of a name might mean."""
-    family = model.name.partition("-")[0]
-    return [
-        one
-        for one in SERVO_MODELS.values()
-        if one is not model and one.name.startswith(f"{family}-")
-    ]

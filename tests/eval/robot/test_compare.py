@@ -10,6 +10,7 @@ from tests.hardware.test_config import document
 from vergence.controllers import make_controller
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.evaluate import evaluate
+from vergence.eval.comparison.evaluation import laws_for_loop
 from vergence.eval.comparison.lineup import resolve_lineup
 from vergence.eval.jobs import SerialMapper
 from vergence.eval.robot.judge import robot_settle_bounds
@@ -52,6 +53,16 @@ def test_simulation_has_the_robots_head_and_its_loop(desk):
     ):  # fmt: skip
         assert trials[name].to_numpy() == pytest.approx(value), name
     assert trials["frame_phase"].nunique() == 3
+
+
+@pytest.mark.slow
+def test_the_law_for_a_loop_is_told_where_the_loop_is_known(desk):
+    config = EvaluateConfig(controllers=("ibvs", "saccade"), hardware=desk, episodes=10)
+    evaluation = evaluate(config)
+    (line,) = laws_for_loop(evaluation)
+    assert line.startswith("law for this loop (webcam on kinematic): saccade")
+    desk.write_text(desk.read_text().split("[loop]")[0], encoding="utf-8")
+    assert laws_for_loop(evaluation) == []
 
 
 def test_the_bound_of_a_robots_trials_is_that_of_their_simulation(desk):

@@ -8,15 +8,12 @@ import pytest
 
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
-from vergence.models.files.ruler import Ruler, focal_of_view, ruler_to_toml
+from vergence.models.files.ruler import Ruler, ruler_to_toml
 from vergence.models.servo_models import find_servo_model
 
-XL430 = find_servo_model("XL430")
 MEASURED = Ruler(
-    name="measured", mount="turrets", first="pan", baseline=120.0, axes_apart=100.0, height=150.0,
-    axes_ahead=15.0, lens_ahead=25.0, lens_above=40.0, size=(640, 480), focal=554.256,
-    view_note="view 60 degrees", pan=80.0, tilt=45.0, fps=30.0, speed=XL430.speed_rad_s,
-    acceleration=80.0, servo=XL430, assumed=(),
+    name="measured", baseline=120.0, axes_apart=100.0, height=150.0, axes_ahead=15.0,
+    lens_ahead=25.0, view=60.0, servo=find_servo_model("XL430"),
 )  # fmt: skip
 
 
@@ -59,13 +56,14 @@ def test_every_build_looks_at_a_point_ahead(mount, first):
 
 
 def test_a_view_is_that_of_a_pinhole():
-    assert focal_of_view((640, 480), 60.0) == pytest.approx(320 / tan(radians(30.0)))
-    assert focal_of_view((640, 480), 60.0, diagonal=True) == pytest.approx(400 / tan(radians(30.0)))
+    assert MEASURED.focal_px == pytest.approx(320 / tan(radians(30.0)))
+    diagonal = dataclasses.replace(MEASURED, view=None, diagonal=60.0)
+    assert diagonal.focal_px == pytest.approx(400 / tan(radians(30.0)))
 
 
 def test_a_tilt_axis_below_the_plate_is_refused():
     with pytest.raises(ConfigurationError, match="height: expected at least"):
-        ruler_to_toml(dataclasses.replace(MEASURED, height=30.0))
+        dataclasses.replace(MEASURED, height=30.0)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,8 @@
 """`vergence import ruler`: make a head file from what a person measures."""
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
@@ -16,16 +17,6 @@ if TYPE_CHECKING:
 
 _Mm = Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")]
 _Degrees = Annotated[float | None, tyro.conf.arg(metavar="DEG", help_behavior_hint="")]
-_USUAL: Final = {
-    "height": 100.0,
-    "axes_ahead": 0.0,
-    "lens_ahead": 20.0,
-    "lens_above": 40.0,
-    "pan": 80.0,
-    "tilt": 45.0,
-    "fps": 30.0,
-}
-"""Values of measures that nobody took (chosen: of two servos and a webcam a side)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +39,13 @@ class ImportRuler(HeadOutput):
     axes_apart: _Mm = None
     """Distance between the first axes of two turrets, if the lenses are not in line with them."""
     height: _Mm = None
-    """Height of the lenses above the plate that carries the head."""
+    """Height of the lenses above the plate that carries the head; 100 by default."""
     axes_ahead: _Mm = None
-    """Distance of the second axis (with --first pan, the tilt) ahead of the first."""
+    """Distance of the second axis (with --first pan, the tilt) ahead of the first; 0 by default."""
     lens_ahead: _Mm = None
-    """Distance of the lenses ahead of the second axis."""
+    """Distance of the lenses ahead of the second axis; 20 by default."""
     lens_above: _Mm = None
-    """Height of the lenses above the tilt axis."""
+    """Height of the lenses above the tilt axis; 40 by default."""
     size: Annotated[
         str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT", help_behavior_hint="(640x480)")
     ] = None
@@ -69,9 +60,9 @@ class ImportRuler(HeadOutput):
     """Servo: XL330-M288, XL330-M077, XL430-W250, XC330-T288, XC330-T181, XC330-M288, XM430-W350,
     XM430-W210, STS3215 or hobby; the beginning of a name is enough."""
     pan: _Degrees = None
-    """Range of a pan to either side."""
+    """Range of a pan to either side; 80 by default."""
     tilt: _Degrees = None
-    """Range of a tilt to either side."""
+    """Range of a tilt to either side; 45 by default."""
     speed: Annotated[float | None, tyro.conf.arg(metavar="RAD_S", help_behavior_hint="")] = None
     """Greatest speed of the joints; the servo's without load by default."""
     acceleration: Annotated[
@@ -79,7 +70,7 @@ class ImportRuler(HeadOutput):
     ] = None
     """Greatest acceleration of the joints; by default that in the servo's table."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="HZ", help_behavior_hint="")] = None
-    """Images a second."""
+    """Images a second; 30 by default."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the head; by default the name of its file."""
 
@@ -100,31 +91,28 @@ class ImportRuler(HeadOutput):
         print_measured_head(head, self.out)
         self.print_paths()
         servo = f" --servo {ruler.servo.name}" if ruler.servo.name in MODELS.values() else ""
+        robot = "robot.toml" if self.out.name == "desk.toml" else "desk.toml"
         print(
             "next: look at the drawing, then\n"
             f"  vergence gaze --head {self.out}\n"
             f"  vergence info --head {self.out}\n"
-            f"  vergence emulate --head {self.out}{servo} --out robot.toml"
+            f"  vergence emulate --head {self.out}{servo} --out {robot}"
         )
         return 0
 
     def _measured(self, name: str) -> "Ruler":
         """The measures, with what is missing asked for on a terminal."""
-        from vergence.models.files.ruler import Ruler, check_measure, focal_of_view
-        from vergence.models.servo_models import find_servo_model, others_of_family
+        from vergence.models.files.ruler import VIEWS, Ruler, check_measure
+        from vergence.models.servo_models import SERVO_MODELS, find_servo_model
 
-        given = {key: value for key, value in vars(self).items() if value is not None}
-        views = [key for key in ("view", "diagonal", "focal") if key in given]
-        if len(views) > 1:
-            raise ConfigurationError(
-                f"{views[1]}: expected one of --view, --diagonal and --focal, got {views[0]} too"
-            )
-        for key in ("baseline", *_USUAL, "axes_apart", *views, "speed", "acceleration"):
-            if key in given:
-                check_measure(key, given[key])
-        size, servo = parse_size(self.size), self.servo and find_servo_model(self.servo)
+        output = vars(HeadOutput())
+        given = {k: v for k, v in vars(self).items() if v is not None and k not in output}
+        for key, value in given.items():
+            check_measure(key, value)
+        if self.servo is not None:
+            find_servo_model(self.servo)
         missing = [key for key in ("baseline", "servo") if key not in given]
-        missing += [] if views else ["view"]
+        missing += [] if given.keys() & set(VIEWS) else ["view"]
         if missing and not sys.stdin.isatty():
             raise ConfigurationError(
                 f"{missing[0]}: expected it as --{missing[0]}, got none; a head needs --baseline "
@@ -132,73 +120,54 @@ class ImportRuler(HeadOutput):
                 "the command asks for them"
             )
         if missing:
-            given = _asked(given, has_view=bool(views))
-            size, servo = parse_size(given["size"]), find_servo_model(given["servo"])
-            views = [key for key in ("view", "diagonal", "focal") if key in given]
-        assert servo
-        size = size or (640, 480)
-        view = views[0]
-        focal = (
-            given["focal"]
-            if view == "focal"
-            else focal_of_view(size, given[view], diagonal=view == "diagonal")
-        )
-        for other in others_of_family(servo):
-            if servo.name.partition("-")[0] == given["servo"].upper():
-                print_to_stderr(f"servo: taken as {servo.name}, not {other.name}")
-        values = _USUAL | {key: given[key] for key in _USUAL if key in given}
-        return Ruler(
-            name=name,
-            mount=given.get("mount", "turrets"),
-            first=given.get("first", "pan"),
-            baseline=given["baseline"],
-            axes_apart=given.get("axes_apart", given["baseline"]),
-            size=size,
-            focal=focal,
-            view_note=f"{view} {given[view]:g}{' px' if view == 'focal' else ' degrees'}",
-            speed=given.get("speed", servo.speed_rad_s),
-            acceleration=given.get("acceleration", servo.acceleration_rad_s2),
-            servo=servo,
-            assumed=tuple(key for key in _USUAL if key not in given),
-            **values,
-        )
+            given |= _answers(given, view_too="view" in missing)
+        asked = given.pop("servo")
+        servo = find_servo_model(asked)
+        if sum(known.startswith(asked.upper()) for known in SERVO_MODELS) > 1:
+            print_to_stderr(f"servo: taken as {servo.name}")
+        if "size" in given:
+            given["size"] = parse_size(given["size"])
+        given["name"] = name
+        return Ruler(servo=servo, measured=frozenset(given), **given)
 
 
-_QUESTIONS: Final = (
-    ("mount", "Two turrets, or two cameras on one neck", "turrets"),
-    ("first", "The joint nearer to the plate: pan or tilt", "pan"),
-    ("baseline", "Distance between the two lenses, mm", None),
-    ("height", "Height of the lenses above the plate, mm", _USUAL["height"]),
-    ("axes_ahead", "Distance of the second axis ahead of the first, mm", _USUAL["axes_ahead"]),
-    ("lens_ahead", "Distance of the lenses ahead of the second axis, mm", _USUAL["lens_ahead"]),
-    ("lens_above", "Height of the lenses above the tilt axis, mm", _USUAL["lens_above"]),
-    ("size", "Image size in pixels", "640x480"),
-    ("view", "Field of view in degrees: horizontal, or diagonal as 78d", None),
-    ("servo", "Servo, such as XL330-M288, XL430, XM430-W350, STS3215 or hobby", None),
-    ("pan", "Range of a pan to either side, degrees", _USUAL["pan"]),
-    ("tilt", "Range of a tilt to either side, degrees", _USUAL["tilt"]),
-)
-"""Measure, question and usual answer, in the order in which they are asked."""
+_QUESTIONS: Final = {
+    "mount": "Two turrets, or two cameras on one neck",
+    "first": "The joint nearer to the plate: pan or tilt",
+    "baseline": "Distance between the two lenses, mm",
+    "height": "Height of the lenses above the plate, mm",
+    "axes_ahead": "Distance of the second axis ahead of the first, mm",
+    "lens_ahead": "Distance of the lenses ahead of the second axis, mm",
+    "lens_above": "Height of the lenses above the tilt axis, mm",
+    "size": "Image size in pixels",
+    "view": "Field of view in degrees: horizontal, or diagonal as 78d",
+    "servo": "Servo, such as XL330-M288, XL430, XM430-W350, STS3215 or hobby",
+    "pan": "Range of a pan to either side, degrees",
+    "tilt": "Range of a tilt to either side, degrees",
+}
+"""Questions about the measures, in the order in which they are asked."""
 
 
-def _asked(given: dict[str, Any], *, has_view: bool) -> dict[str, Any]:
-    """The measures with the answers to what is not given."""
+def _answers(given: Mapping[str, object], *, view_too: bool) -> dict[str, Any]:
+    """Answers to the questions about what is not given, by measure."""
+    from vergence.models.files.ruler import Ruler
+
+    usual = {one.name: one.default for one in fields(Ruler) if one.default not in (None, MISSING)}
     print("Measure with the head looking straight ahead. Enter takes the value in brackets.")
-    answers = dict(given)
-    for key, question, usual in _QUESTIONS:
-        if key in given or (key == "view" and has_view):
+    answers: dict[str, Any] = {}
+    for key, question in _QUESTIONS.items():
+        if key in given or (key == "view" and not view_too):
             continue
-        shown = "" if usual is None else f" [{usual if isinstance(usual, str) else f'{usual:g}'}]"
+        shown = {"size": "640x480"}.get(key, usual.get(key))
         while True:
             try:
-                text = input(f"{question}{shown}: ").strip()
+                text = input(f"{question}{'' if shown is None else f' [{shown}]'}: ").strip()
             except EOFError:
                 raise ConfigurationError(f"{key}: expected an answer, got none") from None
+            if not text and shown is not None:
+                break
             try:
-                if text or isinstance(usual, str):
-                    answers |= _answer(key, text or str(usual))
-                elif usual is None:
-                    raise ConfigurationError(f"{key}: expected an answer, got none")
+                answers |= _answer(key, text)
                 break
             except VergenceError as error:
                 print_to_stderr(str(error))
@@ -210,11 +179,8 @@ def _answer(key: str, text: str) -> dict[str, Any]:
     from vergence.models.files.ruler import check_measure
     from vergence.models.servo_models import find_servo_model
 
-    if key == "servo":
-        find_servo_model(text)
-        return {key: text}
-    if key == "size":
-        parse_size(text)
+    if key in ("servo", "size"):
+        find_servo_model(text) if key == "servo" else parse_size(text)
         return {key: text}
     choices = {"mount": ["turrets", "neck"], "first": ["pan", "tilt"]}.get(key)
     if choices is not None:
@@ -224,6 +190,8 @@ def _answer(key: str, text: str) -> dict[str, Any]:
     if key == "view" and text.endswith("d"):
         key, text = "diagonal", text.removesuffix("d")
     try:
-        return {key: check_measure(key, float(text))}
+        value = float(text)
     except ValueError:
         raise ConfigurationError(f"{key}: expected a number, got {text!r}") from None
+    check_measure(key, value)
+    return {key: value}

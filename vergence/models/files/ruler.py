@@ -1,6 +1,6 @@
 """A head from what a ruler and data sheets say: two turrets, or two cameras on one neck."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import hypot, radians, tan
 from typing import Final, Literal
 
@@ -25,68 +25,90 @@ _RANGES: Final = {
     "acceleration": (1.0, 5000.0, "rad/s^2"),
 }
 """Least and greatest value of each measure, and its unit."""
+VIEWS: Final = ("view", "diagonal", "focal")
+"""Measures of a camera's view, of which one is needed."""
 
 
-def check_measure(name: str, value: float) -> float:
-    """Return a measure, or raise a `ConfigurationError` if it suggests another unit."""
+@dataclass(frozen=True, kw_only=True)
+class Ruler:
+    """A head as a person measures it, looking straight ahead; defaults are usual values.
+
+    Raises:
+        ConfigurationError: a value suggests another unit, or none or several state the view.
+    """
+
+    name: str
+    servo: ServoModel
+    baseline: float
+    """Distance between the lenses, mm."""
+    view: float | None = None
+    """Horizontal field of view, degrees."""
+    diagonal: float | None = None
+    """Diagonal field of view, degrees."""
+    focal: float | None = None
+    """Focal length, px."""
+    mount: Literal["turrets", "neck"] = "turrets"
+    """Each eye pans and tilts by itself, or both together."""
+    first: Literal["pan", "tilt"] = "pan"
+    """The joint nearer to the base."""
+    axes_apart: float | None = None
+    """Distance between the first axes of two turrets, mm; that of the lenses by default."""
+    height: float = 100.0
+    """Height of the lenses above the plate on which all stands, mm."""
+    axes_ahead: float = 0.0
+    """Distance of the second axis ahead of the first, mm."""
+    lens_ahead: float = 20.0
+    """Distance of the lenses ahead of the second axis, mm."""
+    lens_above: float = 40.0
+    """Height of the lenses above the tilt axis, mm."""
+    size: tuple[int, int] = (640, 480)
+    """Width and height of the images, px."""
+    pan: float = 80.0
+    """Range of a pan to either side, degrees."""
+    tilt: float = 45.0
+    """Range of a tilt to either side, degrees."""
+    fps: float = 30.0
+    """Images a second."""
+    speed: float | None = None
+    """Greatest speed of the joints, rad/s; the servo's by default."""
+    acceleration: float | None = None
+    """Greatest acceleration of the joints, rad/s^2; the servo's by default."""
+    measured: frozenset[str] = frozenset()
+    """Names of the values that are no defaults."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            check_measure(field.name, getattr(self, field.name))
+        views = [name for name in VIEWS if getattr(self, name) is not None]
+        if len(views) != 1:
+            raise ConfigurationError(
+                f"view: expected one of --view, --diagonal and --focal, got {views or 'none'}"
+            )
+        if self.height < self.lens_above:
+            raise ConfigurationError(
+                f"height: expected at least the lenses' height above the tilt axis, "
+                f"{self.lens_above:g} mm, got {self.height:g}"
+            )
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length of a pinhole with the stated view."""
+        if self.focal is not None:
+            return self.focal
+        across = float(self.size[0]) if self.diagonal is None else hypot(*self.size)
+        return across / (2.0 * tan(radians(self.diagonal or self.view or 0.0) / 2.0))
+
+
+def check_measure(name: str, value: object) -> None:
+    """Raise a `ConfigurationError` if a measure suggests another unit; None passes."""
+    if name not in _RANGES or not isinstance(value, int | float):
+        return
     least, most, unit = _RANGES[name]
     if not least <= value <= most:
         wrong = " (is it in metres?)" if unit == "mm" and 0.0 < value < 3.0 else ""
         raise ConfigurationError(
             f"{name.replace('_', '-')}: expected {least:g} to {most:g} {unit}{wrong}, got {value:g}"
         )
-    return value
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ruler:
-    """A head as a person measures it, looking straight ahead.
-
-    Attributes:
-        name: name of the head.
-        mount: `turrets` (each eye pans and tilts by itself) or `neck` (both eyes together).
-        first: the joint nearer to the base.
-        baseline: distance between the lenses, mm.
-        axes_apart: distance between the two first axes of turrets, mm.
-        height: height of the lenses above the plate on which all stands, mm.
-        axes_ahead: distance of the second axis ahead of the first, mm.
-        lens_ahead: distance of the lenses ahead of the second axis, mm.
-        lens_above: height of the lenses above the tilt axis, mm.
-        size: width and height of the images, px.
-        focal: focal length, px.
-        view_note: origin of the focal length.
-        pan, tilt: range of each joint to either side, degrees.
-        fps: images a second.
-        speed, acceleration: greatest speed and acceleration of the joints, rad/s and rad/s^2.
-        servo: model of all servos.
-        assumed: measures that nobody took, by name.
-    """
-
-    name: str
-    mount: Literal["turrets", "neck"]
-    first: Literal["pan", "tilt"]
-    baseline: float
-    axes_apart: float
-    height: float
-    axes_ahead: float
-    lens_ahead: float
-    lens_above: float
-    size: tuple[int, int]
-    focal: float
-    view_note: str
-    pan: float
-    tilt: float
-    fps: float
-    speed: float
-    acceleration: float
-    servo: ServoModel
-    assumed: tuple[str, ...]
-
-
-def focal_of_view(size: tuple[int, int], degrees: float, *, diagonal: bool = False) -> float:
-    """Focal length of a pinhole with a horizontal or diagonal field of view, px."""
-    across = hypot(*size) if diagonal else size[0]
-    return float(across / (2.0 * tan(radians(degrees) / 2.0)))
 
 
 def ruler_to_toml(ruler: Ruler) -> str:
@@ -95,11 +117,6 @@ def ruler_to_toml(ruler: Ruler) -> str:
     The base frame is on the plate, midway between the first axes: x right, y down, z forward. N is
     midway between the lenses. A positive pan turns right, a positive tilt looks up.
     """
-    if ruler.height < ruler.lens_above:
-        raise ConfigurationError(
-            f"height: expected at least the lenses' height above the tilt axis, "
-            f"{ruler.lens_above:g} mm, got {ruler.height:g}"
-        )
     servo, (width, height) = ruler.servo, ruler.size
     parts = EYE_NAMES if ruler.mount == "turrets" else ("both",)
     sides = {"left": -0.5, "right": 0.5, "both": 0.0}
@@ -115,15 +132,17 @@ def ruler_to_toml(ruler: Ruler) -> str:
         "eyes.distortion": "none, until the cameras are calibrated",
         "rendering": "a webcam's blur, noise and contrast",
     }
-    if ruler.assumed:
-        lengths = {"height", "axes_ahead", "lens_ahead", "lens_above"} & set(ruler.assumed)
-        if lengths:
-            names = ", ".join(name.replace("_", "-") for name in ruler.assumed if name in lengths)
-            reasons["joints.origin_m"] = f"not measured: {names}"
-        if {"pan", "tilt"} & set(ruler.assumed):
-            reasons["joints.upper_rad"] = reasons["joints.lower_rad"] = "not measured: the ranges"
-        if "fps" in ruler.assumed:
-            reasons["timing.frame_rate_hz"] = "30 images a second are common for webcams"
+    lengths = [
+        name.replace("_", "-")
+        for name in ("height", "axes_ahead", "lens_ahead", "lens_above")
+        if name not in ruler.measured
+    ]
+    if lengths:
+        reasons["joints.origin_m"] = f"not measured: {', '.join(lengths)}"
+    if not {"pan", "tilt"} <= ruler.measured:
+        reasons["joints.upper_rad"] = reasons["joints.lower_rad"] = "not measured"
+    if "fps" not in ruler.measured:
+        reasons["timing.frame_rate_hz"] = "common for webcams"
     assumptions = "\n".join(f'"{key}" = "{why}"' for key, why in reasons.items())
     backlash = (
         f"backlash_rad = {radians(servo.backlash_deg):.5f}        # play of its gears, at most\n"
@@ -171,48 +190,49 @@ background_grey = 110.0
 
 def _joints(ruler: Ruler, part: str, side: float) -> str:
     """Both joints of an eye, or of the neck, from the plate outwards."""
-    up = (ruler.height - ruler.lens_above) / 1000.0
+    servo, up = ruler.servo, (ruler.height - ruler.lens_above) / 1000.0
     first_up, second_up = (0.0, up) if ruler.first == "pan" else (up, 0.0)
-    ahead = ruler.axes_ahead / 1000.0
+    apart = ruler.baseline if ruler.axes_apart is None else ruler.axes_apart
     origins = {
-        ruler.first: (side * ruler.axes_apart / 1000.0, 0.0 - first_up, 0.0),
-        "tilt" if ruler.first == "pan" else "pan": (0.0, 0.0 - second_up, ahead),
+        ruler.first: (side * apart / 1000.0, -first_up, 0.0),
+        "tilt" if ruler.first == "pan" else "pan": (0.0, -second_up, ruler.axes_ahead / 1000.0),
     }
+    note = f"{servo.name}: {servo.rev_min:g} rev/min without load at {servo.volts:g} V"
+    speed, note = (ruler.speed, "stated") if ruler.speed else (servo.speed_rad_s, note)
     text = ""
-    for joint, (x, y, z) in origins.items():
+    for joint, origin in origins.items():
         reach, axis = (ruler.pan, [0, 1, 0]) if joint == "pan" else (ruler.tilt, [1, 0, 0])
         text += f"""
 [[joints]]
 name = "{joint if part == "both" else f"{part}_{joint}"}"
 part = "{part}"
-origin_m = [{x:.4f}, {y:.4f}, {z:.4f}]
+origin_m = {_listed(*origin)}
 axis = {axis}
 lower_rad = {-radians(reach):.4f}               # {reach:g} degrees to either side
 upper_rad = {radians(reach):.4f}
-velocity_rad_s = {ruler.speed:.3f}            # {_speed_note(ruler)}
-acceleration_rad_s2 = {ruler.acceleration:g}
+velocity_rad_s = {speed:.3f}            # {note}
+acceleration_rad_s2 = {ruler.acceleration or servo.acceleration_rad_s2:g}
 """
     return text
 
 
-def _speed_note(ruler: Ruler) -> str:
-    servo = ruler.servo
-    if ruler.speed != servo.speed_rad_s:
-        return "as stated"
-    return f"{servo.name}: {servo.rev_min:g} rev/min without load at {servo.volts:g} V"
-
-
 def _eye(ruler: Ruler, eye: str, side: float) -> str:
     """The camera of an eye, in its last joint's frame."""
-    aside = ruler.baseline - (ruler.axes_apart if ruler.mount == "turrets" else 0.0)
-    x = round(side * aside / 1000.0, 4) + 0.0
-    y, z = 0.0 - ruler.lens_above / 1000.0, ruler.lens_ahead / 1000.0
+    at_axes = 0.0 if ruler.mount == "neck" else ruler.axes_apart
+    aside = 0.0 if at_axes is None else ruler.baseline - at_axes
+    view = next(f"{name} {value:g}" for name in VIEWS if (value := getattr(ruler, name)))
     width, height = ruler.size
+    focal = _listed(ruler.focal_px, ruler.focal_px, digits=1)
     return f"""
 [[eyes]]
 name = "{eye}"
-focal_px = [{ruler.focal:.1f}, {ruler.focal:.1f}]       # {ruler.view_note}
+focal_px = {focal}       # {view}
 principal_px = [{(width - 1) / 2:g}, {(height - 1) / 2:g}]
 distortion = [0.0, 0.0, 0.0, 0.0, 0.0]
-position_m = [{x:.4f}, {y:.4f}, {z:.4f}]
+position_m = {_listed(side * aside / 1000.0, -ruler.lens_above / 1000.0, ruler.lens_ahead / 1000.0)}
 """
+
+
+def _listed(*values: float, digits: int = 4) -> str:
+    """Numbers as TOML, none of them -0."""
+    return f"[{', '.join(f'{round(value, digits) + 0.0:.{digits}f}' for value in values)}]"
