@@ -14,12 +14,12 @@ from vergence.eval.gaze import GazeResult
 from vergence.eval.gaze_eyes_figure import EYE_COLOURS, GREEN, add_panel, columns_of, draw_eyes
 from vergence.eval.gaze_trajectory import MM
 from vergence.eval.reporting.line_labels import label_lines
-from vergence.eval.reporting.style import log_axis
+from vergence.eval.reporting.style import legend_below, log_axis
 from vergence.models.joints import EYE_NAMES
 
-_WIDTH, _HEIGHT = 12.0, 9.8  # inches (chosen)
+_WIDTH, _HEIGHT = 12.0, 10.0  # inches (chosen)
 _PANELS: Final = (
-    (0.8, 5.05, 5.0, 4.05), (6.8, 5.05, 5.0, 4.05), (0.8, 0.55, 5.0, 3.3), (6.8, 0.55, 5.0, 3.3),
+    (0.8, 5.25, 5.0, 4.05), (6.8, 5.25, 5.0, 4.05), (0.8, 0.75, 5.0, 3.3), (6.8, 0.75, 5.0, 3.3),
 )  # fmt: skip
 """Left, bottom, width and height of the panels, inches (chosen)."""
 _LEAST_DRAWN_ERROR_PX: Final = 1e-3
@@ -69,8 +69,8 @@ def compose_gaze(result: GazeResult) -> Figure:
         x, y, z = result.config.target_mm
         gain = result.config.gain
         law = result.config.controller + ("" if gain is None else f" with gain {gain:g}")
-        target = f", target at ({x:g}, {y:g}, {z:g}) mm" if result.has_truth else ""
-        figure.suptitle(f"{result.head.name} head, {law}{target}", fontsize=14, y=0.988)
+        target = f", target at ({x:.4g}, {y:.4g}, {z:.4g}) mm" if result.has_truth else ""
+        figure.suptitle(f"{result.head.name}: {law}{target}", fontsize=14, y=0.988)
     return figure
 
 
@@ -96,7 +96,7 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
         if result.residual_px > 1.0:  # an error that ends far from zero needs no logarithmic scale
             least = 0.0
     else:
-        _mark_bands(axes, result)
+        title += _mark_bands(axes, result)
     appeared = "the target appeared" if result.has_truth else "the start"
     if least:
         log_axis(axes)
@@ -109,30 +109,26 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
         title=title,
     )
     if not label_lines(axes):
-        axes.legend()
+        legend_below(axes, 2)
 
 
-def _mark_bands(axes: Axes, result: GazeResult) -> None:
-    said = []
+def _mark_bands(axes: Axes, result: GazeResult) -> str:
+    """Draw the settling bands; return the settle times, for the title, where they are known."""
     for band, settled in _settle_times(result):
         axes.axhline(band, color=_GREY, lw=0.9, ls=":")
         if np.isfinite(settled):
             axes.plot(settled, band, "o", color=GREEN, ms=7, zorder=5)
-        said.append(f"{band:g} px {_after(settled)}")
-    if result.has_truth:
-        _say(axes, "\n".join(["settled to", *said]), 0.86)
+    said = [f"to {band:g} px {_after(settled)}" for band, settled in _settle_times(result)]
+    return f"\nsettled {', '.join(said)}" if result.has_truth else ""
 
 
 def _mark_least_error(axes: Axes, result: GazeResult) -> str:
-    """Draw lines at both eyes' least errors, and the settle times to them; return the title."""
+    """Draw lines at both eyes' least errors; return the title, with the settle times to them."""
     for eye, least in enumerate(np.linalg.norm(result.residual, axis=-1)):
         axes.axhline(least, color=EYE_COLOURS[eye], lw=1.2, ls=":")
         axes.get_lines()[eye].set_label(f"{EYE_NAMES[eye]} eye, least {least:.3g} px")
-    said = [f"within {band:g} px of the least {_after(at)}" for band, at in _settle_times(result)]
-    _say(axes, "\n".join(said), 0.2)
-    return f"{result.limitation}\nleast that the actuators allow: " + (
-        f"{result.residual_px:.3g} px in the worse eye"
-    )
+    said = [f"{band:g} px {_after(settled)}" for band, settled in _settle_times(result)]
+    return f"{result.limitation}\nwithin, of the least possible, {', '.join(said)}"
 
 
 def _settle_times(result: GazeResult) -> tuple[tuple[float, float], ...]:
@@ -141,13 +137,6 @@ def _settle_times(result: GazeResult) -> tuple[tuple[float, float], ...]:
 
 def _after(settled: float) -> str:
     return f"after {settled:.3f} s" if np.isfinite(settled) else "never"
-
-
-def _say(axes: Axes, text: str, top: float) -> None:
-    axes.text(
-        0.98, top, text, transform=axes.transAxes, color=GREEN, ha="right", va="top",
-        linespacing=1.4, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
-    )  # fmt: skip
 
 
 def _draw_axes(axes: Axes, result: GazeResult) -> None:
@@ -171,21 +160,16 @@ def _draw_axes(axes: Axes, result: GazeResult) -> None:
         axes.plot(
             target[0], target[2], "o", ms=15, mfc="none", color="black", mew=1.5, label="target"
         )
-    if shown.valid[0]:
-        point = MM * shown.point[0]
-        axes.plot(point[0], point[2], "x", color=GREEN, ms=9, mew=2.2, label=f"fix by {by}")
     span = max(0.3 * abs(target[2]), abs(target[0]) + 0.2 * abs(target[2]), 120.0)
-    axes.set(
-        xlim=(-span, span),
-        ylim=(-0.06 * target[2], 1.3 * target[2]),
-        xlabel="x (mm)",
-        ylabel="z (mm)",
-    )
+    point, low, high = MM * shown.point[0], -0.06 * target[2], 1.3 * target[2]
+    if shown.valid[0] and abs(point[0]) < span and low < point[2] < high:
+        axes.plot(point[0], point[2], "x", color=GREEN, ms=9, mew=2.2, label=f"fix by {by}")
+    axes.set(xlim=(-span, span), ylim=(low, high), xlabel="x (mm)", ylabel="z (mm)")
     there = np.isfinite(result.settle_1px_s) and not result.has_residual
     cross = ("cross at the target" if there else "cross") if fix.valid[0] else "do not cross"
     axes.set_title(f"from above: the optical axes {cross}\n{_fix_text(result)}")
     if not label_lines(axes):
-        axes.legend()
+        legend_below(axes, 4, fontsize=9, columnspacing=1.0)
 
 
 def _fix_text(result: GazeResult) -> str:
