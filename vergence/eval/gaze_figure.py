@@ -14,7 +14,7 @@ from vergence.eval.gaze import GazeResult
 from vergence.eval.gaze_eyes_figure import EYE_COLOURS, GREEN, add_panel, columns_of, draw_eyes
 from vergence.eval.gaze_trajectory import MM
 from vergence.eval.reporting.line_labels import label_lines
-from vergence.eval.reporting.style import log_y_axis
+from vergence.eval.reporting.style import log_axis
 from vergence.models.joints import EYE_NAMES
 
 _WIDTH, _HEIGHT = 12.0, 9.8  # inches (chosen)
@@ -99,7 +99,7 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
         _mark_bands(axes, result)
     appeared = "the target appeared" if result.has_truth else "the start"
     if least:
-        log_y_axis(axes)
+        log_axis(axes)
         axes.yaxis.set_minor_locator(NullLocator())  # the axis spans decades: these ticks suffice
     axes.set(
         xlim=(0.0, time[-1]),

@@ -130,10 +130,12 @@ def compose_head(head: HeadModel, summary: HeadSummary) -> Figure:
         figure.suptitle(
             f"{head.name}: baseline {summary.baseline_mm:.1f} mm, at rest, in frame N", fontsize=14
         )
-        figure.draw_without_rendering()  # computes the layout
+        for _ in range(2):  # the second layout makes room for the numbers of wider limits
+            figure.draw_without_rendering()
+            for panel, _labels in views:
+                _make_equal(panel)
         figure.set_layout_engine("none")
-        for panel, labels in views:
-            _make_equal(panel)
+        for _panel, labels in views:
             labels.place()
     return figure
 

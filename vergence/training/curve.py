@@ -9,9 +9,10 @@ import pandas as pd
 from vergence.eval.reporting.style import (
     BLACK,
     BLUE,
-    GREY,
     ORANGE,
     figure_style,
+    legend_below,
+    log_axis,
     new_figure,
     save_figure,
 )
@@ -62,15 +63,12 @@ def draw_curve(
         left.plot(best["step"] / 1e6, best["headline"], "o", color=BLUE, label="kept as best")
         for (name, value), dash in zip(baselines.items(), ("--", ":", "-."), strict=False):
             left.axhline(value, color=ORANGE, linestyle=dash, label=name)
-        left.set_yscale("log")
-        left.yaxis.set_major_formatter("{x:g}")
-        left.yaxis.set_minor_formatter("{x:g}")
-        left.tick_params(axis="y", which="minor", labelsize=8, colors=GREY)
+        log_axis(left)
         what = "median settle time" if unit == "s" else "tracking RMS"
         left.set(xlabel="million control steps", ylabel=f"{what} ({unit})", title=title)
-        left.legend()
         right.plot(millions, table["reward"], color=BLACK)
         right.set(
             xlabel="million control steps", ylabel="sum of rewards of an episode", title="training"
         )
+        legend_below(figure, 5, fontsize=10)
     save_figure(figure, folder / "curve")

@@ -179,7 +179,7 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
             title="both eyes' joints",
         )  # fmt: skip
         eyes.set_aspect("equal", adjustable="datalim")
-        eyes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, fontsize=10)
+        legend_below(eyes, 2, fontsize=10)
     return figure
 
 

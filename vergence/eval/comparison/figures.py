@@ -4,7 +4,6 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
@@ -13,7 +12,7 @@ from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, name_lines
 from vergence.eval.comparison.summary import bound_trials, imputed_trial_values
 from vergence.eval.comparison.tables import has_residual
-from vergence.eval.reporting.style import GREY, figure_style, new_figure
+from vergence.eval.reporting.style import GREY, figure_style, log_axis, new_figure
 from vergence.eval.trials.settling import SettlingBand
 
 _DELAY_BINS: Final = 6
@@ -110,11 +109,11 @@ def _draw_settle_times(group: list[EvaluationResult], where: str) -> Figure:
         ha="center", va="bottom", fontsize=10,
     )  # fmt: skip
     axes.set(
-        xscale="log", xlim=(0.85 * min(starts), 1.24 * duration), ylim=(0.0, 101.0),
+        xlim=(0.85 * min(starts), 1.24 * duration), ylim=(0.0, 101.0),
         xlabel=f"settle time to {band.px:g} px (s)", ylabel="trials settled by then (%)",
         title=f"Settle times: {where}",
     )  # fmt: skip
-    _plain_log(axes, "x")
+    log_axis(axes, "x")
     name_lines(figure, axes)
     return figure
 
@@ -128,15 +127,14 @@ def _draw_errors(group: list[EvaluationResult], where: str) -> Figure:
         for place, one in enumerate(group):
             error = np.maximum(one.curves[f"error_p{level}_px"], 1e-3)
             draw_line(axes, one.curves["time_s"], error, styles[one.controller], place)
-        axes.set(title=f"{title} of the trials", xlabel=_TIME_LABEL, yscale="log")
+        axes.set(title=f"{title} of the trials", xlabel=_TIME_LABEL)
+        log_axis(axes)
         axes.set_xlim(0.0, _last_s(group))
         if not group[0].target_moves:
             axes.axhline(group[0].band_px, color=GREY, linewidth=1.0)
     if group[0].target_moves:
         # the trial begins on the target: the axis starts at the later errors instead
         panels[0].set_ylim(bottom=0.5 * _least_late_error(group))
-    for axes in panels:
-        _plain_log(axes, "y")
     least = " beyond the least" if has_residual(group) else ""
     panels[0].set_ylabel(f"error of the worse eye{least} (px)")
     figure.suptitle(
@@ -166,14 +164,14 @@ def _draw_gains(group: list[EvaluationResult], where: str) -> Figure:
         for place, one in enumerate(group):
             rows = one.effective_gains[one.effective_gains["by"] == by]
             draw_line(axes, rows["at"], rows["gain_p50"], styles[one.controller], place)
-    panels[0].set(xscale="log", xlabel="error in the image (px)", ylabel="effective gain (1/s)")
+    panels[0].set(xlabel="error in the image (px)", ylabel="effective gain (1/s)")
     panels[1].set(xlabel=_TIME_LABEL, xlim=(0.0, _last_s(group)))
     for axes in panels:
         axes.axhline(0.0, color=GREY, linewidth=1.0)
     # feedforward motion gives effective gains of any size and sign, which would hide the others
     low, high = panels[0].get_ylim()
     panels[0].set_ylim(max(low, _GAIN_AXIS_LIMITS[0]), min(high, _GAIN_AXIS_LIMITS[1]))
-    _plain_log(panels[0], "x")
+    log_axis(panels[0], "x")
     figure.suptitle(f"Gain that each controller amounts to, median: {where}", fontsize=12)
     name_lines(figure, *panels)
     return figure
@@ -198,10 +196,9 @@ def _draw_delays(group: list[EvaluationResult], where: str) -> Figure:
     )
     right.set(
         ylabel=f"settle time to {group[0].band_px:g} px (s)",
-        yscale="log",
         title="Median, a failure as the whole trial",
     )
-    _plain_log(right, "y")
+    log_axis(right)
     for axes in (left, right):
         axes.set_xlabel("true delay of the images (ms)")
     figure.suptitle(f"Robustness against the delay: {where}", fontsize=12)
@@ -235,11 +232,11 @@ def _draw_triangulation(group: list[EvaluationResult], where: str) -> Figure:
         shown = np.where(np.isfinite(error), np.maximum(error, 1e-3), np.nan)
         draw_line(axes, one.curves["time_s"], shown, styles[one.controller], place)
     axes.set(
-        xlabel=_TIME_LABEL, xlim=(0.0, _last_s(group)), yscale="log",
+        xlabel=_TIME_LABEL, xlim=(0.0, _last_s(group)),
         ylabel="distance of the gaze fix\nfrom the target, median (mm)",
         title=f"Triangulation by gaze: {where}",
     )  # fmt: skip
-    _plain_log(axes, "y")
+    log_axis(axes)
     name_lines(figure, axes)
     return figure
 
@@ -267,24 +264,9 @@ def _draw_tracking(rows: list[dict[str, float]], where: str) -> Figure:
             left.axvline(row["tracking_rms_px"], color=GREY, linewidth=1.0)
     left.set_yticks(range(len(names)), names)
     left.invert_yaxis()
-    left.set(xscale="log", xlabel="tracking error, rms (px)", title="Error after the catch-up")
-    _plain_log(left, "x")
+    left.set(xlabel="tracking error, rms (px)", title="Error after the catch-up")
+    log_axis(left, "x")
     right.axvline(0.0, color=GREY, linewidth=1.0)
     right.set(xlabel="lag behind the target (ms)", title="Lag")
     figure.suptitle(f"Tracking, medians of the trials: {where}", fontsize=12)
     return figure
-
-
-def _plain_log(axes: Axes, which: str) -> None:
-    """Label a logarithmic axis without exponents, with more labels if it spans few decades."""
-    axis = axes.xaxis if which == "x" else axes.yaxis
-    low, high = sorted(axes.get_xlim() if which == "x" else axes.get_ylim())
-    decades = np.log10(high / low)
-    marked = () if decades > 2.2 else (2, 5) if decades > 1.1 else (2, 3, 5, 7)
-
-    def minor(value: float, _: object) -> str:
-        digit = round(value / 10.0 ** np.floor(np.log10(value) + 1e-9))
-        return f"{value:g}" if digit in marked else ""
-
-    axis.set_major_formatter(lambda value, _: f"{value:g}")
-    axis.set_minor_formatter(minor)

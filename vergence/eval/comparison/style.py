@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.reporting.line_labels import label_lines
-from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE
+from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, legend_below
 from vergence.models.parts import FloatArray
 
 Values = FloatArray | pd.Series
@@ -83,7 +83,7 @@ def name_lines(figure: Figure, *panels: Axes) -> None:
     figure.draw_without_rendering()  # computes the layout
     if label_lines(*panels, fontsize=10):
         return
-    handles, labels = panels[0].get_legend_handles_labels()
-    columns = min(len(labels), 4)
-    figure.set_figheight(figure.get_figheight() + 0.27 * math.ceil(len(labels) / columns))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, handlelength=3.2)
+    count = len(panels[0].get_legend_handles_labels()[1])
+    columns = min(count, 4)
+    figure.set_figheight(figure.get_figheight() + 0.27 * math.ceil(count / columns))
+    legend_below(figure, columns, handlelength=3.2)

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 BLUE: Final = "#1f6fb4"
 ORANGE: Final = "#d1571b"
@@ -27,6 +29,8 @@ ARTICLE_STYLE: Final[dict[str, Any]] = {"color": BLACK, "linestyle": ":", "linew
 ARTICLE_BAND: Final[dict[str, Any]] = {"color": GREY, "alpha": 0.18, "linewidth": 0.0}
 """Style of a range of the article's values."""
 
+_AXIS_LABEL_IN: Final = 0.45
+"""Height of a horizontal axis with its numbers and label, inches (measured on the font's size)."""
 _RC: Final[Any] = {
     "font.size": 11,
     "axes.titlesize": 12,
@@ -51,28 +55,39 @@ def new_figure(width: float = 9.0, height: float = 4.2) -> Figure:
     return figure
 
 
-def log_y_axis(panel: Axes) -> None:
-    """Make the vertical axis logarithmic, with plain numbers at its ticks."""
-    panel.set_yscale("log")
-    panel.yaxis.set_major_formatter("{x:g}")
-    panel.yaxis.set_minor_formatter("")
+def log_axis(panel: Axes, which: str = "y") -> None:
+    """Make an axis, x or y, logarithmic with plain numbers; more of them over few decades."""
+    panel.set(**{f"{which}scale": "log"})
+    axis = panel.xaxis if which == "x" else panel.yaxis
+
+    def minor(value: float, _: object) -> str:
+        decades = abs(np.subtract(*np.log10(axis.get_view_interval())))
+        marked = () if decades > 2.2 else (2, 5) if decades > 1.1 else (2, 3, 5, 7)
+        digit = round(value / 10.0 ** np.floor(np.log10(value) + 1e-9))
+        return f"{value:g}" if digit in marked else ""
+
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(minor)
 
 
-def legend_below(figure: Figure, columns: int, **options: Any) -> None:
-    """Add one legend for all panels of a figure, below them, with each label once.
+def legend_below(of: Figure | Axes, columns: int, **options: Any) -> None:
+    """Add a legend below a panel, or one below a figure for all its panels, each label once.
 
     Args:
-        figure: the figure.
+        of: a figure, or a panel with its own legend.
         columns: number of columns of the legend.
-        options: further options of `Figure.legend`.
+        options: further options of `Figure.legend` or `Axes.legend`.
     """
+    place: dict[str, Any] = {"loc": "outside lower center"}
+    if isinstance(of, Axes):
+        shift = ScaledTranslation(0.0, -_AXIS_LABEL_IN, of.figure.dpi_scale_trans)
+        place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0),
+                 "bbox_transform": of.transAxes + shift}  # fmt: skip
     handles: dict[str, Any] = {}
-    for panel in figure.axes:
+    for panel in [of] if isinstance(of, Axes) else of.axes:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    figure.legend(
-        handles.values(), handles.keys(), loc="outside lower center", ncols=columns, **options
-    )
+    of.legend(handles.values(), handles.keys(), ncols=columns, **{**place, **options})
 
 
 def figure_style() -> AbstractContextManager[None]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, new_figure
+from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, legend_below, new_figure
 from vergence.eval.tuning.objective import Attempt
 from vergence.eval.tuning.spaces import SearchRange
 
@@ -59,7 +59,7 @@ def _curve(attempts: Sequence[Attempt], best: Attempt, name: str, unit: str) -> 
     )
     axes.margins(y=0.12)
     axes.set(xlabel=f"{name} (1/s)" if "gain" in name else name, ylabel=_METRIC_LABELS[unit])
-    axes.legend()
+    legend_below(figure, 2)
     return figure
 
 

@@ -16,7 +16,7 @@ from vergence.eval.reporting.style import (
     ORANGE,
     figure_style,
     legend_below,
-    log_y_axis,
+    log_axis,
     new_figure,
 )
 
@@ -43,7 +43,7 @@ def draw(table: pd.DataFrame, config: HeadEyeConfig) -> dict[str, Figure]:
                 panel.plot(depth, errors, **({"label": stage} | style), markersize=4)
             panel.axhline(ARTICLE_PERCENT, **ARTICLE_STYLE, label="article's largest, ITPC")
             panel.set(xlabel="depth [m]", title=title)
-            log_y_axis(panel)
+            log_axis(panel)
         figure.axes[0].set_ylabel("largest |depth error| of the heads [% of depth]")
         legend_below(figure, 3)
     return {"head-eye-depth": figure}

@@ -24,6 +24,8 @@ from vergence.eval.reporting.style import (
     GREY,
     ORANGE,
     figure_style,
+    legend_below,
+    log_axis,
     new_figure,
 )
 
@@ -33,9 +35,6 @@ _STEP_STYLE: Final[dict[str, dict[str, Any]]] = {
     "+x": {"color": ORANGE, "linestyle": ":"},
 }
 """Line styles: both directions of the article's axis, and one along x, on which k1 acts."""
-
-_TICKS_S: Final = (0.5, 2.0, 5.0)
-"""Labelled minor ticks of settling time, s (chosen: readability)."""
 
 
 def draw(table: pd.DataFrame, config: GainSweepConfig) -> dict[str, Figure]:
@@ -67,10 +66,8 @@ def _draw_sweep(table: pd.DataFrame, config: GainSweepConfig) -> Figure:
             )  # fmt: skip
             axes.axvline(ARTICLE_GAIN, **ARTICLE_STYLE)
             axes.set(xlabel="gain $k_1 = k_2$ (1/s)", xlim=(0.0, config.greatest_gain + 0.2))
-        left.set(yscale="log", ylabel="settle time to 1 px (s)", title="Settle time")
-        left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        left.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if value in _TICKS_S else "")
-        left.legend(fontsize=10)
+        left.set(ylabel="settle time to 1 px (s)", title="Settle time")
+        log_axis(left)
         level = 100.0 * config.onset_fraction
         right.set(ylabel="overshoot (% of the step)", title="Overshoot")
         right.set_yscale("symlog", linthresh=0.1)
@@ -84,6 +81,7 @@ def _draw_sweep(table: pd.DataFrame, config: GainSweepConfig) -> Figure:
             "article:\novershoot above 4", (ARTICLE_GAIN, 0.9), (-6, 0),
             xycoords=("data", "axes fraction"), textcoords="offset points", ha="right", va="top",
         )  # fmt: skip
+        legend_below(figure, 5, fontsize=10)
     return figure
 
 
@@ -141,7 +139,7 @@ def _draw_loops(found: GainSweepFindings, config: GainSweepConfig) -> Figure:
             title="Loops whose overshoot begins where the article's does",
             xlim=(-0.2, None), ylim=(0.0, None),
         )  # fmt: skip
-        axes.legend(fontsize=10)
+        legend_below(figure, 2, fontsize=10)
     return figure
 
 

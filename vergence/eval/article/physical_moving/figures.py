@@ -102,5 +102,5 @@ def _population(table: pd.DataFrame) -> Figure:
     panel.invert_yaxis()
     panel.set_xlim(left=0.0)
     panel.set_xlabel("mean absolute error of a head along the line [mm]")
-    panel.legend(loc="upper right")
+    legend_below(figure, 3)
     return figure

@@ -35,6 +35,7 @@ from vergence.eval.reporting.style import (
     ORANGE,
     PURPLE,
     legend_below,
+    log_axis,
     new_figure,
 )
 
@@ -103,7 +104,7 @@ def _errors(table: pd.DataFrame) -> Figure:
 
 
 def _population(table: pd.DataFrame) -> Figure:
-    figure = new_figure(9.0, 3.9)
+    figure = new_figure(9.0, 4.6)
     population = fixation_rows(table)
     left, right = figure.subplots(1, 2)
     largest = np.sort(depth_errors_percent(population, "gaze").max(axis=1))
@@ -115,7 +116,7 @@ def _population(table: pd.DataFrame) -> Figure:
     left.set_xlabel("largest depth error of a head [% of depth]")
     left.set_ylabel("heads below [%]")
     left.set_xlim(left=0.0)
-    left.legend(loc="lower right")
+    legend_below(left, 1)
     names, places = [], []
     for r in article_results("absolute error"):
         for which, placed in zip(("least", "most"), population_ranks(table, r), strict=True):
@@ -148,7 +149,7 @@ def _uncertainties(table: pd.DataFrame) -> Figure:
                    marker="^", linestyle="none",
                    label="gaze, observed scatter where an encoder stepped")  # fmt: skip
         panel.fill_between([], [], label="article's range", **ARTICLE_BAND)
-        panel.set_yscale("log")
+        log_axis(panel)
         panel.set_xlabel("depth z [m]")
         panel.set_ylabel(f"uncertainty in {r.axis} [mm]")
     legend_below(figure, 2)
@@ -177,7 +178,7 @@ def _budget(table: pd.DataFrame) -> Figure:
     zero = [SOURCE_LABELS.get(s, s) for s in order[order <= _NEGLIGIBLE_PERCENT].index]
     if zero:
         panel.set_title(f"nothing by: {', '.join(zero)}", fontsize=11)
-    panel.set_yscale("log")
+    log_axis(panel)
     panel.set_xlabel("depth z [m]")
     panel.set_ylabel("rms depth error of a fixation [% of depth]")
     figure.legend(*panel.get_legend_handles_labels(), loc="outside right center")
@@ -201,7 +202,7 @@ def _off_axis(table: pd.DataFrame) -> Figure:
     left.set_ylim(bottom=0.0)
     left.set_title("all errors")
     left.set_ylabel("depth error [% of depth]")
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=1)
+    legend_below(left, 1)
     for source, (colour, marker, dash) in zip(BUDGET_SOURCES, _MARKS, strict=False):
         own = rows[rows["source"] == source].sort_values("offset_px")
         change = own["itpc_rms_percent"] - own["gaze_rms_percent"]
@@ -210,7 +211,7 @@ def _off_axis(table: pd.DataFrame) -> Figure:
     right.axhline(0.0, color=BLACK, linewidth=1.0)
     right.set_title("one source alone")
     right.set_ylabel("rms of ITPC less that of gaze [points]")
-    right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, columnspacing=1.0)
+    legend_below(right, 2, columnspacing=1.0)
     for panel in (left, right):
         panel.set_xlabel("target off the axis [px]")
     return figure

@@ -28,7 +28,7 @@ from vergence.eval.reporting.style import (
     PURPLE,
     figure_style,
     legend_below,
-    log_y_axis,
+    log_axis,
     new_figure,
 )
 from vergence.models.files.head_file import load_head
@@ -96,7 +96,7 @@ def _bars(table: pd.DataFrame) -> Figure:
         axis.set_xticks(range(2), ["gaze", "ITPC"])
         axis.set_title(letter)
         axis.set_axisbelow(True)
-        log_y_axis(axis)
+        log_axis(axis)
     axes[0].set_ylabel("mean absolute error (mm)")
     legend_below(figure, 2)
     return figure

@@ -30,7 +30,7 @@ from vergence.eval.reporting.style import (
     PURPLE,
     figure_style,
     legend_below,
-    log_y_axis,
+    log_axis,
     new_figure,
 )
 
@@ -69,7 +69,7 @@ def _panels(figure: Figure, unit: str) -> list[Axes]:
     for axis, letter in zip(axes, "xyz", strict=True):
         axis.set_title(letter)
         axis.set_xlabel("depth (m)")
-        log_y_axis(axis)
+        log_axis(axis)
     axes[0].set_ylabel(unit)
     return axes
 

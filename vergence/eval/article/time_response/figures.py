@@ -22,6 +22,8 @@ from vergence.eval.reporting.style import (
     GREY,
     ORANGE,
     figure_style,
+    legend_below,
+    log_axis,
     new_figure,
 )
 
@@ -65,10 +67,10 @@ def _draw_trace(table: pd.DataFrame, found: TimeResponseFindings) -> Figure:
         axes.set(
             xlabel="time since the target appeared (ms)", ylabel="true pixel error (px)",
             title=f"Our rig: {found.delay_frames} frames, {1000.0 * found.lag_s:g} ms",
-            yscale="log", xlim=(0.0, 1000.0 * max(0.9, 1.2 * ends)), ylim=(0.02, 80.0),
+            xlim=(0.0, 1000.0 * max(0.9, 1.2 * ends)), ylim=(0.02, 80.0),
         )  # fmt: skip
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.legend(loc="lower left")
+        log_axis(axes)
+        legend_below(figure, 2)
     return figure
 
 
@@ -96,10 +98,8 @@ def _draw_map(
             axes.set(title=name, xlabel="image delay (frames)")
             axes.set_ylim(config.least_threshold_px, config.greatest_threshold_px)
             axes.grid(visible=False)
-            axes.legend(
-                loc="upper right", fontsize=10, frameon=True, facecolor="#555555",
-                edgecolor="none", labelcolor="white", framealpha=0.85,
-            )  # fmt: skip
+            dark = {"frameon": True, "facecolor": "#555555", "labelcolor": "white"}
+            legend_below(axes, 1, fontsize=10, **dark)
         panels[0].set_ylabel("settle threshold (px)")
         bar = figure.colorbar(filled, ax=list(panels), label="settle time (s)", pad=0.02)
         bar.ax.axhline(ARTICLE_S, color="white", linewidth=2.4)

@@ -26,7 +26,7 @@ from vergence.eval.reporting.style import (
     ORANGE,
     PURPLE,
     legend_below,
-    log_y_axis,
+    log_axis,
     new_figure,
 )
 from vergence.models.files.head_file import load_head
@@ -63,7 +63,7 @@ def _propagated(table: pd.DataFrame) -> Figure:
                 )  # fmt: skip
         axis.set_title(letter)
         axis.set_xlabel("depth (m)")
-        log_y_axis(axis)
+        log_axis(axis)
     axes[0].set_ylabel("uncertainty, standard deviation (mm)")
     legend_below(figure, 3)
     return figure
@@ -111,10 +111,8 @@ def _averaging(table: pd.DataFrame) -> Figure:
                       linestyle=dash, label=f"Cramér-Rao bound, {name}")  # fmt: skip
         axis.set_title(f"{depth / 1000.0:g} m")
         axis.set_xlabel("frames averaged")
-        axis.set_xscale("log")
-        axis.set_yscale("log")
-        axis.xaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_major_formatter("{x:g}")
+        log_axis(axis, "x")
+        log_axis(axis)
     axes[0].set_ylabel("root mean square error (px)")
     legend_below(figure, 3)
     return figure
