@@ -27,7 +27,7 @@ from vergence.hardware.emulator.fault import load_faults
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALLER = {
-    "10_000": "64", "2_000_000": "1_000", "episodes=200": "episodes=5", "range(240)": "range(30)",
+    "10_000": "64", "episodes=200": "episodes=5", "range(240)": "range(30)",
     "learn(1_000_000)": "learn(64)", "episodes=1000": "episodes=5",
     "batch_size=4096": "batch_size=64",
     "EvaluateConfig()": "EvaluateConfig(controllers=('saccade',), episodes=5)",

@@ -25,8 +25,8 @@ _MOST_INTERVALS: Final = 6
 _MOST_MAGNIFIED_FRACTION: Final = 0.12
 """Largest half width of the magnified part, as a fraction of the image's width; wider parts are not
 magnified (chosen: detail against clutter)."""
-_MAGNIFIED_SIDE: Final = 0.47
-"""Side of a magnified part, as a fraction of the height for an image (chosen)."""
+_MAGNIFIED_SIDE: Final = 1.9
+"""Side of a magnified part, inches (chosen: room for its labels)."""
 
 
 def add_panel(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
@@ -82,7 +82,7 @@ def draw_eyes(figure: Figure, result: GazeResult, places: Sequence[Place]) -> No
         _draw_marks(axes, result, eye, path)
         named = axes
         if corner is not None:
-            side = _MAGNIFIED_SIDE * height * np.array([1.0 / used[0], 1.0 / used[1]])
+            side = min(_MAGNIFIED_SIDE, height) * np.array([1.0 / used[0], 1.0 / used[1]])
             low = 0.01 + np.array(corner) * (0.98 - side)
             named = axes.inset_axes((*low, *side))
             (u, v) = middles[eye]

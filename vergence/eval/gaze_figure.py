@@ -17,11 +17,13 @@ from vergence.eval.reporting.line_labels import label_lines
 from vergence.eval.reporting.style import legend_below, log_axis
 from vergence.models.joints import EYE_NAMES
 
-_WIDTH, _HEIGHT = 12.0, 10.0  # inches (chosen)
+_WIDTH: Final = 12.0  # inches (chosen)
+_ABOVE_IMAGES: Final = 0.7
+"""Height above the images, for titles, inches (chosen)."""
 _PANELS: Final = (
     (0.8, 5.25, 5.0, 4.05), (6.8, 5.25, 5.0, 4.05), (0.8, 0.75, 5.0, 3.3), (6.8, 0.75, 5.0, 3.3),
 )  # fmt: skip
-"""Left, bottom, width and height of the panels, inches (chosen)."""
+"""Left, bottom, width and greatest height of the panels, inches (chosen)."""
 _LEAST_DRAWN_ERROR_PX: Final = 1e-3
 """Least drawn error, px; smaller errors are drawn as this (chosen: far below one that
 matters, on a logarithmic axis)."""
@@ -61,9 +63,13 @@ def compose_gaze(result: GazeResult) -> Figure:
         the target is left out, without images the images.
     """
     with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=110)
+        width, height = result.head.cameras.size.T  # wide images leave no room empty
+        places = [
+            (x, y, w, min(h, w * float((height / width).max()))) for x, y, w, h in _PANELS[:2]
+        ]
+        figure = Figure(figsize=(_WIDTH, places[0][1] + places[0][3] + _ABOVE_IMAGES), dpi=110)
         FigureCanvasAgg(figure)
-        draw_eyes(figure, result, _PANELS[:2])
+        draw_eyes(figure, result, places)
         _draw_errors(add_panel(figure, *_PANELS[2]), result)
         _draw_axes(add_panel(figure, *_PANELS[3]), result)
         x, y, z = result.config.target_mm
