@@ -42,6 +42,8 @@ LATEST_S: Final = 0.5
 """Time in which the head must be at rest after a pulled cable, s (chosen: watchdog plus lag)."""
 
 
+MOVING_RAD_S: Final = 0.3
+"""Speed of a joint at which the cable is pulled, rad/s (chosen: far above rest)."""
 TIMER_S: Final = 3.0
 """Duration of the timer that measures the machine, s (chosen)."""
 
@@ -150,7 +152,8 @@ def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
     pulled_s: list[float] = []
 
     def pull(present: GazeState) -> None:
-        if present.number == 2 and present.step == 10 and not pulled_s:
+        moving = np.abs(present.reading.velocities).max() > MOVING_RAD_S
+        if present.number >= 2 and moving and not pulled_s:
             pulled_s.append(world.begin_fault(what="unplug"))
 
     try:
