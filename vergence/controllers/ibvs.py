@@ -34,7 +34,7 @@ from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixe
 _ARTICLE_GAIN: Final = 4.0
 """The article's gain, 1/s."""
 _GAIN_DELAY: Final = 0.42
-"""Gain times the loop's delay that overshoots by less than 1 % (measured: heads of 105 to 155 ms;
+"""Gain times the loop's delay that overshoots by some 1 % (measured: heads of 105 to 155 ms;
 an integrator behind a dead time is critically damped at 1/e)."""
 
 

@@ -228,10 +228,7 @@ def _resume(
                 f"got {value!r:.80}"
             )
     done = replay(ReplayConfig(log=path)).gazes
-    complete = [trial for trial in done.trials if len(trial.time_s) > (gazes.steps or 0)]
-    gazes.trials += complete
-    gazes.periods += done.periods
-    gazes.missed_periods += done.missed_periods
+    gazes.add_complete(done)
     if path == config.resume and len(gazes.trials) >= config.gazes:
         raise ConfigurationError(
             f"resume: expected a log without some of the {config.gazes} gazes, got {path}, "

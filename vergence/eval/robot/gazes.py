@@ -59,6 +59,15 @@ class RobotGazes:
             error_m = np.linalg.norm(itpc.point[-1] - trial.target[-1, 0])
         self.point_errors_m.append(float(error_m))
 
+    def add_complete(self, earlier: "RobotGazes") -> None:
+        """Add the complete gazes of an earlier deployment, and all of its periods."""
+        for trial, error_m in zip(earlier.trials, earlier.point_errors_m, strict=True):
+            if self._whole(trial):
+                self.trials.append(trial)
+                self.point_errors_m.append(error_m)
+        self.missed_periods += earlier.missed_periods
+        self.periods += earlier.periods
+
     def rows(self) -> list[dict[str, Any]]:
         """A row per gaze; None for undefined metrics."""
         return [
