@@ -64,7 +64,7 @@ def test_a_head_of_another_form_is_told_by_its_joints_actuators_and_residual(cap
     assert out.startswith(
         "head mis: joints left_tilt, left_pan, right_tilt, right_pan; actuators tilt "
         "(left_tilt + right_tilt), left_pan (left_pan), right_pan (right_pan)\n"
-        "the eyes cannot look exactly at the target at once"
+        "the two eyes cannot both look exactly at the target"
     )
     assert re.search(r"least error that the actuators allow is 0\.\d+ px", out)
     assert re.search(r"within 1 px of it after 0\.\d+ s", out)
@@ -74,7 +74,7 @@ def test_eyes_whose_axes_never_cross_have_not_settled(capsys, tmp_path):
     gaze = gaze_of("common", tmp_path)
     show(gaze)
     out = capsys.readouterr().out
-    assert "the eyes cannot look at the target at once" in out
+    assert "the two eyes cannot both look at the target" in out
     assert "settled to 1 px" not in out
     assert not gaze.gaze_fix.valid[0]
     assert verdict(gaze) == 0

@@ -88,9 +88,9 @@ def _with_point(words: list[str]) -> list[str]:
         print_to_stderr("--target: it is --point now; --target is accepted until version 0.2")
         return [*words[:place], "--point", *words[place + 1 :]]
     raise ConfigurationError(
-        f"--target: expected a position in its place, as --point X Y Z in mm, got {given!r}: a "
-        "simulation draws its own tag there, and a robot looks at the printed board that `target` "
-        "in its configuration names; nothing else can be looked at, such as a face or a ball"
+        f"--target: expected the position of the target, as --point X Y Z in mm, got {given!r}: "
+        "a simulation draws a tag there, and a robot looks at the printed board that `target` in "
+        "its configuration names; nothing else can be looked at, such as a face or a ball"
     )
 
 

@@ -95,7 +95,7 @@ class GazeResult:
     def limitation(self) -> str:
         """Statement of the limitation that a residual implies."""
         exactly = "" if self.residual_px > 1.0 else "exactly "
-        return f"the eyes cannot look {exactly}at the target at once"
+        return f"the two eyes cannot both look {exactly}at the target"
 
     def summary(self) -> dict[str, Any]:
         """The result as plain values; None for missing ones."""

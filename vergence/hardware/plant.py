@@ -5,6 +5,7 @@ the joints; camera threads receive the images meanwhile. The servos' own bus wat
 no packet arrives for a given time.
 """
 
+import gc
 import logging
 import time
 import warnings
@@ -182,6 +183,7 @@ class HardwarePlant(Plant):
         compile_loop_kernels(self.head, self.config.target)
         if self._view_unchecked:
             compile_view_check(self.config)
+        gc.freeze()  # a full collection would take longer than the servos' watchdog waits
         try:
             cameras = check_local_cameras(self.config)
             try:
@@ -362,6 +364,7 @@ class HardwarePlant(Plant):
                 self._open.drive.brake()
         finally:
             self._open.close()
+            gc.unfreeze()
         if opened:
             said = (f"{name.replace('_', ' ')} {count}" for name, count in counts.items())
             _LOG.info("closed: %s", ", ".join(said))
@@ -466,6 +469,8 @@ class HardwarePlant(Plant):
             with suppress(HardwareError), self._open.drive.exclusive() as servos:
                 servos.release_torque_if_hot()
             self._supervisor.note_released(self._open.drive.released)
+        if self.config.emulator_address:
+            self._supervisor.note_shared_machine()
         if self._log is not None:
             self._log.stopped(self._supervisor.fault)
         _LOG.error("stopped: %s", self._supervisor.fault)

@@ -72,7 +72,7 @@ class ImportRuler(HeadOutput):
     fps: Annotated[float | None, tyro.conf.arg(metavar="HZ", help_behavior_hint="")] = None
     """Images a second; 30 by default."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """Name of the head; by default the name of its file."""
+    """Name of the head; by default that of its file, or my-turrets."""
 
     def run(self) -> int:
         """Run the command."""
@@ -83,6 +83,8 @@ class ImportRuler(HeadOutput):
 
         self.check()
         name = self.name or self.out.stem
+        if name == "head":
+            name = f"my-{self.mount or 'turrets'}"
         check_head_name(name)
         ruler = self._measured(name)
         text = ruler_to_toml(ruler)
@@ -123,8 +125,9 @@ class ImportRuler(HeadOutput):
             given |= _answers(given, view_too="view" in missing)
         asked = given.pop("servo")
         servo = find_servo_model(asked)
-        if sum(known.startswith(asked.upper()) for known in SERVO_MODELS) > 1:
-            print_to_stderr(f"servo: taken as {servo.name}")
+        alike = [known for known in SERVO_MODELS if known.startswith(asked.upper())]
+        if len(alike) > 1:
+            print_to_stderr(f"servo: {servo.name} is taken of {', '.join(alike)}")
         if "size" in given:
             given["size"] = parse_size(given["size"])
         given["name"] = name

@@ -231,8 +231,8 @@ def _resume(
     gazes.add_complete(done)
     if path == config.resume and len(gazes.trials) >= config.gazes:
         raise ConfigurationError(
-            f"resume: expected a log without some of the {config.gazes} gazes, got {path}, "
-            f"with which {len(gazes.trials)} are complete"
+            f"resume: expected a log in which some of the {config.gazes} gazes are missing, got "
+            f"{path}, with which {len(gazes.trials)} are complete"
         )
 
 

@@ -127,10 +127,11 @@ class LoopMeasurement:
             # a joint that moves otherwise between its readings displaces the image too
             beside = one.image_fit.residual_px > _MISFIT_PX
             if scaled or (beside and one.joint_fit.misfit_rad <= _MISFIT_RAD):
+                by = f"moves by {100.0 * abs(off):.0f} % {'more' if off > 0.0 else 'less'}, and "
                 lines.append(
-                    f"{one.eye} eye: its camera is not as the head file has it: the image moves by "
-                    f"{100.0 * abs(off):.0f} % {'more' if off > 0.0 else 'less'}, and is "
-                    f"{one.image_fit.residual_px:.1f} px (rms) beside that; calibrate it"
+                    f"{one.eye} eye: its camera is not as the head file has it: the image "
+                    f"{by if scaled else ''}is {one.image_fit.residual_px:.1f} px (rms) off its "
+                    "motion; calibrate it"
                 )
         return lines
 

@@ -147,6 +147,11 @@ class Supervisor:
         if names and "without torque" not in self.fault:
             self.fault += f" ({names} without torque: hold what may sink; the others rest)"
 
+    def note_shared_machine(self) -> None:
+        """Add to the reason of a stop that an emulated head may itself have come late."""
+        if self.fault.startswith("servos:") and "other programs" not in self.fault:
+            self.fault += " (or end other programs: the emulated head shares this machine)"
+
     def _recently(self, now_s: float) -> bool:
         return now_s - self._paused[0] < _OVERRUN_WINDOW_S
 

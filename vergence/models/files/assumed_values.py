@@ -47,6 +47,8 @@ def _value(document: dict[str, Any], key: str) -> str:
     """Text of the value at a dotted key; several values if several tables have the field."""
     values: list[Any] = [document]
     parts = key.split(".")
+    if parts[-1] == "origin_m":  # its axes are the written form's, not the user's
+        return ""
     for part in parts:
         values = [found for value in values for found in _step(value, part)]
     if not values and len(parts) == 1:  # a field of no table in particular

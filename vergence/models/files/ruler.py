@@ -81,8 +81,9 @@ class Ruler:
             check_measure(field.name, getattr(self, field.name))
         views = [name for name in VIEWS if getattr(self, name) is not None]
         if len(views) != 1:
+            got = " and ".join(views) or "none"
             raise ConfigurationError(
-                f"view: expected one of --view, --diagonal and --focal, got {views or 'none'}"
+                f"view: expected one of --view, --diagonal and --focal, got {got}"
             )
         if self.height < self.lens_above:
             raise ConfigurationError(
@@ -104,8 +105,9 @@ def check_measure(name: str, value: object) -> None:
     if name not in _RANGES or not isinstance(value, int | float):
         return
     least, most, unit = _RANGES[name]
-    if not least <= value <= most:
-        wrong = " (is it in metres?)" if unit == "mm" and 0.0 < value < 3.0 else ""
+    in_metres = unit == "mm" and 0.0 < abs(value) < 1.0
+    if not least <= value <= most or in_metres:
+        wrong = " (is it in metres?)" if in_metres else ""
         raise ConfigurationError(
             f"{name.replace('_', '-')}: expected {least:g} to {most:g} {unit}{wrong}, got {value:g}"
         )
