@@ -145,7 +145,10 @@ class HardwarePlant(Plant):
             lower[servo.slot], upper[servo.slot] = servo.lower_rad, servo.upper_rad
         # longest action of a command: its hold, the watchdog time, and the watchdog's time unit
         last_s = HOLD_PERIODS * self._period_s + self.config.bus.watchdog_s + table.WATCHDOG_S
-        return Supervisor(self.config.safety, self.head, lower, upper, self.config.slots, last_s)
+        emulated = bool(self.config.emulator_address)
+        return Supervisor(
+            self.config.safety, self.head, lower, upper, self.config.slots, last_s, emulated
+        )
 
     @property
     def fault(self) -> str:
@@ -469,8 +472,6 @@ class HardwarePlant(Plant):
             with suppress(HardwareError), self._open.drive.exclusive() as servos:
                 servos.release_torque_if_hot()
             self._supervisor.note_released(self._open.drive.released)
-        if self.config.emulator_address:
-            self._supervisor.note_shared_machine()
         if self._log is not None:
             self._log.stopped(self._supervisor.fault)
         _LOG.error("stopped: %s", self._supervisor.fault)

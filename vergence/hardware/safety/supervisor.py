@@ -88,6 +88,7 @@ class Supervisor:
         upper: (7,) greatest angles, rad.
         names: indices into the 7-element command by name, for joints with a servo.
         last_s: time for which the last command may act before the servos stop by themselves, s.
+        emulated: True for an emulated head, whose servos may themselves come late.
 
     Attributes:
         verdict: verdict on the last requested velocities.
@@ -103,8 +104,9 @@ class Supervisor:
         upper: FloatArray,
         names: dict[str, int],
         last_s: float = 0.0,
+        emulated: bool = False,
     ) -> None:
-        self._config = config
+        self._config, self._emulated = config, emulated
         self._head = head
         self._lower, self._upper = lower, upper
         self._names = names
@@ -135,6 +137,8 @@ class Supervisor:
         """
         if not self.fault and reason.startswith(("servos:", "cameras.")):
             reason = self._lateness() + reason
+            if self._emulated and "other programs" not in reason:
+                reason += " (or end other programs: the emulated head shares this machine)"
         self.fault = self.fault or reason
         self.verdict = Verdict.STOP
 
@@ -146,11 +150,6 @@ class Supervisor:
         """Add to the reason of a stop which joints have lost their torque."""
         if names and "without torque" not in self.fault:
             self.fault += f" ({names} without torque: hold what may sink; the others rest)"
-
-    def note_shared_machine(self) -> None:
-        """Add to the reason of a stop that an emulated head may itself have come late."""
-        if self.fault.startswith("servos:") and "other programs" not in self.fault:
-            self.fault += " (or end other programs: the emulated head shares this machine)"
 
     def _recently(self, now_s: float) -> bool:
         return now_s - self._paused[0] < _OVERRUN_WINDOW_S
