@@ -201,3 +201,11 @@ def test_nothing_of_images_counts_on_the_way_to_a_trial():
     robot = Robot(image_age_s=0.1, lost_s=0.1)
     assert robot.run(2.0, 0.3 * LEFT_PAN, images_received_s=None, target_visible=False) is None
     assert robot.supervisor.verdict is Verdict.GO
+
+
+@pytest.mark.parametrize("emulated", [True, False])
+def test_a_fault_of_an_emulated_head_names_the_machine_that_it_shares(emulated):
+    limits = HEAD.actuation.lower, HEAD.actuation.upper
+    supervisor = Supervisor(SafetyConfig(), HEAD, *limits, NAMES, emulated=emulated)
+    supervisor.stop("servos: left_pan: stuck; cure: look at it")
+    assert ("shares this machine" in supervisor.fault) == emulated
