@@ -24,8 +24,8 @@ from vergence.hardware.config import load_hardware
 from vergence.hardware.delay.measure import measure_loop
 from vergence.hardware.delay.measurement import LoopMeasurement
 from vergence.hardware.emulator.world import MotorOptions
-from vergence.models.files.head_file import load_head
-from vergence.models.joints import EYE_NAMES, EYES
+from vergence.models.head_file import load_head
+from vergence.models.parts import EYE_NAMES, EYES
 
 HEAD = load_head("turrets")
 TARGET = np.array([0.0, -0.1, 1.0])

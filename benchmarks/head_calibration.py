@@ -42,8 +42,8 @@ from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points
 from vergence.eval.jobs import open_mapper
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.triangulation import Noise, triangulate_views
 from vergence.triangulation.several import triangulate_fixations

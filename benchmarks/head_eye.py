@@ -54,8 +54,8 @@ from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
 

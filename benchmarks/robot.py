@@ -27,9 +27,9 @@ import pandas as pd
 from benchmarks.wire import emulated
 from vergence.eval.robot.config import DeployConfig
 from vergence.eval.robot.deploy import deploy
-from vergence.models.files.head_file import load_head, save_head
-from vergence.models.files.toml_text import toml_text
+from vergence.models.head_file import load_head, save_head
 from vergence.models.parts import FloatArray
+from vergence.models.toml_table import toml_text
 from vergence.recording.log import LoggedTrial, read_log
 
 RATE_HZ = 120.0

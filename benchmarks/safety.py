@@ -21,7 +21,7 @@ from rich.progress import track
 from vergence import load_head
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
 from vergence.hardware.safety.motion import JointMotionLimiter
-from vergence.models.joint_response import follow_joint, lag_decay
+from vergence.models.motion import follow_joint, lag_decay
 
 CHUNK = 100
 LATEST = 1.5

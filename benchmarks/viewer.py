@@ -24,7 +24,7 @@ import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 from vergence.viewer.browser import address_of, serving
 from vergence.viewer.playground import Playground
 from vergence.viewer.simulated import Setup

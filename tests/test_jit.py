@@ -14,7 +14,7 @@ import pytest
 from numba.core.caching import IndexDataCacheFile
 
 from vergence import _jit, _kernel_cache, _runs
-from vergence.models.pose import Pose, direction_to_outer
+from vergence.models.packed import Pose, direction_to_outer
 from vergence.triangulation.rays import triangulate
 
 HELPER = "from heads import _jit\n\n@_jit.inlined\ndef scale(x):\n    return {factor} * x\n"

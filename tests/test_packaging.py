@@ -56,7 +56,7 @@ def test_the_wheel_carries_every_file_of_the_package_the_license_and_nothing_bes
         if path.is_file() and not {"__pycache__", "kernels"} & set(path.parts)
     }
     assert {
-        "vergence/models/files/presets/simulated.toml",
+        "vergence/models/presets/simulated.toml",
         "vergence/calibration/calibration.html.jinja",
         "vergence/eval/reporting/report.html.jinja",
         "vergence/py.typed",
@@ -80,8 +80,8 @@ def test_the_sdist_carries_the_model_folder_and_all_that_make_test_needs(sdist_f
     assert tracked_models <= sdist_files
     assert {
         "CHANGELOG.md", "LICENSE", "Makefile", "README.md", "constraints.txt", "docs", "benchmarks",
-        "pyproject.toml", "tests/conftest.py", "vergence/models/files/presets/simulated.toml",
-        "vergence/models/files/presets/physical.toml", "vergence/py.typed",
+        "pyproject.toml", "tests/conftest.py", "vergence/models/presets/simulated.toml",
+        "vergence/models/presets/physical.toml", "vergence/py.typed",
     } <= sdist_files | {name.split("/")[0] for name in sdist_files}  # fmt: skip
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence.calibration.projection import project_with_jacobians
-from vergence.models.camera import rays_to_pixels
+from vergence.models.kinematics import rays_to_pixels
 from vergence.models.packed import pack_camera
 
 LENSES = {

@@ -14,8 +14,8 @@ from tests.hardware.test_config import document
 from tests.heads import text_of
 from tests.models.files.pairs import opencv_pair, write_opencv
 from tests.recording.logged import log_trials
-from vergence.models.files.head_file import load_head, save_head
-from vergence.models.files.toml_text import toml_text
+from vergence.models.head_file import load_head, save_head
+from vergence.models.toml_table import toml_text
 from vergence.vision import AprilTag, EyeCamera, TargetRenderer
 
 TRAIN: Final = (

@@ -38,8 +38,8 @@ from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.control_table import PRESENT_POSITION
 from vergence.hardware.dynamixel.packets import MOST_LENGTH, PacketParser, status_packet
 from vergence.hardware.history import JointHistory
-from vergence.models.files.head_toml import head_to_toml
-from vergence.models.files.toml_text import toml_text
+from vergence.models.head_file import head_to_toml
+from vergence.models.toml_table import toml_text
 from vergence.recording.log import read_log
 from vergence.recording.recovery import recover_log
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.commands.called import run
 from tests.models.files.robot_description.descriptions import NECK, eye, urdf
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 
 @pytest.fixture

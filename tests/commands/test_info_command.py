@@ -15,7 +15,7 @@ from vergence import Noise, triangulate_gaze, triangulate_views
 from vergence.eval.head_figure import compose_head
 from vergence.eval.head_summary import summarise_head
 from vergence.models import load_head, parse_head
-from vergence.models.files.assumed_values import assumed_values
+from vergence.models.head_file import assumed_values
 
 
 @pytest.fixture

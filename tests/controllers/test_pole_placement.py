@@ -5,7 +5,7 @@ import pytest
 
 from tests.naming import named
 from vergence.controllers.pole_placement import pole_placement_command
-from vergence.models.held_response import follow_held_command, prepare_held_response
+from vergence.models.motion import follow_held_command, prepare_held_response
 
 LAG_S = 0.03
 PERIOD_S = 1.0 / 240.0

@@ -19,7 +19,7 @@ from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.plants.variation import Variation
 from vergence.errors import ConfigurationError
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 from vergence.models.perturbation import ModelErrors
 
 IDS = SIMULATED_IDS

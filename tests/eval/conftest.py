@@ -11,7 +11,7 @@ from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evalua
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.models import HeadModel
-from vergence.models.files.head_file import load_head, save_head
+from vergence.models.head_file import load_head, save_head
 
 SOURCES = folder._sources_digest()
 

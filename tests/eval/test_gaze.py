@@ -16,7 +16,7 @@ from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.gaze import GazeConfig, gaze_result, run_gaze
 from vergence.eval.gaze_figure import compose_gaze, draw_gaze
 from vergence.eval.gaze_trajectory import write_trajectory
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 from vergence.recording import Recorder
 
 MM = 1000.0

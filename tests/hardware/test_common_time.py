@@ -8,7 +8,7 @@ import pytest
 from vergence import load_head
 from vergence.hardware.common_time import merge_pair, pixels_at_common_time
 from vergence.hardware.pairing import SearchedImage, SearchedPair
-from vergence.models.joints import EYES
+from vergence.models.parts import EYES
 
 
 @pytest.mark.parametrize("name", ["turrets", "simulated"])

@@ -23,8 +23,8 @@ from vergence.errors import (
 from vergence.hardware import config as config_module
 from vergence.hardware.config import actuator_slots, load_hardware
 from vergence.models.boards import AprilTag
-from vergence.models.files.head_file import save_head
-from vergence.models.files.toml_text import toml_text
+from vergence.models.head_file import save_head
+from vergence.models.toml_table import toml_text
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ from vergence.errors import ConfigurationError, HardwareError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
 from vergence.hardware.config import load_hardware
-from vergence.models.files.toml_text import toml_text
+from vergence.models.toml_table import toml_text
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.motor import Motor
 from vergence.hardware.emulator.servo import ENCODER_ERROR
 from vergence.hardware.jog import Jogger
-from vergence.models.files.toml_text import toml_text
+from vergence.models.toml_table import toml_text
 
 
 class Desk:

@@ -11,7 +11,7 @@ from vergence.hardware.config import load_hardware
 from vergence.hardware.config_edit import write_loop
 from vergence.hardware.config_parts import LoopConfig
 from vergence.hardware.loop import loop_variation
-from vergence.models.files.toml_text import toml_text
+from vergence.models.toml_table import toml_text
 
 LOOP = LoopConfig(
     measured="2026-11-25", command_latency_s=0.0125, lag_s=0.045, speed_gain=0.9,

@@ -10,7 +10,7 @@ import pytest
 from tests.heads import text_of
 from tests.models.lenses import wide
 from vergence.models import load_head, parse_head
-from vergence.models.digest import digest_of
+from vergence.models.head import digest_of
 
 
 @dataclasses.dataclass

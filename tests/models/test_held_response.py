@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 from tests.naming import named
-from vergence.models.held_response import follow_held_command, prepare_held_response
-from vergence.models.joint_response import follow_joint, lag_decay
+from vergence.models.motion import (
+    follow_held_command,
+    follow_joint,
+    lag_decay,
+    prepare_held_response,
+)
 
 PERIOD_S = 1.0 / 60.0
 LAG_S = 0.04

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.models.joint_response import (
+from vergence.models.motion import (
     follow_joint,
     follow_torque_limited_joint,
     lag_decay,

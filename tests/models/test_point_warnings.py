@@ -8,7 +8,7 @@ import pytest
 from tests.grids import some_of
 from tests.naming import named
 from vergence.errors import ConfigurationError, VergenceWarning
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 from vergence.models.perturbation import ModelErrors
 
 HEADS = ["simulated", "physical", "icub", "turrets"]

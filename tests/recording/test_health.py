@@ -5,7 +5,7 @@ import pytest
 
 from vergence.envs.reading import Reading
 from vergence.errors import VergenceWarning
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 from vergence.recording.health import MAX_GAP_RATIO, LoopHealth, warn_of_gap
 
 HEAD = load_head("simulated").replace(sensor={"detection_noise_px": 0.3})

@@ -16,7 +16,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.files import PARTIAL_PREFIX
 from vergence.models import load_head
-from vergence.models.files.head_file import save_head
+from vergence.models.head_file import save_head
 from vergence.training.checkpoint import read_checkpoint
 from vergence.training.config import load_run
 from vergence.training.export import export_run

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.naming import named
-from vergence.models.files.head_file import load_head, presets
+from vergence.models.head_file import load_head, presets
 from vergence.viewer.eye_pictures import EYE_COLOURS
 from vergence.viewer.painting import HeadPainter
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 pytest.importorskip("viser")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.models.files.head_file import load_head, presets
+from vergence.models.head_file import load_head, presets
 from vergence.viewer.shapes import HeadShapes
 
 

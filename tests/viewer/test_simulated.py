@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence.errors import ConfigurationError
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 from vergence.viewer.simulated import STEP_S, Setup, SimulatedHead
 
 SETUP = Setup(head=load_head("simulated"), plant="kinematic")

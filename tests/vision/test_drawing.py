@@ -15,8 +15,8 @@ from tests.vision.poses import pose
 from vergence import load_head
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget, board_pose
+from vergence.models.cameras import light_table
 from vergence.models.parts import Rendering
-from vergence.models.response import light_table
 from vergence.vision import AprilTag, EyeCamera, TargetRenderer, make_planar_target
 
 

@@ -26,10 +26,8 @@ from vergence.calibration.stereo import fit_camera_pair
 from vergence.calibration.uncertainty import rig_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
-from vergence.models.cameras import LENSES
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
-from vergence.models.response import CameraResponse
+from vergence.models.cameras import LENSES, CameraResponse
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.spacing import MM
 
 _DETECTION_PROGRESS: Final = 0.5

@@ -19,8 +19,8 @@ from vergence.calibration.adjustment import (
 )
 from vergence.calibration.observations import BoardObservations
 from vergence.errors import ConfigurationError
-from vergence.models.camera import pixels_to_rays
 from vergence.models.cameras import BROWN_CONRADY, LENSES
+from vergence.models.kinematics import pixels_to_rays
 from vergence.models.packed import pack_camera
 from vergence.models.parts import FloatArray
 

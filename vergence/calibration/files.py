@@ -11,13 +11,9 @@ from vergence.calibration.calibrate import Calibration
 from vergence.calibration.depth import pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
 from vergence.eval.reporting.runs import package_versions
-from vergence.models.calibrated import CalibrationRecord
-from vergence.models.files.import_stereo import stereo_pair_to_head_toml
-from vergence.models.files.intrinsics import Intrinsics, Lens
-from vergence.models.files.stereo import StereoPair
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
-from vergence.models.response import CameraResponse
+from vergence.models.cameras import CameraResponse
+from vergence.models.parts import EYE_NAMES, CalibrationRecord, FloatArray
+from vergence.models.stereo_files import Intrinsics, Lens, StereoPair, stereo_pair_to_head_toml
 
 _RECORDED_PACKAGES: Final = ("vergence", "opencv-python-headless", "numpy", "scipy")
 _ROS_LENSES: Final[dict[str, str]] = {

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import BundleAdjustment
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
+from vergence.models.cameras import CameraResponse
 from vergence.models.parts import FloatArray
-from vergence.models.response import CameraResponse
 from vergence.perception.light import LinearResponseCheck
 from vergence.perception.photographs import join_first_names, remark_on_orientation_tags
 from vergence.perception.similar_targets import describe_similar_targets

@@ -29,7 +29,7 @@ from vergence.eval.reporting.text import (
     read_template,
 )
 from vergence.files import write_atomic
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
 
 _DEPTHS_M: Final = (0.5, 1.0, 2.0, 2.5)
 """Distances of the table of depth, m (chosen: the range of use)."""

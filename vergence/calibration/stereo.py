@@ -15,8 +15,8 @@ from vergence.calibration.cameras import (
 )
 from vergence.calibration.observations import BoardObservations
 from vergence.errors import ConfigurationError
-from vergence.models.files.stereo import GREATEST_BASELINE_M, LEAST_BASELINE_M
 from vergence.models.parts import FloatArray
+from vergence.models.stereo_files import GREATEST_BASELINE_M, LEAST_BASELINE_M
 from vergence.perception.located import equivalent_corner_orders
 
 _MOST_PAIR_ERROR_WIDTHS: Final = 0.03

@@ -107,7 +107,7 @@ class Collect:
                 raise ConfigurationError(f"{name}: expected a simulated head, got --plant hardware")
         if self.config is None:
             raise ConfigurationError("config: expected the file that describes the robot, got none")
-        from vergence.models.files.head_file import load_head
+        from vergence.models.head_file import load_head
 
         try:
             make = import_module(_ROBOT_LOOKER_MODULE).RobotLooker
@@ -139,7 +139,7 @@ class Collect:
 
         from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
         from vergence.eval.trials.twin_errors import TWIN_SPREADS
-        from vergence.models.files.head_file import load_head
+        from vergence.models.head_file import load_head
 
         head = load_head(self.head or _DEFAULT_HEAD)
         # runs with one seed have the same head but different noise

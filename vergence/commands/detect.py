@@ -24,7 +24,7 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.models.boards import Target
-    from vergence.models.response import CameraResponse
+    from vergence.models.cameras import CameraResponse
     from vergence.perception.detect import DetectResult
     from vergence.vision import EyeCamera
 
@@ -79,7 +79,7 @@ class Detect:
     def run(self) -> int:
         """Run the command."""
         self._check()
-        from vergence.models.response import parse_response
+        from vergence.models.cameras import parse_response
         from vergence.perception.camera_options import load_camera
         from vergence.perception.target_finder import parse_targets
 

@@ -19,7 +19,7 @@ class _ExportModel:
     """Folder to write to, new or empty; export-FORMAT-HEAD by default."""
 
     def _write(self, format: Literal["mjcf", "urdf"]) -> int:
-        from vergence.models.files.head_file import load_head
+        from vergence.models.head_file import load_head
         from vergence.models.mujoco.export import export_files
 
         head = load_head(self.head)

@@ -80,7 +80,7 @@ class Gaze:
 def _print_gaze(result: "GazeResult") -> None:
     from vergence.eval.reporting.glossary import METHODS_LEGEND
     from vergence.eval.reporting.text import format_fixed
-    from vergence.models.joints import JOINTS
+    from vergence.models.parts import JOINTS
 
     if result.head.joints != JOINTS:
         print(_describe_joints(result.head))
@@ -136,7 +136,7 @@ def _seconds(value: float) -> str:
 
 def _verdict(result: "GazeResult") -> int:
     """Exit code: 1 if a target was not visible, not fixated or not triangulated, else 0."""
-    from vergence.models.joints import EYE_NAMES
+    from vergence.models.parts import EYE_NAMES
 
     unseen = [eye for eye in EYE_NAMES if not result.trajectory[f"visible_{eye}"].any()]
     if unseen:

@@ -9,8 +9,8 @@ from vergence.commands.tables import print_table
 
 if TYPE_CHECKING:
     from vergence.eval.head_summary import EyeSummary, JointSummary
-    from vergence.models.calibrated import CalibrationRecord
-    from vergence.models.files.assumed_values import AssumedValue
+    from vergence.models.head_file import AssumedValue
+    from vergence.models.parts import CalibrationRecord
 
 _SIGMAS: Final = (
     ("left focal length", "left.camera", ("f_u", "f_v"), 1.0, "px"),

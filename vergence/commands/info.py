@@ -41,7 +41,7 @@ class Info:
         from vergence.eval.comparison.contestants import controllers_in_table_order
         from vergence.eval.reporting.runs import package_versions
         from vergence.eval.trials.scenarios import SCENARIOS
-        from vergence.models.files.head_file import load_head, presets
+        from vergence.models.head_file import load_head, presets
 
         print_table(
             ["package", "version"],

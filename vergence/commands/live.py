@@ -17,8 +17,8 @@ from vergence.eval.reporting.text import format_fixed
 
 if TYPE_CHECKING:
     from vergence.models.boards import Target
+    from vergence.models.cameras import CameraResponse
     from vergence.models.parts import FloatArray
-    from vergence.models.response import CameraResponse
     from vergence.perception.live import LiveSummary
     from vergence.vision import EyeCamera
 

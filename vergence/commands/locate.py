@@ -83,7 +83,7 @@ def _say_rest(head: "HeadModel") -> None:
     """Note the joint angles that were assumed for movable eyes if --joints was not given."""
     import numpy as np
 
-    from vergence.models.joints import EYES
+    from vergence.models.parts import EYES
     from vergence.perception.joint_angles import eyes_move
 
     if not eyes_move(head):

@@ -45,7 +45,7 @@ class MeasureDelay:
         from vergence.hardware.config import load_hardware
         from vergence.hardware.config_edit import write_loop
         from vergence.hardware.delay.measure import actuator_slot, measure_loop
-        from vergence.models.joints import EYE_NAMES
+        from vergence.models.parts import EYE_NAMES
 
         hardware = load_hardware(self.hardware)
         if self.write:

@@ -50,7 +50,7 @@ class Tune:
         from vergence.eval.tuning.objective import controller_objective
         from vergence.eval.tuning.spaces import search_space
         from vergence.eval.tuning.tune import tune
-        from vergence.models.files.head_file import load_head
+        from vergence.models.head_file import load_head
 
         config = self.config
         scenario = load_scenario(config.scenario)
@@ -112,7 +112,7 @@ class Tune:
     def _check_tables(self, head: "HeadModel", scenario: "Scenario") -> None:
         """Refuse, before any work is done, tables that cannot take the result."""
         from vergence.controllers.tuned import check_table_writable, load_tuned
-        from vergence.models.files.head_file import load_head, presets
+        from vergence.models.head_file import load_head, presets
 
         known = {load_head(name).digest for name in presets()} | {scenario.model().digest}
         if self.write_package and head.digest not in known:
@@ -146,7 +146,7 @@ class Tune:
 
 def repeat_command(config: TuneConfig, *, with_trials: bool) -> str:
     """Command line that repeats a search, from any folder; a grid defines its number of points."""
-    from vergence.models.files.head_file import absolute_source
+    from vergence.models.head_file import absolute_source
 
     words = ["vergence", "tune", config.controller, "--scenario", config.scenario]
     if config.head is not None:

@@ -76,7 +76,7 @@ class View:
         return 0
 
     def _simulate(self) -> "Callable[[Server], Shown]":
-        from vergence.models.files.head_file import load_head
+        from vergence.models.head_file import load_head
         from vergence.viewer.playground import Playground
         from vergence.viewer.simulated import Setup
 

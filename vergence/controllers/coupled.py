@@ -1,7 +1,7 @@
 r"""The article's law for heads whose actuators couple the eyes' joints, or whose eyes lack a joint.
 
 The image velocities that the law requests are distributed to the actuators by least squares in
-pixels (`vergence.models.actuator_projection`). Part of a pixel error may be out of reach: for eyes
+pixels (`vergence.models.fixation`). Part of a pixel error may be out of reach: for eyes
 with a common tilt, only the common part of the two vertical errors can be removed. A law that acted
 on the rest would wind up, or, if its gains differ between axes, settle beside the least error. So
 laws act on the reducible part of the error (`vergence.envs.reducible`),
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import inlined, kernel, subroutine
 from vergence.envs.reducible import image_jacobians, reducible_error_by_jacobian
-from vergence.models.actuator_projection import actuator_least_squares
+from vergence.models.fixation import actuator_least_squares
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead
 from vergence.models.parts import FloatArray

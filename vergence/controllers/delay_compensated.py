@@ -17,8 +17,7 @@ from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 
 DEFAULT_GAIN: Final = 10.0
 """Default gain, 1/s (chosen): only the joints' lag is left in the loop, and it bounds the gain."""

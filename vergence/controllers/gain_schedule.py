@@ -23,8 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.controllers.ibvs import ibvs_velocities
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 
 GAIN_LIMIT: Final = 20.0
 """Largest gain, 1/s; the least is 0 (chosen)."""

@@ -17,7 +17,7 @@ from math import exp, inf
 from typing import Final, NamedTuple
 
 from vergence._jit import inlined
-from vergence.models.joint_response import follow_joint
+from vergence.models.motion import follow_joint
 
 _LEAST_LAG_S: Final = 1e-4
 """Lower bound of the lag, s (numerical)."""

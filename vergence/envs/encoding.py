@@ -16,9 +16,8 @@ from vergence.envs.reading import BoolArray, Reading
 from vergence.errors import ConfigurationError
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES, NECK
 from vergence.models.packed import PackedHead
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, NECK, FloatArray
 
 FINE_PX: Final = 16.0
 """Pixel error at which the fine channel saturates, px (chosen: resolution against range)."""

@@ -31,8 +31,8 @@ from vergence.envs.encoding import encode_observation
 from vergence.envs.reading import BoolArray, Reading
 from vergence.envs.reducible import reducible_error
 from vergence.envs.streams import IntArray
-from vergence.models.camera import pixel_error
 from vergence.models.head import HeadModel
+from vergence.models.kinematics import pixel_error
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 

@@ -23,8 +23,8 @@ from vergence.envs.targets.registry import make_target
 from vergence.envs.targets.target import Target
 from vergence.envs.validation import as_action_array, refuse_immobile_eyes
 from vergence.errors import ConfigurationError
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors, as_model_errors
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views

@@ -7,8 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 from vergence.operands import as_operand
 
 

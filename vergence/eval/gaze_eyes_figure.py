@@ -11,8 +11,7 @@ from matplotlib.patheffects import withStroke
 
 from vergence.eval.gaze import GazeResult
 from vergence.eval.reporting.labels import Labels, as_float_pair
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 
 EYE_COLOURS: Final = ("#1f6fb4", "#d1571b")
 GREEN: Final = "#14803c"

@@ -15,7 +15,7 @@ from vergence.eval.gaze_eyes_figure import EYE_COLOURS, GREEN, add_panel, column
 from vergence.eval.gaze_trajectory import MM
 from vergence.eval.reporting.line_labels import label_lines
 from vergence.eval.reporting.style import legend_below, log_axis
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
 
 _WIDTH: Final = 12.0  # inches (chosen)
 _ABOVE_IMAGES: Final = 0.7

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from vergence.envs.reading import Reading, Truth
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, EYES, FloatArray
 from vergence.recording import Recorder
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
 

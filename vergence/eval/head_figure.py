@@ -14,9 +14,8 @@ from vergence.eval.reporting.labels import Labels, as_float_pair
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figure_style, new_figure
 from vergence.files import atomic_file
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.mujoco.posture import rest_poses
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
+from vergence.models.posture import rest_poses
 from vergence.vision.optics import EyeCamera
 
 _COLOURS: Final = (BLUE, ORANGE)

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 
 NEAREST_M: Final = 0.01
 """Least depth of the search, m (chosen)."""

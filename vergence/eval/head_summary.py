@@ -13,11 +13,9 @@ from vergence.eval.head_reach import (
     midpoint_between_cameras,
     off_axis_reach_points,
 )
-from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import PINHOLE
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, EYES, CalibrationRecord, FloatArray
 from vergence.triangulation.fix import triangulate_views
 from vergence.vision.optics import EyeCamera
 

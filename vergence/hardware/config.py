@@ -60,10 +60,10 @@ from vergence.hardware.config_tables import (
 from vergence.hardware.safety.config import SafetyConfig, parse_safety
 from vergence.models.board_text import parse_target
 from vergence.models.boards import Target
-from vergence.models.files.head_file import load_head, presets
-from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
+from vergence.models.head_file import load_head, presets
+from vergence.models.parts import EYE_NAMES
+from vergence.models.toml_table import Rule, Table
 
 __all__ = [
     "BusConfig",

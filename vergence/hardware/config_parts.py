@@ -8,8 +8,7 @@ import numpy as np
 from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN
 from vergence.models.boards import Target
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

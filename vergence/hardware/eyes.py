@@ -13,8 +13,7 @@ from vergence.hardware.config import HardwareConfig
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import PairCounts, Pairing, SearchedImage, SearchedPair
 from vergence.models.boards import Target
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.recording.schema import LoggedDetection
 from vergence.vision.image import suppress_opencv_log

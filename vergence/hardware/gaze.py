@@ -7,8 +7,8 @@ from typing import Any, Final
 from vergence.envs.gaze import GazeEnv
 from vergence.errors import ConfigurationError
 from vergence.hardware.config import HardwareConfig, load_hardware, refuse_other_head
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.recording.writer import LogWriter
 
 EPISODE_S: Final = 2.0

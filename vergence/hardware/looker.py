@@ -12,8 +12,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.boards import PlanarTarget
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.recording.looking import BoardView
 from vergence.recording.schema import LoggedDetection

@@ -12,8 +12,7 @@ import numpy as np
 from vergence.hardware.config import ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES, NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, NECK, FloatArray
 
 SILENT_S: Final = 0.1
 """Time without an answer after which a servo counts as lost, s (chosen)."""

@@ -26,8 +26,7 @@ from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.start import PROOF_RAD, PROOF_TIMEOUT_S, GoalNotReachedError, drive_to
 from vergence.models.boards import AprilTag, TagFamily, Target
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.vision.detection import Detection
 from vergence.vision.detectors import make_detector
 from vergence.vision.optics import EyeCamera

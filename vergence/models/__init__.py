@@ -2,13 +2,19 @@
 
 from vergence.models.actuation import Actuation, Actuators
 from vergence.models.cameras import Cameras
-from vergence.models.files.head_file import load_head, presets, save_head
-from vergence.models.files.head_toml import parse_head
+from vergence.models.geometry import DenavitHartenberg, JointAxes
 from vergence.models.head import HeadModel
-from vergence.models.joint_axes import JointAxes
-from vergence.models.joints import EYE_NAMES, EYES, JOINTS, NECK
-from vergence.models.links import DenavitHartenberg
-from vergence.models.parts import JointLimits, LoopTiming, Rendering, SensorModel
+from vergence.models.head_file import load_head, parse_head, presets, save_head
+from vergence.models.parts import (
+    EYE_NAMES,
+    EYES,
+    JOINTS,
+    NECK,
+    JointLimits,
+    LoopTiming,
+    Rendering,
+    SensorModel,
+)
 from vergence.models.perturbation import ModelErrors
 
 __all__ = [

@@ -18,8 +18,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
-from vergence.models.joints import EYES, NECK
-from vergence.models.parts import FloatArray, FrozenArrays, JointLimits, LoopTiming, SensorModel
+from vergence.models.parts import (
+    EYES,
+    NECK,
+    FloatArray,
+    FrozenArrays,
+    JointLimits,
+    LoopTiming,
+    SensorModel,
+)
 from vergence.operands import as_operand
 
 SLOTS: Final = 4

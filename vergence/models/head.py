@@ -1,7 +1,8 @@
 """HeadModel: the single source of truth on a head's geometry, cameras, limits and timing."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -11,26 +12,104 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models import camera, fixation, jacobian, kinematics
+from vergence.models import fixation, kinematics
 from vergence.models.actuation import Actuation, Actuators, assemble_actuation
-from vergence.models.calibrated import CalibrationRecord
-from vergence.models.cameras import Cameras
-from vergence.models.digest import digest_of
-from vergence.models.joints import EYES
-from vergence.models.links import Links, map_arrays
-from vergence.models.parameters import Geometry, Parameters, geometry_with, parameters_of
+from vergence.models.cameras import BROWN_CONRADY, Cameras
+from vergence.models.geometry import (
+    Geometry,
+    JointAxes,
+    Links,
+    Parameters,
+    geometry_with,
+    map_arrays,
+    parameters_of,
+)
 from vergence.models.parts import (
+    EYES,
+    CalibrationRecord,
     FloatArray,
     JointLimits,
     LoopTiming,
     Rendering,
     SensorModel,
+    is_name_tuple,
     readonly_array,
     replace_fields,
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
 from vergence.models.point_warnings import FixationBounds, warn_of_point
 from vergence.operands import as_operand
+
+FORM_VERSION: Final = 1
+"""Version of the form described above (numerical)."""
+_LENSES: Final = {BROWN_CONRADY: 1, "rational": 2, "fisheye": 3}
+_WHOLE_PERIODS_TOLERANCE: Final = 1e-9
+"""Tolerance for a whole number of control periods (numerical)."""
+_ROUNDED_PARTS: Final = ("links", "head_eye")
+_POSE_DECIMALS: Final = 12
+"""Decimals that rounding keeps of a `JointAxes` head's poses (numerical)."""
+_EXCLUDED: Final = ("name", "names", "assumptions", "calibration")
+"""Fields for human readers, left out of the digest."""
+
+
+def digest_of(head: Any) -> str:
+    """64 hexadecimal digits for a dataclass of the head's name and its parts."""
+    sha = hashlib.sha256()
+    by_axes = isinstance(getattr(head, "links", None), JointAxes)
+    for part in dataclasses.fields(head):
+        if part.name in _EXCLUDED or _is_later(part, getattr(head, part.name)):
+            continue
+        for field, value in _hashed_numbers(getattr(head, part.name)):
+            if is_name_tuple(value) or isinstance(value, str):
+                sha.update(f"{part.name}.{field}{value}".encode())
+                continue
+            array = np.asarray(value, dtype="<f8")
+            if by_axes and part.name in _ROUNDED_PARTS:
+                array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
+            sha.update(f"{part.name}.{field}{array.shape}".encode())
+            sha.update(array.tobytes())
+    return sha.hexdigest()
+
+
+def _is_later(field: "dataclasses.Field[Any]", value: Any) -> bool:
+    """True if a field was added after version 1 and has its default value."""
+    return field.default is not dataclasses.MISSING and np.array_equal(value, field.default)
+
+
+def _hashed_numbers(part: Any) -> Iterator[tuple[str, Any]]:
+    """Names and numbers of a part in the form of version 1."""
+    if not dataclasses.is_dataclass(part):
+        yield "", part
+        return
+    values = {
+        field.name: getattr(part, field.name)
+        for field in dataclasses.fields(part)
+        if field.name not in _EXCLUDED and not _is_later(field, getattr(part, field.name))
+    }
+    if isinstance(part, LoopTiming):
+        _translate_timing(part, values)
+    elif isinstance(part, Cameras):
+        _translate_cameras(part, values)
+    yield from sorted(values.items())
+
+
+def _translate_timing(timing: LoopTiming, values: dict[str, Any]) -> None:
+    periods = timing.latency_s * timing.control_rate_hz
+    if abs(periods - timing.latency_frames) < _WHOLE_PERIODS_TOLERANCE:
+        del values["latency_s"]
+        values["latency_frames"] = timing.latency_frames
+
+
+def _translate_cameras(cameras: Cameras, values: dict[str, Any]) -> None:
+    if "response" in values:
+        values["response"] = str(cameras.response)
+    left, right = cameras.size.tolist()
+    if left == right and set(cameras.lens) == {BROWN_CONRADY}:
+        del values["size"]
+        values["width"], values["height"] = left
+    else:
+        values["lens"] = [_LENSES[lens] for lens in cameras.lens]
+
 
 _COUPLING_TOLERANCE_RAD: Final = 1e-9
 """Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
@@ -47,7 +126,7 @@ class HeadModel:
     in `N`.
 
     Arrays of joint angles always have seven entries: three for the neck and two for each eye, see
-    `vergence.models.joints`. A joint that the head does not have has an empty name in `joints` and
+    `vergence.models.parts`. A joint that the head does not have has an empty name in `joints` and
     limits of zero, and its angle is ignored. `actuation` holds the actuators that take commands.
 
     The geometry (`links`, `head_eye`, `cameras`) may carry a batch shape; every method then
@@ -133,7 +212,7 @@ class HeadModel:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 over the head's numbers, in hexadecimal, see `vergence.models.digest`."""
+        """SHA-256 over the head's numbers, in hexadecimal, see `vergence.models.head`."""
         return digest_of(self)
 
     def __eq__(self, other: object) -> bool:
@@ -241,7 +320,7 @@ class HeadModel:
             radius at which the lens model folds back on itself.
         """
         return np.asarray(
-            camera.project(
+            kinematics.project(
                 self._held(q), points, np.bool_(distorted), self.packed, kinematics.TWO_ELEMENTS
             )
         )
@@ -255,7 +334,7 @@ class HeadModel:
         Returns:
             (..., 2, 2) ideal pixels; nan if the lens model has no inverse there.
         """
-        return np.asarray(camera.undistort(pixels, self.packed))
+        return np.asarray(kinematics.undistort(pixels, self.packed))
 
     def image_jacobian(self, q: ArrayLike, pixels: ArrayLike, depth: ArrayLike) -> FloatArray:
         """Pixel velocity per joint velocity, of a target at rest in frame 0 (Eq. 6).
@@ -269,7 +348,7 @@ class HeadModel:
             (..., 2, 2, 7) px/rad by eye, image axis and joint; zero for the joints of the other
             eye.
         """
-        out = np.asarray(jacobian.image_jacobian(self._held(q), pixels, depth, self.packed))
+        out = np.asarray(kinematics.image_jacobian(self._held(q), pixels, depth, self.packed))
         out[..., self._missing] = 0.0
         return out
 

@@ -1,41 +1,38 @@
-r"""Forward kinematics of the head, one kernel for one head and for many.
+"""Kinematics for kernels and arrays: link and camera poses, projection, image Jacobians."""
 
-Between two joints the transform is constant, so the chain of an eye is the product
-
-    T_N_C = M_0 RotZ(q1) M_1 RotZ(q2) M_2
-
-and the chain of the neck is `T_0_N = B_0 RotZ(q1) B_1 RotZ(q2) B_2 RotZ(q3) B_3`. The constants and
-the cameras of a head form one row of numbers, its packed array. A head (or a population of heads,
-one row each) is thus an ordinary operand of a compiled kernel that broadcasts by NumPy's rules.
-"""
-
-from math import cos, sin
+from math import cos, nan, sin
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy import bool_
+from numpy.typing import NDArray
 
 from vergence._jit import inlined, kernel
 from vergence.models.actuation import Actuation
 from vergence.models.cameras import Cameras
-from vergence.models.links import Links
+from vergence.models.geometry import Links
+from vergence.models.lens import CameraRow, distort, is_distorted, is_invertible_at, undistort_ray
 from vergence.models.packed import (
+    CAMERA_LENGTH,
     PACKED,
     PackedHead,
-    eye_constant_pose,
-    neck_constant_pose,
-    pack_constants,
-)
-from vergence.models.parts import FloatArray
-from vergence.models.pose import (
     Pose,
     Vector,
+    camera_at,
+    camera_of,
     compose,
+    eye_constant_pose,
     inverse,
+    neck_constant_pose,
+    pack_constants,
+    point_rate_in_camera,
     point_to_local,
+    point_to_outer,
     pose_of_matrix,
     rotate_z,
     store_pose,
 )
+from vergence.models.parts import FloatArray
 
 TWO_ELEMENTS: Final = np.zeros(2)
 """Operand of the dimension "two eyes" (or "u and v"), for kernels with this dimension only in a
@@ -128,3 +125,166 @@ def last_eye_link_poses(
     for eye in range(2):
         camera = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera
         store_pose(out[eye], compose(camera, inverse(pose_of_matrix(head_eye[eye]))))
+
+
+@inlined
+def ray_to_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
+    """The pixel of a ray (X / Z, Y / Z), nan beyond the lens model's valid region."""
+    if is_distorted(camera):
+        distorted = distort(camera, x, y)
+        if not is_invertible_at(camera, x, y, distorted):
+            return nan, nan
+        x, y = distorted.x, distorted.y
+    return pinhole_pixel(camera, x, y)
+
+
+@inlined
+def pinhole_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
+    """The pixel of normalised coordinates, ideal or distorted."""
+    return camera.centre_u + camera.focal_u * x, camera.centre_v + camera.focal_v * y
+
+
+@inlined
+def pinhole_ray(camera: CameraRow, u: float, v: float) -> tuple[float, float]:
+    """The normalised coordinates of a pixel, the inverse of `pinhole_pixel`."""
+    return (u - camera.centre_u) / camera.focal_u, (v - camera.centre_v) / camera.focal_v
+
+
+@inlined
+def point_to_pixel(
+    p: PackedHead, eye: int, x: float, y: float, z: float, distorted: bool
+) -> tuple[float, float]:
+    """The pixel of a point in the camera frame; nan behind the camera or beyond the lens model."""
+    if not z > 0.0:
+        return nan, nan
+    camera = camera_of(p, eye)
+    if distorted:
+        return ray_to_pixel(camera, x / z, y / z)
+    return pinhole_pixel(camera, x / z, y / z)
+
+
+@inlined
+def undistort_pixel(p: PackedHead, eye: int, u: float, v: float) -> tuple[float, float]:
+    """The ideal pinhole pixel of a raw pixel; nan if the lens model has no inverse there."""
+    camera = camera_of(p, eye)
+    if not is_distorted(camera):
+        return u, v
+    x, y = pinhole_ray(camera, u, v)
+    x, y = undistort_ray(camera, x, y)
+    return pinhole_pixel(camera, x, y)
+
+
+@inlined
+def pixel_error(p: PackedHead, eye: int, u: float, v: float) -> tuple[float, float]:
+    """Offset of an undistorted raw pixel from the principal point, px."""
+    camera = camera_of(p, eye)
+    u, v = undistort_pixel(p, eye, u, v)
+    return u - camera.centre_u, v - camera.centre_v
+
+
+@inlined
+def inside_image(p: PackedHead, eye: int, u: float, v: float) -> bool:
+    """True if a raw pixel lies in the image; pixel centres are at integers."""
+    camera = camera_of(p, eye)
+    # `&`, not `and`: branches on a batch's targets would be mispredicted
+    return (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
+
+
+@kernel(
+    ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:,:])"],
+    f"(7),(3),(),({PACKED}),(2)->(2,2)",
+)
+def project(
+    q: FloatArray,
+    points: FloatArray,
+    distorted: NDArray[bool_],
+    p: PackedHead,
+    _two: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Pixels in both eyes of a point given in N."""
+    for eye in range(2):
+        tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
+        x, y, z = point_in_eye(p, eye, tilt, pan, points[0], points[1], points[2])
+        out[eye, 0], out[eye, 1] = point_to_pixel(p, eye, x, y, z, distorted[0])
+
+
+@kernel(["(f8[:,:],f8[:],f8[:,:])"], f"(2,2),({PACKED})->(2,2)")
+def undistort(pixels: FloatArray, p: PackedHead, out: FloatArray) -> None:
+    """Ideal pinhole pixels of raw pixels, for both eyes."""
+    for eye in range(2):
+        out[eye, 0], out[eye, 1] = undistort_pixel(p, eye, pixels[eye, 0], pixels[eye, 1])
+
+
+@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA_LENGTH})->(2)")
+def rays_to_pixels(ray: FloatArray, row: FloatArray, out: FloatArray) -> None:
+    """Pixels (u, v) of rays (X / Z, Y / Z) in one camera, nan beyond the lens model."""
+    out[0], out[1] = ray_to_pixel(camera_at(row, 0), ray[0], ray[1])
+
+
+@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA_LENGTH})->(2)")
+def pixels_to_rays(pixel: FloatArray, row: FloatArray, out: FloatArray) -> None:
+    """Rays (X / Z, Y / Z) of pixels (u, v) in one camera, nan if the lens has no inverse there."""
+    camera = camera_at(row, 0)
+    x, y = pinhole_ray(camera, pixel[0], pixel[1])
+    if is_distorted(camera):
+        x, y = undistort_ray(camera, x, y)
+    out[0], out[1] = x, y
+
+
+@inlined
+def pixel_rate(
+    camera: CameraRow, x: float, y: float, depth: float, point_velocity: Vector
+) -> tuple[float, float]:
+    """Velocity of the ideal pixel at normalised (x, y) from the point's velocity in the camera."""
+    return (
+        camera.focal_u * (point_velocity[0] - x * point_velocity[2]) / depth,
+        camera.focal_v * (point_velocity[1] - y * point_velocity[2]) / depth,
+    )
+
+
+@inlined
+def eye_jacobian(
+    p: PackedHead, eye: int, frames: EyeFrames, ideal_u: float, ideal_v: float, depth: float
+) -> tuple[float, float, float, float]:
+    """du/dtilt, du/dpan, dv/dtilt, dv/dpan, px/rad, at an ideal pixel and depth z, m."""
+    camera = camera_of(p, eye)
+    x, y = pinhole_ray(camera, ideal_u, ideal_v)
+    px, py, pz = point_to_outer(frames.camera, x * depth, y * depth, depth)
+    tilting = point_rate_in_camera(frames.after_first_joint, frames.camera, px, py, pz)
+    panning = point_rate_in_camera(frames.after_second_joint, frames.camera, px, py, pz)
+    ut, vt = pixel_rate(camera, x, y, depth, tilting)
+    up, vp = pixel_rate(camera, x, y, depth, panning)
+    return ut, up, vt, vp
+
+
+@kernel(
+    ["(f8[:],f8[:,:],f8[:],f8[:],f8[:,:,:])"],
+    f"(7),(2,2),(2),({PACKED})->(2,2,7)",
+)
+def image_jacobian(
+    q: FloatArray, pixels: FloatArray, depth: FloatArray, p: PackedHead, out: FloatArray
+) -> None:
+    """Pixel velocity per joint velocity of a target at rest in frame 0, both eyes."""
+    # the neck's axes seen from N: walk the chain backwards from N to joint 1
+    after_pitch = neck_constant_pose(p, 3)
+    after_roll = compose(rotate_z(neck_constant_pose(p, 2), q[2]), after_pitch)
+    after_yaw = compose(rotate_z(neck_constant_pose(p, 1), q[1]), after_roll)
+    yaw, roll, pitch = inverse(after_yaw), inverse(after_roll), inverse(after_pitch)
+    for eye in range(2):
+        camera = camera_of(p, eye)
+        frames = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye])
+        x, y = pinhole_ray(camera, pixels[eye, 0], pixels[eye, 1])
+        z = depth[eye]
+        px, py, pz = point_to_outer(frames.camera, x * z, y * z, z)
+        for j in range(7):
+            out[eye, 0, j] = out[eye, 1, j] = 0.0
+        for j, axis in (
+            (0, yaw),
+            (1, roll),
+            (2, pitch),
+            (3 + 2 * eye, frames.after_first_joint),
+            (4 + 2 * eye, frames.after_second_joint),
+        ):
+            rate = point_rate_in_camera(axis, frames.camera, px, py, pz)
+            out[eye, 0, j], out[eye, 1, j] = pixel_rate(camera, x, y, z, rate)

@@ -1,4 +1,4 @@
-"""Parts of a head model: limits, timing, sensors, rendering."""
+"""Parts of a head model: joint order, limits, timing, sensors, rendering, calibration record."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -215,3 +215,58 @@ class Rendering:
     """Grey level of the target's white, 0 to 255."""
     background_grey: float
     """Grey level of the background around the target, 0 to 255."""
+
+
+JOINTS: Final = (
+    "neck_yaw",
+    "neck_roll",
+    "neck_pitch",
+    "left_tilt",
+    "left_pan",
+    "right_tilt",
+    "right_pan",
+)
+"""Joint order of every array of joint angles, velocities and limits."""
+
+NECK: Final = slice(0, 3)
+"""The neck's joints in an array of all joints (numerical)."""
+
+EYES: Final = slice(3, 7)
+"""The eyes' joints in an array of all joints: left tilt and pan, then right (numerical)."""
+
+EYE_NAMES: Final = ("left", "right")
+"""Eye order of every array of cameras, pixels and image Jacobians."""
+
+LINKS: Final = (
+    (1, 0, "neck_yaw"),
+    (2, 1, "neck_roll"),
+    (3, 2, "neck_pitch"),
+    (4, 3, "left_tilt"),
+    (5, 4, "left_pan"),
+    (6, 5, ""),
+    (7, 3, "right_tilt"),
+    (8, 7, "right_pan"),
+    (9, 8, ""),
+)
+"""The tree of frames, (frame, parent, joint); an empty joint is a fixed link (Table 1)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationRecord:
+    """Origin and uncertainty of calibrated cameras."""
+
+    target: str
+    """The board, see `vergence.vision.parse_target`."""
+    views: int
+    """Number of pairs of photographs used."""
+    rms_px: float
+    """Root mean square of the reprojection errors of these pairs, as lengths in pixels."""
+    rms_heldout_px: float
+    """Root mean square of the reprojection errors of held-out pairs (cross-validation), px."""
+    corners_sha256: str
+    """SHA-256 of the measured corners."""
+    versions: str
+    """Versions of the programs that measured and solved."""
+    sigma: Mapping[str, float]
+    """Standard deviations by the names of `HeadModel.parameters`, in their units; those of
+    `right.head_eye` are of the right camera's pose in the left camera's frame."""

@@ -9,10 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, refuse_unknown
-from vergence.models.joints import EYE_NAMES
-from vergence.models.links import DenavitHartenberg, chain_end, inverse_pose
-from vergence.models.parameters import Geometry, geometry_with, parameters_of
-from vergence.models.parts import FloatArray
+from vergence.models.geometry import (
+    DenavitHartenberg,
+    Geometry,
+    chain_end,
+    geometry_with,
+    inverse_pose,
+    parameters_of,
+)
+from vergence.models.parts import EYE_NAMES, FloatArray
 
 _WRONG_UNIT_LIMITS: Final = {
     # a third of such heads are off by more than 29 degrees: half the field of view of a common

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from vergence.errors import VergenceWarning
 from vergence.models.actuation import Actuation
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray, JointLimits
+from vergence.models.parts import EYES, FloatArray, JointLimits
 
 _ZERO_DISPARITY_PX: Final = 0.5
 """Disparity below which a point looks as if at infinity, px: it rounds to 0 (chosen: half a

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from vergence.errors import ConfigurationError
-from vergence.models.files.head_file import load_head
-from vergence.models.files.intrinsics import Lens, read_intrinsics
-from vergence.models.joints import EYE_NAMES
+from vergence.models.head_file import load_head
+from vergence.models.parts import EYE_NAMES
+from vergence.models.stereo_files import Lens, read_intrinsics
 from vergence.vision import EyeCamera
 
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 from vergence.perception.photographs import join_first_names
 from vergence.perception.spacing import MM, neighbour_pairs, stated_edge_m
 from vergence.triangulation import Noise, triangulate_views

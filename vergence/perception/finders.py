@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import TagFamily, Target
-from vergence.models.response import CameraResponse
+from vergence.models.cameras import CameraResponse
 from vergence.perception.target_finder import target_key
 from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
 

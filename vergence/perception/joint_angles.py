@@ -9,8 +9,7 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES, NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, NECK, FloatArray
 from vergence.perception.joint_rows import PAIR, Row, read_table_rows
 from vergence.perception.photographs import join_first_names
 

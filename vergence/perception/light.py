@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
+from vergence.models.cameras import LINEAR, SRGB, CameraResponse, light_table
 from vergence.models.parts import FloatArray
-from vergence.models.response import LINEAR, SRGB, CameraResponse, light_table
 from vergence.perception.spacing import neighbour_pairs
 from vergence.vision import Detection
 from vergence.vision.image import measurement_channel

@@ -10,11 +10,10 @@ import numpy as np
 
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.boards import AprilTag, PlanarTarget
-from vergence.models.files.head_file import load_head
+from vergence.models.cameras import parse_response
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, EYES
-from vergence.models.parts import FloatArray
-from vergence.models.response import parse_response
+from vergence.models.head_file import load_head
+from vergence.models.parts import EYE_NAMES, EYES, FloatArray
 from vergence.perception.edges import describe_wrong_edges
 from vergence.perception.joint_angles import eyes_move, read_joint_angles
 from vergence.perception.locate_config import LocateConfig

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
 from vergence.perception.located import LocatedTarget
 from vergence.perception.spacing import MM
 from vergence.perception.target_finder import tag_number

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from vergence.envs.reading import Reading, Truth
 from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError
-from vergence.models.files.head_toml import parse_head
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
+from vergence.models.head_file import parse_head
+from vergence.models.parts import EYE_NAMES
 from vergence.recording import schema
 from vergence.recording.messages import decode_message, escape_control_characters
 from vergence.recording.records import EXPECTED_FILE

@@ -9,7 +9,7 @@ import numpy as np
 from vergence.envs.reading import Reading
 from vergence.errors import VergenceWarning
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
+from vergence.models.parts import EYES
 from vergence.triangulation import triangulate_views
 from vergence.triangulation.gap import gap_sigma
 

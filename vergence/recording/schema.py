@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.envs.reading import Reading, Truth
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 
 SCHEMA_VERSION: Final = "1"
 FACTS_RECORD_NAME: Final = "vergence"

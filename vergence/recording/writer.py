@@ -20,8 +20,8 @@ import numpy as np
 
 from vergence.envs.reading import Image, Reading, Truth
 from vergence.errors import ConfigurationError, VergenceWarning, how_to_install
-from vergence.models.files.head_toml import head_to_toml
 from vergence.models.head import HeadModel
+from vergence.models.head_file import head_to_toml
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
 from vergence.recording.listener import RobotListener

@@ -7,8 +7,8 @@ from typing import Any, Final
 from vergence.controllers.networks.inputs import Inputs
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.training.config import TrainConfig, check_kind, check_type
 from vergence.training.options import TrainOptions
 from vergence.training.recipes import default_recipe

@@ -17,8 +17,8 @@ from vergence.eval.reporting.runs import (
     run_folder_command,
     write_config_and_head,
 )
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.training.algorithm_options import check_ppo_options
 from vergence.training.options import Kind, TrainingPlant
 from vergence.training.recipes import Recipe

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 from vergence.operands import as_operand
 from vergence.triangulation.fix import Noise
 

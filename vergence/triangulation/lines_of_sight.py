@@ -3,9 +3,8 @@
 from typing import Final, NamedTuple
 
 from vergence._jit import inlined
-from vergence.models.packed import PackedHead, camera_of
+from vergence.models.packed import PackedHead, Pose, camera_of, point_to_outer
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Pose, point_to_outer
 from vergence.triangulation.rays import Ray, distances_to_perpendicular
 
 DEFAULT_DEPTH_M: Final = 1.0

@@ -19,18 +19,19 @@ from numpy import bool_
 from numpy.typing import NDArray
 
 from vergence._jit import inlined, kernel
-from vergence.models.camera import pinhole_ray, undistort_pixel
-from vergence.models.kinematics import EyeFrames, eye_frames
+from vergence.models.kinematics import EyeFrames, eye_frames, pinhole_ray, undistort_pixel
 from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import (
     PACKED,
     PackedHead,
+    Pose,
+    Vector,
     camera_of,
+    direction_to_outer,
     has_motor_per_joint,
     joint_per_actuator,
 )
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Pose, Vector, direction_to_outer
 
 MIN_ANGLE_RAD: Final = 1e-4
 """Least angle between two rays for a fix, rad; with a baseline of 92 mm they cross at 900 m

@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 from vergence.operands import as_operand
 from vergence.triangulation.fix import Fix, Noise, triangulate_views
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from vergence.envs.reading import Image
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.viewer.lettering import TEXT_COLOUR, write_text
 from vergence.viewer.moment import Moment
 

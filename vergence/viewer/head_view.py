@@ -7,8 +7,7 @@ import viser
 
 from vergence.eval.gaze_trajectory import MM
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.viewer.moment import Moment
 from vergence.viewer.panels import CurvePanel, EyePanel
 from vergence.viewer.scene import HeadScene

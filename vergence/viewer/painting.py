@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vergence.envs.reading import Image
 from vergence.models.boards import board_pose, make_planar_target, outline_m
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.scene import surroundings_of
+from vergence.models.mujoco.look import surroundings_of
 from vergence.models.parts import FloatArray
 from vergence.viewer import marks
 from vergence.viewer.eye_pictures import EYE_COLOURS, FIX_COLOUR

@@ -8,8 +8,7 @@ import viser
 from viser import uplot
 
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS, EYE_WIDTH, draw_eye
 from vergence.viewer.moment import Moment
 

@@ -13,7 +13,7 @@ import viser
 from vergence.controllers.controller import CONTROLLERS, default_options
 from vergence.envs.plants.imperfections import IMPERFECTIONS, LOOP_PARTS, Imperfection
 from vergence.errors import VergenceError
-from vergence.models.files.head_file import load_head, presets
+from vergence.models.head_file import load_head, presets
 from vergence.models.parts import FloatArray
 from vergence.viewer.head_view import SHOWN_HZ, HeadView
 from vergence.viewer.simulated import Setup, SimulatedHead, TargetMode

@@ -17,10 +17,9 @@ from vergence.envs.reading import Reading, Truth
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.eval.gaze_trajectory import MM
 from vergence.models.boards import make_planar_target
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.head_file import load_head
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.recording.jpeg import read_jpeg
 from vergence.recording.log import Log, LoggedTrial, read_log
 from vergence.viewer.moment import Moment, moment_of_reading, pixel_errors

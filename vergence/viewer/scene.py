@@ -7,11 +7,10 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from vergence.models.boards import board_pose, make_planar_target, outline_m, texture
+from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.links import inverse_pose
-from vergence.models.mujoco.scene import surroundings_of
-from vergence.models.parts import FloatArray
+from vergence.models.mujoco.look import surroundings_of
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.viewer.eye_pictures import EYE_COLOURS, FIX_COLOUR
 from vergence.viewer.moment import Moment
 from vergence.viewer.shapes import HeadShapes

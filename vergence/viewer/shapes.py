@@ -5,12 +5,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
-from vergence.models.links import inverse_pose
-from vergence.models.mujoco.library import mujoco
+from vergence.models.mujoco import mujoco
 from vergence.models.mujoco.model import compile_model, find_model_indices
-from vergence.models.mujoco.posture import rest_poses
 from vergence.models.parts import FloatArray
+from vergence.models.posture import rest_poses
 
 _GEOM: Final = mujoco.mjtGeom
 _SIDES: Final = 24

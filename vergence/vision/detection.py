@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.boards import AprilTag, PlanarTarget, TagFamily, Target
-from vergence.models.cameras import BROWN_CONRADY
-from vergence.models.packed import pack_camera
-from vergence.models.response import (
+from vergence.models.cameras import (
+    BROWN_CONRADY,
     CameraResponse,
     default_response,
     light_table,
     parse_response,
 )
+from vergence.models.packed import pack_camera
 from vergence.vision.image import has_colour_channels, measurement_channel
 from vergence.vision.optics import EyeCamera, FlatView, IdentityView, ray_table
 

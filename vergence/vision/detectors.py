@@ -5,7 +5,7 @@ from typing import Any
 from vergence.errors import ConfigurationError
 from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
-from vergence.models.response import CameraResponse
+from vergence.models.cameras import CameraResponse
 from vergence.vision.boards.april_grid import AprilGridDetector
 from vergence.vision.boards.charuco import CharucoDetector
 from vergence.vision.boards.checkerboards import CheckerboardDetector

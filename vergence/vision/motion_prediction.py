@@ -4,7 +4,7 @@ from math import hypot, isfinite, nan
 from typing import Final
 
 from vergence._jit import compiled
-from vergence.models.camera import pinhole_ray, ray_to_pixel
+from vergence.models.kinematics import pinhole_ray, ray_to_pixel
 from vergence.models.lens import is_distorted, undistort_ray
 from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.camera import pixels_to_rays, rays_to_pixels
-from vergence.models.cameras import BROWN_CONRADY, LENSES
+from vergence.models.cameras import BROWN_CONRADY, LENSES, CameraResponse, parse_response
 from vergence.models.head import HeadModel
+from vergence.models.kinematics import pixels_to_rays, rays_to_pixels
 from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import camera_at, pack_camera
-from vergence.models.response import CameraResponse, parse_response
 from vergence.operands import as_operand
 from vergence.vision.plane import view_along
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import compiled, subroutine
-from vergence.models.camera import ray_to_pixel
+from vergence.models.kinematics import ray_to_pixel
 from vergence.models.lens import CameraRow
 from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray

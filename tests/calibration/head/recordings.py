@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
 

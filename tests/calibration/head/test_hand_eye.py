@@ -15,7 +15,7 @@ from vergence.calibration.head.hand_eye import (
 )
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
-from vergence.models.links import inverse_pose
+from vergence.models.geometry import inverse_pose
 
 FINDS = (solve_each_eye, solve_both_eyes)
 SIGMA_PX = 0.05

@@ -14,7 +14,7 @@ from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights
 from vergence.calibration.head.chain import ParametricHead
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
 from vergence.models.perturbation import standard_deviations
 
 SEEN = 1e-10

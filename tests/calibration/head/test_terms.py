@@ -13,12 +13,11 @@ from vergence.calibration.head.job import head_file_text
 from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.reading_terms import ReadingErrorTerms
 from vergence.calibration.head.simulated import JointReadingErrors, simulate_recording
-from vergence.calibration.head.terms import AUTO, parse_terms
+from vergence.calibration.head.terms import AUTO, dh_to_joint_axes, parse_terms
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
-from vergence.models.by_axes import dh_to_joint_axes
-from vergence.models.files.head_toml import parse_head
-from vergence.models.joint_axes import JointAxes
+from vergence.models.geometry import JointAxes
+from vergence.models.head_file import parse_head
 from vergence.triangulation import triangulate_views
 
 STEP = 1e-6

@@ -27,7 +27,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import ModelErrors
-from vergence.models.joints import JOINTS
+from vergence.models.parts import JOINTS
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.envs.plants.motors import MotorStates
 from vergence.errors import ConfigurationError
 from vergence.models import HeadModel, parse_head
-from vergence.models.joint_response import follow_joint, lag_decay
+from vergence.models.motion import follow_joint, lag_decay
 
 PERIOD_S = 1.0 / 120.0
 

@@ -24,7 +24,7 @@ from vergence.eval.jobs import SerialMapper
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning import baseline
 from vergence.eval.tuning.spaces import SEARCH_SPACES, SearchRange
-from vergence.models.files.head_file import load_head, save_head
+from vergence.models.head_file import load_head, save_head
 
 MARK = "untuned for this head"
 

@@ -18,7 +18,7 @@ from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.hardware.config import load_hardware
 from vergence.hardware.loop import loop_variation
-from vergence.models.files.toml_text import toml_text
+from vergence.models.toml_table import toml_text
 
 LOOP = {
     "measured": "2026-11-25", "command_latency_s": 0.01, "lag_s": 0.045, "speed_gain": 0.9,

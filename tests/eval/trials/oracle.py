@@ -17,7 +17,7 @@ from tests.joint_motion import respond
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
-from vergence.models.joint_response import follow_torque_limited_joint
+from vergence.models.motion import follow_torque_limited_joint
 
 Array = NDArray[np.float64]
 HALVINGS = 30

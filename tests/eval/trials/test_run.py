@@ -12,7 +12,7 @@ from vergence.envs.plant import PLANTS
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.run import headline_metric, run_trials
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 RANDOM = ToyScenario("random", duration_s=0.8)
 

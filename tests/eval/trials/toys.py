@@ -12,7 +12,7 @@ from vergence.envs.plants.variation import Variation
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.scenarios import Scenario
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 BEFORE, AFTER = (0.0, -0.1, 1.0), (0.02, -0.12, 1.0)
 PERIOD_S = 1.0 / 120.0

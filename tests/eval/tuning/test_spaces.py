@@ -11,7 +11,7 @@ from vergence.eval.tuning.spaces import (
     has_single_stepped_option,
     search_space,
 )
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 
 def test_every_search_space_is_of_options_that_its_controller_has():

@@ -32,7 +32,7 @@ from vergence.eval.tuning.objective import controller_objective
 from vergence.eval.tuning.spaces import SEARCH_SPACES, SearchRange
 from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import open_study, without_password
-from vergence.models.files.head_file import load_head, save_head
+from vergence.models.head_file import load_head, save_head
 
 BOWL = {"x": SearchRange(-2.0, 2.0), "y": SearchRange(0.01, 100.0, "log")}
 

@@ -10,7 +10,7 @@ from vergence.hardware.delay.excitation import drift_corrected_velocities, excit
 from vergence.hardware.delay.image_fit import fit_latency_and_backlash
 from vergence.hardware.delay.joint_fit import fit_joint, fitted_angle_path
 from vergence.hardware.delay.motor_model import FittedMotor, simulate_motor
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 HEAD = load_head("turrets")
 PERIOD_S = HEAD.timing.period_s

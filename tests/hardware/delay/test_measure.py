@@ -9,7 +9,7 @@ from vergence.errors import ConfigurationError
 from vergence.hardware.delay.measure import actuator_slot, measure_loop
 from vergence.hardware.delay.samples import SampleCollector
 from vergence.hardware.emulator.world import MotorOptions
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 TURRETS = load_head("turrets")
 

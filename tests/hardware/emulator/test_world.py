@@ -19,8 +19,8 @@ from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.emulator import hardware_config_values
 from vergence.hardware.emulator.server import EmulatorServer
 from vergence.hardware.emulator.world import MotorOptions, World
-from vergence.models.files.head_toml import head_to_toml
-from vergence.models.files.toml_text import toml_text
+from vergence.models.head_file import head_to_toml
+from vergence.models.toml_table import toml_text
 
 
 def test_a_target_is_where_it_was_put_until_it_is_placed(served):

@@ -11,8 +11,8 @@ from tests.heads import head_of
 from tests.naming import named
 from vergence.errors import HeadFileError
 from vergence.models import load_head, parse_head, save_head
-from vergence.models.calibrated import CalibrationRecord
-from vergence.models.files.head_toml import head_to_toml
+from vergence.models.head_file import head_to_toml
+from vergence.models.parts import CalibrationRecord
 
 RECORD = CalibrationRecord(
     target="checkerboard:9x6:24", views=24, rms_px=0.15, rms_heldout_px=0.16,

@@ -15,7 +15,7 @@ from tests.models.lenses import COEFFICIENTS, LENSES, wide
 from tests.naming import named
 from vergence.errors import HeadFileError, UnknownNameError, UnreadableFileError, VergenceError
 from vergence.models import load_head, parse_head, save_head
-from vergence.models.files.head_toml import head_to_toml
+from vergence.models.head_file import head_to_toml
 
 
 @pytest.fixture

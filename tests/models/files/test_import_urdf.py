@@ -21,8 +21,8 @@ from tests.models.files.robot_description.descriptions import (
 )
 from tests.naming import named
 from vergence.errors import ConfigurationError, HeadFileError, VergenceError
-from vergence.models.files.head_file import load_head
-from vergence.models.files.import_urdf import ImportedHead, UrdfSource, import_urdf
+from vergence.models.head_file import load_head
+from vergence.models.urdf.import_urdf import ImportedHead, UrdfSource, import_urdf
 
 TURNS = ("yaw", "roll", "pitch")
 CAMERAS = ("left_optical", "right_optical")

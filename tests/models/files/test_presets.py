@@ -5,7 +5,7 @@ import numpy as np
 from tests.models.files.robot_description.descriptions import UrdfKinematics, real_robot
 from tests.naming import named
 from vergence.models import load_head
-from vergence.models.files.head_toml import head_to_toml, parse_head
+from vergence.models.head_file import head_to_toml, parse_head
 
 
 def test_what_nobody_measured_is_marked():

@@ -8,8 +8,7 @@ import pytest
 
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
-from vergence.models.files.ruler import Ruler, ruler_to_toml
-from vergence.models.servo_models import find_servo_model
+from vergence.models.ruler import Ruler, find_servo_model, ruler_to_toml
 
 MEASURED = Ruler(
     name="measured", baseline=120.0, axes_apart=100.0, height=150.0, axes_ahead=15.0,

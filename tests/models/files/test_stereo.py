@@ -7,8 +7,7 @@ import pytest
 
 from tests.naming import named
 from vergence.errors import ConfigurationError
-from vergence.models.files.intrinsics import read_intrinsics
-from vergence.models.files.stereo import read_stereo
+from vergence.models.stereo_files import read_intrinsics, read_stereo
 
 from .pairs import (
     D_LEFT,

@@ -2,7 +2,7 @@
 
 import tomllib
 
-from vergence.models.files.toml_text import toml_text
+from vergence.models.toml_table import toml_text
 
 
 def test_a_short_list_is_on_one_line_and_everything_is_read_back():

@@ -12,11 +12,9 @@ from tests.models.mujoco.test_export import urdf_poses
 from tests.models.mujoco.test_model import mujoco_pixel
 from tests.naming import named
 from vergence.models import load_head, parse_head
-from vergence.models.mujoco.drives import couplings_of
-from vergence.models.mujoco.export import export_files
-from vergence.models.mujoco.loads import load_inertias
+from vergence.models.mujoco.bodies import couplings_of, load_inertias
+from vergence.models.mujoco.export import export_files, to_urdf
 from vergence.models.mujoco.model import compile_model, find_model_indices
-from vergence.models.mujoco.urdf import to_urdf
 
 BARE = {"target": None, "visuals": False}
 VERGENCE_OF_ONE = text_of("tied").replace("left_pan = 0.5, right_pan = -0.5", "right_pan = -1.0")

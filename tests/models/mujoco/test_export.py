@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import JOINTS
-from vergence.models.mujoco.export import FORMATS, export_files, to_mjcf
+from vergence.models.mujoco.export import FORMATS, export_files, roll_pitch_yaw, to_mjcf, to_urdf
 from vergence.models.mujoco.model import compile_model
-from vergence.models.mujoco.urdf import roll_pitch_yaw, to_urdf
 
 FOLDER = Path(__file__).resolve().parents[3] / "models" / "bionic_eyes"
 

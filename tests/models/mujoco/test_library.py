@@ -42,10 +42,10 @@ def test_a_mujoco_that_cannot_be_imported_is_told_with_its_cure(monkeypatch):
                 return installed
 
             monkeypatch.setitem(sys.modules, "mujoco", None)
-            monkeypatch.delitem(sys.modules, "vergence.models.mujoco.library", raising=False)
+            monkeypatch.delitem(sys.modules, "vergence.models.mujoco", raising=False)
             monkeypatch.setattr(importlib.metadata, "version", version)
             with pytest.raises(MujocoUnavailableError, match=re.escape(cure)):
-                importlib.import_module("vergence.models.mujoco.library")
+                importlib.import_module("vergence.models.mujoco")
 
 
 def test_it_is_imported_in_one_place():
@@ -55,7 +55,7 @@ def test_it_is_imported_in_one_place():
         for path in package.rglob("*.py")
         if re.search(r"^\s*(import|from) mujoco\b", path.read_text("utf-8"), re.MULTILINE)
     ]
-    assert importing == ["models/mujoco/library.py"]
+    assert importing == ["models/mujoco/__init__.py"]
 
 
 @pytest.mark.nightly

@@ -8,8 +8,8 @@ from tests.naming import named
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models import EYES, JOINTS
 from vergence.models.boards import make_planar_target
+from vergence.models.mujoco.look import OBSERVER_CAMERAS
 from vergence.models.mujoco.model import build_spec, compile_model, find_model_indices
-from vergence.models.mujoco.scene import OBSERVER_CAMERAS
 
 BARE = {"target": None, "visuals": False}
 PERIODS = 240

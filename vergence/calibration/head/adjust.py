@@ -24,8 +24,7 @@ from vergence.calibration.head.chain import ParametricHead, board_points_and_off
 from vergence.calibration.head.frames import HeadFrames, ReadingErrorUnknowns
 from vergence.calibration.head.reading_terms import NO_TERMS, ReadingErrorTerms
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 
 CURVATURE_COUNT: Final = 3
 """Number of curvatures of the board, see `vergence.calibration.adjustment` (numerical)."""

@@ -7,8 +7,7 @@ import numpy as np
 from vergence.calibration.head.collect import CollectedRecording
 from vergence.calibration.head.frames import HeadFrames
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 
 _CELLS: Final = 4
 """Cells along each side of an image in which coverage is counted (chosen)."""

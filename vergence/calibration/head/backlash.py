@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 
 
 def without_backlash(head: HeadModel) -> HeadModel:

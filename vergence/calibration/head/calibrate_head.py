@@ -32,8 +32,7 @@ from vergence.calibration.head.uncertainty import head_and_term_covariance
 from vergence.calibration.observations import alike_views
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 
 _MOST_PLACEMENTS: Final = 8
 """Most fits to a recording, each after the first with another placement of the board (chosen)."""

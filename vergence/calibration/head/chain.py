@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import BoardPoses, cross_matrices
 from vergence.calibration.projection import camera_parameter_names, project_with_jacobians
+from vergence.models.geometry import inverse_pose, pose_parameter_twists
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.links import inverse_pose, pose_parameter_twists
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 
 IntArray = NDArray[np.intp]
 

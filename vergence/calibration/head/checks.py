@@ -14,7 +14,7 @@ from vergence.calibration.head.start import (
 )
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
 
 _LEAST_POSES: Final = 6
 """Fewest poses of a recording (chosen: fewer carry no evidence on errors)."""

@@ -26,8 +26,7 @@ from vergence.errors import ConfigurationError
 from vergence.locks import hold_lock
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.located import equivalent_corner_orders
 from vergence.recording.looking import BoardView, Looker
 from vergence.recording.schema import LoggedDetection

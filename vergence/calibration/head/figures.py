@@ -30,8 +30,7 @@ from vergence.eval.reporting.style import (
     new_figure,
 )
 from vergence.eval.reporting.text import format_fixed
-from vergence.models.joints import EYE_NAMES, NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 
 _PAGE_WIDTH: Final = 11.2
 """Width of a figure across the page, inches (chosen)."""

@@ -10,8 +10,7 @@ from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, MeasurementWeights
 from vergence.calibration.head.solution import FIRST_CAUCHY_SCALE, HeadSolution, solve
 from vergence.calibration.head.start import LEAST_CORNERS
-from vergence.models.joints import NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 
 _INLIER_GATE: Final = 5.0
 """Gate on a corner's residual or a reading's error, in standard deviations (chosen)."""

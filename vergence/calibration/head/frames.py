@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 from vergence.triangulation import Noise
 
 IntArray = NDArray[np.intp]

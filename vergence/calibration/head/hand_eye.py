@@ -45,10 +45,9 @@ from vergence.calibration.head.start import (
     single_camera_rig,
 )
 from vergence.calibration.projection import project_with_jacobians
+from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.links import inverse_pose
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.located import equivalent_corner_orders
 
 _ROTATION_PRIOR_RAD: Final = 1.0

@@ -11,8 +11,7 @@ from vergence.calibration.observations import parse_board
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.photographs import natural_sort_key
 from vergence.recording.log import Log, read_log
 from vergence.recording.looking import BoardView

@@ -18,8 +18,7 @@ import numpy as np
 from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.chain import ParametricHead, board_points_and_offsets
 from vergence.calibration.head.solution import HeadSolution
-from vergence.models.joints import NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 
 _LEAST_INFORMATION: Final = 1.0
 """Information relative to the prior's from which on a direction counts as observed (chosen)."""

@@ -9,8 +9,7 @@ from vergence.calibration.observations import BoardObservations, detect_board_co
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.joint_angles import parse_finite_number, parse_joint_angles, read_pair_rows
 from vergence.perception.joint_rows import Row
 from vergence.perception.pairing import pair_up

@@ -8,8 +8,7 @@ from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.start import board_in_cameras
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES, NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, NECK, FloatArray
 
 _CANDIDATES: Final = 400
 """Random postures from which the next one is chosen (chosen: more take longer)."""

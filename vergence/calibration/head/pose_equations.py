@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import ConfigurationError
-from vergence.models.links import inverse_pose
+from vergence.models.geometry import inverse_pose
 from vergence.models.parts import FloatArray
 
 IntArray = NDArray[np.intp]

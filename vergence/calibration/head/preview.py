@@ -12,8 +12,7 @@ from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.start import estimate_consensus_board_poses
 from vergence.calibration.head.uncertainty import head_and_term_covariance
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 from vergence.triangulation import triangulate_views
 
 DEPTHS_M: Final = (1.0, 2.5)

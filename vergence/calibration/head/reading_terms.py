@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.head.frames import SAME_POSE_RAD, HeadFrames
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 
 IntArray = NDArray[np.intp]
 _PRIOR_SIGMA: Final = {"play": np.deg2rad(0.5), "harmonics": np.deg2rad(0.3)}

@@ -25,7 +25,7 @@ from vergence.eval.reporting.text import (
 )
 from vergence.files import write_atomic
 from vergence.json_values import null_nonfinite_elements, null_nonfinite_rows
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
 """Distances of the table of depth, m (chosen: the range of use)."""

@@ -21,7 +21,7 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.calibration.calibrate import Calibration
-    from vergence.models.response import CameraResponse
+    from vergence.models.cameras import CameraResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ class CalibrationOptions:
 
     def parsed_response(self) -> "CameraResponse | None":
         """Camera response given by --response; None if it is not given."""
-        from vergence.models.response import parse_response
+        from vergence.models.cameras import parse_response
 
         return None if self.response is None else parse_response(self.response)
 
@@ -108,7 +108,7 @@ def print_calibration(calibration: "Calibration", out: Path) -> None:
     """Print a calibration: values, residuals, views left out, and the path of its file."""
     from vergence.calibration.adjustment import rms_length
     from vergence.calibration.projection import camera_parameter_names
-    from vergence.models.joints import EYE_NAMES
+    from vergence.models.parts import EYE_NAMES
 
     several = len(calibration.single_fits) > 1
     names = list(EYE_NAMES) if several else ["camera"]

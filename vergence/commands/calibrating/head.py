@@ -124,8 +124,7 @@ class CalibrateHead:
         from vergence.calibration.head.recording import read_recording
         from vergence.calibration.head.terms import parse_terms
         from vergence.calibration.observations import parse_board
-        from vergence.models.files.head_file import load_head
-        from vergence.models.files.head_toml import check_head_name
+        from vergence.models.head_file import check_head_name, load_head
 
         head: HeadModel = load_head(self.head)
         target = (

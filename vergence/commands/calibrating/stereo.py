@@ -32,7 +32,7 @@ class CalibrateStereo(CalibrationOptions):
     def run(self) -> int:
         """Run the command."""
         self.check(self.out)
-        from vergence.models.files.head_toml import check_head_name
+        from vergence.models.head_file import check_head_name
         from vergence.perception.pairing import pair_images
         from vergence.perception.photographs import join_first_names, list_photographs
 

@@ -13,7 +13,7 @@ from vergence.commands.options import parse_size
 from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
 
 if TYPE_CHECKING:
-    from vergence.models.files.ruler import Ruler
+    from vergence.models.ruler import Ruler
 
 _Mm = Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")]
 _Degrees = Annotated[float | None, tyro.conf.arg(metavar="DEG", help_behavior_hint="")]
@@ -78,8 +78,8 @@ class ImportRuler(HeadOutput):
         """Run the command."""
         from vergence.commands.importing.shown import print_measured_head
         from vergence.hardware.dynamixel.control_table import MODELS
-        from vergence.models.files.head_toml import check_head_name, parse_head
-        from vergence.models.files.ruler import ruler_to_toml
+        from vergence.models.head_file import check_head_name, parse_head
+        from vergence.models.ruler import ruler_to_toml
 
         self.check()
         name = self.name or self.out.stem
@@ -104,8 +104,13 @@ class ImportRuler(HeadOutput):
 
     def _measured(self, name: str) -> "Ruler":
         """The measures, with what is missing asked for on a terminal."""
-        from vergence.models.files.ruler import VIEWS, Ruler, check_measure
-        from vergence.models.servo_models import SERVO_MODELS, find_servo_model
+        from vergence.models.ruler import (
+            SERVO_MODELS,
+            VIEWS,
+            Ruler,
+            check_measure,
+            find_servo_model,
+        )
 
         output = vars(HeadOutput())
         given = {k: v for k, v in vars(self).items() if v is not None and k not in output}
@@ -153,7 +158,7 @@ _QUESTIONS: Final = {
 
 def _answers(given: Mapping[str, object], *, view_too: bool) -> dict[str, Any]:
     """Answers to the questions about what is not given, by measure."""
-    from vergence.models.files.ruler import Ruler
+    from vergence.models.ruler import Ruler
 
     usual = {one.name: one.default for one in fields(Ruler) if one.default not in (None, MISSING)}
     print("Measure with the head looking straight ahead. Enter takes the value in brackets.")
@@ -179,8 +184,7 @@ def _answers(given: Mapping[str, object], *, view_too: bool) -> dict[str, Any]:
 
 def _answer(key: str, text: str) -> dict[str, Any]:
     """The measure that an answer states, by its name."""
-    from vergence.models.files.ruler import check_measure
-    from vergence.models.servo_models import find_servo_model
+    from vergence.models.ruler import check_measure, find_servo_model
 
     if key in ("servo", "size"):
         find_servo_model(text) if key == "servo" else parse_size(text)

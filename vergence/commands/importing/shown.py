@@ -19,9 +19,9 @@ from vergence.eval.head_summary import (
     eye_summaries,
     joint_summaries,
 )
-from vergence.models.files.assumed_values import AssumedValue, assumed_values, label_without_unit
-from vergence.models.files.import_urdf import ImportedHead
 from vergence.models.head import HeadModel
+from vergence.models.head_file import AssumedValue, assumed_values, label_without_unit
+from vergence.models.urdf.import_urdf import ImportedHead
 
 _T = TypeVar("_T")
 

@@ -39,9 +39,8 @@ class ImportStereo(HeadOutput):
         if not self.files:
             raise ConfigurationError("files: expected calibration files, got none")
         from vergence.commands.importing.shown import print_imported_pair
-        from vergence.models.files.head_toml import parse_head
-        from vergence.models.files.import_stereo import stereo_pair_to_head_toml
-        from vergence.models.files.stereo import read_stereo
+        from vergence.models.head_file import parse_head
+        from vergence.models.stereo_files import read_stereo, stereo_pair_to_head_toml
 
         pair = read_stereo(
             self.files, unit=self.unit, size=parse_size(self.size), lens=self.lens, swap=self.swap

@@ -67,7 +67,7 @@ class ImportUrdf(HeadOutput):
                     "cameras (a colour and a depth frame of one device are not two)"
                 )
         from vergence.commands.importing.shown import print_imported_head
-        from vergence.models.files.import_urdf import UrdfSource, import_urdf
+        from vergence.models.urdf.import_urdf import UrdfSource, import_urdf
 
         imported = import_urdf(
             UrdfSource(

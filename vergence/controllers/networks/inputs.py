@@ -36,8 +36,7 @@ from vergence.envs.encoding import FIELDS, check_observation
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES, JOINTS
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, JOINTS, FloatArray
 
 VERSION: Final = 2
 """Version of the channels' meaning (numerical)."""

@@ -12,8 +12,7 @@ from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError, UnknownNameError
 from vergence.models.head import HeadModel
-from vergence.models.joints import JOINTS
-from vergence.models.parts import SensorModel
+from vergence.models.parts import JOINTS, SensorModel
 
 FORMAT: Final = "vergence-bundle"
 FORMAT_VERSION: Final = 1

@@ -12,12 +12,17 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import inlined
-from vergence.models.actuator_projection import actuator_least_squares
-from vergence.models.jacobian import eye_jacobian, pixel_rate
-from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead, camera_of, eye_joint_angle
+from vergence.models.fixation import actuator_least_squares
+from vergence.models.kinematics import eye_frames, eye_jacobian, pixel_rate
+from vergence.models.packed import (
+    PackedHead,
+    camera_of,
+    eye_joint_angle,
+    point_rate_in_camera,
+    point_to_local,
+    point_to_outer,
+)
 from vergence.models.parts import FloatArray
-from vergence.models.pose import point_rate_in_camera, point_to_local, point_to_outer
 
 _MAX_ITERATIONS: Final = 12
 """Iteration limit of Gauss-Newton (numerical)."""

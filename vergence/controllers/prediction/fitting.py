@@ -36,7 +36,7 @@ from vergence.controllers.prediction.response import (
     simulate_period,
     speed_at,
 )
-from vergence.models.held_response import follow_held_command, prepare_held_response
+from vergence.models.motion import follow_held_command, prepare_held_response
 from vergence.models.parts import FloatArray
 
 _WINDOW_S: Final = 0.117

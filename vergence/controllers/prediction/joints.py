@@ -9,9 +9,8 @@ from vergence._jit import inlined
 from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
 from vergence.models.kinematics import eye_frames
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 
 _MODEL_MISS_RATIO: Final = 0.008
 """Miss distance of both eyes' rays to one target, divided by its distance, that model errors cause

@@ -9,9 +9,8 @@ from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
 from vergence.models.fixation import fixation_newton_step
 from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead
+from vergence.models.packed import PackedHead, point_to_local
 from vergence.models.parts import FloatArray
-from vergence.models.pose import point_to_local
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
 
 _RELATIVE_MODEL_SD: Final = 0.004

@@ -28,7 +28,7 @@ from vergence.controllers.prediction.response import (
     max_response_latency,
     selected_model,
 )
-from vergence.models.joint_response import lag_decay
+from vergence.models.motion import lag_decay
 from vergence.models.parts import FloatArray
 
 _ACCELERATION_SHARE: Final = 0.1

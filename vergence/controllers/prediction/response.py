@@ -20,7 +20,7 @@ import numpy as np
 
 from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
-from vergence.models.held_response import follow_held_command, prepare_held_response
+from vergence.models.motion import follow_held_command, prepare_held_response
 from vergence.models.parts import FloatArray
 
 COMMAND_RING_LENGTH: Final = 128

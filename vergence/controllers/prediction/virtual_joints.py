@@ -10,11 +10,10 @@ from typing import Final
 
 import numpy as np
 
+from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.links import inverse_pose
 from vergence.models.packed import pack_constants
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 
 _MAX_PARALLEL_SQUARED_SINE: Final = 1e-3
 """Squared sine below which the first joint's axis counts as parallel to the optical axis

@@ -26,7 +26,7 @@ from vergence.envs.streams import (
     to_normals,
 )
 from vergence.models.head import HeadModel
-from vergence.models.joint_response import lag_decay
+from vergence.models.motion import lag_decay
 from vergence.models.parts import FloatArray
 
 _FEEDBACK: Final = int(StreamPurpose.FEEDBACK)

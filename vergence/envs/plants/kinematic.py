@@ -29,7 +29,7 @@ from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.stepping import MOVE, StepArrays, begin_period, end_period
 from vergence.envs.plants.threads import advance_in_threads, bounds
 from vergence.envs.streams import IntArray
-from vergence.models.joint_response import lag_decay
+from vergence.models.motion import lag_decay
 
 _HEADS_PER_THREAD: Final = 192
 """Number of heads from which a thread is worth its start (measured: two threads against one)."""

@@ -21,7 +21,7 @@ from vergence._jit import inlined, subroutine
 from vergence.envs.plants.conditions import EnvIndex
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.joint_response import (
+from vergence.models.motion import (
     damping_ratio,
     follow_joint,
     follow_second_order_joint,
@@ -29,14 +29,13 @@ from vergence.models.joint_response import (
     lag_decay,
     time_to_reversal,
 )
-from vergence.models.joints import EYES
 from vergence.models.packed import (
     PackedHead,
     eye_joint_angle,
     eye_joint_velocity,
     joint_per_actuator,
 )
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 
 _CONTACT_RAD: Final = 1e-12
 """Rounding tolerance of contact between a motor and its output, rad (numerical)."""

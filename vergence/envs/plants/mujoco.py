@@ -29,10 +29,9 @@ from vergence.envs.streams import IntArray
 from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.c_functions import simulate, simulation_functions
-from vergence.models.mujoco.library import Batch, mujoco
+from vergence.models.mujoco import Batch, mujoco
+from vergence.models.mujoco.bodies import discrete_lag_rate, simulate, simulation_functions
 from vergence.models.mujoco.model import SUBSTEPS, compile_model, find_model_indices
-from vergence.models.mujoco.servos import discrete_lag_rate
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 

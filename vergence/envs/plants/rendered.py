@@ -38,8 +38,8 @@ from vergence.errors import ConfigurationError
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
+from vergence.models.packed import direction_to_local, point_to_local
 from vergence.models.parts import FloatArray
-from vergence.models.pose import direction_to_local, point_to_local
 from vergence.vision.detectors import make_detector
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker

@@ -9,11 +9,15 @@ from vergence.envs.plants.conditions import EnvIndex
 from vergence.envs.reading import Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.motion import Motion, motion_position_at, unpack_motion
-from vergence.models.camera import inside_image, pixel_error, point_to_pixel
-from vergence.models.kinematics import neck_frame, point_in_eye
-from vergence.models.packed import PackedHead
+from vergence.models.kinematics import (
+    inside_image,
+    neck_frame,
+    pixel_error,
+    point_in_eye,
+    point_to_pixel,
+)
+from vergence.models.packed import PackedHead, Vector, point_to_local, point_to_outer
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector, point_to_local, point_to_outer
 
 
 class TrueHeadsAndTargets(NamedTuple):

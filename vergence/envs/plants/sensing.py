@@ -47,8 +47,8 @@ from vergence.envs.plants.scene import (
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, StreamKey, StreamKeys
 from vergence.envs.targets.motion import is_shown, unpack_motion
-from vergence.models.camera import inside_image
 from vergence.models.head import HeadModel
+from vergence.models.kinematics import inside_image
 
 _NO_FRAME: Final = -(2**62)
 """Frame number that stands for no frame (numerical)."""

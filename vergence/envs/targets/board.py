@@ -6,11 +6,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import inlined
-from vergence.models.camera import point_to_pixel
-from vergence.models.kinematics import eye_frames, point_in_eye
-from vergence.models.packed import PackedHead, camera_of
+from vergence.models.kinematics import eye_frames, point_in_eye, point_to_pixel
+from vergence.models.packed import PackedHead, Vector, camera_of
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector
 
 Axes = tuple[Vector, Vector, Vector]
 

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 from vergence._jit import inlined, kernel
 from vergence._runs import make_tuple_reader
 from vergence.envs.targets.path import MIN_PATH_LENGTH, point_at
+from vergence.models.packed import Vector
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector
 
 # indices of the fields in a motion's row (numerical)
 BEFORE: Final = slice(0, 3)

@@ -17,8 +17,8 @@ from math import sin, sqrt
 from typing import Final
 
 from vergence._jit import inlined, subroutine
+from vergence.models.packed import Vector
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector
 
 MIN_PATH_LENGTH: Final = 12
 """Length of a path of two knots (numerical)."""

@@ -8,14 +8,11 @@ import numpy as np
 from vergence._jit import inlined
 from vergence.envs.streams import Words, to_uniform
 from vergence.models.actuation import SLOTS
-from vergence.models.camera import inside_image, point_to_pixel
 from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.kinematics import eye_frames, point_in_eye
-from vergence.models.packed import PackedHead, eye_actuator_angle
-from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector
+from vergence.models.kinematics import eye_frames, inside_image, point_in_eye, point_to_pixel
+from vergence.models.packed import PackedHead, Vector, eye_actuator_angle
+from vergence.models.parts import EYES, FloatArray
 
 MAX_CANDIDATES: Final = 1000
 """Candidates tried for a trial (numerical)."""

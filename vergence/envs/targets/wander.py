@@ -31,9 +31,8 @@ from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.packed import eye_actuator_angle, has_motor_per_joint
+from vergence.models.packed import Vector, eye_actuator_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector
 
 _TASK: Final = int(StreamPurpose.TASK)
 _SEGMENTS_PER_PATH: Final = 32

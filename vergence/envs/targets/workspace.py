@@ -20,8 +20,8 @@ from vergence.envs.targets.placement import (
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.models.head import HeadModel
+from vergence.models.packed import Vector
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector
 
 _TASK: Final = int(StreamPurpose.TASK)
 _START_ATTEMPTS: Final = 100

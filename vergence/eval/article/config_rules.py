@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from vergence.errors import ConfigurationError
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 _SIGNED: Final = ("point_mm", "origin_mm", "end_mm", "place_mm", "aside_deg")
 """Name endings of coordinates and angles, which may be negative."""

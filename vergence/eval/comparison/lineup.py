@@ -27,8 +27,8 @@ from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.eval.tuning.baseline import tune_baseline
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.hardware.loop import loop_variation
-from vergence.models.files.head_file import load_head, presets
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head, presets
 
 MOST_TRIALS: Final = 100_000
 """Most trials of a controller in a scenario (chosen: a bound on memory, as all trials are held at

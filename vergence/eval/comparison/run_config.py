@@ -8,8 +8,8 @@ import tomli_w
 
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.reporting.runs import package_versions, toml_value
-from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import save_head
 
 
 class ControllerRun(Protocol):

@@ -19,8 +19,7 @@ from vergence.eval.reporting.detections_figure import (
 )
 from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, legend_below, new_figure
 from vergence.files import atomic_file
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.locate import LocateResult
 from vergence.perception.located import LocatedTarget
 from vergence.perception.spacing import MM

@@ -16,8 +16,8 @@ import tomli_w
 from vergence.errors import ConfigurationError
 from vergence.files import atomic_folder, remove_partial, save_folder_at_free_path
 from vergence.locks import hold_lock
-from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import save_head
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -17,7 +17,7 @@ from vergence.eval.robot.compare import RobotRun
 from vergence.eval.robot.evaluation_record import EvaluationRecord
 from vergence.eval.robot.stage import make_stage
 from vergence.hardware.config import HardwareConfig
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
 
 
 def read_begun_config(run: Path) -> EvaluateConfig:

@@ -7,8 +7,8 @@ import pandas as pd
 from vergence.eval.gaze_figure import draw_gaze
 from vergence.eval.reporting.runs import write_json
 from vergence.eval.robot.replay import Replay, RerunCommands
-from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import save_head
 from vergence.recording import schema
 from vergence.recording.recovery import recover_log
 

@@ -40,8 +40,7 @@ from vergence.eval.trials.bands import actuator_settling_bands, eye_settling_ban
 from vergence.eval.trials.entry import least_entry_time
 from vergence.eval.trials.goal import least_reachable_error
 from vergence.models.actuation import SLOTS, Actuation
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 
 _PERIOD_TOLERANCE: Final = 1e-6
 """Tolerance, in control periods, within which two times count as equal (numerical)."""

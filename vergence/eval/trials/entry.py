@@ -11,7 +11,7 @@ from math import inf, log
 from typing import Final, NamedTuple
 
 from vergence._jit import compiled, inlined
-from vergence.models.joint_response import follow_joint, follow_torque_limited_joint, lag_decay
+from vergence.models.motion import follow_joint, follow_torque_limited_joint, lag_decay
 
 _BISECTIONS: Final = 60
 """Steps of each bisection; they exhaust double precision (numerical)."""
@@ -30,7 +30,7 @@ def least_entry_time(
         acceleration: greatest acceleration, rad/s^2, inf for none.
         speed: greatest velocity command, rad/s.
         torque_falloff: loss of acceleration with speed, as a fraction per rad/s, see
-            `joint_response`.
+            `motion`.
 
     Returns:
         Seconds; 0 if `near` is not above zero.

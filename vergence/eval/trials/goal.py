@@ -20,10 +20,8 @@ from vergence._jit import compiled, inlined
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.task import GazeTask
 from vergence.models.actuation import SLOTS
-from vergence.models.actuator_projection import actuator_least_squares
-from vergence.models.camera import pixel_error, point_to_pixel
-from vergence.models.fixation import fixate_coupled, fixate_eye
-from vergence.models.kinematics import point_in_eye
+from vergence.models.fixation import actuator_least_squares, fixate_coupled, fixate_eye
+from vergence.models.kinematics import pixel_error, point_in_eye, point_to_pixel
 from vergence.models.packed import PackedHead, eye_actuator_angle, eye_joint_angle
 from vergence.models.parts import FloatArray
 

@@ -8,8 +8,7 @@ from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.results import BAND_PX, Trials
 from vergence.eval.trials.settling import bands_with_bound
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 from vergence.recording import Recorder
 from vergence.triangulation import triangulate_views
 

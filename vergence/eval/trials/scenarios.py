@@ -30,8 +30,8 @@ from vergence.eval.trials.loops import (
     WEBCAM_LOOP,
 )
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 
 SPLITS: Final = ("train", "validation", "test")
 """Purposes of trials, each with seeds of its own."""

@@ -22,8 +22,8 @@ from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import Attempt, TrialsJob, summarise_trials
 from vergence.eval.tuning.spaces import SEARCH_SPACES
-from vergence.models.files.head_file import absolute_source
 from vergence.models.head import HeadModel
+from vergence.models.head_file import absolute_source
 
 EPISODES: Final = TuneConfig.episodes
 """Number of training trials that judge a gain."""

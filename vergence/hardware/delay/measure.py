@@ -25,8 +25,7 @@ from vergence.hardware.delay.motor_model import FittedMotor
 from vergence.hardware.delay.samples import LoopSamples, SampleCollector
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.triangulation import triangulate_views
 
 _CENTRING_S: Final = 2.5

@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence.envs.reading import Image
 from vergence.hardware.emulator.fault import Fault
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
 
 
 class CameraFaults:

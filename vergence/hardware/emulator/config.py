@@ -109,7 +109,7 @@ class EmulatorConfig:
                 )
         if self.servo is not None:
             from vergence.hardware.dynamixel.control_table import model_number
-            from vergence.models.servo_models import find_servo_model
+            from vergence.models.ruler import find_servo_model
 
             model_number(find_servo_model(self.servo).name)
         if not 0 <= self.port <= 65535:

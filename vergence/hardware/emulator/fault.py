@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 from vergence.errors import HeadFileError, UnreadableFileError
-from vergence.models.files.toml_table import Rule, Table
-from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import EYE_NAMES
+from vergence.models.toml_table import Rule, Table
 
 Place = Literal["line", "servo", "cable", "camera"]
 

@@ -7,7 +7,7 @@ and the motor's time constant T,
     d = (e + I / T) / lag,    dI/dt = e,    e = u - v_s,    |d| <= v_0 / T
 
 Since the PI's zero cancels the motor's pole, the response without friction and saturation is that
-of `vergence.models.joint_response`, a lag. Friction opposes the motion by f a; a joint at rest
+of `vergence.models.motion`, a lag. Friction opposes the motion by f a; a joint at rest
 stays there up to `STATIC_RATIO` f a. A loop whose encoder is blind (v_s = 0) never sees its goal
 reached: its integral grows, and remains at a goal of zero. With an inverted motor (-d) the loop
 runs away.

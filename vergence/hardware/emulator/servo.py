@@ -23,7 +23,7 @@ from vergence.hardware.dynamixel.packets import ErrorNumber
 from vergence.hardware.emulator.memory import ControlTable, written_value
 from vergence.hardware.emulator.motor import STEP_S, Motor
 from vergence.hardware.emulator.trace import MotionTrace
-from vergence.models.joint_response import follow_joint
+from vergence.models.motion import follow_joint
 
 POSITION_GAIN: Final = 20.0
 """Gain of the position loop, 1/s: plausible, not taken from a real servo (chosen)."""

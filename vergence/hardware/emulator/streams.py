@@ -27,8 +27,8 @@ from vergence.hardware.emulator.camera_faults import CameraFaults
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.models.boards import make_planar_target
-from vergence.models.files.head_toml import parse_head
-from vergence.models.joints import EYE_NAMES
+from vergence.models.head_file import parse_head
+from vergence.models.parts import EYE_NAMES
 
 _JPEG_QUALITY: Final = 92
 """JPEG quality, as for webcams (chosen)."""

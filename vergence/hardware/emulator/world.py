@@ -30,7 +30,7 @@ from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo
 from vergence.hardware.emulator.trace import rest_start_and_top_speed
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.models.servo_models import ServoModel, find_servo_model
+from vergence.models.ruler import ServoModel, find_servo_model
 
 _DIFFERENCE_S: Final = 1e-4
 """Step of the central difference for the target's velocity, s (numerical)."""
@@ -50,7 +50,7 @@ class MotorOptions:
     """Dynamics and encoders of the servos of an emulated head, and the adapter of their line."""
 
     servo: str | None = None
-    """Servo model, see `vergence.models.servo_models`; None for an XL430-W250 as the head has it.
+    """Servo model, see `vergence.models.ruler`; None for an XL430-W250 as the head has it.
     """
     speed_filter_s: float = 0.0
     """Time constant of the low-pass filter on reported speeds, s."""

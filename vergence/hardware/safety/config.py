@@ -27,8 +27,8 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import HeadFileError
-from vergence.models.files.toml_table import Rule, Table
 from vergence.models.parts import FloatArray
+from vergence.models.toml_table import Rule, Table
 
 _SPEED_RULE: Final[Rule] = (lambda x: 0.05 <= x <= 100.0, "rad/s, 0.05 to 100 (is it in degrees?)")
 _ACCELERATION_RULE: Final[Rule] = (

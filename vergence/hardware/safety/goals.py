@@ -5,8 +5,7 @@ from typing import Final
 import numpy as np
 
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 
 _ASSUMED_DISTANCE_M: Final = 1.0
 """Assumed distance of the target from each camera, m: a turning camera moves near and far targets

@@ -27,7 +27,7 @@ import numpy as np
 
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
 from vergence.models.head import HeadModel
-from vergence.models.joint_response import follow_joint
+from vergence.models.motion import follow_joint
 from vergence.models.parts import FloatArray
 
 _MAX_ACCELERATION_RAD_S2: Final = 1e3

@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 
 _FIXATION_DISTANCE_M: Final = 1.0
 """Distance of the fixation point along z, m (chosen)."""

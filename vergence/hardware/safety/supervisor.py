@@ -18,8 +18,7 @@ from vergence.hardware.safety.motion import JointMotionLimiter, find_containing_
 from vergence.hardware.safety.oscillation import OscillationDetector
 from vergence.hardware.safety.searching import SpiralSearch
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, EYES
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, EYES, FloatArray
 
 OSCILLATION_REASON: Final = "policy: expected joints that come to rest at a target that rests"
 """Beginning of the stop's reason if the policy makes the head oscillate."""

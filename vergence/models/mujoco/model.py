@@ -13,20 +13,28 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
-from vergence.models.mujoco import scene as mujoco_scene
-from vergence.models.mujoco.appearance import add_appearance
-from vergence.models.mujoco.bodies import add_bodies, add_cameras
-from vergence.models.mujoco.drives import (
+from vergence.models.mujoco import mujoco
+from vergence.models.mujoco.bodies import (
+    add_bodies,
+    add_cameras,
+    add_couplings,
+    add_rotors,
+    add_servos,
     couplings_of,
     joint_index_by_name,
+    load_inertias,
     needs_rotor_bodies,
     rotor_couplings,
     transmissions_of,
 )
-from vergence.models.mujoco.library import mujoco
-from vergence.models.mujoco.loads import load_inertias
-from vergence.models.mujoco.servos import add_couplings, add_rotors, add_servos
+from vergence.models.mujoco.look import (
+    add_appearance,
+    add_observer_cameras,
+    add_scenery,
+    add_target,
+    surroundings_of,
+)
+from vergence.models.parts import NECK
 
 SUBSTEPS: Final = 4
 """Default number of simulation steps per control period: 1/480 s at 120 Hz (chosen: accuracy
@@ -86,13 +94,13 @@ def build_spec(
         gravity=gravity,
         timestep_s=timestep_s,
     )
-    around = mujoco_scene.surroundings_of(head)
+    around = surroundings_of(head)
     if visuals:
-        mujoco_scene.add_scenery(spec, around)
+        add_scenery(spec, around)
     if target is not None:
-        mujoco_scene.add_target(spec, target, board, surroundings=around)
+        add_target(spec, target, board, surroundings=around)
     if observer_cameras:
-        mujoco_scene.add_observer_cameras(spec, around)
+        add_observer_cameras(spec, around)
     return spec
 
 
@@ -124,7 +132,7 @@ def head_spec(
     moving = [drive for drive in drives if drive.joint_or_rotor not in held]
     add_servos(spec, head, moving, loads.actuator_loads)
     add_couplings(spec, couplings)
-    spec.option.gravity = mujoco_scene.surroundings_of(head).gravity
+    spec.option.gravity = surroundings_of(head).gravity
     if visuals:
         add_appearance(spec, bodies, head)
     return spec

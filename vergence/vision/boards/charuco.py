@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import CharucoBoard
-from vergence.models.response import CameraResponse
+from vergence.models.cameras import CameraResponse
 from vergence.vision.boards.corners import (
     corner_sigmas,
     estimate_noise_grey,

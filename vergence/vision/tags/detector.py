@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vergence import interrupts
 from vergence.models.boards import AprilTag, TagFamily
-from vergence.models.response import CameraResponse
+from vergence.models.cameras import CameraResponse
 from vergence.models.tag_families import UNPRINTED, TagFamilyCode, tag_family
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.image import smooth_for_square_search

@@ -12,7 +12,7 @@ from vergence.eval.article.common.closed_loop import (
     hold_gaze,
     itpc_uncertainty_mm,
 )
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 from vergence.triangulation import triangulate_views
 
 POINT = (0.05, -0.1, 1.0)

@@ -12,7 +12,7 @@ from vergence.eval.article.common.loop_noise import (
     noise_bandwidth_hz,
     noise_gain,
 )
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 PERIOD = 1.0 / 120.0
 RIG = LinearLoop(gain=4.0, period_s=PERIOD, delay_periods=8, lag_s=0.03)

@@ -16,7 +16,7 @@ from vergence.eval.article.time_response.findings import (
 from vergence.eval.article.time_response.trials import joint_offsets
 from vergence.eval.jobs import SerialMapper
 from vergence.eval.reporting.text import render_text
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 EXPERIMENT = load_experiment("time-response")
 TINY = {"delays_frames": [0, 4, 8], "trials": 5, "threshold_step_px": 0.05, "duration_s": 1.5}

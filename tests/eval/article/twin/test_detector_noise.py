@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence.eval.article.twin.detector_noise import DetectorNoise, measure_head_noise
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 
 @pytest.mark.nightly

@@ -5,7 +5,7 @@ import pytest
 
 from vergence.eval.article.common.fixed_view import FixedView, board_poses_in_eyes, shifted_pose
 from vergence.eval.article.uncertainty.image_information import cramer_rao_bound
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,8 @@
 """Changed joint offsets in the Denavit-Hartenberg table of the article's head."""
 
 from vergence.errors import ConfigurationError
+from vergence.models.geometry import DenavitHartenberg
 from vergence.models.head import HeadModel
-from vergence.models.links import DenavitHartenberg
 from vergence.models.parts import FloatArray
 
 

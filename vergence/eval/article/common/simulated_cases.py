@@ -9,8 +9,8 @@ from math import radians
 from typing import Final, NamedTuple
 
 from vergence.eval.article.experiment import job_rng
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.models.perturbation import ModelErrors
 
 _DRAW: Final = "simulated-rig"

@@ -18,8 +18,8 @@ from vergence.eval.article.twin.statistics import axis_columns
 from vergence.eval.jobs import Job, Mapper
 from vergence.models.boards import board_pose
 from vergence.models.cameras import Cameras
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import triangulate_views

@@ -12,7 +12,7 @@ from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.gain_sweep.loop_delay import first_crossing
 from vergence.eval.article.gain_sweep.trials import PLANE_STEPS, STEPS, GainSweepConfig
 from vergence.eval.reporting.text import Numbers
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 
 NAME: Final = "gain sweep"

@@ -12,8 +12,8 @@ from vergence.envs.targets.prescribed import StepTarget
 from vergence.eval.article.common.servoing import servo_pixel_errors
 from vergence.eval.jobs import Job, Mapper
 from vergence.eval.trials.metrics import overshoot_fraction, settle_time
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 
 STEPS: Final = {"+y": (0.0, 1.0), "-y": (0.0, -1.0), "+x": (1.0, 0.0), "-x": (-1.0, 0.0)}

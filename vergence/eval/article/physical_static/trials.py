@@ -32,7 +32,7 @@ from vergence.eval.article.twin.population import TwinPopulation, draw_populatio
 from vergence.eval.article.twin.statistics import METHODS, axis_columns
 from vergence.eval.jobs import Job, Mapper
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
+from vergence.models.parts import EYES
 from vergence.triangulation import triangulate_gaze
 
 ARTICLE_LARGEST_PERCENT: Final = {"gaze": 4.97, "itpc": 6.98}

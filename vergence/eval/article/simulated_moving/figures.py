@@ -31,7 +31,7 @@ from vergence.eval.reporting.style import (
     log_axis,
     new_figure,
 )
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 _DRAWN_EVERY: Final = 6
 """Step through the samples that are drawn (chosen: readability)."""

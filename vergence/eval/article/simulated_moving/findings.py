@@ -17,7 +17,7 @@ from vergence.eval.article.simulated_moving.trials import (
     SimulatedMovingConfig,
 )
 from vergence.eval.reporting.text import Numbers
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 EXPERIMENT: Final = "simulated moving"
 """Name of this experiment in the table of the article's results."""

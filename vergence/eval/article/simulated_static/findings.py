@@ -17,7 +17,7 @@ from vergence.eval.article.reported import (
 )
 from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
 from vergence.eval.reporting.text import Numbers
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 
 EXPERIMENT: Final = "simulated static"

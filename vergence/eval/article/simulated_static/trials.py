@@ -28,10 +28,9 @@ from vergence.eval.article.common.simulated_cases import (
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
 from vergence.eval.jobs import Job, Mapper
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
+from vergence.models.head_file import load_head
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import Fix
 

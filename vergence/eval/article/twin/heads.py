@@ -11,8 +11,7 @@ from vergence.eval.article.common.joint_offsets import with_joint_offsets
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.head import HeadModel
-from vergence.models.joints import LINKS
-from vergence.models.parts import FloatArray
+from vergence.models.parts import LINKS, FloatArray
 from vergence.models.perturbation import ModelErrors
 
 _LOWERS: Final = {"left_tilt": 1.0, "right_tilt": -1.0}

@@ -14,8 +14,8 @@ from vergence.eval.article.twin.fixation_errors import settled_fix_errors_m
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads
 from vergence.eval.article.twin.scale import find_error_scale, largest_depth_error_percent
 from vergence.eval.jobs import Mapper
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 
 ARTICLE_LARGEST_Y_MM: Final = 12.28

@@ -29,7 +29,7 @@ from vergence.eval.reporting.style import (
     log_axis,
     new_figure,
 )
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 
 def draw(table: pd.DataFrame, config: UncertaintyConfig) -> dict[str, Figure]:

@@ -11,7 +11,7 @@ from vergence.eval.article.common.loop_noise import LinearLoop, noise_bandwidth_
 from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.uncertainty.trials import AHEAD, ASIDE, NAME, UncertaintyConfig
 from vergence.eval.reporting.text import Numbers
-from vergence.models.files.head_file import load_head
+from vergence.models.head_file import load_head
 
 METHOD_NAMES: Final = {
     "gaze": "gaze, Eqs. 27 to 33",

@@ -1,19 +1,25 @@
-"""Descriptions of a head's joint axes, from which all kinematics is computed.
+"""Geometry of a head's links, by D-H rows or by joint axes, and the parameters that may differ."""
 
-A description states how the joints and their bodies are connected at the zero posture. There are
-two: `DenavitHartenberg`, the article's nine links, and `JointAxes` (`vergence.models.joint_axes`),
-which holds the pose of each joint in the frame of the one before, as a URDF does. Both implement
-the protocol `Links`; kinematics, perturbation, calibration, drawing and export use only that.
-"""
-
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from vergence.models.joints import EYE_NAMES, JOINTS, LINKS, NECK
-from vergence.models.parts import FloatArray, FrozenArrays, Parameter
+from vergence.models.cameras import Cameras
+from vergence.models.parts import (
+    EYE_NAMES,
+    JOINTS,
+    LINKS,
+    NECK,
+    FloatArray,
+    FrozenArrays,
+    Parameter,
+)
+from vergence.operands import as_operand
 
 T_3_N: Final = np.array(
     [[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -84,7 +90,7 @@ class DenavitHartenberg(FrozenArrays):
     """The nine links of Table 1 in the modified (Craig) convention.
 
     `T_(i-1)_i = RotX(alpha_i) TransX(a_i) RotZ(theta_i + offset_i) TransZ(d_i)`; each
-    field has the shape (..., 9) in the order of `vergence.models.joints.LINKS`.
+    field has the shape (..., 9) in the order of `vergence.models.parts.LINKS`.
     """
 
     alpha: FloatArray
@@ -294,3 +300,262 @@ def _translation(axis: int, length: FloatArray) -> FloatArray:
     out[..., range(4), range(4)] = 1.0
     out[..., axis, 3] = length
     return out
+
+
+PARTS: Final = ("neck", "both", "left", "right")
+"""Names of a joint's load: the whole head (neck), both eyes, or one eye."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointAxes(FrozenArrays):
+    """Joints of any head: the pose of each in the frame of the one before; its axis is z.
+
+    The chain of an eye is the neck's joints, then the joints that both eyes share, then those of
+    the eye alone, each group in the order of the arrays. A frame turns with its joint. The
+    head-eye transform is relative to the frame of the eye's last joint, or, for an eye that does
+    not move, to the frame that N is fixed to.
+    """
+
+    names: tuple[str, ...]
+    """(J,) names of the joints."""
+    parts: tuple[str, ...]
+    """(J,) load of each joint, one of `PARTS`."""
+    pose: FloatArray
+    """(..., J, 4, 4) poses at joint angles of zero, metres."""
+    frame: FloatArray
+    """(..., 4, 4) pose of frame N in the frame of the neck's last joint, or in the base's,
+    metres."""
+
+    @property
+    def joint_indices(self) -> tuple[tuple[int, ...], ...]:
+        """(J,) indices of each joint in an array of all seven; two for a joint of both eyes."""
+        used = {"neck": 0, "left": 3, "right": 5}
+        out = []
+        for part in self.parts:
+            names = EYE_NAMES if part == "both" else (part,)
+            out.append(tuple(used[name] for name in names))
+            for name in names:
+                used[name] += 1
+        return tuple(out)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """See `Links.joints`."""
+        names = [""] * len(JOINTS)
+        for name, places in zip(self.names, self.joint_indices, strict=True):
+            for place in places:
+                names[place] = name
+        return tuple(names)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Six for each joint of the eyes: rotation vector and position of its frame.
+
+        A name consists of the part, the joint's number in the chain and the axis, as `both.1.rz`.
+        """
+        out, seen = [], dict.fromkeys(PARTS, 0)
+        for joint, part in enumerate(self.parts):
+            seen[part] += 1
+            if part == "neck":
+                continue
+            # joints that both eyes share come first in the chain of an eye
+            number = seen[part] + (seen["both"] if part != "both" else 0)
+            for field, unit, names in _POSE_FIELDS:
+                out += [
+                    Parameter(f"{part}.{number}.{name}", unit, field, 3 * joint + i)
+                    for i, name in enumerate(names)
+                ]
+        return tuple(out)
+
+    def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
+        """See `Links.arrays`."""
+        return {"pose": (self.pose, 3), "frame": (self.frame, 2)}
+
+    def fields(self, reference: "JointAxes") -> dict[str, FloatArray]:
+        """See `Links.fields`."""
+        rotation = np.zeros((*self.pose.shape[:-3], 3 * len(self.names)))
+        if reference is not self and self.names:
+            relative = np.swapaxes(reference.pose[..., :3, :3], -1, -2) @ self.pose[..., :3, :3]
+            from scipy.spatial.transform import Rotation
+
+            vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
+            rotation = vectors.reshape(*relative.shape[:-3], 3 * len(self.names))
+        position = self.pose[..., :3, 3]
+        return {
+            "axis_rotation": rotation,
+            "axis_position": position.reshape(*position.shape[:-2], 3 * len(self.names)),
+        }
+
+    def with_fields(self, fields: Mapping[str, FloatArray]) -> "JointAxes":
+        """See `Links.with_fields`."""
+        rotation, position = fields["axis_rotation"], fields["axis_position"]
+        batch = np.broadcast_shapes(rotation.shape[:-1], position.shape[:-1])
+        pose = np.broadcast_to(self.pose, (*batch, *self.pose.shape[-3:])).copy()
+        if self.names:
+            from scipy.spatial.transform import Rotation
+
+            turn = Rotation.from_rotvec(rotation.reshape(-1, 3)).as_matrix()
+            pose[..., :3, :3] @= turn.reshape(*rotation.shape[:-1], len(self.names), 3, 3)
+            pose[..., :3, 3] = position.reshape(*position.shape[:-1], len(self.names), 3)
+        return replace(self, pose=pose)
+
+    def constant_poses(self) -> list[FloatArray]:
+        """See `Links.constant_poses`."""
+        poses: list[FloatArray] = [np.eye(4)] * 10
+        into_n = inverse_pose(self.frame)
+        poses[3] = self.frame
+        poses[4] = poses[7] = into_n
+        for joint, places in enumerate(self.joint_indices):
+            pose = self.pose[..., joint, :, :]
+            for place in places:
+                if place < NECK.stop:
+                    poses[place] = pose
+                else:
+                    eye, second = divmod(place - NECK.stop, 2)
+                    poses[4 + 3 * eye + second] = pose if second else multiply_poses(into_n, pose)
+        return poses
+
+    def twists(self, reference: "JointAxes") -> FloatArray:
+        """See `Links.twists`."""
+        rotations = self.fields(reference)["axis_rotation"].reshape(-1, 3)
+        out = np.zeros((len(self.parameters), 6, 6))
+        row = 0
+        for joint, places in enumerate(self.joint_indices):
+            if self.parts[joint] == "neck":
+                continue
+            twists = pose_parameter_twists(reference.pose[joint], rotations[joint])
+            for place in places:
+                eye, second = divmod(place - NECK.stop, 2)
+                out[row : row + 6, 3 * eye + second] = twists
+            row += 6
+        return out
+
+    def bodies(self) -> tuple[Body, ...]:
+        """See `Links.bodies`."""
+        last = {"neck": -1, "left": -1, "right": -1}
+        out = []
+        for joint, (name, part) in enumerate(zip(self.names, self.parts, strict=True)):
+            parent = last["left" if part == "both" else part]
+            out.append(Body(name, self.joint_indices[joint], parent, self.pose[joint]))
+            carried = {"neck": last, "both": EYE_NAMES}.get(part, (part,))
+            last |= dict.fromkeys(carried, joint)
+        return tuple(out)
+
+    def frame_n_pose(self) -> FloatArray:
+        """See `Links.frame_n_pose`."""
+        return self.frame
+
+    def camera_mount(self, eye: int) -> FloatArray:
+        """See `Links.camera_mount`: the last body's own frame."""
+        return np.eye(4)
+
+
+_POSE_FIELDS: Final = (
+    ("axis_rotation", "rad", ("rx", "ry", "rz")),
+    ("axis_position", "m", ("x", "y", "z")),
+)
+
+
+_HEAD_EYE: Final = tuple(
+    Parameter(f"{eye}.head_eye.{name}", unit, field, 3 * i + j)
+    for i, eye in enumerate(EYE_NAMES)
+    for field, unit, names in (
+        ("rotation", "rad", ("rx", "ry", "rz")),
+        ("position", "m", ("x", "y", "z")),
+    )
+    for j, name in enumerate(names)
+)
+
+
+_CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
+
+
+class Geometry(NamedTuple):
+    """The parts in which a real head differs from its model."""
+
+    links: Links
+    head_eye: FloatArray
+    """(..., 2, 4, 4): poses of the cameras in the eyes' last links."""
+    cameras: Cameras
+
+
+class Parameters(NamedTuple):
+    """A head's geometry as a vector."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: FloatArray
+    """(..., n): one vector per head."""
+
+
+def parameters_of(geometry: Geometry, reference: Geometry | None = None) -> Parameters:
+    """Flatten a geometry; rotation vectors are relative to `reference`, by default to itself."""
+    parameters = _parameters(geometry)
+    fields = _fields(geometry, geometry if reference is None else reference)
+    batch = np.broadcast_shapes(*(field.shape[:-1] for field in fields.values()))
+    values = np.empty((*batch, len(parameters)))
+    for name, (columns, places) in _places(parameters).items():
+        values[..., places] = fields[name][..., columns]
+    return Parameters(
+        tuple(parameter.name for parameter in parameters),
+        tuple(parameter.unit for parameter in parameters),
+        values,
+    )
+
+
+def geometry_with(reference: Geometry, values: ArrayLike) -> Geometry:
+    """Rebuild a geometry from (..., n) `parameters_of`; the neck is copied from the reference."""
+    parameters = _parameters(reference)
+    vector = as_operand("values", values, len(parameters))
+    batch = vector.shape[:-1]
+    fields = {
+        name: np.broadcast_to(field, (*batch, field.shape[-1])).copy()
+        for name, field in _fields(reference, reference).items()
+    }
+    for name, (columns, places) in _places(parameters).items():
+        fields[name][..., columns] = vector[..., places]
+    from scipy.spatial.transform import Rotation
+
+    rotation = Rotation.from_rotvec(fields["rotation"].reshape(-1, 3)).as_matrix()
+    head_eye = np.broadcast_to(reference.head_eye, (*batch, 2, 4, 4)).copy()
+    head_eye[..., :3, :3] @= rotation.reshape(*batch, 2, 3, 3)
+    head_eye[..., :3, 3] = fields["position"].reshape(*batch, 2, 3)
+    cameras: dict[str, Any] = {name: fields[name].reshape(*batch, 2, -1) for name in _CAMERA_FIELDS}
+    return Geometry(
+        reference.links.with_fields(fields),
+        head_eye,
+        dataclasses.replace(reference.cameras, **cameras),
+    )
+
+
+def _parameters(geometry: Geometry) -> tuple[Parameter, ...]:
+    return (*geometry.links.parameters, *_HEAD_EYE, *geometry.cameras.parameters)
+
+
+@lru_cache(maxsize=8)
+def _places(parameters: tuple[Parameter, ...]) -> dict[str, tuple[list[int], list[int]]]:
+    """By field: the columns that hold parameters, and the parameters' indices in the vector."""
+    groups: dict[str, tuple[list[int], list[int]]] = {}
+    for place, parameter in enumerate(parameters):
+        columns, places = groups.setdefault(parameter.field, ([], []))
+        columns.append(parameter.column)
+        places.append(place)
+    return groups
+
+
+def _fields(geometry: Geometry, reference: Geometry) -> dict[str, FloatArray]:
+    """Every field that holds parameters, by name, with its own dimensions flattened."""
+    links, head_eye, cameras = geometry
+    rotation = np.zeros((2, 3))
+    if reference is not geometry:
+        relative = np.swapaxes(reference.head_eye[..., :3, :3], -1, -2) @ head_eye[..., :3, :3]
+        from scipy.spatial.transform import Rotation
+
+        vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
+        rotation = vectors.reshape(*relative.shape[:-2], 3)
+    pairs = {name: getattr(cameras, name) for name in _CAMERA_FIELDS}
+    pairs |= {"rotation": rotation, "position": head_eye[..., :3, 3]}
+    return links.fields(reference.links) | {
+        name: pair.reshape(*pair.shape[:-2], pair.shape[-2] * pair.shape[-1])
+        for name, pair in pairs.items()
+    }

@@ -1,4 +1,4 @@
-"""Read a TOML table key by key, each value checked by a rule."""
+"""Read a TOML table key by key, each value checked by a rule; write plain values as TOML."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -6,6 +6,7 @@ from difflib import get_close_matches
 from typing import Any, Final
 
 import numpy as np
+import tomli_w
 
 from vergence.errors import HeadFileError, UnquotedText
 from vergence.models.parts import FloatArray
@@ -162,3 +163,19 @@ def _number_array(value: object, key: str, shape: tuple[int, ...], rule: Rule) -
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != shape[0]:
         raise HeadFileError(key, value, _list_of(shape, rule))
     return np.array([_number_array(v, f"{key}[{i}]", shape[1:], rule) for i, v in enumerate(value)])
+
+
+_MAX_LIST_CHARACTERS: Final = 80
+"""Most characters of a list on one line (chosen: compact text against long lines)."""
+_NUMBERS: Final = re.compile(r"\[\n((?:[ ]+[-+.\w]+,\n)+)[ ]*\]")
+"""A list of numbers, one per line; strings contain no raw line breaks, so none matches."""
+
+
+def toml_text(document: Mapping[str, Any]) -> str:
+    """Write plain values as TOML."""
+    return _NUMBERS.sub(_on_one_line, tomli_w.dumps(document))
+
+
+def _on_one_line(found: re.Match[str]) -> str:
+    line = f"[{', '.join(found[1].replace(',', ' ').split())}]"
+    return line if len(line) <= _MAX_LIST_CHARACTERS else found[0]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.models.by_axes import dh_to_joint_axes
-from vergence.models.files.head_toml import head_to_toml, parse_head
+from vergence.calibration.head.terms import dh_to_joint_axes
+from vergence.models.head_file import head_to_toml, parse_head
 
 
 @pytest.fixture

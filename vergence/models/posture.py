@@ -8,8 +8,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from vergence.models.geometry import DenavitHartenberg, chain_end, rot_z
 from vergence.models.head import HeadModel
-from vergence.models.links import DenavitHartenberg, chain_end, rot_z
 from vergence.models.parts import FloatArray
 
 ARTICLE_BASELINE_M: Final = 0.092

@@ -1,30 +1,7 @@
-r"""Response of joints to velocity commands: a lag with an acceleration limit.
-
-    dv/dt = clip((u - v) / tau, -a, a),   dq/dt = v
-
-with the command u held for a period. While |u - v| exceeds a tau, the joint accelerates at the
-limit; then the difference decays exponentially. Both phases have closed forms, so a period of any
-length is one step. A joint at its position limit stops there.
-
-A motor whose torque falls with its speed, by `torque_falloff` f per rad/s, accelerates by at most
-`a (1 - f |v|)` while it speeds up, and by at most a while it brakes:
-
-    dv/dt = clip((u - v) / tau, -a_-(v), a_+(v)),   a_+(v) = a (1 - f max(v, 0))
-
-This saturated phase has a closed form too: 1 / f - v decays with the rate a f.
-
-A servo whose own loop oscillates has a second-order lag; its acceleration w is a state:
-
-    tau^2 dw/dt + 2 zeta tau w + v = u,   dv/dt = w,   |w| <= a
-
-An overshoot o of the step response gives the damping ratio `zeta = -ln(o) / sqrt(pi^2 + ln(o)^2)`.
-At its limit, w stays constant until the equation demands a smaller |w|. With an equal time
-constant, this response starts later than the first-order lag and settles sooner. In the functions,
-a is `max_acceleration` and w is `acceleration`.
-"""
+"""How a joint follows its velocity command: latency, lag, acceleration limit, held commands."""
 
 from math import cos, exp, expm1, inf, log, pi, sin, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 from vergence._jit import inlined, subroutine
 
@@ -199,3 +176,144 @@ def follow_second_order_joint(
     held = min(max((most - v) / acceleration, 0.0), period) if acceleration != 0.0 else 0.0
     q, v = q + (v + 0.5 * acceleration * held) * held, v + acceleration * held
     return _swing(q, v, acceleration, u, tau, zeta, period - held)
+
+
+_MIN_BUILD_UP: Final = 0.02
+"""Build-up m below which the response is taken as first-order (numerical)."""
+_MAX_PART_LENGTH: Final = 0.5
+"""Longest part of the hold time, in time constants, if the acceleration is limited (numerical)."""
+_MAX_PARTS: Final = 3
+"""Most parts of the hold time (numerical)."""
+_MIN_RATE_DIFFERENCE: Final = 1e-5
+"""Least half difference of the two decay rates, as a fraction of their mean: avoids a division by
+zero at critical damping (numerical)."""
+
+
+class HeldResponse(NamedTuple):
+    """Coefficients of the response to a held command, in equal parts with linear changes."""
+
+    lag_s: float
+    """Lag l, s."""
+    build_up_s2: float
+    """m l^2, s^2; 0 for a first-order lag."""
+    max_acceleration: float
+    """Greatest acceleration, rad/s^2, inf for none."""
+    part_s: float
+    """Duration of one part, s."""
+    part_count: int
+    """Number of parts of the hold time."""
+    gap_factor: float
+    """Factor from the gap to the gap after a part."""
+    gap_from_acceleration: float
+    """Factor from the acceleration to the gap after a part, s."""
+    acceleration_factor: float
+    """Factor from the acceleration to the acceleration after a part."""
+    acceleration_from_gap: float
+    """Factor from the gap to the acceleration after a part, 1/s."""
+
+
+@inlined
+def _transition(lag: float, square: float, t: float) -> tuple[float, float, float, float]:
+    """The four factors of a `HeldResponse`, in the order of its fields, for the time t."""
+    decay = 0.5 * lag / square
+    gap = decay * decay - 1.0 / square
+    if gap < 0.0:
+        turn, left = sqrt(-gap), exp(-decay * t)
+        even, odd = left * cos(turn * t), left * sin(turn * t) / turn
+    else:
+        turn = max(sqrt(gap), _MIN_RATE_DIFFERENCE * decay)
+        slow, fast = exp(-t / (square * (decay + turn))), exp(-t * (decay + turn))
+        even, odd = 0.5 * (slow + fast), 0.5 * (slow - fast) / turn
+    return even + decay * odd, odd, even - decay * odd, -odd / square
+
+
+@inlined
+def prepare_held_response(
+    lag_s: float, build_up_ratio: float, max_acceleration: float, hold_s: float
+) -> HeldResponse:
+    """Coefficients for lag l above 0, s, build-up m, acceleration limit (or inf), rad/s^2."""
+    if build_up_ratio < _MIN_BUILD_UP or hold_s <= 0.0:
+        return HeldResponse(
+            lag_s, 0.0, max_acceleration, hold_s, 1, lag_decay(hold_s, lag_s), 0.0, 0.0, 0.0
+        )
+    square, parts = build_up_ratio * lag_s * lag_s, 1
+    if max_acceleration < inf:
+        parts = min(int(hold_s / (_MAX_PART_LENGTH * sqrt(square))) + 1, _MAX_PARTS)
+    gap_gap, gap_w, w_w, w_gap = _transition(lag_s, square, hold_s / parts)
+    return HeldResponse(
+        lag_s, square, max_acceleration, hold_s / parts, parts, gap_gap, gap_w, w_w, w_gap
+    )
+
+
+@inlined
+def _unlimited(
+    q: float, v: float, acceleration: float, u: float, response: HeldResponse, t: float
+) -> tuple[float, float, float]:
+    """State after the time t, without a limit on the acceleration."""
+    gap_gap, gap_w, w_w, w_gap = _transition(response.lag_s, response.build_up_s2, t)
+    gap = v - u
+    after, then = gap * gap_gap + acceleration * gap_w, acceleration * w_w + gap * w_gap
+    # integral of the equation of motion
+    q += u * t - response.build_up_s2 * (then - acceleration) - response.lag_s * (after - gap)
+    return q, u + after, then
+
+
+@inlined
+def follow_held_command(
+    q: float, v: float, acceleration: float, u: float, response: HeldResponse
+) -> tuple[float, float, float]:
+    """Move a joint by the hold time of a response, without position limits.
+
+    The result is exact if the acceleration stays within its limit. Otherwise the error is within
+    half a percent of the distance moved, if the hold time is at most 1.5 time constants.
+
+    Args:
+        q: angle, rad.
+        v: velocity, rad/s.
+        acceleration: acceleration, rad/s^2; ignored by a first-order lag.
+        u: velocity command, rad/s.
+        response: coefficients from `prepare_held_response`.
+
+    Returns:
+        Angle, velocity and acceleration; rad, rad/s and rad/s^2.
+    """
+    a = response.max_acceleration
+    if response.build_up_s2 == 0.0:
+        q, v = follow_joint(q, v, u, response.lag_s, a, response.part_s, response.gap_factor)
+        return q, v, min(max((u - v) / response.lag_s, -a), a)
+    for _ in range(response.part_count):
+        t = response.part_s
+        acceleration = min(max(acceleration, -a), a)
+        # at the limit until the equation demands a smaller |w|
+        held = 0.0
+        if abs(acceleration) == a:
+            held = min(max((u - v - response.lag_s * acceleration) / acceleration, 0.0), t)
+            q, v, t = q + (v + 0.5 * acceleration * held) * held, v + acceleration * held, t - held
+            if t <= 0.0:
+                continue
+        gap = v - u
+        after, then = (
+            gap * response.gap_factor + acceleration * response.gap_from_acceleration,
+            acceleration * response.acceleration_factor + gap * response.acceleration_from_gap,
+        )
+        if held > 0.0:
+            q, v, acceleration = _unlimited(q, v, acceleration, u, response, t)
+        elif abs(then) <= a:
+            q += (
+                u * t
+                - response.build_up_s2 * (then - acceleration)
+                - response.lag_s * (after - gap)
+            )
+            v, acceleration = u + after, then
+        else:
+            # time until the limit: linear extrapolation, then one secant step
+            limit = a if then > 0.0 else -a
+            slope = -(gap + response.lag_s * acceleration) / response.build_up_s2
+            meets = min(max((limit - acceleration) / slope, 0.0), t) if slope != 0.0 else 0.0
+            came = _unlimited(q, v, acceleration, u, response, meets)[2]
+            if came != acceleration:
+                meets = min(max(meets * (limit - acceleration) / (came - acceleration), 0.0), t)
+            q, v, acceleration = _unlimited(q, v, acceleration, u, response, meets)
+            acceleration, t = limit, t - meets
+            q, v = q + (v + 0.5 * acceleration * t) * t, v + acceleration * t
+    return q, v, acceleration

@@ -1,1 +1,0 @@
-"""Head files: presets, reading and writing TOML, the rules a file must meet, and imports."""
