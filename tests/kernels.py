@@ -25,7 +25,6 @@ from tests.heads import head_of
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene
 from vergence import HeadModel, cli, load_head, make_controller
-from vergence._kernel_cache import PORTABLE_PROCESSORS, SHIPPED, cache_folder, shipped_name
 from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
@@ -33,11 +32,12 @@ from vergence.eval.gaze import run_gaze
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
+from vergence.kernels.cache import PORTABLE_PROCESSORS, SHIPPED, cache_folder, shipped_name
 from vergence.vision import Checkerboard, make_detector
 
 DONE: Final = "compiled-for-tests"
 """The file in the kernels' folder that names the sources for which all is there."""
-PACKAGE: Final = SHIPPED.parent
+PACKAGE: Final = SHIPPED.parents[1]
 SCENARIOS: Final = ("workspace", "hardware", "fast", "double-step", "wander")
 """One of each kind of target and of loop."""
 
@@ -132,7 +132,7 @@ def main(words: list[str]) -> int:
         return 0
     folder = cache_folder()
     sources = [path.read_bytes() for path in sorted(PACKAGE.rglob("*.py"))]
-    version = sha256(b"".join(text for text in sources if b"_jit" in text)).hexdigest()
+    version = sha256(b"".join(text for text in sources if b"vergence.kernels" in text)).hexdigest()
     done = None if folder is None else folder / DONE
     if done is None or (done.exists() and done.read_text() == version):
         return 0

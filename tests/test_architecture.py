@@ -16,8 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "vergence"
 # From the bottom up. A unit (a folder or a module right below the package) may import its own layer
 # and those below it. `__init__` is the package itself, which gathers the public names.
 LAYERS = (
-    {"errors", "files", "interrupts", "locks", "entry_points", "operands", "json_values", "_jit",
-     "_kernel_cache", "_runs", "_tables"},
+    {"errors", "files", "interrupts", "entry_points", "operands", "kernels"},
     {"models"},
     {"vision", "triangulation"},
     {"envs", "perception"},

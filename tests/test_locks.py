@@ -9,7 +9,7 @@ import pytest
 from filelock import FileLock
 
 from vergence.errors import ConfigurationError
-from vergence.locks import SUFFIX, hold_lock
+from vergence.files import SUFFIX, hold_lock
 
 
 def names(folder: Path) -> list[str]:
@@ -23,7 +23,7 @@ def take(place: Path) -> None:
 
 def test_a_second_one_is_refused_told_who_writes_where_and_has_the_place_after_a_kill(tmp_path):
     code = (
-        "import sys, time; from vergence.locks import hold_lock\n"
+        "import sys, time; from vergence.files import hold_lock\n"
         f"with hold_lock({str(tmp_path / 'run')!r}): print('held', flush=True); sys.stdin.read()"
     )
     holder = subprocess.Popen(

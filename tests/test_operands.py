@@ -13,13 +13,13 @@ import vergence
 from tests.envs.robot import Robot
 from tests.heads import head_of
 from tests.naming import named
-from vergence._jit import GufuncKernel
 from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading
 from vergence.envs.targets.motion import target_position
 from vergence.errors import ConfigurationError
+from vergence.kernels import GufuncKernel
 from vergence.vision.optics import EyeCamera
 
 LENGTHS = range(10)

@@ -53,7 +53,7 @@ def test_the_wheel_carries_every_file_of_the_package_the_license_and_nothing_bes
     package = {
         path.relative_to(ROOT).as_posix()
         for path in ROOT.glob("vergence/**/*")
-        if path.is_file() and not {"__pycache__", "kernels"} & set(path.parts)
+        if path.is_file() and not {"__pycache__", "shipped"} & set(path.parts)
     }
     assert {
         "vergence/models/presets/simulated.toml",

@@ -95,9 +95,9 @@ def _show_warning(
 
 
 def _tell_of_kernels() -> None:
-    from vergence import _kernel_cache  # it loads numba, which a help text does not need
+    from vergence.kernels import cache  # it loads numba, which a help text does not need
 
-    _kernel_cache.set_compile_reporter(print_to_stderr)
+    cache.set_compile_reporter(print_to_stderr)
 
 
 def _is_text(word: str) -> bool:

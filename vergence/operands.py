@@ -1,4 +1,4 @@
-"""Check arrays given by callers: real numbers whose last axes have the required sizes."""
+"""Check the shapes and types of arrays from outside, and make values for strict JSON of them."""
 
 from typing import Any, Final
 
@@ -46,3 +46,26 @@ def as_operand(name: str, value: ArrayLike, *core: int | str) -> NDArray[np.floa
     ):
         raise ConfigurationError(f"{name}: expected {what}, got {array.shape}")
     return array.astype(np.float64, copy=False)
+
+
+def null_nonfinite_rows(values: ArrayLike | None) -> Any:
+    """Convert to a number or nested lists of numbers, with None for rows that are not finite.
+
+    Args:
+        values: array of any shape; a row (the last axis) that holds nan or infinity becomes None as
+            a whole, since a partial point is not usable. None stays None.
+    """
+    if values is None:
+        return None
+    array = np.asarray(values, np.float64)
+    if array.ndim < 2:
+        return array.tolist() if np.isfinite(array).all() else None
+    return [null_nonfinite_rows(row) for row in array]
+
+
+def null_nonfinite_elements(values: ArrayLike) -> Any:
+    """Convert element by element, to a number or nested lists, with None for what is not finite."""
+    array = np.asarray(values, np.float64)
+    found = array.astype(object)
+    found[~np.isfinite(array)] = None
+    return found.tolist()

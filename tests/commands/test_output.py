@@ -9,7 +9,7 @@ import pytest
 from tests.commands.called import call, refused
 from tests.naming import named
 from vergence.eval import gaze_figure
-from vergence.locks import hold_lock
+from vergence.files import hold_lock
 
 GAZE = ("gaze", "--plant", "kinematic", "--duration", "0.1", "--json")
 

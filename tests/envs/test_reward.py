@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from tests.controllers.loops import begin
 from vergence import load_head, make_controller
-from vergence._tables import make_table
 from vergence.envs.judging import JUDGE, TaskArrays, advance_task
 from vergence.envs.reading import Reading
 from vergence.envs.reward import TERMS
 from vergence.envs.task import GazeTask
+from vergence.kernels import make_table
 
 STILL = np.zeros((1, 4))
 

@@ -109,8 +109,7 @@ class Evaluate:
         require_modules("robot", "mcap")
         from vergence.eval.reporting.runs import check_writable
         from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
-        from vergence.files import atomic_files
-        from vergence.locks import hold_lock
+        from vergence.files import atomic_files, hold_lock
 
         self._check_robot()
         interrupts.raise_on_termination()

@@ -79,7 +79,7 @@ class ExportBundle:
             raise ConfigurationError(
                 f"out: expected no file of that name (--force replaces it), got {self.out}"
             )
-        from vergence.locks import hold_lock
+        from vergence.files import hold_lock
         from vergence.training.export import export_run
 
         with hold_lock(self.out):

@@ -38,7 +38,7 @@ class Train:
     def run(self) -> int:
         """Run the command."""
         require_modules("train", "torch", "stable_baselines3", "tensorboard")
-        from vergence.locks import hold_lock
+        from vergence.files import hold_lock
         from vergence.training.choices import resolve_config
         from vergence.training.run import resume, train
 

@@ -17,13 +17,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import kernel
 from vergence.controllers.coupled import reducible_pixel_error
 from vergence.controllers.ibvs import depth_or_nan, ibvs_velocities, speed_limits
 from vergence.controllers.image_law import GatedImageController
 from vergence.controllers.outlier_gate import GatedDetections
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.validation import check_at_least_zero
+from vergence.kernels import kernel
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead, camera_of
 from vergence.models.parts import FloatArray

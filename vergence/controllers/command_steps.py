@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import kernel
+from vergence.kernels import kernel
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 

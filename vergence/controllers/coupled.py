@@ -17,8 +17,8 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import inlined, kernel, subroutine
 from vergence.envs.reducible import image_jacobians, reducible_error_by_jacobian
+from vergence.kernels import inlined, kernel, subroutine
 from vergence.models.fixation import actuator_least_squares
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead

@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from vergence._jit import inlined
 from vergence.envs.layout import AGE_S
+from vergence.kernels import inlined
 
 _PERIOD_TOLERANCE: Final = 0.3
 """Fraction of a period up to which two exposure times count as equal (chosen: float32 rounds the

@@ -39,7 +39,6 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import inlined, kernel
 from vergence.controllers.pid import (
     PID,
     PID_LAW,
@@ -54,6 +53,7 @@ from vergence.controllers.rows import make_row, record_view, row_layout, row_siz
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.validation import check_above_zero, check_finite_number
 from vergence.errors import ConfigurationError
+from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead
 from vergence.models.parts import FloatArray

@@ -18,12 +18,12 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import inlined, kernel
 from vergence.controllers.coupled import coupled_command
 from vergence.controllers.fitting import checked_layout
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.validation import check_finite_number, real_number_array
 from vergence.errors import ConfigurationError
+from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames, eye_jacobian
 from vergence.models.packed import PACKED, PackedHead, camera_of

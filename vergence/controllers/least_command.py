@@ -1,7 +1,7 @@
 """Smallest effective command of a motor with quantised speed, for laws near their goal."""
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
+from vergence.kernels import inlined
 
 
 @inlined

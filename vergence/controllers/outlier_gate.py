@@ -19,10 +19,10 @@ counts as not seeing its target: it has to come to rest to see it again.
 from math import exp, hypot, inf, isfinite, nan
 from typing import Annotated, Final, NamedTuple
 
-from vergence._jit import inlined, kernel
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
+from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 

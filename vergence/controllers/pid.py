@@ -27,7 +27,6 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import inlined, kernel
 from vergence.controllers.coupled import limited_actuator_velocities, reducible_pixel_error
 from vergence.controllers.ibvs import as_gains, depth_or_nan, limited_joint_velocities
 from vergence.controllers.image_law import GatedImageController
@@ -35,6 +34,7 @@ from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.validation import check_at_least_zero
+from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead, has_motor_per_joint
 from vergence.models.parts import FloatArray

@@ -13,7 +13,7 @@ of the angle. With m = 0 the law reduces to `u = k (e - l v)`.
 from math import sqrt
 from typing import Final
 
-from vergence._jit import inlined
+from vergence.kernels import inlined
 
 _DAMPING: Final = 0.8
 """d, least damping ratio of the servo's poles (chosen: oscillation against speed)."""

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from vergence._jit import inlined
+from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
 
 Layout: TypeAlias = np.dtype[np.void]

@@ -23,7 +23,6 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import kernel
 from vergence.controllers.least_command import compensate_dead_zone
 from vergence.controllers.pole_placement import pole_placement_command
 from vergence.controllers.prediction.joints import (
@@ -41,6 +40,7 @@ from vergence.controllers.time_optimal import joint_timing, time_optimal_command
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.envs.validation import check_above_zero, check_at_least_zero, check_finite_number
 from vergence.errors import ConfigurationError
+from vergence.kernels import kernel
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 

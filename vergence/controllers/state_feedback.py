@@ -18,7 +18,6 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import kernel
 from vergence.controllers.least_command import compensate_dead_zone
 from vergence.controllers.pole_placement import pole_placement_command
 from vergence.controllers.prediction.joints import (
@@ -32,6 +31,7 @@ from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.envs.validation import check_above_zero, check_at_least_zero
+from vergence.kernels import kernel
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 

@@ -16,7 +16,7 @@ by exactly u T, and the last period stops a velocity v within `v (lag - T e / (1
 from math import exp, inf
 from typing import Final, NamedTuple
 
-from vergence._jit import inlined
+from vergence.kernels import inlined
 from vergence.models.motion import follow_joint
 
 _LEAST_LAG_S: Final = 1e-4

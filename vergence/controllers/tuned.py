@@ -19,8 +19,7 @@ import platformdirs
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import atomic_file, write_atomic
-from vergence.locks import hold_lock
+from vergence.files import atomic_file, hold_lock, write_atomic
 from vergence.models.head import HeadModel
 
 TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")

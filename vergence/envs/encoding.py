@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import inlined, kernel, subroutine
 from vergence.envs.reading import BoolArray, Reading
 from vergence.errors import ConfigurationError
+from vergence.kernels import inlined, kernel, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.packed import PackedHead

@@ -5,12 +5,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled, inlined
-from vergence._tables import unpack_table
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading
 from vergence.envs.reward import StepResult, TimeLimits, TrialProgress, compute_step_result
 from vergence.envs.streams import IntArray
+from vergence.kernels import compiled, inlined, unpack_table
 from vergence.models.head import HeadModel
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray

@@ -10,7 +10,7 @@ from math import isfinite, nan
 
 import numpy as np
 
-from vergence._jit import inlined, subroutine
+from vergence.kernels import inlined, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.fixation import actuator_least_squares, image_rate
 from vergence.models.kinematics import eye_frames, eye_jacobian

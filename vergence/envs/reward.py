@@ -26,11 +26,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled, inlined
 from vergence.envs.encoding import encode_observation
 from vergence.envs.reading import BoolArray, Reading
 from vergence.envs.reducible import reducible_error
 from vergence.envs.streams import IntArray
+from vergence.kernels import compiled, inlined
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import pixel_error
 from vergence.models.packed import PackedHead

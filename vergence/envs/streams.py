@@ -17,8 +17,8 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from vergence._jit import inlined
 from vergence.errors import ConfigurationError
+from vergence.kernels import inlined
 
 IntArray = NDArray[np.int64]
 KeyArray = NDArray[np.uint64]

@@ -7,7 +7,6 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._tables import make_table
 from vergence.envs.judging import JUDGE, LIMIT, TaskArrays, advance_task
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant, plant_type
@@ -23,6 +22,7 @@ from vergence.envs.targets.registry import make_target
 from vergence.envs.targets.target import Target
 from vergence.envs.validation import as_action_array, refuse_immobile_eyes
 from vergence.errors import ConfigurationError
+from vergence.kernels import make_table
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray

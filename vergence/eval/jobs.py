@@ -18,10 +18,10 @@ from multiprocessing import resource_tracker
 from types import ModuleType
 from typing import Any, Final, TypeVar
 
-from vergence._kernel_cache import report_compiling_if_uncached
 from vergence.envs.plants.threads import limit_threads, processors
 from vergence.errors import ConfigurationError, VergenceError, how_to_install
 from vergence.eval.reporting.runs import package_versions
+from vergence.kernels.cache import report_compiling_if_uncached
 
 T = TypeVar("T")
 Job = Callable[[], Any]

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import inlined, kernel, subroutine
+from vergence.kernels import inlined, kernel, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import (

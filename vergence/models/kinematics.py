@@ -7,7 +7,7 @@ import numpy as np
 from numpy import bool_
 from numpy.typing import NDArray
 
-from vergence._jit import inlined, kernel
+from vergence.kernels import inlined, kernel
 from vergence.models.actuation import Actuation
 from vergence.models.cameras import Cameras
 from vergence.models.geometry import Links

@@ -26,7 +26,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import inlined, subroutine
+from vergence.kernels import inlined, subroutine
 from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.parts import FloatArray
 

@@ -3,7 +3,7 @@
 from math import cos, exp, expm1, inf, log, pi, sin, sqrt
 from typing import Final, NamedTuple
 
-from vergence._jit import inlined, subroutine
+from vergence.kernels import inlined, subroutine
 
 _SECANT_STEPS: Final = 5
 """Secant steps to the time at which the acceleration meets its limit; exact to rounding

@@ -13,8 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import inlined
-from vergence._runs import make_tuple_reader
+from vergence.kernels import inlined, make_tuple_reader
 from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.cameras import Cameras
 from vergence.models.lens import CameraRow, pack_lens

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.json_values import null_nonfinite_rows
 from vergence.models.parts import FloatArray
+from vergence.operands import null_nonfinite_rows
 from vergence.perception.board_centre import target_centre_px
 from vergence.perception.photographs import list_photographs, remark_on_orientation_tags
 from vergence.perception.target_finder import Photograph, PhotographNotes, TargetFinder, tag_number

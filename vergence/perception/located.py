@@ -7,10 +7,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.json_values import null_nonfinite_elements, null_nonfinite_rows
 from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
 from vergence.perception.board_centre import centre_weights, weighted_sum
 from vergence.perception.edges import MeanEdge, mean_edge_sigma
 from vergence.perception.spacing import MM, EdgeSpacing, measure_spacing

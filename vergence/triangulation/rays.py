@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 from numpy import bool_
 from numpy.typing import NDArray
 
-from vergence._jit import inlined, kernel
+from vergence.kernels import inlined, kernel
 from vergence.models.kinematics import EyeFrames, eye_frames, pinhole_ray, undistort_pixel
 from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import (

@@ -3,7 +3,7 @@
 from math import hypot, isfinite, nan
 from typing import Final
 
-from vergence._jit import compiled
+from vergence.kernels import compiled
 from vergence.models.kinematics import pinhole_ray, ray_to_pixel
 from vergence.models.lens import is_distorted, undistort_ray
 from vergence.models.packed import camera_at

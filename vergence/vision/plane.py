@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled, subroutine
+from vergence.kernels import compiled, subroutine
 from vergence.models.kinematics import ray_to_pixel
 from vergence.models.lens import CameraRow
 from vergence.models.packed import camera_at

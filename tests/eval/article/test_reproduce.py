@@ -26,7 +26,7 @@ from vergence.eval.article.reproduce import reproduce
 from vergence.eval.reporting.parquet import write_parquet
 from vergence.eval.reporting.report import ReportSection, count_verdicts
 from vergence.eval.reporting.text import format_number
-from vergence.locks import hold_lock
+from vergence.files import hold_lock
 
 pytestmark = pytest.mark.usefixtures("toy", "undrawn")
 

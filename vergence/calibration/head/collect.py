@@ -23,7 +23,7 @@ from vergence.calibration.head.plan import EstimatedBoard, PosePlanner, estimate
 from vergence.calibration.head.preview import CalibrationPreview, preview_calibration
 from vergence.calibration.head.recording import clean_and_renumber_frames
 from vergence.errors import ConfigurationError
-from vergence.locks import hold_lock
+from vergence.files import hold_lock
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray

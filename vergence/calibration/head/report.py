@@ -24,8 +24,8 @@ from vergence.eval.reporting.text import (
     read_template,
 )
 from vergence.files import write_atomic
-from vergence.json_values import null_nonfinite_elements, null_nonfinite_rows
 from vergence.models.parts import EYE_NAMES
+from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
 """Distances of the table of depth, m (chosen: the range of use)."""

@@ -9,7 +9,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import inlined, kernel
 from vergence.controllers.networks.history import HISTORY_CHANNELS
 from vergence.controllers.networks.resolutions import (
     COARSE_RAD,
@@ -20,6 +19,7 @@ from vergence.controllers.networks.resolutions import (
     clip_to_unit,
     symlog_scaled,
 )
+from vergence.kernels import inlined, kernel
 from vergence.models.parts import FloatArray
 
 MAX_TO_GO_SHARE: Final = 2.0

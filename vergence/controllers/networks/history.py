@@ -17,7 +17,6 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from vergence._jit import inlined, kernel
 from vergence.controllers.networks.resolutions import (
     COARSE_RAD,
     FINE_RAD,
@@ -30,6 +29,7 @@ from vergence.controllers.networks.resolutions import (
 from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
+from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.packed import (
     PACKED,

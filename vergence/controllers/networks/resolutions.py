@@ -10,7 +10,7 @@ resolves every magnitude with the same relative resolution.
 from math import log1p
 from typing import Final
 
-from vergence._jit import inlined
+from vergence.kernels import inlined
 
 COARSE_RAD: Final = 1.5
 """Angle of a coarse channel's value 1, rad (chosen: range of the joints)."""

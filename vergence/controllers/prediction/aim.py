@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import inlined
+from vergence.kernels import inlined
 from vergence.models.fixation import actuator_least_squares
 from vergence.models.kinematics import eye_frames, eye_jacobian, pixel_rate
 from vergence.models.packed import (

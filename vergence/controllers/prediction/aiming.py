@@ -3,11 +3,11 @@
 from math import exp, nan
 from typing import Final
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.moving import extrapolate_goal, visible_speed_fraction
 from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.controllers.prediction.response import selected_model
+from vergence.kernels import inlined
 from vergence.models.kinematics import eye_frames, point_in_eye
 from vergence.models.packed import PackedHead, camera_of, point_to_outer
 

@@ -10,10 +10,10 @@ keeps its direction.
 
 from typing import Final
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.moving import MODELS, Motions
 from vergence.controllers.prediction.predictor_state import PredictorState
+from vergence.kernels import inlined
 from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
 

@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import subroutine
 from vergence.controllers.prediction.dating import HYPOTHESES, SPACING_S, add_bounded_delay_cost
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
+from vergence.kernels import subroutine
 from vergence.models.parts import FloatArray
 
 _TARGET_ACCELERATION_SD: Final = 4.0

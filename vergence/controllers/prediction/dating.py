@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import inlined
+from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
 
 HYPOTHESES: Final = 32

@@ -20,7 +20,6 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import inlined, subroutine
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.response import (
     FIRST_ORDER,
@@ -36,6 +35,7 @@ from vergence.controllers.prediction.response import (
     simulate_period,
     speed_at,
 )
+from vergence.kernels import inlined, subroutine
 from vergence.models.motion import follow_held_command, prepare_held_response
 from vergence.models.parts import FloatArray
 

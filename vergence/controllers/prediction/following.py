@@ -4,7 +4,6 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.measuring import LATENCY_JITTER_SD_S
 from vergence.controllers.prediction.moving import (
@@ -15,6 +14,7 @@ from vergence.controllers.prediction.moving import (
     predict_motions,
 )
 from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
+from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
 
 _MIN_SPEED_RAD_S: Final = 0.02

@@ -14,8 +14,8 @@ has broken away, which brakes the jump. Without such commands nothing changes.
 
 from typing import Annotated, Final
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
+from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
 
 _MIN_MOTION_RAD: Final = 2e-4

@@ -21,7 +21,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.comparing import (
     INFORMATIVE_RATIO,
     MODEL_ERROR_SD_RAD,
@@ -59,6 +58,7 @@ from vergence.controllers.prediction.rest_or_motion import (
     predict_goal_variances,
     update_motion_models,
 )
+from vergence.kernels import inlined
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 

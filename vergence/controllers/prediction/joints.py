@@ -5,9 +5,9 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.controllers.rows import make_row, row_layout, row_size
+from vergence.kernels import inlined
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
 from vergence.models.parts import EYES, FloatArray

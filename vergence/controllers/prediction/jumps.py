@@ -2,10 +2,10 @@
 
 from typing import Final
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.comparing import MODEL_ERROR_SD_RAD
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.predictor_state import PredictorState
+from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
 
 DISPLACED_GATE: Final = 36.0

@@ -3,10 +3,10 @@
 from math import isfinite, nan, sqrt
 from typing import Final
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.dating import SPACING_S
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
+from vergence.kernels import inlined
 from vergence.models.fixation import fixation_newton_step
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead, point_to_local

@@ -23,7 +23,7 @@ to the target, remains; eyes that follow their target are not disturbed.
 from math import exp, hypot, log
 from typing import Annotated, Any, Final, TypeAlias
 
-from vergence._jit import inlined
+from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
 
 MODELS: Final = 3

@@ -20,7 +20,6 @@ does not explain the readings.
 from math import exp, sqrt
 from typing import Annotated, Final
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters, clip_to_quantisation
 from vergence.controllers.prediction.response import (
     ResponseIdentification,
@@ -28,6 +27,7 @@ from vergence.controllers.prediction.response import (
     max_response_latency,
     selected_model,
 )
+from vergence.kernels import inlined
 from vergence.models.motion import lag_decay
 from vergence.models.parts import FloatArray
 

@@ -10,8 +10,8 @@ goal does not count.
 from math import exp2, pi, sqrt
 from typing import Annotated, Final
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
+from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
 
 _MIN_HALF_SWING_RAD: Final = 0.003

@@ -22,7 +22,6 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled, inlined
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import least_squares_actuators
 from vergence.controllers.prediction.aiming import extrapolate_targets, predict_pixel_error
@@ -52,6 +51,7 @@ from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.controllers.rows import record_view, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
+from vergence.kernels import compiled, inlined
 from vergence.models.head import HeadModel
 from vergence.models.packed import PackedHead, eye_joint_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray

@@ -8,7 +8,6 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.dating import (
     HYPOTHESES,
     first_hypothesis_delay,
@@ -44,6 +43,7 @@ from vergence.controllers.prediction.response import (
 )
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.layout import AGE_S
+from vergence.kernels import inlined
 from vergence.models.packed import (
     PackedHead,
     eye_actuator_angle,

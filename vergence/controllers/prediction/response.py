@@ -18,8 +18,8 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
+from vergence.kernels import inlined
 from vergence.models.motion import follow_held_command, prepare_held_response
 from vergence.models.parts import FloatArray
 

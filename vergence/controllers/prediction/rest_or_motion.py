@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import inlined
 from vergence.controllers.prediction.backlash import update_backlash_variance
 from vergence.controllers.prediction.dating import (
     HYPOTHESES,
@@ -29,6 +28,7 @@ from vergence.controllers.prediction.moving import (
     update_models,
 )
 from vergence.controllers.prediction.predictor_state import PredictorState
+from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
 
 _FRICTION_SD_RAD: Final = 0.0004

@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, inlined
 from vergence.envs.plants.conditions import TrialConditions
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, ring_size
 from vergence.envs.streams import IntArray, StreamKey, StreamPurpose, random_words, to_uniform
+from vergence.kernels import compiled, inlined
 from vergence.models.parts import FloatArray
 
 _ROUNDING: Final = 1e-9

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import inlined
-from vergence._runs import make_tuple_reader
 from vergence.envs.plants.imperfections import PER_ACTUATOR, PER_TRIAL, Imperfections
+from vergence.kernels import inlined, make_tuple_reader
 from vergence.models.parts import FloatArray
 
 EnvIndex = int | np.unsignedinteger[Any]

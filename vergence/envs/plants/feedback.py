@@ -5,7 +5,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, inlined
 from vergence.envs.plants.commands import LAST_READ_STEP, LOOP_STATE, RESUME_PERIOD
 from vergence.envs.plants.conditions import BACKLASH, PackedConditions, unpack_conditions
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, ring_size
@@ -25,6 +24,7 @@ from vergence.envs.streams import (
     random_words,
     to_normals,
 )
+from vergence.kernels import compiled, inlined
 from vergence.models.head import HeadModel
 from vergence.models.motion import lag_decay
 from vergence.models.parts import FloatArray

@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import inlined, subroutine
 from vergence.envs.plants.conditions import TrialConditions
 from vergence.envs.reading import BoolArray
 from vergence.envs.streams import (
@@ -26,6 +25,7 @@ from vergence.envs.streams import (
     to_normals,
     to_uniform,
 )
+from vergence.kernels import inlined, subroutine
 from vergence.models.parts import FloatArray
 
 TIME_TOLERANCE_S: Final = 1e-9

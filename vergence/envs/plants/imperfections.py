@@ -2,8 +2,8 @@
 
 The table defines the options of simulated plants, the quantities that a variation draws, the rows
 of kernels, the quantities of margins, and the tables of the docs. Kernels are compiled with the
-order of its rows. So a change here must invalidate the cache of `_jit`, which depends on all
-modules that contain this name.
+order of its rows. So a change here must invalidate the cache of `vergence.kernels`, which depends
+on all modules that contain this name.
 """
 
 from dataclasses import dataclass, field, fields

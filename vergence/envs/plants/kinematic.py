@@ -5,8 +5,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled, compiled_for_threads
-from vergence._tables import unpack_table
 from vergence.envs.plants.commands import CommandBuffers, held_commands
 from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, unpack_conditions
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames, exposure_time
@@ -29,6 +27,7 @@ from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.stepping import MOVE, StepArrays, begin_period, end_period
 from vergence.envs.plants.threads import advance_in_threads, bounds
 from vergence.envs.streams import IntArray
+from vergence.kernels import compiled, compiled_for_threads, unpack_table
 from vergence.models.motion import lag_decay
 
 _HEADS_PER_THREAD: Final = 192

@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import inlined, subroutine
 from vergence.envs.plants.conditions import EnvIndex
+from vergence.kernels import inlined, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.motion import (

@@ -7,8 +7,6 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import compiled_for_threads
-from vergence._tables import unpack_table
 from vergence.envs.plants.frames import TIME_TOLERANCE_S
 from vergence.envs.plants.motors import name_coupling
 from vergence.envs.plants.scene import TrueHeadsAndTargets
@@ -28,6 +26,7 @@ from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray
 from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError
+from vergence.kernels import compiled_for_threads, unpack_table
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import Batch, mujoco
 from vergence.models.mujoco.bodies import discrete_lag_rate, simulate, simulation_functions

@@ -5,7 +5,6 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from vergence._jit import compiled, untyped_tuple
 from vergence.envs.judging import JUDGE, LIMIT
 from vergence.envs.plants.conditions import PackedConditions, unpack_conditions
 from vergence.envs.plants.eye_views import BoardImageRenderer
@@ -35,6 +34,7 @@ from vergence.envs.streams import IntArray, StreamKey, StreamKeys, StreamPurpose
 from vergence.envs.targets.board import Board, board_axes
 from vergence.envs.targets.motion import is_shown, unpack_motion
 from vergence.errors import ConfigurationError
+from vergence.kernels import compiled, untyped_tuple
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, inlined
 from vergence.envs.plants.conditions import EnvIndex
 from vergence.envs.reading import Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.motion import Motion, motion_position_at, unpack_motion
+from vergence.kernels import compiled, inlined
 from vergence.models.kinematics import (
     inside_image,
     neck_frame,

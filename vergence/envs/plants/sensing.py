@@ -16,7 +16,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled
 from vergence.envs.plants.commands import (
     COMMAND_LOST,
     RESUME_PERIOD,
@@ -47,6 +46,7 @@ from vergence.envs.plants.scene import (
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, StreamKey, StreamKeys
 from vergence.envs.targets.motion import is_shown, unpack_motion
+from vergence.kernels import compiled
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import inside_image
 

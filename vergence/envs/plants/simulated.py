@@ -8,8 +8,6 @@ from typing import Any, ClassVar, Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import untyped_tuple
-from vergence._tables import make_table
 from vergence.envs.judging import JUDGE, TaskArrays
 from vergence.envs.plants import starting
 from vergence.envs.plants.commands import CommandBuffers
@@ -38,6 +36,7 @@ from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.motion import JUMP, last_jump_time, motion_rows
 from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError, refuse_unknown
+from vergence.kernels import make_table, untyped_tuple
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 

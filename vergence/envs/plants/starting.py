@@ -5,7 +5,6 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import compiled, inlined
 from vergence.envs.plants.commands import LOOP_STATE, CommandBuffers
 from vergence.envs.plants.conditions import (
     BACKLASH,
@@ -42,6 +41,7 @@ from vergence.envs.streams import (
     to_uniform,
 )
 from vergence.envs.targets.motion import is_shown, unpack_motion
+from vergence.kernels import compiled, inlined
 from vergence.models.actuation import SLOTS
 from vergence.models.kinematics import inside_image
 from vergence.models.packed import eye_actuator_angle

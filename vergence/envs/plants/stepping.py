@@ -9,8 +9,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import subroutine
-from vergence._tables import unpack_table
 from vergence.envs.judging import JUDGE, LIMIT, TaskArrays, judge_steps, limit_actions
 from vergence.envs.plants.commands import CommandBuffers, store_commands
 from vergence.envs.plants.conditions import PackedConditions
@@ -22,6 +20,7 @@ from vergence.envs.plants.sensing import SensorTiming, read_sensors, simulate_de
 from vergence.envs.plants.starting import expose_frames_before_start
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, StreamKeys
+from vergence.kernels import subroutine, unpack_table
 
 # further phases, one bit each, in their order between LIMIT and JUDGE (numerical)
 STORE: Final = 4

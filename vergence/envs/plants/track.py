@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled
 from vergence.envs.plants.commands import CommandBuffers, held_commands
 from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, unpack_conditions
 from vergence.envs.plants.feedback import interpolate_joint
@@ -23,6 +22,7 @@ from vergence.envs.plants.motors import (
 )
 from vergence.envs.plants.scene import TrueHeadsAndTargets, true_head_row
 from vergence.envs.streams import IntArray
+from vergence.kernels import compiled
 from vergence.models.motion import damping_ratio, follow_second_order_joint, lag_decay
 from vergence.models.packed import PackedHead, eye_actuator_angle, eye_actuator_velocity
 from vergence.models.parts import FloatArray

@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence._jit import compiled
 from vergence.envs.plants.imperfections import (
     IMPERFECTIONS,
     Imperfections,
@@ -30,6 +29,7 @@ from vergence.envs.streams import (
 )
 from vergence.envs.validation import real_number_array
 from vergence.errors import ConfigurationError, refuse_unknown
+from vergence.kernels import compiled
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import DEVIATES, ModelErrors, as_model_errors, perturb_by_deviates

@@ -5,7 +5,6 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from vergence._jit import compiled, untyped_tuple
 from vergence.envs.streams import IntArray, RandomStreams, StreamKeys, StreamPurpose, random_words
 from vergence.envs.targets.board import POINT, Board, is_detectable_by_both_eyes
 from vergence.envs.targets.moments import draw_event_times
@@ -23,6 +22,7 @@ from vergence.envs.targets.workspace import (
     draw_target_and_start,
     larger_eye_turn,
 )
+from vergence.kernels import compiled, untyped_tuple
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 

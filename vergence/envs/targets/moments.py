@@ -4,9 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import compiled, untyped_tuple
 from vergence.envs.streams import IntArray, RandomStreams, StreamKeys, StreamPurpose, random_words
 from vergence.envs.targets.placement import uniform_between
+from vergence.kernels import compiled, untyped_tuple
 from vergence.models.parts import FloatArray
 
 _TASK: Final = int(StreamPurpose.TASK)

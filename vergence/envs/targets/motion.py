@@ -18,9 +18,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import inlined, kernel
-from vergence._runs import make_tuple_reader
 from vergence.envs.targets.path import MIN_PATH_LENGTH, point_at
+from vergence.kernels import inlined, kernel, make_tuple_reader
 from vergence.models.packed import Vector
 from vergence.models.parts import FloatArray
 

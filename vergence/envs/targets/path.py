@@ -16,7 +16,7 @@ back along the path, and from the first knot forth again.
 from math import sin, sqrt
 from typing import Final
 
-from vergence._jit import inlined, subroutine
+from vergence.kernels import inlined, subroutine
 from vergence.models.packed import Vector
 from vergence.models.parts import FloatArray
 

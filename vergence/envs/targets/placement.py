@@ -5,8 +5,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import inlined
 from vergence.envs.streams import Words, to_uniform
+from vergence.kernels import inlined
 from vergence.models.actuation import SLOTS
 from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.head import HeadModel

@@ -6,7 +6,6 @@ from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, inlined, subroutine, untyped_tuple
 from vergence.envs.streams import (
     IntArray,
     RandomStreams,
@@ -29,6 +28,7 @@ from vergence.envs.targets.placement import (
 )
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, UnreachableTargetError
+from vergence.kernels import compiled, inlined, subroutine, untyped_tuple
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.packed import Vector, eye_actuator_angle, has_motor_per_joint

@@ -6,7 +6,6 @@ from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, inlined, subroutine, untyped_tuple
 from vergence.envs.streams import IntArray, RandomStreams, StreamKeys, StreamPurpose, random_words
 from vergence.envs.targets.board import POINT, Board, is_detectable_by_both_eyes, whole_board_text
 from vergence.envs.targets.motion import motion_rows
@@ -19,6 +18,7 @@ from vergence.envs.targets.placement import (
 )
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, UnreachableTargetError
+from vergence.kernels import compiled, inlined, subroutine, untyped_tuple
 from vergence.models.head import HeadModel
 from vergence.models.packed import Vector
 from vergence.models.parts import FloatArray

@@ -24,7 +24,7 @@ from vergence.eval.reporting.section import (
     included_sections,
     read_section,
 )
-from vergence.locks import hold_lock
+from vergence.files import hold_lock
 
 
 class ReproduceListener(Protocol):

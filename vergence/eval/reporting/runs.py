@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import atomic_folder, remove_partial, save_folder_at_free_path
-from vergence.locks import hold_lock
+from vergence.files import atomic_folder, hold_lock, remove_partial, save_folder_at_free_path
 from vergence.models.head import HeadModel
 from vergence.models.head_file import save_head
 

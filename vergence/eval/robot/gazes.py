@@ -9,7 +9,7 @@ from vergence.envs.task import GazeTask
 from vergence.eval.gaze_trajectory import MM, gaze_and_view_fixes
 from vergence.eval.trials.recorded import trials_from_record
 from vergence.eval.trials.results import Trials
-from vergence.json_values import null_nonfinite_rows
+from vergence.operands import null_nonfinite_rows
 from vergence.recording import Recorder
 
 BAND_PX: Final = 2.0

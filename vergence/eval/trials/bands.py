@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import compiled, inlined
 from vergence.eval.trials.goal import actuator_goal, eye_goal
+from vergence.kernels import compiled, inlined
 from vergence.models.actuation import SLOTS
 from vergence.models.packed import PackedHead, camera_of, joint_per_actuator
 from vergence.models.parts import FloatArray

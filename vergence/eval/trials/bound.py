@@ -31,7 +31,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, inlined, untyped_tuple
 from vergence.envs.plants.conditions import Conditions
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
@@ -39,6 +38,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.trials.bands import actuator_settling_bands, eye_settling_bands
 from vergence.eval.trials.entry import least_entry_time
 from vergence.eval.trials.goal import least_reachable_error
+from vergence.kernels import compiled, inlined, untyped_tuple
 from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.parts import EYES, FloatArray
 

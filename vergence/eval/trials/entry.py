@@ -10,7 +10,7 @@ it crosses the near edge.
 from math import inf, log
 from typing import Final, NamedTuple
 
-from vergence._jit import compiled, inlined
+from vergence.kernels import compiled, inlined
 from vergence.models.motion import follow_joint, follow_torque_limited_joint, lag_decay
 
 _BISECTIONS: Final = 60

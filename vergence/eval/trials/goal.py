@@ -16,9 +16,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, inlined
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.task import GazeTask
+from vergence.kernels import compiled, inlined
 from vergence.models.actuation import SLOTS
 from vergence.models.fixation import actuator_least_squares, fixate_coupled, fixate_eye
 from vergence.models.kinematics import pixel_error, point_in_eye, point_to_pixel

@@ -18,8 +18,7 @@ from vergence.eval.tuning.objective import Attempt, Objective
 from vergence.eval.tuning.spaces import SearchRange, default_point, has_single_stepped_option
 from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import without_password
-from vergence.files import atomic_files
-from vergence.locks import hold_lock
+from vergence.files import atomic_files, hold_lock
 from vergence.models.head import HeadModel
 
 PACKAGES: Final = ("optuna",)

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled
+from vergence.kernels import compiled
 from vergence.models.parts import FloatArray
 
 _STEP_S: Final = 1e-3

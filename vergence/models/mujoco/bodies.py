@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.geometry import Body, chain_end, rot_z
 from vergence.models.head import HeadModel

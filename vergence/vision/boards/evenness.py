@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled
+from vergence.kernels import compiled
 
 _MAX_DIFFERENCE_ORDER: Final = 5
 """Highest order of differences along a row (chosen: removes lens distortion, needs six corners)."""

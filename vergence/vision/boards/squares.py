@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled
+from vergence.kernels import compiled
 from vergence.vision.plane import grey_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.tags.cholesky import cholesky_factorise, forward_substitute
 from vergence.vision.tags.normal import add_priors, build_normal_equations

@@ -2,7 +2,7 @@
 
 from math import sqrt
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.models.parts import FloatArray
 
 

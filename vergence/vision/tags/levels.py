@@ -3,7 +3,7 @@
 from math import exp, log
 from typing import Final
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.tags.workspace import Blocks
 

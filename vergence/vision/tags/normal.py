@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.tags.cholesky import forward_substitute
 from vergence.vision.tags.workspace import CUBIC_START, MAX_UNKNOWNS, WHITE_SPREAD_INDEX, Blocks

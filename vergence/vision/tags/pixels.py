@@ -3,7 +3,7 @@
 from math import gcd, sqrt
 from typing import Final
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import transform_point
 from vergence.vision.tags.workspace import FitState, SearchRegion, TagPrint, side_lengths

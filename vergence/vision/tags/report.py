@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import UndistortedView, distorted_pixel, grey_at, transform_point

@@ -2,7 +2,7 @@
 
 from math import sqrt
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.vision.tags.bend import bend_by_coefficient, bend_displacement
 from vergence.vision.tags.printed import sample_print
 from vergence.vision.tags.workspace import BEND_START, MAX_UNKNOWNS, FitBuffers, FitState, TagPrint

@@ -2,7 +2,7 @@
 
 from typing import Final, NamedTuple
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import image_to_square_homography
 from vergence.vision.tags.pixels import drop_clipped_pixels, gather_edge_pixels

@@ -3,7 +3,7 @@
 from math import exp, hypot, inf
 from typing import Final, NamedTuple
 
-from vergence._jit import subroutine
+from vergence.kernels import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import square_to_image_homography, transform_point
 from vergence.vision.tags.cholesky import cholesky_factorise, cholesky_solve

@@ -1,20 +1,20 @@
-"""Tables of addresses and shapes: many arrays for a compiled function at the cost of one argument.
+"""Many arrays as one argument of a compiled function, and runs of an array's elements at once.
 
 At each call from Python, numba unpacks each array of a group for a tenth of a microsecond. A table
 is a single array: its structured type says how arrays, numbers and tuples are nested, so compiled
 code is typed by it as by the group itself, and its bytes say where the arrays are. Nothing is
 reference-counted: whoever makes a table keeps the group alive, and makes another table once an
-array of it has been replaced. This module names `_jit`, so that a change of it discards the cache
-of kernels.
+array of it has been replaced.
 """
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
 from numba.core import cgutils, types
 from numba.extending import lower_builtin, type_callable
-from numba.np.arrayobj import populate_array
+from numba.np.arrayobj import load_item, populate_array
 from numba.np.numpy_support import from_dtype
 from numpy.typing import NDArray
 
@@ -171,3 +171,35 @@ def _load_array(context: Any, builder: Any, kind: Any, at: Any) -> Any:
         meminfo=None,
     )
     return array._getvalue()
+
+
+def make_tuple_reader(count: int) -> Callable[[NDArray[Any], int], tuple[Any, ...]]:
+    """Make a function that reads consecutive elements of an array as a tuple.
+
+    Args:
+        count: number of elements.
+
+    Returns:
+        Function of an (n,) array and the index of the first element, which must not be negative.
+    """
+
+    def run(row: NDArray[Any], first: int) -> tuple[Any, ...]:
+        return tuple(row[first : first + count].tolist())
+
+    @type_callable(run)
+    def type_run(context: Any) -> Any:
+        return lambda row, first: types.UniTuple(row.dtype, count)
+
+    @lower_builtin(run, types.Array, types.Integer)  # type: ignore[untyped-decorator]
+    def load_run(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array_type, first_type = signature.args
+        array = context.make_array(array_type)(context, builder, arguments[0])
+        start = context.cast(builder, arguments[1], first_type, types.intp)
+        elements = []
+        for i in range(count):
+            place = builder.add(start, context.get_constant(types.intp, i))
+            pointer = cgutils.get_item_pointer(context, builder, array_type, array, [place])
+            elements.append(load_item(context, builder, array_type, pointer))
+        return context.make_tuple(builder, signature.return_type, elements)
+
+    return run

@@ -1,4 +1,4 @@
-"""Compile kernels with numba, configured here once; `vergence._kernel_cache` keeps them.
+"""Compile kernels with numba, configured here once; `vergence.kernels.cache` keeps them.
 
 Functions are compiled when they are called, none at import, and anew for each combination of
 argument types. Kernels therefore use loops over scalars (assigning a slice costs seconds for
@@ -28,8 +28,8 @@ from numba.np.ufunc.ufuncbuilder import GUFuncBuilder
 from numba.np.ufunc.wrappers import _GufuncWrapper
 
 from vergence import interrupts
-from vergence._kernel_cache import KernelCache, WrapperCache, compiling_alone
 from vergence.errors import ConfigurationError
+from vergence.kernels.cache import KernelCache, WrapperCache, compiling_alone
 from vergence.operands import as_operand
 
 __all__ = [

@@ -13,51 +13,51 @@ import numpy as np
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-from vergence import _jit, _kernel_cache, _runs
+from vergence.kernels import cache, jit, make_tuple_reader
 from vergence.models.packed import Pose, direction_to_outer
 from vergence.triangulation.rays import triangulate
 
-HELPER = "from heads import _jit\n\n@_jit.inlined\ndef scale(x):\n    return {factor} * x\n"
+HELPER = "from heads.kernels import jit\n\n@jit.inlined\ndef scale(x):\n    return {factor} * x\n"
 KERNELS = """
-from heads import _jit
+from heads.kernels import jit
 from heads.helper import scale
 
-@_jit.kernel(["void(float64[:], float64[:])"], "(n)->(n)")
+@jit.kernel(["void(float64[:], float64[:])"], "(n)->(n)")
 def scaled(x, out):
     for i in range(x.shape[0]):
         out[i] = scale(x[i])
 
-@_jit.compiled
+@jit.compiled
 def ratio(a, b):
     return a / b
 
-@_jit.compiled
+@jit.compiled
 def inverse(x):
     return ratio(1.0, scale(x))
 """
-PRINT = "from heads.kernels import *; print(scaled([1.0, 2.0]), inverse(2.0), inverse(0.0))"
+PRINT = "from heads.loops import *; print(scaled([1.0, 2.0]), inverse(2.0), inverse(0.0))"
 OTHERS = """
-from heads import _jit
+from heads.kernels import jit
 
-@_jit.compiled
+@jit.compiled
 def apart(x):
     return x + 1.0
 """
 WATCH = """
 import fcntl
-from heads import _jit, _kernel_cache
+from heads.kernels import cache, jit
 
-class Watched(_jit._GufuncBuilder):
+class Watched(jit._GufuncBuilder):
     def build_ufunc(self):
-        with open(_kernel_cache.cache_folder() / "heads.kernels.scaled.lock", "w") as file:
+        with open(cache.cache_folder() / "heads.loops.scaled.lock", "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 print("alone", end=" ")
         return super().build_ufunc()
 
-_jit._GufuncBuilder = Watched
-from heads.kernels import scaled
+jit._GufuncBuilder = Watched
+from heads.loops import scaled
 print(scaled([1.0]))
 """
 
@@ -68,11 +68,12 @@ def package(tmp_path):
     folder = tmp_path / "heads"
     folder.mkdir()
     (folder / "__init__.py").touch()
-    for module in (_jit, _kernel_cache):
-        text = Path(module.__file__).read_text().replace("vergence._kernel", "heads._kernel")
-        (folder / Path(module.__file__).name).write_text(text)
+    (folder / "kernels").mkdir()
+    for path in Path(jit.__file__).parent.glob("*.py"):
+        text = path.read_text().replace("vergence.kernels", "heads.kernels")
+        (folder / "kernels" / path.name).write_text(text)
     (folder / "helper.py").write_text(HELPER.format(factor=2.0))
-    (folder / "kernels.py").write_text(KERNELS)
+    (folder / "loops.py").write_text(KERNELS)
     (folder / "others.py").write_text(OTHERS)
     return folder
 
@@ -101,7 +102,7 @@ def compiled_files(folder: Path) -> set[Path]:
 
 
 def test_a_kernel_broadcasts_and_takes_an_output():
-    @_jit.kernel(["void(float64[:], float64[:], float64[:])"], "(n),(n)->()")
+    @jit.kernel(["void(float64[:], float64[:], float64[:])"], "(n),(n)->()")
     def dot(a, b, out):
         out[0] = 0.0
         for i in range(a.shape[0]):
@@ -116,12 +117,12 @@ def test_a_kernel_broadcasts_and_takes_an_output():
 def make_kernels():
     """A generalized ufunc and a compiled function that nothing has compiled yet."""
 
-    @_jit.kernel(["void(float64[:], float64[:])"], "(n)->(n)")
+    @jit.kernel(["void(float64[:], float64[:])"], "(n)->(n)")
     def doubled(x, out):
         for i in range(x.shape[0]):
             out[i] = 2.0 * x[i]
 
-    @_jit.compiled
+    @jit.compiled
     def halved(x):
         return 0.5 * x
 
@@ -130,13 +131,13 @@ def make_kernels():
 
 def said_by_a_call() -> list[str]:
     said: list[str] = []
-    _kernel_cache.set_compile_reporter(said.append)
+    cache.set_compile_reporter(said.append)
     doubled, halved = make_kernels()
     try:
         assert doubled([1.0, 2.0]).tolist() == [2.0, 4.0]
         assert halved(1.0) == 0.5
     finally:
-        _kernel_cache.set_compile_reporter(None)
+        cache.set_compile_reporter(None)
     return said
 
 
@@ -151,7 +152,7 @@ def test_a_device_called_from_python_runs_as_python():
 
 @pytest.mark.slow
 def test_compiling_is_said_once_and_not_when_it_is_kept(monkeypatch, tmp_path):
-    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
     (first,) = said_by_a_call()
     assert first.startswith("compiling kernels")
     assert ", once" in first
@@ -160,7 +161,7 @@ def test_compiling_is_said_once_and_not_when_it_is_kept(monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_compiling_at_every_call_is_said_with_its_reason(monkeypatch):
-    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: None)
+    monkeypatch.setattr(cache, "cache_folder", lambda: None)
     for _call in range(2):
         (text,) = said_by_a_call()
         assert "at every call, as no folder to keep them in can be written" in text
@@ -168,12 +169,12 @@ def test_compiling_at_every_call_is_said_with_its_reason(monkeypatch):
 
 
 def test_workers_without_a_voice_are_spoken_for_once(monkeypatch):
-    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: None)
+    monkeypatch.setattr(cache, "cache_folder", lambda: None)
     said: list[str] = []
-    _kernel_cache.set_compile_reporter(said.append)
-    _kernel_cache.report_compiling_if_uncached()
-    _kernel_cache.report_compiling_if_uncached()
-    _kernel_cache.set_compile_reporter(None)
+    cache.set_compile_reporter(said.append)
+    cache.report_compiling_if_uncached()
+    cache.report_compiling_if_uncached()
+    cache.set_compile_reporter(None)
     assert len(said) == 1
 
 
@@ -181,7 +182,7 @@ def test_a_full_disk_costs_the_cache_and_not_the_result(monkeypatch, tmp_path):
     def save(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(IndexDataCacheFile, "save", save)
     compiling, kept = said_by_a_call()
     assert compiling.startswith("compiling kernels")
@@ -193,7 +194,7 @@ def test_a_cache_that_cannot_be_read_is_done_without(monkeypatch, tmp_path):
     def load(*arguments):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(IndexDataCacheFile, "load", load)
     assert said_by_a_call()
 
@@ -201,7 +202,7 @@ def test_a_cache_that_cannot_be_read_is_done_without(monkeypatch, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("damaged", [".nbi", ".nbc"])
 def test_a_damaged_cache_is_compiled_again_once(monkeypatch, tmp_path, damaged):
-    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
     assert said_by_a_call()
     for path in tmp_path.rglob(f"*{damaged}"):
         path.write_bytes(path.read_bytes()[:10])
@@ -224,7 +225,7 @@ def test_kernels_are_compiled_once_and_follow_the_sources_that_they_import(packa
     (package / "helper.py").write_text(HELPER.format(factor=4.0))
     assert run(package, code) == "[4. 8.] 0.125 inf"
     assert first & compiled_files(package) == apart() == others  # nothing old is kept, nor lost
-    with (package / "_jit.py").open("a") as compiler:
+    with (package / "kernels" / "jit.py").open("a") as compiler:
         compiler.write("_OPTIMISATION = 2\n")
     run(package, code)
     assert not others & compiled_files(package)
@@ -233,11 +234,11 @@ def test_kernels_are_compiled_once_and_follow_the_sources_that_they_import(packa
 def test_the_first_folder_that_can_be_written_keeps_the_kernels(monkeypatch, tmp_path):
     package, chosen, home = tmp_path / "package", tmp_path / "chosen", tmp_path / "home"
     package.mkdir()
-    monkeypatch.setattr(_kernel_cache, "_PACKAGE", package)
+    monkeypatch.setattr(cache, "_PACKAGE", package)
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(chosen))
     monkeypatch.setenv("HOME", str(home))
-    found = _kernel_cache.cache_folder.__wrapped__
+    found = cache.cache_folder.__wrapped__
     assert found().parent == chosen
     monkeypatch.delenv("NUMBA_CACHE_DIR")
     assert found().parent == package / "__pycache__"
@@ -251,7 +252,7 @@ def test_the_first_folder_that_can_be_written_keeps_the_kernels(monkeypatch, tmp
 
 @pytest.mark.nightly
 def test_shipped_kernels_are_used_where_they_fit_and_nowhere_else(package, tmp_path):
-    processor, features = _kernel_cache.PORTABLE_PROCESSORS[platform.machine()]
+    processor, features = cache.PORTABLE_PROCESSORS[platform.machine()]
     made = run(
         package,
         NUMBA_CACHE_DIR=str(tmp_path / "made"),
@@ -262,12 +263,12 @@ def test_shipped_kernels_are_used_where_they_fit_and_nowhere_else(package, tmp_p
     shipped = (
         package
         / "kernels"
-        / run(package, "from heads import _kernel_cache as kept; print(kept.shipped_name())")
+        / run(package, "from heads.kernels import cache as kept; print(kept.shipped_name())")
     )
     shutil.copytree(compiled, shipped)
     assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "first")) == made
     assert not compiled_files(tmp_path / "first")
-    older = "from heads import _kernel_cache as kept; kept.get_host_cpu_features = dict; " + PRINT
+    older = "from heads.kernels import cache as kept; kept.get_host_cpu_features = dict; " + PRINT
     assert run(package, older, NUMBA_CACHE_DIR=str(tmp_path / "second")) == made
     assert compiled_files(tmp_path / "second") or platform.machine() not in ("x86_64", "AMD64")
     (package / "helper.py").write_text(HELPER.format(factor=4.0))
@@ -276,7 +277,7 @@ def test_shipped_kernels_are_used_where_they_fit_and_nowhere_else(package, tmp_p
 
 @pytest.mark.nightly
 def test_other_packages_keep_their_own_cache_setting(package):
-    code = "import numba; from heads.kernels import scaled; print(repr(numba.config.CACHE_DIR))"
+    code = "import numba; from heads.loops import scaled; print(repr(numba.config.CACHE_DIR))"
     assert run(package, code) == "''"
 
 
@@ -288,10 +289,10 @@ def test_one_process_at_a_time_compiles_a_kernel(package):
     assert run(package, WATCH) == "alone [2.]"  # what is on disk is read alone too
 
 
-_three = _runs.make_tuple_reader(3)
+_three = make_tuple_reader(3)
 
 
-@_jit.kernel(["void(float32[:], float32[:])", "void(float64[:], float64[:])"], "(n)->(n)")
+@jit.kernel(["void(float32[:], float32[:])", "void(float64[:], float64[:])"], "(n)->(n)")
 def _shifted(row, out):
     run = _three(row, len(row) - 3)
     out[0], out[1], out[2] = run[0], run[1], run[2]
@@ -306,7 +307,3 @@ def test_a_run_of_numbers_is_read_at_once_from_arrays_of_any_layout():
 
 def test_a_run_of_numbers_is_read_in_python_as_in_a_kernel():
     assert _three(np.arange(9.0), 4) == (4.0, 5.0, 6.0)
-
-
-def test_kernels_go_stale_with_how_runs_are_read():
-    assert "_jit" in Path(_runs.__file__).read_text()

@@ -3,7 +3,7 @@
 Numba stores machine code beside a function's source and recompiles if that file changes. It does
 not notice a change in another module whose function or constant was compiled in, so a kernel would
 keep running the old code of an edited helper. Here the folder of a module's kernels is named by a
-digest of the module and of what it imports, directly or not, as far as that names `vergence._jit`:
+digest of the module and of what it imports, directly or not, as far as that names this folder:
 a change costs the kernels that it may touch, and no others. A constant that is compiled in must
 therefore be in such a module.
 
@@ -42,9 +42,11 @@ try:
 except ImportError:  # Windows: no lock, so the first run there should be a single process
     fcntl = None  # type: ignore[assignment]
 
-_PACKAGE: Final = Path(__file__).resolve().parent
-SHIPPED: Final = _PACKAGE / "kernels"
+_PACKAGE: Final = Path(__file__).resolve().parents[1]
+SHIPPED: Final = _PACKAGE / "kernels" / "shipped"
 """Folder of the compiled kernels that a wheel carries; a clone has none."""
+_MARK: Final = f"{_PACKAGE.name}.kernels".encode()
+"""What a source names from which kernels may be compiled."""
 
 
 @functools.cache
@@ -167,7 +169,7 @@ def _digest(module: str) -> str:
     digest = hashlib.sha256()
     for name, text in sorted(found.items()):
         named = name.encode() + text
-        if text and (name == module or b"_jit" in named):
+        if text and (name == module or _MARK in named):
             digest.update(named)
     return digest.hexdigest()[:16]
 
@@ -208,6 +210,7 @@ class KernelCache(Cache):
         self.enable()  # type: ignore[no-untyped-call]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a compiled function; None if no folder has it."""
         rtsys.initialize(target_context)  # all that code needs which is not compiled here
         types, processor, code = self._index_key(sig, target_context.codegen())  # type: ignore[no-untyped-call]
         shipped = processor[0], *PORTABLE_PROCESSORS.get(platform.machine(), ("", ""))
@@ -227,6 +230,7 @@ class KernelCache(Cache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled function, if a folder can be written."""
         folder = cache_folder()
         reduced = None if folder is None else self._reduced(data)
         if folder is None or reduced is None:
