@@ -50,10 +50,10 @@ from vergence.calibration.projection import project_with_jacobians
 from vergence.calibration.stereo import fit_camera_pair
 from vergence.calibration.uncertainty import direction_sigma_px, rig_covariance
 from vergence.errors import ConfigurationError
-from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray, Rendering
 from vergence.vision import TargetRenderer, make_detector, parse_target
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import PlanarTarget
 
 SIZE: Final = (640, 480)
 """Width and height of the images, px (chosen: a common camera)."""

@@ -45,10 +45,10 @@ from vergence.calibration.cameras import estimate_board_poses, fit_camera, fit_c
 from vergence.calibration.observations import BoardObservations, detect_board_corners, parse_board
 from vergence.calibration.stereo import fit_camera_pair
 from vergence.errors import ConfigurationError
-from vergence.models.boards import Checkerboard
 from vergence.models.parts import FloatArray
 from vergence.perception.photographs import photographs_in_folder
 from vergence.vision import read_image
+from vergence.vision.targets import Checkerboard
 
 HALF_WINDOW: Final = 5
 """Half window of `cornerSubPix`, px (chosen: that of OpenCV's samples/python/calibrate.py)."""

@@ -18,8 +18,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vergence.models.tag_families import tag_family
 from vergence.vision import AprilTag, make_detector
+from vergence.vision.tag_families import tag_family
 
 _FINER: Final = 8
 """Rays per pixel along each axis (numerical)."""

@@ -82,7 +82,7 @@ def sensing_head() -> vergence.HeadModel:
 
 def bare(head: vergence.HeadModel) -> Pass:
     """Case of MuJoCo's step in a compiled loop on one core, with new commands each period."""
-    model = compile_model(head, target=None, visuals=False)
+    model = compile_model(head, visuals=False)
     data = mujoco.MjData(model)
     step = mujoco_step()
     episodes = 20

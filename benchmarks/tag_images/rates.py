@@ -29,11 +29,11 @@ from benchmarks.tag_images.methods import Found, Method, make_methods
 from benchmarks.tag_images.photographs import edge, image_paths
 from benchmarks.tag_images.scores import near_px
 from vergence.errors import VergenceError
-from vergence.models.boards import TagFamily
 from vergence.vision import as_grey, parse_target
 from vergence.vision.image import read_pixels
 from vergence.vision.tags.detector import TagDetector
 from vergence.vision.tags.report import TagFit
+from vergence.vision.targets import TagFamily
 
 _LIBRARY = ("pyapriltags", "pyapriltags+sharpening")
 _NEAR_EDGES = 0.5

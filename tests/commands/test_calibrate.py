@@ -12,8 +12,8 @@ from tests.heads import head_of
 from tests.naming import named
 from tests.perception.drawn import Studio, pose_at
 from vergence.models import load_head
-from vergence.models.boards import Checkerboard
 from vergence.models.stereo_files import read_intrinsics
+from vergence.vision.targets import Checkerboard
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "stereo_chessboard"
 TARGET, BOARD = "checkerboard:9x6:24", Checkerboard(columns=9, rows=6, square_m=0.024)

@@ -11,7 +11,7 @@ from tests.models.files.pairs import opencv_pair, write_opencv
 from tests.naming import named
 from tests.perception.drawn import Studio, pose_at
 from vergence.models import load_head
-from vergence.models.boards import AprilTag, Checkerboard
+from vergence.vision.targets import AprilTag, Checkerboard
 
 TAG, BOARD = AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)
 

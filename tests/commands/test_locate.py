@@ -13,8 +13,8 @@ from tests.heads import text_of
 from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at, save_pair
 from vergence.models import load_head
-from vergence.models.boards import AprilTag
 from vergence.perception.edges import MeanEdge, describe_wrong_edges
+from vergence.vision.targets import AprilTag
 
 TARGET = "tag:36h11:5:120"
 TAG = AprilTag(id=5, edge_m=0.12)

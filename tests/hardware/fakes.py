@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence import load_head
 from vergence.hardware.config import CameraConfig, HardwareConfig, ServoConfig, actuator_slots
-from vergence.models.boards import AprilTag
+from vergence.vision.targets import AprilTag
 
 
 class FakeClock:

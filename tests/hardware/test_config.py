@@ -22,9 +22,9 @@ from vergence.errors import (
 )
 from vergence.hardware import config as config_module
 from vergence.hardware.config import actuator_slots, load_hardware
-from vergence.models.boards import AprilTag
 from vergence.models.head_file import save_head
 from vergence.models.toml_table import toml_text
+from vergence.vision.targets import AprilTag
 
 
 @pytest.fixture(autouse=True)

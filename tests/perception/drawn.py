@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from vergence.models import HeadModel
-from vergence.models.boards import PlanarTarget
 from vergence.vision import EyeCamera, TargetRenderer
+from vergence.vision.targets import PlanarTarget
 
 
 def pose_at(

@@ -5,11 +5,11 @@ import pytest
 
 from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
-from vergence.models.boards import AprilTag, TagFamily
 from vergence.perception.locate import _match
 from vergence.perception.similar_targets import describe_similar_targets
 from vergence.perception.target_finder import TargetFinder, parse_targets
 from vergence.vision import AprilGrid, EyeCamera
+from vergence.vision.targets import AprilTag, TagFamily
 
 HEAD = load_head("simulated")
 GRID = AprilGrid(columns=5, rows=4, tag_m=0.03)

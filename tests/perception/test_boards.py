@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.models.boards import AprilTag, Checkerboard
 from vergence.perception.board_centre import centre_weights, target_centre_px, weighted_sum
 from vergence.perception.spacing import measure_spacing, neighbour_distances_m, neighbour_pairs
 from vergence.vision import Detection, EyeCamera
+from vergence.vision.targets import AprilTag, Checkerboard
 
 BOARD = Checkerboard(columns=5, rows=4, square_m=0.03)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.perception.test_target_finder import HEAD, side_by_side
-from vergence.models.boards import TagFamily
 from vergence.perception.finders import FamilyTracker, make_live_finders
 from vergence.vision import make_detector
+from vergence.vision.targets import TagFamily
 
 BOTH = side_by_side(7, 3)[0]
 NOTHING = np.full_like(BOTH, 110)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from vergence.models.boards import AprilTag, Checkerboard
 from vergence.perception.live import LiveStatistics, watch_targets
 from vergence.vision import Detection
+from vergence.vision.targets import AprilTag, Checkerboard
 
 TAG, OTHER = AprilTag(id=5), AprilTag(id=6)
 

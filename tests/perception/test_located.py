@@ -7,11 +7,11 @@ from tests.heads import head_of
 from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
-from vergence.models.boards import AprilTag, Checkerboard
 from vergence.perception.located import locate_target
 from vergence.perception.target_finder import TargetFinder
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
+from vergence.vision.targets import AprilTag, Checkerboard
 
 TARGETS = [AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)]
 

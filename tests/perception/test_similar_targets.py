@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.naming import named
-from vergence.models.boards import CharucoBoard, texture
 from vergence.models.head_file import load_head
 from vergence.perception.similar_targets import _reduced, describe_similar_targets
 from vergence.perception.target_finder import parse_targets
 from vergence.vision import make_detector
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import CharucoBoard, texture
 
 
 def drawn(name):

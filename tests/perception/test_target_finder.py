@@ -6,10 +6,10 @@ import pytest
 from tests.eval.refusals import not_refused
 from tests.perception.drawn import Studio, pose_at
 from vergence import load_head
-from vergence.models.boards import AprilTag, CharucoBoard
 from vergence.perception.locate import _match
 from vergence.perception.target_finder import TargetFinder, parse_targets, tag_number
 from vergence.vision import EyeCamera
+from vergence.vision.targets import AprilTag, CharucoBoard
 
 HEAD = load_head("physical")
 

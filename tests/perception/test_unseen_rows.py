@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from vergence.models.boards import CharucoBoard, texture
 from vergence.perception.unseen_rows import UnseenRowCheck
 from vergence.vision import make_detector, parse_target
+from vergence.vision.targets import CharucoBoard, texture
 
 
 def drawn(name):

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence import load_head
-from vergence.models.boards import PlanarTarget
 from vergence.models.parts import Rendering
 from vergence.vision import EyeCamera, TargetRenderer
+from vergence.vision.targets import PlanarTarget
 
 Image = NDArray[np.uint8]
 Change = Callable[[Image, np.ndarray], Image]

@@ -14,10 +14,10 @@ from tests.naming import named
 from tests.vision.poses import pose
 from vergence import load_head
 from vergence.errors import ConfigurationError
-from vergence.models.boards import PlanarTarget, board_pose
 from vergence.models.cameras import light_table
 from vergence.models.parts import Rendering
 from vergence.vision import AprilTag, EyeCamera, TargetRenderer, make_planar_target
+from vergence.vision.targets import PlanarTarget, board_pose
 
 
 def assert_ray_cast(

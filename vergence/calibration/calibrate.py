@@ -25,10 +25,10 @@ from vergence.calibration.observations import BoardObservations, detect_board_co
 from vergence.calibration.stereo import fit_camera_pair
 from vergence.calibration.uncertainty import rig_covariance
 from vergence.errors import ConfigurationError
-from vergence.models.boards import PlanarTarget
 from vergence.models.cameras import LENSES, CameraResponse
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.spacing import MM
+from vergence.vision.targets import PlanarTarget
 
 _DETECTION_PROGRESS: Final = 0.5
 """Fraction of the progress done after detection in all images (chosen)."""

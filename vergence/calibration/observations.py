@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import BundleAdjustment
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.cameras import CameraResponse
 from vergence.models.parts import FloatArray
 from vergence.perception.light import LinearResponseCheck
@@ -22,6 +21,7 @@ from vergence.perception.similar_targets import describe_similar_targets
 from vergence.perception.unseen_rows import UnseenRowCheck
 from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
+from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily
 
 _MISSES_BEFORE_CHECK: Final = 6
 """Photographs without the board after which another board is searched for (chosen: an early

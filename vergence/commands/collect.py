@@ -19,9 +19,9 @@ from vergence.errors import ConfigurationError
 if TYPE_CHECKING:
     from vergence.calibration.head.collect import CollectedRecording
     from vergence.calibration.head.preview import CalibrationPreview
-    from vergence.models.boards import PlanarTarget
     from vergence.models.head import HeadModel
     from vergence.recording.looking import Looker
+    from vergence.vision.targets import PlanarTarget
 
 _ROBOT_LOOKER_MODULE: Final = "vergence.hardware.looker"
 """Module of the `Looker` of a robot."""

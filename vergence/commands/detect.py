@@ -23,10 +23,10 @@ from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.models.boards import Target
     from vergence.models.cameras import CameraResponse
     from vergence.perception.detect import DetectResult
     from vergence.vision import EyeCamera
+    from vergence.vision.targets import Target
 
 _MOST_PANELS: Final = 12
 """Most photographs in one figure (chosen: overview against size of each)."""

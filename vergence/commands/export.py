@@ -21,11 +21,12 @@ class _ExportModel:
     def _write(self, format: Literal["mjcf", "urdf"]) -> int:
         from vergence.models.head_file import load_head
         from vergence.models.mujoco.export import export_files
+        from vergence.vision.targets import AprilTag
 
         head = load_head(self.head)
 
         def write(folder: Path) -> None:
-            for name, content in export_files(head, format).items():
+            for name, content in export_files(head, format, {"tag": AprilTag()}).items():
                 path = folder / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)

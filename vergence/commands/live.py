@@ -16,11 +16,11 @@ from vergence.commands.console import print_to_stderr
 from vergence.eval.reporting.text import format_fixed
 
 if TYPE_CHECKING:
-    from vergence.models.boards import Target
     from vergence.models.cameras import CameraResponse
     from vergence.models.parts import FloatArray
     from vergence.perception.live import LiveSummary
     from vergence.vision import EyeCamera
+    from vergence.vision.targets import Target
 
 
 def watch_camera(

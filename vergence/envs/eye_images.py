@@ -9,9 +9,9 @@ from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
-from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.vision.targets import make_planar_target
 
 
 class EyeImages(NamedTuple):

@@ -24,11 +24,11 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import CameraConfig
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import SearchedImage
-from vergence.models.boards import Target
 from vergence.models.head import HeadModel
 from vergence.vision.detectors import make_detector
 from vergence.vision.image import as_grey, grey_if_channels_equal
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import Target
 from vergence.vision.tracking import Tracker
 from vergence.vision.video import is_local_camera, open_capture
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.hardware.common_time import pixels_at_common_time
-from vergence.models.boards import TagFamily, Target
 from vergence.models.head import HeadModel
 from vergence.vision.detectors import make_detector
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import TagFamily, Target
 from vergence.vision.tracking import Tracker
 
 _CELL_PX: Final = 8.0

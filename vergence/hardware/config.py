@@ -58,12 +58,11 @@ from vergence.hardware.config_tables import (
     read_servos,
 )
 from vergence.hardware.safety.config import SafetyConfig, parse_safety
-from vergence.models.board_text import parse_target
-from vergence.models.boards import Target
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head, presets
 from vergence.models.parts import EYE_NAMES
 from vergence.models.toml_table import Rule, Table
+from vergence.vision.targets import Target, parse_target
 
 __all__ = [
     "BusConfig",

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN
-from vergence.models.boards import Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
+from vergence.vision.targets import Target
 
 
 @dataclass(frozen=True, kw_only=True)

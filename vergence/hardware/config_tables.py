@@ -21,11 +21,10 @@ from vergence.hardware.config_parts import (
     actuator_slots,
 )
 from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN, WATCHDOG_MOST, WATCHDOG_S
-from vergence.models.board_text import parse_target
-from vergence.models.boards import AprilTag
 from vergence.models.head import HeadModel
 from vergence.models.head_file import RADIANS
 from vergence.models.toml_table import Rule, Table
+from vergence.vision.targets import AprilTag, parse_target
 
 _WATCHDOG_PERIODS: Final = 3
 """Least watchdog time, control periods: one late period must not trip it (chosen)."""

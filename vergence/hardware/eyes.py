@@ -12,11 +12,11 @@ from vergence.hardware.cameras import EyeThread
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import PairCounts, Pairing, SearchedImage, SearchedPair
-from vergence.models.boards import Target
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.recording.schema import LoggedDetection
 from vergence.vision.image import suppress_opencv_log
+from vergence.vision.targets import Target
 
 _READY_TIMEOUT_S: Final = 10.0
 """Longest wait for images at the frame rate after the cameras open, s (chosen)."""

@@ -11,11 +11,11 @@ import numpy as np
 from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.plant import HardwarePlant
-from vergence.models.boards import PlanarTarget
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.recording.looking import BoardView
 from vergence.recording.schema import LoggedDetection
+from vergence.vision.targets import PlanarTarget
 
 _GAIN: Final = 6.0
 """Gain of the approach, speed per remaining angle, 1/s: as on the way to a start (chosen)."""

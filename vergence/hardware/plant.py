@@ -53,10 +53,10 @@ from vergence.hardware.view_check import (
     range_by_size,
     turn_each_joint,
 )
-from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
+from vergence.vision.targets import AprilTag, Target
 
 _LOG: Final = logging.getLogger(__name__)
 _FIRST_IMAGES_S: Final = 1.0

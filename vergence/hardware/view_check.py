@@ -24,12 +24,12 @@ from vergence.errors import Finding
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.start import PROOF_RAD, PROOF_TIMEOUT_S, GoalNotReachedError, drive_to
-from vergence.models.boards import AprilTag, TagFamily, Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.vision.detection import Detection
 from vergence.vision.detectors import make_detector
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import AprilTag, TagFamily, Target
 
 _DISTANCES_M: Final = (0.2, 0.35, 0.6, 1.0, 2.0, 4.0)
 """Distances of the target that are tried, m: they hardly change how its pixel moves (chosen)."""

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.boards import AprilTag
 from vergence.models.parts import FloatArray
 from vergence.vision import Detection, EyeCamera
+from vergence.vision.targets import AprilTag
 
 
 def centre_weights(corners_m: FloatArray, found_mask: NDArray[np.bool_]) -> FloatArray:

@@ -5,12 +5,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, FloatArray
 from vergence.perception.photographs import join_first_names
 from vergence.perception.spacing import MM, neighbour_pairs, stated_edge_m
 from vergence.triangulation import Noise, triangulate_views
+from vergence.vision.targets import PlanarTarget
 
 _SIGNIFICANT_SIGMAS: Final = 3.0
 """Standard deviations above which a difference is significant (chosen: false against missed

@@ -6,10 +6,10 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.boards import TagFamily, Target
 from vergence.models.cameras import CameraResponse
 from vergence.perception.target_finder import target_key
 from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
+from vergence.vision.targets import TagFamily, Target
 
 _SEARCH_INTERVAL_IMAGES: Final = 15
 """Images between searches for new tags of a family, and for which a lost tag is searched for

@@ -9,12 +9,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.boards import PlanarTarget, TagFamily, Target
 from vergence.models.parts import FloatArray
 from vergence.operands import null_nonfinite_rows
 from vergence.perception.finders import LiveFinder
 from vergence.perception.target_finder import tag_number
 from vergence.vision import Detection
+from vergence.vision.targets import PlanarTarget, TagFamily, Target
 
 WINDOW_S: Final = 3.0
 """Time window of rates and noise, s (chosen: steady values against fast changes)."""

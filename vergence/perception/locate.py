@@ -9,7 +9,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.models.boards import AprilTag, PlanarTarget
 from vergence.models.cameras import parse_response
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
@@ -30,6 +29,7 @@ from vergence.perception.target_finder import (
 )
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
+from vergence.vision.targets import AprilTag, PlanarTarget
 
 MAX_GAP_PX: Final = 2.0
 """Largest distance between the lines of sight of a calibrated pair, px (chosen: false against

@@ -7,7 +7,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
@@ -17,6 +16,7 @@ from vergence.perception.spacing import MM, EdgeSpacing, measure_spacing
 from vergence.perception.target_finder import tag_number
 from vergence.triangulation import Fix, Noise, triangulate_views
 from vergence.vision import Detection
+from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget
 
 
 class TargetCentre(NamedTuple):

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.april_grid import AprilGrid
-from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 from vergence.perception.unseen_rows import UnseenRowCheck, rows_seen_and_in_view
 from vergence.vision import EyeCamera, make_detector
 from vergence.vision.boards.april_layout import alternative_grids
 from vergence.vision.boards.charuco import find_markers
 from vergence.vision.boards.charuco_layout import alternative_charuco
 from vergence.vision.detection import Detection
+from vergence.vision.tag_families import AprilGrid
 from vergence.vision.tags.library import families_in
+from vergence.vision.targets import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 
 _SIZE_OFFSETS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
 """Columns and rows to add to the size asked for; first the error of counting squares instead of

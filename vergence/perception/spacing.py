@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from vergence.models.april_grid import AprilGrid
-from vergence.models.boards import AprilTag, PlanarTarget
 from vergence.models.parts import FloatArray
+from vergence.vision.tag_families import AprilGrid
+from vergence.vision.targets import AprilTag, PlanarTarget
 
 MM: Final = 1000.0
 """Millimetres per metre (physical)."""

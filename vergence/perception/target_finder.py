@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.boards import AprilTag, CharucoBoard, PlanarTarget, TagFamily, Target
 from vergence.models.cameras import CameraResponse
 from vergence.perception.light import LinearResponseCheck
 from vergence.perception.unseen_rows import UnseenRowCheck
 from vergence.vision import Detection, EyeCamera, as_grey, make_detector, parse_target
 from vergence.vision.image import read_pixels
+from vergence.vision.targets import AprilTag, CharucoBoard, PlanarTarget, TagFamily, Target
 
 
 class Photograph(NamedTuple):

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.april_grid import AprilGrid
-from vergence.models.boards import CharucoBoard, PlanarTarget
 from vergence.vision import Detection
 from vergence.vision.boards.homographies import fit_homography
 from vergence.vision.boards.markers import upper_left_is_dark
+from vergence.vision.tag_families import AprilGrid
+from vergence.vision.targets import CharucoBoard, PlanarTarget
 
 _MARGIN_SQUARES: Final = 1.25
 """Room in the image around a corner of a ChArUco board that is expected, in squares: the markers

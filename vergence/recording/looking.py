@@ -2,9 +2,9 @@
 
 from typing import NamedTuple, Protocol
 
-from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.vision.targets import PlanarTarget
 
 
 class BoardView(NamedTuple):

@@ -4,10 +4,10 @@ from typing import Final
 
 import numpy as np
 
-from vergence.models.boards import PlanarTarget, outline_m
 from vergence.models.parts import FloatArray
 from vergence.viewer.rasteriser import Triangles
 from vergence.viewer.shapes import revolve
+from vergence.vision.targets import PlanarTarget, outline_m
 
 # grey levels of a board's cells and back, 0 to 255 (chosen: printed paper)
 _BLACK: Final = 38.0

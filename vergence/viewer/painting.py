@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.envs.reading import Image
-from vergence.models.boards import board_pose, make_planar_target, outline_m
 from vergence.models.head import HeadModel
 from vergence.models.mujoco.look import surroundings_of
 from vergence.models.parts import FloatArray
@@ -16,6 +15,7 @@ from vergence.viewer.eye_pictures import EYE_COLOURS, FIX_COLOUR
 from vergence.viewer.outside_camera import OutsideCamera, place_outside_camera
 from vergence.viewer.rasteriser import Triangles, paint_triangles
 from vergence.viewer.shapes import HeadShapes
+from vergence.vision.targets import board_pose, make_planar_target, outline_m
 
 _SUBPIXELS: Final = 2
 """Samples of a pixel along each side (chosen: smooth edges against time)."""

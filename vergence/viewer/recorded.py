@@ -16,13 +16,13 @@ from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.reading import Reading, Truth
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.eval.gaze_trajectory import MM
-from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.recording.jpeg import read_jpeg
 from vergence.recording.log import Log, LoggedTrial, read_log
 from vergence.viewer.moment import Moment, moment_of_reading, pixel_errors
+from vergence.vision.targets import make_planar_target
 
 _RUN_FILES: Final = ("trajectory.csv", "head.toml", "result.json", "config.toml")
 """Files that a gaze's run folder holds."""

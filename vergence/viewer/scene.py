@@ -6,7 +6,6 @@ import numpy as np
 import viser
 from scipy.spatial.transform import Rotation
 
-from vergence.models.boards import board_pose, make_planar_target, outline_m, texture
 from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
 from vergence.models.mujoco.look import surroundings_of
@@ -14,6 +13,7 @@ from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.viewer.eye_pictures import EYE_COLOURS, FIX_COLOUR
 from vergence.viewer.moment import Moment
 from vergence.viewer.shapes import HeadShapes
+from vergence.vision.targets import board_pose, make_planar_target, outline_m, texture
 
 _GAP_COLOUR: Final = (200, 30, 30)
 """RGB of the common perpendicular, 0 to 255 (chosen: unlike the eyes\' colours)."""

@@ -49,7 +49,7 @@ class HeadShapes:
 
     def __init__(self, head: HeadModel) -> None:
         self._head = head
-        self._model = compile_model(head, target=None)
+        self._model = compile_model(head)
         self._data = mujoco.MjData(self._model)
         self._places = find_model_indices(self._model, head).joint_of_qpos
         posture = rest_poses(head)

@@ -1,8 +1,13 @@
 """Render a calibration target as a camera images it, and detect targets in images."""
 
-from vergence.models.april_grid import AprilGrid
-from vergence.models.board_text import parse_target
-from vergence.models.boards import (
+from vergence.vision.detection import Detection, Detector
+from vergence.vision.detectors import make_detector
+from vergence.vision.drawing import TargetRenderer
+from vergence.vision.image import as_grey, read_image
+from vergence.vision.optics import EyeCamera
+from vergence.vision.tag_families import AprilGrid
+from vergence.vision.tags.detector import TagDetector
+from vergence.vision.targets import (
     AprilTag,
     CharucoBoard,
     Checkerboard,
@@ -10,13 +15,8 @@ from vergence.models.boards import (
     TagFamily,
     Target,
     make_planar_target,
+    parse_target,
 )
-from vergence.vision.detection import Detection, Detector
-from vergence.vision.detectors import make_detector
-from vergence.vision.drawing import TargetRenderer
-from vergence.vision.image import as_grey, read_image
-from vergence.vision.optics import EyeCamera
-from vergence.vision.tags.detector import TagDetector
 from vergence.vision.tracking import Tracker
 
 __all__ = [

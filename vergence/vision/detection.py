@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.boards import AprilTag, PlanarTarget, TagFamily, Target
 from vergence.models.cameras import (
     BROWN_CONRADY,
     CameraResponse,
@@ -26,6 +25,7 @@ from vergence.models.cameras import (
 from vergence.models.packed import pack_camera
 from vergence.vision.image import has_colour_channels, measurement_channel
 from vergence.vision.optics import EyeCamera, FlatView, IdentityView, ray_table
+from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily, Target
 
 _REGION_MARGIN_SHARE: Final = 0.5
 """Margin of the search region for the board's rim, as a fraction of the distance between the

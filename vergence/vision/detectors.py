@@ -3,15 +3,15 @@
 from typing import Any
 
 from vergence.errors import ConfigurationError
-from vergence.models.april_grid import AprilGrid
-from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 from vergence.models.cameras import CameraResponse
 from vergence.vision.boards.april_grid import AprilGridDetector
 from vergence.vision.boards.charuco import CharucoDetector
 from vergence.vision.boards.checkerboards import CheckerboardDetector
 from vergence.vision.detection import Detector
 from vergence.vision.optics import EyeCamera
+from vergence.vision.tag_families import AprilGrid
 from vergence.vision.tags.detector import TagDetector
+from vergence.vision.targets import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 
 
 def make_detector(

@@ -28,12 +28,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.boards import PlanarTarget, outline_m, texture
 from vergence.models.cameras import LINEAR, light_table
 from vergence.models.parts import Rendering
 from vergence.vision.blur import gaussian_radius_and_sigma, motion_blur_kernel
 from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import EyeCamera, ray_table
+from vergence.vision.targets import PlanarTarget, outline_m, texture
 
 _LEAST_DEPTH_M: Final = 0.02
 """Smallest depth of a board's corner at which it is drawn, m (chosen: near views against

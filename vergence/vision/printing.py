@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, UnknownNameError
-from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, TagFamily, Target
+from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, TagFamily, Target
 
 RULER_MM: Final = 100.0
 """Length of the ruler beside the board (chosen: long enough to check the scale, fits on A5)."""

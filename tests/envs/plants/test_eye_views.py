@@ -9,7 +9,7 @@ from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.streams import RandomStreams, StreamPurpose
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError
-from vergence.models.boards import make_planar_target
+from vergence.vision.targets import make_planar_target
 
 SEED = 3
 POINT, VELOCITY = np.array([0.05, -0.1, 0.9]), np.array([0.3, -0.1, 0.2])

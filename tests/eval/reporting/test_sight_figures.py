@@ -10,11 +10,11 @@ from tests.perception.drawn import pose_at
 from tests.perception.test_located import exact
 from vergence.eval.reporting.detections_figure import compose_detections, shorten_to_width
 from vergence.eval.reporting.locate_figure import compose_located
-from vergence.models.boards import AprilTag
 from vergence.perception.locate import LocateResult, ShownPair
 from vergence.perception.locate_config import LocateConfig
 from vergence.perception.located import locate_target
 from vergence.perception.target_finder import Photograph
+from vergence.vision.targets import AprilTag
 
 HEAD = head_of("pair")
 IMAGE = np.full((240, 320), 90, np.uint8)

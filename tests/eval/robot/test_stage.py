@@ -12,7 +12,7 @@ from vergence.eval.robot.stage import make_stage
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.hardware.config_parts import MeasuredTarget
 from vergence.hardware.plant import HardwarePlant
-from vergence.models.board_text import parse_target
+from vergence.vision.targets import parse_target
 
 PLACES = tuple(
     MeasuredTarget(

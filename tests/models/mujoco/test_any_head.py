@@ -16,7 +16,7 @@ from vergence.models.mujoco.bodies import couplings_of, load_inertias
 from vergence.models.mujoco.export import export_files, to_urdf
 from vergence.models.mujoco.model import compile_model, find_model_indices
 
-BARE = {"target": None, "visuals": False}
+BARE = {"visuals": False}
 VERGENCE_OF_ONE = text_of("tied").replace("left_pan = 0.5, right_pan = -0.5", "right_pan = -1.0")
 """A pan of both eyes and a vergence of the right one: no division of rotors keeps these apart."""
 THREE_FROM_TWO = (

@@ -12,9 +12,11 @@ from scipy.spatial.transform import Rotation
 from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import JOINTS
-from vergence.models.mujoco.export import FORMATS, export_files, roll_pitch_yaw, to_mjcf, to_urdf
+from vergence.models.mujoco.export import FORMATS, export_files, roll_pitch_yaw, to_urdf
 from vergence.models.mujoco.model import compile_model
+from vergence.vision.targets import AprilTag
 
+TARGETS = {"tag": AprilTag()}
 FOLDER = Path(__file__).resolve().parents[3] / "models" / "bionic_eyes"
 
 
@@ -48,12 +50,12 @@ class TestUrdf:
             values = [float(limit.get(name)) for limit in limits]
             np.testing.assert_allclose(values, getattr(head.limits, name), rtol=1e-12)
         efforts = [float(limit.get("effort")) for limit in limits]
-        torques = compile_model(head, target=None).actuator_forcerange[:, 1]
+        torques = compile_model(head).actuator_forcerange[:, 1]
         np.testing.assert_allclose(efforts, torques, rtol=1e-12)
 
     def test_inertia_is_the_models(self, head):
         urdf = mujoco.MjModel.from_xml_string(to_urdf(head))
-        model = compile_model(head, target=None)
+        model = compile_model(head)
         for joint in JOINTS:
             ours, theirs = model.body(f"{joint}_link"), urdf.body(f"{joint}_link")
             np.testing.assert_allclose(theirs.mass, ours.mass)
@@ -92,7 +94,9 @@ def test_exported_files_carry_the_heads_name(simulated):
 
 class TestFolder:
     def test_is_what_is_generated(self, simulated):
-        files = [item for kind in FORMATS for item in export_files(simulated, kind).items()]
+        files = [
+            item for kind in FORMATS for item in export_files(simulated, kind, TARGETS).items()
+        ]
         for name, content in files:
             stored = (FOLDER / name).read_bytes()
             if name.endswith(".png"):
@@ -104,7 +108,7 @@ class TestFolder:
 
     def test_has_nothing_else_but_its_readme_and_picture(self, simulated):
         stored = {str(p.relative_to(FOLDER)) for p in FOLDER.rglob("*") if p.is_file()}
-        generated = {name for kind in FORMATS for name in export_files(simulated, kind)}
+        generated = {name for kind in FORMATS for name in export_files(simulated, kind, TARGETS)}
         assert stored - generated == {"README.md", "bionic_eyes.png"}
 
 
@@ -164,11 +168,6 @@ class TestMjcf:
         # gravity and contacts act on what others add; the head is spared by its own attributes
         assert model.opt.disableflags == 0
         assert model.body_gravcomp[model.body("neck_pitch_link").id] == 1.0
-
-    def test_one_text_has_it_all(self, physical):
-        text = to_mjcf(physical, target=None, observer_cameras=True)
-        model = mujoco.MjModel.from_xml_string(text)
-        assert (model.ncam, model.nu) == (4, 7)
 
     def test_an_unknown_format_is_refused(self, simulated):
         with pytest.raises(UnknownNameError, match="mjcf, urdf, got 'sdf'"):

@@ -7,11 +7,11 @@ import pytest
 from tests.naming import named
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models import EYES, JOINTS
-from vergence.models.boards import make_planar_target
 from vergence.models.mujoco.look import OBSERVER_CAMERAS
 from vergence.models.mujoco.model import build_spec, compile_model, find_model_indices
+from vergence.vision.targets import AprilTag, Checkerboard
 
-BARE = {"target": None, "visuals": False}
+BARE = {"visuals": False}
 PERIODS = 240
 """Two seconds at 120 Hz."""
 
@@ -145,7 +145,6 @@ def test_what_no_model_can_be_made_of_is_refused(simulated, physical, errors, rn
         (simulated, {"neck": "rubber"}, "'servo' or 'welded', got 'rubber'"),
         (simulated, {"timestep_s": 0.0}, "timestep_s"),
         (simulated, {"timestep_s": np.nan}, "timestep_s"),
-        (simulated, {"target": "ball"}, "checkerboard, tag, got 'ball'"),
     ]:
         with named(options, said), pytest.raises(VergenceError, match=said):
             build_spec(head, **options)
@@ -199,11 +198,10 @@ class TestCameras:
 
 class TestTargets:
     def test_the_body_is_the_frame_of_the_measured_point(self, simulated):
-        for name in ["tag", "checkerboard"]:
-            with named(name):
-                model = compile_model(simulated, target=name)
-                board = make_planar_target(name)
-                plate = model.geom(name)
+        for board in (AprilTag(), Checkerboard()):
+            with named(board):
+                model = compile_model(simulated, targets={"board": board})
+                plate = model.geom("board")
                 # the front face is z = 0 of T; the upper left corner lies the origin's cells away
                 corner = plate.pos[:2] - plate.size[:2]
                 np.testing.assert_allclose(corner, -board.cell_m * np.array(board.origin_cells))
@@ -212,7 +210,7 @@ class TestTargets:
                 np.testing.assert_allclose(2 * plate.size[:2], size)
 
     def test_the_target_faces_the_resting_head_and_can_be_moved(self, simulated):
-        model = compile_model(simulated)
+        model = compile_model(simulated, targets={"tag": AprilTag()})
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         facing = simulated.base_pose(np.zeros(7))[:3, :3]
@@ -220,8 +218,3 @@ class TestTargets:
         data.mocap_pos[model.body("tag").mocapid[0]] = [0.1, -2.0, 0.3]
         mujoco.mj_kinematics(model, data)
         np.testing.assert_array_equal(data.body("tag").xpos, [0.1, -2.0, 0.3])
-
-    def test_another_board_can_be_shown(self, simulated):
-        board = make_planar_target("checkerboard")
-        model = compile_model(simulated, target="tag", board=board)
-        assert model.geom("tag").size[0] == pytest.approx(4 * board.cell_m)

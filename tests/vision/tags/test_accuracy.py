@@ -9,10 +9,10 @@ import pytest
 from tests.models.lenses import wide
 from tests.vision.poses import pose
 from tests.vision.scenes import defocus, jpeg, levels, ramp, rig, rms, scene, shadow, turned
-from vergence.models.boards import board_pose
 from vergence.models.cameras import light_table
-from vergence.models.tag_families import tag_family
 from vergence.vision import AprilTag, Detection, EyeCamera, make_detector
+from vergence.vision.tag_families import tag_family
+from vergence.vision.targets import board_pose
 
 TAG = AprilTag()
 

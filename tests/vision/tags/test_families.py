@@ -11,9 +11,9 @@ from tests.grids import some_of
 from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import Scene, cropped, rig, scene, several
-from vergence.models.boards import texture
-from vergence.models.tag_families import CORRECTED_BITS, tag_family
 from vergence.vision import AprilTag, TagFamily, make_detector
+from vergence.vision.tag_families import CORRECTED_BITS, tag_family
+from vergence.vision.targets import texture
 
 FAMILIES = tuple(CORRECTED_BITS)
 CELL_M = 0.016

@@ -24,13 +24,13 @@ from vergence.calibration.head.preview import CalibrationPreview, preview_calibr
 from vergence.calibration.head.recording import clean_and_renumber_frames
 from vergence.errors import ConfigurationError
 from vergence.files import hold_lock
-from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.located import equivalent_corner_orders
 from vergence.recording.looking import BoardView, Looker
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
+from vergence.vision.targets import PlanarTarget
 
 _DITHER_RAD: Final = np.deg2rad(0.3).item()
 """Largest dither of an actuator about a pose, rad (chosen: several quantisation steps of a 12-bit

@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import NECK, FloatArray
 from vergence.triangulation import Noise
+from vergence.vision.targets import PlanarTarget
 
 IntArray = NDArray[np.intp]
 SAME_POSE_RAD: Final = 0.026

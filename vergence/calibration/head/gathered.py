@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
-from vergence.models.boards import PlanarTarget
 from vergence.recording.looking import BoardView
+from vergence.vision.targets import PlanarTarget
 
 MOST_PLACES: Final = 1000
 """Bound on the numbers of the board's placements (chosen: larger ones are times or names)."""

@@ -9,13 +9,13 @@ import numpy as np
 from vergence.calibration.head.gathered import MOST_PLACES, RawRecording
 from vergence.calibration.observations import parse_board
 from vergence.errors import ConfigurationError, UnreadableFileError
-from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.photographs import natural_sort_key
 from vergence.recording.log import Log, read_log
 from vergence.recording.looking import BoardView
 from vergence.recording.schema import LoggedDetection
+from vergence.vision.targets import PlanarTarget
 
 AT_REST: Final = "at_rest"
 """Name of a log's fact that is `True` if every image was taken at rest."""

@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 from vergence.calibration.head.gathered import MOST_PLACES, RawRecording
 from vergence.calibration.observations import BoardObservations, detect_board_corners
 from vergence.errors import ConfigurationError
-from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.joint_angles import parse_finite_number, parse_joint_angles, read_pair_rows
@@ -15,6 +14,7 @@ from vergence.perception.joint_rows import Row
 from vergence.perception.pairing import pair_up
 from vergence.perception.photographs import join_first_names
 from vergence.recording.looking import BoardView
+from vergence.vision.targets import PlanarTarget
 
 TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
 """File names of the table of joint angles."""

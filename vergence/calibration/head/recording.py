@@ -12,8 +12,8 @@ from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.logged import list_logs, read_logs
 from vergence.calibration.head.photographed import holds_photographs, read_photographs
 from vergence.errors import ConfigurationError
-from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
+from vergence.vision.targets import PlanarTarget
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,10 +10,10 @@ from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.chain import ParametricHead, board_points_and_offsets
 from vergence.calibration.head.frames import HeadFrames
 from vergence.errors import ConfigurationError
-from vergence.models.boards import TagFamily
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision import parse_target
+from vergence.vision.targets import TagFamily
 
 BORDER_PX: Final = 5.0
 """Least distance of a corner to the image's border, px (chosen)."""

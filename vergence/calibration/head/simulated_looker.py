@@ -10,11 +10,11 @@ from vergence.envs.plant import make_plant
 from vergence.envs.plants.simulation import TrialStart, simulation_of
 from vergence.envs.reading import Image
 from vergence.envs.targets.motion import motion_rows
-from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.looking import BoardView
 from vergence.vision import EyeCamera, TargetRenderer, make_detector
+from vergence.vision.targets import PlanarTarget
 
 _LOOK_S: Final = 1.0
 """Simulated time per look, s (chosen)."""

@@ -9,11 +9,11 @@ from vergence.envs.reading import Image
 from vergence.envs.targets.board import Board
 from vergence.envs.validation import check_finite_number
 from vergence.errors import ConfigurationError
-from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, board_pose, outline_m
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetRenderer
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, board_pose, outline_m
 
 
 class DetectableCellWidths(NamedTuple):

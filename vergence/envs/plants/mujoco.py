@@ -111,7 +111,7 @@ class MujocoPlant(SimulatedPlant):
             )
         true, whole = self._true_heads.given, self._true_heads
         moved = dataclasses.replace(head, limits=true.limits, actuators=true.actuators)
-        self._model = compile_model(moved, neck=neck, target=None, visuals=False)
+        self._model = compile_model(moved, neck=neck, visuals=False)
         # the plant limits commands itself; an actuator's speed gain may exceed the limit
         self._model.actuator_ctrllimited[:] = 0
         indices = find_model_indices(self._model, head)

@@ -35,13 +35,13 @@ from vergence.envs.targets.board import Board, board_axes
 from vergence.envs.targets.motion import is_shown, unpack_motion
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, untyped_tuple
-from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import direction_to_local, point_to_local
 from vergence.models.parts import FloatArray
 from vergence.vision.detectors import make_detector
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import make_planar_target
 from vergence.vision.tracking import Tracker
 
 
@@ -253,7 +253,7 @@ def board_poses_in_cameras(
         exposure_index: index of the exposure within the period.
         half_exposure_s: half the exposure time, s.
         board_faces_head: True if the board is square to the line from N's origin, see
-            `vergence.models.boards.board_pose`.
+            `vergence.vision.targets.board_pose`.
         scene: `untyped_tuple`.
         exposures: `untyped_tuple`.
         onset_s: start of the target's own time, s.

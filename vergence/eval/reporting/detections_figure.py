@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from vergence.eval.reporting.labels import as_float_pair
 from vergence.eval.reporting.style import figure_style, new_figure
 from vergence.files import atomic_file
-from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray
 from vergence.perception.target_finder import Photograph, tag_number
 from vergence.vision import Detection
+from vergence.vision.targets import PlanarTarget
 
 COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff4060")
 """Colours of targets, assigned in order; they stand out from grey images."""

@@ -6,10 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import ConfigurationError
-from vergence.models.board_text import parse_target
-from vergence.models.boards import PlanarTarget, TagFamily
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.vision.targets import PlanarTarget, TagFamily, parse_target
 
 _BOARD_OFFSET_M: Final = (0.03, -0.02)
 """Offset of its centre from the line straight ahead, right and down, m (chosen)."""

@@ -15,10 +15,10 @@ from vergence.hardware.emulator.fault import load_faults
 from vergence.hardware.emulator.server import EmulatorServer
 from vergence.hardware.emulator.streams import StreamConfig, run_streams
 from vergence.hardware.emulator.world import MotorOptions, World
-from vergence.models.boards import make_planar_target
 from vergence.models.head_file import absolute_source, head_to_toml, load_head
 from vergence.models.perturbation import ModelErrors
 from vergence.models.toml_table import toml_text
+from vergence.vision.targets import make_planar_target
 
 
 def emulate(

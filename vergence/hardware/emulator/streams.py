@@ -26,9 +26,9 @@ from vergence.hardware.emulator.board import parse_sized_board
 from vergence.hardware.emulator.camera_faults import CameraFaults
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.fault import parse_fault
-from vergence.models.boards import make_planar_target
 from vergence.models.head_file import parse_head
 from vergence.models.parts import EYE_NAMES
+from vergence.vision.targets import make_planar_target
 
 _JPEG_QUALITY: Final = 92
 """JPEG quality, as for webcams (chosen)."""

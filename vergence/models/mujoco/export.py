@@ -2,8 +2,9 @@
 
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from math import atan2, cos, hypot, sin
-from typing import Any
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,12 +22,13 @@ from vergence.models.mujoco.bodies import (
     load_inertias,
 )
 from vergence.models.mujoco.look import (
+    Board,
     add_observer_cameras,
     add_scenery,
     add_target,
     surroundings_of,
 )
-from vergence.models.mujoco.model import build_spec, head_spec
+from vergence.models.mujoco.model import head_spec
 from vergence.models.parts import EYE_NAMES, FloatArray
 
 
@@ -169,33 +171,17 @@ FORMATS = ("mjcf", "urdf")
 _SCENE = "scene"
 
 
-def to_mjcf(head: HeadModel, **options: Any) -> str:
-    """Write one head and its surroundings as a single MJCF text.
-
-    MuJoCo writes numbers with six significant digits; the compiled model of `compile_model`
-    is exact. The XML refers to texture files; `export_files` returns them.
-
-    Args:
-        head: one head, not a population.
-        **options: see `build_spec`.
-
-    Returns:
-        The XML text.
-
-    Raises:
-        ConfigurationError: see `build_spec`.
-    """
-    return _xml(build_spec(head, **options))
-
-
-def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
+def export_files(
+    head: HeadModel, format: str, targets: Mapping[str, Board] = MappingProxyType({})
+) -> dict[str, bytes]:
     """Make the files of a head in one format, to be written into a folder.
 
     Args:
         head: one head, not a population.
         format: `mjcf` for `NAME.xml` (the head alone), `scene.xml` (which includes it and adds
-            light, floor, a target and the fixed pair) and the target's texture, or `urdf` for
+            light, floor, the targets and the fixed pair) and the targets' textures, or `urdf` for
             `NAME.urdf`. NAME is the name of the head, see `file_stem`.
+        targets: boards in the scene, see `build_spec`.
 
     Returns:
         File names, relative to the folder, with their contents.
@@ -215,7 +201,8 @@ def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
     buffer.offwidth, buffer.offheight = head.cameras.size.max(axis=0).tolist()
     around = surroundings_of(head)
     add_scenery(scene, around)
-    add_target(scene, "tag", surroundings=around)
+    for name, board in targets.items():
+        add_target(scene, name, board, around)
     add_observer_cameras(scene, around)
     root = ET.fromstring(_xml(scene))
     root.insert(0, ET.Element("include", file=f"{stem}.xml"))

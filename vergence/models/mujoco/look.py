@@ -1,13 +1,12 @@
 """What the MuJoCo model shows: shapes of the head, and its surroundings."""
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.models.boards import PlanarTarget, make_planar_target, texture
 from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import mujoco
@@ -270,26 +269,30 @@ def surroundings_of(head: HeadModel) -> Surroundings:
     )
 
 
-def add_target(
-    spec: mujoco.MjSpec, name: str, board: PlanarTarget | None = None, *, surroundings: Surroundings
-) -> None:
-    """Add the mocap body of a target, whose frame is T, one metre ahead of the head.
+class Board(Protocol):
+    """Pattern on a target: a planar target of `vergence.vision`."""
 
-    Args:
-        spec: the specification to extend.
-        name: name of the body.
-        board: the board on the target; None for the board of that name with its default size.
-        surroundings: the surroundings of the head.
+    @property
+    def cells(self) -> NDArray[np.uint8]:
+        """(rows, columns) grey levels."""
 
-    Raises:
-        UnknownNameError: there is no board of that name.
-    """
-    board = make_planar_target(name) if board is None else board
+    @property
+    def cell_m(self) -> float:
+        """Edge of one cell, m."""
+
+    @property
+    def origin_cells(self) -> tuple[float, float]:
+        """The origin of T, in cells from the upper left corner, (x, y)."""
+
+
+def add_target(spec: mujoco.MjSpec, name: str, board: Board, surroundings: Surroundings) -> None:
+    """Add the mocap body of a target, whose frame is T, one metre ahead of the head."""
     rows, columns = board.cells.shape
     size = board.cell_m * np.array([columns, rows])
     centre = size / 2.0 - board.cell_m * np.array(board.origin_cells)
     file = f"assets/{name}.png"
-    spec.assets = {**spec.assets, file: _png(texture(board, _TEXELS_PER_CELL))}
+    texels = board.cells.repeat(_TEXELS_PER_CELL, axis=0).repeat(_TEXELS_PER_CELL, axis=1)
+    spec.assets = {**spec.assets, file: bytes(cv2.imencode(".png", texels)[1])}
     # textures are upside down on the face of a box that looks along -z
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file, vflip=True)
     material = spec.add_material(name=name, specular=0.0, shininess=0.0, emission=0.4)
@@ -304,10 +307,6 @@ def add_target(
         material=name,
         **VISUAL_ONLY,
     )
-
-
-def _png(image: NDArray[np.uint8]) -> bytes:
-    return bytes(cv2.imencode(".png", image)[1])
 
 
 def add_observer_cameras(

@@ -5,13 +5,14 @@ frames), the site `N` is frame N, and the cameras `left` and `right` look along 
 `C_r`.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import mujoco
 from vergence.models.mujoco.bodies import (
@@ -28,6 +29,7 @@ from vergence.models.mujoco.bodies import (
     transmissions_of,
 )
 from vergence.models.mujoco.look import (
+    Board,
     add_appearance,
     add_observer_cameras,
     add_scenery,
@@ -46,8 +48,7 @@ def build_spec(
     *,
     neck: Literal["servo", "welded"] = "servo",
     neck_position: ArrayLike = 0.0,
-    target: Literal["tag", "checkerboard"] | None = "tag",
-    board: PlanarTarget | None = None,
+    targets: Mapping[str, Board] = MappingProxyType({}),
     observer_cameras: bool = False,
     visuals: bool = True,
     gravity: bool = False,
@@ -59,10 +60,9 @@ def build_spec(
         head: one head, not a population.
         neck: `servo` for a neck that moves, `welded` for a rigid neck.
         neck_position: (3,) or a scalar, the angles of a welded neck, rad.
-        target: name of the mocap body that carries the board; None for no target. The body's
-            frame is T: origin at the measured point, x right and y down as seen from in
-            front, z into the board.
-        board: the board on the target; None for the default board of that name.
+        targets: the boards by the names of the mocap bodies that carry them. A body's frame is T:
+            origin at the measured point, x right and y down as seen from in front, z into the
+            board.
         observer_cameras: True to add the body `fixed_pair`, which looks over the head, with the
             cameras `fixed_left` and `fixed_right`.
         visuals: True to add shapes, a stand, a floor and lights, for rendering. Without them the
@@ -82,7 +82,6 @@ def build_spec(
     Raises:
         ConfigurationError: the head is a population, or moves without a lag, or an option has an
             invalid value.
-        UnknownNameError: there is no default board of the target's name.
 
     MuJoCo's cameras are pinholes: the model does not include lens distortion.
     """
@@ -97,8 +96,8 @@ def build_spec(
     around = surroundings_of(head)
     if visuals:
         add_scenery(spec, around)
-    if target is not None:
-        add_target(spec, target, board, surroundings=around)
+    for name, board in targets.items():
+        add_target(spec, name, board, around)
     if observer_cameras:
         add_observer_cameras(spec, around)
     return spec

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.april_grid import AprilGrid
 from vergence.vision.boards.april_search import (
     CornerSearch,
     Tags,
@@ -23,6 +22,7 @@ from vergence.vision.boards.april_tags import (
 from vergence.vision.boards.homographies import origin_sigma_px
 from vergence.vision.boards.smoothness import fit_smooth_homography
 from vergence.vision.detection import Detection, Detector
+from vergence.vision.tag_families import AprilGrid
 from vergence.vision.tags.library import FoundSquare
 
 _QUICK_METHODS: Final = (0, 1, 2)

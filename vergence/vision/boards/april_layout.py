@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.april_grid import AprilGrid
 from vergence.vision.boards.april_tags import (
     estimate_gap_ratio_and_edge_px,
     find_grid_tags,
     largest_group_row_column,
 )
+from vergence.vision.tag_families import AprilGrid
 from vergence.vision.tags.library import FoundSquare
 
 _SEARCH_METHODS: Final = (1, 3)

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.april_grid import GRID_BORDER_BITS, AprilGrid
 from vergence.vision.boards.corners import (
     corner_sigmas,
     estimate_noise_grey,
@@ -18,6 +17,7 @@ from vergence.vision.boards.corners import (
 from vergence.vision.boards.homographies import fit_homography
 from vergence.vision.boards.markers import grey_at_pixels
 from vergence.vision.optics import FlatView, IdentityView
+from vergence.vision.tag_families import GRID_BORDER_BITS, AprilGrid
 
 _WINDOW_FRACTION: Final = 0.6
 """Half side of the refinement window, as a fraction of the distance to the next edge (chosen: more

@@ -8,8 +8,13 @@ import numpy as np
 import pyapriltags
 from numpy.typing import NDArray
 
-from vergence.models.april_grid import GRID_BORDER_BITS, GRID_FAMILY, AprilGrid
-from vergence.models.tag_families import CORRECTED_BITS, library_family
+from vergence.vision.tag_families import (
+    CORRECTED_BITS,
+    GRID_BORDER_BITS,
+    GRID_FAMILY,
+    AprilGrid,
+    library_family,
+)
 from vergence.vision.tags.library import FoundSquare
 
 SEARCH_SCALES: Final = (0.5, 1.0, 1.0, 2.0)

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.boards import CharucoBoard
 from vergence.models.cameras import CameraResponse
 from vergence.vision.boards.corners import (
     corner_sigmas,
@@ -26,6 +25,7 @@ from vergence.vision.boards.markers import (
 from vergence.vision.boards.squares import Grid, square_centres
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.optics import EyeCamera, FlatView, IdentityView
+from vergence.vision.targets import CharucoBoard
 
 _WINDOW_SQUARES: Final = 0.6
 """Largest half side of the refinement window, in squares (chosen)."""

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.boards import CharucoBoard
 from vergence.vision.boards.charuco import marker_corners_m
+from vergence.vision.targets import CharucoBoard
 
 _MOST_COLUMNS: Final = 24
 """Largest number of columns that is tried (chosen: search time)."""

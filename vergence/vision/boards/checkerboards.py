@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.boards import Checkerboard
 from vergence.vision.boards.clusters import find_corner_clusters
 from vergence.vision.boards.corners import (
     corner_sigmas,
@@ -29,6 +28,7 @@ from vergence.vision.boards.squares import (
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.image import smooth_for_square_search
 from vergence.vision.optics import FlatView, IdentityView
+from vergence.vision.targets import Checkerboard
 
 _WINDOW_SQUARES: Final = 0.6
 """Half side of the refinement window, in squares (chosen: a full square would contain the next

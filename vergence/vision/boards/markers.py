@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.boards import CharucoBoard
+from vergence.vision.targets import CharucoBoard
 
 _PROBE_MARGINS: Final = 0.45
 """Distance of grey samples from a corner along both axes, in margins of a marker (chosen)."""

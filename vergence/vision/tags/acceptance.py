@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.tag_families import CORRECTED_BITS, TagFamilyCode
+from vergence.vision.tag_families import CORRECTED_BITS, TagFamilyCode
 from vergence.vision.tags.decoding import decode_tag
 from vergence.vision.tags.library import FoundSquare
 from vergence.vision.tags.report import TagFit

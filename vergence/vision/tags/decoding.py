@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.tag_families import CORRECTED_BITS, TagFamilyCode
+from vergence.vision.tag_families import CORRECTED_BITS, TagFamilyCode
 from vergence.vision.tags.library import FoundSquare
 
 _THRESHOLD_WINDOW_CELLS: Final = 5

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence import interrupts
-from vergence.models.boards import AprilTag, TagFamily
 from vergence.models.cameras import CameraResponse
-from vergence.models.tag_families import UNPRINTED, TagFamilyCode, tag_family
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.image import smooth_for_square_search
 from vergence.vision.optics import EyeCamera
+from vergence.vision.tag_families import UNPRINTED, TagFamilyCode, tag_family
 from vergence.vision.tags.acceptance import (
     LEAST_EDGE_PX,
     library_corner_sigma_px,
@@ -25,6 +24,7 @@ from vergence.vision.tags.decoding import decode_tag
 from vergence.vision.tags.fit import fit_tag
 from vergence.vision.tags.library import FoundSquare, find_squares
 from vergence.vision.tags.report import TagFit
+from vergence.vision.targets import AprilTag, TagFamily
 
 _OPENCV_DICTIONARIES: Final = {
     "36h11": cv2.aruco.DICT_APRILTAG_36h11,

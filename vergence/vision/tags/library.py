@@ -9,7 +9,7 @@ import numpy as np
 import pyapriltags
 from numpy.typing import NDArray
 
-from vergence.models.tag_families import CORRECTED_BITS, library_family
+from vergence.vision.tag_families import CORRECTED_BITS, library_family
 
 _LEAST_SIDE_PX: Final = 24
 """Smallest side of an image that is searched, px: the library fails on images of a few pixels
@@ -47,7 +47,7 @@ def find_squares(image: NDArray[np.uint8], family: str) -> list[FoundSquare]:
 
     Args:
         image: grey levels, shape (height, width).
-        family: see `vergence.models.tag_families`.
+        family: see `vergence.vision.tag_families`.
 
     Returns:
         Squares that read as tags, sorted by number and wrong bits.

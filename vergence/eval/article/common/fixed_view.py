@@ -5,12 +5,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.models.boards import board_pose, make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.detectors import make_detector
 from vergence.vision.drawing import TargetRenderer
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import board_pose, make_planar_target
 from vergence.vision.tracking import Tracker
 
 

@@ -16,7 +16,6 @@ from vergence.eval.article.twin.heads import TwinConfig
 from vergence.eval.article.twin.population import draw_population
 from vergence.eval.article.twin.statistics import axis_columns
 from vergence.eval.jobs import Job, Mapper
-from vergence.models.boards import board_pose
 from vergence.models.cameras import Cameras
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
@@ -24,6 +23,7 @@ from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import triangulate_views
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import board_pose
 
 FACTORY_ERRORS: Final = ModelErrors(
     # 0.02 degrees of rotation between the two cameras, split between them

@@ -8,10 +8,10 @@ import pandas as pd
 
 from vergence.eval.article.common.closed_loop import MM
 from vergence.eval.article.twin.fixation_errors import joint_angles_imaging_at
-from vergence.models.boards import board_pose
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray, Rendering
 from vergence.vision import AprilTag, EyeCamera, TargetRenderer, Tracker, make_detector
+from vergence.vision.targets import board_pose
 
 
 class DetectorNoise(NamedTuple):

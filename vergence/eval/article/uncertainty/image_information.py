@@ -18,11 +18,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.eval.article.common.fixed_view import shifted_pose
-from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetRenderer
 from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import make_planar_target
 
 STEP_PX: Final = 0.25
 """Shift of edges for finite differences, px: below the blur, above the rounding (numerical)."""

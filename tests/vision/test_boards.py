@@ -5,14 +5,6 @@ import pytest
 
 from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
-from vergence.models.boards import outline_m, texture
-from vergence.models.tag_families import (
-    CORRECTED_BITS,
-    UNPRINTED,
-    library_family,
-    load_library,
-    tag_family,
-)
 from vergence.vision import (
     AprilTag,
     CharucoBoard,
@@ -21,6 +13,14 @@ from vergence.vision import (
     make_planar_target,
     parse_target,
 )
+from vergence.vision.tag_families import (
+    CORRECTED_BITS,
+    UNPRINTED,
+    library_family,
+    load_library,
+    tag_family,
+)
+from vergence.vision.targets import outline_m, texture
 
 
 def test_tag_is_measured_at_the_centre_of_its_black_square() -> None:
