@@ -624,9 +624,15 @@ def parse_head(text: str) -> HeadModel:
             triangulate or servo.
     """
     try:
-        root = Table(tomllib.loads(text), "")
+        document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # nested too deep, or a number too long
         raise HeadFileError("TOML", str(error), "a well-formed TOML document") from error
+    return head_of_document(document)
+
+
+def head_of_document(document: Mapping[str, Any]) -> HeadModel:
+    """Build the head that the tables of a head file describe; see `parse_head` for the errors."""
+    root = Table(document, "")
     name = root.take("name", NAME[1])
     check_head_name(name)
     cameras, mounts = parse_eyes(root)

@@ -18,7 +18,7 @@ from vergence.models.head_file import (
     NAME,
     check_head_name,
     frame_between_cameras,
-    parse_head,
+    head_of_document,
 )
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.stereo_files import (
@@ -274,7 +274,7 @@ class ImportedHead:
     """A head imported from a robot description.
 
     Attributes:
-        head: the head, parsed from the text.
+        head: the head.
         text: text of the head file.
         chains: the kinematic chains of the head in the robot description.
         motors: motors of the eyes; empty if each joint has its own.
@@ -380,10 +380,9 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         **actuator_fields(moved),
         "assumptions": {**why, **LOOP_REASONS, **assumed},
     }
-    text = _heading(source, mechanism, chains) + toml_text(document)
     return ImportedHead(
-        head=_parsed(text),
-        text=text,
+        head=_built(document),
+        text=_heading(source, mechanism, chains) + toml_text(document),
         chains=chains,
         motors=moved,
         ignored=_ignored(mechanism, chains),
@@ -488,9 +487,9 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _parsed(text: str) -> HeadModel:
+def _built(document: Mapping[str, Any]) -> HeadModel:
     try:
-        return parse_head(text)
+        return head_of_document(document)
     except HeadFileError as error:
         raise HeadFileError(
             error.key, error.value, error.expected, "the head of this file"
