@@ -50,9 +50,9 @@ from vergence.calibration.projection import project_with_jacobians
 from vergence.calibration.stereo import fit_camera_pair
 from vergence.calibration.uncertainty import direction_sigma_px, rig_covariance
 from vergence.errors import ConfigurationError
+from vergence.models.camera import Camera, Lens, camera_matrix
 from vergence.models.parts import FloatArray, Rendering
 from vergence.vision import TargetRenderer, make_detector, parse_target
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import PlanarTarget
 
 SIZE: Final = (640, 480)
@@ -167,12 +167,12 @@ def drawn_truth(lens: str, target: PlanarTarget, rng: np.random.Generator) -> Tr
     return Truth(rig, BoardPoses(np.array(rotations), np.array(translations)))
 
 
-def eye_camera(rig: CameraRig, camera: int) -> EyeCamera:
-    """One of the cameras as an `EyeCamera`, for drawing."""
+def eye_camera(rig: CameraRig, camera: int) -> Camera:
+    """One of the cameras, for drawing."""
     f_u, f_v, u_0, v_0, *coefficients = rig.camera_parameters[camera].tolist()
-    return EyeCamera(
-        width=SIZE[0], height=SIZE[1], focal_px=(f_u, f_v), principal_px=(u_0, v_0),
-        distortion=tuple(coefficients), lens=rig.lenses[camera],
+    return Camera(
+        size=(SIZE[0], SIZE[1]), matrix=camera_matrix((f_u, f_v), (u_0, v_0)),
+        lens=Lens(rig.lenses[camera], tuple(coefficients)),
     )  # fmt: skip
 
 

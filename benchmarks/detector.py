@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence import load_head
+from vergence.models.camera import Camera
 from vergence.vision import TargetRenderer, make_detector, make_planar_target
-from vergence.vision.optics import EyeCamera
 
 DEPTHS_M = (0.5, 1.0, 1.5, 2.0, 2.5)
 CORNER_DEPTHS_M = (0.4, 0.7, 1.0, 1.5, 2.0, 2.4, 3.2, 4.0)
@@ -34,7 +34,7 @@ class Eye:
     def __init__(self, rig: str, name: str) -> None:
         """Make the drawing and the detector."""
         head = load_head(rig)
-        self.camera = EyeCamera.of(head, 0)
+        self.camera = Camera.of(head, 0)
         target = make_planar_target(name)
         self.drawing = TargetRenderer(self.camera, target, head.rendering)
         self.detector = make_detector(target, self.camera)
@@ -128,7 +128,7 @@ def corner_row(rig: str, depth_m: float, poses: int) -> Row:
         )
         assert found
         depths.append(float(place[2, 0]) / depth_m - 1.0)
-    edge = target.edge_m * eye.camera.focal_px[0] / depth_m
+    edge = target.edge_m * eye.camera.focal[0] / depth_m
     return {
         "rig": rig,
         "depth_m": depth_m,
@@ -174,7 +174,7 @@ def light_row(rig: str, depth_m: float, light: str, poses: int) -> Row:
     return {
         "rig": rig,
         "depth_m": depth_m,
-        "edge_px": round(target.edge_m * eye.camera.focal_px[0] / depth_m, 1),
+        "edge_px": round(target.edge_m * eye.camera.focal[0] / depth_m, 1),
         "light": light,
         "corner_outwards_px": round(float(np.mean(outwards)), 3),
         "centre_rms_px": round(_rms(centres), 4),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.detector import RIGS, TARGETS, Row, show
 from vergence import load_head
 from vergence.models.parts import Rendering
-from vergence.vision import EyeCamera, PlanarTarget, TargetRenderer, make_planar_target
+from vergence.vision import Camera, PlanarTarget, TargetRenderer, make_planar_target
 
 RAYS = 16
 """Rays per pixel along each axis in the reference; places an edge to 1/32 px."""
@@ -25,7 +25,7 @@ DIRECTIONS_RAD = (0.0, 0.8, 1.57)
 
 
 def ray_cast(
-    camera: EyeCamera,
+    camera: Camera,
     target: PlanarTarget,
     rendering: Rendering,
     T_C_T: NDArray[np.float64],
@@ -54,7 +54,7 @@ def ray_cast(
 def steep_row(rig: str, name: str, incidence_deg: float) -> Row:
     """Row with the worst error over the directions of the tilt, and the time of drawing."""
     head = load_head(rig)
-    camera, target = EyeCamera.of(head, 0), make_planar_target(name)
+    camera, target = Camera.of(head, 0), make_planar_target(name)
     rendering = replace(head.rendering, noise_grey=0.0)
     drawing, contrast = (
         TargetRenderer(camera, target, rendering),

@@ -20,7 +20,8 @@ from vergence.envs.reading import Reading
 from vergence.envs.targets.motion import target_position
 from vergence.errors import ConfigurationError
 from vergence.kernels import GufuncKernel
-from vergence.vision.optics import EyeCamera
+from vergence.models.camera import Camera
+from vergence.vision.optics import flat_view_about
 
 LENGTHS = range(10)
 NO_NUMBERS = ("text", None, 1j, ["a"], [[1.0, 2.0], [3.0]], {})
@@ -154,7 +155,7 @@ def stays_within(kernel, length):
 
 HEAD = vergence.load_head("simulated")
 TIED = head_of("tied")
-CAMERA = EyeCamera.of(HEAD, 0)
+CAMERA = Camera.of(HEAD, 0)
 LAYOUT = ObservationLayout.of(HEAD)
 LAW = vergence.make_controller("adaptive", head=HEAD, layout=LAYOUT)
 Q, POINT, PIXELS = np.zeros(7), np.array([0.0, 0.0, 1.0]), np.full((2, 2), 400.0)
@@ -186,9 +187,9 @@ OF_TIED = ("fixate", "least_error", "joints_of", "joint_velocities_of", "actuato
 CALLS = {
     **of_head(HEAD),
     **{f"{name} of tied eyes": of_head(TIED)[name] for name in OF_TIED},
-    "EyeCamera.project": (CAMERA.project, [POINT[None]]),
-    "EyeCamera.rays": (CAMERA.rays, [PIXELS]),
-    "EyeCamera.flat_view_about": (CAMERA.flat_view_about, [PIXELS]),
+    "Camera.project": (CAMERA.project, [POINT[None]]),
+    "Camera.rays": (CAMERA.rays, [PIXELS]),
+    "flat_view_about": (partial(flat_view_about, CAMERA), [PIXELS]),
     "Adaptive.gains": (LAW.gains, [PIXELS]),
     "Adaptive.command": (LAW.command, [Q, PIXELS]),
     "decode": (LAYOUT.decode, [np.zeros(LAYOUT.size)]),

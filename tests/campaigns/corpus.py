@@ -16,7 +16,7 @@ from tests.models.files.pairs import opencv_pair, write_opencv
 from tests.recording.logged import log_trials
 from vergence.models.head_file import load_head, save_head
 from vergence.models.toml_table import toml_text
-from vergence.vision import AprilTag, EyeCamera, TargetRenderer
+from vergence.vision import AprilTag, Camera, TargetRenderer
 
 TRAIN: Final = (
     "--set", "envs=8", "episode_steps=20", "network=[8]", "critic=[8]", "evaluations=3",
@@ -108,7 +108,7 @@ def make_photographs(folder: Path) -> None:
     pose[:3, 3] = (0.0, -0.1, 1.0)
     q = head.fixate(pose[:3, 3])
     for eye, T_N_C in enumerate(head.camera_poses(q)):
-        drawing = TargetRenderer(EyeCamera.of(head, eye), target, head.rendering)
+        drawing = TargetRenderer(Camera.of(head, eye), target, head.rendering)
         drawing.draw(np.linalg.inv(T_N_C) @ pose, np.random.default_rng(eye))
         (folder / f"i{eye}").mkdir()
         cv2.imwrite(str(folder / f"i{eye}" / "a.png"), drawing.frame)

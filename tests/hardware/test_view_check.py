@@ -13,8 +13,8 @@ from vergence.errors import ChecksFailedError, HardwareError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.world import MotorOptions
 from vergence.hardware.view_check import Posture, Turn, ViewCheck, range_by_size
+from vergence.models.camera import Camera
 from vergence.vision.detectors import make_detector
-from vergence.vision.optics import EyeCamera
 
 ICUB = load_head("icub")
 SLOTS = {name: 3 + i for i, name in enumerate(HEAD.actuation.names)}
@@ -146,7 +146,7 @@ def test_mirrored_images_are_named_as_such():
 
 def test_the_size_of_a_tag_gives_its_distance():
     image, _ = with_tag(HEAD, corner=(280, 200), edge=97)
-    found = make_detector(TAG, EyeCamera.of(HEAD, 0)).detect(image)
+    found = make_detector(TAG, Camera.of(HEAD, 0)).detect(image)
     # 97 px between the edges of a tag of 150 mm, at 651 px of focal length
     assert range_by_size(HEAD, 0, found) == pytest.approx(0.15 * 651.0 / 97.0, rel=0.03)
 

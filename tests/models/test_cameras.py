@@ -1,4 +1,4 @@
-"""`Cameras`: an image size and a lens for each eye, and what cannot be."""
+"""The pair of a head: an image size and a lens for each eye, and what cannot be."""
 
 import numpy as np
 import pytest
@@ -7,14 +7,13 @@ from tests.models.lenses import LENSES, wide
 from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.models import HeadModel
-from vergence.models.cameras import Cameras
+from vergence.models.camera import Camera, Cameras, camera_matrix
 
-FOCAL, PRINCIPAL = np.full((2, 2), 500.0), np.full((2, 2), 250.0)
+CAMERA = Camera(size=(320, 240), matrix=camera_matrix((500.0, 500.0), (150.0, 120.0)))
 
 
 def cameras(**fields) -> Cameras:
-    given = {"size": (640, 480), "focal": FOCAL, "principal": PRINCIPAL}
-    return Cameras(**(given | {"distortion": np.zeros((2, 5))} | fields))
+    return Cameras(CAMERA, CAMERA).replaced(**({"size": (640, 480)} | fields))
 
 
 def test_one_size_and_one_lens_stand_for_both_eyes():
@@ -45,14 +44,18 @@ def test_two_lenses_of_five_coefficients_have_five_columns_and_others_eight():
 
 def test_what_cannot_be_is_refused_with_what_came():
     for fields, message in [
-        ({"size": (640, 480, 3)}, r"size: expected .*whole pixels.*got \(640, 480, 3\)"),
+        (
+            {"size": (640, 480, 3)},
+            r"size: expected .* for both eyes or for each, got \(640, 480, 3\)",
+        ),
         ({"size": (640.5, 480)}, "size: expected .*whole pixels"),
         ({"size": (0, 480)}, "size: expected .*whole pixels"),
         ({"size": (np.nan, 480)}, "size: expected .*whole pixels"),
         ({"lens": "pinhole"}, "lens: expected one of brown-conrady, rational, fisheye, got 'pinh"),
         ({"lens": 3}, "lens: expected a name for each eye, got 3"),
-        ({"distortion": np.zeros((2, 3))}, r"distortion: expected shape \(..., 2, 5\), got"),
-        ({"distortion": np.zeros((3, 5))}, r"distortion: expected shape \(..., 2, 5\), got"),
+        ({"distortion": np.zeros((2, 3))}, "distortion: expected 5 numbers, got 3"),
+        ({"distortion": np.zeros((3, 5))}, r"distortion: expected shape \(..., 2, n\), got"),
+        ({"focus": 3.0}, "cameras.focus: expected one of size, focal"),
         ({"distortion": np.ones((2, 8))}, "5 coefficients for the left eye's brown-conrady lens"),
     ]:
         with named(fields, message), pytest.raises(ConfigurationError, match=message):

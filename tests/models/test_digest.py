@@ -10,29 +10,6 @@ import pytest
 from tests.heads import text_of
 from tests.models.lenses import wide
 from vergence.models import load_head, parse_head
-from vergence.models.head import digest_of
-
-
-@dataclasses.dataclass
-class Part:
-    length_m: float
-
-
-@dataclasses.dataclass
-class LaterPart(Part):
-    width_m: float = 0.0
-
-
-@dataclasses.dataclass
-class Model:
-    name: str
-    part: Part
-
-
-@dataclasses.dataclass
-class LaterModel(Model):
-    other: Part | None = None
-
 
 PRESETS = {
     "simulated": "a2ab725a9b004002cdf8a148ac1ee224722901d3a91846794c649ad30453cc12",
@@ -42,13 +19,6 @@ PRESETS = {
 
 def test_the_presets_keep_the_digests_that_bundles_and_tuned_options_name():
     assert {preset: load_head(preset).digest for preset in PRESETS} == PRESETS
-
-
-def test_a_field_or_part_that_came_later_is_left_out_at_its_default():
-    first = digest_of(Model("head", Part(1.0)))
-    assert digest_of(LaterModel("head", LaterPart(1.0))) == first
-    assert digest_of(LaterModel("head", LaterPart(1.0, width_m=0.1))) != first
-    assert digest_of(LaterModel("head", LaterPart(1.0), other=Part(0.0))) != first
 
 
 def test_a_latency_of_whole_control_periods_counts_them(simulated):

@@ -10,9 +10,8 @@ from tests.grids import some_of
 from tests.models import lenses
 from tests.models.lenses import COEFFICIENTS, LENSES, by_opencv, pixels_of_image, wide
 from tests.naming import named
-from vergence.models.kinematics import pixels_to_rays, rays_to_pixels
-from vergence.models.lens import distort
-from vergence.models.packed import camera_at, pack_camera, pack_cameras
+from vergence.models.camera import pack_camera, pixels_to_rays, rays_to_pixels
+from vergence.models.lens import camera_at, distort
 
 K1_ONLY = {
     "brown-conrady": (-0.3, 0.0, 0.0, 0.0, 0.0),
@@ -48,7 +47,7 @@ def test_projection_is_opencvs(rng):
         with named(lens):
             head = wide(lens)
             rays = spread_rays(rng, 2000)
-            for eye, row in enumerate(pack_cameras(head.cameras)):
+            for eye, row in enumerate(head.cameras.rows):
                 pixels = rays_to_pixels(rays, row)
                 inside = ((pixels >= -0.5) & (pixels <= head.cameras.size[eye] - 0.5)).all(axis=-1)
                 assert inside.mean() > 0.5
@@ -90,7 +89,7 @@ def test_there_and_back_over_the_whole_image():
     for lens in LENSES:
         with named(lens):
             head = wide(lens)
-            for eye, row in enumerate(pack_cameras(head.cameras)):
+            for eye, row in enumerate(head.cameras.rows):
                 raw = pixels_of_image(head, eye)
                 rays = pixels_to_rays(raw, row)
                 seen = np.isfinite(rays).all(axis=-1)

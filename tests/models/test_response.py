@@ -5,7 +5,7 @@ import pytest
 
 from tests.naming import named
 from vergence.errors import ConfigurationError
-from vergence.models.cameras import light_table, parse_response
+from vergence.models.camera import light_table, parse_response
 
 
 def test_levels_are_in_proportion_to_light_where_nothing_is_encoded():

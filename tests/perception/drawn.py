@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from vergence.models import HeadModel
-from vergence.vision import EyeCamera, TargetRenderer
+from vergence.vision import Camera, TargetRenderer
 from vergence.vision.targets import PlanarTarget
 
 
@@ -40,7 +40,7 @@ class Studio:
         self.target = target
         self.poses = head.camera_poses(head.rest() if q is None else q)
         self.drawings = [
-            TargetRenderer(EyeCamera.of(head, eye), target, head.rendering) for eye in range(2)
+            TargetRenderer(Camera.of(head, eye), target, head.rendering) for eye in range(2)
         ]
 
     def take(self, pose: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:

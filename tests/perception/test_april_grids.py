@@ -8,7 +8,7 @@ from vergence import load_head
 from vergence.perception.locate import _match
 from vergence.perception.similar_targets import describe_similar_targets
 from vergence.perception.target_finder import TargetFinder, parse_targets
-from vergence.vision import AprilGrid, EyeCamera
+from vergence.vision import AprilGrid, Camera
 from vergence.vision.targets import AprilTag, TagFamily
 
 HEAD = load_head("simulated")
@@ -20,7 +20,7 @@ def test_a_grid_is_one_target_whose_edges_are_as_stated():
     pose = pose_at([0.0, -0.02, 0.4], [0.2, 0.1, 0.1])
     images = Studio(HEAD, GRID).take(pose, np.random.default_rng(0))
     targets = parse_targets([str(GRID)])
-    found = [TargetFinder(targets, EyeCamera.of(HEAD, e)).find(images[e]) for e in range(2)]
+    found = [TargetFinder(targets, Camera.of(HEAD, e)).find(images[e]) for e in range(2)]
     assert [len(each) for each in found] == [1, 1]
     (one,), _ = _match(HEAD, HEAD.rest(), "a", *found)
     assert one.valid.all()

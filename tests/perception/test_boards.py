@@ -6,7 +6,7 @@ import pytest
 from vergence import load_head
 from vergence.perception.board_centre import centre_weights, target_centre_px, weighted_sum
 from vergence.perception.spacing import measure_spacing, neighbour_distances_m, neighbour_pairs
-from vergence.vision import Detection, EyeCamera
+from vergence.vision import Camera, Detection
 from vergence.vision.targets import AprilTag, Checkerboard
 
 BOARD = Checkerboard(columns=5, rows=4, square_m=0.03)
@@ -42,7 +42,7 @@ def detection(target, corners):
 
 
 def test_the_pixel_of_the_middle_is_where_the_lens_puts_it():
-    camera = EyeCamera.of(load_head("physical"), 0)
+    camera = Camera.of(load_head("physical"), 0)
     flat = np.column_stack([BOARD.corners_m, np.zeros(20)])
     turn = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
     points = flat @ turn.T + [0.08, -0.05, 0.4]

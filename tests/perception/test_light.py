@@ -8,7 +8,7 @@ import pytest
 
 from tests.vision.poses import pose
 from tests.vision.scenes import levels, rig, scene
-from vergence.models.cameras import light_table
+from vergence.models.camera import light_table
 from vergence.perception.light import LinearResponseCheck
 from vergence.perception.target_finder import TargetFinder
 from vergence.vision import make_planar_target

@@ -10,7 +10,7 @@ from vergence import load_head
 from vergence.perception.located import locate_target
 from vergence.perception.target_finder import TargetFinder
 from vergence.triangulation import Noise
-from vergence.vision import Detection, EyeCamera
+from vergence.vision import Camera, Detection
 from vergence.vision.targets import AprilTag, Checkerboard
 
 TARGETS = [AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)]
@@ -86,7 +86,7 @@ def test_points_of_drawn_images_lie_within_their_own_sigma(target):
     head = load_head("physical").replace(sensor={"encoder_resolution_rad": 0.0})
     q = head.fixate([0.0, 0.0, 0.8])
     studio = Studio(head, target, q)
-    finders = [TargetFinder([target], EyeCamera.of(head, eye)) for eye in range(2)]
+    finders = [TargetFinder([target], Camera.of(head, eye)) for eye in range(2)]
     rng = np.random.default_rng(11)
     squares = []
     for _ in range(6):

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.naming import named
+from vergence.models.camera import Camera
 from vergence.models.head_file import load_head
 from vergence.perception.similar_targets import _reduced, describe_similar_targets
 from vergence.perception.target_finder import parse_targets
 from vergence.vision import make_detector
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import CharucoBoard, texture
 
 
@@ -26,16 +26,14 @@ def hint(image, asked):
 
 
 def test_a_large_images_camera_is_reduced_with_it():
-    camera = EyeCamera.of(load_head("simulated"), 0)
-    wide = replace(camera, width=4000, height=2000)
+    camera = Camera.of(load_head("simulated"), 0)
+    wide = replace(camera, size=(4000, 2000))
     image, less = _reduced(np.zeros((2000, 4000), np.uint8), wide)
     scale = image.shape[1] / 4000
     assert (less.width, less.height) == image.shape[::-1]
     assert scale < 1.0
-    assert less.focal_px == pytest.approx([scale * one for one in camera.focal_px])
-    assert less.principal_px == pytest.approx(
-        [scale * (one + 0.5) - 0.5 for one in camera.principal_px]
-    )
+    assert less.focal == pytest.approx([scale * one for one in camera.focal])
+    assert less.principal == pytest.approx([scale * (one + 0.5) - 0.5 for one in camera.principal])
 
 
 @pytest.mark.slow

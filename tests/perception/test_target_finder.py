@@ -8,7 +8,7 @@ from tests.perception.drawn import Studio, pose_at
 from vergence import load_head
 from vergence.perception.locate import _match
 from vergence.perception.target_finder import TargetFinder, parse_targets, tag_number
-from vergence.vision import EyeCamera
+from vergence.vision import Camera
 from vergence.vision.targets import AprilTag, CharucoBoard
 
 HEAD = load_head("physical")
@@ -41,7 +41,7 @@ def test_a_family_is_found_by_number_and_a_stated_tag_keeps_its_size():
 @pytest.mark.slow
 def test_tags_are_matched_by_number_and_one_that_is_there_twice_is_not():
     finders = [
-        TargetFinder(parse_targets(["tag:36h11::100"]), EyeCamera.of(HEAD, e)) for e in range(2)
+        TargetFinder(parse_targets(["tag:36h11::100"]), Camera.of(HEAD, e)) for e in range(2)
     ]
     left, right = (s.find(i) for s, i in zip(finders, side_by_side(7, 3), strict=True))
     located, missed = _match(HEAD, HEAD.rest(), "a", left, right)
@@ -62,7 +62,7 @@ def test_a_charuco_board_is_one_target():
     studio = Studio(HEAD, board)
     images = studio.take(pose_at([0.0, -0.05, 0.6]), np.random.default_rng(0))
     targets = parse_targets(["charuco:6x5:30:22:4X4_50"])
-    found = [TargetFinder(targets, EyeCamera.of(HEAD, e)).find(images[e]) for e in range(2)]
+    found = [TargetFinder(targets, Camera.of(HEAD, e)).find(images[e]) for e in range(2)]
     assert [len(each) for each in found] == [1, 1]
     (one,), _ = _match(HEAD, HEAD.rest(), "a", *found)
     assert one.valid.sum() >= 16

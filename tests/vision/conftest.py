@@ -2,20 +2,21 @@
 
 import pytest
 
+from vergence.models.camera import Lens, camera_matrix
 from vergence.models.parts import Rendering
-from vergence.vision import EyeCamera
+from vergence.vision import Camera
 
 
 @pytest.fixture
-def pinhole() -> EyeCamera:
-    return EyeCamera(width=1040, height=860, focal_px=(619.71, 619.71), principal_px=(520.5, 430.5))
+def pinhole() -> Camera:
+    return Camera(size=(1040, 860), matrix=camera_matrix((619.71, 619.71), (520.5, 430.5)))
 
 
 @pytest.fixture
-def lens() -> EyeCamera:
-    return EyeCamera(
-        width=640, height=480, focal_px=(521.66, 521.83), principal_px=(362.94, 222.53),
-        distortion=(-0.0437, 0.1425, 0.0005, -0.0012, 0.0),
+def lens() -> Camera:
+    return Camera(
+        size=(640, 480), matrix=camera_matrix((521.66, 521.83), (362.94, 222.53)),
+        lens=Lens("brown-conrady", (-0.0437, 0.1425, 0.0005, -0.0012, 0.0)),
     )  # fmt: skip
 
 

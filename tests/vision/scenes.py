@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vergence import load_head
 from vergence.models.parts import Rendering
-from vergence.vision import EyeCamera, TargetRenderer
+from vergence.vision import Camera, TargetRenderer
 from vergence.vision.targets import PlanarTarget
 
 Image = NDArray[np.uint8]
@@ -20,10 +20,10 @@ RIGS = ("simulated", "physical")
 
 
 @lru_cache
-def rig(name: str) -> tuple[EyeCamera, Rendering]:
+def rig(name: str) -> tuple[Camera, Rendering]:
     """The left eye of a preset, and how it renders."""
     head = load_head(name)
-    return EyeCamera.of(head, 0), head.rendering
+    return Camera.of(head, 0), head.rendering
 
 
 class Scene(NamedTuple):
@@ -36,19 +36,19 @@ class Scene(NamedTuple):
     """(2,) px."""
 
 
-def seen_px(camera: EyeCamera, target: PlanarTarget, T_C_T: np.ndarray) -> np.ndarray:
+def seen_px(camera: Camera, target: PlanarTarget, T_C_T: np.ndarray) -> np.ndarray:
     """(n, 2) where the target's corners are in the image."""
     flat = np.column_stack([target.corners_m, np.zeros(len(target.corners_m))])
     return camera.project(flat @ T_C_T[:3, :3].T + T_C_T[:3, 3])
 
 
 @lru_cache(maxsize=16)
-def _drawing(camera: EyeCamera, target: PlanarTarget, rendering: Rendering) -> TargetRenderer:
+def _drawing(camera: Camera, target: PlanarTarget, rendering: Rendering) -> TargetRenderer:
     return TargetRenderer(camera, target, rendering)
 
 
 def scene(
-    camera: EyeCamera,
+    camera: Camera,
     target: PlanarTarget,
     T_C_T: np.ndarray,
     rendering: Rendering,
@@ -71,7 +71,7 @@ def cropped(one: Scene, room_px: int = 70) -> Scene:
 
 
 def several(
-    camera: EyeCamera, placed: Sequence[tuple[PlanarTarget, np.ndarray]], rendering: Rendering
+    camera: Camera, placed: Sequence[tuple[PlanarTarget, np.ndarray]], rendering: Rendering
 ) -> tuple[Image, list[Scene]]:
     """Targets beside each other in one image, and each by itself."""
     scenes, whole = [], None

@@ -71,7 +71,7 @@ def test_no_bias_over_sub_pixel_shifts(name, pinhole, rendering):
     errors = []
     for phase in np.arange(0, 1, 0.125):
         wanted = np.array([505.0 + phase, 415.0 + phase])
-        x, y = (wanted - pinhole.principal_px) / pinhole.focal_px
+        x, y = (wanted - pinhole.principal) / pinhole.focal
         drawing.draw(pose(x, y, 1.0))
         detection = detector.detect(drawing.frame)
         errors.append(detection.point_px - wanted)
@@ -136,7 +136,7 @@ def test_target_partly_outside_is_none(name, side, pinhole, rendering):
     assert before is not None
     # The frame's edge cuts through the middle of the board.
     middle = (np.array(target.cells.shape[::-1]) / 2 - target.origin_cells) * target.cell_m
-    edge = np.array(side) * (pinhole.width / 2, pinhole.height / 2) / pinhole.focal_px
+    edge = np.array(side) * (pinhole.width / 2, pinhole.height / 2) / pinhole.focal
     drawing.draw(pose(*(edge - middle), 1.0))
     assert detector.detect(drawing.frame) is None
     predicted = pinhole.project([[*(edge - middle), 1.0]])[0]

@@ -14,14 +14,14 @@ from tests.naming import named
 from tests.vision.poses import pose
 from vergence import load_head
 from vergence.errors import ConfigurationError
-from vergence.models.cameras import light_table
+from vergence.models.camera import light_table
 from vergence.models.parts import Rendering
-from vergence.vision import AprilTag, EyeCamera, TargetRenderer, make_planar_target
+from vergence.vision import AprilTag, Camera, TargetRenderer, make_planar_target
 from vergence.vision.targets import PlanarTarget, board_pose
 
 
 def assert_ray_cast(
-    camera: EyeCamera,
+    camera: Camera,
     target: PlanarTarget,
     rendering: Rendering,
     T_C_T: NDArray[np.float64],
@@ -55,7 +55,7 @@ def test_pixels_equal_a_ray_cast(eye, T_C_T, name, rendering, request):
 @pytest.mark.slow
 def test_pixels_equal_a_ray_cast_through_a_fisheye(rendering):
     """Aside, where it has down to a quarter of a pinhole's scale, as good as ahead."""
-    camera, target = EyeCamera.of(wide("fisheye"), 0), make_planar_target("tag")
+    camera, target = Camera.of(wide("fisheye"), 0), make_planar_target("tag")
     side = np.deg2rad(60.0)
     T_C_T = board_pose(1.6 * np.array([np.sin(side), 0.05, np.cos(side)]))
     assert_ray_cast(camera, target, rendering, T_C_T, most=0.05, rms=0.01)
@@ -81,7 +81,7 @@ def test_a_stated_response_encodes_the_light(pinhole, rendering):
 @pytest.mark.nightly
 def test_pixels_of_a_steep_board_equal_a_ray_cast(rendering):
     """One blur for both directions of the texture would be off by 2 % rms and more."""
-    camera, target = EyeCamera.of(load_head("physical"), 0), make_planar_target("tag")
+    camera, target = Camera.of(load_head("physical"), 0), make_planar_target("tag")
     soft, tilt = replace(rendering, blur_px=0.7), np.deg2rad(65.0)
     T_C_T = pose(0.02, 0.03, 1.2, (tilt * np.cos(0.8), tilt * np.sin(0.8), 0.0))
     assert_ray_cast(camera, target, soft, T_C_T, most=0.04, rms=0.008)
@@ -107,7 +107,7 @@ def test_pixel_centres_are_integers(pinhole, rendering):
             plain = replace(rendering, supersampling=supersampling, background_grey=40.0)
             drawing = TargetRenderer(pinhole, board, plain)
             wanted = np.array([505.0 + shift, 410.0 - shift])
-            x, y = (wanted - pinhole.principal_px) / pinhole.focal_px
+            x, y = (wanted - pinhole.principal) / pinhole.focal
             drawing.draw(pose(x, y, 1.0))
             weight = drawing.frame.astype(float) - 40
             v, u = np.mgrid[: pinhole.height, : pinhole.width]

@@ -13,7 +13,7 @@ from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene
 from vergence.errors import ConfigurationError, UnreadableFileError
-from vergence.models.cameras import light_table
+from vergence.models.camera import light_table
 from vergence.vision import AprilTag, Checkerboard, as_grey, make_detector, read_image
 from vergence.vision.image import grey_if_channels_equal, has_orientation_tag
 from vergence.vision.video import open_video

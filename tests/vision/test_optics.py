@@ -7,11 +7,12 @@ from tests.grids import some_of
 from tests.models.lenses import LENSES, wide
 from tests.naming import named
 from vergence.errors import ConfigurationError
-from vergence.vision import EyeCamera
+from vergence.models.camera import Lens, camera_matrix
+from vergence.vision import Camera
 from vergence.vision.optics import ray_table
 
 
-def test_rays_undo_projection_over_the_whole_frame(lens: EyeCamera) -> None:
+def test_rays_undo_projection_over_the_whole_frame(lens: Camera) -> None:
     u, v = np.meshgrid(np.linspace(-8, 648, 40), np.linspace(-8, 488, 30))
     pixels = np.stack([u.ravel(), v.ravel()], axis=-1)
     rays = lens.rays(pixels)
@@ -25,7 +26,7 @@ def test_an_eye_of_any_lens_sees_what_its_head_projects() -> None:
             head = wide(left, right)
             q, points = np.zeros(7), np.array([[0.3, -0.15, 0.5], [-0.2, 0.3, 0.7]])
             for eye, T_N_C in enumerate(head.camera_poses(q)):
-                camera = EyeCamera.of(head, eye)
+                camera = Camera.of(head, eye)
                 assert (camera.width, camera.height) == tuple(head.cameras.size[eye])
                 in_camera = (points - T_N_C[:3, 3]) @ T_N_C[:3, :3]
                 pixels = camera.project(in_camera)
@@ -34,21 +35,24 @@ def test_an_eye_of_any_lens_sees_what_its_head_projects() -> None:
 
 
 def test_a_camera_without_coefficients_is_that_of_zeros() -> None:
-    view = {"width": 640, "height": 480, "focal_px": (300, 300), "principal_px": (319.5, 239.5)}
-    assert not EyeCamera(**view).distorts
-    assert not EyeCamera(**view, lens="rational").distorts
-    assert EyeCamera(**view, lens="fisheye").distorts
-    assert EyeCamera(**view, lens="fisheye").distortion == (0.0,) * 4
+    view = {"size": (640, 480), "matrix": camera_matrix((300, 300), (319.5, 239.5))}
+    assert not Camera(**view).distorts
+    assert not Camera(**view, lens=Lens("rational")).distorts
+    assert Camera(**view, lens=Lens("fisheye")).distorts
+    assert Camera(**view, lens=Lens("fisheye")).lens.coefficients.tolist() == [0.0] * 4
+    assert {Camera(**view), Camera(**view), Camera(**view, lens=Lens("fisheye"))} == {
+        Camera(**view), Camera(**view, lens=Lens("fisheye")),
+    }  # fmt: skip
 
 
-def test_pinhole_agrees_with_its_matrix(pinhole: EyeCamera) -> None:
+def test_pinhole_agrees_with_its_matrix(pinhole: Camera) -> None:
     point = np.array([[0.1, -0.2, 1.3]])
     u, v, w = pinhole.matrix @ point[0]
     assert pinhole.project(point)[0] == pytest.approx([u / w, v / w])
     assert pinhole.inverse_matrix @ pinhole.matrix == pytest.approx(np.eye(3))
 
 
-def test_ray_table_holds_the_rays_of_its_samples(lens: EyeCamera) -> None:
+def test_ray_table_holds_the_rays_of_its_samples(lens: Camera) -> None:
     table = ray_table(lens, 2, 3)
     assert table.shape == ((480 + 6) * 2, (640 + 6) * 2, 2)
     row, column = 37, 801
@@ -56,13 +60,19 @@ def test_ray_table_holds_the_rays_of_its_samples(lens: EyeCamera) -> None:
     assert table[row, column] == pytest.approx(lens.rays(pixel)[0], abs=1e-6)
 
 
-def test_camera_of_the_wrong_shape_is_refused() -> None:
-    view = {"width": 4, "height": 4, "focal_px": (1, 1), "principal_px": (0, 0)}
+def test_what_cannot_be_a_camera_is_refused() -> None:
+    view = {"size": (4, 4), "matrix": camera_matrix((1, 1), (0, 0))}
     for change, said in (
-        ({"distortion": (0.1, 0.2)}, "distortion"),
-        ({"distortion": (0.1,) * 5, "lens": "fisheye"}, "distortion: expected 4 numbers, got 5"),
-        ({"lens": "mirror"}, "lens: expected one of brown-conrady, rational"),
-        ({"focal_px": (-1, 1)}, "positive"),
+        ({"lens": Lens("brown-conrady", (0.1, 0.2))}, "distortion: expected 5 numbers, got 2"),
+        ({"lens": Lens("fisheye", (0.1,) * 5)}, "distortion: expected 4 numbers, got 5"),
+        ({"lens": Lens("mirror")}, "lens: expected one of brown-conrady, rational"),
+        ({"matrix": camera_matrix((-1, 1), (0, 0))}, "positive"),
+        ({"matrix": [[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]}, "matrix: expected a cam"),
+        ({"matrix": np.eye(2)}, "matrix: expected a camera matrix"),
+        ({"size": (640.5, 480)}, "size: expected .*whole pixels, got"),
+        ({"size": (0, 480)}, "size: expected .*whole pixels"),
+        ({"size": (640, 480, 3)}, "size: expected .*whole pixels"),
+        ({"response": "bright"}, "response: expected 'linear', 'srgb'"),
     ):
         with named(change), pytest.raises(ConfigurationError, match=said):
-            EyeCamera(**(view | change))
+            Camera(**(view | change))

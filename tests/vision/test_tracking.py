@@ -5,12 +5,12 @@ import pytest
 
 from tests.vision.poses import pose
 from vergence.models.parts import Rendering
-from vergence.vision import EyeCamera, TargetRenderer, make_detector, make_planar_target
+from vergence.vision import Camera, TargetRenderer, make_detector, make_planar_target
 from vergence.vision.tracking import Tracker
 
 
 @pytest.fixture
-def drawing(pinhole: EyeCamera, rendering: Rendering) -> TargetRenderer:
+def drawing(pinhole: Camera, rendering: Rendering) -> TargetRenderer:
     return TargetRenderer(pinhole, make_planar_target("tag"), rendering)
 
 
@@ -97,7 +97,7 @@ def test_a_motion_of_the_camera_counts_by_the_targets_distance(drawing):
     first = tracker.find(drawing.frame, T_0_C=np.eye(4))
     drawing.draw(pose(-0.02, 0.0, 0.5))
     tracker.find(drawing.frame, T_0_C=moved)
-    expected = first.point_px - (drawing.camera.focal_px[0] / 25.0, 0.0)
+    expected = first.point_px - (drawing.camera.focal[0] / 25.0, 0.0)
     assert detector.looked[1] == pytest.approx(expected, abs=0.2)
 
 

@@ -9,7 +9,7 @@ import pytest
 from tests.naming import named
 from vergence import load_head
 from vergence.errors import ConfigurationError
-from vergence.vision import AprilTag, Detection, EyeCamera, Tracker, make_detector, parse_target
+from vergence.vision import AprilTag, Camera, Detection, Tracker, make_detector, parse_target
 
 IMAGE = np.full((480, 640), 120, np.uint8)
 NONE = np.full((4, 2), np.nan)
@@ -22,8 +22,8 @@ def test_what_was_expected_is_said():
     for call, expected in [
         (lambda: make_detector("tag:36h11"), "target: expected a target, as parse_target makes"),
         (lambda: parse_target(None), "target: expected a printed board"),
-        (lambda: EyeCamera.of("head.toml", 0), "head: expected a head, see load_head"),
-        (lambda: EyeCamera.of(load_head("simulated"), 2), "eye: expected 0 for left or 1"),
+        (lambda: Camera.of("head.toml", 0), "head: expected a head, see load_head"),
+        (lambda: Camera.of(load_head("simulated"), 2), "eye: expected 0 for left or 1"),
         (lambda: TAG.detect(IMAGE, near_px=(np.nan, 1)), "near_px: expected a pixel (u, v)"),
         (lambda: TAG.search(IMAGE, near_px="there"), "near_px: expected a pixel (u, v)"),
         (lambda: TAG.search(IMAGE, way="half"), "way: expected a whole number or None"),

@@ -25,7 +25,8 @@ from vergence.calibration.observations import BoardObservations, detect_board_co
 from vergence.calibration.stereo import fit_camera_pair
 from vergence.calibration.uncertainty import rig_covariance
 from vergence.errors import ConfigurationError
-from vergence.models.cameras import LENSES, CameraResponse
+from vergence.models.camera import CameraResponse
+from vergence.models.lens import LENSES
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.spacing import MM
 from vergence.vision.targets import PlanarTarget

@@ -10,7 +10,7 @@ from vergence.calibration.calibrate import Calibration
 from vergence.calibration.cameras import camera_row_for_kernels
 from vergence.calibration.files import stereo_pair_of
 from vergence.calibration.uncertainty import board_points_in_camera, direction_sigma_px
-from vergence.models.kinematics import pixels_to_rays
+from vergence.models.camera import pixels_to_rays
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.spacing import MM
 

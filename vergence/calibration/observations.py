@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import BundleAdjustment
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.models.cameras import CameraResponse
+from vergence.models.camera import CameraResponse
 from vergence.models.parts import FloatArray
 from vergence.perception.light import LinearResponseCheck
 from vergence.perception.photographs import join_first_names, remark_on_orientation_tags

@@ -23,9 +23,9 @@ from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.models.cameras import CameraResponse
+    from vergence.models.camera import CameraResponse
     from vergence.perception.detect import DetectResult
-    from vergence.vision import EyeCamera
+    from vergence.vision import Camera
     from vergence.vision.targets import Target
 
 _MOST_PANELS: Final = 12
@@ -79,7 +79,7 @@ class Detect:
     def run(self) -> int:
         """Run the command."""
         self._check()
-        from vergence.models.cameras import parse_response
+        from vergence.models.camera import parse_response
         from vergence.perception.camera_options import load_camera
         from vergence.perception.target_finder import parse_targets
 
@@ -120,7 +120,7 @@ class Detect:
             raise ConfigurationError(f"seconds: expected more than 0, got {self.seconds}")
 
     def _photographs(
-        self, targets: "list[Target]", camera: "EyeCamera | None", response: "CameraResponse | None"
+        self, targets: "list[Target]", camera: "Camera | None", response: "CameraResponse | None"
     ) -> int:
         from vergence.perception.detect import detect_in_photographs
         from vergence.perception.similar_targets import describe_similar_targets

@@ -16,17 +16,17 @@ from vergence.commands.console import print_to_stderr
 from vergence.eval.reporting.text import format_fixed
 
 if TYPE_CHECKING:
-    from vergence.models.cameras import CameraResponse
+    from vergence.models.camera import CameraResponse
     from vergence.models.parts import FloatArray
     from vergence.perception.live import LiveSummary
-    from vergence.vision import EyeCamera
+    from vergence.vision import Camera
     from vergence.vision.targets import Target
 
 
 def watch_camera(
     source: str,
     targets: "Sequence[Target]",
-    camera: "EyeCamera | None",
+    camera: "Camera | None",
     seconds: float | None,
     *,
     camera_response: "CameraResponse | None",

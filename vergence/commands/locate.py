@@ -67,13 +67,13 @@ def _nothing(result: "LocateResult") -> str:
     pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
     from vergence.perception.similar_targets import describe_similar_targets
     from vergence.perception.target_finder import parse_targets
-    from vergence.vision import EyeCamera
+    from vergence.vision import Camera
 
     left = result.shown.left
     there = ""
     if not left.detections:
         targets = parse_targets(result.config.target)
-        there = describe_similar_targets(left.image, targets, EyeCamera.of(result.head, 0))
+        there = describe_similar_targets(left.image, targets, Camera.of(result.head, 0))
     return f"expected {names} {pairs}, found none" + (
         f"; in {left.path.name} {there}" if there else ""
     )

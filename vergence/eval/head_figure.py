@@ -13,10 +13,10 @@ from vergence.eval.image_figure import draw_field_of_view
 from vergence.eval.reporting.labels import Labels, as_float_pair
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figure_style, new_figure
 from vergence.files import atomic_file
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.posture import rest_poses
-from vergence.vision.optics import EyeCamera
 
 _COLOURS: Final = (BLUE, ORANGE)
 _VIEWS: Final = (
@@ -50,7 +50,7 @@ class _Geometry:
         poses = head.camera_poses(head.rest())
         self.eyes = _MM * poses[:, :3, 3]
         self.turns = poses[:, :3, :3]
-        self.cameras = [EyeCamera.of(head, eye) for eye in range(2)]
+        self.cameras = [Camera.of(head, eye) for eye in range(2)]
         self.fields = [_field(camera) for camera in self.cameras]
         self.base = np.asarray(_MM * from_base[:3, 3], np.float64)
         bodies, placed = head.links.bodies(), from_base @ posture.links
@@ -70,12 +70,12 @@ class _Geometry:
         self.high[2] += 0.35 * self.size  # ahead, where the eyes look
 
 
-def _field(camera: EyeCamera) -> FloatArray:
+def _field(camera: Camera) -> FloatArray:
     """(2, n, 3) unit rays in the camera frame, along the row and column of its principal point.
 
     They are evenly spaced in angle, so that a field of view of 180 degrees has an area too.
     """
-    (u, v), (right, bottom) = camera.principal_px, (camera.width - 0.5, camera.height - 0.5)
+    (u, v), (right, bottom) = camera.principal.tolist(), (camera.width - 0.5, camera.height - 0.5)
     edges, _ = edge_rays(camera, np.array([[-0.5, v], [right, v], [u, -0.5], [u, bottom]]))
     angles = np.arctan(edges)
     rays = np.zeros((2, _OUTLINE_RAYS, 3))

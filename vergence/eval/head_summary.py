@@ -13,11 +13,10 @@ from vergence.eval.head_reach import (
     midpoint_between_cameras,
     off_axis_reach_points,
 )
-from vergence.models.cameras import PINHOLE
+from vergence.models.camera import PINHOLE, Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, EYES, CalibrationRecord, FloatArray
 from vergence.triangulation.fix import triangulate_views
-from vergence.vision.optics import EyeCamera
 
 DEPTHS_M: Final = (0.5, 1.0, 2.0)
 """Depths at which the expected depth error is reported, m (chosen)."""
@@ -170,7 +169,7 @@ def baseline_mm(head: HeadModel) -> float:
 
 def eye_summaries(head: HeadModel) -> tuple[EyeSummary, ...]:
     """Both eyes' cameras, the left one first."""
-    return tuple(_eye(EyeCamera.of(head, eye), name) for eye, name in enumerate(EYE_NAMES))
+    return tuple(_eye(Camera.of(head, eye), name) for eye, name in enumerate(EYE_NAMES))
 
 
 def joint_summaries(head: HeadModel) -> tuple[JointSummary, ...]:
@@ -226,8 +225,8 @@ def _moved(head: HeadModel, column: FloatArray) -> str:
     return text.replace("+ -", "- ")
 
 
-def _eye(camera: EyeCamera, name: str) -> EyeSummary:
-    (u, v), (right, bottom) = camera.principal_px, (camera.width - 0.5, camera.height - 0.5)
+def _eye(camera: Camera, name: str) -> EyeSummary:
+    (u, v), (right, bottom) = camera.principal.tolist(), (camera.width - 0.5, camera.height - 0.5)
     edges, folds = edge_rays(camera, np.array([[-0.5, v], [right, v], [u, -0.5], [u, bottom]]))
     angles = np.degrees(np.arctan(edges))
     corners = camera.rays([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
@@ -235,16 +234,16 @@ def _eye(camera: EyeCamera, name: str) -> EyeSummary:
         name=name,
         width_px=camera.width,
         height_px=camera.height,
-        focal_px=(camera.focal_px[0], camera.focal_px[1]),
-        principal_px=(camera.principal_px[0], camera.principal_px[1]),
-        lens=camera.lens if camera.distorts else PINHOLE,
+        focal_px=tuple(camera.focal.tolist()),
+        principal_px=tuple(camera.principal.tolist()),
+        lens=camera.lens.model if camera.distorts else PINHOLE,
         horizontal_deg=float(angles[1, 0] - angles[0, 0]),
         vertical_deg=float(angles[3, 1] - angles[2, 1]),
         folds=folds or bool(np.isnan(corners).any()),
     )
 
 
-def edge_rays(camera: EyeCamera, pixels: FloatArray) -> tuple[FloatArray, bool]:
+def edge_rays(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, bool]:
     """Rays of pixels at an image's edge, or of the last pixels on the way there that have a ray.
 
     Args:
@@ -257,7 +256,7 @@ def edge_rays(camera: EyeCamera, pixels: FloatArray) -> tuple[FloatArray, bool]:
     rays = camera.rays(pixels)
     missing = np.asarray(np.isnan(rays).any(axis=1))
     if missing.any():
-        centre = np.array(camera.principal_px)
+        centre = camera.principal
         share = np.linspace(0.0, 1.0, 5001)[:, None, None]
         on_the_way = centre + share * (pixels - centre)
         found = camera.rays(on_the_way.reshape(-1, 2)).reshape(on_the_way.shape)

@@ -24,10 +24,10 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import CameraConfig
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import SearchedImage
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.vision.detectors import make_detector
 from vergence.vision.image import as_grey, grey_if_channels_equal
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import Target
 from vergence.vision.tracking import Tracker
 from vergence.vision.video import is_local_camera, open_capture
@@ -217,7 +217,7 @@ class EyeThread(threading.Thread):
         self._tracker = self._tracker_of(target)
 
     def _tracker_of(self, target: Target) -> Tracker:
-        return Tracker(make_detector(target, EyeCamera.of(self._head, self.config.eye)))
+        return Tracker(make_detector(target, Camera.of(self._head, self.config.eye)))
 
     def forget_track(self) -> None:
         """Drop the track of the target: the whole next image is searched."""

@@ -19,10 +19,10 @@ import numpy as np
 
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import SearchedPair
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEPTH_RANGE_M
-from vergence.vision.optics import EyeCamera
 
 _PARALLEL_SINE_SQUARED: Final = 1e-8
 """Squared sine of the angle below which two lines count as parallel: 0.1 mrad (numerical)."""
@@ -57,9 +57,9 @@ def pixels_at_common_time(
 
 
 @lru_cache(maxsize=8)
-def _cameras(head: HeadModel) -> tuple[EyeCamera, EyeCamera]:
+def _cameras(head: HeadModel) -> tuple[Camera, Camera]:
     """Both cameras, cached: preparing the lens models takes longer than the rest of a pair."""
-    return EyeCamera.of(head, 0), EyeCamera.of(head, 1)
+    return Camera.of(head, 0), Camera.of(head, 1)
 
 
 def _depths(origins: FloatArray, directions: FloatArray) -> FloatArray:

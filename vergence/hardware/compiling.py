@@ -6,9 +6,9 @@ import numpy as np
 
 from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.hardware.common_time import pixels_at_common_time
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.vision.detectors import make_detector
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import TagFamily, Target
 from vergence.vision.tracking import Tracker
 
@@ -30,7 +30,7 @@ def compile_loop_kernels(head: HeadModel, target: Target) -> None:
     for eye, T_N_C in enumerate(head.camera_poses(q)):
         away_m = float(head.cameras.focal[eye].mean()) * board.cell_m / _CELL_PX
         point = T_N_C[:3, 3] + away_m * T_N_C[:3, 2]
-        tracker = Tracker(make_detector(target, EyeCamera.of(head, eye)))
+        tracker = Tracker(make_detector(target, Camera.of(head, eye)))
         image = views.draw(q, still, point)[eye].copy()
         for seen in (image, image, np.full_like(image, image[0, 0])):
             tracker.find(seen, T_0_C=poses[eye])

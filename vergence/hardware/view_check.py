@@ -24,11 +24,11 @@ from vergence.errors import Finding
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.start import PROOF_RAD, PROOF_TIMEOUT_S, GoalNotReachedError, drive_to
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.vision.detection import Detection
 from vergence.vision.detectors import make_detector
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import AprilTag, TagFamily, Target
 
 _DISTANCES_M: Final = (0.2, 0.35, 0.6, 1.0, 2.0, 4.0)
@@ -232,7 +232,7 @@ class ViewCheck:
         seen = np.array([np.isfinite(posture.pixels).all(axis=-1) for posture in self.postures])
         found, blind = [], np.flatnonzero(~seen.any(axis=0)).tolist()
         for eye in blind:
-            detector = make_detector(target, EyeCamera.of(self.config.head, eye))
+            detector = make_detector(target, Camera.of(self.config.head, eye))
             if images is not None and detector.detect(images[eye][:, ::-1].copy()) is not None:
                 problem = f"expected images as the eye sees {target}, got mirrored ones"
                 found.append(Finding(part=self._camera(eye), problem=problem, cure=_FLIP_CURE))

@@ -1,7 +1,7 @@
 """Head models: kinematics, cameras, limits, presets, and the MuJoCo model made from them."""
 
 from vergence.models.actuation import Actuation, Actuators
-from vergence.models.cameras import Cameras
+from vergence.models.camera import Cameras
 from vergence.models.geometry import DenavitHartenberg, JointAxes
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head, parse_head, presets, save_head

@@ -1,6 +1,5 @@
 """Geometry of a head's links, by D-H rows or by joint axes, and the parameters that may differ."""
 
-import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -9,7 +8,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.models.cameras import Cameras
+from vergence.models.camera import Cameras
 from vergence.models.parts import (
     EYE_NAMES,
     JOINTS,
@@ -474,8 +473,6 @@ class Geometry(NamedTuple):
     """The parts in which a real head differs from its model."""
 
     links: Links
-    head_eye: FloatArray
-    """(..., 2, 4, 4): poses of the cameras in the eyes' last links."""
     cameras: Cameras
 
 
@@ -517,14 +514,12 @@ def geometry_with(reference: Geometry, values: ArrayLike) -> Geometry:
     from scipy.spatial.transform import Rotation
 
     rotation = Rotation.from_rotvec(fields["rotation"].reshape(-1, 3)).as_matrix()
-    head_eye = np.broadcast_to(reference.head_eye, (*batch, 2, 4, 4)).copy()
+    head_eye = np.broadcast_to(reference.cameras.pose, (*batch, 2, 4, 4)).copy()
     head_eye[..., :3, :3] @= rotation.reshape(*batch, 2, 3, 3)
     head_eye[..., :3, 3] = fields["position"].reshape(*batch, 2, 3)
-    cameras: dict[str, Any] = {name: fields[name].reshape(*batch, 2, -1) for name in _CAMERA_FIELDS}
+    cameras = {name: fields[name].reshape(*batch, 2, -1) for name in _CAMERA_FIELDS}
     return Geometry(
-        reference.links.with_fields(fields),
-        head_eye,
-        dataclasses.replace(reference.cameras, **cameras),
+        reference.links.with_fields(fields), reference.cameras.replaced(**cameras, pose=head_eye)
     )
 
 
@@ -545,10 +540,12 @@ def _places(parameters: tuple[Parameter, ...]) -> dict[str, tuple[list[int], lis
 
 def _fields(geometry: Geometry, reference: Geometry) -> dict[str, FloatArray]:
     """Every field that holds parameters, by name, with its own dimensions flattened."""
-    links, head_eye, cameras = geometry
+    links, cameras = geometry
+    head_eye = cameras.pose
     rotation = np.zeros((2, 3))
     if reference is not geometry:
-        relative = np.swapaxes(reference.head_eye[..., :3, :3], -1, -2) @ head_eye[..., :3, :3]
+        given = reference.cameras.pose[..., :3, :3]
+        relative = np.swapaxes(given, -1, -2) @ head_eye[..., :3, :3]
         from scipy.spatial.transform import Rotation
 
         vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()

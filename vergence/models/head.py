@@ -2,7 +2,7 @@
 
 import dataclasses
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models import fixation, kinematics
 from vergence.models.actuation import Actuation, Actuators, assemble_actuation
-from vergence.models.cameras import BROWN_CONRADY, Cameras
+from vergence.models.camera import Cameras
 from vergence.models.geometry import (
     Geometry,
     JointAxes,
@@ -24,6 +24,7 @@ from vergence.models.geometry import (
     map_arrays,
     parameters_of,
 )
+from vergence.models.lens import BROWN_CONRADY, LENSES
 from vergence.models.parts import (
     EYES,
     CalibrationRecord,
@@ -42,78 +43,76 @@ from vergence.operands import as_operand
 
 FORM_VERSION: Final = 1
 """Version of the form described above (numerical)."""
-_LENSES: Final = {BROWN_CONRADY: 1, "rational": 2, "fisheye": 3}
 _WHOLE_PERIODS_TOLERANCE: Final = 1e-9
 """Tolerance for a whole number of control periods (numerical)."""
 _ROUNDED_PARTS: Final = ("links", "head_eye")
 _POSE_DECIMALS: Final = 12
 """Decimals that rounding keeps of a `JointAxes` head's poses (numerical)."""
-_EXCLUDED: Final = ("name", "names", "assumptions", "calibration")
-"""Fields for human readers, left out of the digest."""
 
 
-def digest_of(head: Any) -> str:
-    """64 hexadecimal digits for a dataclass of the head's name and its parts."""
+def digest_of(head: "HeadModel") -> str:
+    """64 hexadecimal digits of a head's numbers, in the form above."""
     sha = hashlib.sha256()
-    by_axes = isinstance(getattr(head, "links", None), JointAxes)
-    for part in dataclasses.fields(head):
-        if part.name in _EXCLUDED or _is_later(part, getattr(head, part.name)):
-            continue
-        for field, value in _hashed_numbers(getattr(head, part.name)):
+    parts = {
+        "links": _numbers(head.links),
+        "head_eye": {"": head.head_eye},
+        "cameras": _camera_numbers(head.cameras),
+        "limits": _numbers(head.limits),
+        "timing": _timing_numbers(head.timing),
+        "sensor": _numbers(head.sensor),
+        "rendering": _numbers(head.rendering),
+        "actuators": {} if head.actuators is None else _numbers(head.actuators),
+    }
+    for part, numbers in parts.items():
+        for field, value in sorted(numbers.items()):
             if is_name_tuple(value) or isinstance(value, str):
-                sha.update(f"{part.name}.{field}{value}".encode())
+                sha.update(f"{part}.{field}{value}".encode())
                 continue
             array = np.asarray(value, dtype="<f8")
-            if by_axes and part.name in _ROUNDED_PARTS:
+            if part in _ROUNDED_PARTS and isinstance(head.links, JointAxes):
                 array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
-            sha.update(f"{part.name}.{field}{array.shape}".encode())
+            sha.update(f"{part}.{field}{array.shape}".encode())
             sha.update(array.tobytes())
     return sha.hexdigest()
 
 
-def _is_later(field: "dataclasses.Field[Any]", value: Any) -> bool:
-    """True if a field was added after version 1 and has its default value."""
-    return field.default is not dataclasses.MISSING and np.array_equal(value, field.default)
-
-
-def _hashed_numbers(part: Any) -> Iterator[tuple[str, Any]]:
-    """Names and numbers of a part in the form of version 1."""
-    if not dataclasses.is_dataclass(part):
-        yield "", part
-        return
-    values = {
-        field.name: getattr(part, field.name)
+def _numbers(part: Any) -> dict[str, Any]:
+    """Fields of a part, but those that were added after version 1 and have their default value."""
+    return {
+        field.name: value
         for field in dataclasses.fields(part)
-        if field.name not in _EXCLUDED and not _is_later(field, getattr(part, field.name))
+        for value in (getattr(part, field.name),)
+        if field.name != "names"
+        and (field.default is dataclasses.MISSING or not np.array_equal(value, field.default))
     }
-    if isinstance(part, LoopTiming):
-        _translate_timing(part, values)
-    elif isinstance(part, Cameras):
-        _translate_cameras(part, values)
-    yield from sorted(values.items())
 
 
-def _translate_timing(timing: LoopTiming, values: dict[str, Any]) -> None:
+def _timing_numbers(timing: LoopTiming) -> dict[str, Any]:
+    numbers = _numbers(timing)
     periods = timing.latency_s * timing.control_rate_hz
     if abs(periods - timing.latency_frames) < _WHOLE_PERIODS_TOLERANCE:
-        del values["latency_s"]
-        values["latency_frames"] = timing.latency_frames
+        numbers["latency_frames"] = timing.latency_frames
+        del numbers["latency_s"]
+    return numbers
 
 
-def _translate_cameras(cameras: Cameras, values: dict[str, Any]) -> None:
-    if "response" in values:
-        values["response"] = str(cameras.response)
+def _camera_numbers(cameras: Cameras) -> dict[str, Any]:
+    numbers = {name: getattr(cameras, name) for name in ("focal", "principal", "distortion")}
     left, right = cameras.size.tolist()
     if left == right and set(cameras.lens) == {BROWN_CONRADY}:
-        del values["size"]
-        values["width"], values["height"] = left
+        numbers |= dict(zip(("width", "height"), left, strict=True))
     else:
-        values["lens"] = [_LENSES[lens] for lens in cameras.lens]
+        lens = [1 + list(LENSES).index(lens) for lens in cameras.lens]
+        numbers |= {"size": cameras.size, "lens": lens}
+    if cameras.response != (None, None):
+        numbers["response"] = str(cameras.response)
+    return numbers
 
 
 _COUPLING_TOLERANCE_RAD: Final = 1e-9
 """Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
-_CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
+_CAMERA_FIELDS: Final = (("focal", 2), ("principal", 2), ("distortion", 2), ("pose", 3))
+"""Values of a pair of cameras that differ in a population, and their dimensions for one head."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,7 +128,7 @@ class HeadModel:
     `vergence.models.parts`. A joint that the head does not have has an empty name in `joints` and
     limits of zero, and its angle is ignored. `actuation` holds the actuators that take commands.
 
-    The geometry (`links`, `head_eye`, `cameras`) may carry a batch shape; every method then
+    The geometry (`links`, `cameras`) may carry a batch shape; every method then
     broadcasts it with the arguments' leading shapes by NumPy's rules.
 
     Examples:
@@ -148,8 +147,6 @@ class HeadModel:
     name: str
     links: Links
     """Joint axes: `DenavitHartenberg` or `JointAxes`."""
-    head_eye: FloatArray
-    """(..., 2, 4, 4): the cameras' poses in the eyes' last links, T_6_Cl and T_9_Cr."""
     cameras: Cameras
     limits: JointLimits
     timing: LoopTiming
@@ -163,13 +160,12 @@ class HeadModel:
     """Record of the cameras' calibration; None if the file has none."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "head_eye", readonly_array(self.head_eye))
         object.__setattr__(self, "assumptions", MappingProxyType(dict(self.assumptions)))
 
     @cached_property
     def packed(self) -> FloatArray:
         """(..., PACKED): the geometry as one packed array per head, for compiled kernels."""
-        return kinematics.pack_head(self.links, self.head_eye, self.cameras, self.actuation)
+        return kinematics.pack_head(self.links, self.cameras, self.actuation)
 
     @cached_property
     def actuation(self) -> Actuation:
@@ -177,6 +173,11 @@ class HeadModel:
         return assemble_actuation(
             self.joints, self.limits, self.timing, self.sensor, self.actuators
         )
+
+    @cached_property
+    def head_eye(self) -> FloatArray:
+        """(..., 2, 4, 4) the cameras' poses in the eyes' last links, T_6_Cl and T_9_Cr, metres."""
+        return readonly_array(self.cameras.pose)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -261,7 +262,11 @@ class HeadModel:
         Raises:
             ConfigurationError: a field is unknown, or a value is invalid.
         """
-        if {"links", "head_eye", "cameras"} & set(parts):
+        if "head_eye" in parts:
+            parts["cameras"] = self.cameras.replaced(pose=parts.pop("head_eye"))
+        elif isinstance(cameras := parts.get("cameras"), Mapping):
+            parts["cameras"] = self.cameras.replaced(**cameras)
+        if {"links", "cameras"} & set(parts):
             parts = {"calibration": None} | parts  # the record does not apply to another geometry
         return replace_fields(self, "head", parts)
 
@@ -459,7 +464,7 @@ class HeadModel:
     @property
     def geometry(self) -> Geometry:
         """Parts in which a real head differs from its model: links, head-eye, cameras."""
-        return Geometry(self.links, self.head_eye, self.cameras)
+        return Geometry(self.links, self.cameras)
 
     def parameters(self, about: "HeadModel | None" = None) -> Parameters:
         """Flatten the geometry to a vector of named numbers: axes, head-eye transforms, cameras.
@@ -506,12 +511,8 @@ def pick_geometry(geometry: Geometry, batch_shape: tuple[int, ...], index: Any) 
         full = np.broadcast_to(values, (*batch_shape, *values.shape[values.ndim - own :]))
         return np.asarray(full[index])
 
-    cameras: Any = {name: taken(getattr(geometry.cameras, name), 2) for name in _CAMERA_FIELDS}
-    return Geometry(
-        map_arrays(geometry.links, taken),
-        taken(geometry.head_eye, 3),
-        dataclasses.replace(geometry.cameras, **cameras),
-    )
+    cameras = {name: taken(getattr(geometry.cameras, name), own) for name, own in _CAMERA_FIELDS}
+    return Geometry(map_arrays(geometry.links, taken), geometry.cameras.replaced(**cameras))
 
 
 def stack_geometries(geometries: Sequence[Geometry]) -> Geometry:
@@ -533,10 +534,6 @@ def stack_geometries(geometries: Sequence[Geometry]) -> Geometry:
     }
     cameras: Any = {
         name: np.stack([getattr(geometry.cameras, name) for geometry in geometries])
-        for name in _CAMERA_FIELDS
+        for name, _ in _CAMERA_FIELDS
     }
-    return Geometry(
-        replace_fields(first.links, "links", links),
-        np.stack([geometry.head_eye for geometry in geometries]),
-        dataclasses.replace(first.cameras, **cameras),
-    )
+    return Geometry(replace_fields(first.links, "links", links), first.cameras.replaced(**cameras))

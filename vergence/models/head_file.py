@@ -16,17 +16,19 @@ import numpy as np
 from vergence.errors import ConfigurationError, HeadFileError, UnknownNameError, UnreadableFileError
 from vergence.files import write_atomic
 from vergence.models.actuation import Actuators
-from vergence.models.cameras import (
-    BROWN_CONRADY,
+from vergence.models.camera import (
     EXPECTED,
-    LENSES,
     PINHOLE,
+    Camera,
     CameraResponse,
     Cameras,
+    Lens,
+    camera_matrix,
     parse_response,
 )
 from vergence.models.geometry import PARTS, DenavitHartenberg, JointAxes, multiply_poses
 from vergence.models.head import HeadModel
+from vergence.models.lens import BROWN_CONRADY, LENSES
 from vergence.models.parts import (
     ENCODER_SIDES,
     EYE_NAMES,
@@ -353,40 +355,37 @@ def joints_to_toml(links: JointAxes, limits: JointLimits) -> dict[str, Any]:
     return tables
 
 
-def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
-    """Cameras of a head file, and (2, 4, 4) the pose of each in its eye's last link."""
+def parse_eyes(root: Table) -> Cameras:
+    """Cameras of a head file, each with its pose in the eye's last link."""
     image = _parse_size(root.table("image"), closing=True) if root.has("image") else None
-    size, lens, focal, principal, distortion = [], [], [], [], np.zeros((2, 8))
-    response: list[CameraResponse | None] = []
-    head_eye = np.zeros((2, 4, 4))
-    for eye, table in enumerate(root.tables("eyes", 2)):
-        table.require_equal("name", EYE_NAMES[eye], "the left eye comes first, then the right one")
-        width, height = _parse_eye_size(table, image)
-        size.append((width, height))
-        focal.append(table.numbers("focal_px", (2,), FOCAL))
-        centre = table.numbers("principal_px", (2,), PIXELS)
-        if not (0.0 < centre[0] < width and 0.0 < centre[1] < height):
-            raise HeadFileError(
-                table.key("principal_px"),
-                centre.tolist(),
-                f"a point inside the image of {width} x {height} px",
-            )
-        principal.append(centre)
-        model, coefficients = _parse_lens(table)
-        lens.append(model)
-        distortion[eye, : len(coefficients)] = coefficients
-        response.append(_parse_response(table))
-        head_eye[eye] = _parse_mount(table)
-        table.close()
-    cameras = Cameras(
-        size=np.array(size),
-        focal=np.array(focal),
-        principal=np.array(principal),
-        distortion=distortion,
-        lens=(lens[0], lens[1]),
-        response=(response[0], response[1]),
+    return Cameras(
+        *(
+            _parse_eye(table, name, image)
+            for name, table in zip(EYE_NAMES, root.tables("eyes", 2), strict=True)
+        )
     )
-    return cameras, head_eye
+
+
+def _parse_eye(table: Table, name: str, image: tuple[int, int] | None) -> Camera:
+    table.require_equal("name", name, "the left eye comes first, then the right one")
+    width, height = _parse_eye_size(table, image)
+    focal = table.numbers("focal_px", (2,), FOCAL)
+    centre = table.numbers("principal_px", (2,), PIXELS)
+    if not (0.0 < centre[0] < width and 0.0 < centre[1] < height):
+        raise HeadFileError(
+            table.key("principal_px"),
+            centre.tolist(),
+            f"a point inside the image of {width} x {height} px",
+        )
+    camera = Camera(
+        size=(width, height),
+        matrix=camera_matrix(focal, centre),
+        lens=_parse_lens(table),
+        response=_parse_response(table),
+        pose=_parse_mount(table),
+    )
+    table.close()
+    return camera
 
 
 def _parse_size(table: Table, *, closing: bool = False) -> tuple[int, int]:
@@ -409,21 +408,21 @@ def _parse_eye_size(table: Table, image: tuple[int, int] | None) -> tuple[int, i
     return image
 
 
-def _parse_lens(table: Table) -> tuple[str, FloatArray]:
+def _parse_lens(table: Table) -> Lens:
     """Lens model of a camera and its coefficients; a pinhole becomes Brown-Conrady with zeros."""
     said = table.has("lens")
     lens = table.choice("lens", [PINHOLE, *LENSES]) if said else BROWN_CONRADY
     if not said and table.has("distortion"):
         _refuse_unnamed(table)
     if lens != PINHOLE:
-        return lens, table.numbers("distortion", (len(LENSES[lens]),), DISTORTION[lens])
+        return Lens(lens, table.numbers("distortion", (len(LENSES[lens]),), DISTORTION[lens]))
     if table.has("distortion"):
         given = table.take("distortion", "")
         if not isinstance(given, list) or any(value != 0 for value in given):
             raise HeadFileError(
                 table.key("distortion"), given, f"zeros, or no such key, for lens = '{PINHOLE}'"
             )
-    return BROWN_CONRADY, np.zeros(len(LENSES[BROWN_CONRADY]))
+    return Lens()
 
 
 def _refuse_unnamed(table: Table) -> None:
@@ -458,27 +457,44 @@ def _parse_mount(table: Table) -> FloatArray:
     return mount
 
 
-def eyes_to_toml(
-    cameras: Cameras, head_eye: FloatArray, rotation_position_keys: tuple[str, str]
-) -> dict[str, Any]:
-    """Write the tables `eyes` and, for images of one size, `image`; (2, 4, 4) poses in metres."""
-    sizes = [{"width_px": width, "height_px": height} for width, height in cameras.size.tolist()]
-    one_size = sizes[0] == sizes[1]
+def eyes_to_toml(cameras: Cameras, mount_keys: tuple[str, str]) -> dict[str, Any]:
+    """Write the tables `eyes` and, for images of one size, `image`."""
+    rotation, position = mount_keys
     eyes = [
         {
             "name": name,
-            **({} if one_size else sizes[eye]),
-            "focal_px": cameras.focal[eye].tolist(),
-            "principal_px": cameras.principal[eye].tolist(),
-            **({} if lens == BROWN_CONRADY else {"lens": lens}),
-            "distortion": cameras.distortion[eye, : len(LENSES[lens])].tolist(),
-            **({} if cameras.response[eye] is None else {"response": cameras.response[eye]}),
-            rotation_position_keys[0]: head_eye[eye, :3, :3].tolist(),
-            rotation_position_keys[1]: head_eye[eye, :3, 3].tolist(),
+            **camera_fields(camera),
+            **({} if camera.response is None else {"response": camera.response}),
+            rotation: camera.pose[:3, :3].tolist(),
+            position: camera.pose[:3, 3].tolist(),
         }
-        for eye, (name, lens) in enumerate(zip(EYE_NAMES, cameras.lens, strict=True))
+        for name, camera in zip(EYE_NAMES, cameras, strict=True)
     ]
-    return {**({"image": sizes[0]} if one_size else {}), "eyes": eyes}
+    return size_fields(cameras, eyes)
+
+
+def camera_fields(camera: Camera) -> dict[str, Any]:
+    """Fields of a camera in `[[eyes]]`, but its image size, response and pose."""
+    model, coefficients = camera.lens
+    return {
+        "focal_px": camera.focal.tolist(),
+        "principal_px": camera.principal.tolist(),
+        **({} if model == BROWN_CONRADY else {"lens": model}),
+        "distortion": np.asarray(coefficients).tolist(),
+    }
+
+
+def size_fields(cameras: Sequence[Camera], eyes: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Tables `image` and `eyes`, or `eyes` with the size of each where it differs."""
+    left, right = ({"width_px": camera.width, "height_px": camera.height} for camera in cameras)
+    if left == right:
+        return {"image": left, "eyes": list(eyes)}
+    return {
+        "eyes": [
+            {"name": eye["name"]} | size | eye
+            for eye, size in zip(eyes, (left, right), strict=True)
+        ]
+    }
 
 
 def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
@@ -635,15 +651,14 @@ def head_of_document(document: Mapping[str, Any]) -> HeadModel:
     root = Table(document, "")
     name = root.take("name", NAME[1])
     check_head_name(name)
-    cameras, mounts = parse_eyes(root)
-    parts: dict[str, Any] = {"head_eye": mounts}
+    cameras = parse_eyes(root)
+    parts: dict[str, Any] = {"cameras": cameras}
     if root.has("links") or root.has("limits"):  # the article's nine links
         parts |= {"links": _parse_links(root), "limits": _parse_limits(root.table("limits"))}
     else:
-        parts = _parse_axes(root, mounts)
+        parts = _parse_axes(root, cameras)
     head = HeadModel(
         name=name,
-        cameras=cameras,
         timing=_parse_timing(root.table("timing")),
         sensor=_parse_sensor(root.table("sensor")),
         rendering=_parse_rendering(root.table("rendering")),
@@ -656,7 +671,7 @@ def head_of_document(document: Mapping[str, Any]) -> HeadModel:
     return head
 
 
-def _parse_axes(root: Table, mounts: FloatArray) -> dict[str, Any]:
+def _parse_axes(root: Table, cameras: Cameras) -> dict[str, Any]:
     """Joints, frame N and actuators of a file, as arguments of `HeadModel`."""
     names, parts, pose, given, carried = parse_joints(root)
     if not names:  # perhaps the joints stand under a misspelt key: refuse unknown ones now
@@ -664,7 +679,7 @@ def _parse_axes(root: Table, mounts: FloatArray) -> dict[str, Any]:
             ("frame", "actuators", "timing", "sensor", "rendering", "assumptions", "calibration")
         )
     head_eye = np.stack(
-        [multiply_poses(carried[eye], mounts[i]) for i, eye in enumerate(EYE_NAMES)]
+        [multiply_poses(carried[eye], cameras[i].pose) for i, eye in enumerate(EYE_NAMES)]
     )
     frame = parse_frame_n(root)
     # N is fixed to the neck's last link, whose frame is rotated from that of the neck's last joint
@@ -679,7 +694,7 @@ def _parse_axes(root: Table, mounts: FloatArray) -> dict[str, Any]:
     actuators = parse_actuators(root, links)
     return {
         "links": links,
-        "head_eye": head_eye,
+        "cameras": cameras.replaced(pose=head_eye),
         "limits": joint_limits(links, given, actuators),
         "actuators": actuators,
     }
@@ -845,7 +860,7 @@ def head_to_toml(head: HeadModel) -> str:
         axes = joints_to_toml(head.links, head.limits)
         if head.actuators is not None:
             axes |= actuators_to_toml(head.links, head.actuators)
-    cameras = eyes_to_toml(head.cameras, head.head_eye, mount)
+    cameras = eyes_to_toml(head.cameras, mount)
     document: dict[str, Any] = {
         "name": head.name,
         "image": cameras.get("image", {}),

@@ -9,16 +9,21 @@ from numpy.typing import NDArray
 
 from vergence.kernels import inlined, kernel
 from vergence.models.actuation import Actuation
-from vergence.models.cameras import Cameras
+from vergence.models.camera import Cameras
 from vergence.models.geometry import Links
-from vergence.models.lens import CameraRow, distort, is_distorted, is_invertible_at, undistort_ray
+from vergence.models.lens import (
+    CameraRow,
+    is_distorted,
+    pinhole_pixel,
+    pinhole_ray,
+    ray_to_pixel,
+    undistort_ray,
+)
 from vergence.models.packed import (
-    CAMERA_LENGTH,
     PACKED,
     PackedHead,
     Pose,
     Vector,
-    camera_at,
     camera_of,
     compose,
     eye_constant_pose,
@@ -42,21 +47,18 @@ FOUR_ELEMENTS: Final = np.zeros(4)
 (numerical)."""
 
 
-def pack_head(
-    links: Links, head_eye: FloatArray, cameras: Cameras, actuation: Actuation
-) -> FloatArray:
+def pack_head(links: Links, cameras: Cameras, actuation: Actuation) -> FloatArray:
     """(..., PACKED) read-only rows of a head's constants, see `vergence.models.packed`."""
     poses = links.constant_poses()
     for eye in range(2):
-        poses[6 + 3 * eye] = poses[6 + 3 * eye] @ head_eye[..., eye, :, :]
+        poses[6 + 3 * eye] = poses[6 + 3 * eye] @ cameras[eye].pose
+    rows = cameras.rows
     batch = np.broadcast_shapes(
         *(value.shape[: value.ndim - own] for value, own in links.arrays().values()),
-        head_eye.shape[:-3],
-        cameras.focal.shape[:-2],
-        cameras.principal.shape[:-2],
-        cameras.distortion.shape[:-2],
+        cameras.pose.shape[:-3],
+        rows.shape[:-2],
     )
-    return pack_constants(poses, cameras, actuation, batch)
+    return pack_constants(poses, rows, actuation, batch)
 
 
 class EyeFrames(NamedTuple):
@@ -128,29 +130,6 @@ def last_eye_link_poses(
 
 
 @inlined
-def ray_to_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
-    """The pixel of a ray (X / Z, Y / Z), nan beyond the lens model's valid region."""
-    if is_distorted(camera):
-        distorted = distort(camera, x, y)
-        if not is_invertible_at(camera, x, y, distorted):
-            return nan, nan
-        x, y = distorted.x, distorted.y
-    return pinhole_pixel(camera, x, y)
-
-
-@inlined
-def pinhole_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
-    """The pixel of normalised coordinates, ideal or distorted."""
-    return camera.centre_u + camera.focal_u * x, camera.centre_v + camera.focal_v * y
-
-
-@inlined
-def pinhole_ray(camera: CameraRow, u: float, v: float) -> tuple[float, float]:
-    """The normalised coordinates of a pixel, the inverse of `pinhole_pixel`."""
-    return (u - camera.centre_u) / camera.focal_u, (v - camera.centre_v) / camera.focal_v
-
-
-@inlined
 def point_to_pixel(
     p: PackedHead, eye: int, x: float, y: float, z: float, distorted: bool
 ) -> tuple[float, float]:
@@ -214,22 +193,6 @@ def undistort(pixels: FloatArray, p: PackedHead, out: FloatArray) -> None:
     """Ideal pinhole pixels of raw pixels, for both eyes."""
     for eye in range(2):
         out[eye, 0], out[eye, 1] = undistort_pixel(p, eye, pixels[eye, 0], pixels[eye, 1])
-
-
-@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA_LENGTH})->(2)")
-def rays_to_pixels(ray: FloatArray, row: FloatArray, out: FloatArray) -> None:
-    """Pixels (u, v) of rays (X / Z, Y / Z) in one camera, nan beyond the lens model."""
-    out[0], out[1] = ray_to_pixel(camera_at(row, 0), ray[0], ray[1])
-
-
-@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA_LENGTH})->(2)")
-def pixels_to_rays(pixel: FloatArray, row: FloatArray, out: FloatArray) -> None:
-    """Rays (X / Z, Y / Z) of pixels (u, v) in one camera, nan if the lens has no inverse there."""
-    camera = camera_at(row, 0)
-    x, y = pinhole_ray(camera, pixel[0], pixel[1])
-    if is_distorted(camera):
-        x, y = undistort_ray(camera, x, y)
-    out[0], out[1] = x, y
 
 
 @inlined

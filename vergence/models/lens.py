@@ -16,7 +16,7 @@ moves outwards in the image, up to its fold (see `vergence.models.lens`), and wh
 positive definite. Beyond that `is_invertible_at` is False and projections are nan, as is
 `undistort_ray` for a pixel without a ray; `distort` does not check.
 
-A new model needs its coefficients in `CameraRow`, its names in `cameras.LENSES`, its fold in
+A new model needs its coefficients in `CameraRow`, its names in `LENSES`, its fold in
 `vergence.models.lens`, a case in this module, and a case with derivatives by the coefficients in
 `vergence.calibration.projection`. No other module computes with coefficients.
 """
@@ -26,10 +26,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.kernels import inlined, subroutine
-from vergence.models.cameras import BROWN_CONRADY
+from vergence.kernels import inlined, make_tuple_reader, subroutine
 from vergence.models.parts import FloatArray
 
+BROWN_CONRADY: Final = "brown-conrady"
+LENSES: Final[dict[str, tuple[str, ...]]] = {
+    BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3"),
+    "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
+"""The lens models and their coefficients in OpenCV's order."""
 PINHOLE: Final = 0.0
 """`CameraRow.lens` of a lens without distortion (numerical)."""
 POLYNOMIAL: Final = 1.0
@@ -89,6 +95,17 @@ class DistortedPoint(NamedTuple):
     dxy: float
     """Derivative of x by y, which equals that of y by x."""
     dyy: float
+
+
+CAMERA_LENGTH: Final = 17
+"""Length of a packed camera (numerical)."""
+_camera_run = make_tuple_reader(CAMERA_LENGTH)
+
+
+@inlined
+def camera_at(row: FloatArray, i: int) -> CameraRow:
+    """Read the camera that begins at index i of a row."""
+    return CameraRow(*_camera_run(row, i))
 
 
 @inlined
@@ -241,6 +258,29 @@ def _search(camera: CameraRow, xd: float, yd: float, x: float, y: float) -> tupl
         angle = sqrt(x * x + y * y)
         return x * tan(angle) / angle, y * tan(angle) / angle
     return x, y
+
+
+@inlined
+def ray_to_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
+    """The pixel of a ray (X / Z, Y / Z), nan beyond the lens model's valid region."""
+    if is_distorted(camera):
+        distorted = distort(camera, x, y)
+        if not is_invertible_at(camera, x, y, distorted):
+            return nan, nan
+        x, y = distorted.x, distorted.y
+    return pinhole_pixel(camera, x, y)
+
+
+@inlined
+def pinhole_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
+    """The pixel of normalised coordinates, ideal or distorted."""
+    return camera.centre_u + camera.focal_u * x, camera.centre_v + camera.focal_v * y
+
+
+@inlined
+def pinhole_ray(camera: CameraRow, u: float, v: float) -> tuple[float, float]:
+    """The normalised coordinates of a pixel, the inverse of `pinhole_pixel`."""
+    return (u - camera.centre_u) / camera.focal_u, (v - camera.centre_v) / camera.focal_v
 
 
 LENS_NUMBERS: Final = 11

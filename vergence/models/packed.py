@@ -11,12 +11,10 @@ from math import cos, sin
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vergence.kernels import inlined, make_tuple_reader
 from vergence.models.actuation import SLOTS, Actuation
-from vergence.models.cameras import Cameras
-from vergence.models.lens import CameraRow, pack_lens
+from vergence.models.lens import CAMERA_LENGTH, CameraRow, camera_at
 from vergence.models.parts import FloatArray
 
 Vector = tuple[float, float, float]
@@ -163,8 +161,6 @@ _NECK_START: Final = 0
 _EYES_START: Final = 4 * _POSE_LENGTH
 _EYE_LENGTH: Final = 3 * _POSE_LENGTH
 _CAMERAS_START: Final = _EYES_START + 2 * _EYE_LENGTH
-CAMERA_LENGTH: Final = 17
-"""Length of a packed camera (numerical)."""
 _DIRECT: Final = _CAMERAS_START + 2 * CAMERA_LENGTH
 _TO_JOINTS: Final = _DIRECT + 1
 _OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
@@ -175,58 +171,24 @@ PACKED: Final = _TO_ACTUATORS + SLOTS * SLOTS
 
 def pack_constants(
     poses: Sequence[FloatArray],
-    cameras: Cameras,
+    cameras: FloatArray,
     actuation: Actuation,
     batch_shape: tuple[int, ...],
 ) -> FloatArray:
-    """(*batch, PACKED) read-only rows; `poses` are ten (..., 4, 4): neck, left eye, right eye."""
+    """(*batch, PACKED) read-only rows; from ten (..., 4, 4) poses and (..., 2, 17) cameras."""
     packed = np.zeros((*batch_shape, PACKED))
     for i, pose in enumerate(poses):
         rows = pose[..., :3, :]
         packed[..., i * _POSE_LENGTH : (i + 1) * _POSE_LENGTH] = rows.reshape(
             *rows.shape[:-2], _POSE_LENGTH
         )
-    pair = pack_cameras(cameras)
-    packed[..., _CAMERAS_START:_DIRECT] = pair.reshape(*pair.shape[:-2], 2 * CAMERA_LENGTH)
+    packed[..., _CAMERAS_START:_DIRECT] = cameras.reshape(*cameras.shape[:-2], 2 * CAMERA_LENGTH)
     packed[..., _DIRECT] = actuation.direct
     packed[..., _TO_JOINTS:_OFFSET] = actuation.to_joints.ravel()
     packed[..., _OFFSET:_TO_ACTUATORS] = actuation.offset
     packed[..., _TO_ACTUATORS:] = actuation.to_actuators.ravel()
     packed.flags.writeable = False
     return packed
-
-
-def pack_cameras(cameras: Cameras) -> FloatArray:
-    """Pack the two cameras into rows (..., 2, 17) for `camera_at`."""
-    size, focal, principal, lens = cameras.size, cameras.focal, cameras.principal, cameras.lens
-    if lens[0] == lens[1]:
-        return pack_camera(size, focal, principal, lens[0], cameras.distortion)
-    rows = [
-        pack_camera(size[i], focal[..., i, :], principal[..., i, :], lens[i], distortion)
-        for i, distortion in enumerate(np.moveaxis(cameras.distortion, -2, 0))
-    ]
-    return np.stack(np.broadcast_arrays(*rows), axis=-2)
-
-
-def pack_camera(
-    size: ArrayLike, focal: FloatArray, principal: FloatArray, lens: str, distortion: FloatArray
-) -> FloatArray:
-    """Pack cameras of one lens model into rows (..., 17) for `camera_at`; size and focal in px."""
-    batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
-    rows = np.empty((*batch, CAMERA_LENGTH))
-    numbers = pack_lens(lens, distortion)
-    rows[..., 0:2], rows[..., 2:4], rows[..., 4:12] = focal, principal, numbers[..., :8]
-    rows[..., 12:14], rows[..., 14:] = size, numbers[..., 8:]
-    return rows
-
-
-_camera_run = make_tuple_reader(CAMERA_LENGTH)
-
-
-@inlined
-def camera_at(row: FloatArray, i: int) -> CameraRow:
-    """Read the camera that begins at index i of a row."""
-    return CameraRow(*_camera_run(row, i))
 
 
 @inlined

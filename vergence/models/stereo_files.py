@@ -37,7 +37,7 @@ from vergence.models.calibration_files import (
     read_calibration,
     refuse_unused_files,
 )
-from vergence.models.cameras import CameraResponse
+from vergence.models.camera import CameraResponse
 from vergence.models.geometry import inverse_pose
 from vergence.models.head_file import check_head_name
 from vergence.models.parts import EYE_NAMES, CalibrationRecord, FloatArray

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.parts import FloatArray
-from vergence.vision import Detection, EyeCamera
+from vergence.vision import Camera, Detection
 from vergence.vision.targets import AprilTag
 
 
@@ -28,9 +28,7 @@ def weighted_sum(values: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(np.tensordot(weights[used], values[used], axes=1))
 
 
-def target_centre_px(
-    detection: Detection, camera: EyeCamera | None
-) -> tuple[FloatArray, FloatArray]:
+def target_centre_px(detection: Detection, camera: Camera | None) -> tuple[FloatArray, FloatArray]:
     """(2,) pixel of a target's centre, for a board by a homography, and (2,) its sigma; or nan."""
     target = detection.target
     if isinstance(target, AprilTag):

@@ -3,10 +3,12 @@
 from pathlib import Path
 
 from vergence.errors import ConfigurationError
+from vergence.models.camera import Lens as CameraLens
+from vergence.models.camera import camera_matrix
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES
 from vergence.models.stereo_files import Lens, read_intrinsics
-from vergence.vision import EyeCamera
+from vergence.vision import Camera
 
 
 def load_camera(
@@ -16,7 +18,7 @@ def load_camera(
     *,
     size: tuple[int, int] | None = None,
     lens: Lens | None = None,
-) -> tuple[EyeCamera | None, tuple[str, ...]]:
+) -> tuple[Camera | None, tuple[str, ...]]:
     """Load the camera that options name, None if none, and phrases on its doubtful values."""
     if head is not None and calibration is not None:
         raise ConfigurationError("camera: expected either --head or --camera, got both")
@@ -26,7 +28,7 @@ def load_camera(
     if head is not None:
         if eye is None:
             raise ConfigurationError("eye: expected left or right beside --head, got none")
-        return EyeCamera.of(load_head(head), EYE_NAMES.index(eye)), ()
+        return Camera.of(load_head(head), EYE_NAMES.index(eye)), ()
     if calibration is None:
         if eye is not None:
             raise ConfigurationError("eye: expected --head or --camera beside it, got neither")
@@ -42,12 +44,9 @@ def load_camera(
             f"eye: expected left or right, as {calibration} is of two cameras, got none"
         )
     own = both.right if eye == "right" else both.left
-    camera = EyeCamera(
-        width=own.width,
-        height=own.height,
-        focal_px=tuple(own.focal.tolist()),
-        principal_px=tuple(own.principal.tolist()),
-        distortion=tuple(own.distortion.tolist()),
-        lens=own.lens,
+    camera = Camera(
+        size=(own.width, own.height),
+        matrix=camera_matrix(own.focal, own.principal),
+        lens=CameraLens(own.lens, own.distortion),
     )
     return camera, both.guesses

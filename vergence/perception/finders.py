@@ -6,9 +6,9 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.cameras import CameraResponse
+from vergence.models.camera import CameraResponse
 from vergence.perception.target_finder import target_key
-from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
+from vergence.vision import Camera, Detection, Detector, Tracker, make_detector
 from vergence.vision.targets import TagFamily, Target
 
 _SEARCH_INTERVAL_IMAGES: Final = 15
@@ -25,7 +25,7 @@ class LiveFinder(Protocol):
 
 def make_live_finders(
     targets: Sequence[Target],
-    camera: EyeCamera | None = None,
+    camera: Camera | None = None,
     response: CameraResponse | None = None,
 ) -> list[LiveFinder]:
     """Make a finder for each target in live images."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from vergence.models.cameras import LINEAR, SRGB, CameraResponse, light_table
+from vergence.models.camera import LINEAR, SRGB, CameraResponse, light_table
 from vergence.models.parts import FloatArray
 from vergence.perception.spacing import neighbour_pairs
 from vergence.vision import Detection

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.models.cameras import parse_response
+from vergence.models.camera import parse_response
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, EYES, FloatArray
@@ -28,7 +28,7 @@ from vergence.perception.target_finder import (
     target_key,
 )
 from vergence.triangulation import Noise
-from vergence.vision import Detection, EyeCamera
+from vergence.vision import Camera, Detection
 from vergence.vision.targets import AprilTag, PlanarTarget
 
 MAX_GAP_PX: Final = 2.0
@@ -179,7 +179,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
     pairs, unpaired, single = pair_up(config.left, config.right)
     angles = read_joint_angles(head, config.joints, [pair.name for pair in pairs])
     finders = [
-        TargetFinder(targets, EyeCamera.of(head, eye), response) for eye in range(len(EYE_NAMES))
+        TargetFinder(targets, Camera.of(head, eye), response) for eye in range(len(EYE_NAMES))
     ]
     read: list[str] = []
     located: list[LocatedTarget] = []

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
+from vergence.models.camera import camera_matrix
 from vergence.perception.unseen_rows import UnseenRowCheck, rows_seen_and_in_view
-from vergence.vision import EyeCamera, make_detector
+from vergence.vision import Camera, make_detector
 from vergence.vision.boards.april_layout import alternative_grids
 from vergence.vision.boards.charuco import find_markers
 from vergence.vision.boards.charuco_layout import alternative_charuco
@@ -42,7 +43,7 @@ against the time of a dozen searches in 12 megapixels)."""
 
 
 def describe_similar_targets(
-    image: NDArray[np.uint8], requested: Sequence[Target], camera: EyeCamera | None = None
+    image: NDArray[np.uint8], requested: Sequence[Target], camera: Camera | None = None
 ) -> str:
     """Phrase such as ``tag:36h11:3 is there`` on targets like those that were missed; or empty."""
     image, camera = _reduced(image, camera)
@@ -72,8 +73,8 @@ def describe_similar_targets(
 
 
 def _reduced(
-    image: NDArray[np.uint8], camera: EyeCamera | None
-) -> tuple[NDArray[np.uint8], EyeCamera | None]:
+    image: NDArray[np.uint8], camera: Camera | None
+) -> tuple[NDArray[np.uint8], Camera | None]:
     """Reduce a large image to a size that is searched quickly, and its camera accordingly."""
     height, width = image.shape
     if max(width, height) <= _MAX_IMAGE_SIDE_PX:
@@ -84,18 +85,13 @@ def _reduced(
         u, v = size[0] / width, size[1] / height
         camera = replace(
             camera,
-            width=size[0],
-            height=size[1],
-            focal_px=(u * camera.focal_px[0], v * camera.focal_px[1]),
-            principal_px=(
-                u * (camera.principal_px[0] + 0.5) - 0.5,
-                v * (camera.principal_px[1] + 0.5) - 0.5,
-            ),
+            size=size,
+            matrix=camera_matrix(camera.focal * (u, v), (camera.principal + 0.5) * (u, v) - 0.5),
         )
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8), camera
 
 
-def _tags(image: NDArray[np.uint8], families: Sequence[str], camera: EyeCamera | None) -> list[str]:
+def _tags(image: NDArray[np.uint8], families: Sequence[str], camera: Camera | None) -> list[str]:
     """Tags of the first family that has any."""
     for family in dict.fromkeys(families):
         found = make_detector(TagFamily(family=family, size_known=False), camera).detect_all(image)
@@ -104,7 +100,7 @@ def _tags(image: NDArray[np.uint8], families: Sequence[str], camera: EyeCamera |
     return []
 
 
-def _boards(image: NDArray[np.uint8], target: Checkerboard, camera: EyeCamera | None) -> list[str]:
+def _boards(image: NDArray[np.uint8], target: Checkerboard, camera: Camera | None) -> list[str]:
     """First board of similar size."""
     for columns, rows in _SIZE_OFFSETS:
         try:
@@ -116,9 +112,7 @@ def _boards(image: NDArray[np.uint8], target: Checkerboard, camera: EyeCamera | 
     return []
 
 
-def _grids(
-    image: NDArray[np.uint8], target: AprilGrid | None, camera: EyeCamera | None
-) -> list[str]:
+def _grids(image: NDArray[np.uint8], target: AprilGrid | None, camera: Camera | None) -> list[str]:
     """Grid with other counts or another spacing; any grid if no target is given."""
     for other in alternative_grids(image, target):
         found = make_detector(other, camera).detect(image)
@@ -137,13 +131,13 @@ def _without_unseen_rows(found: Detection, image: NDArray[np.uint8]) -> Any:
     return check.fitting_boards().get(found.target, found.target)
 
 
-def _single_border(image: NDArray[np.uint8], camera: EyeCamera | None) -> list[str]:
+def _single_border(image: NDArray[np.uint8], camera: Camera | None) -> list[str]:
     """Tags as the AprilTag library prints them, or of another family."""
     found = _tags(image, families_in(image), camera)
     return [f"{each} (a single tag, its border one bit wide)" for each in found[:1]]
 
 
-def _charuco(image: NDArray[np.uint8], target: CharucoBoard, camera: EyeCamera | None) -> list[str]:
+def _charuco(image: NDArray[np.uint8], target: CharucoBoard, camera: Camera | None) -> list[str]:
     """Board with other counts or another dictionary; if it is none of these, its markers' ids."""
     for dictionary in dict.fromkeys([target.dictionary, *_MARKERS]):
         corners, seen = find_markers(
@@ -168,9 +162,7 @@ def _charuco(image: NDArray[np.uint8], target: CharucoBoard, camera: EyeCamera |
     return [] if dictionary == target.dictionary else [f"a board of {own}"]
 
 
-def _changed(
-    image: NDArray[np.uint8], requested: Sequence[Target], camera: EyeCamera | None
-) -> str:
+def _changed(image: NDArray[np.uint8], requested: Sequence[Target], camera: Camera | None) -> str:
     """A requested target that the mirrored image or its negative shows; empty if there is none."""
     for name, other in (
         ("mirrored", np.ascontiguousarray(image[:, ::-1])),

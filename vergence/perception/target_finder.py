@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.cameras import CameraResponse
+from vergence.models.camera import CameraResponse
 from vergence.perception.light import LinearResponseCheck
 from vergence.perception.unseen_rows import UnseenRowCheck
-from vergence.vision import Detection, EyeCamera, as_grey, make_detector, parse_target
+from vergence.vision import Camera, Detection, as_grey, make_detector, parse_target
 from vergence.vision.image import read_pixels
 from vergence.vision.targets import AprilTag, CharucoBoard, PlanarTarget, TagFamily, Target
 
@@ -112,7 +112,7 @@ class TargetFinder:
     def __init__(
         self,
         targets: Sequence[Target],
-        camera: EyeCamera | None = None,
+        camera: Camera | None = None,
         response: CameraResponse | None = None,
     ) -> None:
         self.targets = targets

@@ -19,8 +19,8 @@ from numpy import bool_
 from numpy.typing import NDArray
 
 from vergence.kernels import inlined, kernel
-from vergence.models.kinematics import EyeFrames, eye_frames, pinhole_ray, undistort_pixel
-from vergence.models.lens import distort, is_distorted
+from vergence.models.kinematics import EyeFrames, eye_frames, undistort_pixel
+from vergence.models.lens import distort, is_distorted, pinhole_ray
 from vergence.models.packed import (
     PACKED,
     PackedHead,

@@ -1,10 +1,10 @@
 """Render a calibration target as a camera images it, and detect targets in images."""
 
+from vergence.models.camera import Camera
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.detectors import make_detector
 from vergence.vision.drawing import TargetRenderer
 from vergence.vision.image import as_grey, read_image
-from vergence.vision.optics import EyeCamera
 from vergence.vision.tag_families import AprilGrid
 from vergence.vision.tags.detector import TagDetector
 from vergence.vision.targets import (
@@ -19,9 +19,13 @@ from vergence.vision.targets import (
 )
 from vergence.vision.tracking import Tracker
 
+EyeCamera = Camera
+"""Former name of `Camera`."""
+
 __all__ = [
     "AprilGrid",
     "AprilTag",
+    "Camera",
     "CharucoBoard",
     "Checkerboard",
     "Detection",

@@ -15,16 +15,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.cameras import (
-    BROWN_CONRADY,
+from vergence.models.camera import (
+    Camera,
     CameraResponse,
     default_response,
     light_table,
+    pack_camera,
     parse_response,
 )
-from vergence.models.packed import pack_camera
+from vergence.models.lens import BROWN_CONRADY
 from vergence.vision.image import has_colour_channels, measurement_channel
-from vergence.vision.optics import EyeCamera, FlatView, IdentityView, ray_table
+from vergence.vision.optics import FlatView, IdentityView, flat_view_about, ray_table
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily, Target
 
 _REGION_MARGIN_SHARE: Final = 0.5
@@ -73,7 +74,7 @@ class Detector(ABC, Generic[TargetT]):
     def __init__(
         self,
         target: TargetT,
-        camera: EyeCamera | None = None,
+        camera: Camera | None = None,
         response: CameraResponse | None = None,
     ) -> None:
         self.target = target
@@ -85,7 +86,7 @@ class Detector(ABC, Generic[TargetT]):
         lens = camera if camera is not None and camera.distorts else None
         self._lens = lens
         self._rays = _NO_RAYS if lens is None else ray_table(lens, 1, 0)
-        self._row = _NO_CAMERA if lens is None else lens.packed_camera
+        self._row = _NO_CAMERA if lens is None else lens.row
         self._size = None if camera is None else (camera.width, camera.height)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -210,7 +211,7 @@ class Detector(ABC, Generic[TargetT]):
 
     def _flat(self, pixels: NDArray[np.float64]) -> FlatView | IdentityView:
         """Undistorted plane around some pixels."""
-        return _NO_LENS if self._lens is None else self._lens.flat_view_about(pixels)
+        return _NO_LENS if self._lens is None else flat_view_about(self._lens, pixels)
 
     @abstractmethod
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:

@@ -3,19 +3,18 @@
 from typing import Any
 
 from vergence.errors import ConfigurationError
-from vergence.models.cameras import CameraResponse
+from vergence.models.camera import Camera, CameraResponse
 from vergence.vision.boards.april_grid import AprilGridDetector
 from vergence.vision.boards.charuco import CharucoDetector
 from vergence.vision.boards.checkerboards import CheckerboardDetector
 from vergence.vision.detection import Detector
-from vergence.vision.optics import EyeCamera
 from vergence.vision.tag_families import AprilGrid
 from vergence.vision.tags.detector import TagDetector
 from vergence.vision.targets import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 
 
 def make_detector(
-    target: Target, camera: EyeCamera | None = None, response: CameraResponse | None = None
+    target: Target, camera: Camera | None = None, response: CameraResponse | None = None
 ) -> Detector[Any]:
     """Make the detector of a target.
 

@@ -28,11 +28,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.cameras import LINEAR, light_table
+from vergence.models.camera import LINEAR, Camera, light_table
 from vergence.models.parts import Rendering
 from vergence.vision.blur import gaussian_radius_and_sigma, motion_blur_kernel
 from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
-from vergence.vision.optics import EyeCamera, ray_table
+from vergence.vision.optics import ray_table
 from vergence.vision.targets import PlanarTarget, outline_m, texture
 
 _LEAST_DEPTH_M: Final = 0.02
@@ -90,7 +90,7 @@ class TargetRenderer:
             white; a negative blur or noise; fewer than one sample a pixel.
     """
 
-    def __init__(self, camera: EyeCamera, target: PlanarTarget, rendering: Rendering) -> None:
+    def __init__(self, camera: Camera, target: PlanarTarget, rendering: Rendering) -> None:
         """Start with an empty frame."""
         _check(rendering)
         self.camera = camera
@@ -181,7 +181,7 @@ class TargetRenderer:
     def _sample_spacing(self, pose: NDArray[np.float64]) -> tuple[float, float]:
         """Samples per metre on the board at T's origin, smallest and largest by direction."""
         (ax, ay, _, x), (bx, by, _, y), (cx, cy, _, z), _ = pose.tolist()
-        (f_u, f_v), scale = self.camera.focal_px, self.rendering.supersampling
+        (f_u, f_v), scale = self.camera.focal.tolist(), self.rendering.supersampling
         # the derivative of the projection with respect to the board's x and y
         a, b = f_u * (ax - x / z * cx) / z, f_u * (ay - x / z * cy) / z
         c, d = f_v * (bx - y / z * cx) / z, f_v * (by - y / z * cy) / z

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError, UnreadableFileError
-from vergence.models.cameras import CameraResponse, light_table, parse_response, to_light
+from vergence.models.camera import CameraResponse, light_table, parse_response, to_light
 
 _EXPECTED_IMAGE: Final = (
     "expected an array (height, width), or (height, width, 3 or 4) in OpenCV's order BGR(A), of "

@@ -4,9 +4,7 @@ from math import hypot, isfinite, nan
 from typing import Final
 
 from vergence.kernels import compiled
-from vergence.models.kinematics import pinhole_ray, ray_to_pixel
-from vergence.models.lens import is_distorted, undistort_ray
-from vergence.models.packed import camera_at
+from vergence.models.lens import camera_at, is_distorted, pinhole_ray, ray_to_pixel, undistort_ray
 from vergence.models.parts import FloatArray
 
 _DEFAULT_DEPTH_M: Final = 1.0

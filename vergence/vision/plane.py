@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.kernels import compiled, subroutine
-from vergence.models.kinematics import ray_to_pixel
-from vergence.models.lens import CameraRow
-from vergence.models.packed import camera_at
+from vergence.models.lens import CameraRow, camera_at, ray_to_pixel
 from vergence.models.parts import FloatArray
 
 _DIFFERENCE_STEP_RAD: Final = 1e-4

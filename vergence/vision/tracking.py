@@ -99,7 +99,7 @@ class Tracker:
         out = np.empty(pixels.shape)
         return (
             out
-            if predict_target_pixels(pixels, camera.packed_camera, self._pose, pose, corners_m, out)
+            if predict_target_pixels(pixels, camera.row, self._pose, pose, corners_m, out)
             else pixels
         )
 

@@ -9,8 +9,8 @@ from vergence.models.head_file import head_to_toml, parse_head
 
 
 @pytest.fixture
-def head(physical):
-    return physical
+def head():
+    return vergence.load_head("physical")
 
 
 def test_it_looks_where_the_head_looks(head):

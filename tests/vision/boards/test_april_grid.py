@@ -10,14 +10,15 @@ import pytest
 from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import Scene, jpeg, ramp, rms, scene, shadow
+from vergence.models.camera import Lens, camera_matrix
 from vergence.models.parts import Rendering
-from vergence.vision import AprilGrid, EyeCamera, TagFamily, make_detector
+from vergence.vision import AprilGrid, Camera, TagFamily, make_detector
 
 GRID = AprilGrid(columns=5, rows=4, tag_m=0.05)
-PINHOLE = EyeCamera(width=640, height=480, focal_px=(520.0, 520.0), principal_px=(320.3, 240.1))
-FISHEYE = EyeCamera(
-    width=640, height=480, focal_px=(260.0, 260.0), principal_px=(320.3, 240.1),
-    distortion=(-0.01, 0.005, -0.002, 0.0005), lens="fisheye",
+PINHOLE = Camera(size=(640, 480), matrix=camera_matrix((520.0, 520.0), (320.3, 240.1)))
+FISHEYE = Camera(
+    size=(640, 480), matrix=camera_matrix((260.0, 260.0), (320.3, 240.1)),
+    lens=Lens("fisheye", (-0.01, 0.005, -0.002, 0.0005)),
 )  # fmt: skip
 
 
@@ -31,7 +32,7 @@ def drawn(
     board: AprilGrid = GRID,
     z: float = 0.5,
     turn: tuple[float, float, float] = (0.3, -0.2, 0.0),
-    camera: EyeCamera = PINHOLE,
+    camera: Camera = PINHOLE,
     x: float = 0.0,
     blur_px: float = 0.7,
     seed: int = 1,

@@ -86,7 +86,7 @@ def test_hidden_corners_are_nan_and_the_others_where_they_are(side, grey):
 def test_a_board_that_the_images_edge_cuts_is_found_in_part():
     camera, rendering = rig("simulated")
     board = BOARDS["7x5"]
-    x = (0 - camera.principal_px[0]) / camera.focal_px[0] * 0.8
+    x = (0 - camera.principal[0]) / camera.focal[0] * 0.8
     one = scene(camera, board, pose(x, 0.0, 0.8), rendering, np.random.default_rng(2))
     found = make_detector(board, camera).detect(one.image)
     there = np.isfinite(found.corners_px).all(axis=1)

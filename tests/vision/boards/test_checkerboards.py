@@ -25,8 +25,9 @@ from tests.vision.scenes import (
     shadow,
     turned,
 )
+from vergence.models.camera import camera_matrix
 from vergence.models.parts import Rendering
-from vergence.vision import Checkerboard, Detection, EyeCamera, make_detector
+from vergence.vision import Camera, Checkerboard, Detection, make_detector
 from vergence.vision.boards.corners import crossing_asymmetries
 
 
@@ -339,7 +340,7 @@ def test_small_boards_are_found_at_every_place_in_the_pixel_grid(name, square_px
     camera, rendering = rig(name)
     target, rng = Checkerboard(columns=5, rows=4), np.random.default_rng(4)
     detector = make_detector(target, camera)
-    z = target.square_m * camera.focal_px[0] / square_px
+    z = target.square_m * camera.focal[0] / square_px
     errors = []
     for _ in range(5):
         x, y = rng.uniform(-0.1, 0.1, 2) * z
@@ -419,7 +420,7 @@ def test_an_unevenly_printed_board_says_so(uneven_px):
 @pytest.mark.parametrize("aside_deg", [0.0, 50.0])
 def test_a_board_seen_through_a_fisheye_is_not_called_uneven(aside_deg):
     """Its corners are where they are, and sigmas do not take the lens's bend for scatter."""
-    camera = EyeCamera.of(wide("fisheye"), 0)
+    camera = Camera.of(wide("fisheye"), 0)
     _, rendering = rig("physical")
     target, side = board(9, 6), np.deg2rad(aside_deg)
     detector, rng = make_detector(target, camera), np.random.default_rng(7)
@@ -434,10 +435,8 @@ def test_a_board_seen_through_a_fisheye_is_not_called_uneven(aside_deg):
 
 
 @lru_cache
-def in_12_megapixels() -> tuple[Scene, EyeCamera]:
-    camera = EyeCamera(
-        width=4000, height=3000, focal_px=(3000.0, 3000.0), principal_px=(1999.5, 1499.5)
-    )
+def in_12_megapixels() -> tuple[Scene, Camera]:
+    camera = Camera(size=(4000, 3000), matrix=camera_matrix((3000.0, 3000.0), (1999.5, 1499.5)))
     _, rendering = rig("simulated")
     return scene(camera, board(9, 6), pose(0.1, 0.05, 0.9, (0.2, 0.2, 0.1)), rendering), camera
 

@@ -9,8 +9,8 @@ import pytest
 from tests.models.lenses import wide
 from tests.vision.poses import pose
 from tests.vision.scenes import defocus, jpeg, levels, ramp, rig, rms, scene, shadow, turned
-from vergence.models.cameras import light_table
-from vergence.vision import AprilTag, Detection, EyeCamera, make_detector
+from vergence.models.camera import light_table
+from vergence.vision import AprilTag, Camera, Detection, make_detector
 from vergence.vision.tag_families import tag_family
 from vergence.vision.targets import board_pose
 
@@ -57,7 +57,7 @@ def test_small_tags_are_found_at_every_place_in_the_pixel_grid_and_every_roll(na
     """Down to 1.75 px a cell, with the rig's noise; corners to 0.15 px rms."""
     camera, rendering = rig(name)
     detector, rng = make_detector(TAG, camera), np.random.default_rng(5)
-    depth_m = TAG.edge_m * camera.focal_px[0] / edge_px
+    depth_m = TAG.edge_m * camera.focal[0] / edge_px
     errors = []
     for _ in range(12):
         x, y = rng.uniform(-0.1, 0.1, 2) * depth_m
@@ -80,7 +80,7 @@ def test_light_that_changes_within_the_tag_moves_no_corner(light, angle, depth_m
     change = (
         shadow(0.5, angle)
         if light is shadow
-        else ramp(0.2, angle, 1.5 * TAG.edge_m * camera.focal_px[0] / depth_m)
+        else ramp(0.2, angle, 1.5 * TAG.edge_m * camera.focal[0] / depth_m)
     )
     errors = []
     for T_C_T in poses(depth_m, 5, seed=1):
@@ -203,7 +203,7 @@ def test_sigma_grows_with_the_noise(edge_px):
     """Twice the noise is twice the sigma, but for the rounding's share of it."""
     camera, rendering = rig("simulated")
     detector = make_detector(TAG, camera)
-    T_C_T = pose(0.0, 0.0, TAG.edge_m * camera.focal_px[0] / edge_px, (0.2, 0.1, 0.3))
+    T_C_T = pose(0.0, 0.0, TAG.edge_m * camera.focal[0] / edge_px, (0.2, 0.1, 0.3))
     said = []
     for noise in (2.0, 4.0, 8.0):
         louder = replace(rendering, noise_grey=noise)
@@ -226,7 +226,7 @@ def test_a_tag_far_off_the_axis_of_a_wide_lens_is_where_it_is(lens, aside_deg):
 
     If the lens bends a square too far, a search cannot find it, but tracking can.
     """
-    camera = EyeCamera.of(wide(lens), 0)
+    camera = Camera.of(wide(lens), 0)
     _, rendering = rig("physical")
     side = np.deg2rad(aside_deg)
     detector, rng = make_detector(TAG, camera), np.random.default_rng(11)
@@ -323,7 +323,7 @@ def test_sigma_is_that_of_the_error_whatever_pixels_take_part(edge_px):
     """Residuals that are alike from pixel to pixel are no more certain for being many."""
     camera, rendering = rig("simulated")
     detector, rng = make_detector(TAG, camera), np.random.default_rng(3)
-    depth_m = TAG.edge_m * camera.focal_px[0] / edge_px
+    depth_m = TAG.edge_m * camera.focal[0] / edge_px
     shares = {240: [], 800: [], 4000: []}
     for T_C_T in poses(depth_m, 10):
         drawn = scene(camera, TAG, T_C_T, rendering, rng)

@@ -169,7 +169,7 @@ def test_a_sharp_tag_whose_blocks_of_light_might_be_its_cells_is_found(family, e
     target = AprilTag(family=family, id=0, edge_m=0.12)
     detector = make_detector(target, camera)
     sharp = replace(rendering, blur_px=0.35)
-    depth_m = target.edge_m * camera.focal_px[0] / edge_px
+    depth_m = target.edge_m * camera.focal[0] / edge_px
     for turn in ((0.0, 0.0, 0.0), (0.2, -0.1, 0.4)):
         one = scene(camera, target, pose(0.0, 0.0, depth_m, turn), sharp)
         found = detector.detect(one.image)

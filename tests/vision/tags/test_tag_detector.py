@@ -36,15 +36,15 @@ def test_a_half_hidden_tag_is_none_neither_found_nor_tracked():
 def test_a_tag_that_the_images_edge_cuts_is_none(side, beyond_px):
     """A side that is not in the image is nowhere."""
     camera, rendering = rig("simulated")
-    half_px = 0.5 * TAG.edge_m * camera.focal_px[0]
+    half_px = 0.5 * TAG.edge_m * camera.focal[0]
     size = np.array([camera.width, camera.height])
     middle = 0.5 * (size - 1.0) + np.array(side) * (0.5 * size - half_px + beyond_px)
-    x, y = (middle - camera.principal_px) / camera.focal_px
+    x, y = (middle - camera.principal) / camera.focal
     one = scene(camera, TAG, pose(x, y, 1.0), rendering)
     detector = make_detector(TAG, camera)
     assert detector.detect(one.image) is None
     middle -= np.array(side) * (beyond_px + 16.0)
-    x, y = (middle - camera.principal_px) / camera.focal_px
+    x, y = (middle - camera.principal) / camera.focal
     before = detector.detect(scene(camera, TAG, pose(x, y, 1.0), rendering).image)
     assert before is not None
     assert detector.track(one.image, before) is None
@@ -78,12 +78,12 @@ def test_a_tag_at_the_images_edge_is_found_with_a_sigma_as_large_as_its_error(aw
 
 def test_a_tag_in_the_image_to_its_quiet_zone_is_found():
     camera, rendering = rig("simulated")
-    half_px = 0.5 * TAG.edge_m * camera.focal_px[0] * 10.0 / 8.0
+    half_px = 0.5 * TAG.edge_m * camera.focal[0] * 10.0 / 8.0
     size = np.array([camera.width, camera.height])
     for side in SIDES:
         with named(side):
             middle = 0.5 * (size - 1.0) + np.array(side) * (0.5 * size - half_px - 2.0)
-            x, y = (middle - camera.principal_px) / camera.focal_px
+            x, y = (middle - camera.principal) / camera.focal
             one = scene(camera, TAG, pose(x, y, 1.0), rendering)
             found = make_detector(TAG, camera).detect(one.image)
             assert found.corners_px == pytest.approx(one.corners, abs=0.1)
@@ -91,7 +91,7 @@ def test_a_tag_in_the_image_to_its_quiet_zone_is_found():
 
 def test_glare_beside_the_tag_does_not_matter():
     camera, rendering = rig("simulated")
-    edge_px = TAG.edge_m * camera.focal_px[0] / 0.8
+    edge_px = TAG.edge_m * camera.focal[0] / 0.8
     one = scene(camera, TAG, pose(0.02, 0.01, 0.8, (0.1, 0.2, 0.3)), rendering)
     for angle, away_edges in [(0.0, 1.1), (0.8, 2.5), (np.pi / 2, 1.1), (3.5, 1.5)]:
         with named(angle, away_edges):
@@ -103,7 +103,7 @@ def test_glare_beside_the_tag_does_not_matter():
 def test_a_highlight_on_the_tag_is_stood_or_the_tag_is_none():
     """Detected corners are right to 0.3 px."""
     camera, rendering = rig("simulated")
-    edge_px = TAG.edge_m * camera.focal_px[0] / 0.8
+    edge_px = TAG.edge_m * camera.focal[0] / 0.8
     one = cropped(scene(camera, TAG, pose(0.02, 0.01, 0.8, (0.1, 0.2, 0.3)), rendering))
     detector = make_detector(TAG)
     seen = 0

@@ -13,7 +13,7 @@ from vergence.envs.targets.motion import motion_rows
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.looking import BoardView
-from vergence.vision import EyeCamera, TargetRenderer, make_detector
+from vergence.vision import Camera, TargetRenderer, make_detector
 from vergence.vision.targets import PlanarTarget
 
 _LOOK_S: Final = 1.0
@@ -72,11 +72,11 @@ class SimulatedLooker:
         self._plant = simulation_of(make_plant("kinematic", head, true_head=true_head))
         self._seed = rng.integers(2**63, size=1, dtype=np.uint64)
         self._drawings = [
-            TargetRenderer(EyeCamera.of(self._true, eye), target, head.rendering)
+            TargetRenderer(Camera.of(self._true, eye), target, head.rendering)
             for eye in range(2 if drawn else 0)
         ]
         self._detectors = [
-            make_detector(target, EyeCamera.of(head, eye)) for eye in range(2 if drawn else 0)
+            make_detector(target, Camera.of(head, eye)) for eye in range(2 if drawn else 0)
         ]
 
     def look(self, q: FloatArray) -> BoardView:

@@ -249,7 +249,7 @@ def dh_to_joint_axes(head: HeadModel) -> HeadModel:
     return replace(
         head,
         links=links,
-        head_eye=multiply_poses(mounts, head.head_eye),
+        cameras=head.cameras.replaced(pose=multiply_poses(mounts, head.head_eye)),
         calibration=record,
         assumptions={
             key: why

@@ -21,7 +21,7 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.calibration.calibrate import Calibration
-    from vergence.models.cameras import CameraResponse
+    from vergence.models.camera import CameraResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ class CalibrationOptions:
 
     def parsed_response(self) -> "CameraResponse | None":
         """Camera response given by --response; None if it is not given."""
-        from vergence.models.cameras import parse_response
+        from vergence.models.camera import parse_response
 
         return None if self.response is None else parse_response(self.response)
 

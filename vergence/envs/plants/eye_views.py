@@ -9,10 +9,10 @@ from vergence.envs.reading import Image
 from vergence.envs.targets.board import Board
 from vergence.envs.validation import check_finite_number
 from vergence.errors import ConfigurationError
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetRenderer
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, board_pose, outline_m
 
 
@@ -70,7 +70,7 @@ class BoardImageRenderer:
         model = head if model is None else model
         self._natural_m = _natural_m(model, target, width_rad)
         self._left, self._right = (
-            TargetRenderer(EyeCamera.of(head, eye), target, model.rendering) for eye in range(2)
+            TargetRenderer(Camera.of(head, eye), target, model.rendering) for eye in range(2)
         )
 
     @property

@@ -35,12 +35,12 @@ from vergence.envs.targets.board import Board, board_axes
 from vergence.envs.targets.motion import is_shown, unpack_motion
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, untyped_tuple
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import direction_to_local, point_to_local
 from vergence.models.parts import FloatArray
 from vergence.vision.detectors import make_detector
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import make_planar_target
 from vergence.vision.tracking import Tracker
 
@@ -97,7 +97,7 @@ class RenderedPlant(MujocoPlant):
             for i in range(num)
         ]
         self._trackers = [
-            [Tracker(make_detector(target, EyeCamera.of(head, eye))) for eye in range(2)]
+            [Tracker(make_detector(target, Camera.of(head, eye))) for eye in range(2)]
             for _ in range(num)
         ]
         self._facing_head = facing == "head"

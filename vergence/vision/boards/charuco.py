@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.cameras import CameraResponse
+from vergence.models.camera import Camera, CameraResponse
 from vergence.vision.boards.corners import (
     corner_sigmas,
     estimate_noise_grey,
@@ -24,7 +24,7 @@ from vergence.vision.boards.markers import (
 )
 from vergence.vision.boards.squares import Grid, square_centres
 from vergence.vision.detection import Detection, Detector
-from vergence.vision.optics import EyeCamera, FlatView, IdentityView
+from vergence.vision.optics import FlatView, IdentityView
 from vergence.vision.targets import CharucoBoard
 
 _WINDOW_SQUARES: Final = 0.6
@@ -78,7 +78,7 @@ class CharucoDetector(Detector[CharucoBoard]):
     def __init__(
         self,
         target: CharucoBoard,
-        camera: EyeCamera | None = None,
+        camera: Camera | None = None,
         response: CameraResponse | None = None,
     ) -> None:
         super().__init__(target, camera, response)

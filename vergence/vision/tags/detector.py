@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence import interrupts
-from vergence.models.cameras import CameraResponse
+from vergence.models.camera import Camera, CameraResponse
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.image import smooth_for_square_search
-from vergence.vision.optics import EyeCamera
 from vergence.vision.tag_families import UNPRINTED, TagFamilyCode, tag_family
 from vergence.vision.tags.acceptance import (
     LEAST_EDGE_PX,
@@ -76,7 +75,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     def __init__(
         self,
         target: AprilTag | TagFamily,
-        camera: EyeCamera | None = None,
+        camera: Camera | None = None,
         response: CameraResponse | None = None,
     ) -> None:
         super().__init__(target, camera, response)

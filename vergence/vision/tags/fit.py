@@ -31,8 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.kernels import compiled, subroutine
-from vergence.models.lens import CameraRow
-from vergence.models.packed import camera_at
+from vergence.models.lens import CameraRow, camera_at
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import (
     UndistortedView,

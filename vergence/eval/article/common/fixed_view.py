@@ -5,11 +5,11 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.detectors import make_detector
 from vergence.vision.drawing import TargetRenderer
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import board_pose, make_planar_target
 from vergence.vision.tracking import Tracker
 
@@ -47,7 +47,7 @@ class FixedView:
     def __init__(self, head: HeadModel, eye: int, board: str = "checkerboard") -> None:
         self.head = head
         self.eye = eye
-        camera, target = EyeCamera.of(head, eye), make_planar_target(board)
+        camera, target = Camera.of(head, eye), make_planar_target(board)
         self._drawing = TargetRenderer(camera, target, head.rendering)
         self._detector = make_detector(target, camera)
 

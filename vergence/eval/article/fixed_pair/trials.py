@@ -16,13 +16,12 @@ from vergence.eval.article.twin.heads import TwinConfig
 from vergence.eval.article.twin.population import draw_population
 from vergence.eval.article.twin.statistics import axis_columns
 from vergence.eval.jobs import Job, Mapper
-from vergence.models.cameras import Cameras
+from vergence.models.camera import Camera, Cameras, camera_matrix
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import triangulate_views
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import board_pose
 
 FACTORY_ERRORS: Final = ModelErrors(
@@ -105,20 +104,15 @@ def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
 def pair_head(config: FixedPairConfig) -> HeadModel:
     """The fixed pair as a head whose joints never move: parallel cameras, axes along z_N."""
     rig = load_head(config.pair_rig)
-    focal = np.full((2, 2), config.pair_focal_px)
-    cameras = Cameras(
-        size=np.array(config.pair_size_px),
-        focal=focal,
-        principal=np.broadcast_to(config.pair_principal_px, (2, 2)),
-        distortion=np.zeros((2, 5)),
-    )
     wanted = np.broadcast_to(np.eye(4), (2, 4, 4)).copy()
     half = 0.5 * config.pair_baseline_mm
     wanted[:, :3, 3] = np.array(config.pair_place_mm) / MM
     wanted[:, 0, 3] += np.array([-half, half]) / MM
     # T_N_C = T_N_6 T_6_C, so this T_6_C gives the cameras the wanted poses at rest
     head_eye = rig.head_eye @ np.linalg.inv(rig.camera_poses(rig.rest())) @ wanted
-    return dataclasses.replace(rig, name="pair", cameras=cameras, head_eye=head_eye)
+    matrix = camera_matrix([config.pair_focal_px] * 2, config.pair_principal_px)
+    cameras = (Camera(size=config.pair_size_px, matrix=matrix, pose=pose) for pose in head_eye)
+    return dataclasses.replace(rig, name="pair", cameras=Cameras(*cameras))
 
 
 def _noise(
@@ -130,7 +124,7 @@ def _noise(
     around = point + rng.uniform(-half_pixel, half_pixel, (config.noise_poses, 3))
     boards = np.stack([board_pose(p) for p in around])
     T_C_T = np.linalg.inv(pair.camera_poses(pair.rest())) @ boards[:, None]
-    cameras = (EyeCamera.of(pair, 0), EyeCamera.of(pair, 1))
+    cameras = (Camera.of(pair, 0), Camera.of(pair, 1))
     return measure_pair_noise(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
 
 

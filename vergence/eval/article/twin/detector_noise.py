@@ -10,7 +10,7 @@ from vergence.eval.article.common.closed_loop import MM
 from vergence.eval.article.twin.fixation_errors import joint_angles_imaging_at
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray, Rendering
-from vergence.vision import AprilTag, EyeCamera, TargetRenderer, Tracker, make_detector
+from vergence.vision import AprilTag, Camera, TargetRenderer, Tracker, make_detector
 from vergence.vision.targets import board_pose
 
 
@@ -51,7 +51,7 @@ class DetectorNoise(NamedTuple):
 
 
 def _detections(
-    camera: EyeCamera,
+    camera: Camera,
     rendering: Rendering,
     T_C_T: FloatArray,
     frames: int,
@@ -70,7 +70,7 @@ def _detections(
 
 
 def measure_pair_noise(
-    cameras: tuple[EyeCamera, EyeCamera],
+    cameras: tuple[Camera, Camera],
     rendering: Rendering,
     T_C_T: FloatArray,
     frames: int,
@@ -114,6 +114,6 @@ def measure_head_noise(
     """
     pixels = head.cameras.principal + rng.uniform(-0.5, 0.5, (poses, 2, 2))
     T_N_C = head.camera_poses(joint_angles_imaging_at(head, head, point, pixels))
-    cameras = (EyeCamera.of(head, 0), EyeCamera.of(head, 1))
+    cameras = (Camera.of(head, 0), Camera.of(head, 1))
     T_C_T = np.linalg.inv(T_N_C) @ board_pose(point)
     return measure_pair_noise(cameras, head.rendering, T_C_T, frames, rng)

@@ -1,6 +1,5 @@
 """Errors of settled fixations: fix by the nominal model minus the point that a true head sees."""
 
-import dataclasses
 from functools import cache
 from typing import Final
 
@@ -47,7 +46,7 @@ def joint_angles_imaging_at(
     turned[..., 3, 3] = 1.0
     # turn the camera so that its optical axis is the wanted pixel's ray: it then fixates with
     # the wanted joint angles
-    axis = dataclasses.replace(heads, head_eye=heads.head_eye @ turned)
+    axis = heads.replace(head_eye=heads.head_eye @ turned)
     q = axis.fixate(points, nominal.rest()[:3], warn=False)
     inside = ((pixels >= -0.5) & (pixels <= cameras.size - 0.5)).all(axis=(-2, -1))
     return np.where((inside & nominal.limits.contains(q))[..., None], q, np.nan)

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.eval.article.common.fixed_view import shifted_pose
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetRenderer
-from vergence.vision.optics import EyeCamera
 from vergence.vision.targets import make_planar_target
 
 STEP_PX: Final = 0.25
@@ -47,7 +47,7 @@ def cramer_rao_bound(head: HeadModel, eye: int, T_C_T: FloatArray) -> CramerRaoB
         eye: 0 for left, 1 for right.
         T_C_T: (4, 4) the board's pose, m.
     """
-    camera, board = EyeCamera.of(head, eye), make_planar_target("checkerboard")
+    camera, board = Camera.of(head, eye), make_planar_target("checkerboard")
     rendering = head.rendering
     # full contrast reduces the rounding error of the finite differences
     contrast = (rendering.white_grey - rendering.black_grey) / 255.0

@@ -1,0 +1,462 @@
+"""A camera: image size, pinhole, lens, response and pose; its rays and pixels.
+
+Pixels follow OpenCV: the centre of the upper left pixel is (0, 0), a pixel covers half a pixel to
+each side of its centre, and u = u_0 + f_u x / z.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from math import isfinite
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence.errors import ConfigurationError, refuse_unknown
+from vergence.kernels import kernel
+from vergence.models.lens import (
+    BROWN_CONRADY,
+    CAMERA_LENGTH,
+    LENSES,
+    camera_at,
+    distort,
+    is_distorted,
+    pack_lens,
+    pinhole_ray,
+    ray_to_pixel,
+    undistort_ray,
+)
+from vergence.models.parts import EYE_NAMES, FloatArray, Parameter, readonly_array
+from vergence.operands import as_operand
+
+CameraResponse = str | float | tuple[float, ...]
+"""Response: ``"linear"``, ``"srgb"``, a gamma, or a table, see `parse_response`."""
+LINEAR: Final = "linear"
+SRGB: Final = "srgb"
+EXPECTED: Final = (
+    "'linear', 'srgb', a gamma from 0.2 to 5 such as 2.2 (light is the level's share to that "
+    "power), or a table of the light at levels in equal steps, rising from 0 to 1"
+)
+"""Description of a valid response, for messages."""
+_GAMMA_RANGE: Final = (0.2, 5.0)
+"""Least and greatest gamma; those of cameras and displays lie between 1 and 2.6 (chosen: far
+beyond)."""
+_LEVELS: Final = 256
+"""Grey levels of 8 bits (numerical)."""
+_MOST_ENTRIES: Final = 65536
+"""Most entries of a table, one for each level of 16 bits (numerical)."""
+
+
+def parse_response(value: Any, name: str = "response") -> CameraResponse:
+    """Parse a response from a file, an option or a caller.
+
+    Args:
+        value: ``"linear"``: levels are proportional to light. ``"srgb"``: the curve of
+            IEC 61966-2-1, which JPEG files, webcams and displays follow. A number g: light is the
+            level, as a fraction of the greatest, to the power of g. A table: at least two numbers,
+            the light at equally spaced levels from 0 to the greatest, rising from 0 to 1. A number
+            or a table may also be given as a string, with commas between a table's numbers.
+        name: name of the value in messages.
+
+    Raises:
+        ConfigurationError: the value is none of these.
+    """
+    if isinstance(value, str):
+        if value.lower() in (LINEAR, SRGB):
+            return value.lower()
+        try:
+            numbers = [float(part) for part in value.split(",")]
+        except ValueError:
+            raise ConfigurationError(f"{name}: expected {EXPECTED}, got {value!r:.80}") from None
+        value = numbers if len(numbers) > 1 else numbers[0]
+    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
+        gamma = float(value)
+        if not (isfinite(gamma) and _GAMMA_RANGE[0] <= gamma <= _GAMMA_RANGE[1]):
+            raise ConfigurationError(f"{name}: expected {EXPECTED}, got {gamma:g}")
+        return LINEAR if gamma == 1.0 else gamma
+    try:
+        table = np.asarray(value, float)
+    except (TypeError, ValueError):
+        table = np.empty(0)
+    if table.ndim == 1 and any(isinstance(one, str | bool | np.bool_) for one in value):
+        table = np.empty(0)
+    rises = table.ndim == 1 and 2 <= len(table) <= _MOST_ENTRIES and (np.diff(table) > 0.0).all()
+    if not rises or table[0] != 0.0 or table[-1] != 1.0:
+        raise ConfigurationError(f"{name}: expected {EXPECTED}, got {value!r:.80}")
+    return tuple(table.tolist())
+
+
+def default_response(*, colour: bool) -> CameraResponse:
+    """Response if none is stated: sRGB for colour, linear for grey, from industry or rendering."""
+    return SRGB if colour else LINEAR
+
+
+def to_light(grey_fraction: ArrayLike, response: CameraResponse) -> FloatArray:
+    """Convert grey levels to light, both as fractions of the greatest, 0 to 1."""
+    grey_fraction = np.asarray(grey_fraction, np.float64)
+    if response == LINEAR:
+        return grey_fraction
+    if response == SRGB:  # IEC 61966-2-1
+        return np.where(
+            grey_fraction <= 0.04045,
+            grey_fraction / 12.92,
+            ((grey_fraction + 0.055) / 1.055) ** 2.4,
+        )
+    if isinstance(response, tuple):
+        return np.asarray(np.interp(grey_fraction, np.linspace(0.0, 1.0, len(response)), response))
+    return np.asarray(grey_fraction ** float(response))
+
+
+@lru_cache(maxsize=32)
+def light_table(response: CameraResponse) -> FloatArray:
+    """(256,) read-only light of each grey level of 8 bits."""
+    light = 255.0 * to_light(np.linspace(0.0, 1.0, _LEVELS), response)
+    light.setflags(write=False)
+    return light
+
+
+PINHOLE: Final = "pinhole"
+"""Name, in files and messages, of a Brown-Conrady lens without distortion."""
+
+
+class Lens(NamedTuple):
+    """Lens model and its coefficients."""
+
+    model: str = BROWN_CONRADY
+    """Name of the model, a key of `LENSES`."""
+    coefficients: FloatArray | tuple[float, ...] = ()
+    """(..., n) in OpenCV's order, see `LENSES`; empty for zeros."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Camera:
+    """One camera; the matrix, the coefficients and the pose may carry a batch shape.
+
+    A camera without batch shape is hashable, and equals another one with the same values.
+
+    Raises:
+        ConfigurationError: a size or a focal length is not positive, the matrix has a skew, the
+            lens or the response is unknown, or the lens has another number of coefficients.
+    """
+
+    size: tuple[int, int]
+    """(width, height) of the image, in pixels."""
+    matrix: FloatArray
+    """(..., 3, 3) camera matrix K, in pixels, without skew."""
+    lens: Lens = Lens()  # noqa: RUF009 (a constant)
+    response: CameraResponse | None = None
+    """Light by grey level, see `parse_response`; None if unknown."""
+    pose: FloatArray = field(default_factory=lambda: np.eye(4))
+    """(..., 4, 4) pose in what carries the camera, metres; of an eye, its last link."""
+
+    def __post_init__(self) -> None:
+        matrix = readonly_array(self.matrix)
+        off = [[0, 1, 0], [1, 0, 0], [1, 1, 1]]
+        if matrix.shape[-2:] != (3, 3) or (np.array(off) * (matrix - np.eye(3))).any():
+            raise ConfigurationError(
+                "matrix: expected a camera matrix of focal lengths and a principal point, shape "
+                f"(..., 3, 3), got {matrix.tolist()!r:.80}"
+            )
+        if not (matrix[..., [0, 1], [0, 1]] > 0.0).all():
+            raise ConfigurationError(
+                f"focal: expected positive focal lengths, got {self.focal.tolist()!r:.80}"
+            )
+        response = None if self.response is None else parse_response(self.response)
+        for name, value in {
+            "size": _whole_size(self.size),
+            "matrix": matrix,
+            "lens": _checked_lens(*self.lens),
+            "response": response,
+            "pose": readonly_array(self.pose),
+        }.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, head: Any, eye: int) -> "Camera":
+        """Camera of one eye of one head, 0 for left, 1 for right.
+
+        Raises:
+            ConfigurationError: the head or the eye is invalid.
+        """
+        cameras = getattr(head, "cameras", None)
+        if not isinstance(cameras, Cameras):
+            raise ConfigurationError(f"head: expected a head, see load_head; got {head!r:.80}")
+        if eye not in (0, 1):
+            raise ConfigurationError(f"eye: expected 0 for left or 1 for right, got {eye!r:.80}")
+        return cameras[eye]
+
+    @property
+    def width(self) -> int:
+        """Image width, in pixels."""
+        return self.size[0]
+
+    @property
+    def height(self) -> int:
+        """Image height, in pixels."""
+        return self.size[1]
+
+    @property
+    def focal(self) -> FloatArray:
+        """(..., 2) focal lengths f_u and f_v, in pixels."""
+        return np.asarray(self.matrix[..., [0, 1], [0, 1]])
+
+    @property
+    def principal(self) -> FloatArray:
+        """(..., 2) principal point (u_0, v_0), in pixels."""
+        return np.asarray(self.matrix[..., :2, 2])
+
+    @cached_property
+    def inverse_matrix(self) -> FloatArray:
+        """(3, 3) inverse of K."""
+        (f_u, f_v), (u_0, v_0) = self.focal, self.principal
+        return np.array([[1 / f_u, 0, -u_0 / f_u], [0, 1 / f_v, -v_0 / f_v], [0, 0, 1]])
+
+    @cached_property
+    def row(self) -> FloatArray:
+        """(..., 17) packed camera for kernels, see `camera_at`."""
+        return pack_camera(self.size, self.focal, self.principal, *self.lens)
+
+    @cached_property
+    def distorts(self) -> bool:
+        """True if the lens distorts."""
+        return is_distorted(camera_at(self.row, 0))
+
+    @cached_property
+    def bends_boards(self) -> bool:
+        """True if the lens bends a board's straight lines and changes its scale considerably.
+
+        The Brown-Conrady model is for moderate angles, over which a board is small: for the search
+        for cells its image is close enough to a pinhole's.
+        """
+        return self.lens.model != BROWN_CONRADY and self.distorts
+
+    def project(self, points: ArrayLike) -> FloatArray:
+        """Pixels of points in front of the camera, distorted by the lens.
+
+        Args:
+            points: points in the camera frame, metres, shape (n, 3), z > 0.
+
+        Returns:
+            Pixels, shape (n, 2); nan beyond the radius at which the lens model folds back.
+        """
+        array = as_operand("points", points, "n", 3)
+        return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self.row))
+
+    def rays(self, pixels: ArrayLike) -> FloatArray:
+        """Undistorted rays (x / z, y / z) of distorted pixels, shape (n, 2) for (n, 2).
+
+        Rays are nan where the lens model has no inverse.
+        """
+        return np.asarray(pixels_to_rays(pixels, self.row))
+
+    def distortion_jacobian(self, x: float, y: float) -> FloatArray:
+        """(2, 2) derivative of distorted by ideal normalised coordinates at a ray x / z, y / z."""
+        distorted = distort(camera_at(self.row, 0), x, y)
+        return np.array([[distorted.dxx, distorted.dxy], [distorted.dxy, distorted.dyy]])
+
+    @cached_property
+    def _key(self) -> tuple[Any, ...]:
+        numbers = (self.matrix.tobytes(), self.lens.coefficients.tobytes(), self.pose.tobytes())  # type: ignore[union-attr]
+        return (self.size, self.lens.model, self.response, *numbers)
+
+    def __eq__(self, other: object) -> bool:
+        return self._key == other._key if isinstance(other, Camera) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+def camera_matrix(focal: ArrayLike, principal: ArrayLike) -> FloatArray:
+    """(..., 3, 3) camera matrix of (..., 2) focal lengths and principal point, in pixels."""
+    focal, principal = np.asarray(focal, np.float64), np.asarray(principal, np.float64)
+    matrix = np.zeros((*np.broadcast_shapes(focal.shape, principal.shape)[:-1], 3, 3))
+    matrix[..., [0, 1], [0, 1]], matrix[..., :2, 2], matrix[..., 2, 2] = focal, principal, 1.0
+    return matrix
+
+
+class Cameras(NamedTuple):
+    """The cameras of a head, with their values stacked by eye."""
+
+    left: Camera
+    right: Camera
+
+    @property
+    def size(self) -> NDArray[np.int64]:
+        """(2, 2) (width, height) by eye, in pixels."""
+        return np.array([camera.size for camera in self])
+
+    @property
+    def focal(self) -> FloatArray:
+        """(..., 2, 2) (f_u, f_v) by eye, in pixels."""
+        return np.stack([camera.focal for camera in self], axis=-2)
+
+    @property
+    def principal(self) -> FloatArray:
+        """(..., 2, 2) (u_0, v_0) by eye, in pixels, pixel centres at integers."""
+        return np.stack([camera.principal for camera in self], axis=-2)
+
+    @property
+    def lens(self) -> tuple[str, str]:
+        """Lens model by eye."""
+        return self.left.lens.model, self.right.lens.model
+
+    @property
+    def distortion(self) -> FloatArray:
+        """(..., 2, n) coefficients by eye, padded: n is 5 for two Brown-Conrady lenses, else 8."""
+        own = [np.asarray(camera.lens.coefficients) for camera in self]
+        batch = np.broadcast_shapes(*(coefficients.shape[:-1] for coefficients in own))
+        out = np.zeros((*batch, 2, _padded_count(self.lens)))
+        for eye, coefficients in enumerate(own):
+            out[..., eye, : coefficients.shape[-1]] = coefficients
+        return out
+
+    @property
+    def response(self) -> tuple[CameraResponse | None, CameraResponse | None]:
+        """Response by eye."""
+        return self.left.response, self.right.response
+
+    @property
+    def pose(self) -> FloatArray:
+        """(..., 2, 4, 4) poses in the eyes' last links, T_6_Cl and T_9_Cr, metres."""
+        return np.stack([camera.pose for camera in self], axis=-3)
+
+    @property
+    def rows(self) -> FloatArray:
+        """(..., 2, 17) packed cameras for kernels."""
+        return np.stack(np.broadcast_arrays(self.left.row, self.right.row), axis=-2)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of pinhole and lens of both eyes; 18 for two Brown-Conrady lenses."""
+        return _camera_parameters(self.lens)
+
+    def replaced(self, **values: Any) -> "Cameras":
+        """Copy with some values changed, each stacked by eye as the properties are.
+
+        One size, lens or response applies to both eyes.
+
+        Raises:
+            ConfigurationError: a value is unknown or invalid.
+        """
+        refuse_unknown("cameras", values, _STACKED)
+        stacked: dict[str, Any] = {name: getattr(self, name) for name in _STACKED} | values
+        lens, response = (_of_both(name, stacked[name]) for name in ("lens", "response"))
+        size = np.asarray(stacked["size"])
+        if size.shape not in ((2,), (2, 2)):
+            raise ConfigurationError(
+                "size: expected the image's width and height in whole pixels, for both eyes or for "
+                f"each, got {stacked['size']!r:.80}"
+            )
+        size = np.broadcast_to(size, (2, 2))
+        numbers = {name: as_operand(f"cameras.{name}", stacked[name], 2, *own)
+                   for name, own in (("focal", (2,)), ("principal", (2,)), ("distortion", ("n",)),
+                                     ("pose", (4, 4)))}  # fmt: skip
+        return Cameras(
+            *(
+                Camera(
+                    size=size[eye],
+                    matrix=camera_matrix(
+                        numbers["focal"][..., eye, :], numbers["principal"][..., eye, :]
+                    ),
+                    lens=_trimmed(lens[eye], numbers["distortion"][..., eye, :], EYE_NAMES[eye]),
+                    response=response[eye],
+                    pose=numbers["pose"][..., eye, :, :],
+                )
+                for eye in range(2)
+            )
+        )
+
+
+_STACKED: Final = ("size", "focal", "principal", "lens", "distortion", "response", "pose")
+
+
+def _of_both(name: str, given: Any) -> tuple[Any, Any]:
+    """A value for each eye; one that is no pair applies to both."""
+    if name == "lens" and not isinstance(given, str | tuple | list):
+        raise ConfigurationError(f"lens: expected a name for each eye, got {given!r:.80}")
+    left, right = given if isinstance(given, tuple) and len(given) == 2 else (given, given)
+    return left, right
+
+
+def _trimmed(model: str, coefficients: FloatArray, eye: str) -> Lens:
+    """Lens of coefficients that are padded with zeros or lack zeros at the end."""
+    count = len(LENSES.get(model, ()))
+    if coefficients[..., count:].any() and model in LENSES:
+        raise ConfigurationError(
+            f"distortion: expected {count} coefficients for the {eye} eye's {model} lens and zeros "
+            f"beyond, got {coefficients.tolist()!r:.80}"
+        )
+    if 4 <= coefficients.shape[-1] < count:
+        missing = np.zeros((*coefficients.shape[:-1], count - coefficients.shape[-1]))
+        coefficients = np.concatenate([coefficients, missing], axis=-1)
+    return Lens(model, coefficients[..., :count])
+
+
+def _padded_count(lens: tuple[str, str]) -> int:
+    """Distortion coefficients of both eyes, padded: 5 for Brown-Conrady, else 8."""
+    return 5 if lens == (BROWN_CONRADY, BROWN_CONRADY) else 8
+
+
+@lru_cache(maxsize=16)
+def _camera_parameters(lens: tuple[str, str]) -> tuple[Parameter, ...]:
+    slots = {"focal": 2, "principal": 2, "distortion": _padded_count(lens)}
+    return tuple(
+        Parameter(f"{eye}.camera.{name}", unit, field, slots[field] * i + j)
+        for i, eye in enumerate(EYE_NAMES)
+        for field, unit, names in (
+            ("focal", "px", ("f_u", "f_v")),
+            ("principal", "px", ("u_0", "v_0")),
+            ("distortion", "1", LENSES[lens[i]]),
+        )
+        for j, name in enumerate(names)
+    )
+
+
+def _checked_lens(model: str, coefficients: ArrayLike) -> Lens:
+    if model not in LENSES:
+        raise ConfigurationError(f"lens: expected one of {', '.join(LENSES)}, got {model!r:.80}")
+    values, count = np.asarray(coefficients, np.float64), len(LENSES[model])
+    if not values.size:
+        values = np.zeros(count)
+    if values.shape[-1] != count:
+        raise ConfigurationError(f"distortion: expected {count} numbers, got {values.shape[-1]}")
+    return Lens(model, readonly_array(values))
+
+
+def _whole_size(size: Any) -> tuple[int, int]:
+    array = np.asarray(size)
+    numbers = array.dtype.kind in "iuf" and array.shape == (2,)
+    if not numbers or not ((array >= 1) & (array == np.floor(array)) & (array < 1e9)).all():
+        raise ConfigurationError(
+            f"size: expected the image's width and height in whole pixels, got {size!r:.80}"
+        )
+    return int(array[0]), int(array[1])
+
+
+def pack_camera(
+    size: ArrayLike, focal: FloatArray, principal: FloatArray, lens: str, distortion: ArrayLike
+) -> FloatArray:
+    """Pack cameras of one lens model into rows (..., 17) for `camera_at`; size and focal in px."""
+    distortion = np.asarray(distortion)
+    batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
+    rows = np.empty((*batch, CAMERA_LENGTH))
+    numbers = pack_lens(lens, distortion)
+    rows[..., 0:2], rows[..., 2:4], rows[..., 4:12] = focal, principal, numbers[..., :8]
+    rows[..., 12:14], rows[..., 14:] = size, numbers[..., 8:]
+    return rows
+
+
+@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA_LENGTH})->(2)")
+def rays_to_pixels(ray: FloatArray, row: FloatArray, out: FloatArray) -> None:
+    """Pixels (u, v) of rays (X / Z, Y / Z) in one camera, nan beyond the lens model."""
+    out[0], out[1] = ray_to_pixel(camera_at(row, 0), ray[0], ray[1])
+
+
+@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA_LENGTH})->(2)")
+def pixels_to_rays(pixel: FloatArray, row: FloatArray, out: FloatArray) -> None:
+    """Rays (X / Z, Y / Z) of pixels (u, v) in one camera, nan if the lens has no inverse there."""
+    camera = camera_at(row, 0)
+    x, y = pinhole_ray(camera, pixel[0], pixel[1])
+    if is_distorted(camera):
+        x, y = undistort_ray(camera, x, y)
+    out[0], out[1] = x, y
