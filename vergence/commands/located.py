@@ -3,12 +3,12 @@
 import numpy as np
 
 from vergence.commands.tables import print_table
-from vergence.eval.reporting.text import format_fixed
 from vergence.models.boards import AprilTag
 from vergence.perception.locate import LocateResult
 from vergence.perception.located import LocatedTarget
 from vergence.perception.spacing import MM, measure_spacing
 from vergence.perception.target_finder import tag_number
+from vergence.reporting.text import format_fixed
 
 
 def print_located_targets(result: LocateResult) -> None:

@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Any, Final
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import atomic_folder, hold_lock, remove_partial, save_folder_at_free_path
+from vergence.files import (
+    atomic_file,
+    atomic_folder,
+    hold_lock,
+    remove_partial,
+    save_folder_at_free_path,
+)
 from vergence.models.head import HeadModel
 from vergence.models.head_file import save_head
 
@@ -227,3 +233,25 @@ def toml_value(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [toml_value(item) for item in value]
     return str(value) if isinstance(value, Path) else value
+
+
+def write_parquet(csv: Path) -> Path:
+    """Write a table as Parquet next to its CSV file; pyarrow must be installed.
+
+    Args:
+        csv: the table. Its floats are converted without loss.
+
+    Returns:
+        The new file, with the same name and the suffix `.parquet`.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    from pyarrow.csv import read_csv
+    from pyarrow.parquet import write_table
+
+    path = csv.with_suffix(".parquet")
+    table = read_csv(csv)  # exact floats; pandas' own reader is exact only from version 3 on
+    with atomic_file(path) as partial:
+        write_table(table, partial)
+    return path

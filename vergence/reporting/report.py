@@ -1,15 +1,135 @@
-"""Sections of reports as files, so that another report can include the section of a run."""
+"""The report: one self-contained HTML file for phones, screens and paper.
+
+Sections are files too, so that another report can include the section of a run.
+"""
 
 import dataclasses
 import json
 import re
 import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.report import ReportSection, ReportTable
 from vergence.files import atomic_folder, write_atomic
+from vergence.reporting.runs import package_versions
+from vergence.reporting.text import GLOSSARY, jinja_environment, read_template
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportTable:
+    """A table of text; on a phone each row is a card with its first column as the title."""
+
+    title: str
+    columns: list[str]
+    rows: list[list[str]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportSection:
+    """Section of the report for one experiment or one evaluation."""
+
+    name: str
+    title: str
+    article: str
+    what: str
+    """Description of the work and its method; each line is a paragraph."""
+    conclusion: str
+    """Results; each line is a paragraph."""
+    summary: list[dict[str, Any]]
+    """Rows with the fields of `SummaryRow`."""
+    figures: list[Path]
+    """SVG files."""
+    rows: int
+    """Number of rows of the data file."""
+    config: dict[str, Any]
+    seed: int
+    data: str = ""
+    """Path of the data file, relative to the report's folder; `tables/NAME.csv` by default."""
+    tables: list[ReportTable] = field(default_factory=list)
+    """Tables of results for sections that do not compare with the article; shown first."""
+    headline: str = ""
+    """One sentence for the top of the report."""
+    captions: dict[str, str] = field(default_factory=dict)
+    """Captions, with the conclusions to draw, by the stem of each figure's file."""
+    quick: bool = False
+    """True if it ran with `--quick`."""
+    changed: dict[str, Any] = field(default_factory=dict)
+    """Configuration values that differ from a full run's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArticleSummary:
+    """The article's part of a report: its results beside ours, and the meaning of verdicts."""
+
+    rows: list[tuple[str, dict[str, Any]]]
+    """Names of sections with rows of their summaries, each of the article's results once."""
+    tally: dict[str, int]
+    """Numbers of those rows by verdict, the best verdict first."""
+    reported: int
+    """Number of results that the article reports."""
+    phrases: Mapping[str, str]
+    """Words of the headline's sentence for the verdicts below the best."""
+    verdicts: Mapping[str, str]
+    """Meaning of each verdict on a result of the article."""
+    other_verdicts: Mapping[str, str]
+    """Meaning of the other verdicts."""
+    ratio: Callable[[dict[str, Any]], str]
+    """Ratio of our value to the article's in a row."""
+
+
+def write_report(
+    path: Path,
+    sections: list[ReportSection],
+    title: str = "",
+    article: ArticleSummary | None = None,
+) -> None:
+    """Write the report.
+
+    Args:
+        path: the file, replaced atomically.
+        sections: the sections, in order.
+        title: title of a report that is not about the article.
+        article: the article's part, for a report that is about it.
+    """
+    page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    template = page.from_string(read_template("vergence.reporting", "report.html.jinja"))
+    text = template.render(
+        sections=sections,
+        title=title,
+        versions=package_versions(),
+        style=read_template("vergence.reporting", "page.css"),
+        figure=_inline,
+        article=article,
+        glossary=GLOSSARY,
+        pairs=lambda section: [(section.name, row) for row in section.summary],
+    )
+    write_atomic(path, text)
+
+
+def _inline(path: Path, prefix: str) -> str:
+    return inline_svg(path.read_text(encoding="utf-8"), prefix, path.stem.replace("-", " "))
+
+
+def inline_svg(text: str, prefix: str, label: str) -> str:
+    """Make markup to embed from an SVG file, with ids that are unique on the page.
+
+    Args:
+        text: content of the file.
+        prefix: prefix of the ids.
+        label: text alternative for screen readers.
+    """
+    text = text[text.index("<svg") :]
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
+    text = re.sub(r'href="#([^"]+)"', rf'href="#{prefix}-\1"', text)
+    # the page sets the width; the viewBox keeps the aspect ratio
+    head, rest = text.split(">", 1)
+    head = re.sub(r'\s(width|height)="[^"]+"', "", head)
+    return f'{head} role="img" aria-label="{label}">{rest}'
+
 
 SECTION_FILE: Final = "section.json"
 _FORMAT_VERSION: Final = 1

@@ -20,8 +20,8 @@ from typing import Any, Final, TypeVar
 
 from vergence.envs.plants.threads import limit_threads, processors
 from vergence.errors import ConfigurationError, VergenceError, how_to_install
-from vergence.eval.reporting.runs import package_versions
 from vergence.kernels.cache import report_compiling_if_uncached
+from vergence.reporting.runs import package_versions
 
 T = TypeVar("T")
 Job = Callable[[], Any]
