@@ -86,14 +86,7 @@ def write_report(
     title: str = "",
     article: ArticleSummary | None = None,
 ) -> None:
-    """Write the report.
-
-    Args:
-        path: the file, replaced atomically.
-        sections: the sections, in order.
-        title: title of a report that is not about the article.
-        article: the article's part, for a report that is about it.
-    """
+    """Write the report atomically: about the article, or under a title of its own."""
     page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = page.from_string(read_template("vergence.reporting", "report.html.jinja"))
     text = template.render(
@@ -114,13 +107,7 @@ def _inline(path: Path, prefix: str) -> str:
 
 
 def inline_svg(text: str, prefix: str, label: str) -> str:
-    """Make markup to embed from an SVG file, with ids that are unique on the page.
-
-    Args:
-        text: content of the file.
-        prefix: prefix of the ids.
-        label: text alternative for screen readers.
-    """
+    """Make markup to embed from SVG text, with ids that are unique on the page by a prefix."""
     text = text[text.index("<svg") :]
     text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
@@ -137,12 +124,7 @@ _FORMAT_VERSION: Final = 1
 
 
 def write_section(path: Path, section: ReportSection) -> None:
-    """Write a section; its figures must be in the file's folder or below it.
-
-    Args:
-        path: the file.
-        section: the section.
-    """
+    """Write a section; its figures must be in the file's folder or below it."""
     content = dataclasses.asdict(section)
     content["figures"] = [figure.relative_to(path.parent).as_posix() for figure in section.figures]
     text = json.dumps(
@@ -152,17 +134,7 @@ def write_section(path: Path, section: ReportSection) -> None:
 
 
 def read_section(path: Path) -> ReportSection:
-    """Read a section.
-
-    Args:
-        path: the file.
-
-    Returns:
-        The section.
-
-    Raises:
-        ConfigurationError: the file is no section, or a figure is missing or in another folder.
-    """
+    """Read a section whose figures are whole SVG files of its folder; refuse any other file."""
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         form = content.pop("format")
@@ -190,11 +162,7 @@ def read_section(path: Path) -> ReportSection:
 
 
 def _check_plain(section: ReportSection) -> None:
-    """Refuse a section with values of types that a report cannot show.
-
-    Raises:
-        TypeError: a value has a wrong type.
-    """
+    """Raise a TypeError for values of types that a report cannot show."""
     lines = [[table.title, *table.columns] for table in section.tables]
     lines += [row for table in section.tables for row in table.rows]
     lines += [[section.name, section.title, section.article, section.data]]
@@ -216,18 +184,7 @@ _NUMBER_KEYS: Final = ("article_low", "article_high", "ours_low", "ours_high")
 
 
 def include_run_folder(run: Path, folder: Path) -> Path:
-    """Copy a run folder, with its section, figures and tables, into a folder of such copies.
-
-    Args:
-        run: the run folder.
-        folder: the parent folder of the copy, which has the run's name and may replace another.
-
-    Returns:
-        The copy's folder.
-
-    Raises:
-        ConfigurationError: the run has no section.
-    """
+    """Copy a run folder with a section into a folder of such copies, and return the copy."""
     read_section(run / SECTION_FILE)
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", run.resolve().name)
     with atomic_folder(folder / name, replace=True) as copy:
@@ -236,14 +193,7 @@ def include_run_folder(run: Path, folder: Path) -> Path:
 
 
 def included_sections(folder: Path) -> list[ReportSection]:
-    """Read the sections of all copies in a folder, and give each a unique name.
-
-    Args:
-        folder: see `include_run_folder`.
-
-    Returns:
-        The sections, sorted by the runs' names.
-    """
+    """Read the sections of all copies in a folder, sorted by run and with unique names."""
     sections = []
     for path in sorted(folder.glob(f"[!.]*/{SECTION_FILE}")):
         section = read_section(path)

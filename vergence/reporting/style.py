@@ -77,13 +77,7 @@ def log_axis(panel: Axes, which: str = "y") -> None:
 
 
 def legend_below(of: Figure | Axes, columns: int, **options: Any) -> None:
-    """Add a legend below a panel, or one below a figure for all its panels, each label once.
-
-    Args:
-        of: a figure, or a panel with its own legend.
-        columns: number of columns of the legend.
-        options: further options of `Figure.legend` or `Axes.legend`.
-    """
+    """Add a legend below a panel, or one below a figure for all its panels, each label once."""
     place: dict[str, Any] = {"loc": "outside lower center"}
     if isinstance(of, Axes):
         shift = ScaledTranslation(0.0, -_AXIS_LABEL_IN, of.figure.dpi_scale_trans)
@@ -135,11 +129,7 @@ def as_float_pair(point: FloatArray) -> tuple[float, float]:
 
 
 class Labels:
-    """Texts of a panel, which are placed next to their points without overlaps.
-
-    Args:
-        panel: axes of the texts.
-    """
+    """Texts of a panel, which are placed next to their points without overlaps."""
 
     def __init__(self, panel: Axes) -> None:
         self._panel = panel
@@ -252,10 +242,6 @@ _MARGIN_PT: Final = 1.0
 def label_lines(*panels: Axes, **style: Any) -> bool:
     """Write the label of each line next to it, in the panel with the most room.
 
-    Args:
-        *panels: axes with the same lines, after the layout of their figure.
-        **style: style of the texts, see `Axes.annotate`.
-
     Returns:
         False, with the panels as they were, if none has a legible place for each label.
     """
@@ -268,12 +254,7 @@ def label_lines(*panels: Axes, **style: Any) -> bool:
 
 
 class _Names:
-    """The names of a panel's lines, written next to them as far as there is room.
-
-    Args:
-        panel: axes, after the layout.
-        style: style of the texts.
-    """
+    """The names of a panel's lines, written next to them as far as there is room."""
 
     worst: float
     """Cost of the worst place, pt; infinite if a name has none."""

@@ -31,29 +31,15 @@ class SectionText(NamedTuple):
 
 
 def read_template(package: str, name: str = "section.jinja") -> str:
-    """Read a template from a package.
-
-    Args:
-        package: the package, such as `vergence.eval.article.gain_sweep`.
-        name: name of the file.
-    """
+    """Read a template from a package, such as `vergence.eval.article.gain_sweep`."""
     return (resources.files(package) / name).read_text(encoding="utf-8")
 
 
 def render_text(template: str, **values: Any) -> SectionText:
-    """Fill numbers into the text of a section.
+    """Fill values into a template of a section's text, and put each paragraph on one line.
 
-    Args:
-        template: a Jinja template with the blocks `what` and `found`; optional are `headline`, and
-            `caption_` followed by the name of a figure with `_` in place of `-`. Its sentences must
-            hold for all values of the numbers.
-        values: values of the template, by name.
-
-    Returns:
-        The text of the blocks, each paragraph on one line.
-
-    Raises:
-        jinja2.UndefinedError: the template names a value that is missing.
+    It has the blocks `what` and `found`, perhaps `headline`, and `caption_` followed by the name of
+    a figure with `_` in place of `-`. Its sentences must hold for all values of the numbers.
     """
     found = jinja_environment().from_string(template)
     context = found.new_context(values)
@@ -67,11 +53,7 @@ def render_text(template: str, **values: Any) -> SectionText:
 
 
 def jinja_environment(**options: Any) -> jinja2.Environment:
-    """Make a Jinja environment with filters for numbers, in which an undefined name is an error.
-
-    Args:
-        options: further options of `jinja2.Environment`.
-    """
+    """Make a Jinja environment with filters for numbers; an undefined name is an error."""
     made = jinja2.Environment(undefined=jinja2.StrictUndefined, **options)
     made.filters |= {
         "number": format_number,
@@ -97,14 +79,7 @@ def format_number(value: float | None) -> str:
 
 
 def format_fixed(value: float | None, decimals: int = 0, signed: bool = False) -> str:
-    """Format a number with a fixed number of decimals; a dash for none.
-
-    Args:
-        value: the number.
-        decimals: digits after the point.
-        signed: True to put a plus before positive numbers. A number that rounds to zero has no
-            sign.
-    """
+    """Format a number with fixed decimals, and a plus if signed and above 0; a dash for none."""
     if value is None or not math.isfinite(value):
         return NONE
     text = f"{value:z.{decimals}f}"
