@@ -23,9 +23,9 @@ from vergence.calibration.figures import (
     residual_field,
 )
 from vergence.calibration.observations import parse_board
-from vergence.eval.reporting.style import figure_style
 from vergence.perception.pairing import pair_images
 from vergence.perception.photographs import list_photographs
+from vergence.reporting.style import figure_style
 
 _DPI = 110
 _COLOURS = 128

@@ -124,7 +124,7 @@ def corner_row(rig: str, depth_m: float, poses: int) -> Row:
         sigmas.append(seen.corners_sigma_px)
         centres.append(seen.point_px - eye.true_px(pose))
         found, _turn, place = cv2.solvePnP(
-            board, seen.corners_px, eye.camera.matrix, np.array(eye.camera.distortion)
+            board, seen.corners_px, eye.camera.matrix, eye.camera.lens.coefficients
         )
         assert found
         depths.append(float(place[2, 0]) / depth_m - 1.0)
@@ -168,7 +168,7 @@ def light_row(rig: str, depth_m: float, light: str, poses: int) -> Row:
         centres.append(seen.point_px - eye.true_px(pose))
         sigmas.append(seen.corners_sigma_px)
         _found, _turn, place = cv2.solvePnP(
-            board, seen.corners_px, eye.camera.matrix, np.array(eye.camera.distortion)
+            board, seen.corners_px, eye.camera.matrix, eye.camera.lens.coefficients
         )
         depths.append(float(place[2, 0]) / depth_m - 1.0)
     return {

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from vergence.controllers.fuzzy import FUZZY_SETS, FuzzyPID
 from vergence.envs.layout import ObservationLayout
-from vergence.eval.reporting.style import figure_style, new_figure, save_figure
 from vergence.models.head_file import load_head
+from vergence.reporting.style import figure_style, new_figure, save_figure
 
 
 def draw_surfaces(controller: FuzzyPID, points: int = 121) -> Figure:

@@ -40,11 +40,11 @@ from vergence.calibration.head.calibrate_head import HeadCalibration, calibrate_
 from vergence.calibration.head.simulated import quantised, simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points
-from vergence.eval.jobs import open_mapper
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
+from vergence.reporting.jobs import open_mapper
 from vergence.triangulation import Noise, triangulate_views
 from vergence.triangulation.several import triangulate_fixations
 

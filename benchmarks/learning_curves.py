@@ -16,7 +16,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from vergence.eval.reporting.style import (
+from vergence.reporting.style import (
     BLUE,
     GREEN,
     GREY,

@@ -22,7 +22,7 @@ LAYERS = (
     {"envs", "perception"},
     {"controllers"},
     {"recording"},
-    {"hardware"},
+    {"hardware", "reporting"},
     {"calibration", "training", "eval"},
     {"viewer"},
     {"__init__"},

@@ -58,7 +58,7 @@ def test_the_wheel_carries_every_file_of_the_package_the_license_and_nothing_bes
     assert {
         "vergence/models/presets/simulated.toml",
         "vergence/calibration/calibration.html.jinja",
-        "vergence/eval/reporting/report.html.jinja",
+        "vergence/reporting/report.html.jinja",
         "vergence/py.typed",
     } <= package
     licensed = f"{STEM}.dist-info/licenses/LICENSE"

@@ -9,7 +9,7 @@ import pytest
 from tests.calibration.rigs import as_calibrated, look, make_poses, make_rig
 from vergence.calibration.coverage import advise_next_photographs
 from vergence.calibration.report import write_run
-from vergence.eval.reporting.runs import run_folder_command
+from vergence.reporting.runs import run_folder_command
 
 
 class Page(HTMLParser):

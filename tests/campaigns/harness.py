@@ -30,7 +30,7 @@ from vergence.controllers.controller import CONTROLLERS
 MODULES: Final = (
     "cli", "eval.gaze_figure", "eval.article.reproduce", "eval.comparison.evaluate",
     "eval.comparison.folder", "eval.comparison.tables", "perception.detect",
-    "eval.reporting.locate_figure", "eval.tuning.tune", "models.mujoco.export", "training.choices",
+    "eval.locate_figure", "eval.tuning.tune", "models.mujoco.export", "training.choices",
     "training.export", "training.run",
 )  # fmt: skip
 MEMORY: Final = 6 * 2**30

@@ -4,7 +4,7 @@ import pickle
 from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
-from vergence.eval.jobs import Mapper
+from vergence.reporting.jobs import Mapper
 
 
 class Backwards(Mapper):

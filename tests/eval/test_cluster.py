@@ -20,7 +20,7 @@ from tests.test_cli import call
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evaluate
 from vergence.eval.comparison.folder import write_evaluation
-from vergence.eval.jobs import RayMapper
+from vergence.reporting.jobs import RayMapper
 
 pytestmark = [
     pytest.mark.nightly,

@@ -27,7 +27,8 @@ from vergence.calibration.image_figures import (
     new_image_figure,
     thinning_slice,
 )
-from vergence.eval.reporting.style import (
+from vergence.models.parts import FloatArray
+from vergence.reporting.style import (
     BLACK,
     BLUE,
     GREEN,
@@ -37,7 +38,6 @@ from vergence.eval.reporting.style import (
     legend_below,
     new_figure,
 )
-from vergence.models.parts import FloatArray
 
 _PAGE_WIDTH: Final = 11.2
 """Width of a figure of all cameras, inches (chosen)."""

@@ -10,10 +10,10 @@ from vergence.calibration.adjustment import CameraRig, rms_length
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.depth import pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
-from vergence.eval.reporting.runs import package_versions
 from vergence.models.camera import CameraResponse
 from vergence.models.parts import EYE_NAMES, CalibrationRecord, FloatArray
 from vergence.models.stereo_files import Intrinsics, Lens, StereoPair, stereo_pair_to_head_toml
+from vergence.reporting.runs import package_versions
 
 _RECORDED_PACKAGES: Final = ("vergence", "opencv-python-headless", "numpy", "scipy")
 _ROS_LENSES: Final[dict[str, str]] = {

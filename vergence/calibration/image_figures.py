@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from vergence.calibration.coverage import CELLS, views_in_cells
-from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, figure_style, new_figure
 from vergence.models.parts import FloatArray
+from vergence.reporting.style import BLACK, BLUE, GREY, ORANGE, figure_style, new_figure
 
 CAMERA_FIGURE_WIDTH: Final = 5.6
 """Width of a figure of one camera, inches (chosen: two stand side by side, one fills a phone)."""

@@ -19,17 +19,17 @@ from vergence.calibration.coverage import (
 )
 from vergence.calibration.depth import depth_sigma_at, depths_to_plot_m, pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
-from vergence.eval.reporting.report import inline_svg
-from vergence.eval.reporting.runs import package_versions, write_json
-from vergence.eval.reporting.style import svg_text
-from vergence.eval.reporting.text import (
+from vergence.files import write_atomic
+from vergence.models.parts import EYE_NAMES
+from vergence.reporting.report import inline_svg
+from vergence.reporting.runs import package_versions, write_json
+from vergence.reporting.style import svg_text
+from vergence.reporting.text import (
     format_fixed,
     format_number,
     jinja_environment,
     read_template,
 )
-from vergence.files import write_atomic
-from vergence.models.parts import EYE_NAMES
 
 _DEPTHS_M: Final = (0.5, 1.0, 2.0, 2.5)
 """Distances of the table of depth, m (chosen: the range of use)."""
@@ -76,7 +76,7 @@ def write_report(folder: Path, calibration: Calibration, file_name: str) -> None
         **_values(calibration),
         name=file_name,
         markup=markup,
-        style=read_template("vergence.eval.reporting", "page.css"),
+        style=read_template("vergence.reporting", "page.css"),
         versions=package_versions(),
     )
     write_atomic(folder / "calibration.html", text)

@@ -144,7 +144,7 @@ class Detect:
                 self.images, finder, report, keep if self.figure else None
             )
         if self.figure is not None:
-            from vergence.eval.reporting.detections_figure import draw_photographs
+            from vergence.eval.detections_figure import draw_photographs
 
             draw_photographs(shown, self.figure)
             left = len(result.images) - len(shown)
@@ -169,7 +169,7 @@ class Detect:
 
 
 def _print(result: "DetectResult") -> None:
-    from vergence.eval.reporting.text import format_fixed
+    from vergence.reporting.text import format_fixed
 
     rows = []
     for sighting in result.sightings:

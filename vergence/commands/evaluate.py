@@ -35,9 +35,9 @@ from vergence.eval.comparison.config import EvaluateConfig
 
 if TYPE_CHECKING:
     from vergence.eval.comparison.evaluate import Evaluation
-    from vergence.eval.jobs import Mapper
     from vergence.eval.margins.margins import Margins
-    from vergence.eval.reporting.report import ReportTable
+    from vergence.reporting.jobs import Mapper
+    from vergence.reporting.report import ReportTable
 
 _NAME_WIDTH: Final = 18
 """Width to which the options below a name are wrapped, characters (chosen: that of long names)."""
@@ -107,9 +107,9 @@ class Evaluate:
     def _on_robot(self) -> int:
         """Run trials on a robot, or only the missing ones, and write the results of all."""
         require_modules("robot", "mcap")
-        from vergence.eval.reporting.runs import check_writable
         from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
         from vergence.files import atomic_files, hold_lock
+        from vergence.reporting.runs import check_writable
 
         self._check_robot()
         interrupts.raise_on_termination()

@@ -45,7 +45,7 @@ class Gaze:
         from vergence.eval.gaze import GazeResult, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
         from vergence.eval.gaze_trajectory import write_trajectory
-        from vergence.eval.reporting.runs import write_config_and_head, write_json
+        from vergence.reporting.runs import write_config_and_head, write_json
 
         def write(folder: Path) -> None:
             write_json(folder / "result.json", result.summary())
@@ -78,9 +78,8 @@ class Gaze:
 
 
 def _print_gaze(result: "GazeResult") -> None:
-    from vergence.eval.reporting.glossary import METHODS_LEGEND
-    from vergence.eval.reporting.text import format_fixed
     from vergence.models.parts import JOINTS
+    from vergence.reporting.text import METHODS_LEGEND, format_fixed
 
     if result.head.joints != JOINTS:
         print(_describe_joints(result.head))

@@ -39,9 +39,9 @@ class Info:
         from vergence.envs.targets.registry import TARGETS
         from vergence.eval.article.registry import EXPERIMENTS
         from vergence.eval.comparison.contestants import controllers_in_table_order
-        from vergence.eval.reporting.runs import package_versions
         from vergence.eval.trials.scenarios import SCENARIOS
         from vergence.models.head_file import load_head, presets
+        from vergence.reporting.runs import package_versions
 
         print_table(
             ["package", "version"],

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from vergence.commands.console import print_to_stderr
-from vergence.eval.reporting.text import format_fixed
+from vergence.reporting.text import format_fixed
 
 if TYPE_CHECKING:
     from vergence.models.camera import CameraResponse

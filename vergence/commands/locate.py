@@ -30,10 +30,10 @@ class Locate:
         """Run the command."""
         self.tables.check()
         from vergence.commands.located import print_located_targets
-        from vergence.eval.reporting.locate_figure import draw_located
-        from vergence.eval.reporting.runs import write_config_and_head, write_json
+        from vergence.eval.locate_figure import draw_located
         from vergence.perception.locate import LocateResult, locate
         from vergence.perception.tables import write_corner_table, write_target_table
+        from vergence.reporting.runs import write_config_and_head, write_json
 
         def write(folder: Path) -> None:
             write_json(folder / "result.json", result.summary())

@@ -3,11 +3,11 @@
 import numpy as np
 
 from vergence.commands.tables import print_table
-from vergence.eval.reporting.text import format_fixed
 from vergence.perception.locate import LocateResult
 from vergence.perception.located import LocatedTarget
 from vergence.perception.spacing import MM, measure_spacing
 from vergence.perception.target_finder import tag_number
+from vergence.reporting.text import format_fixed
 from vergence.vision.targets import AprilTag
 
 

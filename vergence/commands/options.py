@@ -19,7 +19,7 @@ from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.eval.jobs import Mapper, Progress
+    from vergence.reporting.jobs import Mapper, Progress
 
 T = TypeVar("T")
 Flat = Annotated[T, tyro.conf.arg(name="")]
@@ -53,8 +53,8 @@ class JobOptions:
     """Address of a Ray cluster to run on (needs the extra cluster)."""
 
     def open_mapper(self, progress: "Progress | None" = None) -> "AbstractContextManager[Mapper]":
-        """See `vergence.eval.jobs.open_mapper`."""
-        from vergence.eval.jobs import open_mapper
+        """See `vergence.reporting.jobs.open_mapper`."""
+        from vergence.reporting.jobs import open_mapper
 
         return open_mapper(self.workers, self.cluster, progress)
 
@@ -74,7 +74,7 @@ class TableOptions:
     def convert(self, *tables: Path) -> None:
         """Also write finished CSV files as Parquet, if requested."""
         if self.parquet:
-            from vergence.eval.reporting.parquet import write_parquet
+            from vergence.reporting.runs import write_parquet
 
             for table in tables:
                 try:
@@ -100,7 +100,7 @@ class RunFolder:
 
     def save(self, write: Callable[[Path], None]) -> bool:
         """Write the folder, elsewhere if taken by now; report that or a failure. True if done."""
-        from vergence.eval.reporting.runs import save_run_at_free_path
+        from vergence.reporting.runs import save_run_at_free_path
 
         try:
             place = save_run_at_free_path(self.folder, write)
@@ -139,7 +139,7 @@ def print_written(folder: Path) -> None:
 @contextmanager
 def claimed_run_folder(folder: Path) -> Iterator[RunFolder]:
     """Claim a command's run folder until its end, and report its path on an interrupt."""
-    from vergence.eval.reporting.runs import locked_run_folder
+    from vergence.reporting.runs import locked_run_folder
 
     found = RunFolder(folder)
     with locked_run_folder(found.folder):

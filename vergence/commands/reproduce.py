@@ -11,7 +11,7 @@ from vergence.commands.tables import print_table
 from vergence.eval.article.config import ReproduceConfig
 
 if TYPE_CHECKING:
-    from vergence.eval.reporting.report import ReportSection
+    from vergence.reporting.report import ReportSection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +45,8 @@ class Reproduce:
 
 def _print_summary(sections: "list[ReportSection]") -> None:
     from vergence.eval.article.criterion import REPRODUCED, VERDICTS
-    from vergence.eval.reporting.glossary import METHODS_LEGEND
-    from vergence.eval.reporting.report import article_summary_rows, count_verdicts
-    from vergence.eval.reporting.text import format_range
+    from vergence.eval.article.summary import article_summary_rows, count_verdicts
+    from vergence.reporting.text import METHODS_LEGEND, format_range
 
     judged = [row for _name, row in article_summary_rows(sections)]
     rows = [

@@ -45,12 +45,12 @@ class Tune:
         require_modules("tune", "optuna")
         from vergence.controllers.tuned import write_tuned
         from vergence.envs.streams import as_seed
-        from vergence.eval.reporting.runs import check_folder_free, run_folder_command
         from vergence.eval.trials.scenarios import load_scenario
         from vergence.eval.tuning.objective import controller_objective
         from vergence.eval.tuning.spaces import search_space
         from vergence.eval.tuning.tune import tune
         from vergence.models.head_file import load_head
+        from vergence.reporting.runs import check_folder_free, run_folder_command
 
         config = self.config
         scenario = load_scenario(config.scenario)

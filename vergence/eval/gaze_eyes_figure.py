@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from vergence.eval.gaze import GazeResult
-from vergence.eval.reporting.labels import Labels, as_float_pair
 from vergence.models.parts import EYE_NAMES, FloatArray
+from vergence.reporting.style import Labels, as_float_pair
 
 EYE_COLOURS: Final = ("#1f6fb4", "#d1571b")
 GREEN: Final = "#14803c"

@@ -13,9 +13,8 @@ from matplotlib.ticker import NullLocator
 from vergence.eval.gaze import GazeResult
 from vergence.eval.gaze_eyes_figure import EYE_COLOURS, GREEN, add_panel, columns_of, draw_eyes
 from vergence.eval.gaze_trajectory import MM
-from vergence.eval.reporting.line_labels import label_lines
-from vergence.eval.reporting.style import legend_below, log_axis
 from vergence.models.parts import EYE_NAMES
+from vergence.reporting.style import label_lines, legend_below, log_axis
 
 _WIDTH: Final = 12.0  # inches (chosen)
 _ABOVE_IMAGES: Final = 0.7

@@ -10,13 +10,22 @@ from matplotlib.patches import Polygon
 
 from vergence.eval.head_summary import HeadSummary, edge_rays, summarise_head
 from vergence.eval.image_figure import draw_field_of_view
-from vergence.eval.reporting.labels import Labels, as_float_pair
-from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figure_style, new_figure
 from vergence.files import atomic_file
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.posture import rest_poses
+from vergence.reporting.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    Labels,
+    as_float_pair,
+    figure_style,
+    new_figure,
+)
 
 _COLOURS: Final = (BLUE, ORANGE)
 _VIEWS: Final = (

@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
 from vergence.eval.head_summary import edge_rays
-from vergence.eval.reporting.style import BLACK
 from vergence.models.camera import Camera
 from vergence.models.parts import EYE_NAMES
+from vergence.reporting.style import BLACK
 
 _RING_STEPS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 """Candidate spacings of the rings of equal angle, degrees (chosen: round numbers)."""

@@ -11,14 +11,14 @@ from typing import Any, Final, get_args, get_type_hints
 from vergence.controllers.networks.onnx_graph import MAX_PRODUCTS, MAX_WIDTH
 from vergence.envs.streams import as_seed
 from vergence.errors import ConfigurationError, did_you_mean
-from vergence.eval.reporting.runs import (
+from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
+from vergence.reporting.runs import (
     check_folder_free,
     run_folder,
     run_folder_command,
     write_config_and_head,
 )
-from vergence.models.head import HeadModel
-from vergence.models.head_file import load_head
 from vergence.training.algorithm_options import check_ppo_options
 from vergence.training.options import Kind, TrainingPlant
 from vergence.training.recipes import Recipe

@@ -6,7 +6,8 @@ from typing import Any, Final
 
 import pandas as pd
 
-from vergence.eval.reporting.style import (
+from vergence.files import atomic_file
+from vergence.reporting.style import (
     BLACK,
     BLUE,
     ORANGE,
@@ -16,7 +17,6 @@ from vergence.eval.reporting.style import (
     new_figure,
     save_figure,
 )
-from vergence.files import atomic_file
 
 COLUMNS: Final = {
     "step": "control steps learned from",

@@ -14,7 +14,7 @@ from vergence.controllers.networks.bundle import write_bundle
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import Manifest
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.runs import toml_value
+from vergence.reporting.runs import toml_value
 from vergence.training.choices import resolve_config
 from vergence.training.config import TrainConfig
 from vergence.training.learner import load_learner

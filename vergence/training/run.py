@@ -10,9 +10,9 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from vergence.errors import ConfigurationError, TrainingDivergedError
-from vergence.eval.reporting.runs import write_config_and_head
 from vergence.files import atomic_files, remove_partial
 from vergence.models.head import HeadModel
+from vergence.reporting.runs import write_config_and_head
 from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_empty, load_run
 from vergence.training.curve import draw_curve, write_curve
 from vergence.training.learner import Learner

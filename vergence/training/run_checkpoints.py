@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.runs import toml_value
 from vergence.files import atomic_files
 from vergence.models.head import HeadModel
+from vergence.reporting.runs import toml_value
 from vergence.training.checkpoint import checkpoint_bytes, read_checkpoint, write_checkpoint
 from vergence.training.config import TrainConfig
 

@@ -16,9 +16,9 @@ from vergence.calibration.head.observability import UnobservableDirection
 from vergence.calibration.head.report import left_out_views, result_document, write_run
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.head_reach import midpoint_between_cameras
-from vergence.eval.reporting.runs import run_folder_command
-from vergence.eval.reporting.text import format_number
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
+from vergence.reporting.runs import run_folder_command
+from vergence.reporting.text import format_number
 from vergence.triangulation import triangulate_gaze, triangulate_views
 
 HEAD = vergence.load_head("physical")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.reported import reported_results
-from vergence.eval.reporting.text import render_text
+from vergence.reporting.text import render_text
 
 
 def unjudged(rows, experiment):

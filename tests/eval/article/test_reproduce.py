@@ -23,10 +23,11 @@ from vergence.eval.article.folder import write_folder_report
 from vergence.eval.article.overrides import read_overrides
 from vergence.eval.article.reported import reported_results
 from vergence.eval.article.reproduce import reproduce
-from vergence.eval.reporting.parquet import write_parquet
-from vergence.eval.reporting.report import ReportSection, count_verdicts
-from vergence.eval.reporting.text import format_number
+from vergence.eval.article.summary import count_verdicts
 from vergence.files import hold_lock
+from vergence.reporting.report import ReportSection
+from vergence.reporting.runs import write_parquet
+from vergence.reporting.text import format_number
 
 pytestmark = pytest.mark.usefixtures("toy", "undrawn")
 
@@ -234,7 +235,7 @@ def test_what_a_new_run_replaces_stays_until_it_is_finished(tmp_path, run, monke
 
 @pytest.mark.slow
 def test_a_report_that_cannot_be_written_is_one_line_and_the_results_stay(tmp_path, monkeypatch):
-    def fail(*_args: object) -> None:
+    def fail(*_args: object, **_options: object) -> None:
         raise OSError(errno.EROFS, "Read-only file system")
 
     with monkeypatch.context() as patch:
@@ -309,7 +310,7 @@ def test_a_changed_configuration_is_said_first_too(tmp_path):
 def test_the_report_begins_with_what_was_found_and_what_reproduced_requires(tmp_path, monkeypatch):
     (row,) = reported_results()[:1]
     monkeypatch.setattr(
-        "vergence.eval.reporting.report.reported_results",
+        "vergence.eval.article.summary.reported_results",
         lambda: (replace(row, experiment="toy", quantity="value", method="both", axis="x"),) * 2,
     )
     reproduce(config(tmp_path))

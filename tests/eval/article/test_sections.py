@@ -8,7 +8,7 @@ from jinja2 import meta, nodes
 
 from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.registry import EXPERIMENTS
-from vergence.eval.reporting.text import jinja_environment, render_text
+from vergence.reporting.text import jinja_environment, render_text
 
 _CHOICES = (nodes.If, nodes.CondExpr, nodes.Test, nodes.Compare, nodes.For, nodes.And, nodes.Or)
 _COUNTED = (

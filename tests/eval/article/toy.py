@@ -8,10 +8,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
-from vergence.eval.jobs import Mapper
-from vergence.eval.reporting.style import new_figure
-from vergence.eval.reporting.text import Numbers
 from vergence.models.perturbation import ModelErrors
+from vergence.reporting.jobs import Mapper
+from vergence.reporting.style import new_figure
+from vergence.reporting.text import Numbers
 
 NO_ERRORS = ModelErrors()
 

@@ -22,9 +22,11 @@ from vergence.eval.comparison.evaluate import (
     evaluate,
     row_fields,
 )
+from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.summary import bound_trials, imputed_trial_values
 from vergence.eval.comparison.tables import describe_evaluation, report_tables
 from vergence.eval.trials.settling import ONE_PX
+from vergence.reporting.report import SECTION_FILE, read_section
 
 FEW = EvaluateConfig(controllers=("ibvs", BASELINE), episodes=12)
 
@@ -238,3 +240,21 @@ def test_a_bare_network_takes_part_and_a_damaged_one_is_refused(tmp_path):
     (tmp_path / "bad.onnx").write_bytes(b"no network")
     with pytest.raises(BundleError, match=r"bad\.onnx"):
         evaluate(EvaluateConfig(controllers=(str(tmp_path / "bad.onnx"),), episodes=2))
+
+
+@pytest.mark.slow
+def test_the_section_of_an_evaluation_is_read_as_it_was_written(few_folder):
+    section = read_section(few_folder / SECTION_FILE)
+    assert section.tables[0].columns[0] == "controller"
+    assert section.tables[0].rows[-1][0].startswith("bound")
+    assert len(section.figures) == 4
+    assert section.rows == 24
+    assert all(section.captions[figure.stem].endswith(".") for figure in section.figures)
+
+
+@pytest.mark.nightly
+def test_the_figures_of_an_evaluation_are_drawn(tmp_path, few):
+    write_evaluation(tmp_path, few)
+    sizes = [path.stat().st_size for path in (tmp_path / "figures").iterdir()]
+    assert len(sizes) == 8
+    assert min(sizes) > 5000

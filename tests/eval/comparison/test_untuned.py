@@ -20,11 +20,11 @@ from vergence.eval.comparison.tables import (
     report_tables,
     table_legend,
 )
-from vergence.eval.jobs import SerialMapper
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning import baseline
 from vergence.eval.tuning.spaces import SEARCH_SPACES, SearchRange
 from vergence.models.head_file import load_head, save_head
+from vergence.reporting.jobs import SerialMapper
 
 MARK = "untuned for this head"
 

@@ -14,7 +14,7 @@ from vergence.errors import ConfigurationError, HardwareError, UserControllerErr
 from vergence.eval.comparison.contestants import make_contestants
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
 from vergence.eval.comparison.user_code import GuardedController
-from vergence.eval.jobs import ProcessMapper
+from vergence.reporting.jobs import ProcessMapper
 
 GENTLE = """
 import vergence

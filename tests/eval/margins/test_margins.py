@@ -18,7 +18,7 @@ from vergence.eval.margins.ranges import IMPERFECTION_RANGES
 from vergence.eval.margins.run import measure_margins
 from vergence.eval.margins.search import BISECTIONS, GRID_FRACTIONS
 from vergence.eval.margins.tables import report_tables
-from vergence.eval.reporting.section import SECTION_FILE, read_section
+from vergence.reporting.report import SECTION_FILE, read_section
 
 
 @pytest.fixture

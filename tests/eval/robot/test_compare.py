@@ -12,13 +12,13 @@ from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.evaluate import evaluate
 from vergence.eval.comparison.evaluation import laws_for_loop
 from vergence.eval.comparison.lineup import resolve_lineup
-from vergence.eval.jobs import SerialMapper
 from vergence.eval.robot.judge import robot_settle_bounds
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.hardware.config import load_hardware
 from vergence.hardware.loop import loop_variation
 from vergence.models.toml_table import toml_text
+from vergence.reporting.jobs import SerialMapper
 
 LOOP = {
     "measured": "2026-11-25", "command_latency_s": 0.01, "lag_s": 0.045, "speed_gain": 0.9,

@@ -42,9 +42,7 @@ def test_corners_and_depth_are_as_exact_as_said(name, depth_m):
         biases.append(detector.detect(quiet.image).corners_px - quiet.corners)
         found = detector.detect(scene(camera, TAG, T_C_T, rendering, rng).image)
         errors.append(found.corners_px - quiet.corners)
-        _, _, place = cv2.solvePnP(
-            board, found.corners_px, camera.matrix, np.array(camera.distortion)
-        )
+        _, _, place = cv2.solvePnP(board, found.corners_px, camera.matrix, camera.lens.coefficients)
         depths.append(place[2, 0] / depth_m - 1.0)
     assert rms(errors) < 0.05
     assert rms(biases) < 0.03
@@ -312,7 +310,7 @@ def test_clipped_white_counts_for_nothing():
     for T_C_T in poses(0.7, 10):
         drawn = scene(camera, TAG, T_C_T, rendering, rng)
         found = detector.detect(levels(drawn.image * (1.2 * 255.0 / rendering.white_grey)))
-        lens = np.array(camera.distortion)
+        lens = camera.lens.coefficients
         _, _, place = cv2.solvePnP(board, found.corners_px, camera.matrix, lens)
         depths.append(100.0 * (place[2, 0] / 0.7 - 1.0))
     assert rms(depths) < 0.2

@@ -19,7 +19,8 @@ from vergence.calibration.image_figures import (
     draw_residual_arrows,
     thinning_slice,
 )
-from vergence.eval.reporting.style import (
+from vergence.models.parts import EYE_NAMES, NECK, FloatArray
+from vergence.reporting.style import (
     BLACK,
     BLUE,
     GREEN,
@@ -29,8 +30,7 @@ from vergence.eval.reporting.style import (
     legend_below,
     new_figure,
 )
-from vergence.eval.reporting.text import format_fixed
-from vergence.models.parts import EYE_NAMES, NECK, FloatArray
+from vergence.reporting.text import format_fixed
 
 _PAGE_WIDTH: Final = 11.2
 """Width of a figure across the page, inches (chosen)."""

@@ -11,10 +11,10 @@ from vergence.calibration.head.observability import UnobservableDirection, unobs
 from vergence.calibration.head.recording import HeadRecording
 from vergence.calibration.head.report import result_document, write_run
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.runs import package_versions
 from vergence.models.head import HeadModel
 from vergence.models.head_file import check_head_name, head_to_toml
 from vergence.models.parts import CalibrationRecord
+from vergence.reporting.runs import package_versions
 
 _RECORDED_PACKAGES: Final = ("vergence", "numpy", "scipy", "opencv-python-headless")
 _REPLACED_ASSUMPTIONS: Final = (

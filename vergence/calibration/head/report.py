@@ -14,18 +14,18 @@ from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.head.depth import DepthErrors, points_ahead, predict_depth_errors
 from vergence.calibration.head.observability import UnobservableDirection
 from vergence.calibration.head.start import LEAST_CORNERS
-from vergence.eval.reporting.report import inline_svg
-from vergence.eval.reporting.runs import package_versions, write_json
-from vergence.eval.reporting.style import svg_text
-from vergence.eval.reporting.text import (
+from vergence.files import write_atomic
+from vergence.models.parts import EYE_NAMES
+from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
+from vergence.reporting.report import inline_svg
+from vergence.reporting.runs import package_versions, write_json
+from vergence.reporting.style import svg_text
+from vergence.reporting.text import (
     format_fixed,
     format_number,
     jinja_environment,
     read_template,
 )
-from vergence.files import write_atomic
-from vergence.models.parts import EYE_NAMES
-from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
 """Distances of the table of depth, m (chosen: the range of use)."""
@@ -217,7 +217,7 @@ def write_report(
         ],
         numbers=_number_rows(calibration),
         markup={stem: inline_svg(svg_text(figure), stem, stem) for stem, figure in drawn},
-        style=read_template("vergence.eval.reporting", "page.css"),
+        style=read_template("vergence.reporting", "page.css"),
         versions=package_versions(),
     )
     write_atomic(folder / "calibration.html", text)

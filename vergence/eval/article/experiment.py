@@ -16,9 +16,9 @@ from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
 from vergence.eval.article.config_rules import check_bounds, check_value
 from vergence.eval.article.criterion import verdict_of_ranges
 from vergence.eval.article.registry import EXPERIMENTS
-from vergence.eval.jobs import Mapper
-from vergence.eval.reporting.text import Numbers
 from vergence.models.perturbation import ModelErrors
+from vergence.reporting.jobs import Mapper
+from vergence.reporting.text import Numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +93,7 @@ class Experiment:
     """Place in the article: section, tables, figures."""
     text: str
     """The template of its section in the report, `section.jinja` in its folder: procedure and
-    results, see `vergence.eval.reporting.text`."""
+    results, see `vergence.reporting.text`."""
     config: type[Any]
     """A frozen dataclass with a default for every field."""
     quick: Mapping[str, Any]

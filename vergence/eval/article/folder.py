@@ -14,18 +14,18 @@ import tomli_w
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import Experiment, load_experiment
 from vergence.eval.article.registry import EXPERIMENTS
-from vergence.eval.jobs import Mapper
-from vergence.eval.reporting.report import ReportSection, write_report
-from vergence.eval.reporting.runs import (
+from vergence.eval.article.summary import summarise_article
+from vergence.files import PARTIAL_PREFIX, atomic_files, remove_partial, write_atomic
+from vergence.reporting.jobs import Mapper
+from vergence.reporting.report import ReportSection, included_sections, write_report
+from vergence.reporting.runs import (
     describe_run_folder,
     package_versions,
     run_folder_command,
     toml_value,
 )
-from vergence.eval.reporting.section import included_sections
-from vergence.eval.reporting.style import figure_style, save_figure
-from vergence.eval.reporting.text import render_text
-from vergence.files import PARTIAL_PREFIX, atomic_files, remove_partial, write_atomic
+from vergence.reporting.style import figure_style, save_figure
+from vergence.reporting.text import render_text
 
 INCLUDED: Final = "evaluations"
 """Name of the subfolder with the sections of other runs."""
@@ -297,5 +297,5 @@ def write_folder_report(
         write_atomic(folder / "summary.json", _json(summary))
         write_atomic(folder / "numbers.json", _json(numbers))
         write_atomic(folder / "config.toml", tomli_w.dumps(resolved))
-        write_report(folder / "report.html", sections)
+        write_report(folder / "report.html", sections, article=summarise_article(sections))
     return sections

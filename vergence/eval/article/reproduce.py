@@ -16,15 +16,15 @@ from vergence.eval.article.folder import (
 )
 from vergence.eval.article.overrides import read_overrides
 from vergence.eval.article.registry import EXPERIMENTS
-from vergence.eval.jobs import Mapper, Progress, SerialMapper
-from vergence.eval.reporting.report import ReportSection
-from vergence.eval.reporting.section import (
+from vergence.files import hold_lock
+from vergence.reporting.jobs import Mapper, Progress, SerialMapper
+from vergence.reporting.report import (
     SECTION_FILE,
+    ReportSection,
     include_run_folder,
     included_sections,
     read_section,
 )
-from vergence.files import hold_lock
 
 
 class ReproduceListener(Protocol):

@@ -18,7 +18,7 @@ from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult, row_fields
 from vergence.eval.comparison.job import EvaluationJob
 from vergence.eval.comparison.lineup import Lineup, resolve_lineup
-from vergence.eval.jobs import Mapper, SerialMapper
+from vergence.reporting.jobs import Mapper, SerialMapper
 
 __all__ = [
     "BASELINE",

@@ -12,8 +12,8 @@ from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, name_lines
 from vergence.eval.comparison.summary import bound_trials, imputed_trial_values
 from vergence.eval.comparison.tables import has_residual
-from vergence.eval.reporting.style import GREY, figure_style, log_axis, new_figure
 from vergence.eval.trials.settling import SettlingBand
+from vergence.reporting.style import GREY, figure_style, log_axis, new_figure
 
 _DELAY_BINS: Final = 6
 """Number of bins of the delay in its figure (chosen: resolution against scatter)."""

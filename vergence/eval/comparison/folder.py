@@ -11,7 +11,7 @@ from vergence.eval.comparison.evaluation import Evaluation
 from vergence.eval.comparison.figures import evaluation_figures, figure_caption
 from vergence.eval.comparison.run_folder import write_run_report
 from vergence.eval.comparison.tables import describe_evaluation, report_tables
-from vergence.eval.reporting.runs import write_json
+from vergence.reporting.runs import write_json
 
 TITLE: Final = "Ways of looking at a target, compared"
 
@@ -20,7 +20,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     """Write an evaluation's tables, figures, configuration and report.
 
     Args:
-        folder: an empty folder, see `vergence.eval.reporting.runs.run_folder`.
+        folder: an empty folder, see `vergence.reporting.runs.run_folder`.
         evaluation: the evaluation.
 
     Raises:

@@ -21,7 +21,6 @@ from vergence.eval.comparison.contestants import (
     make_contestants,
 )
 from vergence.eval.comparison.options import UNTUNED, GivenOptions, ResolvedOptions, resolve_options
-from vergence.eval.jobs import Mapper
 from vergence.eval.trials.loops import TICK_RAD_S
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.eval.tuning.baseline import tune_baseline
@@ -29,6 +28,7 @@ from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.hardware.loop import loop_variation
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head, presets
+from vergence.reporting.jobs import Mapper
 
 MOST_TRIALS: Final = 100_000
 """Most trials of a controller in a scenario (chosen: a bound on memory, as all trials are held at

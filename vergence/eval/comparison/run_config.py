@@ -7,9 +7,9 @@ from typing import Any, Protocol
 import tomli_w
 
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.reporting.runs import package_versions, toml_value
 from vergence.models.head import HeadModel
 from vergence.models.head_file import save_head
+from vergence.reporting.runs import package_versions, toml_value
 
 
 class ControllerRun(Protocol):

@@ -11,10 +11,15 @@ from vergence.eval.comparison.run_config import (
     config_with_notes,
     write_config_and_heads,
 )
-from vergence.eval.reporting.report import ReportSection, ReportTable, write_report
-from vergence.eval.reporting.section import SECTION_FILE, write_section
-from vergence.eval.reporting.style import save_figure
-from vergence.eval.reporting.text import SectionText
+from vergence.reporting.report import (
+    SECTION_FILE,
+    ReportSection,
+    ReportTable,
+    write_report,
+    write_section,
+)
+from vergence.reporting.style import save_figure
+from vergence.reporting.text import SectionText
 
 
 def write_run_report(

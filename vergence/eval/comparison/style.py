@@ -9,9 +9,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
-from vergence.eval.reporting.line_labels import label_lines
-from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, legend_below
 from vergence.models.parts import FloatArray
+from vergence.reporting.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    label_lines,
+    legend_below,
+)
 
 Values = FloatArray | pd.Series
 """(n,) values of a line or a column of a table."""

@@ -9,15 +9,15 @@ from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult
 from vergence.eval.comparison.options import UNTUNED
 from vergence.eval.comparison.summary import SWINGING
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
-from vergence.eval.reporting.report import ReportTable
-from vergence.eval.reporting.text import (
+from vergence.eval.trials.settling import ONE_PX, SettlingBand, bands_with_bound
+from vergence.reporting.report import ReportTable
+from vergence.reporting.text import (
     NONE,
     SectionText,
     format_number,
     read_template,
     render_text,
 )
-from vergence.eval.trials.settling import ONE_PX, SettlingBand, bands_with_bound
 
 SETTLING_COLUMNS: Final = (
     "controller", "settled (%)", "time to settle (ms)", "95 % within (ms)", "x bound",

@@ -13,7 +13,7 @@ from vergence.eval.comparison.style import controller_styles
 from vergence.eval.margins.margins import RANGE_ENDS, Margin, Margins
 from vergence.eval.margins.ranges import IMPERFECTION_RANGES
 from vergence.eval.margins.tables import imperfection_title
-from vergence.eval.reporting.style import BLACK, GREY, figure_style, new_figure
+from vergence.reporting.style import BLACK, GREY, figure_style, new_figure
 
 _MOST_COLUMNS: Final = 4
 """Most panels side by side (chosen: legibility)."""

@@ -10,7 +10,7 @@ from vergence.eval.comparison.run_folder import write_run_report
 from vergence.eval.margins.figure import margin_figures
 from vergence.eval.margins.margins import Margins
 from vergence.eval.margins.tables import describe_margins, report_tables
-from vergence.eval.reporting.runs import write_json
+from vergence.reporting.runs import write_json
 
 TITLE: Final = "How far a loop may be from its model"
 
@@ -19,7 +19,7 @@ def write_margins(folder: Path, margins: Margins) -> None:
     """Write the tables, figures, configuration and report of margins.
 
     Args:
-        folder: an empty folder, see `vergence.eval.reporting.runs.run_folder`.
+        folder: an empty folder, see `vergence.reporting.runs.run_folder`.
         margins: the margins.
 
     Raises:

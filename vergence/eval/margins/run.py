@@ -14,13 +14,13 @@ from vergence.controllers.controller import Controller
 from vergence.errors import ConfigurationError, UnknownNameError, UserControllerError
 from vergence.eval.comparison.contestant_job import ControllerFailure
 from vergence.eval.comparison.lineup import Lineup, resolve_lineup
-from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.margins.config import MarginsConfig
 from vergence.eval.margins.job import MarginJob
 from vergence.eval.margins.margins import Margin, Margins
 from vergence.eval.margins.measure import with_imperfection
 from vergence.eval.margins.ranges import IMPERFECTION_RANGES, has_effect, search_interval
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
+from vergence.reporting.jobs import Mapper, SerialMapper
 
 __all__ = ["MarginsConfig", "measure_margins"]
 

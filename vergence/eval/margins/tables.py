@@ -4,8 +4,8 @@ from typing import Final
 
 from vergence.eval.margins.margins import Margin, Margins
 from vergence.eval.margins.ranges import IMPERFECTION_RANGES
-from vergence.eval.reporting.report import ReportTable
-from vergence.eval.reporting.text import SectionText, format_number, read_template, render_text
+from vergence.reporting.report import ReportTable
+from vergence.reporting.text import SectionText, format_number, read_template, render_text
 
 COLUMNS: Final = ("imperfection", "expected", "searched", "99 % settle", "median not doubled")
 _NO_RANGE_TEXT: Final = "nowhere"

@@ -19,7 +19,6 @@ from vergence.eval.comparison.config import ROBOT
 from vergence.eval.comparison.contestant_job import ControllerFailure
 from vergence.eval.comparison.evaluation import EvaluationResult
 from vergence.eval.comparison.lineup import Lineup
-from vergence.eval.reporting.runs import package_versions
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.evaluation_record import (
     EvaluationRecord,
@@ -35,6 +34,7 @@ from vergence.hardware.config import HardwareConfig
 from vergence.hardware.plant import HardwarePlant
 from vergence.hardware.safety.supervisor import OSCILLATION_REASON
 from vergence.recording.writer import LogWriter
+from vergence.reporting.runs import package_versions
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,6 @@ from vergence.envs.reading import Reading
 from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.eval.reporting.runs import package_versions
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.gazes import MOST_PERIODS, RobotGazes
@@ -26,6 +25,7 @@ from vergence.recording import Recorder
 from vergence.recording.health import warn_of_gap
 from vergence.recording.log import read_log
 from vergence.recording.writer import LogWriter
+from vergence.reporting.runs import package_versions
 
 _MOST_GAZES: Final = 10_000
 """Largest number of gazes of a deployment (chosen: bounds the log, far above a useful number)."""

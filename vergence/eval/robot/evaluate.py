@@ -11,13 +11,13 @@ from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.evaluate import run_and_join
 from vergence.eval.comparison.evaluation import Evaluation
 from vergence.eval.comparison.lineup import resolve_lineup
-from vergence.eval.jobs import Mapper, Progress, SerialMapper
-from vergence.eval.reporting.runs import toml_value
 from vergence.eval.robot.compare import RobotRun
 from vergence.eval.robot.evaluation_record import EvaluationRecord
 from vergence.eval.robot.stage import make_stage
 from vergence.hardware.config import HardwareConfig
 from vergence.models.parts import EYE_NAMES
+from vergence.reporting.jobs import Mapper, Progress, SerialMapper
+from vergence.reporting.runs import toml_value
 
 
 def read_begun_config(run: Path) -> EvaluateConfig:

@@ -5,12 +5,12 @@ from pathlib import Path
 import pandas as pd
 
 from vergence.eval.gaze_figure import draw_gaze
-from vergence.eval.reporting.runs import write_json
 from vergence.eval.robot.replay import Replay, RerunCommands
 from vergence.models.head import HeadModel
 from vergence.models.head_file import save_head
 from vergence.recording import schema
 from vergence.recording.recovery import recover_log
+from vergence.reporting.runs import write_json
 
 
 def write_replay_folder(folder: Path, replay: Replay, drawn_gaze: int | None = None) -> None:

@@ -17,13 +17,13 @@ from vergence.controllers.tuned import (
     write_tuned,
 )
 from vergence.errors import ConfigurationError
-from vergence.eval.jobs import Mapper
 from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import Attempt, TrialsJob, summarise_trials
 from vergence.eval.tuning.spaces import SEARCH_SPACES
 from vergence.models.head import HeadModel
 from vergence.models.head_file import absolute_source
+from vergence.reporting.jobs import Mapper
 
 EPISODES: Final = TuneConfig.episodes
 """Number of training trials that judge a gain."""

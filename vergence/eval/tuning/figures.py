@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, legend_below, new_figure
 from vergence.eval.tuning.objective import Attempt
 from vergence.eval.tuning.spaces import SearchRange
+from vergence.reporting.style import BLUE, GREY, ORANGE, figure_style, legend_below, new_figure
 
 _METRIC_LABELS = {"s": "settle time (s)", "px": "tracking RMS (px)"}
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from vergence.controllers.controller import make_controller
 from vergence.controllers.tuned import name_for_evaluation
-from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.spaces import Options
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.reporting.jobs import Mapper, SerialMapper
 
 Objective = Callable[[Options], Mapping[str, float]]
 """Function from options to results: `headline` (smaller is better), `mean` (which breaks ties),

@@ -9,8 +9,6 @@ from typing import Any, Final
 import pandas as pd
 
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.runs import write_config_and_head, write_json
-from vergence.eval.reporting.style import save_figure
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.figures import draw_search
@@ -20,6 +18,8 @@ from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import without_password
 from vergence.files import atomic_files, hold_lock
 from vergence.models.head import HeadModel
+from vergence.reporting.runs import write_config_and_head, write_json
+from vergence.reporting.style import save_figure
 
 PACKAGES: Final = ("optuna",)
 

@@ -14,7 +14,7 @@ from vergence.calibration.head.article.findings import (
 from vergence.calibration.head.article.trials import HeadEyeConfig
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.jobs import SerialMapper
+from vergence.reporting.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("head-eye")

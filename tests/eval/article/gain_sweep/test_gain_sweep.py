@@ -9,7 +9,7 @@ from tests.eval.mappers import Backwards
 from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.gain_sweep.findings import derive_findings, sweep_trials
 from vergence.eval.article.gain_sweep.loop_delay import critical_gain, critical_lag, first_crossing
-from vergence.eval.jobs import SerialMapper
+from vergence.reporting.jobs import SerialMapper
 
 EXPERIMENT = load_experiment("gain-sweep")
 TINY = {

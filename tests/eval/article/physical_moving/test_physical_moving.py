@@ -6,7 +6,7 @@ import pytest
 from tests.eval.article.checks import section_text
 from tests.eval.article.twin.small import scaled, small, table_of, verdict_of
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.jobs import SerialMapper
+from vergence.reporting.jobs import SerialMapper
 
 EXPERIMENT = load_experiment("physical-moving")
 CONFIG = small(EXPERIMENT.name)

@@ -8,7 +8,7 @@ from tests.eval.article.twin.small import scaled, small, table_of, verdict_of
 from tests.eval.refusals import not_refused
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.jobs import SerialMapper
+from vergence.reporting.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("physical-static")

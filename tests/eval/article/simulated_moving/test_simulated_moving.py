@@ -11,7 +11,7 @@ from tests.eval.mappers import Backwards
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.simulated_moving.findings import errors_by_case, select_samples
 from vergence.eval.article.simulated_moving.trials import NONE, SimulatedMovingConfig, _follow
-from vergence.eval.jobs import SerialMapper
+from vergence.reporting.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("simulated-moving")

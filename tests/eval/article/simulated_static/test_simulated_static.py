@@ -16,7 +16,7 @@ from vergence.eval.article.simulated_static.findings import (
     select_fixes,
 )
 from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
-from vergence.eval.jobs import SerialMapper
+from vergence.reporting.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("simulated-static")

@@ -14,9 +14,9 @@ from vergence.eval.article.time_response.findings import (
     settle_time_map,
 )
 from vergence.eval.article.time_response.trials import joint_offsets
-from vergence.eval.jobs import SerialMapper
-from vergence.eval.reporting.text import render_text
 from vergence.models.head_file import load_head
+from vergence.reporting.jobs import SerialMapper
+from vergence.reporting.text import render_text
 
 EXPERIMENT = load_experiment("time-response")
 TINY = {"delays_frames": [0, 4, 8], "trials": 5, "threshold_step_px": 0.05, "duration_s": 1.5}

@@ -6,7 +6,7 @@ from unittest.mock import patch
 
 from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.reported import static_points
-from vergence.eval.jobs import SerialMapper
+from vergence.reporting.jobs import SerialMapper
 
 _HEADS: Final = {"heads": 4, "scale": 0.4, "noise_poses": 1, "noise_frames": 3}
 _SMALL: Final[dict[str, dict[str, Any]]] = {

@@ -7,7 +7,7 @@ from tests.eval.article.checks import incomplete, unjudged
 from tests.eval.article.twin.small import NAMES, small, table_of, tiny_table
 from tests.eval.mappers import Backwards
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.jobs import SerialMapper
+from vergence.reporting.jobs import SerialMapper
 
 REPORTED = {
     "physical-static": "physical static",

@@ -17,7 +17,7 @@ from vergence.eval.article.uncertainty.findings import (
     sigma_ratio_tolerance,
 )
 from vergence.eval.article.uncertainty.trials import UncertaintyConfig
-from vergence.eval.jobs import SerialMapper
+from vergence.reporting.jobs import SerialMapper
 
 pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("uncertainty")

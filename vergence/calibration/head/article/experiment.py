@@ -6,7 +6,7 @@ from vergence.calibration.head.article.figures import draw
 from vergence.calibration.head.article.findings import numbers, summarise
 from vergence.calibration.head.article.trials import HeadEyeConfig, run
 from vergence.eval.article.experiment import Experiment
-from vergence.eval.reporting.text import read_template
+from vergence.reporting.text import read_template
 
 EXPERIMENT: Final = Experiment(
     name="head-eye",

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from vergence.calibration.head.article.findings import ARTICLE_PERCENT, depth_errors_percent
 from vergence.calibration.head.article.trials import HeadEyeConfig
-from vergence.eval.reporting.style import (
+from vergence.reporting.style import (
     ARTICLE_STYLE,
     BLUE,
     GREEN,

@@ -7,8 +7,8 @@ import pandas as pd
 
 from vergence.calibration.head.article.trials import STAGES, HeadEyeConfig
 from vergence.eval.article.experiment import SummaryRow
-from vergence.eval.reporting.text import Numbers
 from vergence.models.parts import FloatArray
+from vergence.reporting.text import Numbers
 
 NAME: Final = "head-eye"
 ARTICLE_PERCENT: Final = 6.98

@@ -13,11 +13,11 @@ from vergence.calibration.head.simulated import quantised, simulate_recording
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
 from vergence.eval.article.twin.heads import draw_heads
-from vergence.eval.jobs import Job, Mapper
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.perturbation import ModelErrors
+from vergence.reporting.jobs import Job, Mapper
 from vergence.triangulation import triangulate_views
 
 STAGES = ("before", "closed form", "reprojection", "whole head")

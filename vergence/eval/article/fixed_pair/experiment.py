@@ -6,7 +6,7 @@ from vergence.eval.article.experiment import Experiment
 from vergence.eval.article.fixed_pair.figures import draw
 from vergence.eval.article.fixed_pair.findings import numbers, summarise
 from vergence.eval.article.fixed_pair.trials import FixedPairConfig, run
-from vergence.eval.reporting.text import read_template
+from vergence.reporting.text import read_template
 
 EXPERIMENT: Final = Experiment(
     name="fixed-pair",

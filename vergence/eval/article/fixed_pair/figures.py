@@ -15,7 +15,8 @@ from vergence.eval.article.fixed_pair.findings import (
 )
 from vergence.eval.article.fixed_pair.trials import FixedPairConfig
 from vergence.eval.article.twin.statistics import AXES
-from vergence.eval.reporting.style import (
+from vergence.models.parts import FloatArray
+from vergence.reporting.style import (
     ARTICLE_BAND,
     BLUE,
     GREEN,
@@ -23,7 +24,6 @@ from vergence.eval.reporting.style import (
     legend_below,
     new_figure,
 )
-from vergence.models.parts import FloatArray
 
 _PAIRS: Final[dict[str, dict[str, Any]]] = {
     "pair": {"color": BLUE, "marker": "o", "label": "pose known"},

@@ -16,8 +16,8 @@ from vergence.eval.article.twin.statistics import (
     count_inside,
     rank_in_population,
 )
-from vergence.eval.reporting.text import Numbers
 from vergence.models.parts import FloatArray
+from vergence.reporting.text import Numbers
 
 NAME: Final = "versus ZED Mini"
 _BASELINE_M: Final = 0.092

@@ -15,12 +15,12 @@ from vergence.eval.article.twin.detector_noise import DetectorNoise, measure_pai
 from vergence.eval.article.twin.heads import TwinConfig
 from vergence.eval.article.twin.population import draw_population
 from vergence.eval.article.twin.statistics import axis_columns
-from vergence.eval.jobs import Job, Mapper
 from vergence.models.camera import Camera, Cameras, camera_matrix
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors
+from vergence.reporting.jobs import Job, Mapper
 from vergence.triangulation import triangulate_views
 from vergence.vision.targets import board_pose
 

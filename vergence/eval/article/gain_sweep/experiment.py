@@ -6,7 +6,7 @@ from vergence.eval.article.experiment import Experiment
 from vergence.eval.article.gain_sweep.figures import draw
 from vergence.eval.article.gain_sweep.findings import numbers, summarise
 from vergence.eval.article.gain_sweep.trials import GainSweepConfig, run
-from vergence.eval.reporting.text import read_template
+from vergence.reporting.text import read_template
 
 EXPERIMENT: Final = Experiment(
     name="gain-sweep",

@@ -16,7 +16,7 @@ from vergence.eval.article.gain_sweep.findings import (
 )
 from vergence.eval.article.gain_sweep.loop_delay import critical_lag
 from vergence.eval.article.gain_sweep.trials import PLANE_STEPS, GainSweepConfig
-from vergence.eval.reporting.style import (
+from vergence.reporting.style import (
     ARTICLE_STYLE,
     BLACK,
     BLUE,

@@ -11,9 +11,9 @@ from vergence.eval.article.criterion import BY_CONSTRUCTION
 from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.gain_sweep.loop_delay import first_crossing
 from vergence.eval.article.gain_sweep.trials import PLANE_STEPS, STEPS, GainSweepConfig
-from vergence.eval.reporting.text import Numbers
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
+from vergence.reporting.text import Numbers
 
 NAME: Final = "gain sweep"
 ARTICLE_GAIN: Final = 4.0

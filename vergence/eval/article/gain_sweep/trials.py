@@ -10,11 +10,11 @@ import pandas as pd
 
 from vergence.envs.targets.prescribed import StepTarget
 from vergence.eval.article.common.servoing import servo_pixel_errors
-from vergence.eval.jobs import Job, Mapper
 from vergence.eval.trials.metrics import overshoot_fraction, settle_time
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
+from vergence.reporting.jobs import Job, Mapper
 
 STEPS: Final = {"+y": (0.0, 1.0), "-y": (0.0, -1.0), "+x": (1.0, 0.0), "-x": (-1.0, 0.0)}
 """Directions of the step, in N; y is down."""

@@ -6,7 +6,7 @@ from vergence.eval.article.experiment import Experiment
 from vergence.eval.article.physical_moving.figures import draw
 from vergence.eval.article.physical_moving.findings import numbers, summarise
 from vergence.eval.article.physical_moving.trials import PhysicalMovingConfig, run
-from vergence.eval.reporting.text import read_template
+from vergence.reporting.text import read_template
 
 EXPERIMENT: Final = Experiment(
     name="physical-moving",

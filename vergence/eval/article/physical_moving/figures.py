@@ -12,7 +12,7 @@ from vergence.eval.article.physical_moving.findings import (
 )
 from vergence.eval.article.physical_moving.trials import PhysicalMovingConfig
 from vergence.eval.article.twin.statistics import AXES, METHOD_LABELS, METHODS
-from vergence.eval.reporting.style import (
+from vergence.reporting.style import (
     ARTICLE_STYLE,
     BLACK,
     BLUE,

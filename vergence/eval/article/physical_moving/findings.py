@@ -16,8 +16,8 @@ from vergence.eval.article.twin.statistics import (
     rank_in_population,
     verdict,
 )
-from vergence.eval.reporting.text import Numbers
 from vergence.models.parts import FloatArray
+from vergence.reporting.text import Numbers
 
 NAME: Final = "physical moving"
 _MIDDLE: Final = ", middle 80 % of the heads"

@@ -14,9 +14,9 @@ from vergence.eval.article.common.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads
 from vergence.eval.article.twin.population import TwinPopulation, draw_population
 from vergence.eval.article.twin.statistics import AXES, METHODS, axis_columns
-from vergence.eval.jobs import Job, Mapper
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.reporting.jobs import Job, Mapper
 
 _IMAGED_TRIAL: Final = 1_000_000
 """Trial number of the head with images, beyond those of the population (numerical)."""

@@ -24,7 +24,7 @@ from vergence.eval.article.twin.statistics import (
     depth_errors_percent,
     fixation_rows,
 )
-from vergence.eval.reporting.style import (
+from vergence.reporting.style import (
     ARTICLE_BAND,
     ARTICLE_STYLE,
     BLACK,

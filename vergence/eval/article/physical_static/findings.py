@@ -31,8 +31,8 @@ from vergence.eval.article.twin.statistics import (
     rank_in_population,
     verdict,
 )
-from vergence.eval.reporting.text import Numbers
 from vergence.models.parts import FloatArray
+from vergence.reporting.text import Numbers
 
 NAME: Final = "physical static"
 ARTICLE_SMALLEST_PERCENT: Final = {"gaze": 0.23, "itpc": 0.38}

@@ -30,9 +30,9 @@ from vergence.eval.article.physical_static.error_budget import (
 from vergence.eval.article.twin.heads import TwinConfig
 from vergence.eval.article.twin.population import TwinPopulation, draw_population
 from vergence.eval.article.twin.statistics import METHODS, axis_columns
-from vergence.eval.jobs import Job, Mapper
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES
+from vergence.reporting.jobs import Job, Mapper
 from vergence.triangulation import triangulate_gaze
 
 ARTICLE_LARGEST_PERCENT: Final = {"gaze": 4.97, "itpc": 6.98}

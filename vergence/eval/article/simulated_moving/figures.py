@@ -18,7 +18,8 @@ from vergence.eval.article.simulated_moving.findings import (
     select_samples,
 )
 from vergence.eval.article.simulated_moving.trials import IMAGES, WHITE, SimulatedMovingConfig
-from vergence.eval.reporting.style import (
+from vergence.models.head_file import load_head
+from vergence.reporting.style import (
     ARTICLE_STYLE,
     BLUE,
     GREEN,
@@ -31,7 +32,6 @@ from vergence.eval.reporting.style import (
     log_axis,
     new_figure,
 )
-from vergence.models.head_file import load_head
 
 _DRAWN_EVERY: Final = 6
 """Step through the samples that are drawn (chosen: readability)."""

@@ -16,8 +16,8 @@ from vergence.eval.article.simulated_moving.trials import (
     WHITE,
     SimulatedMovingConfig,
 )
-from vergence.eval.reporting.text import Numbers
 from vergence.models.head_file import load_head
+from vergence.reporting.text import Numbers
 
 EXPERIMENT: Final = "simulated moving"
 """Name of this experiment in the table of the article's results."""

@@ -16,7 +16,7 @@ from vergence.eval.article.common.simulated_cases import (
 )
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.simulated_static.trials import BOARD
-from vergence.eval.jobs import Job, Mapper
+from vergence.reporting.jobs import Job, Mapper
 
 NAME: Final = "simulated-moving"
 IMAGES: Final = "images"

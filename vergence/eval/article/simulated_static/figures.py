@@ -20,7 +20,7 @@ from vergence.eval.article.simulated_static.findings import (
     select_fixes,
 )
 from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
-from vergence.eval.reporting.style import (
+from vergence.reporting.style import (
     ARTICLE_BAND,
     ARTICLE_STYLE,
     BLUE,

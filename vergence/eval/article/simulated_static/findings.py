@@ -16,9 +16,9 @@ from vergence.eval.article.reported import (
     static_points,
 )
 from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
-from vergence.eval.reporting.text import Numbers
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
+from vergence.reporting.text import Numbers
 
 EXPERIMENT: Final = "simulated static"
 """Name of this experiment in the table of the article's results."""

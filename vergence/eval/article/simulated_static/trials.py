@@ -27,11 +27,11 @@ from vergence.eval.article.common.simulated_cases import (
 )
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
-from vergence.eval.jobs import Job, Mapper
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.perturbation import ModelErrors
+from vergence.reporting.jobs import Job, Mapper
 from vergence.triangulation import Fix
 
 NAME: Final = "simulated-static"

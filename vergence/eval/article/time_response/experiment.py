@@ -6,7 +6,7 @@ from vergence.eval.article.experiment import Experiment
 from vergence.eval.article.time_response.figures import draw
 from vergence.eval.article.time_response.findings import numbers, summarise
 from vergence.eval.article.time_response.trials import TimeResponseConfig, run
-from vergence.eval.reporting.text import read_template
+from vergence.reporting.text import read_template
 
 EXPERIMENT: Final = Experiment(
     name="time-response",

@@ -15,7 +15,7 @@ from vergence.eval.article.time_response.findings import (
     settle_time_map,
 )
 from vergence.eval.article.time_response.trials import ARTICLE_S, TimeResponseConfig
-from vergence.eval.reporting.style import (
+from vergence.reporting.style import (
     ARTICLE_STYLE,
     BLACK,
     BLUE,

@@ -8,8 +8,8 @@ import pandas as pd
 
 from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.time_response.trials import ARTICLE_S, TimeResponseConfig
-from vergence.eval.reporting.text import Numbers
 from vergence.models.head_file import load_head
+from vergence.reporting.text import Numbers
 
 NAME: Final = "time response"
 PAIRS: Final = ((0, False, 3.0), (4, True, 1.3))

@@ -12,11 +12,11 @@ from vergence.envs.targets.prescribed import StaticTarget
 from vergence.errors import ConfigurationError
 from vergence.eval.article.common.joint_offsets import with_joint_offsets
 from vergence.eval.article.common.servoing import servo_pixel_errors
-from vergence.eval.jobs import Job, Mapper
 from vergence.eval.trials.metrics import settle_time
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, EYES, JOINTS, LINKS, FloatArray
+from vergence.reporting.jobs import Job, Mapper
 
 ARTICLE_S: Final = 0.65
 """Settling time of a gaze shift, s (physical: reported by the article)."""

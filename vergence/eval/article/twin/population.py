@@ -13,10 +13,10 @@ from vergence.eval.article.twin.detector_noise import DetectorNoise, measure_hea
 from vergence.eval.article.twin.fixation_errors import settled_fix_errors_m
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads
 from vergence.eval.article.twin.scale import find_error_scale, largest_depth_error_percent
-from vergence.eval.jobs import Mapper
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
+from vergence.reporting.jobs import Mapper
 
 ARTICLE_LARGEST_Y_MM: Final = 12.28
 """Largest y error by gaze on static targets, mm (physical: reported by the article)."""

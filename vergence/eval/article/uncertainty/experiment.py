@@ -6,7 +6,7 @@ from vergence.eval.article.experiment import Experiment
 from vergence.eval.article.uncertainty.figures import draw
 from vergence.eval.article.uncertainty.findings import numbers, summarise
 from vergence.eval.article.uncertainty.trials import NAME, UncertaintyConfig, run
-from vergence.eval.reporting.text import read_template
+from vergence.reporting.text import read_template
 
 EXPERIMENT: Final = Experiment(
     name=NAME,

@@ -15,7 +15,8 @@ from vergence.eval.article.uncertainty.findings import (
     rows_of_part,
 )
 from vergence.eval.article.uncertainty.trials import AHEAD, UncertaintyConfig
-from vergence.eval.reporting.style import (
+from vergence.models.head_file import load_head
+from vergence.reporting.style import (
     ARTICLE_BAND,
     ARTICLE_STYLE,
     BLACK,
@@ -29,7 +30,6 @@ from vergence.eval.reporting.style import (
     log_axis,
     new_figure,
 )
-from vergence.models.head_file import load_head
 
 
 def draw(table: pd.DataFrame, config: UncertaintyConfig) -> dict[str, Figure]:

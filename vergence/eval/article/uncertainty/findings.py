@@ -10,8 +10,8 @@ import pandas as pd
 from vergence.eval.article.common.loop_noise import LinearLoop, noise_bandwidth_hz, noise_gain
 from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.uncertainty.trials import AHEAD, ASIDE, NAME, UncertaintyConfig
-from vergence.eval.reporting.text import Numbers
 from vergence.models.head_file import load_head
+from vergence.reporting.text import Numbers
 
 METHOD_NAMES: Final = {
     "gaze": "gaze, Eqs. 27 to 33",

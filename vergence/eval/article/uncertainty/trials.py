@@ -23,9 +23,9 @@ from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
 from vergence.eval.article.simulated_static.trials import BOARD
 from vergence.eval.article.uncertainty.image_information import cramer_rao_bound
-from vergence.eval.jobs import Job, Mapper
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
+from vergence.reporting.jobs import Job, Mapper
 from vergence.triangulation import Noise, triangulate_gaze, triangulate_views
 
 NAME: Final = "uncertainty"

@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Any, Final
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import atomic_folder, hold_lock, remove_partial, save_folder_at_free_path
+from vergence.files import (
+    atomic_file,
+    atomic_folder,
+    hold_lock,
+    remove_partial,
+    save_folder_at_free_path,
+)
 from vergence.models.head import HeadModel
 from vergence.models.head_file import save_head
 
@@ -50,11 +56,7 @@ def package_versions(packages: tuple[str, ...] = _VERSIONED_PACKAGES) -> dict[st
 
 
 def check_folder_free(folder: Path) -> None:
-    """Refuse a run folder that would overwrite something.
-
-    Raises:
-        ConfigurationError: a file of that name exists, or a folder that is not empty.
-    """
+    """Refuse a run folder that would overwrite a file or a folder that is not empty."""
     if "\0" in str(folder):
         raise _unwritable(folder, ValueError("no name has a NUL in it"))
     try:
@@ -114,11 +116,7 @@ _RESUME_HINTS: Final = {
 
 
 def check_writable(folder: Path) -> None:
-    """Refuse, before any work is done, a run folder that could not be created afterwards.
-
-    Raises:
-        ConfigurationError: the name is taken, or the parent folder cannot be written.
-    """
+    """Refuse, before any work is done, a run folder that could not be created afterwards."""
     check_folder_free(folder)
     there = next(path for path in folder.absolute().parents if path.exists())
     try:
@@ -135,14 +133,7 @@ def _unwritable(folder: Path, error: Exception) -> ConfigurationError:
 
 @contextmanager
 def locked_run_folder(folder: Path) -> Iterator[None]:
-    """Lock the name of a run folder from before the work begins until it is written.
-
-    Args:
-        folder: the run folder, new or empty.
-
-    Raises:
-        ConfigurationError: the folder is not empty, cannot be created, or another process holds it.
-    """
+    """Lock the name of a new or empty run folder from before the work until it is written."""
     check_writable(folder)
     with hold_lock(folder) as alone:
         check_folder_free(folder)  # another process may have just ended
@@ -154,17 +145,7 @@ def locked_run_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def run_folder(folder: Path) -> Iterator[Path]:
-    """Create a run folder that appears under its name only when its content is complete.
-
-    Args:
-        folder: the run folder, new or empty.
-
-    Yields:
-        The folder to write to.
-
-    Raises:
-        ConfigurationError: the folder cannot be created or is not empty.
-    """
+    """Create a run folder that appears under its name only when its content is complete."""
     check_folder_free(folder)
     try:
         with atomic_folder(folder) as partial:
@@ -174,18 +155,7 @@ def run_folder(folder: Path) -> Iterator[Path]:
 
 
 def save_run_at_free_path(folder: Path, write: Callable[[Path], None]) -> Path:
-    """Write a finished run, even if its name was taken while it ran.
-
-    Args:
-        folder: the run folder.
-        write: callback that writes the content into a given folder.
-
-    Returns:
-        The folder as written: `folder`, or a free name next to it.
-
-    Raises:
-        ConfigurationError: neither can be written.
-    """
+    """Write a finished run, at a free name beside it if its own was taken while it ran."""
     try:
         return save_folder_at_free_path(folder, write)
     except OSError as error:
@@ -197,14 +167,7 @@ def save_run_at_free_path(folder: Path, write: Callable[[Path], None]) -> Path:
 def write_config_and_head(
     folder: Path, config: "DataclassInstance", head: HeadModel, packages: tuple[str, ...] = ()
 ) -> None:
-    """Write the resolved configuration, the head and the versions.
-
-    Args:
-        folder: the run folder.
-        config: a dataclass of plain values.
-        head: the head that the run used.
-        packages: packages whose versions are recorded besides those of every run.
-    """
+    """Write the resolved configuration, the head, and the versions of these packages too."""
     content = {
         "config": toml_value(dataclasses.asdict(config)),
         "head": {"name": head.name, "digest": head.digest, "file": "head.toml"},
@@ -227,3 +190,15 @@ def toml_value(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [toml_value(item) for item in value]
     return str(value) if isinstance(value, Path) else value
+
+
+def write_parquet(csv: Path) -> Path:
+    """Write a CSV table as Parquet beside it, without loss; pyarrow must be installed."""
+    from pyarrow.csv import read_csv
+    from pyarrow.parquet import write_table
+
+    path = csv.with_suffix(".parquet")
+    table = read_csv(csv)  # exact floats; pandas' own reader is exact only from version 3 on
+    with atomic_file(path) as partial:
+        write_table(table, partial)
+    return path

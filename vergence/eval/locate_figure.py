@@ -11,18 +11,18 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
-from vergence.eval.reporting.detections_figure import (
+from vergence.eval.detections_figure import (
     TargetColours,
     draw_detections,
     shorten_to_width,
     target_outline,
 )
-from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, legend_below, new_figure
 from vergence.files import atomic_file
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.locate import LocateResult
 from vergence.perception.located import LocatedTarget
 from vergence.perception.spacing import MM
+from vergence.reporting.style import BLUE, GREY, ORANGE, figure_style, legend_below, new_figure
 
 _VIEWS: Final = (
     ("from above", 0, 2, "x (mm), right", "z (mm), forward"),

@@ -5,8 +5,8 @@ import errno
 import pytest
 
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting import runs
-from vergence.eval.reporting.runs import (
+from vergence.reporting import runs
+from vergence.reporting.runs import (
     check_folder_free,
     locked_run_folder,
     run_folder,

@@ -1,6 +1,6 @@
 """The common style of figures."""
 
-from vergence.eval.reporting.style import figure_style, legend_below, new_figure
+from vergence.reporting.style import figure_style, legend_below, new_figure
 
 
 def test_the_legend_of_a_panel_lies_below_its_axis_and_within_the_figure():

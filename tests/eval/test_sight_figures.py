@@ -8,8 +8,8 @@ import pytest
 from tests.heads import head_of
 from tests.perception.drawn import pose_at
 from tests.perception.test_located import exact
-from vergence.eval.reporting.detections_figure import compose_detections, shorten_to_width
-from vergence.eval.reporting.locate_figure import compose_located
+from vergence.eval.detections_figure import compose_detections, shorten_to_width
+from vergence.eval.locate_figure import compose_located
 from vergence.perception.locate import LocateResult, ShownPair
 from vergence.perception.locate_config import LocateConfig
 from vergence.perception.located import locate_target

@@ -2,10 +2,10 @@
 
 import pytest
 
-from tests.eval.reporting.browser import CHROMIUM, open_page
+from tests.eval.article.browser import CHROMIUM, open_page
 from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.reproduce import reproduce
-from vergence.eval.jobs import ProcessMapper
+from vergence.reporting.jobs import ProcessMapper
 
 pytestmark = pytest.mark.slow
 

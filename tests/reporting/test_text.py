@@ -3,7 +3,7 @@
 import jinja2
 import pytest
 
-from vergence.eval.reporting.text import (
+from vergence.reporting.text import (
     format_fixed,
     format_input_value,
     format_number,

@@ -11,8 +11,8 @@ import pytest
 
 from vergence.envs.plants.threads import bounds
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.eval import jobs
-from vergence.eval.jobs import (
+from vergence.reporting import jobs
+from vergence.reporting.jobs import (
     ProcessMapper,
     RayMapper,
     SerialMapper,

@@ -5,7 +5,7 @@ from csv import DictReader
 import numpy as np
 import pandas as pd
 
-from vergence.eval.reporting.parquet import write_parquet
+from vergence.reporting.runs import write_parquet
 
 
 def test_floats_come_back_from_both_formats_to_the_last_digit(tmp_path):

@@ -20,8 +20,8 @@ from typing import Any, Final, TypeVar
 
 from vergence.envs.plants.threads import limit_threads, processors
 from vergence.errors import ConfigurationError, VergenceError, how_to_install
-from vergence.eval.reporting.runs import package_versions
 from vergence.kernels.cache import report_compiling_if_uncached
+from vergence.reporting.runs import package_versions
 
 T = TypeVar("T")
 Job = Callable[[], Any]
@@ -227,12 +227,7 @@ class RayMapper(Mapper):
         self.workers = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def _results(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
-        """See `Mapper`.
-
-        Raises:
-            ConfigurationError: a node has other versions.
-            VergenceError: nodes of one job were lost too often.
-        """
+        """See `Mapper`."""
         if not self._ray.is_initialized():
             self._ray = _join(self._address)
         try:

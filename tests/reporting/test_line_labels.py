@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from vergence.eval.reporting.line_labels import label_lines
-from vergence.eval.reporting.style import new_figure
+from vergence.reporting.style import label_lines, new_figure
 
 
 def panel_of(*lines):

@@ -10,11 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from vergence.eval.reporting.labels import as_float_pair
-from vergence.eval.reporting.style import figure_style, new_figure
 from vergence.files import atomic_file
 from vergence.models.parts import FloatArray
 from vergence.perception.target_finder import Photograph, tag_number
+from vergence.reporting.style import as_float_pair, figure_style, new_figure
 from vergence.vision import Detection
 from vergence.vision.targets import PlanarTarget
 

@@ -1,4 +1,4 @@
-"""Text templates of reports, and formats of numbers for reports, tables and the terminal."""
+"""Text of reports: templates, the glossary, and numbers as reports and terminals show them."""
 
 import math
 from collections.abc import Mapping
@@ -31,29 +31,15 @@ class SectionText(NamedTuple):
 
 
 def read_template(package: str, name: str = "section.jinja") -> str:
-    """Read a template from a package.
-
-    Args:
-        package: the package, such as `vergence.eval.article.gain_sweep`.
-        name: name of the file.
-    """
+    """Read a template from a package, such as `vergence.eval.article.gain_sweep`."""
     return (resources.files(package) / name).read_text(encoding="utf-8")
 
 
 def render_text(template: str, **values: Any) -> SectionText:
-    """Fill numbers into the text of a section.
+    """Fill values into a template of a section's text, and put each paragraph on one line.
 
-    Args:
-        template: a Jinja template with the blocks `what` and `found`; optional are `headline`, and
-            `caption_` followed by the name of a figure with `_` in place of `-`. Its sentences must
-            hold for all values of the numbers.
-        values: values of the template, by name.
-
-    Returns:
-        The text of the blocks, each paragraph on one line.
-
-    Raises:
-        jinja2.UndefinedError: the template names a value that is missing.
+    It has the blocks `what` and `found`, perhaps `headline`, and `caption_` followed by the name of
+    a figure with `_` in place of `-`. Its sentences must hold for all values of the numbers.
     """
     found = jinja_environment().from_string(template)
     context = found.new_context(values)
@@ -67,11 +53,7 @@ def render_text(template: str, **values: Any) -> SectionText:
 
 
 def jinja_environment(**options: Any) -> jinja2.Environment:
-    """Make a Jinja environment with filters for numbers, in which an undefined name is an error.
-
-    Args:
-        options: further options of `jinja2.Environment`.
-    """
+    """Make a Jinja environment with filters for numbers; an undefined name is an error."""
     made = jinja2.Environment(undefined=jinja2.StrictUndefined, **options)
     made.filters |= {
         "number": format_number,
@@ -97,14 +79,7 @@ def format_number(value: float | None) -> str:
 
 
 def format_fixed(value: float | None, decimals: int = 0, signed: bool = False) -> str:
-    """Format a number with a fixed number of decimals; a dash for none.
-
-    Args:
-        value: the number.
-        decimals: digits after the point.
-        signed: True to put a plus before positive numbers. A number that rounds to zero has no
-            sign.
-    """
+    """Format a number with fixed decimals, and a plus if signed and above 0; a dash for none."""
     if value is None or not math.isfinite(value):
         return NONE
     text = f"{value:z.{decimals}f}"
@@ -120,3 +95,39 @@ def format_range(low: float | None, high: float | None) -> str:
     """Format a range; one number if both ends look alike or one is missing, a dash for none."""
     ends = dict.fromkeys(map(format_number, (low, high)))
     return " to ".join(end for end in ends if end != NONE) or NONE
+
+
+GLOSSARY: Final[dict[str, str]] = {
+    "gaze": "The method of the article: both eyes hold the target at their principal points, and "
+    "the point where their optical axes cross follows from the joint angles alone.",
+    "ITPC": "The article's comparison method, integrated two-pose calibration: two-view "
+    "triangulation from the target's pixels in both images, with the pose between the cameras "
+    "computed from the joint angles of the exposure. Its formulas are not public; ours are a "
+    "reconstruction.",
+    "fix": "One triangulated point: the middle of the shortest segment between the two lines of "
+    "sight.",
+    "gap": "The length of that segment, the common perpendicular: zero where the lines meet, and "
+    "greater with every error that the two eyes do not share.",
+    "fixation": "The eyes at rest with the target at the principal point of both.",
+    "settle time": "From the moment the target appears or jumps until both eyes' true errors stay "
+    "below a threshold to the end of the trial; 1 px where no other is named. A trial whose eyes "
+    "swing has none.",
+    "swing": "The speed of an eye joint goes on spanning more than 20 degrees/s, through a whole "
+    "second, although the target rests.",
+    "overshoot": "How far the target's image moves past the principal point, as a part of the "
+    "step.",
+    "gain, k": "The law's speed: without delay the pixel error decays as exp(-k t).",
+    "lag": "The time constant with which a joint's velocity follows its command.",
+    "principal point": "Where the optical axis meets the image.",
+    "uncertainty": "The standard deviation of a fix that the detections' noise alone would cause.",
+    "twin": "A simulated head whose true geometry differs from the model that controls it by drawn "
+    "errors; a population of such heads stands for the article's one.",
+}
+"""Explanations by term, in the order of the report."""
+
+METHODS_LEGEND: Final = (
+    "gaze: where the optical axes cross, from the joint angles alone. "
+    "ITPC (integrated two-pose calibration): where the rays through the target's pixels cross, "
+    "from the joint angles of their exposure."
+)
+"""Explanation of the two methods, for below a table on a terminal."""

@@ -1,1 +1,0 @@
-"""Run folders, the report, and the common style of all figures."""

@@ -1,0 +1,1 @@
+"""Run folders, the report, the common style of all figures, and jobs on many processors."""
