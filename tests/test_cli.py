@@ -174,7 +174,7 @@ def test_a_head_file_that_cannot_be_names_key_and_value(tmp_path, capsys):
     save_head(load_head("simulated"), path)
     path.write_text(path.read_text().replace("d_m = 0.0448", "d_m = 44.8"))
     err = refused(capsys, "gaze", "--head", str(path), "--out", str(tmp_path / "run"))
-    assert "links[3].d_m" in err
+    assert "joints[3].d_m" in err
     assert "44.8" in err
 
 

@@ -12,10 +12,10 @@ from tests.commands.called import call, refused
 from tests.heads import MOVING, head_of, text_of
 from tests.naming import named
 from vergence import Noise, triangulate_gaze, triangulate_views
+from vergence.commands.assumed import assumed_values
 from vergence.eval.head_figure import compose_head
 from vergence.eval.head_summary import summarise_head
 from vergence.models import load_head, parse_head
-from vergence.models.head_file import assumed_values
 
 
 @pytest.fixture

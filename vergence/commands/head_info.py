@@ -25,8 +25,9 @@ _FIXATED_PX: Final = 1.0
 
 def print_head_description(source: str, *, as_json: bool, figure: Path | None) -> None:
     """Print the parts of a head, its reach and its depth errors."""
+    from vergence.commands.assumed import assumed_values
     from vergence.eval.head_summary import summarise_head
-    from vergence.models.head_file import assumed_values, load_head
+    from vergence.models.head_file import load_head
 
     head = load_head(source)
     summary = summarise_head(head)

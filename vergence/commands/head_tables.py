@@ -8,8 +8,8 @@ from vergence.commands.console import print_to_stderr
 from vergence.commands.tables import print_table
 
 if TYPE_CHECKING:
+    from vergence.commands.assumed import AssumedValue
     from vergence.eval.head_summary import EyeSummary, JointSummary
-    from vergence.models.head_file import AssumedValue
     from vergence.models.parts import CalibrationRecord
 
 _SIGMAS: Final = (

@@ -22,7 +22,7 @@ from vergence.hardware.config_parts import (
 )
 from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN, WATCHDOG_MOST, WATCHDOG_S
 from vergence.models.head import HeadModel
-from vergence.models.head_file import RADIANS
+from vergence.models.head_joints import RADIANS
 from vergence.models.toml_table import Rule, Table
 from vergence.vision.targets import AprilTag, parse_target
 

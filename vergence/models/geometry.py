@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import cos, sin
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -273,6 +274,19 @@ def inverse_pose(pose: FloatArray) -> FloatArray:
     out[..., :3, 3] = -np.einsum("...ij,...j->...i", out[..., :3, :3], pose[..., :3, 3])
     out[..., 3, 3] = 1.0
     return out
+
+
+def dh_pose(alpha: float, a: float, d: float, offset: float) -> FloatArray:
+    """(4, 4) `RotX(alpha) TransX(a) RotZ(offset) TransZ(d)`."""
+    ca, sa, co, so = cos(alpha), sin(alpha), cos(offset), sin(offset)
+    return np.array(
+        [
+            [co, -so, 0.0, a],
+            [ca * so, ca * co, -sa, -sa * d],
+            [sa * so, sa * co, ca, ca * d],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
 
 
 def _rot_x(angle: FloatArray) -> FloatArray:

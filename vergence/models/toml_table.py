@@ -38,6 +38,10 @@ class Table:
         name = name if name.isprintable() else repr(name)  # a message is one line
         return f"{self._path}.{name}" if self._path else name
 
+    def error(self, name: str, value: object, expected: str) -> HeadFileError:
+        """Error about the value of a key."""
+        return HeadFileError(self.key(name), value, expected)
+
     def has(self, name: str) -> bool:
         """True if a key is present; marks it as known."""
         self._asked.add(name)
@@ -68,7 +72,7 @@ class Table:
         """Consume an integer that a rule accepts."""
         value = self.take(name, rule[1])
         if not isinstance(value, int) or isinstance(value, bool) or not rule[0](value):
-            raise HeadFileError(self.key(name), value, rule[1])
+            raise self.error(name, value, rule[1])
         return value
 
     def numbers(self, name: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
@@ -86,14 +90,14 @@ class Table:
         values = self.take(name, expected)
         fits = isinstance(values, Sequence) and not isinstance(values, str)
         if not fits or (count is not None and len(values) != count):
-            raise HeadFileError(self.key(name), values, expected)
+            raise self.error(name, values, expected)
         return [Table(v, f"{self.key(name)}[{i}]") for i, v in enumerate(values)]
 
     def text(self, name: str, expected: str) -> str:
         """Consume a string that is not blank."""
         value = self.take(name, expected)
         if not isinstance(value, str) or not value.strip():
-            raise HeadFileError(self.key(name), value, expected)
+            raise self.error(name, value, expected)
         return value
 
     def choice(self, name: str, choices: Sequence[str]) -> str:
@@ -101,7 +105,7 @@ class Table:
         expected = f"one of {', '.join(choices)}"
         value = self.take(name, expected)
         if not isinstance(value, str) or value not in choices:
-            raise HeadFileError(self.key(name), value, expected)
+            raise self.error(name, value, expected)
         return value
 
     def boolean(self, name: str) -> bool:
@@ -110,7 +114,7 @@ class Table:
             return False
         value = self.take(name, "true or false")
         if not isinstance(value, bool):
-            raise HeadFileError(self.key(name), value, "true or false")
+            raise self.error(name, value, "true or false")
         return value
 
     def names(self) -> list[str]:
@@ -122,7 +126,7 @@ class Table:
         said = f"{expected!r} ({reason})" if reason else repr(expected)
         value = self.take(name, said)
         if value != expected or isinstance(value, bool):
-            raise HeadFileError(self.key(name), value, said)
+            raise self.error(name, value, said)
 
     def close(self, known: Sequence[str] = ()) -> None:
         """Refuse the keys that remain, but for those that will be consumed later."""
@@ -132,7 +136,7 @@ class Table:
                     name, {*self._asked, *known}, n=1, cutoff=_MIN_KEY_SIMILARITY
                 )
                 meant = f" (is {self.key(near[0])} meant?)" if near else ""
-                raise HeadFileError(self.key(name), value, f"no such key{meant}")
+                raise self.error(name, value, f"no such key{meant}")
 
 
 def _number(value: object, key: str, rule: Rule) -> float:

@@ -16,11 +16,15 @@ from tests.naming import named
 from vergence.errors import HeadFileError, UnknownNameError, UnreadableFileError, VergenceError
 from vergence.models import load_head, parse_head, save_head
 from vergence.models.head_file import head_to_toml
+from vergence.models.parts import LINKS
 
 
 @pytest.fixture
 def content(physical) -> dict:
     return tomllib.loads(head_to_toml(physical))
+
+
+DH = ("alpha_rad", "a_m", "d_m", "offset_rad")
 
 
 def parse(content: dict):
@@ -112,13 +116,13 @@ class TestFiles:
 
     @pytest.mark.parametrize("value", ["-3.0", hex(16**5000)])
     def test_a_key_at_fault_comes_with_the_file(self, content, tmp_path, value):
-        content["limits"]["velocity_rad_s"][2] = 123454321
+        content["joints"][2]["velocity_rad_s"] = 123454321
         path = tmp_path / "my.toml"
         path.write_text(tomli_w.dumps(content).replace("123454321", value))
         with pytest.raises(HeadFileError) as caught:
             load_head(path)
-        assert str(caught.value).startswith(f"{path}: limits.velocity_rad_s[2]: expected rad/s")
-        assert caught.value.key == "limits.velocity_rad_s[2]"
+        assert str(caught.value).startswith(f"{path}: joints[2].velocity_rad_s: expected rad/s")
+        assert caught.value.key == "joints[2].velocity_rad_s"
         assert caught.value.file == str(path)
         again = pickle.loads(pickle.dumps(caught.value))
         assert str(again) == str(caught.value)
@@ -147,7 +151,7 @@ class TestNames:
 
 
 def test_an_unknown_key_is_named(content):
-    for key in ["colour", "timing.colour", "links[2].colour", "sensor.colour"]:
+    for key in ["colour", "timing.colour", "joints[2].colour", "sensor.colour"]:
         with named(key):
             with pytest.raises(HeadFileError, match="expected no such key, got 1") as caught:
                 parse(changed(content, key, 1))
@@ -156,8 +160,8 @@ def test_an_unknown_key_is_named(content):
 
 def test_a_missing_key_is_named(content):
     for key in (
-        "name", "links", "image.width_px", "links[0].alpha_rad", "eyes[1].focal_px",
-        "limits.velocity_rad_s", "timing.lag_s", "timing.latency_s", "sensor.detection_noise_px",
+        "name", "eyes", "image.width_px", "joints[0].a_m", "eyes[1].focal_px",
+        "joints[1].velocity_rad_s", "timing.lag_s", "timing.latency_s", "sensor.detection_noise_px",
         "rendering.blur_px",
     ):  # fmt: skip
         with named(key):
@@ -168,10 +172,10 @@ def test_a_missing_key_is_named(content):
 
 def test_wrong_units_are_refused_by_key_and_value(content):
     for key, value, unit in [
-        ("links[1].d_m", 64.27, "millimetres"), ("links[3].a_m", 13.8, "millimetres"),
-        ("eyes[0].head_eye_translation_m[2]", -5.0, "millimetres"),
-        ("links[1].alpha_rad", 90.0, "degrees"), ("links[4].offset_rad", -90.0, "degrees"),
-        ("limits.upper_rad[0]", 60.0, "degrees"), ("limits.velocity_rad_s[3]", 343.8, "degrees"),
+        ("joints[1].d_m", 64.27, "millimetres"), ("joints[3].a_m", 13.8, "millimetres"),
+        ("eyes[0].position_m[2]", -5.0, "millimetres"),
+        ("joints[1].alpha_rad", 90.0, "degrees"), ("joints[4].offset_rad", -90.0, "degrees"),
+        ("joints[0].upper_rad", 60.0, "degrees"), ("joints[3].velocity_rad_s", 343.8, "degrees"),
         ("sensor.encoder_resolution_rad", 0.5, "degrees"),
         ("timing.exposure_s", 4.0, "milliseconds"), ("timing.lag_s", 30, "milliseconds"),
         ("timing.latency_s", 66.7, "milliseconds"),
@@ -187,10 +191,10 @@ def test_a_value_that_cannot_be_right_is_refused_by_key(content):
     for key, value in [
         ("name", ""), ("image.width_px", 640.5), ("timing.lag_s", float("nan")),
         ("timing.lag_s", "fast"), ("timing.lag_s", True), ("timing.frame_rate_hz", 0.0),
-        ("timing.exposure_s", 0.02), ("timing.latency_s", -0.01), ("limits.velocity_rad_s[2]", 0.0),
-        ("links[1].joint", "neck_pitch"), ("links[1].parent", 0), ("links", []),
+        ("timing.exposure_s", 0.02), ("timing.latency_s", -0.01), ("joints[2].velocity_rad_s", 0.0),
+        ("joints[1].part", "eye"), ("joints[1].name", "neck_yaw"), ("eyes", []),
         ("eyes[0].principal_px", [700.0, 200.0]), ("eyes[0].focal_px", [521.0]),
-        ("eyes[1].name", "left"), ("eyes[0].head_eye_rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+        ("eyes[1].name", "left"), ("eyes[0].rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
         ("timing.exposure_stamps", 1), ("timing.command_latency_s", 11.0),
         ("timing.feedback_latency_s", -0.01), ("sensor.encoder_side", "left"),
         ("sensor.command_resolution_rad_s", -1.0), ("sensor.backlash_rad", 1.0),
@@ -217,6 +221,52 @@ def test_crossed_limits_are_refused_by_joint(simulated):
     crossed = simulated.replace(limits={"lower": simulated.limits.upper})
     with pytest.raises(HeadFileError, match=r"limits of neck_yaw.*lower_rad below upper_rad"):
         parse_head(head_to_toml(crossed))
+
+
+class TestNumberedLinks:
+    """The older form of the article's head: nine links, and limits with seven numbers a key."""
+
+    @pytest.fixture
+    def older(self, content):
+        rows = [
+            {key: table.pop(key) for key in DH} for table in [*content["joints"], *content["eyes"]]
+        ]
+        order = [*range(5), 7, 5, 6, 8]
+        content["links"] = [
+            {"frame": frame, "parent": parent, "joint": joint} | rows[i]
+            for (frame, parent, joint), i in zip(LINKS, order, strict=True)
+        ]
+        keys = ("lower_rad", "upper_rad", "velocity_rad_s", "acceleration_rad_s2")
+        content["limits"] = {key: [joint[key] for joint in content["joints"]] for key in keys}
+        del content["joints"]
+        for eye in content["eyes"]:
+            eye["head_eye_rotation"] = eye.pop("rotation")
+            eye["head_eye_translation_m"] = eye.pop("position_m")
+        return content
+
+    def test_is_read_as_the_same_head(self, older, physical):
+        assert parse(older) == physical
+
+    def test_is_refused_by_its_own_keys(self, older):
+        for key, value in [
+            ("links[2].colour", 1), ("links[0].alpha_rad", 90.0), ("links[1].joint", "neck_pitch"),
+            ("links[1].parent", 0), ("links", []), ("limits.velocity_rad_s[2]", 0.0),
+            ("eyes[0].head_eye_translation_m[2]", -5.0),
+        ]:  # fmt: skip
+            with named(key, value):
+                with pytest.raises(HeadFileError, match=f"{re.escape(key)}.*: expected") as caught:
+                    parse(changed(older, key, value))
+                assert caught.value.key == key
+
+
+def test_eyes_given_by_dh_numbers_need_the_articles_joints_given_so(content):
+    for key, value in [("joints[3].name", "tilt"), ("eyes[0].alpha_rad", ...)]:
+        fresh = changed(content, key, value)
+        if value is ...:
+            for other in DH[1:]:
+                del fresh["eyes"][0][other]
+        with named(key), pytest.raises(HeadFileError, match="D-H numbers of the joints neck_yaw"):
+            parse(fresh)
 
 
 class TestLatency:

@@ -23,6 +23,10 @@ _REPLACED_ASSUMPTIONS: Final = (
     "joints.origin_m",
     "joints.rpy_rad",
     "joints.axis",
+    "joints.alpha_rad",
+    "joints.a_m",
+    "joints.d_m",
+    "joints.offset_rad",
     "frame",
 )
 """Prefixes of the keys of assumptions that a calibration replaces by estimates."""

@@ -5,6 +5,7 @@ from itertools import starmap
 from pathlib import Path
 from typing import Final, TypeVar
 
+from vergence.commands.assumed import AssumedValue, assumed_values, label_without_unit
 from vergence.commands.head_tables import (
     print_assumptions,
     print_cameras,
@@ -20,7 +21,6 @@ from vergence.eval.head_summary import (
     joint_summaries,
 )
 from vergence.models.head import HeadModel
-from vergence.models.head_file import AssumedValue, assumed_values, label_without_unit
 from vergence.models.urdf.import_urdf import ImportedHead
 
 _T = TypeVar("_T")

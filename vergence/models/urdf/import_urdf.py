@@ -13,13 +13,8 @@ import numpy as np
 
 from vergence.errors import ConfigurationError, HeadFileError
 from vergence.models.head import HeadModel
-from vergence.models.head_file import (
-    LENGTH,
-    NAME,
-    check_head_name,
-    frame_between_cameras,
-    head_of_document,
-)
+from vergence.models.head_file import NAME, check_head_name, head_of_document
+from vergence.models.head_joints import LENGTH, frame_between_cameras
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.stereo_files import (
     CalibratedCameras,

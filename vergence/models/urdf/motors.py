@@ -7,7 +7,7 @@ from typing import Final, Literal
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.models.head_file import ACCELERATION, RADIANS, SPEED
+from vergence.models.head_joints import ACCELERATION, RADIANS, SPEED
 from vergence.models.parts import FloatArray
 from vergence.models.urdf.chains import ValueByJoint, parse_per_joint
 from vergence.models.urdf.mechanism import Joint, MimicJoint
