@@ -104,7 +104,7 @@ def test_joints_that_both_eyes_stand_on_after_the_neck_are_theirs(head_of):
     ]
     text = urdf(NECK, joint("eyes_tilt", "head", "tilted", xyz="0.04 0 0.1", axis="0 1 0"), *pans)
     imported = head_of(text, neck=TURNS)
-    assert imported.chains.moved_part_of_joint["eyes_tilt"] == "both"
+    assert imported.chains.joints["eyes_tilt"].part == "both"
     assert imported.head.joints[3:] == ("eyes_tilt", "left_pan", "eyes_tilt", "right_pan")
     assert imported.head.actuation.count == 3
     assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base")
