@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.models.files.robot_description.descriptions import (
+from tests.models.urdf.descriptions import (
     NECK,
     OPTICAL,
     UrdfKinematics,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-SHARED = Path(__file__).resolve().parents[5] / "shared" / "data" / "heads"
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "data" / "heads"
 
 
 def real_robot(name: str) -> Path:
