@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
 from math import radians, tan
@@ -146,7 +146,8 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
             baseline_m=float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3])),
         )
     images, unsaid = _images([mechanism.frames[frame].camera for frame in frames], source)
-    sizes = [image.size_fields() for image in (images.left, images.right)]
+    intrinsics = (images.left, images.right)
+    sizes = [image.size_fields() for image in intrinsics]
     one_size = sizes[0] == sizes[1]
     if one_size:
         size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
@@ -162,9 +163,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         ],
         "eyes": [
             {"name": eye, **({} if one_size else image.size_fields()), **image.fields(), **mount}
-            for eye, image, mount in zip(
-                EYE_NAMES, (images.left, images.right), mounts, strict=True
-            )
+            for eye, image, mount in zip(EYE_NAMES, intrinsics, mounts, strict=True)
         ],
         **actuator_fields(motors),
         "assumptions": {**unsaid, **LOOP_REASONS, **_of_motors(assumed, motors)},
@@ -280,7 +279,10 @@ def _check_camera_axes(
     if not wrong:
         return
     name, why = wrong[0]
-    fitting = [min(_RIGHT_HANDED, key=_misfit(eye, across, up)) for eye in eyes]
+    fitting = [
+        min(_RIGHT_HANDED, key=lambda axes: _misfit(eye, _ROTATIONS[axes], across, up))
+        for eye in eyes
+    ]
     exchanged = (
         "; or the left and the right camera are exchanged"
         if all(eye.rotation[:, 0] @ across < -_ALIGNED_COSINE for eye in eyes)
@@ -317,15 +319,11 @@ def _angle(cosine: float) -> str:
     return f"{np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees"
 
 
-def _misfit(eye: _Eye, across: FloatArray, up: FloatArray) -> Callable[[str], float]:
-    """Measure of how badly axes `right,down,forward` of the frame fit."""
-
-    def misfit(axes: str) -> float:
-        right, down, forward = (eye.rotation @ _ROTATIONS[axes]).T
-        rolled = max((abs(float(forward @ axis)) for axis in eye.joint_axes), default=0.0)
-        return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
-
-    return misfit
+def _misfit(eye: _Eye, rotation: FloatArray, across: FloatArray, up: FloatArray) -> float:
+    """Measure of how badly a rotation of the camera in its frame fits."""
+    right, down, forward = (eye.rotation @ rotation).T
+    rolled = max((abs(float(forward @ axis)) for axis in eye.joint_axes), default=0.0)
+    return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
 
 
 _ASSUMED_SIZE_PX: Final = (640, 480)
@@ -358,10 +356,10 @@ def _images(
     for option, given in (("size", source.size), ("lens", source.lens)):
         if given is not None:
             raise ConfigurationError(f"{option}: expected --intrinsics beside it, got none")
-    (left, left_assumed), (right, right_assumed) = map(_image, cameras)
-    reasons = {"left": left_assumed, "right": right_assumed}
-    assumed = {f"eyes.{eye}.{key}": why for eye in reasons for key, why in reasons[eye].items()}
-    return CalibratedCameras(left=left, right=right), assumed
+    images, reasons = zip(*map(_image, cameras), strict=True)
+    by_eye = zip(EYE_NAMES, reasons, strict=True)
+    assumed = {f"eyes.{eye}.{key}": why for eye, found in by_eye for key, why in found.items()}
+    return CalibratedCameras(left=images[0], right=images[1]), assumed
 
 
 def _image(camera: MjcfCamera | None) -> tuple[Intrinsics, dict[str, str]]:
@@ -402,11 +400,7 @@ def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[st
         if not movers:
             found[key] = why
     for motor in moved:
-        if motor.assumption_reason:
-            found |= {
-                f"actuators.{motor.name}.{end}": motor.assumption_reason
-                for end in motor.assumed_keys
-            }
+        found |= {f"actuators.{motor.name}.{key}": why for key, why in motor.assumed.items()}
     return found
 
 

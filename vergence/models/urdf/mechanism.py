@@ -15,7 +15,6 @@ from vergence.errors import ConfigurationError, HeadFileError, UnquotedText, Unr
 from vergence.models.mujoco import mujoco
 from vergence.models.parts import FloatArray
 
-JointKind = Literal["hinge", "slide", "ball", "free", "planar", "floating"]
 FrameKind = Literal["body", "site", "camera"]
 
 
@@ -24,7 +23,7 @@ class Joint:
     """A joint that moves a frame relative to its parent; angles in radians, slides in metres."""
 
     name: str  # derived from its frame if the file gives none
-    kind: JointKind  # URDF's planar and floating, too
+    kind: str  # hinge, slide, ball, free; of a URDF planar and floating, too
     anchor: FloatArray  # (3,) point on the axis, in the moving frame
     axis: FloatArray  # (3,) unit vector in the moving frame
     reference: float = 0.0  # joint value at which the frame is at `Frame.pose`
@@ -224,37 +223,38 @@ def _check_urdf_names(path: str, root: ET.Element) -> None:
 class _UrdfJoints(NamedTuple):
     """Values of a URDF's joints that MuJoCo's parser drops or changes."""
 
-    limits: dict[str, tuple[float, float, float]]  # lower, upper, speed; nan if there is none
+    limits: dict[str, dict[str, Any]]  # fields of `Joint`, by joint
     mimic_joints: dict[str, MimicJoint]
-    kinds: dict[str, tuple[str, JointKind]]  # name and kind of planar and floating ones, by child
+    kinds: dict[str, tuple[str, str]]  # name and kind of planar and floating ones, by child
     faults: dict[str, str]  # why no path to a camera may pass a link, by link
 
 
 def _urdf_joints(root: ET.Element) -> _UrdfJoints:
     found = _UrdfJoints({}, {}, {}, {})
     for joint in root.findall("joint"):
-        name, child, mimic = joint.get("name", ""), joint.find("child"), joint.find("mimic")
-        link = "" if child is None else child.get("link", "")
-        kind = joint.get("type")
-        if kind == "planar":
-            found.kinds[link] = name, "planar"
-        elif kind == "floating":
-            found.kinds[link] = name, "floating"
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        child, mimic, limit = (_attributes(joint, tag) for tag in ("child", "mimic", "limit"))
+        link = child.get("link", "")
+        if kind in ("planar", "floating"):
+            found.kinds[link] = name, kind
         if fault := _fault(joint):
             found.faults[link] = f"joint {name}: {fault}"
-        if mimic is not None:
-            factor, offset = _number(mimic.get("multiplier", "1")), mimic.get("offset", "0")
-            found.mimic_joints[name] = MimicJoint(
-                name, mimic.get("joint", ""), factor, _number(offset)
-            )
-        limit = joint.find("limit")
-        values = {} if limit is None else limit.attrib
-        lower = upper = np.nan
-        if kind != "continuous" and ("lower" in values or "upper" in values):
-            # a missing one of the two is 0
-            lower, upper = (_number(values.get(end, "0")) for end in ("lower", "upper"))
-        found.limits[name] = (lower, upper, _number(values.get("velocity")))
+        if joint.find("mimic") is not None:
+            factor, offset = (_number(mimic.get(*key)) for key in _MIMIC_NUMBERS)
+            found.mimic_joints[name] = MimicJoint(name, mimic.get("joint", ""), factor, offset)
+        given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
+        lower, upper = (limit.get(end, "0") if given else None for end in ("lower", "upper"))
+        found.limits[name] = {
+            "lower": _number(lower),
+            "upper": _number(upper),
+            "velocity": _number(limit.get("velocity")),
+        }
     return found
+
+
+def _attributes(joint: ET.Element, tag: str) -> Mapping[str, str]:
+    element = joint.find(tag)
+    return {} if element is None else element.attrib
 
 
 def _number(text: str | None) -> float:
@@ -264,25 +264,22 @@ def _number(text: str | None) -> float:
         return np.nan
 
 
+_LIMITS: Final = ("lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk")
+_MIMIC_NUMBERS: Final = (("multiplier", "1"), ("offset", "0"))
 _ATTRIBUTES: Final[dict[str, dict[str, int]]] = {
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},
-    "limit": dict.fromkeys(
-        ("lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"), 1
-    ),
+    "limit": dict.fromkeys(_LIMITS, 1),
     "mimic": {"joint": 0, "multiplier": 1, "offset": 1},
     "parent": {"link": 0},
     "child": {"link": 0},
 }
 """Count of numbers in each attribute of the elements that place and limit a joint; 0 for a name."""
-
 _POSES: Final = (
     "pose", "position", "transform", "offset", "translation", "rotation", "orientation",
     "quaternion",
 )  # fmt: skip
 _OTHER_ELEMENTS: Final = ("dynamics", "safety_controller", "calibration")
-
-
 _MAX_ORIGIN_ANGLE_RAD: Final = 6.29
 """Largest angle of an origin, rad: 2 pi, rounded up; larger angles are taken for degrees
 (chosen: accepts a rounded full turn)."""
@@ -317,8 +314,7 @@ def _fault(joint: ET.Element) -> str:
             bad = np.isnan(numbers) if tag == "limit" else ~np.isfinite(numbers)
             if count and (len(numbers) != count or bad.any()):
                 return f"expected {count} numbers in {attribute} of <{tag}>, got {value!r:.80}"
-    origin = joint.find("origin")
-    angles = "" if origin is None else origin.get("rpy", "")
+    angles = _attributes(joint, "origin").get("rpy", "")
     if any(abs(_number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
         return (
             "expected an origin with rpy in radians within one turn, got "
@@ -333,12 +329,6 @@ def _meant(name: str, known: Sequence[str]) -> str:
     return near[0] if near and near[0] != name else ""
 
 
-_KINDS: Final[dict[Any, JointKind]] = {
-    mujoco.mjtJoint.mjJNT_HINGE: "hinge",
-    mujoco.mjtJoint.mjJNT_SLIDE: "slide",
-    mujoco.mjtJoint.mjJNT_BALL: "ball",
-    mujoco.mjtJoint.mjJNT_FREE: "free",
-}
 _LOOPS: Final = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
@@ -375,9 +365,7 @@ def _of_urdf(spec: Any, root: ET.Element) -> Mechanism:
 def _of_mjcf(spec: Any) -> Mechanism:
     tendons = {tendon.name: _coefficients(tendon) for tendon in spec.tendons}
     active = [equality for equality in spec.equalities if equality.active]
-    references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
-    mimic_joints = _tied_joints(active, references)
-    tied = _tie_by_tendons(active, references, tendons, mimic_joints)
+    mimic_joints, tied = _ties(spec, active, tendons)
     untied = [(name, joints) for name, joints in tendons.items() if name not in tied]
     loops = [equality for equality in active if equality.type in _LOOPS]
     return Mechanism(
@@ -391,27 +379,6 @@ def _of_mjcf(spec: Any) -> Mechanism:
     )
 
 
-def _tied_joints(
-    equalities: Sequence[Any], references: Mapping[str, float]
-) -> dict[str, MimicJoint]:
-    """Couplings by equalities of joints, `y - y0 = a0 + a1 (x - x0)`; y0, x0: references."""
-    mimic_joints = {}
-    for equality in equalities:
-        if equality.type != mujoco.mjtEq.mjEQ_JOINT:
-            continue
-        offset, factor, *higher = (float(value) for value in equality.data[:5])
-        follower, master = equality.name1, equality.name2
-        offset += references.get(follower, 0.0)
-        if not master:
-            factor = 0.0
-        elif any(higher):
-            factor = np.nan
-        else:
-            offset -= factor * references.get(master, 0.0)
-        mimic_joints[follower] = MimicJoint(follower, master, factor, offset)
-    return mimic_joints
-
-
 def _coefficients(tendon: Any) -> dict[str, float]:
     """Coefficient by joint of a fixed tendon; empty for a spatial one."""
     wraps = [wrap for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT]
@@ -420,113 +387,90 @@ def _coefficients(tendon: Any) -> dict[str, float]:
     return {wrap.target.name: float(wrap.coef) for wrap in wraps}
 
 
-def _tie_by_tendons(
-    equalities: Sequence[Any],
-    references: Mapping[str, float],
-    tendons: Mapping[str, Mapping[str, float]],
-    mimic_joints: dict[str, MimicJoint],
-) -> set[str]:
-    """Add the couplings by equalities of fixed tendons, and return these tendons' names.
+def _ties(
+    spec: Any, equalities: Sequence[Any], tendons: Mapping[str, Mapping[str, float]]
+) -> tuple[dict[str, MimicJoint], set[str]]:
+    """Couplings by equalities of joints and of fixed tendons, and these tendons' names.
 
-    For the tendons' changes x, y from the references: `y = a0 + a1 x`, or `y = a0` for one alone.
+    For the changes x, y of two from the references: `y = a0 + a1 x`, or `y = a0` for one alone.
     """
-    tied = set()
-    for equality in equalities:
+    references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
+    found: dict[str, MimicJoint] = {}
+    tied: set[str] = set()
+    kinds = (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON)
+    for equality in (each for kind in kinds for each in equalities if each.type == kind):
         names = [name for name in (equality.name1, equality.name2) if name]
-        is_tendon = equality.type == mujoco.mjtEq.mjEQ_TENDON
-        if not is_tendon or not all(tendons.get(name) for name in names):
+        is_joint = equality.type == mujoco.mjtEq.mjEQ_JOINT
+        sums = [{name: 1.0} if is_joint else tendons.get(name, {}) for name in names]
+        if not all(sums):
             continue
-        tied.update(names)
         offset, factor, *higher = (float(value) for value in equality.data[:5])
-        terms = dict(tendons[names[0]])
-        for joint, coefficient in tendons[names[1]].items() if len(names) > 1 else ():
+        terms = dict(sums[0])
+        for joint, coefficient in sums[1].items() if len(sums) > 1 else ():
             terms[joint] = terms.get(joint, 0.0) - factor * coefficient
-        terms = {joint: coefficient for joint, coefficient in terms.items() if coefficient}
-        free = [joint for joint in terms if joint not in mimic_joints]
-        if not free:
-            continue
-        follower = free[-1]
+        follower = names[0]
+        if not is_joint:
+            tied.update(names)
+            terms = {joint: coefficient for joint, coefficient in terms.items() if coefficient}
+            free = [joint for joint in terms if joint not in found]
+            if not free:
+                continue
+            follower = free[-1]
         scale = terms.pop(follower)
-        offset = offset / scale + references[follower]
-        offset += sum(c / scale * references[joint] for joint, c in terms.items())
+        offset = offset / scale + references.get(follower, 0.0)
+        offset += sum(c / scale * references.get(joint, 0.0) for joint, c in terms.items())
         factors = [-coefficient / scale for coefficient in terms.values()] or [0.0]
         straight = len(factors) == 1 and not (any(higher) and len(names) > 1)
-        mimic_joints[follower] = MimicJoint(
-            follower, " and ".join(terms), factors[0] if straight else np.nan, offset
-        )
-    return tied
+        multiplier = factors[0] if straight else np.nan
+        found[follower] = MimicJoint(follower, " and ".join(terms), multiplier, offset)
+    return found, tied
 
 
 def _frames(spec: Any, world: str, urdf: _UrdfJoints) -> tuple[Frame, ...]:
     frames: list[Frame] = []
+
+    def add(kind: FrameKind, element: Any, parent: int, **more: Any) -> None:
+        fields = {"name": element.name, "pose": _placed(spec, element), **more}
+        frames.append(Frame(kind=kind, parent=parent, **fields))
+
     speeds = _servo_speeds(spec)
     bodies = [(spec.worldbody, -1)]
     for body, parent in bodies:  # grows by the children of each
         index = len(frames)
         name = body.name if index else world
-        joints = tuple(
-            _joint(spec, joint, f"{name}#{i}", urdf.limits, speeds)
-            for i, joint in enumerate(body.joints)
-        )
+        joints = [_joint(spec, each, f"{name}#{i}", speeds) for i, each in enumerate(body.joints)]
+        joints = [replace(joint, **urdf.limits.get(joint.name, {})) for joint in joints]
         if name in urdf.kinds:  # MuJoCo splits a planar joint into three
             whole, kind = urdf.kinds[name]
-            joints = tuple(replace(joint, name=whole, kind=kind) for joint in joints[:1])
-        frames.append(
-            Frame(
-                name=name,
-                kind="body",
-                parent=parent,
-                pose=_placed(spec, body),
-                joints=joints,
-                fault=urdf.faults.get(name, ""),
-            )
-        )
-        frames += [
-            Frame(name=site.name, kind="site", parent=index, pose=_placed(spec, site))
-            for site in body.sites
-        ]
+            joints = [replace(joint, name=whole, kind=kind) for joint in joints[:1]]
+        fault = urdf.faults.get(name, "")
+        add("body", body, parent, name=name, joints=tuple(joints), fault=fault)
+        for site in body.sites:
+            add("site", site, index)
         for camera in body.cameras:
-            pose, image = _placed(spec, camera), _camera(camera)
-            frames.append(
-                Frame(name=camera.name, kind="camera", parent=index, pose=pose, camera=image)
-            )
+            add("camera", camera, index, camera=_camera(camera))
         bodies += [(child, index) for child in body.bodies]
     return tuple(frames)
 
 
-def _joint(
-    spec: Any,
-    joint: Any,
-    unnamed: str,
-    limits: Mapping[str, tuple[float, float, float]],
-    speeds: Mapping[str, float],
-) -> Joint:
+def _joint(spec: Any, joint: Any, unnamed: str, speeds: Mapping[str, float]) -> Joint:
     around = _frames_around(spec, joint)
     axis = around[:3, :3] @ np.array(joint.axis, dtype=np.float64)
     length = float(np.linalg.norm(axis))
     unit = _unit(joint)
+    lower, upper = (float(value) * unit for value in joint.range)
+    auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO and spec.compiler.autolimits
+    limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE or (auto and lower != upper)
     name = joint.name or unnamed
-    if name in limits:
-        lower, upper, velocity = limits[name]
-    else:
-        lower, upper = (float(value) * unit for value in joint.range)
-        limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE or (
-            joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO
-            and spec.compiler.autolimits
-            and lower != upper
-        )
-        if not limited:
-            lower = upper = np.nan
-        velocity = speeds.get(name, np.nan)
     return Joint(
         name=name,
-        kind=_KINDS[joint.type],
+        kind=joint.type.name.removeprefix("mjJNT_").lower(),
         anchor=(around @ np.append(joint.pos, 1.0))[:3],
         axis=axis / length if length > 0.0 else np.full(3, np.nan),
         reference=float(joint.ref) * unit,
-        lower=lower,
-        upper=upper,
-        velocity=velocity,
+        lower=lower if limited else np.nan,
+        upper=upper if limited else np.nan,
+        velocity=speeds.get(name, np.nan),
     )
 
 
@@ -536,24 +480,24 @@ def _unit(joint: Any) -> float:
     return np.pi / 180.0 if hinge and joint.compiler.degree else 1.0
 
 
+_VELOCITY_SERVO: Final = (
+    mujoco.mjtTrn.mjTRN_JOINT,
+    mujoco.mjtGain.mjGAIN_FIXED,
+    mujoco.mjtBias.mjBIAS_AFFINE,
+    mujoco.mjtDyn.mjDYN_NONE,
+)
+
+
 def _servo_speeds(spec: Any) -> dict[str, float]:
     """Speed limits by joint, from the control ranges of an MJCF's velocity servos, rad/s."""
     speeds = {}
     for servo in spec.actuators:
-        gain, bias = servo.gainprm, servo.biasprm
-        if (
-            servo.trntype == mujoco.mjtTrn.mjTRN_JOINT
-            and servo.gaintype == mujoco.mjtGain.mjGAIN_FIXED
-            and servo.biastype == mujoco.mjtBias.mjBIAS_AFFINE
-            and servo.dyntype == mujoco.mjtDyn.mjDYN_NONE
-            and bias[0] == bias[1] == 0.0
-            and gain[0] == -bias[2] > 0.0
-            and servo.gear[0] != 0.0
-            and servo.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE
-            and servo.ctrlrange[0] < servo.ctrlrange[1]
-        ):
-            speed = min(abs(float(value)) for value in servo.ctrlrange) / abs(float(servo.gear[0]))
-            speeds[servo.target] = speed
+        kinds = servo.trntype, servo.gaintype, servo.biastype, servo.dyntype
+        gain, bias, gear = servo.gainprm[0], servo.biasprm, abs(float(servo.gear[0]))
+        is_servo = kinds == _VELOCITY_SERVO and bias[0] == bias[1] == 0.0 < gain == -bias[2]
+        limited = servo.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE
+        if is_servo and gear and limited and servo.ctrlrange[0] < servo.ctrlrange[1]:
+            speeds[servo.target] = min(abs(float(end)) for end in servo.ctrlrange) / gear
     return speeds
 
 
@@ -576,28 +520,21 @@ def _frames_around(spec: Any, element: Any) -> FloatArray:
 def _pose(spec: Any, element: Any) -> FloatArray:
     quat = np.array(element.quat, dtype=np.float64)
     if element.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        compiler = element.compiler
         quat = np.array(
             spec.resolve_orientation(
-                degree=element.compiler.degree,
-                sequence=element.compiler.eulerseq,
-                orientation=element.alt,
+                degree=compiler.degree, sequence=compiler.eulerseq, orientation=element.alt
             )
         )
+    w, x, y, z = quat / np.linalg.norm(quat)
     pose = np.eye(4)
-    pose[:3, :3] = _rotation(quat)
+    pose[:3, :3] = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
     pose[:3, 3] = element.pos
     return pose
-
-
-def _rotation(quat: FloatArray) -> FloatArray:
-    w, x, y, z = quat / np.linalg.norm(quat)
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
 
 
 def _decimals(values: Any) -> FloatArray:
@@ -612,19 +549,15 @@ def _camera(camera: Any) -> MjcfCamera:
         fault = "turns by itself after something (its mode is not fixed)"
     elif camera.proj != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
         fault = "has a projection that is not perspective"
-    fovy = float(camera.fovy)
-    size = np.array(camera.resolution, dtype=np.float64)
-    if size.max() <= 1.0:
-        return MjcfCamera(None, None, None, fovy, fault)
-    pixels = int(size[0]), int(size[1])
+    size, sensor = np.array(camera.resolution, dtype=np.float64), _decimals(camera.sensor_size)
+    pixels = None if size.max() <= 1.0 else (int(size[0]), int(size[1]))
     focal, offset = _decimals(camera.focal_pixel), _decimals(camera.principal_pixel)
-    sensor = _decimals(camera.sensor_size)
     if sensor.min() > 0.0:
         if not focal.any():
             focal = _decimals(camera.focal_length) / sensor * size
         if not offset.any():
             offset = _decimals(camera.principal_length) / sensor * size
-    if not (sensor.min() > 0.0 and focal.min() > 0.0):
-        return MjcfCamera(pixels, None, None, fovy, fault)
+    if pixels is None or not (sensor.min() > 0.0 and focal.min() > 0.0):
+        return MjcfCamera(pixels, None, None, float(camera.fovy), fault)
     # MuJoCo's offset points from the image centre left and up; its pixel edges are at integers
-    return MjcfCamera(pixels, focal, size / 2.0 - offset - 0.5, fovy, fault)
+    return MjcfCamera(pixels, focal, size / 2.0 - offset - 0.5, float(camera.fovy), fault)

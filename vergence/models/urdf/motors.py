@@ -15,6 +15,7 @@ from vergence.models.urdf.mechanism import Joint, MimicJoint, known_names_hint
 Coupling = Literal["common-tilt", "version-vergence"]
 """Coupling of both eyes: one motor for both tilts, or motors for version and for vergence."""
 
+_RANGE: Final = ("lower_rad", "upper_rad")
 _NEAREST_FIXATION_M: Final = 0.25
 """Nearest point straight ahead that both eyes must be able to fixate (chosen: near objects
 against the range of version)."""
@@ -52,8 +53,7 @@ class EyeMotor:
     joint_factors: Mapping[str, float]
     joint_offsets: Mapping[str, float]  # rad, where not 0
     limits: MotionLimits
-    assumption_reason: str = ""  # empty if no limit is assumed
-    assumed_keys: Sequence[str] = ("lower_rad", "upper_rad")  # keys of the head file it is for
+    assumed: Mapping[str, str]  # reason of an assumed limit by key of the head file
 
 
 class _EyeJoint(NamedTuple):
@@ -115,6 +115,7 @@ def _free(name: str, mimic_joints: Sequence[MimicJoint], joints: _EyeJoints) -> 
         joint_factors={name: 1.0} | {mimic.joint: mimic.multiplier for mimic in mine},
         joint_offsets={mimic.joint: mimic.offset for mimic in mine if mimic.offset},
         limits=allowed,
+        assumed={},
     )
 
 
@@ -154,7 +155,7 @@ def _common_tilt(left: EyeMotor, right: EyeMotor, joints: _EyeJoints) -> EyeMoto
         joint_factors={left.name: 1.0, right.name: factor},
         joint_offsets={},
         limits=allowed,
-        assumption_reason="what both tilts may do; --actuators common-tilt ties them",
+        assumed=dict.fromkeys(_RANGE, "what both tilts may do; --actuators common-tilt ties them"),
     )
 
 
@@ -177,12 +178,14 @@ def _version_vergence(
             f"{_NEAREST_FIXATION_M} m, got {left.name} and {right.name} with too little range"
         )
     _, _, velocity, acceleration = l.intersection(r)
+    why = (
+        "the largest ranges within those of both pans, chosen so that version and vergence at "
+        "full speed together keep to the pans' limits"
+    )
+    half = [0.5 * signs[0], -0.5 * signs[1]]
     motors = {
         "version": (signs, MotionLimits(low, high, velocity / 2.0, acceleration / 2.0)),
-        "vergence": (
-            [0.5 * signs[0], -0.5 * signs[1]],
-            MotionLimits(0.0, float(vergence), velocity, acceleration),
-        ),
+        "vergence": (half, MotionLimits(0.0, float(vergence), velocity, acceleration)),
     }
     return [
         EyeMotor(
@@ -190,9 +193,7 @@ def _version_vergence(
             joint_factors=dict(zip((left.name, right.name), factors, strict=True)),
             joint_offsets={},
             limits=limits,
-            assumption_reason="the largest ranges within those of both pans, chosen so that "
-            "version and vergence at full speed together keep to the pans' limits",
-            assumed_keys=("lower_rad", "upper_rad", "velocity_rad_s"),
+            assumed=dict.fromkeys((*_RANGE, "velocity_rad_s"), why),
         )
         for name, (factors, limits) in motors.items()
     ]
@@ -234,7 +235,7 @@ def joint_motion_limits(
         name, velocity = joint.name, joint.velocity
         lower, upper, why = _angles(joint)
         if why:
-            assumed |= dict.fromkeys((f"joints.{name}.lower_rad", f"joints.{name}.upper_rad"), why)
+            assumed |= {f"joints.{name}.{key}": why for key in _RANGE}
         given = accelerations.get(name, accelerations.get(""))
         if given is None:
             given = _ASSUMED_ACCELERATION
