@@ -5,7 +5,7 @@ import re
 import pytest
 
 from tests.commands.called import run
-from tests.models.files.robot_description.descriptions import NECK, eye, urdf
+from tests.models.urdf.descriptions import NECK, eye, urdf
 from vergence.models.head_file import load_head
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.models.files.robot_description.descriptions import UrdfKinematics, real_robot
+from tests.models.urdf.descriptions import UrdfKinematics, real_robot
 from tests.naming import named
 from vergence.models import load_head
 from vergence.models.head_file import head_to_toml, parse_head

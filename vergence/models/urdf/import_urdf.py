@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import permutations, product
 from math import radians, tan
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -16,216 +16,22 @@ from vergence.models.head import HeadModel
 from vergence.models.head_file import NAME, check_head_name, head_of_document
 from vergence.models.head_joints import LENGTH, frame_between_cameras
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.models.stereo_files import (
-    CalibratedCameras,
-    Intrinsics,
-    Lens,
-    read_intrinsics,
-)
+from vergence.models.stereo_files import CalibratedCameras, Intrinsics, Lens, read_intrinsics
 from vergence.models.toml_table import toml_text
-from vergence.models.urdf.chains import HeadChains, build_head_chains, parse_locked_joints
+from vergence.models.urdf.chains import (
+    ChainJoint,
+    HeadChains,
+    build_head_chains,
+    parse_locked_joints,
+)
 from vergence.models.urdf.mechanism import Mechanism, MjcfCamera, read_mechanism
 from vergence.models.urdf.motors import (
     Coupling,
-    EyeJoint,
     EyeMotor,
     MotionLimits,
     find_eye_motors,
     joint_motion_limits,
 )
-
-OPTICAL_AXES: Final = "x,y,z"
-"""Axes of an optical frame: x right, y down, z forward."""
-MUJOCO_AXES: Final = "x,-y,-z"
-"""Axes of MuJoCo's cameras, which look along -z with y up, as in OpenGL."""
-
-_AXES: Final = {sign + name: s * np.eye(3)[i] for s, sign in ((1.0, ""), (-1.0, "-"))
-                for i, name in enumerate("xyz")}  # fmt: skip
-_ALIGNED_COSINE: Final = np.cos(np.deg2rad(45.0))
-"""Cosine of the angle below which an axis counts as aligned with a direction (chosen)."""
-_ROLL_AXIS_COSINE: Final = np.cos(np.deg2rad(25.0))
-"""Cosine of the angle between optical axis and joint axis below which a joint would roll the
-image (chosen: tilted mounts are accepted, wrong frames refused)."""
-
-
-def rotation_of_axes(right_down_forward: str) -> FloatArray:
-    """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`."""
-    names = [name.strip().lower().removeprefix("+") for name in right_down_forward.split(",")]
-    expected = (
-        "camera-axes: expected the axes of the camera's frame that point right in the image, down "
-        "in it and forward, such as x,-y,-z"
-    )
-    if len(names) != 3 or not set(names) <= set(_AXES) or len({n[-1] for n in names}) != 3:
-        raise ConfigurationError(f"{expected}, got {right_down_forward!r}")
-    rotation = np.column_stack([_AXES[name] for name in names])
-    if np.linalg.det(rotation) < 0.0:
-        mirrored = names[2].removeprefix("-") if names[2].startswith("-") else f"-{names[2]}"
-        raise ConfigurationError(
-            f"{expected}, forward being right x down, got {right_down_forward!r}, which is "
-            "left-handed "
-            f"({names[0]},{names[1]},{mirrored} is not)"
-        )
-    return np.asarray(rotation)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class EyeAtZeroAngles:
-    """A camera and its joint axes at zero, in the base's frame, to check the camera's axes."""
-
-    name: str
-    pose: FloatArray  # (4, 4) of the camera, with axes right, down, forward
-    joint_axes: FloatArray  # (J, 3) of the joints that move this eye
-
-
-def check_camera_axes(eyes: Sequence[EyeAtZeroAngles], up: FloatArray) -> None:
-    """Refuse cameras unless, at zero, they are side by side, look ahead and are upright."""
-    across = eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]
-    distance = float(np.linalg.norm(across))
-    if not distance > 1e-3:
-        raise ConfigurationError(
-            f"cameras: expected two that are more than 1 mm apart, got {eyes[0].name} and "
-            f"{eyes[1].name}, {1000.0 * distance:.3g} mm apart at zero"
-        )
-    across = across / distance
-    wrong = [(eye, why) for eye in eyes if (why := _fault(eye, across, up))]
-    if not wrong:
-        return
-    fitting = [_fitting(eye, across, up) for eye in eyes]
-    proposals = fitting[:1] if fitting[0] == fitting[1] else fitting
-    text = " ".join(f"--camera-axes={triple}" for triple in proposals)
-    eye, why = wrong[0]
-    exchanged = (
-        "; or the left and the right camera are exchanged"
-        if all(e.pose[:3, 0] @ across < -_ALIGNED_COSINE for e in eyes)
-        else ""
-    )
-    if fitting == [OPTICAL_AXES, OPTICAL_AXES]:
-        raise ConfigurationError(
-            f"{eye.name}: expected cameras side by side that look ahead at zero, got one whose "
-            f"{why}: check which frames are the cameras (--camera-axes={OPTICAL_AXES} takes them "
-            "as "
-            f"they are{exchanged})"
-        )
-    raise ConfigurationError(
-        f"{eye.name}: expected a camera frame with x right, y down and z forward, got one whose "
-        f"{why}: {text} would fit ({OPTICAL_AXES} if it is right as it is{exchanged})"
-    )
-
-
-def _fault(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
-    right, down, forward = eye.pose[:3, :3].T
-    if right @ across < _ALIGNED_COSINE:
-        return f"x is {_angle(right @ across)} from the line from the left camera to the right one"
-    if abs(forward @ across) > _ALIGNED_COSINE:
-        return f"z is {_angle(forward @ across)} from the line between the cameras"
-    if down @ up > _ALIGNED_COSINE:
-        return "y points up"
-    for axis in eye.joint_axes:
-        if abs(forward @ axis) > _ROLL_AXIS_COSINE:
-            return "z lies along an axis that the eye turns about"
-    return ""
-
-
-def _angle(cosine: float) -> str:
-    return f"{np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees"
-
-
-def _fitting(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
-    """Axes `right,down,forward` of the frame that fit best."""
-
-    def misfit(triple: str) -> float:
-        right, down, forward = (eye.pose[:3, :3] @ rotation_of_axes(triple)).T
-        rolled = max((abs(float(forward @ axis)) for axis in eye.joint_axes), default=0.0)
-        return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
-
-    return min(_RIGHT_HANDED_AXES, key=misfit)
-
-
-_RIGHT_HANDED_AXES: Final = tuple(
-    triple
-    for names in permutations("xyz")
-    for signs in product(("", "-"), repeat=3)
-    if np.linalg.det(
-        np.column_stack([_AXES[s + n] for s, n in zip(signs, names, strict=True)])
-    ) > 0.0
-    for triple in [",".join(s + n for s, n in zip(signs, names, strict=True))]
-)  # fmt: skip
-
-
-_ASSUMED_SIZE_PX: Final = (640, 480)
-"""Image size of a camera without a given one, px (chosen: common with webcams)."""
-_ASSUMED_FOV_DEG: Final = 60.0
-"""Horizontal field of view of a camera without a given one, degrees (chosen)."""
-
-
-def find_eye_intrinsics(
-    cameras: Sequence[MjcfCamera | None],
-    files: Sequence[str | os.PathLike[str]],
-    *,
-    size: tuple[int, int] | None = None,
-    lens: Lens | None = None,
-) -> tuple[CalibratedCameras, dict[str, str]]:
-    """Intrinsics of both eyes, files before cameras, and reasons of assumptions by dotted key."""
-    for eye, camera in zip(EYE_NAMES, cameras, strict=True):
-        if camera is not None and camera.fault:
-            raise ConfigurationError(
-                f"{eye}-camera: expected a camera that is fixed to its body and sees in "
-                f"perspective, got one that {camera.fault}"
-            )
-    if files:
-        calibrated = read_intrinsics(files, size=size, lens=lens)
-        return calibrated, _assumed(calibrated)
-    for option, given in (("size", size), ("lens", lens)):
-        if given is not None:
-            raise ConfigurationError(f"{option}: expected --intrinsics beside it, got none")
-    images: list[Intrinsics] = []
-    assumed: dict[str, str] = {}
-    for eye, camera in zip(EYE_NAMES, cameras, strict=True):
-        image, reasons = _image(camera)
-        images.append(image)
-        assumed |= {f"eyes.{eye}.{key}": why for key, why in reasons.items()}
-    return CalibratedCameras(left=images[0], right=images[1]), assumed
-
-
-def _assumed(cameras: CalibratedCameras) -> dict[str, str]:
-    """Reasons for the assumptions about calibrated cameras, by their dotted keys."""
-    if cameras.left is cameras.right:
-        one = {"eyes.right.focal_px": "one calibration was given for both cameras"}
-    else:
-        one = {}
-    eyes = zip(EYE_NAMES, (cameras.left, cameras.right), strict=True)
-    lenses = {f"eyes.{eye}.distortion": camera.lens_assumption for eye, camera in eyes}
-    return {key: why for key, why in lenses.items() if why} | one
-
-
-def _image(camera: MjcfCamera | None) -> tuple[Intrinsics, dict[str, str]]:
-    lens = {"distortion": "not in the file: no distortion"}
-    size = _ASSUMED_SIZE_PX if camera is None or camera.size is None else camera.size
-    unsaid = f"not in the file: {_ASSUMED_SIZE_PX[0]} x {_ASSUMED_SIZE_PX[1]}"
-    resolution = {"width_px": unsaid, "height_px": unsaid}
-    if camera is None:
-        focal = _ASSUMED_SIZE_PX[0] / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
-        field = f"not in the file: a field of view of {_ASSUMED_FOV_DEG:g} degrees horizontally"
-        return _pinhole(size, focal), {**resolution, "focal_px": field, **lens}
-    if camera.focal is not None and camera.principal is not None:
-        return _pinhole(size, camera.focal, camera.principal), lens
-    focal = size[1] / 2.0 / tan(radians(camera.fovy_deg) / 2.0)
-    return _pinhole(size, focal), (resolution if camera.size is None else {}) | lens
-
-
-def _pinhole(
-    size: tuple[int, int], focal: FloatArray | float, principal: FloatArray | None = None
-) -> Intrinsics:
-    """Camera without distortion, its principal point in the middle unless given."""
-    middle = (np.array(size) - 1.0) / 2.0
-    return Intrinsics(
-        width=size[0],
-        height=size[1],
-        focal=np.broadcast_to(np.asarray(focal, dtype=float), 2),
-        principal=middle if principal is None else np.asarray(principal, dtype=float),
-        lens="brown-conrady",
-        distortion=np.zeros(5),
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,86 +108,73 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     """
     mechanism = read_mechanism(source.file)
     base = mechanism.find_frame(source.base, "base", ("body", "site", "camera"))
-    cameras = tuple(
+    frames = [
         mechanism.find_frame(name, f"{eye}-camera", ("camera", "site", "body"))
         for eye, name in zip(EYE_NAMES, source.cameras, strict=True)
-    )
-    _check_two(source.cameras)
-    chains = build_head_chains(
-        mechanism,
-        base=base,
-        cameras=(cameras[0], cameras[1]),
-        neck=source.neck,
-        locked=parse_locked_joints(source.lock, mechanism.joints()),
-    )
-    axes = _axes(mechanism, cameras, source.camera_axes)
-    zero = dict.fromkeys(chains.moved_part_of_joint, 0.0)
-    eyes = [
-        EyeAtZeroAngles(
-            name=name,
-            pose=chain.pose(zero) @ _turned(rotation),
-            joint_axes=chain.axes(
-                [n for n, part in chains.moved_part_of_joint.items() if part != "neck"]
-            ),
-        )
-        for name, chain, rotation in zip(source.cameras, chains.chains, axes, strict=True)
     ]
-    joints = [joint_fields(chains, name) for name in chains.moved_part_of_joint]
+    _check_two(source.cameras)
+    locked = parse_locked_joints(source.lock, mechanism.joints())
+    chains = build_head_chains(
+        mechanism, base=base, cameras=frames, neck=source.neck, locked=locked
+    )
+    axes = _axes([mechanism.frames[frame].kind for frame in frames], source.camera_axes)
+    poses = chains.camera_poses @ axes
+    joints = [joint_fields(name, joint) for name, joint in chains.joints.items()]
     mounts = [
-        pose_fields("position_m", chain.camera_in_last_link @ _turned(rotation), f"{eye} camera")
-        for eye, chain, rotation in zip(EYE_NAMES, chains.chains, axes, strict=True)
+        pose_fields("position_m", mount, f"{eye} camera")
+        for eye, mount in zip(EYE_NAMES, chains.mounts @ axes, strict=True)
     ]
     if not source.camera_axes:
-        root = mechanism.pose(0, base, {**zero, **chains.fixed_values})
-        check_camera_axes(eyes, up=root[:3, 2])
-    ranges, assumed = joint_motion_limits(
-        [chains.joint(name).joint for name in chains.moved_part_of_joint],
-        source.speed,
-        source.acceleration,
+        angles = dict.fromkeys(chains.joints, 0.0) | dict(chains.fixed_values)
+        base_in_root = mechanism.pose_along(mechanism.ancestors(base), angles)
+        _check_camera_axes(source.cameras, poses, chains, up=base_in_root[2, :3])
+    limits, assumed = joint_motion_limits(
+        [joint.joint for joint in chains.joints.values()], source.speed, source.acceleration
     )
-    moved = _motors(chains, eyes, ranges, source.couplings)
-    assumed = _of_motors(assumed, moved)
-    calibrated, why = find_eye_intrinsics(
-        [mechanism.frames[camera].camera for camera in cameras],
-        source.intrinsics,
-        size=source.size,
-        lens=source.lens,
-    )
-    images = (calibrated.left, calibrated.right)
-    one_size = images[0].size_fields() == images[1].size_fields()
+    motors: list[EyeMotor] = []  # none if each joint has its own
+    if chains.mimic_joints or source.couplings:
+        motors = find_eye_motors(
+            chains,
+            limits,
+            source.couplings,
+            between=frame_between_cameras(poses),
+            baseline_m=float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3])),
+        )
+    images, unsaid = _images([mechanism.frames[frame].camera for frame in frames], source)
+    intrinsics = (images.left, images.right)
+    sizes = [image.size_fields() for image in intrinsics]
+    one_size = sizes[0] == sizes[1]
     if one_size:
         size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
-        why = {size.sub("image.", key): reason for key, reason in why.items()}
+        unsaid = {size.sub("image.", key): reason for key, reason in unsaid.items()}
     document = {
         "name": _name(source, mechanism),
-        **({"image": images[0].size_fields()} if one_size else {}),
+        **({"image": sizes[0]} if one_size else {}),
         **ASSUMED_LOOP,
         # limits belong to the motors: those of joints with shared motors follow from them
         "joints": [
-            joint
-            if moved and joint["part"] != "neck"
-            else joint | limit_fields(ranges[joint["name"]])
-            for joint in joints
+            fields | ({} if motors and fields["part"] != "neck" else limit_fields(limit))
+            for fields, limit in zip(joints, limits.values(), strict=True)
         ],
         "eyes": [
-            {
-                "name": eye,
-                **({} if one_size else image.size_fields()),
-                **image.fields(),
-                **mount,
-            }
-            for eye, image, mount in zip(EYE_NAMES, images, mounts, strict=True)
+            {"name": eye, **({} if one_size else image.size_fields()), **image.fields(), **mount}
+            for eye, image, mount in zip(EYE_NAMES, intrinsics, mounts, strict=True)
         ],
-        **actuator_fields(moved),
-        "assumptions": {**why, **LOOP_REASONS, **assumed},
+        **actuator_fields(motors),
+        "assumptions": {**unsaid, **LOOP_REASONS, **_of_motors(assumed, motors)},
     }
+    try:
+        head = head_of_document(document)
+    except HeadFileError as error:
+        where = "the head of this file"
+        raise HeadFileError(error.key, error.value, error.expected, where) from error
     return ImportedHead(
-        head=_built(document),
+        head=head,
         text=_heading(source, mechanism, chains) + toml_text(document),
         chains=chains,
-        motors=moved,
+        motors=motors,
         ignored=_ignored(mechanism, chains),
-        guesses=calibrated.guesses if source.intrinsics else (),
+        guesses=images.guesses if source.intrinsics else (),
     )
 
 
@@ -395,45 +188,200 @@ def _check_two(cameras: tuple[str, str]) -> None:
         )
 
 
-def _axes(
-    mechanism: Mechanism, cameras: Sequence[int], triples: Sequence[str]
-) -> tuple[FloatArray, ...]:
-    """(3, 3) rotation of each camera in its frame, R_frame_camera."""
+_OPTICAL_AXES: Final = "x,y,z"
+"""Axes of an optical frame: x right, y down, z forward."""
+_MUJOCO_AXES: Final = "x,-y,-z"
+"""Axes of MuJoCo's cameras, which look along -z with y up, as in OpenGL."""
+_SIGNED: Final = {sign + name: s * np.eye(3)[i] for s, sign in ((1.0, ""), (-1.0, "-"))
+                  for i, name in enumerate("xyz")}  # fmt: skip
+_ROTATIONS: Final = {
+    ",".join(triple): np.column_stack([_SIGNED[axis] for axis in triple])
+    for names in permutations("xyz")
+    for signs in product(("", "-"), repeat=3)
+    for triple in [[sign + name for sign, name in zip(signs, names, strict=True)]]
+}
+"""(3, 3) R_frame_camera by axes `right,down,forward`; half of them are left-handed."""
+_RIGHT_HANDED: Final = [axes for axes, R in _ROTATIONS.items() if np.linalg.det(R) > 0.0]
+
+_ALIGNED_COSINE: Final = np.cos(np.deg2rad(45.0))
+"""Cosine of the angle below which an axis counts as aligned with a direction (chosen)."""
+_ROLL_AXIS_COSINE: Final = np.cos(np.deg2rad(25.0))
+"""Cosine of the angle between optical axis and joint axis below which a joint would roll the
+image (chosen: tilted mounts are accepted, wrong frames refused)."""
+
+
+def _axes(kinds: Sequence[str], triples: Sequence[str]) -> FloatArray:
+    """(2, 4, 4) pose of each camera in its frame, of the given axes or those usual for its kind."""
     if len(triples) > 2:
         raise ConfigurationError(
             f"camera-axes: expected one for both cameras or one for each, got {len(triples)}"
         )
-    if triples:
-        return rotation_of_axes(triples[0]), rotation_of_axes(triples[-1])
-    kinds = [mechanism.frames[camera].kind for camera in cameras]
-    return tuple(
-        rotation_of_axes(MUJOCO_AXES if kind == "camera" else OPTICAL_AXES) for kind in kinds
+    usual = [_MUJOCO_AXES if kind == "camera" else _OPTICAL_AXES for kind in kinds]
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, :3, :3] = [
+        _rotation(axes) for axes in ([triples[0], triples[-1]] if triples else usual)
+    ]
+    return poses
+
+
+def _rotation(right_down_forward: str) -> FloatArray:
+    """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`."""
+    names = [name.strip().lower().removeprefix("+") for name in right_down_forward.split(",")]
+    expected = (
+        "camera-axes: expected the axes of the camera's frame that point right in the image, down "
+        "in it and forward, such as x,-y,-z"
+    )
+    if ",".join(names) not in _ROTATIONS:
+        raise ConfigurationError(f"{expected}, got {right_down_forward!r}")
+    if ",".join(names) not in _RIGHT_HANDED:
+        forward = names[2].removeprefix("-") if names[2].startswith("-") else f"-{names[2]}"
+        raise ConfigurationError(
+            f"{expected}, forward being right x down, got {right_down_forward!r}, which is "
+            f"left-handed ({names[0]},{names[1]},{forward} is not)"
+        )
+    return _ROTATIONS[",".join(names)]
+
+
+class _Eye(NamedTuple):
+    """A camera at zero, in the base's frame."""
+
+    name: str
+    rotation: FloatArray  # (3, 3), its columns right, down and forward
+    joint_axes: Sequence[FloatArray]  # (3,) of the joints that move this eye
+
+
+def _check_camera_axes(
+    names: Sequence[str], poses: FloatArray, chains: HeadChains, up: FloatArray
+) -> None:
+    """Refuse cameras unless, at zero, they are side by side, look ahead and are upright."""
+    across = poses[1, :3, 3] - poses[0, :3, 3]
+    distance = float(np.linalg.norm(across))
+    if not distance > 1e-3:
+        raise ConfigurationError(
+            f"cameras: expected two that are more than 1 mm apart, got {names[0]} and "
+            f"{names[1]}, {1000.0 * distance:.3g} mm apart at zero"
+        )
+    across = across / distance
+    eyes = [
+        _Eye(
+            name,
+            pose[:3, :3],
+            [j.axis_in_base for j in chains.eye_joints().values() if j.part in ("both", side)],
+        )
+        for name, side, pose in zip(names, EYE_NAMES, poses, strict=True)
+    ]
+    wrong = [(eye.name, why) for eye in eyes if (why := _fault(eye, across, up))]
+    if not wrong:
+        return
+    name, why = wrong[0]
+    fitting = [
+        min(_RIGHT_HANDED, key=lambda axes: _misfit(eye, _ROTATIONS[axes], across, up))
+        for eye in eyes
+    ]
+    exchanged = (
+        "; or the left and the right camera are exchanged"
+        if all(eye.rotation[:, 0] @ across < -_ALIGNED_COSINE for eye in eyes)
+        else ""
+    )
+    if set(fitting) == {_OPTICAL_AXES}:
+        raise ConfigurationError(
+            f"{name}: expected cameras side by side that look ahead at zero, got one whose "
+            f"{why}: check which frames are the cameras (--camera-axes={_OPTICAL_AXES} takes them "
+            f"as they are{exchanged})"
+        )
+    proposals = fitting[:1] if fitting[0] == fitting[1] else fitting
+    text = " ".join(f"--camera-axes={triple}" for triple in proposals)
+    raise ConfigurationError(
+        f"{name}: expected a camera frame with x right, y down and z forward, got one whose "
+        f"{why}: {text} would fit ({_OPTICAL_AXES} if it is right as it is{exchanged})"
     )
 
 
-def _turned(rotation: FloatArray) -> FloatArray:
-    pose = np.eye(4)
-    pose[:3, :3] = rotation
-    return pose
+def _fault(eye: _Eye, across: FloatArray, up: FloatArray) -> str:
+    right, down, forward = eye.rotation.T
+    if right @ across < _ALIGNED_COSINE:
+        return f"x is {_angle(right @ across)} from the line from the left camera to the right one"
+    if abs(forward @ across) > _ALIGNED_COSINE:
+        return f"z is {_angle(forward @ across)} from the line between the cameras"
+    if down @ up > _ALIGNED_COSINE:
+        return "y points up"
+    if any(abs(forward @ axis) > _ROLL_AXIS_COSINE for axis in eye.joint_axes):
+        return "z lies along an axis that the eye turns about"
+    return ""
 
 
-def _motors(
-    chains: HeadChains,
-    eyes: Sequence[EyeAtZeroAngles],
-    ranges: Mapping[str, MotionLimits],
-    couplings: Sequence[Coupling],
-) -> list[EyeMotor]:
-    """Motors of the eyes; empty if each joint has its own."""
-    if not chains.mimic_joints and not couplings:
-        return []
-    between = frame_between_cameras(np.stack([eye.pose for eye in eyes]))
-    joints = []
-    for name, part in chains.moved_part_of_joint.items():
-        if part != "neck":
-            axis = chains.axis(name) @ between[:3, :3]
-            joints.append(EyeJoint(name=name, moved_eyes=part, axis=axis, limits=ranges[name]))
-    baseline = float(np.linalg.norm(eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]))
-    return find_eye_motors(joints, chains.mimic_joints, couplings, baseline)
+def _angle(cosine: float) -> str:
+    return f"{np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees"
+
+
+def _misfit(eye: _Eye, rotation: FloatArray, across: FloatArray, up: FloatArray) -> float:
+    """Measure of how badly a rotation of the camera in its frame fits."""
+    right, down, forward = (eye.rotation @ rotation).T
+    rolled = max((abs(float(forward @ axis)) for axis in eye.joint_axes), default=0.0)
+    return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
+
+
+_ASSUMED_SIZE_PX: Final = (640, 480)
+"""Image size of a camera without a given one, px (chosen: common with webcams)."""
+_ASSUMED_FOV_DEG: Final = 60.0
+"""Horizontal field of view of a camera without a given one, degrees (chosen)."""
+
+
+def _images(
+    cameras: Sequence[MjcfCamera | None], source: UrdfSource
+) -> tuple[CalibratedCameras, dict[str, str]]:
+    """Intrinsics of both eyes, files before cameras, and reasons of assumptions by dotted key."""
+    for eye, camera in zip(EYE_NAMES, cameras, strict=True):
+        if camera is not None and camera.fault:
+            raise ConfigurationError(
+                f"{eye}-camera: expected a camera that is fixed to its body and sees in "
+                f"perspective, got one that {camera.fault}"
+            )
+    if source.intrinsics:
+        calibrated = read_intrinsics(source.intrinsics, size=source.size, lens=source.lens)
+        eyes = dict(zip(EYE_NAMES, (calibrated.left, calibrated.right), strict=True))
+        assumed = {
+            f"eyes.{eye}.distortion": image.lens_assumption
+            for eye, image in eyes.items()
+            if image.lens_assumption
+        }
+        if calibrated.left is calibrated.right:
+            assumed["eyes.right.focal_px"] = "one calibration was given for both cameras"
+        return calibrated, assumed
+    for option, given in (("size", source.size), ("lens", source.lens)):
+        if given is not None:
+            raise ConfigurationError(f"{option}: expected --intrinsics beside it, got none")
+    images, reasons = zip(*map(_image, cameras), strict=True)
+    by_eye = zip(EYE_NAMES, reasons, strict=True)
+    assumed = {f"eyes.{eye}.{key}": why for eye, found in by_eye for key, why in found.items()}
+    return CalibratedCameras(left=images[0], right=images[1]), assumed
+
+
+def _image(camera: MjcfCamera | None) -> tuple[Intrinsics, dict[str, str]]:
+    """Camera without distortion, and reasons of assumptions by key."""
+    assumed = {}
+    size = _ASSUMED_SIZE_PX if camera is None or camera.size is None else camera.size
+    if camera is None or camera.size is None:
+        why = f"not in the file: {size[0]} x {size[1]}"
+        assumed = {"width_px": why, "height_px": why}
+    if camera is None:
+        focal: float | FloatArray = size[0] / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
+        field = f"a field of view of {_ASSUMED_FOV_DEG:g} degrees horizontally"
+        assumed["focal_px"] = f"not in the file: {field}"
+    elif camera.focal is None:
+        focal = size[1] / 2.0 / tan(radians(camera.fovy_deg) / 2.0)
+    else:
+        focal = camera.focal
+    given = None if camera is None else camera.principal
+    image = Intrinsics(
+        width=size[0],
+        height=size[1],
+        focal=np.broadcast_to(focal, 2),
+        principal=(np.array(size) - 1.0) / 2.0 if given is None else given,
+        lens="brown-conrady",
+        distortion=np.zeros(5),
+    )
+    return image, assumed | {"distortion": "not in the file: no distortion"}
 
 
 def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[str, str]:
@@ -447,11 +395,7 @@ def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[st
         if not movers:
             found[key] = why
     for motor in moved:
-        if motor.assumption_reason:
-            found |= {
-                f"actuators.{motor.name}.{end}": motor.assumption_reason
-                for end in motor.assumed_keys
-            }
+        found |= {f"actuators.{motor.name}.{key}": why for key, why in motor.assumed.items()}
     return found
 
 
@@ -475,34 +419,21 @@ def _heading(source: UrdfSource, mechanism: Mechanism, chains: HeadChains) -> st
         held = (f"{name} at {value:.6g}" for name, value in chains.fixed_values.items())
         lines.append(f"Held, in rad or m: {', '.join(held)}.")
     lines.append("What the file lacks is assumed: see [assumptions].")
-    return "".join(f"# {_printable(line)}\n" for line in lines)
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() else "?" for c in text)
-
-
-def _built(document: Mapping[str, Any]) -> HeadModel:
-    try:
-        return head_of_document(document)
-    except HeadFileError as error:
-        raise HeadFileError(
-            error.key, error.value, error.expected, "the head of this file"
-        ) from error
+    printable = ("".join(c if c.isprintable() else "?" for c in line) for line in lines)
+    return "".join(f"# {line}\n" for line in printable)
 
 
 def _ignored(mechanism: Mechanism, chains: HeadChains) -> list[str]:
-    moved = chains.moved_part_of_joint
     ties = [
         f"{name} (ties {', '.join(joints)}: see --actuators)"
         for name, joints in mechanism.left_out
-        if not moved.keys().isdisjoint(joints)
+        if not chains.joints.keys().isdisjoint(joints)
     ]
     bodies = [name for name, joints in mechanism.left_out if not joints]
     if bodies:
         more = f" and {len(bodies) - 1} more" if len(bodies) > 1 else ""
         ties.append(f"{bodies[0]}{more}, which may tie bodies")
-    others = len(mechanism.joints()) - len(chains.moved_part_of_joint) - len(chains.fixed_values)
+    others = len(mechanism.joints()) - len(chains.joints) - len(chains.fixed_values)
     return [
         *ties,
         *([f"{others} other joints"] if others else []),
@@ -528,14 +459,13 @@ def pose_fields(position_key: str, pose: FloatArray, name: str) -> dict[str, Any
     return fields
 
 
-def joint_fields(chains: HeadChains, joint: str) -> dict[str, Any]:
+def joint_fields(name: str, joint: ChainJoint) -> dict[str, Any]:
     """Fields of a joint's table in `[[joints]]`, without its limits."""
-    found = chains.joint(joint)
     return {
-        "name": joint,
-        "part": chains.moved_part_of_joint[joint],
-        **pose_fields("origin_m", found.origin, f"joint {joint}"),
-        "axis": (found.joint.axis + 0.0).tolist(),
+        "name": name,
+        "part": joint.part,
+        **pose_fields("origin_m", joint.origin, f"joint {name}"),
+        "axis": (joint.joint.axis + 0.0).tolist(),
     }
 
 

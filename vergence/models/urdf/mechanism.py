@@ -15,7 +15,6 @@ from vergence.errors import ConfigurationError, HeadFileError, UnquotedText, Unr
 from vergence.models.mujoco import mujoco
 from vergence.models.parts import FloatArray
 
-JointKind = Literal["hinge", "slide", "ball", "free", "planar", "floating"]
 FrameKind = Literal["body", "site", "camera"]
 
 
@@ -24,7 +23,7 @@ class Joint:
     """A joint that moves a frame relative to its parent; angles in radians, slides in metres."""
 
     name: str  # derived from its frame if the file gives none
-    kind: JointKind  # URDF's planar and floating, too
+    kind: str  # hinge, slide, ball, free; of a URDF planar and floating, too
     anchor: FloatArray  # (3,) point on the axis, in the moving frame
     axis: FloatArray  # (3,) unit vector in the moving frame
     reference: float = 0.0  # joint value at which the frame is at `Frame.pose`
@@ -52,15 +51,14 @@ class Joint:
         return np.asarray(np.eye(3) + np.sin(angle_rad) * cross + versine * cross @ cross)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MjcfCamera:
-    """Image parameters of a camera in an MJCF; None if not given."""
+class MjcfCamera(NamedTuple):
+    """Image parameters of a camera in an MJCF."""
 
-    size: tuple[int, int] | None  # width and height, px
+    size: tuple[int, int] | None  # width and height, px; None if not given
     focal: FloatArray | None  # (2,) px; None if only `fovy_deg` is given
+    principal: FloatArray | None  # (2,) px, pixel centres at integers; None as `focal`
     fovy_deg: float  # vertical field of view
-    principal: FloatArray | None  # (2,) px; pixel centres at integers
-    fault: str = ""  # reason why it cannot serve as an eye, or empty
+    fault: str  # reason why it cannot serve as an eye, or empty
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,14 +84,6 @@ class MimicJoint:
     offset: float
 
 
-class LeftOut(NamedTuple):
-    """Something that ties joints, and that no mechanism here has."""
-
-    name: str
-    joints: tuple[str, ...]
-    """The joints that it ties; empty if it ties bodies."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mechanism:
     """Frames, parents before children, with their joints and the couplings of these."""
@@ -101,7 +91,8 @@ class Mechanism:
     name: str
     frames: tuple[Frame, ...]
     mimic_joints: Mapping[str, MimicJoint]  # by name of the coupled joint
-    left_out: tuple[LeftOut, ...] = ()  # parts of the file that tie joints
+    left_out: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Name of what ties joints and is in no mechanism here, with the joints; none if bodies."""
 
     def joints(self) -> dict[str, Joint]:
         """All joints by name."""
@@ -131,16 +122,12 @@ class Mechanism:
             frame = self.frames[frame].parent
         return found[::-1]
 
-    def pose(self, frame: int, base: int, values: Mapping[str, float]) -> FloatArray:
-        """T_base_frame, (4, 4); joints not in `values` follow couplings, or are at references."""
-        return np.linalg.inv(self._in_root(base, values)) @ self._in_root(frame, values)
-
-    def _in_root(self, index: int, values: Mapping[str, float]) -> FloatArray:
+    def pose_along(self, frames: Iterable[int], values: Mapping[str, float]) -> FloatArray:
+        """(4, 4) product of the poses of frames; other joints are tied, or at references."""
         pose = np.eye(4)
-        for ancestor in self.ancestors(index):
-            frame = self.frames[ancestor]
-            pose = pose @ frame.pose
-            for joint in frame.joints:
+        for index in frames:
+            pose = pose @ self.frames[index].pose
+            for joint in self.frames[index].joints:
                 pose = pose @ joint.motion(self._value(joint, values))
         return pose
 
@@ -171,7 +158,7 @@ class Mechanism:
 
 
 _MAX_NAMES_SHOWN: Final = 12
-"""Most names that a message lists (chosen: short messages)."""
+"""Most names that a message lists (chosen)."""
 
 
 def known_names_hint(kind: str, name: str, names: Iterable[str]) -> str:
@@ -189,198 +176,85 @@ def known_names_hint(kind: str, name: str, names: Iterable[str]) -> str:
     return f"a {kind} of the file ({', '.join(known[:_MAX_NAMES_SHOWN])}{more})"
 
 
-EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
-"""Description of an expected file, for messages."""
+_EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
 
 
-def parse_xml(path: str) -> ET.Element:
-    """Parse the XML of a URDF or MJCF and return its root."""
+def _parse_xml(path: str) -> ET.Element:
     try:
-        content = Path(path).read_bytes()
-        root = ET.fromstring(content)
+        root = ET.fromstring(Path(path).read_bytes())
     except OSError as error:
-        raise UnreadableFileError(path, error.strerror or str(error), EXPECTED) from error
+        raise UnreadableFileError(path, error.strerror or str(error), _EXPECTED) from error
     except (ET.ParseError, ValueError, LookupError) as error:
-        raise HeadFileError(path, f"no well-formed XML: {error}", EXPECTED) from error
-    if _is_xacro(root):
-        raise HeadFileError(
-            path, "a xacro file", f"{EXPECTED}; expand it first: xacro FILE > head.urdf"
-        )
-    if root.tag not in ("robot", "mujoco"):
-        raise HeadFileError(path, f"<{root.tag.rpartition('}')[2]}>", EXPECTED)
-    return root
-
-
-def _is_xacro(root: ET.Element) -> bool:
-    """True if macros are left to expand; an expanded file may keep xacro's namespace."""
-    return any(
+        raise HeadFileError(path, f"no well-formed XML: {error}", _EXPECTED) from error
+    # macros are left to expand; an expanded file may keep xacro's namespace
+    if any(
         "xacro" in str(element.tag).partition("}")[0]
         or any("${" in value or "$(" in value for value in element.attrib.values())
         for element in root.iter()
-    )
+    ):
+        expand = f"{_EXPECTED}; expand it first: xacro FILE > head.urdf"
+        raise HeadFileError(path, "a xacro file", expand)
+    if root.tag not in ("robot", "mujoco"):
+        raise HeadFileError(path, f"<{root.tag.rpartition('}')[2]}>", _EXPECTED)
+    return root
 
 
-def check_urdf_names(path: str, root: ET.Element) -> None:
+def _check_urdf_names(path: str, root: ET.Element) -> None:
     """Refuse a URDF with ambiguous names of joints or links, misspelt ones, or unknown links."""
     for part in root:
-        near = _near(str(part.tag), ("joint", "link"))
-        if near and part.tag != near:
-            raise HeadFileError(
-                path, UnquotedText(f"<{part.tag}>"), f"no such element (is <{near}> meant?)"
-            )
+        if near := _meant(part.tag, ("joint", "link")):
+            no_element = f"no such element (is <{near}> meant?)"
+            raise HeadFileError(path, UnquotedText(f"<{part.tag}>"), no_element)
     for tag in ("joint", "link"):
-        names = Counter(each.get("name") for each in root.findall(tag))
-        for name, count in names.items():
+        for name, count in Counter(each.get("name") for each in root.findall(tag)).items():
             if name and count > 1:
-                raise HeadFileError(
-                    path, UnquotedText(f"two called {name!r}"), f"{tag}s with different names"
-                )
+                two = UnquotedText(f"two called {name!r}")
+                raise HeadFileError(path, two, f"{tag}s with different names")
     links = [link.get("name", "") for link in root.findall("link")]
     for joint in root.findall("joint[@name]"):
         for end in ("parent", "child"):
             element = joint.find(end)
             name = None if element is None else element.get("link")
             if name is not None and name not in links:
-                raise HeadFileError(
-                    f"joint {joint.get('name')}",
-                    name,
-                    f"a {end} that is {known_names_hint('link', name, links)}",
-                    path,
-                )
+                hint = f"a {end} that is {known_names_hint('link', name, links)}"
+                raise HeadFileError(f"joint {joint.get('name')}", name, hint, path)
 
 
-Limits = dict[str, tuple[float, float, float]]
-"""Lower limit, upper limit and speed limit by joint; nan if the file has none."""
+class _UrdfJoints(NamedTuple):
+    """Values of a URDF's joints that MuJoCo's parser drops or changes."""
+
+    limits: dict[str, dict[str, Any]]  # fields of `Joint`, by joint
+    mimic_joints: dict[str, MimicJoint]
+    kinds: dict[str, tuple[str, str]]  # name and kind of planar and floating ones, by child
+    faults: dict[str, str]  # why no path to a camera may pass a link, by link
 
 
-class UrdfExtras(NamedTuple):
-    """Values of a URDF that MuJoCo's parser drops or changes."""
-
-    joint_limits: Limits
-    planar_floating_joints: dict[str, tuple[str, JointKind]]
-    """Name and kind of planar and floating joints, by their child link."""
-    link_faults: dict[str, str]
-    """Reason why no path to a camera may pass a link, by link."""
-
-
-def urdf_extras(root: ET.Element) -> UrdfExtras:
-    """Read the values of `UrdfExtras` from a URDF."""
-    extras = UrdfExtras(_limits(root), {}, {})
+def _urdf_joints(root: ET.Element) -> _UrdfJoints:
+    found = _UrdfJoints({}, {}, {}, {})
     for joint in root.findall("joint"):
-        name, child, origin = joint.get("name", ""), joint.find("child"), joint.find("origin")
-        link = "" if child is None else child.get("link", "")
-        if joint.get("type") == "planar":
-            extras.planar_floating_joints[link] = name, "planar"
-        elif joint.get("type") == "floating":
-            extras.planar_floating_joints[link] = name, "floating"
-        angles = "" if origin is None else origin.get("rpy", "")
-        if any(abs(_number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
-            extras.link_faults[link] = (
-                f"joint {name}: expected an origin with rpy in radians within one turn, got "
-                f"{angles!r:.80} (is it in degrees?)"
-            )
-        if fault := _unread(joint):
-            extras.link_faults[link] = f"joint {name}: {fault}"
-    return extras
-
-
-_ATTRIBUTES: Final[dict[str, dict[str, int]]] = {
-    "origin": {"xyz": 3, "rpy": 3},
-    "axis": {"xyz": 3},
-    "limit": dict.fromkeys(
-        ("lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"), 1
-    ),
-    "mimic": {"joint": 0, "multiplier": 1, "offset": 1},
-    "parent": {"link": 0},
-    "child": {"link": 0},
-}
-"""Count of numbers in each attribute of the elements that place and limit a joint; 0 for a name."""
-
-_POSES: Final = (
-    "pose", "position", "transform", "offset", "translation", "rotation", "orientation",
-    "quaternion",
-)  # fmt: skip
-_OTHER_ELEMENTS: Final = ("dynamics", "safety_controller", "calibration")
-
-
-def _unread(joint: ET.Element) -> str:
-    """Part of a joint that every reader would drop without a word, as a phrase; empty if none."""
-    for element in joint:
-        known = _ATTRIBUTES.get(element.tag)
-        if known is None and element.tag in _OTHER_ELEMENTS:
-            continue
-        if element.tag in _POSES:
-            return f"expected a pose as <origin xyz rpy>, got <{element.tag}>, which is not read"
-        if known is None:
-            if near := _near(str(element.tag), (*_ATTRIBUTES, *_OTHER_ELEMENTS)):
-                return (
-                    f"expected no element <{element.tag}>, which nothing reads (is <{near}> meant?)"
-                )
-            continue
-        if len(element):
-            return f"expected <{element.tag}> with attributes, got <{element[0].tag}> in it"
-        if (element.text or "").strip():
-            return (
-                f"expected <{element.tag}> with attributes ({', '.join(known)}), got the text "
-                f"{(element.text or '').strip()!r:.80}, which nothing reads"
-            )
-        for attribute, text in element.attrib.items():
-            if "}" in attribute:  # of a namespace, such as Drake's
-                continue
-            if attribute not in known:
-                return (
-                    f"expected <{element.tag}> with {', '.join(known)}, got the attribute "
-                    f"{attribute!r} = {text!r:.80}, which is not read"
-                )
-            numbers = [_number(word) for word in text.split()]
-            if known[attribute] and (
-                len(numbers) != known[attribute]
-                or np.isnan(numbers).any()
-                or (element.tag != "limit" and np.isinf(numbers).any())
-            ):
-                return (
-                    f"expected {known[attribute]} numbers in {attribute} of "
-                    f"<{element.tag}>, got {text!r:.80}"
-                )
-    return ""
-
-
-def _near(name: str, known: Sequence[str]) -> str:
-    """The known name that another one is a slip of; empty if there is none."""
-    return next(iter(get_close_matches(name.lower(), known, n=1, cutoff=0.75)), "")
-
-
-_MAX_ORIGIN_ANGLE_RAD: Final = 6.29
-"""Largest angle of an origin, rad: 2 pi, rounded up; larger angles are taken for degrees
-(chosen: accepts a rounded full turn)."""
-
-
-def _limits(root: ET.Element) -> Limits:
-    """Read the limits of a URDF's joints; MuJoCo's parser drops the speed limits."""
-    found: Limits = {}
-    for joint in root.findall("joint"):
-        limit = joint.find("limit")
-        values = {} if limit is None else limit.attrib
-        lower = upper = np.nan
-        if joint.get("type") != "continuous" and ("lower" in values or "upper" in values):
-            # a missing one of the two is 0
-            lower, upper = (_number(values.get(end, "0")) for end in ("lower", "upper"))
-        found[joint.get("name", "")] = (lower, upper, _number(values.get("velocity")))
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        child, mimic, limit = (_attributes(joint, tag) for tag in ("child", "mimic", "limit"))
+        link = child.get("link", "")
+        if kind in ("planar", "floating"):
+            found.kinds[link] = name, kind
+        if fault := _fault(joint):
+            found.faults[link] = f"joint {name}: {fault}"
+        if joint.find("mimic") is not None:
+            factor, offset = (_number(mimic.get(*key)) for key in _MIMIC_NUMBERS)
+            found.mimic_joints[name] = MimicJoint(name, mimic.get("joint", ""), factor, offset)
+        given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
+        lower, upper = (limit.get(end, "0") if given else None for end in ("lower", "upper"))
+        found.limits[name] = {
+            "lower": _number(lower),
+            "upper": _number(upper),
+            "velocity": _number(limit.get("velocity")),
+        }
     return found
 
 
-def urdf_mimic_joints(root: ET.Element) -> dict[str, MimicJoint]:
-    """Read the mimic couplings of a URDF."""
-    mimic_joints = {}
-    for joint in root.findall("joint"):
-        mimic = joint.find("mimic")
-        if mimic is not None:
-            name = joint.get("name", "")
-            factor = _number(mimic.get("multiplier", "1"))
-            mimic_joints[name] = MimicJoint(
-                name, mimic.get("joint", ""), factor, _number(mimic.get("offset", "0"))
-            )
-    return mimic_joints
+def _attributes(joint: ET.Element, tag: str) -> Mapping[str, str]:
+    element = joint.find(tag)
+    return {} if element is None else element.attrib
 
 
 def _number(text: str | None) -> float:
@@ -390,198 +264,213 @@ def _number(text: str | None) -> float:
         return np.nan
 
 
-_KINDS: Final[dict[Any, JointKind]] = {
-    mujoco.mjtJoint.mjJNT_HINGE: "hinge",
-    mujoco.mjtJoint.mjJNT_SLIDE: "slide",
-    mujoco.mjtJoint.mjJNT_BALL: "ball",
-    mujoco.mjtJoint.mjJNT_FREE: "free",
+_LIMITS: Final = ("lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk")
+_MIMIC_NUMBERS: Final = (("multiplier", "1"), ("offset", "0"))
+_ATTRIBUTES: Final[dict[str, dict[str, int]]] = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "limit": dict.fromkeys(_LIMITS, 1),
+    "mimic": {"joint": 0, "multiplier": 1, "offset": 1},
+    "parent": {"link": 0},
+    "child": {"link": 0},
 }
+"""Count of numbers in each attribute of the elements that place and limit a joint; 0 for a name."""
+_POSES: Final = (
+    "pose", "position", "transform", "offset", "translation", "rotation", "orientation",
+    "quaternion",
+)  # fmt: skip
+_OTHER_ELEMENTS: Final = ("dynamics", "safety_controller", "calibration")
+_MAX_ORIGIN_ANGLE_RAD: Final = 6.29
+"""Largest angle of an origin, rad: 2 pi, rounded up; larger angles are taken for degrees
+(chosen: accepts a rounded full turn)."""
+
+
+def _fault(joint: ET.Element) -> str:
+    """Part of a joint that every reader would drop, or angles in degrees; empty if none."""
+    for element in joint:
+        tag, known, text = element.tag, _ATTRIBUTES.get(element.tag), (element.text or "").strip()
+        if tag in _POSES:
+            return f"expected a pose as <origin xyz rpy>, got <{tag}>, which is not read"
+        if known is None:
+            if near := _meant(tag, (*_ATTRIBUTES, *_OTHER_ELEMENTS)):
+                return f"expected no element <{tag}>, which nothing reads (is <{near}> meant?)"
+            continue
+        if len(element):
+            return f"expected <{tag}> with attributes, got <{element[0].tag}> in it"
+        if text:
+            return (
+                f"expected <{tag}> with attributes ({', '.join(known)}), got the text "
+                f"{text!r:.80}, which nothing reads"
+            )
+        for attribute, value in element.attrib.items():
+            if "}" in attribute:  # of a namespace, such as Drake's
+                continue
+            if attribute not in known:
+                return (
+                    f"expected <{tag}> with {', '.join(known)}, got the attribute {attribute!r} = "
+                    f"{value!r:.80}, which is not read"
+                )
+            count, numbers = known[attribute], [_number(word) for word in value.split()]
+            bad = np.isnan(numbers) if tag == "limit" else ~np.isfinite(numbers)
+            if count and (len(numbers) != count or bad.any()):
+                return f"expected {count} numbers in {attribute} of <{tag}>, got {value!r:.80}"
+    angles = _attributes(joint, "origin").get("rpy", "")
+    if any(abs(_number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
+        return (
+            "expected an origin with rpy in radians within one turn, got "
+            f"{angles!r:.80} (is it in degrees?)"
+        )
+    return ""
+
+
+def _meant(name: str, known: Sequence[str]) -> str:
+    """The known name that another one is a slip of; empty if there is none, or no slip."""
+    near = get_close_matches(name.lower(), known, n=1, cutoff=0.75)
+    return near[0] if near and near[0] != name else ""
+
+
 _LOOPS: Final = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
 def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
     """Read the frames and joints of a URDF or MJCF, uncompiled; from the XML what MuJoCo drops."""
     name = os.fspath(path)
-    root = parse_xml(name)
+    root = _parse_xml(name)
     if root.tag == "robot":
-        check_urdf_names(name, root)
+        _check_urdf_names(name, root)
     # without a handler MuJoCo writes its warnings to a file in the working directory; those that
     # matter here are detected again by the users of the joint
     mujoco.set_mju_user_warning(lambda _: None)
     try:
-        return _mechanism(mujoco.MjSpec.from_file(name), root)
+        spec = mujoco.MjSpec.from_file(name)
+        return _of_urdf(spec, root) if root.tag == "robot" else _of_mjcf(spec)
     except (ValueError, mujoco.FatalError) as error:
-        raise _unreadable(name, error) from error
+        reason = " ".join(str(error).split())
+        raise HeadFileError(name, reason, f"{_EXPECTED} that MuJoCo can read") from error
     finally:
         mujoco.set_mju_user_warning(None)
 
 
-def _mechanism(spec: Any, root: ET.Element) -> Mechanism:
-    if root.tag == "robot":
-        # MuJoCo adds a world body above the root link, which is not a frame of the file
-        world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
-        return Mechanism(
-            name=root.get("name", ""),
-            frames=_frames(spec, world, urdf_extras(root)),
-            mimic_joints=urdf_mimic_joints(root),
-        )
-    frames = _frames(spec, "world", UrdfExtras({}, {}, {}))
-    mimic_joints = _mjcf_mimic_joints(spec)
-    tendons = {tendon.name: _coefficients(tendon) for tendon in spec.tendons}
-    tied = _tied_by_tendons(spec, tendons, mimic_joints)
+def _of_urdf(spec: Any, root: ET.Element) -> Mechanism:
+    # MuJoCo adds a world body above the root link, which is not a frame of the file
+    world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
+    joints = _urdf_joints(root)
     return Mechanism(
-        name=spec.modelname,
-        frames=frames,
-        mimic_joints=mimic_joints,
-        left_out=(
-            *(
-                LeftOut(f"tendon {name or 'without a name'}", tuple(joints))
-                for name, joints in tendons.items()
-                if name not in tied
-            ),
-            *(
-                LeftOut(f"{equality.type.name[5:].lower()} of {equality.name1}", ())
-                for equality in spec.equalities
-                if equality.active and equality.type in _LOOPS
-            ),
-        ),
+        name=root.get("name", ""),
+        frames=_frames(spec, world, joints),
+        mimic_joints=joints.mimic_joints,
     )
 
 
-def _unreadable(name: str, error: Exception) -> HeadFileError:
-    """Error with MuJoCo's message on a file that it cannot read."""
-    reason = " ".join(str(error).split())
-    return HeadFileError(name, reason, f"{EXPECTED} that MuJoCo can read")
-
-
-def _mjcf_mimic_joints(spec: Any) -> dict[str, MimicJoint]:
-    """Couplings by active joint equalities, `y - y0 = a0 + a1 (x - x0)`; y0, x0: references."""
-    references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
-    mimic_joints = {}
-    for equality in spec.equalities:
-        if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.active:
-            continue
-        offset, factor, *higher = (float(value) for value in equality.data[:5])
-        follower, master = equality.name1, equality.name2
-        offset += references.get(follower, 0.0)
-        if not master:
-            factor = 0.0
-        elif any(higher):
-            factor = np.nan
-        else:
-            offset -= factor * references.get(master, 0.0)
-        mimic_joints[follower] = MimicJoint(follower, master, factor, offset)
-    return mimic_joints
+def _of_mjcf(spec: Any) -> Mechanism:
+    tendons = {tendon.name: _coefficients(tendon) for tendon in spec.tendons}
+    active = [equality for equality in spec.equalities if equality.active]
+    mimic_joints, tied = _ties(spec, active, tendons)
+    untied = [(name, joints) for name, joints in tendons.items() if name not in tied]
+    loops = [equality for equality in active if equality.type in _LOOPS]
+    return Mechanism(
+        name=spec.modelname,
+        frames=_frames(spec, "world", _UrdfJoints({}, {}, {}, {})),
+        mimic_joints=mimic_joints,
+        left_out=(
+            *((f"tendon {name or 'without a name'}", tuple(joints)) for name, joints in untied),
+            *((f"{each.type.name[5:].lower()} of {each.name1}", ()) for each in loops),
+        ),
+    )
 
 
 def _coefficients(tendon: Any) -> dict[str, float]:
     """Coefficient by joint of a fixed tendon; empty for a spatial one."""
     wraps = [wrap for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT]
+    if any(wrap.target is None for wrap in wraps):
+        raise ValueError(f"tendon {tendon.name} with a joint that is not in the file")
     return {wrap.target.name: float(wrap.coef) for wrap in wraps}
 
 
-def _tied_by_tendons(
-    spec: Any, tendons: Mapping[str, Mapping[str, float]], mimic_joints: dict[str, MimicJoint]
-) -> set[str]:
-    """Add the couplings by active equalities of fixed tendons, and return these tendons' names.
+def _ties(
+    spec: Any, equalities: Sequence[Any], tendons: Mapping[str, Mapping[str, float]]
+) -> tuple[dict[str, MimicJoint], set[str]]:
+    """Couplings by equalities of joints and of fixed tendons, and these tendons' names.
 
-    For the tendons' changes x, y from the references: `y = a0 + a1 x`, or `y = a0` for one alone.
+    For the changes x, y of two from the references: `y = a0 + a1 x`, or `y = a0` for one alone.
     """
     references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
-    tied = set()
-    for equality in spec.equalities:
-        if equality.type != mujoco.mjtEq.mjEQ_TENDON or not equality.active:
-            continue
+    found: dict[str, MimicJoint] = {}
+    tied: set[str] = set()
+    kinds = (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON)
+    for equality in (each for kind in kinds for each in equalities if each.type == kind):
         names = [name for name in (equality.name1, equality.name2) if name]
-        if not all(tendons.get(name) for name in names):
+        is_joint = equality.type == mujoco.mjtEq.mjEQ_JOINT
+        sums = [{name: 1.0} if is_joint else tendons.get(name, {}) for name in names]
+        if not all(sums):
             continue
-        tied.update(names)
         offset, factor, *higher = (float(value) for value in equality.data[:5])
-        terms = dict(tendons[names[0]])
-        for joint, coefficient in tendons[names[1]].items() if len(names) > 1 else ():
+        terms = dict(sums[0])
+        for joint, coefficient in sums[1].items() if len(sums) > 1 else ():
             terms[joint] = terms.get(joint, 0.0) - factor * coefficient
-        terms = {joint: coefficient for joint, coefficient in terms.items() if coefficient}
-        free = [joint for joint in terms if joint not in mimic_joints]
-        if not free:
-            continue
-        follower = free[-1]
+        follower = names[0]
+        if not is_joint:
+            tied.update(names)
+            terms = {joint: coefficient for joint, coefficient in terms.items() if coefficient}
+            free = [joint for joint in terms if joint not in found]
+            if not free:
+                continue
+            follower = free[-1]
         scale = terms.pop(follower)
-        offset = offset / scale + references[follower]
-        offset += sum(c / scale * references[joint] for joint, c in terms.items())
+        offset = offset / scale + references.get(follower, 0.0)
+        offset += sum(c / scale * references.get(joint, 0.0) for joint, c in terms.items())
         factors = [-coefficient / scale for coefficient in terms.values()] or [0.0]
         straight = len(factors) == 1 and not (any(higher) and len(names) > 1)
-        mimic_joints[follower] = MimicJoint(
-            follower, " and ".join(terms), factors[0] if straight else np.nan, offset
-        )
-    return tied
+        multiplier = factors[0] if straight else np.nan
+        found[follower] = MimicJoint(follower, " and ".join(terms), multiplier, offset)
+    return found, tied
 
 
-def _frames(spec: Any, world: str, extras: UrdfExtras) -> tuple[Frame, ...]:
+def _frames(spec: Any, world: str, urdf: _UrdfJoints) -> tuple[Frame, ...]:
     frames: list[Frame] = []
+
+    def add(kind: FrameKind, element: Any, parent: int, **more: Any) -> None:
+        fields = {"name": element.name, "pose": _placed(spec, element), **more}
+        frames.append(Frame(kind=kind, parent=parent, **fields))
+
     speeds = _servo_speeds(spec)
-    pending = [(spec.worldbody, -1)]
-    while pending:
-        body, parent = pending.pop(0)
+    bodies = [(spec.worldbody, -1)]
+    for body, parent in bodies:  # grows by the children of each
         index = len(frames)
         name = body.name if index else world
-        joints = tuple(
-            _joint(spec, joint, f"{name}#{i}", extras.joint_limits, speeds)
-            for i, joint in enumerate(body.joints)
-        )
-        if name in extras.planar_floating_joints:  # MuJoCo splits a planar joint into three
-            whole, kind = extras.planar_floating_joints[name]
-            joints = tuple(replace(joint, name=whole, kind=kind) for joint in joints[:1])
-        pose = _placed(spec, body)
-        fault = extras.link_faults.get(name, "")
-        frames.append(
-            Frame(name=name, kind="body", parent=parent, pose=pose, joints=joints, fault=fault)
-        )
-        frames += [
-            Frame(name=site.name, kind="site", parent=index, pose=_placed(spec, site))
-            for site in body.sites
-        ]
-        frames += [
-            Frame(
-                name=camera.name,
-                kind="camera",
-                parent=index,
-                pose=_placed(spec, camera),
-                camera=_camera(camera),
-            )
-            for camera in body.cameras
-        ]
-        pending += [(child, index) for child in body.bodies]
+        joints = [_joint(spec, each, f"{name}#{i}", speeds) for i, each in enumerate(body.joints)]
+        joints = [replace(joint, **urdf.limits.get(joint.name, {})) for joint in joints]
+        if name in urdf.kinds:  # MuJoCo splits a planar joint into three
+            whole, kind = urdf.kinds[name]
+            joints = [replace(joint, name=whole, kind=kind) for joint in joints[:1]]
+        fault = urdf.faults.get(name, "")
+        add("body", body, parent, name=name, joints=tuple(joints), fault=fault)
+        for site in body.sites:
+            add("site", site, index)
+        for camera in body.cameras:
+            add("camera", camera, index, camera=_camera(camera))
+        bodies += [(child, index) for child in body.bodies]
     return tuple(frames)
 
 
-def _joint(spec: Any, joint: Any, unnamed: str, limits: Limits, speeds: dict[str, float]) -> Joint:
+def _joint(spec: Any, joint: Any, unnamed: str, speeds: Mapping[str, float]) -> Joint:
     around = _frames_around(spec, joint)
     axis = around[:3, :3] @ np.array(joint.axis, dtype=np.float64)
-    anchor = around @ np.append(joint.pos, 1.0)
     length = float(np.linalg.norm(axis))
     unit = _unit(joint)
+    lower, upper = (float(value) * unit for value in joint.range)
+    auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO and spec.compiler.autolimits
+    limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE or (auto and lower != upper)
     name = joint.name or unnamed
-    if name in limits:
-        lower, upper, velocity = limits[name]
-    else:
-        lower, upper = (float(value) * unit for value in joint.range)
-        limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE or (
-            joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO
-            and spec.compiler.autolimits
-            and lower != upper
-        )
-        if not limited:
-            lower = upper = np.nan
-        velocity = speeds.get(name, np.nan)
     return Joint(
         name=name,
-        kind=_KINDS[joint.type],
-        anchor=anchor[:3],
+        kind=joint.type.name.removeprefix("mjJNT_").lower(),
+        anchor=(around @ np.append(joint.pos, 1.0))[:3],
         axis=axis / length if length > 0.0 else np.full(3, np.nan),
         reference=float(joint.ref) * unit,
-        lower=lower,
-        upper=upper,
-        velocity=velocity,
+        lower=lower if limited else np.nan,
+        upper=upper if limited else np.nan,
+        velocity=speeds.get(name, np.nan),
     )
 
 
@@ -591,24 +480,24 @@ def _unit(joint: Any) -> float:
     return np.pi / 180.0 if hinge and joint.compiler.degree else 1.0
 
 
+_VELOCITY_SERVO: Final = (
+    mujoco.mjtTrn.mjTRN_JOINT,
+    mujoco.mjtGain.mjGAIN_FIXED,
+    mujoco.mjtBias.mjBIAS_AFFINE,
+    mujoco.mjtDyn.mjDYN_NONE,
+)
+
+
 def _servo_speeds(spec: Any) -> dict[str, float]:
     """Speed limits by joint, from the control ranges of an MJCF's velocity servos, rad/s."""
     speeds = {}
     for servo in spec.actuators:
-        gain, bias = servo.gainprm, servo.biasprm
-        if (
-            servo.trntype == mujoco.mjtTrn.mjTRN_JOINT
-            and servo.gaintype == mujoco.mjtGain.mjGAIN_FIXED
-            and servo.biastype == mujoco.mjtBias.mjBIAS_AFFINE
-            and servo.dyntype == mujoco.mjtDyn.mjDYN_NONE
-            and bias[0] == bias[1] == 0.0
-            and gain[0] == -bias[2] > 0.0
-            and servo.gear[0] != 0.0
-            and servo.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE
-            and servo.ctrlrange[0] < servo.ctrlrange[1]
-        ):
-            speed = min(abs(float(value)) for value in servo.ctrlrange) / abs(float(servo.gear[0]))
-            speeds[servo.target] = speed
+        kinds = servo.trntype, servo.gaintype, servo.biastype, servo.dyntype
+        gain, bias, gear = servo.gainprm[0], servo.biasprm, abs(float(servo.gear[0]))
+        is_servo = kinds == _VELOCITY_SERVO and bias[0] == bias[1] == 0.0 < gain == -bias[2]
+        limited = servo.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE
+        if is_servo and gear and limited and servo.ctrlrange[0] < servo.ctrlrange[1]:
+            speeds[servo.target] = min(abs(float(end)) for end in servo.ctrlrange) / gear
     return speeds
 
 
@@ -631,28 +520,21 @@ def _frames_around(spec: Any, element: Any) -> FloatArray:
 def _pose(spec: Any, element: Any) -> FloatArray:
     quat = np.array(element.quat, dtype=np.float64)
     if element.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        compiler = element.compiler
         quat = np.array(
             spec.resolve_orientation(
-                degree=element.compiler.degree,
-                sequence=element.compiler.eulerseq,
-                orientation=element.alt,
+                degree=compiler.degree, sequence=compiler.eulerseq, orientation=element.alt
             )
         )
+    w, x, y, z = quat / np.linalg.norm(quat)
     pose = np.eye(4)
-    pose[:3, :3] = _rotation(quat)
+    pose[:3, :3] = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
     pose[:3, 3] = element.pos
     return pose
-
-
-def _rotation(quat: FloatArray) -> FloatArray:
-    w, x, y, z = quat / np.linalg.norm(quat)
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
 
 
 def _decimals(values: Any) -> FloatArray:
@@ -667,23 +549,15 @@ def _camera(camera: Any) -> MjcfCamera:
         fault = "turns by itself after something (its mode is not fixed)"
     elif camera.proj != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
         fault = "has a projection that is not perspective"
-    fovy = float(camera.fovy)
-    size = np.array(camera.resolution, dtype=np.float64)
-    if size.max() <= 1.0:
-        return MjcfCamera(size=None, focal=None, fovy_deg=fovy, principal=None, fault=fault)
+    size, sensor = np.array(camera.resolution, dtype=np.float64), _decimals(camera.sensor_size)
+    pixels = None if size.max() <= 1.0 else (int(size[0]), int(size[1]))
     focal, offset = _decimals(camera.focal_pixel), _decimals(camera.principal_pixel)
-    sensor = _decimals(camera.sensor_size)
     if sensor.min() > 0.0:
         if not focal.any():
             focal = _decimals(camera.focal_length) / sensor * size
         if not offset.any():
             offset = _decimals(camera.principal_length) / sensor * size
-    known = bool(sensor.min() > 0.0 and focal.min() > 0.0)
-    return MjcfCamera(
-        size=(int(size[0]), int(size[1])),
-        focal=focal if known else None,
-        fovy_deg=fovy,
-        fault=fault,
-        # MuJoCo's offset points from the image centre left and up; its pixel edges are at integers
-        principal=size / 2.0 - offset - 0.5 if known else None,
-    )
+    if pixels is None or not (sensor.min() > 0.0 and focal.min() > 0.0):
+        return MjcfCamera(pixels, None, None, float(camera.fovy), fault)
+    # MuJoCo's offset points from the image centre left and up; its pixel edges are at integers
+    return MjcfCamera(pixels, focal, size / 2.0 - offset - 0.5, float(camera.fovy), fault)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-SHARED = Path(__file__).resolve().parents[5] / "shared" / "data" / "heads"
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "data" / "heads"
 
 
 def real_robot(name: str) -> Path:
@@ -76,13 +77,14 @@ class UrdfKinematics:
             origin, axis, mimic = (element.find(tag) for tag in ("origin", "axis", "mimic"))
             numbers = {} if origin is None else origin.attrib
             pose = np.eye(4)
-            roll, pitch, yaw = map(float, numbers.get("rpy", "0 0 0").split())
-            pose[:3, :3] = _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
-            pose[:3, 3] = [float(number) for number in numbers.get("xyz", "0 0 0").split()]
+            angles, pose[:3, 3] = (
+                np.array(numbers.get(key, "0 0 0").split(), float) for key in ("rpy", "xyz")
+            )
+            pose[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
             direction = "1 0 0" if axis is None else axis.get("xyz")
             self.joints[element.find("child").get("link")] = (
                 element.get("name"), element.get("type"), element.find("parent").get("link"), pose,
-                np.array([float(number) for number in direction.split()]),
+                np.array(direction.split(), float),
                 None if mimic is None else mimic.attrib,
             )  # fmt: skip
 
@@ -95,30 +97,13 @@ class UrdfKinematics:
         if kind in ("revolute", "continuous"):
             angle = angles.get(name, 0.0)
             if mimic is not None and name not in angles:
-                factor, offset = (
-                    float(mimic.get(k, d)) for k, d in (("multiplier", 1), ("offset", 0))
-                )
-                angle = factor * angles.get(mimic["joint"], 0.0) + offset
-            turned[:3, :3] = _about(axis / np.linalg.norm(axis), angle)
+                master = angles.get(mimic["joint"], 0.0)
+                angle = float(mimic.get("multiplier", 1)) * master + float(mimic.get("offset", 0))
+            turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
+            turned[:3, :3] = turn.as_matrix()
         elif kind == "prismatic":
             turned[:3, 3] = axis / np.linalg.norm(axis) * angles.get(name, 0.0)
         return self.in_root(parent, angles) @ pose @ turned
 
     def pose(self, link: str, base: str, angles: Mapping[str, float]) -> np.ndarray:
         return np.linalg.inv(self.in_root(base, angles)) @ self.in_root(link, angles)
-
-
-def _turn(axis: int, angle: float) -> np.ndarray:
-    return _about(np.eye(3)[axis], angle)
-
-
-def _about(axis: np.ndarray, angle: float) -> np.ndarray:
-    # by a quaternion, not by the package's formula
-    w, (x, y, z) = np.cos(angle / 2.0), np.sin(angle / 2.0) * axis
-    return np.array(
-        [
-            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-        ]
-    )
