@@ -18,7 +18,7 @@ _ARTICLE_BASELINE_M: Final = 0.092
 """Baseline of the article's head, m; shapes scale with it (physical: the article's head)."""
 _FLOOR_BELOW_M: Final = 0.26
 """Distance of the floor below the lowest joint or camera, m (chosen: looks only)."""
-_N_UPRIGHT: Final = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
+N_UPRIGHT: Final = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
 """N's axes at rest in a frame with z up and -y forward (physical: the definition of N)."""
 _N_ORIGIN_M: Final = (-0.011, -0.06427, 0.0)
 """N's origin at rest in the article's frame 0, m (physical: the article's head)."""
@@ -78,12 +78,11 @@ class RestPoses(NamedTuple):
 def rest_poses(head: HeadModel) -> RestPoses:
     """Compute the poses of a head's links, base and cameras at rest, and its upright frame."""
     q, links = head.rest(), head.links.bodies()
-    frames: list[FloatArray] = []
-    for body in links:
-        parent = frames[body.parent] if body.parent >= 0 else np.eye(4)
-        frames.append(parent @ body.pose @ rot_z(q[body.joints[0]]))
+    frames = np.tile(np.eye(4), (len(links) + 1, 1, 1))  # the last one is the base's, at -1
+    for place, body in enumerate(links):
+        frames[place] = frames[body.parent] @ body.pose @ rot_z(q[body.joints[0]])
     base, upright = head.base_pose(q), np.eye(4)
-    upright[:3, :3] = base[:3, :3] @ _N_UPRIGHT.T
+    upright[:3, :3] = base[:3, :3] @ N_UPRIGHT.T
     upright[:3, 3] = base[:3, 3] - upright[:3, :3] @ _N_ORIGIN_M
     whole = np.round(upright)  # without the noise of rounding, so that files stay readable
     upright = np.where(np.abs(upright - whole) < 1e-15, whole + 0.0, upright)
@@ -96,11 +95,4 @@ def rest_poses(head: HeadModel) -> RestPoses:
             while links[end].parent != carrier:
                 end = links[end].parent
             roots[eye] = frames[end][:3, 3]
-    return RestPoses(
-        links=np.array(frames).reshape(-1, 4, 4),
-        frame_n=base,
-        cameras=cameras,
-        upright_frame=upright,
-        eye_roots=roots,
-        has_neck=carrier >= 0,
-    )
+    return RestPoses(frames[:-1], base, cameras, upright, roots, has_neck=carrier >= 0)

@@ -12,28 +12,23 @@ from vergence.models.head import HeadModel
 from vergence.models.mujoco import mujoco
 from vergence.models.parts import EYE_NAMES, EYES, JOINTS, NECK, FloatArray
 
-# Masses, kg, and edges along the axes of the link's frame, m, of the links as solid boxes.
-_NECK_BASE: Final = 0.30, (0.05, 0.09, 0.05)
-"""The neck's first link: two servos and a bracket (chosen: assumed)."""
-_NECK_MIDDLE: Final = 0.20, (0.05, 0.05, 0.05)
-"""A link between the neck's first and last: a servo (chosen: assumed)."""
-_SKULL: Final = 0.30, (0.10, 0.10, 0.05)
-"""The neck's last link: the skull with its servos (chosen: assumed)."""
-_EYE_FRAME: Final = 0.060, (0.025, 0.025, 0.025)
-"""A link that carries an eye: a frame with a servo (chosen: assumed)."""
-_EYE: Final = 0.030, (0.03, 0.03, 0.03)
-"""The last link of an eye: its camera (chosen: assumed)."""
+_BLOCKS: Final = {
+    "neck_base": (0.30, (0.05, 0.09, 0.05)),  # two servos and a bracket
+    "neck_middle": (0.20, (0.05, 0.05, 0.05)),  # a servo
+    "skull": (0.30, (0.10, 0.10, 0.05)),  # the neck's last link, with its servos
+    "eye_frame": (0.060, (0.025, 0.025, 0.025)),  # carries an eye, with a servo
+    "eye": (0.030, (0.03, 0.03, 0.03)),  # the last link of an eye: its camera
+}
+"""Masses, kg, of the links, and the edges of solid boxes along their frames' axes, m (chosen:
+assumed)."""
 
 
 class LinkInertia(NamedTuple):
-    """Mass and inertia of a link in its own frame; its products of inertia are zero."""
+    """Mass, kg, centre of mass, m, and moments of inertia about it, kg m^2, in a link's frame."""
 
     mass: float
-    """Mass, kg."""
     centre: FloatArray
-    """(3,) position of the centre of mass, m."""
     moments: FloatArray
-    """(3,) moments of inertia about the centre of mass along the frame's axes, kg m^2."""
     edges: FloatArray
     """(3,) edges of the solid box with these moments, m."""
 
@@ -45,9 +40,10 @@ def link_inertias(head: HeadModel) -> list[LinkInertia]:
     carried = [[i for i, link in enumerate(links) if link.parent == k] for k in range(len(links))]
     blocks = []
     for place, link in enumerate(links):
-        neck = _NECK_BASE if link.parent == -1 else _NECK_MIDDLE
-        eye = _EYE if place in ends else _EYE_FRAME
-        blocks.append(_SKULL if place == skull else neck if link.joints[0] < NECK.stop else eye)
+        kind = "eye" if place in ends else "eye_frame"
+        if link.joints[0] < NECK.stop:
+            kind = "neck_base" if link.parent == -1 else "neck_middle"
+        blocks.append(_BLOCKS["skull" if place == skull else kind])
     out, whole = [], [mass for mass, _ in blocks]  # whole: with all that it carries
     for place in reversed(range(len(links))):
         whole[place] += sum(whole[i] for i in carried[place])
@@ -65,9 +61,8 @@ def link_inertias(head: HeadModel) -> list[LinkInertia]:
         elif links[place].parent == -1:
             centre = 0.5 * loads[0][1]
         squares = np.square(edges)
-        out.append(
-            LinkInertia(mass, centre, mass / 12.0 * (squares.sum() - squares), np.array(edges))
-        )
+        moments = mass / 12.0 * (squares.sum() - squares)
+        out.append(LinkInertia(mass, centre, moments, np.array(edges)))
     return out
 
 
@@ -87,114 +82,6 @@ def _balance(links: Sequence[Body], skull: int) -> FloatArray:
     return np.array([0.0, 0.0, origin[2] + distance * axis[2]])
 
 
-Bodies = Mapping[int, Any]
-"""Bodies of a specification by their index in `Links.bodies`; -1 for the world."""
-
-
-def body_name(joint: str) -> str:
-    """Name of the body that a joint carries."""
-    return f"{joint}_link"
-
-
-def add_bodies(
-    spec: mujoco.MjSpec, head: HeadModel, welded: Sequence[str], armature: FloatArray
-) -> Bodies:
-    """Add a body with its mass for each joint, and the site `N`.
-
-    The joints are in the order of their first indices in an array of all seven.
-
-    Args:
-        spec: the specification to extend; its time step is set.
-        head: one head.
-        welded: names of joints that do not move.
-        armature: (7,) inertia of the joints' rotors, kg m^2.
-    """
-    bodies: dict[int, Any] = {-1: spec.worldbody}
-    links, inertias = head.links.bodies(), link_inertias(head)
-    for place in sorted(range(len(links)), key=lambda i: links[i].joints[0]):
-        link, joint = links[place], links[place].joints[0]
-        mass, centre, moments, _ = inertias[place]
-        bodies[place] = _add_body(
-            bodies[link.parent], body_name(link.name), mass, centre, moments,
-            gravcomp=1.0, **pos_and_quat(link.pose),
-        )  # fmt: skip
-        if link.name not in welded:
-            ends = [head.limits.lower[joint], head.limits.upper[joint]]
-            _add_joint(spec, bodies[place], link.name, ends, armature[joint])
-    bodies[chain_end(links, None)].add_site(
-        name="N", group=4, size=[0.002] * 3, **pos_and_quat(head.links.frame_n_pose())
-    )
-    return bodies
-
-
-def _add_body(
-    parent: Any, name: str, mass: float, centre: ArrayLike, moments: ArrayLike, **options: Any
-) -> Any:
-    return parent.add_body(
-        name=name, mass=mass, ipos=centre, inertia=moments, explicitinertial=True, **options
-    )
-
-
-def _add_joint(
-    spec: mujoco.MjSpec, body: Any, name: str, ends: Sequence[float], armature: float
-) -> None:
-    """Add a hinge about z with its limits, rad."""
-    body.add_joint(
-        name=name, limited=True, range=ends, armature=armature, solref_limit=_stiff_solref(spec)
-    )
-
-
-def _stiff_solref(spec: mujoco.MjSpec) -> list[float]:
-    """`solref` of a limit or an equality constraint, as stiff as the solver allows."""
-    return [2.0 * spec.option.timestep, 1.0]  # the least time constant is two time steps
-
-
-_FROM_OPTICAL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Pose of MuJoCo's camera frame, which looks along -z with y up, in C: a turn by 180 degrees about
-x (physical: MuJoCo's convention)."""
-
-
-def add_cameras(spec: mujoco.MjSpec, head: HeadModel, bodies: Bodies) -> None:
-    """Add the cameras `left` and `right` to the last bodies of both eyes."""
-    links, cameras = head.links.bodies(), head.cameras
-    for eye, name in enumerate(EYE_NAMES):
-        body, pose = bodies[chain_end(links, eye)], head.camera_in_last_link(eye)
-        add_camera(body, name, pose, cameras.size[eye], cameras.focal[eye], cameras.principal[eye])
-    buffer = spec.visual.global_
-    buffer.offwidth, buffer.offheight = cameras.size.max(axis=0).tolist()
-
-
-def add_camera(
-    body: Any,
-    name: str,
-    pose: FloatArray,
-    size: ArrayLike,
-    focal_px: ArrayLike,
-    principal_px: ArrayLike,
-    pixel_m: float = 3e-6,
-) -> None:
-    """Add a camera by its optical frame; a pixel's edge, m, cancels in its image.
-
-    MuJoCo counts the principal point from the image's centre, with right and down negative.
-    OpenCV's (0, 0) is the centre of the upper left pixel, hence `W / 2 - (u_0 + 1/2)`.
-    """
-    body.add_camera(
-        name=name,
-        resolution=size,
-        sensor_size=pixel_m * np.asarray(size),
-        focal_pixel=focal_px,
-        principal_pixel=np.divide(size, 2.0) - np.add(principal_px, 0.5),
-        **pos_and_quat(pose @ _FROM_OPTICAL),
-    )
-
-
-def pos_and_quat(pose: FloatArray) -> dict[str, FloatArray]:
-    """Convert a pose (4, 4) in the parent to MuJoCo's attributes `pos` and `quat`."""
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, pose[:3, :3].ravel())
-    return {"pos": pose[:3, 3], "quat": np.copysign(1.0, quat[0]) * quat}
-
-
 _FACTOR_DECIMALS: Final = 12
 """Decimals to which factors are rounded (numerical)."""
 
@@ -209,13 +96,14 @@ class Drive(NamedTuple):
     slot: int
     """Index in an array of the neck's joints and the four actuators of the eyes."""
     joints: Factors
-    """Joints with their factors in the sum; a single joint with the factor 1 is the actuator's
-    own."""
+    """Joints with their factors; a single one with the factor 1 is the actuator's own."""
     ends: tuple[float, float]
     """Least and greatest value of that sum, rad."""
-    joint_or_rotor: str
-    """Joint that only this actuator turns, over the joint's whole range, or the actuator's rotor,
-    see `needs_rotor_bodies`; empty for neither."""
+    target: str
+    """Joint that only this actuator turns, over the joint's whole range, or the actuator's rotor;
+    empty for neither."""
+    is_rotor: bool
+    """True if the rotor is a body of its own, see `_decoupling_inertias`."""
 
 
 class Coupling(NamedTuple):
@@ -229,11 +117,7 @@ class Coupling(NamedTuple):
 
 def joint_index_by_name(head: HeadModel) -> dict[str, int]:
     """First index of each joint by name in an array of all seven, in MuJoCo's order."""
-    places: dict[str, int] = {}
-    for place, name in enumerate(head.joints):
-        if name:
-            places.setdefault(name, place)
-    return places
+    return {name: head.joints.index(name) for name in head.joints if name}
 
 
 def drives_of(head: HeadModel) -> tuple[Drive, ...]:
@@ -242,30 +126,29 @@ def drives_of(head: HeadModel) -> tuple[Drive, ...]:
     An actuator of the eyes with the name of a neck joint gets the prefix `eyes_`.
     """
     own, limits = head.actuation, head.limits
-    out = []
-    for place, name in enumerate(head.joints[NECK]):
-        if name:
-            ends = float(limits.lower[place]), float(limits.upper[place])
-            out.append(Drive(name, place, ((name, 1.0),), ends, name))
+    ranges = [*zip(limits.lower.tolist(), limits.upper.tolist(), strict=True)]
+    out = [
+        Drive(name, place, ((name, 1.0),), ranges[place], name, False)
+        for place, name in enumerate(head.joints[NECK])
+        if name
+    ]
     names, matrix, offset = _eye_joints(head)
-    places, rotors = joint_index_by_name(head), needs_rotor_bodies(head)
+    rotors = _decoupling_inertias(head, np.ones(len(names))) is None
     for k, actuator in enumerate(own.names):
-        row = np.zeros(len(names))
+        row, slot = np.zeros(len(names)), NECK.stop + k
         for joint, factor in zip(head.joints[EYES], own.to_actuators[k], strict=True):
             if joint:
                 row[names.index(joint)] += factor
-        row, slot = np.round(row, _FACTOR_DECIMALS), NECK.stop + k
-        shift = 0.0 if rotors else float(row @ offset)
+        row = row.round(_FACTOR_DECIMALS)
+        joints, shift = _factors(names, row), 0.0 if rotors else float(row @ offset)
         ends = float(own.lower[slot] + shift), float(own.upper[slot] + shift)
-        joints = _factors(names, row)
         name = f"eyes_{actuator}" if actuator in head.joints[NECK] else actuator
-        joint_or_rotor = rotor_name(name) if rotors else ""
+        target = f"{name}_rotor" if rotors else ""
         if not rotors and len(joints) == 1 and joints[0][1] == 1.0:
             joint = joints[0][0]
-            whole = ends == (limits.lower[places[joint]], limits.upper[places[joint]])
             alone = np.count_nonzero(matrix[names.index(joint)]) == 1
-            joint_or_rotor = joint if whole and alone else ""
-        out.append(Drive(name, slot, joints, ends, joint_or_rotor))
+            target = joint if alone and ends == ranges[head.joints.index(joint)] else ""
+        out.append(Drive(name, slot, joints, ends, target, rotors))
     return tuple(out)
 
 
@@ -273,9 +156,12 @@ def _factors(names: Sequence[str], row: FloatArray) -> Factors:
     return tuple((name, float(f)) for name, f in zip(names, row, strict=True) if f)
 
 
-def couplings_of(head: HeadModel) -> tuple[Coupling, ...]:
-    """List the coupled joints of the eyes; empty if every joint can move by itself."""
+def couplings_of(head: HeadModel, rotors: Sequence[str] = ()) -> tuple[Coupling, ...]:
+    """List the coupled joints of the eyes; all of them, coupled to the rotors, if there are any."""
     names, matrix, offset = _eye_joints(head)
+    if rotors:
+        rows = zip(names, matrix, offset.tolist(), strict=True)
+        return tuple(Coupling(name, _factors(rotors, row), start) for name, row, start in rows)
     leading: list[int] = []
     for joint in range(len(names)):
         if np.linalg.matrix_rank(matrix[[*leading, joint]]) > len(leading):
@@ -290,15 +176,6 @@ def couplings_of(head: HeadModel) -> tuple[Coupling, ...]:
     return tuple(out)
 
 
-def rotor_couplings(head: HeadModel) -> tuple[Coupling, ...]:
-    """Couplings of the eyes' joints to the rotors, for a head with rotors as bodies."""
-    rotors = [drive.joint_or_rotor for drive in drives_of(head) if drive.slot >= NECK.stop]
-    return tuple(
-        Coupling(name, _factors(rotors, row), float(start))
-        for name, row, start in zip(*_eye_joints(head), strict=True)
-    )
-
-
 def coupled_joint_equations(head: HeadModel) -> list[str]:
     """Equations, as text, of the eyes' joints that more than one actuator moves."""
     out = []
@@ -310,27 +187,13 @@ def coupled_joint_equations(head: HeadModel) -> list[str]:
     return out
 
 
-def needs_rotor_bodies(head: HeadModel) -> bool:
-    """True if a simulator needs the actuators' rotors as bodies of their own.
-
-    This is so if no division of the rotors' inertia among the joints keeps the actuators from
-    disturbing one another, as for a pan of both eyes and a vergence of one of them.
-    """
-    names, *_ = _eye_joints(head)
-    return _decoupling_inertias(head, np.ones(len(names))) is None
-
-
-def rotor_name(drive: str) -> str:
-    """Name of a drive's rotor and of the rotor's joint."""
-    return f"{drive}_rotor"
-
-
 def _decoupling_inertias(head: HeadModel, least: FloatArray) -> FloatArray | None:
     """Least rotor inertias (J,) of the eyes' joints, above `least`, that decouple the actuators.
 
     Rotor inertias r at the joints give the inertia matrix `S^T diag(r) S` at the actuators, with S
     the joint angles per actuator angle. The actuators are decoupled if it is diagonal. None if
-    there are no such inertias.
+    there are no such inertias, as for a pan of both eyes and a vergence of one of them: the rotors
+    are then bodies of their own.
     """
     _, matrix, _ = _eye_joints(head)
     pairs = [(i, k) for i in range(matrix.shape[1]) for k in range(i)]
@@ -352,41 +215,75 @@ def _eye_joints(head: HeadModel) -> tuple[list[str], FloatArray, FloatArray]:
     return names, own.to_joints[rows, : own.count], own.offset[rows]
 
 
-def discrete_lag_rate(lag_s: float, timestep_s: float) -> float:
-    """Rate, 1/s, at which explicit steps reproduce the exact lag: `(1 - exp(-h / tau)) / h`."""
-    return -expm1(-timestep_s / lag_s) / timestep_s if lag_s > 0.0 else 1.0 / timestep_s
+Bodies = Mapping[int, Any]
+"""Bodies of a specification by their index in `Links.bodies`; -1 for the world."""
 
 
-def add_servos(
-    spec: mujoco.MjSpec, head: HeadModel, drives: Sequence[Drive], loads: FloatArray
-) -> None:
-    """Add an actuator for each drive; its control is the commanded velocity, rad/s.
+def add_mechanism(spec: mujoco.MjSpec, head: HeadModel, welded: bool) -> Bodies:
+    """Add all of a head but its looks, with a welded neck or not; the time step is set.
 
-    Args:
-        spec: the specification to extend; its time step is set.
-        head: the head; it supplies limits and lags.
-        drives: the actuators and their joints.
-        loads: (7,) load inertias of the actuators, kg m^2.
+    The site `N` is frame N; `left` and `right` are the cameras. An actuator's control is its
+    commanded velocity, rad/s.
     """
-    own = head.actuation
-    for drive in drives:
-        speed, torque = own.velocity[drive.slot], loads[drive.slot] * own.acceleration[drive.slot]
-        lag_s = head.timing.lag_s * own.lag_ratio[drive.slot]
+    own, cameras, links = head.actuation, head.cameras, head.links.bodies()
+    drives, loads = drives_of(head), load_inertias(head)
+    bodies = _add_bodies(spec, head, loads.joint_armature, head.joints[NECK] if welded else ())
+    for eye, name in enumerate(EYE_NAMES):
+        optics = cameras.size[eye], cameras.focal[eye], cameras.principal[eye]
+        body, pose = bodies[chain_end(links, eye)], head.camera_in_last_link(eye)
+        add_camera(body, name, pose, optics)
+    buffer = spec.visual.global_
+    buffer.offwidth, buffer.offheight = cameras.size.max(axis=0).tolist()
+    for name, slot, joints, ends, target, is_rotor in drives:
+        if welded and slot < NECK.stop:
+            continue
         kind = mujoco.mjtTrn.mjTRN_JOINT
-        if not drive.joint_or_rotor:
-            kind, tendon = mujoco.mjtTrn.mjTRN_TENDON, _add_tendon(spec, drive.name, drive.joints)
-            tendon.limited, tendon.range = True, drive.ends
+        if is_rotor:  # MuJoCo requires a mass and moments of a body; only the armature matters
+            body = spec.worldbody.add_body(name=target, explicitinertial=True)
+            body.mass, body.ipos, body.inertia = 1e-3, np.zeros(3), [1e-6] * 3
+            _add_joint(spec, body, target, ends, loads.separate_rotors[slot])
+        elif not target:
+            kind, tendon = mujoco.mjtTrn.mjTRN_TENDON, _add_tendon(spec, name, joints)
+            tendon.limited, tendon.range = True, ends
             tendon.solref_limit = _stiff_solref(spec)
-        servo = spec.add_actuator(
-            name=drive.name,
-            target=drive.joint_or_rotor or drive.name,
-            trntype=kind,
-            ctrllimited=True,
-            ctrlrange=[-speed, speed],
-        )
-        servo.set_to_velocity(kv=loads[drive.slot] * discrete_lag_rate(lag_s, spec.option.timestep))
-        if np.isfinite(torque):
+        speed, load, lag_s = own.velocity[slot], loads.actuator_loads[slot], head.timing.lag_s
+        fastest = {"ctrllimited": True, "ctrlrange": [-speed, speed]}
+        servo = spec.add_actuator(name=name, target=target or name, trntype=kind, **fastest)
+        rate = discrete_lag_rate(lag_s * own.lag_ratio[slot], spec.option.timestep)
+        servo.set_to_velocity(kv=load * rate)
+        if np.isfinite(torque := load * own.acceleration[slot]):
             servo.forcelimited, servo.forcerange = True, [-torque, torque]
+    for coupling in couplings_of(head, [drive.target for drive in drives if drive.is_rotor]):
+        _add_coupling(spec, coupling)
+    return bodies
+
+
+def _add_bodies(
+    spec: mujoco.MjSpec, head: HeadModel, armature: FloatArray, welded: Sequence[str] = ()
+) -> Bodies:
+    """Add a body for each joint, in the order of their first indices in an array of all seven."""
+    bodies: dict[int, Any] = {-1: spec.worldbody}
+    links, inertias = head.links.bodies(), link_inertias(head)
+    for place in sorted(range(len(links)), key=lambda i: links[i].joints[0]):
+        link, joint = links[place], links[place].joints[0]
+        body = bodies[link.parent].add_body(name=f"{link.name}_link", **pos_and_quat(link.pose))
+        body.explicitinertial, body.gravcomp = True, 1.0
+        body.mass, body.ipos, body.inertia, _ = inertias[place]
+        bodies[place] = body
+        if link.name not in welded:
+            ends = head.limits.lower[joint], head.limits.upper[joint]
+            _add_joint(spec, body, link.name, ends, armature[joint])
+    site = bodies[chain_end(links, None)].add_site(name="N", group=4, size=[0.002] * 3)
+    site.pos, site.quat = pos_and_quat(head.links.frame_n_pose()).values()
+    return bodies
+
+
+def _add_joint(
+    spec: mujoco.MjSpec, body: Any, name: str, ends: Sequence[float], armature: float
+) -> None:
+    """Add a hinge about z with its limits, rad."""
+    solref = _stiff_solref(spec)
+    body.add_joint(name=name, limited=True, range=ends, armature=armature, solref_limit=solref)
 
 
 def _add_tendon(spec: mujoco.MjSpec, name: str, joints: Factors) -> Any:
@@ -397,43 +294,61 @@ def _add_tendon(spec: mujoco.MjSpec, name: str, joints: Factors) -> Any:
     return tendon
 
 
-def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Drive], inertia: FloatArray) -> None:
-    """Add a body that can only rotate for each rotor, (7,) kg m^2, of the eyes' actuators."""
-    for drive in drives:
-        if drive.slot >= NECK.stop:
-            # MuJoCo requires a mass and moments of a body; only the armature matters
-            name = drive.joint_or_rotor
-            body = _add_body(spec.worldbody, name, 1e-3, np.zeros(3), [1e-6] * 3)
-            _add_joint(spec, body, name, drive.ends, inertia[drive.slot])
+def _add_coupling(spec: mujoco.MjSpec, coupling: Coupling) -> None:
+    """Add an equality constraint for a coupled joint."""
+    joint, follows, offset = coupling
+    name, polynomial = f"{joint}_tie", np.zeros(mujoco.mjNEQDATA)
+    kind, of, tied = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT, (joint, "")
+    polynomial[0] = offset
+    if len(follows) > 1:
+        kind, of, tied = mujoco.mjtEq.mjEQ_TENDON, mujoco.mjtObj.mjOBJ_TENDON, (name, "")
+        _add_tendon(spec, name, [(joint, 1.0), *((other, -f) for other, f in follows)])
+    elif follows:
+        tied, polynomial[1] = (joint, follows[0][0]), follows[0][1]
+    stiff = {"solref": _stiff_solref(spec), "solimp": _RIGID_SOLIMP}
+    names = {"name": name, "name1": tied[0], "name2": tied[1]}
+    spec.add_equality(type=kind, objtype=of, data=polynomial, **names, **stiff)
 
 
 _RIGID_SOLIMP: Final = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 """`solimp` of a coupling: as stiff as MuJoCo's solver allows (numerical)."""
 
 
-def add_couplings(spec: mujoco.MjSpec, couplings: Sequence[Coupling]) -> None:
-    """Add equality constraints for coupled joints to a specification whose time step is set."""
-    for joint, follows, offset in couplings:
-        name, polynomial = f"{joint}_tie", np.zeros(mujoco.mjNEQDATA)
-        polynomial[0] = offset
-        kind, target = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
-        first, second = joint, ""
-        if len(follows) > 1:
-            kind, target = mujoco.mjtEq.mjEQ_TENDON, mujoco.mjtObj.mjOBJ_TENDON
-            first = name
-            _add_tendon(spec, name, [(joint, 1.0), *((other, -f) for other, f in follows)])
-        elif follows:
-            ((second, polynomial[1]),) = follows
-        spec.add_equality(
-            name=name,
-            type=kind,
-            objtype=target,
-            name1=first,
-            name2=second,
-            data=polynomial,
-            solref=_stiff_solref(spec),
-            solimp=_RIGID_SOLIMP,
-        )
+def _stiff_solref(spec: mujoco.MjSpec) -> list[float]:
+    """`solref` of a limit or an equality constraint, as stiff as the solver allows."""
+    return [2.0 * spec.option.timestep, 1.0]  # the least time constant is two time steps
+
+
+def discrete_lag_rate(lag_s: float, timestep_s: float) -> float:
+    """Rate, 1/s, at which explicit steps reproduce the exact lag: `(1 - exp(-h / tau)) / h`."""
+    return -expm1(-timestep_s / lag_s) / timestep_s if lag_s > 0.0 else 1.0 / timestep_s
+
+
+_FROM_OPTICAL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Pose of MuJoCo's camera frame, which looks along -z with y up, in C: a turn by 180 degrees about
+x (physical: MuJoCo's convention)."""
+
+
+def add_camera(
+    body: Any, name: str, pose: FloatArray, optics: Sequence[ArrayLike], pixel_m: float = 3e-6
+) -> None:
+    """Add a camera by its optical frame; optics are its size, focal length and principal point, px.
+
+    The edge of a pixel, m, cancels in the image.
+    MuJoCo counts the principal point from the image's centre, with right and down negative.
+    OpenCV's (0, 0) is the centre of the upper left pixel, hence `W / 2 - (u_0 + 1/2)`.
+    """
+    size, focal, principal = map(np.asarray, optics)
+    seen = {"focal_pixel": focal, "principal_pixel": size / 2.0 - (principal + 0.5)}
+    seen |= {"resolution": size, "sensor_size": pixel_m * size}
+    body.add_camera(name=name, **seen, **pos_and_quat(pose @ _FROM_OPTICAL))
+
+
+def pos_and_quat(pose: FloatArray) -> dict[str, FloatArray]:
+    """Convert a pose (4, 4) in the parent to MuJoCo's attributes `pos` and `quat`."""
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, pose[:3, :3].ravel())
+    return {"pos": pose[:3, 3], "quat": np.copysign(1.0, quat[0]) * quat}
 
 
 _NECK_ARMATURE: Final = 0.1
@@ -452,13 +367,13 @@ class LoadInertias(NamedTuple):
     """Inertias that the servos accelerate with the head at rest, (7,) kg m^2; zero if missing."""
 
     joint_armature: FloatArray
-    """Rotor inertia at each joint."""
+    """Of the rotors at each joint."""
     joint_loads: FloatArray
-    """Total load of each joint: rotors and links."""
+    """Of the rotors and links at each joint."""
     actuator_loads: FloatArray
-    """Total load of each joint of the neck and each actuator of the eyes."""
+    """Of the rotors and links at each joint of the neck and each actuator of the eyes."""
     separate_rotors: FloatArray
-    """Inertia of the rotors that are bodies of their own, see `needs_rotor_bodies`."""
+    """Of the rotors that are bodies of their own, see `_decoupling_inertias`."""
 
 
 def load_inertias(head: HeadModel) -> LoadInertias:
@@ -493,7 +408,7 @@ def _links_inertia(head: HeadModel) -> FloatArray:
     """(J, J) mass matrix of the links alone, in the order of `joint_index_by_name`."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    add_bodies(spec, head, (), np.zeros(len(JOINTS)))
+    _add_bodies(spec, head, np.zeros(len(JOINTS)))
     model = spec.compile()
     inertia = np.zeros((model.nv, model.nv))
     if model.nv:

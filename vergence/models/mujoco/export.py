@@ -14,7 +14,6 @@ from vergence.models.geometry import chain_end
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import mujoco
 from vergence.models.mujoco.bodies import (
-    body_name,
     coupled_joint_equations,
     couplings_of,
     link_inertias,
@@ -104,7 +103,7 @@ def to_urdf(head: HeadModel) -> str:
         _add_comment(robot, equation)
     bodies, loads, limits = head.links.bodies(), load_inertias(head).joint_loads, head.limits
     couplings = {coupling.joint: coupling for coupling in couplings_of(head)}
-    links = {-1: "base"} | {place: body_name(body.name) for place, body in enumerate(bodies)}
+    links = {-1: "base"} | {place: f"{body.name}_link" for place, body in enumerate(bodies)}
     for place, (mass, centre, moments, edges) in enumerate(link_inertias(head)):
         body, index = bodies[place], bodies[place].joints[0]
         link = ET.SubElement(robot, "link", name=links[place])

@@ -12,7 +12,7 @@ from vergence.models.head import HeadModel
 from vergence.models.mujoco import mujoco
 from vergence.models.mujoco.bodies import Bodies, add_camera, pos_and_quat
 from vergence.models.parts import NECK, FloatArray
-from vergence.models.posture import EYE_RADIUS_M, RestPoses
+from vergence.models.posture import EYE_RADIUS_M, N_UPRIGHT, RestPoses
 
 _Kind: Final = mujoco.mjtGeom
 _MATERIALS: Final = {
@@ -32,22 +32,15 @@ _SKULL_AXES_M: Final = (0.074, 0.082, 0.062)
 """Semi-axes of the skull along N's axes, m (chosen: looks only)."""
 _MAX_SKULL_BASELINE_M: Final = 0.16
 """Largest baseline for a skull, m; the eyes of a wider head are on a bar (chosen: looks only)."""
-_IRIS_RADIUS_M: Final = 0.009
-"""Radius of the iris in an eyeball of full size, m (chosen: looks only)."""
 _MAX_CENTRED_OFFSET_M: Final = 0.004
 """Distance of a camera from its last joint's origin below which the eyeball is centred on the
 joint, m (chosen: looks only)."""
 _MIN_MOTOR_DISTANCE_M: Final = 0.05
 """Least distance of the neck's first motor from the midpoint between the cameras for it to be
 drawn, m (chosen: a nearer one would hide the eyes)."""
-_MAST_Y_M: Final = 0.075
-"""y of the fixed pair's mast in the upright frame, m (chosen: clear of the skull)."""
 _TEXELS_PER_CELL: Final = 32
 """Texture pixels along a cell of a board (chosen: sharp edges under OpenGL's interpolation against
 memory)."""
-_FACING_HEAD_QUAT: Final = (0.0, 0.0, 0.5**0.5, -(0.5**0.5))
-"""Quaternion (w, x, y, z) of an upright board in front of the head at rest: x_T = -x_0, y_T = -z_0,
-z_T = -y_0 (numerical)."""
 
 
 def add_appearance(
@@ -58,8 +51,7 @@ def add_appearance(
         spec.add_material(name=name, rgba=rgba, shininess=shininess, specular=0.4)
     links, size, middle = head.links.bodies(), posture.scale, posture.cameras[:, :3, 3].mean(axis=0)
     top, up = posture.stand_top, posture.upright_frame[:3, 2]
-    bottom_m = posture.floor_m + 0.01
-    height = up @ (top - posture.upright_frame[:3, 3]) - bottom_m
+    height = up @ (top - posture.upright_frame[:3, 3]) - posture.floor_m - 0.01
     _add_rod(bodies[-1], top, 0.022 * size, top - height * up, kind=_Kind.mjGEOM_CYLINDER)
     skull, on_bar = chain_end(links, None), posture.baseline_m > _MAX_SKULL_BASELINE_M
     for place, link in enumerate(links):
@@ -112,8 +104,8 @@ def _add_face(body: Any, skull: int, posture: RestPoses, on_bar: bool) -> None:
         axes, quat = size * np.array(_SKULL_AXES_M), np.empty(4)
         mujoco.mju_mat2Quat(quat, (into @ posture.frame_n)[:3, :3].ravel())
         centre = roots.mean(axis=0) + size * posture.frame_n[:3, :3] @ _SKULL_BEHIND_M
-        kind, place = _Kind.mjGEOM_ELLIPSOID, {"pos": _moved(into, centre), "quat": quat}
-        _add_shape(body, kind, "shell", size=axes, **place)
+        place = {"size": axes, "pos": _moved(into, centre), "quat": quat}
+        _add_shape(body, _Kind.mjGEOM_ELLIPSOID, "shell", **place)
         return
     held, fronts = (_moved(into, points) for points in (posture.bar_ends, roots))
     _add_rod(body, held[1], 0.009 * size, held[0])
@@ -139,19 +131,18 @@ def _add_eye(body: Any, camera: FloatArray, posture: RestPoses, moves: bool) -> 
     _add_shape(body, _Kind.mjGEOM_SPHERE, "shell", size=[radius, 0.0, 0.0], pos=centre)
     # they start behind the optical centre: OpenGL does not draw faces seen from behind
     start, front = centre - 0.005 * small * forward, (radius + 0.001 * small) * forward
-    iris, kind = _IRIS_RADIUS_M * small, _Kind.mjGEOM_CYLINDER
+    iris, kind = 0.5 * radius, _Kind.mjGEOM_CYLINDER
     _add_rod(body, centre + front, iris, start, "dark", kind)
     _add_rod(body, centre + 1.05 * front, 0.6 * iris, start, "lens", kind)
 
 
-def _place(
-    posture: RestPoses, point: ArrayLike, quat: ArrayLike = (1.0, 0.0, 0.0, 0.0)
-) -> dict[str, FloatArray]:
-    """Convert a position and a quaternion in the upright frame to MuJoCo's attributes."""
-    rotation, pose = np.empty(9), np.eye(4)
-    mujoco.mju_quat2Mat(rotation, np.asarray(quat, np.float64))
-    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), point
-    return pos_and_quat(posture.upright_frame @ pose)
+def _place(posture: RestPoses, point: ArrayLike, faces_head: bool = False) -> dict[str, Any]:
+    """Attributes of what stands upright, or faces the head at rest as N looks at it."""
+    pose = posture.upright_frame.copy()
+    pose[:3, 3] = _moved(pose, point)
+    if faces_head:
+        pose[:3, :3] @= N_UPRIGHT
+    return pos_and_quat(pose)
 
 
 class Board(Protocol):
@@ -185,15 +176,10 @@ def add_target(spec: mujoco.MjSpec, name: str, board: Board, posture: RestPoses)
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file, vflip=True)
     material = spec.add_material(name=name, specular=0.0, shininess=0.0, emission=0.4)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-    place = _place(posture, [-0.011, -1.064, 0.1], _FACING_HEAD_QUAT)
-    spec.worldbody.add_body(name=name, mocap=True, **place).add_geom(
-        name=name,
-        type=_Kind.mjGEOM_BOX,
-        pos=[*centre, 0.001],
-        size=[*size / 2.0, 0.001],
-        material=name,
-        **_VISUAL_ONLY,
-    )
+    place = _place(posture, [-0.011, -1.064, 0.1], faces_head=True)
+    plate = {"name": name, "pos": [*centre, 0.001], "size": [*size / 2.0, 0.001]}
+    body = spec.worldbody.add_body(name=name, mocap=True, **place)
+    _add_shape(body, _Kind.mjGEOM_BOX, name, **plate)
 
 
 def add_observer_cameras(spec: mujoco.MjSpec, posture: RestPoses) -> None:
@@ -202,33 +188,25 @@ def add_observer_cameras(spec: mujoco.MjSpec, posture: RestPoses) -> None:
     The body `fixed_pair` has x right, y down, z forward, and its origin midway between the cameras.
     """
     x, y, z = position = (-0.0122, -0.078, 0.14)
-    body = spec.worldbody.add_body(
-        name="fixed_pair", **_place(posture, position, _FACING_HEAD_QUAT)
-    )
+    body = spec.worldbody.add_body(name="fixed_pair", **_place(posture, position, faces_head=True))
     box = {"size": [0.062, 0.0133, 0.012], "pos": [0.0, 0.0, -0.013]}
     _add_shape(body, _Kind.mjGEOM_BOX, _DARK, **box)
-    mast = [[x, _MAST_Y_M, z], [x, _MAST_Y_M, posture.floor_m + 0.01], [x, y + 0.02, z]]
+    mast = [[x, 0.075, z], [x, 0.075, posture.floor_m + 0.01], [x, y + 0.02, z]]
     elbow, *ends = _moved(posture.upright_frame, mast)
     for end in ends:
         _add_rod(spec.worldbody, end, 0.006, elbow, _METAL)
     pose, optics = np.eye(4), ((1280, 720), (676.21, 676.21), (645.09, 368.27))
     for name, pose[0, 3] in (("fixed_left", -0.0315), ("fixed_right", 0.0315)):
-        add_camera(body, name, pose, *optics, pixel_m=2e-6)
+        add_camera(body, name, pose, optics, pixel_m=2e-6)
         end, start = pose[:3, 3], pose[:3, 3] - [0.0, 0.0, 0.002]
         _add_rod(body, end, 0.007, start, _LENS, _Kind.mjGEOM_CYLINDER)
 
 
 def add_scenery(spec: mujoco.MjSpec, posture: RestPoses) -> None:
     """Add a floor, lights and a dim sky."""
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.35, 0.40, 0.46],
-        rgb2=[0.10, 0.11, 0.13],
-        width=256,
-        height=256,
-    )
+    sky: dict[str, Any] = {"rgb1": [0.35, 0.40, 0.46], "rgb2": [0.10, 0.11, 0.13]}
+    sky |= {"builtin": mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, "width": 256, "height": 256}
+    spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, **sky)
     spec.add_material(name="floor", rgba=[0.30, 0.31, 0.33, 1.0], specular=0.1, shininess=0.1)
     upright, floor_m = posture.upright_frame, posture.floor_m
     place = {"size": [0.0, 0.0, 0.5], **_place(posture, [0.0, 0.0, floor_m])}
@@ -243,12 +221,8 @@ def add_scenery(spec: mujoco.MjSpec, posture: RestPoses) -> None:
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
-    spec.worldbody.add_light(
-        name="key",
-        pos=_moved(upright, [0.6, -0.8, 1.2]),
-        dir=upright[:3, :3] @ [-0.4, 0.5, -0.8],
-        diffuse=[0.6, 0.6, 0.6],
-    )
+    beam = {"dir": upright[:3, :3] @ [-0.4, 0.5, -0.8], "diffuse": [0.6, 0.6, 0.6]}
+    spec.worldbody.add_light(name="key", pos=_moved(upright, [0.6, -0.8, 1.2]), **beam)
     spec.visual.map.znear = 0.005
     spec.stat.center = _moved(upright, [0.0, -0.05, 0.0])
     spec.stat.extent = 0.6 * max(1.0, posture.baseline_m / 0.3)

@@ -21,26 +21,13 @@ from vergence.errors import ConfigurationError
 from vergence.kernels import subroutine
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import mujoco
-from vergence.models.mujoco.bodies import (
-    add_bodies,
-    add_cameras,
-    add_couplings,
-    add_rotors,
-    add_servos,
-    couplings_of,
-    drives_of,
-    joint_index_by_name,
-    load_inertias,
-    needs_rotor_bodies,
-    rotor_couplings,
-)
+from vergence.models.mujoco.bodies import add_mechanism, drives_of, joint_index_by_name
 from vergence.models.mujoco.look import add_appearance, add_scenery
 from vergence.models.parts import NECK
 from vergence.models.posture import rest_poses
 
 SUBSTEPS: Final = 4
-"""Default number of simulation steps per control period: 1/480 s at 120 Hz (chosen: accuracy
-against speed)."""
+"""Simulation steps per control period: 1/480 s at 120 Hz (chosen: accuracy against speed)."""
 
 
 def build_spec(
@@ -57,13 +44,11 @@ def build_spec(
     Args:
         head: one head, not a population.
         neck: `servo` for a neck that moves, `welded` for one that is rigid at zero.
-        visuals: True to add shapes and a stand, for rendering. Without them the motion is the same
-            and the simulation is faster.
+        visuals: True to add shapes and a stand, which do not change the motion but slow it down.
         scenery: True to add a floor and lights to these.
         gravity: True to enable gravity, contacts, springs and constraints, for models with
-            additional bodies. The head's weight is compensated and it has no contacts, so without
-            them its motion is the same and the simulation is faster. Coupled joints stay coupled
-            either way.
+            additional bodies. The head's weight is compensated, it has no contacts, and coupled
+            joints stay coupled either way, so its motion is the same and the simulation slower.
         timestep_s: time step of the simulation, s; None for a quarter of the control period.
 
     Returns:
@@ -91,27 +76,17 @@ def build_spec(
     timestep_s = head.timing.period_s / SUBSTEPS if timestep_s is None else timestep_s
     if not (np.isfinite(timestep_s) and timestep_s > 0.0):
         raise ConfigurationError(f"timestep_s: expected seconds above 0, got {timestep_s!r}")
-    drives, rotors = drives_of(head), needs_rotor_bodies(head)
-    couplings = rotor_couplings(head) if rotors else couplings_of(head)
-    loads, posture = load_inertias(head), rest_poses(head)
-    spec = mujoco.MjSpec()
+    spec, posture = mujoco.MjSpec(), rest_poses(head)
     spec.modelname = head.name
     spec.compiler.degree = spec.compiler.autolimits = False
     spec.option.timestep = timestep_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.gravity = 0.0 - 9.81 * posture.upright_frame[:3, 2]
+    bodies = add_mechanism(spec, head, neck == "welded")
     if not gravity:
         bit = mujoco.mjtDisableBit
         unused = bit.mjDSBL_CONTACT | bit.mjDSBL_SPRING | bit.mjDSBL_DAMPER | bit.mjDSBL_GRAVITY
-        spec.option.disableflags = int(unused if couplings else unused | bit.mjDSBL_EQUALITY)
-    held = head.joints[NECK] if neck == "welded" else ()
-    bodies = add_bodies(spec, head, held, loads.joint_armature)
-    add_cameras(spec, head, bodies)
-    if rotors:
-        add_rotors(spec, drives, loads.separate_rotors)
-    moving = [drive for drive in drives if drive.slot >= NECK.stop or not held]
-    add_servos(spec, head, moving, loads.actuator_loads)
-    add_couplings(spec, couplings)
+        spec.option.disableflags = int(unused if spec.equalities else unused | bit.mjDSBL_EQUALITY)
     if visuals:
         add_appearance(spec, bodies, head, posture)
         if scenery:
@@ -134,11 +109,9 @@ class ModelIndices(NamedTuple):
     that both eyes share has its index twice."""
     joint_of_qpos: NDArray[np.intp]
     """(J,) first index, in an array of all seven joints, of each joint in `qpos`, so that
-    `qpos[: len(joint_of_qpos)] = q[joint_of_qpos]`. This is all of `qpos`, unless the head has
-    rotors."""
+    `qpos[: len(joint_of_qpos)] = q[joint_of_qpos]`; the rest of `qpos` are rotors."""
     slot_of_rotor: NDArray[np.intp]
-    """Index of each rotor in the same array as for `slot_of_ctrl`; rotors are the rest of `qpos`,
-    see `needs_rotor_bodies`."""
+    """Index of each rotor in the same array as for `slot_of_ctrl`."""
     slot_of_ctrl: NDArray[np.intp]
     """(nu,) index of each number in `ctrl` in an array of the neck's joints and the four actuators
     of the eyes."""
@@ -154,8 +127,7 @@ def find_model_indices(model: mujoco.MjModel, head: HeadModel) -> ModelIndices:
     joints = tuple(model.joint(i).name for i in range(model.njnt))
     actuators = tuple(model.actuator(i).name for i in range(model.nu))
     places, drives = joint_index_by_name(head), drives_of(head)
-    eyes = drives if needs_rotor_bodies(head) else ()
-    rotors = {drive.joint_or_rotor: drive.slot for drive in eyes if drive.slot >= NECK.stop}
+    rotors = {drive.target: drive.slot for drive in drives if drive.is_rotor}
     for first in (0, NECK.stop):
         moving = {name: place for name, place in places.items() if place >= first}
         driven = {drive.name: drive.slot for drive in drives if drive.slot >= first}
@@ -172,10 +144,6 @@ def find_model_indices(model: mujoco.MjModel, head: HeadModel) -> ModelIndices:
     )
 
 
-_LIBRARIES: Final = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")
-"""Names of MuJoCo's library in the folder of its Python package."""
-
-
 @functools.cache
 def simulation_functions() -> tuple[int, int, int, int]:
     """Addresses of `mj_setState`, `mj_step` and `mj_getState`, and the components of a state.
@@ -183,8 +151,11 @@ def simulation_functions() -> tuple[int, int, int, int]:
     All are zero if the functions cannot be found. The components are not a constant of compiled
     code, as its caches do not know MuJoCo's version.
     """
-    folder = Path(mujoco.__file__).parent
-    for library in (path for name in _LIBRARIES for path in sorted(folder.glob(name))):
+    folder, names = (
+        Path(mujoco.__file__).parent,
+        ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"),
+    )
+    for library in (path for name in names for path in sorted(folder.glob(name))):
         with suppress(OSError, AttributeError):
             found = ctypes.CDLL(str(library))
             functions = (found.mj_setState, found.mj_step, found.mj_getState)
@@ -215,12 +186,8 @@ def simulate(
 ) -> None:
     """Advance a simulation by a number of steps, as `mujoco.batch.Batch.step` does.
 
-    Args:
-        functions: result of `simulation_functions`.
-        model: address of its `mjModel`.
-        data: address of an `mjData` of this model, whose contents are lost.
-        state: address of the row of its state, updated in place.
-        nstep: number of steps.
+    The arguments are the result of `simulation_functions` and addresses: of an `mjModel`, of an
+    `mjData` of it, whose contents are lost, and of the row of its state, updated in place.
     """
     components = np.int32(functions[3])
     _call(functions[0], (model, data, state, components))
