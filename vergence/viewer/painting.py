@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from vergence.envs.reading import Image
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.look import surroundings_of
 from vergence.models.parts import FloatArray
+from vergence.models.posture import rest_poses
 from vergence.viewer import marks
 from vergence.viewer.eye_pictures import EYE_COLOURS, FIX_COLOUR
 from vergence.viewer.outside_camera import OutsideCamera, place_outside_camera
@@ -54,7 +54,7 @@ class HeadPainter:
     def __init__(self, head: HeadModel) -> None:
         self._head = head
         self._shapes = HeadShapes(head)
-        self._floor_m = surroundings_of(head).floor_m
+        self._floor_m = rest_poses(head).floor_m
         self._board = make_planar_target("tag")
         meshes = self._shapes.meshes
         counts = [len(mesh.vertices) for mesh in meshes]

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.look import surroundings_of
 from vergence.models.parts import EYE_NAMES, FloatArray
+from vergence.models.posture import rest_poses
 from vergence.viewer.eye_pictures import EYE_COLOURS, FIX_COLOUR
 from vergence.viewer.moment import Moment
 from vergence.viewer.shapes import HeadShapes
@@ -105,7 +105,7 @@ class HeadScene:
             "/head/target", scale=0.18, disable_rotations=True, visible=False, line_width=3.0
         )
         self._camera_placed = False
-        floor_m = surroundings_of(head).floor_m
+        floor_m = rest_poses(head).floor_m
         api.add_grid(
             "/floor", 4.0, 4.0, cell_size=0.1, section_size=0.5, position=(0.0, -1.0, floor_m),
             cell_color=(225, 225, 225), section_color=(200, 200, 200),

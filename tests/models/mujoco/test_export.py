@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.heads import head_of
+from tests.models.mujoco.test_model import ALL, any_head, mujoco_pixel, placed, postures
 from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import JOINTS
 from vergence.models.mujoco.export import FORMATS, export_files, roll_pitch_yaw, to_urdf
 from vergence.models.mujoco.model import compile_model
-from vergence.vision.targets import AprilTag
+from vergence.vision.targets import AprilTag, Checkerboard
 
 TARGETS = {"tag": AprilTag()}
 FOLDER = Path(__file__).resolve().parents[3] / "models" / "bionic_eyes"
@@ -43,9 +45,30 @@ def urdf_poses(text, q):
 
 
 class TestUrdf:
+    def test_it_has_the_heads_frames(self, rng):
+        for kind in ALL:
+            with named(kind):
+                head = any_head(kind)
+                text = to_urdf(head)
+                for q in postures(head, rng):
+                    poses = urdf_poses(text, dict(zip(head.joints, q, strict=True)))
+                    base = head.base_pose(q)
+                    np.testing.assert_allclose(poses["N"], base, atol=1e-12)
+                    for eye, name in enumerate(("left_camera", "right_camera")):
+                        expected = base @ head.camera_poses(q)[eye]
+                        np.testing.assert_allclose(poses[name], expected, atol=1e-12)
+
+    def test_a_joint_that_follows_one_other_is_a_mimic_and_a_version_a_comment(self):
+        joints = {j.get("name"): j for j in ET.fromstring(to_urdf(head_of("mis"))).iter("joint")}
+        mimic = joints["right_tilt"].find("mimic")
+        assert mimic.attrib == {"joint": "left_tilt", "multiplier": "1", "offset": "0"}
+        assert sum(joint.find("mimic") is not None for joint in joints.values()) == 1
+        text = to_urdf(head_of("tied"))
+        assert "left_pan = 1 version +0.5 vergence" in text
+        assert "mimic" not in text
+
     def test_limits_and_efforts(self, head):
-        limits = [joint.find("limit") for joint in ET.fromstring(to_urdf(head)).iter("joint")]
-        limits = [limit for limit in limits if limit is not None]
+        limits = [*ET.fromstring(to_urdf(head)).iter("limit")]
         for name in ("lower", "upper", "velocity"):
             values = [float(limit.get(name)) for limit in limits]
             np.testing.assert_allclose(values, getattr(head.limits, name), rtol=1e-12)
@@ -127,13 +150,17 @@ def assert_same_xml(first, second):
         assert_same_xml(ours, theirs)
 
 
-class TestMjcf:
-    @pytest.fixture
-    def scene(self):
-        return mujoco.MjModel.from_xml_path(str(FOLDER / "scene.xml"))
+def scene_of(head, targets=TARGETS):
+    """Model and data of an exported scene; the model has six significant digits."""
+    files = export_files(head, "mjcf", targets)
+    model = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), files)
+    return model, placed(model, head, head.rest())
 
+
+class TestMjcf:
     @pytest.mark.slow
-    def test_the_scene_steps_under_noise_without_a_warning(self, scene, rng):
+    def test_the_scene_steps_under_noise_without_a_warning(self, rng):
+        scene = mujoco.MjModel.from_xml_path(str(FOLDER / "scene.xml"))
         data = mujoco.MjData(scene)
         low, high = scene.actuator_ctrlrange.T
         control = np.zeros(scene.nu)
@@ -146,20 +173,50 @@ class TestMjcf:
         assert np.isfinite(data.qpos).all()
         assert np.abs(data.qpos).max() > 0.1
 
-    def test_the_scene_is_the_compiled_head(self, scene, simulated, random_poses):
-        ours = compile_model(simulated, gravity=True, observer_cameras=True)
-        np.testing.assert_allclose(scene.actuator_gainprm, ours.actuator_gainprm, rtol=1e-5)
-        np.testing.assert_allclose(scene.dof_armature, ours.dof_armature)
-        first, second = mujoco.MjData(scene), mujoco.MjData(ours)
-        for q in random_poses(simulated, 20):
-            first.qpos[:] = second.qpos[:] = q
-            mujoco.mj_forward(scene, first)
-            mujoco.mj_forward(ours, second)
-            for name in ("left", "right", "fixed_left", "fixed_right"):
-                # MuJoCo writes six significant digits
-                one, other = first.camera(name), second.camera(name)
-                np.testing.assert_allclose(one.xpos, other.xpos, atol=1e-6)
-                np.testing.assert_allclose(one.xmat, other.xmat, atol=1e-6)
+    @pytest.mark.slow
+    def test_the_scene_is_the_head_and_shows_a_fixated_target_in_the_middle(self):
+        for kind in ALL:
+            with named(kind):
+                head = any_head(kind)
+                model, ours = scene_of(head)[0], compile_model(head, visuals=False)
+                np.testing.assert_allclose(model.actuator_gainprm, ours.actuator_gainprm, rtol=1e-5)
+                np.testing.assert_allclose(model.dof_armature, ours.dof_armature, rtol=1e-5)
+                point = np.array([0.05, 0.02, 0.9])
+                q = head.fixate(point) if head.actuation.count else head.rest()
+                data, base = placed(model, head, q), head.base_pose(q)
+                expected = head.project(q, point, distorted=False)
+                for eye, name in enumerate(("left", "right")):
+                    pixel = mujoco_pixel(model, data, name, base[:3] @ [*point, 1.0])
+                    np.testing.assert_allclose(pixel, expected[eye], atol=0.01)
+
+    def test_the_fixed_pair_is_the_articles(self, simulated):
+        model, data = scene_of(simulated)
+        left, right = data.camera("fixed_left"), data.camera("fixed_right")
+        z_N, x_N = simulated.base_pose(np.zeros(7))[:3, [2, 0]].T
+        np.testing.assert_allclose(left.xmat.reshape(3, 3)[:, 2], -z_N, atol=1e-6)
+        np.testing.assert_allclose(right.xpos - left.xpos, 0.063 * x_N, atol=1e-6)
+        ahead = left.xpos + z_N
+        pixel = mujoco_pixel(model, data, "fixed_left", ahead)
+        np.testing.assert_allclose(pixel, (645.09, 368.27), atol=1e-3)
+        beside = mujoco_pixel(model, data, "fixed_left", ahead + 0.1 * x_N) - pixel
+        np.testing.assert_allclose(beside, [67.621, 0.0], atol=1e-3)
+
+    def test_a_target_faces_the_head_and_its_body_is_the_frame_of_the_measured_point(
+        self, simulated
+    ):
+        for board in (AprilTag(), Checkerboard()):
+            with named(board):
+                model, data = scene_of(simulated, {"board": board})
+                facing = simulated.base_pose(np.zeros(7))[:3, :3]
+                np.testing.assert_allclose(data.body("board").xmat.reshape(3, 3), facing, atol=1e-6)
+                assert model.body("board").mocapid[0] == 0
+                plate = model.geom("board")
+                # the front face is z = 0 of T; the upper left corner lies the origin's cells away
+                corner = plate.pos[:2] - plate.size[:2]
+                np.testing.assert_allclose(corner, -board.cell_m * np.array(board.origin_cells))
+                assert plate.pos[2] - plate.size[2] == pytest.approx(0.0)
+                size = board.cell_m * np.array(board.cells.T.shape)
+                np.testing.assert_allclose(2 * plate.size[:2], size)
 
     def test_the_head_alone_can_be_put_into_other_scenes(self):
         model = mujoco.MjModel.from_xml_path(str(FOLDER / "simulated.xml"))

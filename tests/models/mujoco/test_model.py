@@ -1,19 +1,78 @@
 """The MuJoCo model: the head's own tree, cameras and actuators, and nothing that disturbs them."""
 
+from functools import cache
+
 import mujoco
 import numpy as np
 import pytest
 
+from tests.heads import TEXTS, head_of, text_of
 from tests.naming import named
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.models import EYES, JOINTS
-from vergence.models.mujoco.look import OBSERVER_CAMERAS
+from vergence.models import load_head, parse_head
+from vergence.models.mujoco.bodies import couplings_of, load_inertias
 from vergence.models.mujoco.model import build_spec, compile_model, find_model_indices
-from vergence.vision.targets import AprilTag, Checkerboard
 
 BARE = {"visuals": False}
 PERIODS = 240
 """Two seconds at 120 Hz."""
+VERGENCE_OF_ONE = text_of("tied").replace("left_pan = 0.5, right_pan = -0.5", "right_pan = -1.0")
+"""A pan of both eyes and a vergence of the right one: no division of rotors keeps these apart."""
+THREE_FROM_TWO = (
+    text_of("panfirst")
+    + "".join(
+        f'[[actuators]]\nname = "{name}"\njoints = {{ {joints} }}\nlower_rad = -0.4\n'
+        "upper_rad = 0.4\nvelocity_rad_s = 5.0\nacceleration_rad_s2 = 80.0\n"
+        for name, joints in (
+            ("first", "left_pan = 1.0, left_tilt = 0.5, right_tilt = 0.5"),
+            ("second", "right_pan = 1.0, left_tilt = 0.5, right_tilt = -0.5"),
+        )
+    )
+    + "[joint_offsets_rad]\nleft_tilt = 0.1\n"
+)
+"""Joints that follow two others."""
+MADE = {"vergence_of_one": VERGENCE_OF_ONE, "three_from_two": THREE_FROM_TWO}
+ALL = (*TEXTS, *MADE, "turrets", "physical")
+
+
+@cache
+def any_head(name):
+    if name in MADE:
+        return parse_head(MADE[name])
+    return head_of(name) if name in TEXTS else load_head(name)
+
+
+@cache
+def bare_model(name):
+    return compile_model(any_head(name), **BARE)
+
+
+def postures(head, rng, count=6):
+    own = head.actuation
+    return own.joints_of(rng.uniform(own.lower, own.upper, (count, 7)))
+
+
+def placed(model, head, q):
+    data = mujoco.MjData(model)
+    places = find_model_indices(model, head).joint_of_qpos
+    data.qpos[: len(places)] = q[places]
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def mujoco_pixel(model, data, name, point):
+    """Pixel at which MuJoCo draws a world point, by the frustum of its source code.
+
+    Its image has edges at integers and its principal point counts from the centre, towards the
+    left and up; half a pixel less gives OpenCV's pixels.
+    """
+    camera = model.camera(name).id
+    size, sensor = model.cam_resolution[camera], model.cam_sensorsize[camera].astype(float)
+    focal, principal = np.split(model.cam_intrinsic[camera] / np.tile(sensor / size, 2), 2)
+    rotation, origin = data.camera(name).xmat.reshape(3, 3), data.camera(name).xpos
+    x, y, z = rotation.T @ (point - origin)
+    edges = size / 2.0 - principal + focal * np.array([x, -y]) / -z
+    return edges - 0.5
 
 
 def follow(model, commands, start, lag_s, acceleration, exact_actuator):
@@ -76,66 +135,154 @@ class TestActuators:
             mujoco.mj_step(model, data, nstep=960)
             assert np.abs(data.qpos - start).max() < 1e-9
 
-
-class TestTree:
-    def test_joints_and_actuators_have_the_order_of_joints(self, head):
-        model = compile_model(head)
-        assert [model.joint(i).name for i in range(model.njnt)] == list(JOINTS)
-        assert [model.actuator(i).name for i in range(model.nu)] == list(JOINTS)
-        indices = find_model_indices(model, head)
-        for places in (indices.qpos_of_joint, indices.joint_of_qpos, indices.slot_of_ctrl):
-            np.testing.assert_array_equal(places, range(7))
-        np.testing.assert_array_equal(model.jnt_range.T, [head.limits.lower, head.limits.upper])
-        np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], head.limits.velocity)
-
-    def test_a_welded_neck_leaves_the_eyes_where_it_holds_them(self, head):
-        neck = [0.3, -0.2, 0.4]
-        model = compile_model(head, neck="welded", neck_position=neck)
-        indices = find_model_indices(model, head)
-        np.testing.assert_array_equal(indices.qpos_of_joint, [-1, -1, -1, 0, 1, 2, 3])
-        np.testing.assert_array_equal(indices.joint_of_qpos, range(7)[EYES])
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        expected = head.base_pose([*neck, 0.0, 0.0, 0.0, 0.0])
-        np.testing.assert_allclose(data.site("N").xpos, expected[:3, 3], atol=1e-12)
-        rotation = data.site("N").xmat.reshape(3, 3)
-        np.testing.assert_allclose(rotation, expected[:3, :3], atol=1e-12)
-
-    def test_other_joints_are_refused_by_name(self, simulated):
-        other = mujoco.MjModel.from_xml_string(
-            "<mujoco><worldbody><body><joint name='elbow'/><geom size='1'/></body></worldbody>"
-            "</mujoco>"
-        )
-        with pytest.raises(ConfigurationError, match=r"neck_yaw.*elbow"):
-            find_model_indices(other, simulated)
-
     def test_rotors_dominate_the_inertia(self, head):
         # what lets constant gains serve in every pose, and joints move undisturbed
         model = compile_model(head, **BARE)
-        data = mujoco.MjData(model)
         for pose in (head.rest(), 0.9 * head.limits.upper, 0.9 * head.limits.lower):
-            data.qpos[:] = pose
-            mujoco.mj_forward(model, data)
             inertia = np.zeros((7, 7))
-            mujoco.mj_fullM(model, data, inertia)
-            share = model.dof_armature / np.diag(inertia)
-            assert share.min() > 0.95
-            coupling = np.abs(inertia - np.diag(np.diag(inertia))) / np.diag(inertia)
-            assert coupling.max() < 0.005
+            mujoco.mj_fullM(model, placed(model, head, pose), inertia)
+            own = np.diag(inertia)
+            assert (model.dof_armature / own).min() > 0.95
+            assert (np.abs(inertia - np.diag(own)) / own).max() < 0.005
 
-    def test_shapes_weigh_nothing_and_touch_nothing(self, simulated):
-        plain, dressed = compile_model(simulated, **BARE), compile_model(simulated)
-        for name in (f"{joint}_link" for joint in JOINTS):
-            assert plain.body(name).mass == dressed.body(name).mass
-            np.testing.assert_array_equal(plain.body(name).inertia, dressed.body(name).inertia)
-        assert dressed.ngeom > 10
-        assert not dressed.geom_contype.any()
-        assert not dressed.geom_conaffinity.any()
+    def test_servos_of_a_wide_head_are_stronger(self):
+        wide = parse_head(text_of("common").replace("0.05, 0.0, 0.0", "0.5, 0.0, 0.0"))
+        stronger, own = (load_inertias(h).joint_armature for h in (wide, head_of("common")))
+        assert (stronger >= own).all()
+
+
+class TestTree:
+    @pytest.mark.slow
+    def test_cameras_and_n_are_where_the_head_has_them(self, rng):
+        for kind in ALL:
+            with named(kind):
+                head, model = any_head(kind), bare_model(kind)
+                for q in postures(head, rng):
+                    data, base = placed(model, head, q), head.base_pose(q)
+                    np.testing.assert_allclose(data.site("N").xpos, base[:3, 3], atol=1e-12)
+                    expected = base @ head.camera_poses(q)
+                    point = base[:3] @ [0.05, 0.02, 0.9, 1.0]
+                    pixels = head.project(q, [0.05, 0.02, 0.9], distorted=False)
+                    for eye, name in enumerate(("left", "right")):
+                        camera = data.camera(name)
+                        np.testing.assert_allclose(camera.xpos, expected[eye, :3, 3], atol=1e-12)
+                        optical = camera.xmat.reshape(3, 3) * [1.0, -1.0, -1.0]
+                        np.testing.assert_allclose(optical, expected[eye, :3, :3], atol=1e-12)
+                        if expected[eye, :3, 2] @ (point - camera.xpos) > 0.2:
+                            # MuJoCo keeps intrinsics in single precision
+                            pixel = mujoco_pixel(model, data, name, point)
+                            np.testing.assert_allclose(pixel, pixels[eye], atol=2e-3)
+
+    @pytest.mark.slow
+    def test_joints_are_the_heads_and_actuators_its_actuators(self):
+        for name in ALL:
+            with named(name):
+                head, model = any_head(name), bare_model(name)
+                joints = {name: i for i, name in reversed([*enumerate(head.joints)]) if name}
+                names = [model.joint(i).name for i in range(model.njnt)]
+                kept = [name for name in names if not name.endswith("_rotor")]
+                assert kept == [name for name in dict.fromkeys(head.joints) if name]
+                ends = np.transpose([head.limits.lower, head.limits.upper])
+                ends = ends[[joints[name] for name in kept]]
+                np.testing.assert_array_equal(model.jnt_range[: len(kept)], ends)
+                expected = [name for name in head.joints[:3] if name] + list(head.actuation.names)
+                assert [model.actuator(i).name for i in range(model.nu)] == expected
+                slots = find_model_indices(model, head).slot_of_ctrl
+                fastest = head.actuation.velocity[slots]
+                np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], fastest)
+
+    def test_a_welded_neck_leaves_the_eyes(self, head):
+        indices = find_model_indices(compile_model(head, neck="welded"), head)
+        np.testing.assert_array_equal(indices.qpos_of_joint, [-1, -1, -1, 0, 1, 2, 3])
+        np.testing.assert_array_equal(indices.joint_of_qpos, [3, 4, 5, 6])
+
+    def test_an_actuator_may_have_the_name_of_a_neck_joint(self):
+        head = parse_head(text_of("tied").replace('name = "tilt"', 'name = "neck_yaw"'))
+        assert compile_model(head, **BARE).actuator("eyes_neck_yaw").id == 3
+
+    def test_each_eye_has_its_own_image_size(self):
+        model = compile_model(head_of("pair").replace(cameras={"size": [[320, 240], [640, 400]]}))
+        np.testing.assert_array_equal(model.cam_resolution, [[320, 240], [640, 400]])
+        assert (model.vis.global_.offwidth, model.vis.global_.offheight) == (640, 400)
 
     def test_four_steps_are_a_control_period(self, head):
         model = compile_model(head, **BARE)
         assert 4 * model.opt.timestep == pytest.approx(head.timing.period_s)
         assert compile_model(head, timestep_s=0.001, **BARE).opt.timestep == 0.001
+
+
+class TestTies:
+    def test_equality_constraints_are_computed_only_where_joints_follow_others(self):
+        for name in ALL:
+            with named(name):
+                model = bare_model(name)
+                off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+                assert bool(off) == (model.neq == 0)
+
+    def test_joints_that_follow_others_do_so_under_full_commands(self, rng):
+        for name in ("mis", "vergence_of_one", "three_from_two"):
+            with named(name):
+                head = any_head(name)
+                own, model = head.actuation, bare_model(name)
+                indices = find_model_indices(model, head)
+                middle = 0.5 * (own.lower + own.upper)
+                data = placed(model, head, own.joints_of(middle))
+                data.qpos[len(indices.joint_of_qpos) :] = middle[indices.slot_of_rotor]
+                worst = 0.0
+                for step in range(400):
+                    if step % 20 == 0:
+                        fastest = own.velocity[indices.slot_of_ctrl]
+                        data.ctrl[:] = rng.choice([-1.0, 1.0], model.nu) * fastest
+                    mujoco.mj_step(model, data)
+                    q = np.where(indices.qpos_of_joint >= 0, data.qpos[indices.qpos_of_joint], 0.0)
+                    worst = max(worst, np.abs(own.joints_of(own.actuators_of(q)) - q).max())
+                assert np.abs(data.qpos).max() > 0.1
+                # within what an encoder of 0.01 degrees tells
+                assert worst < 1e-4
+
+    def test_a_joint_may_follow_two_others_from_an_offset(self, rng):
+        head = any_head("three_from_two")
+        couplings = couplings_of(head)
+        assert couplings
+        for q in postures(head, rng):
+            angles = dict(zip(head.joints, q, strict=True))
+            for joint, others, offset in couplings:
+                follows = offset + sum(factor * angles[name] for name, factor in others)
+                assert angles[joint] == pytest.approx(follows, abs=1e-12)
+
+
+class TestAppearance:
+    def test_shapes_weigh_nothing_and_touch_nothing(self, simulated):
+        plain, dressed = compile_model(simulated, **BARE), compile_model(simulated)
+        np.testing.assert_array_equal(plain.body_mass, dressed.body_mass)
+        np.testing.assert_array_equal(plain.body_inertia, dressed.body_inertia)
+        assert dressed.ngeom > 10
+        assert not dressed.geom_contype.any()
+        assert not dressed.geom_conaffinity.any()
+
+    def test_heads_stand_above_the_floor_whatever_their_base_frame(self, simulated):
+        wider = [text_of("pair").replace("0.05, 0.0", f"{0.05 * s}, 0.0") for s in (0.6, 1.0, 10.0)]
+        for head in (simulated, *map(parse_head, wider)):
+            with named(head):
+                model = compile_model(head)
+                data = placed(model, head, head.rest())
+                floor, up = data.geom("floor"), -head.base_pose(head.rest())[:3, 1]
+                np.testing.assert_allclose(floor.xmat.reshape(3, 3)[:, 2], up, atol=1e-12)
+                assert ((data.cam_xpos - floor.xpos) @ up > 0.2).all()
+                np.testing.assert_allclose(model.opt.gravity, -9.81 * up, atol=1e-12)
+
+    @pytest.mark.slow
+    def test_eyeballs_are_about_the_cameras_and_do_not_touch(self):
+        for name in ALL:
+            with named(name):
+                head = any_head(name)
+                model = compile_model(head)
+                data = placed(model, head, head.rest())
+                balls = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)
+                assert len(balls) == 2
+                np.testing.assert_allclose(data.geom_xpos[balls], data.cam_xpos, atol=0.004)
+                apart = np.linalg.norm(np.diff(data.geom_xpos[balls], axis=0))
+                assert model.geom_size[balls, 0].sum() < apart
 
 
 def test_what_no_model_can_be_made_of_is_refused(simulated, physical, errors, rng):
@@ -150,71 +297,7 @@ def test_what_no_model_can_be_made_of_is_refused(simulated, physical, errors, rn
             build_spec(head, **options)
 
 
-def mujoco_pixel(model, data, name, point):
-    """Pixel at which MuJoCo draws a world point, by the frustum of its source code.
-
-    Its image has edges at integers and its principal point counts from the centre, towards the
-    left and up; half a pixel less gives OpenCV's pixels.
-    """
-    camera = model.camera(name).id
-    size, sensor = model.cam_resolution[camera], model.cam_sensorsize[camera].astype(float)
-    focal, principal = np.split(model.cam_intrinsic[camera] / np.tile(sensor / size, 2), 2)
-    rotation, origin = data.camera(name).xmat.reshape(3, 3), data.camera(name).xpos
-    x, y, z = rotation.T @ (point - origin)
-    edges = size / 2.0 - principal + focal * np.array([x, -y]) / -z
-    return edges - 0.5
-
-
-class TestCameras:
-    def test_project_as_the_head_does(self, head, random_poses, rng):
-        model = compile_model(head, **BARE)
-        data = mujoco.MjData(model)
-        points = rng.uniform([-0.3, -0.3, 0.6], [0.3, 0.3, 2.0], (50, 3))
-        for q, point in zip(0.3 * random_poses(head, 50), points, strict=True):
-            data.qpos[:] = q
-            mujoco.mj_forward(model, data)
-            world = head.base_pose(q)[:3] @ [*point, 1.0]
-            expected = head.project(q, point, distorted=False)
-            for eye, name in enumerate(("left", "right")):
-                pixel = mujoco_pixel(model, data, name, world)
-                # MuJoCo keeps intrinsics in single precision
-                np.testing.assert_allclose(pixel, expected[eye], atol=2e-3)
-
-    def test_the_fixed_pair_is_the_articles(self, simulated):
-        model = compile_model(simulated, observer_cameras=True)
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        left, right = data.camera("fixed_left"), data.camera("fixed_right")
-        assert np.linalg.norm(right.xpos - left.xpos) == pytest.approx(0.063)
-        z_N, x_N = simulated.base_pose(np.zeros(7))[:3, [2, 0]].T
-        np.testing.assert_allclose(left.xmat.reshape(3, 3)[:, 2], -z_N, atol=1e-12)
-        np.testing.assert_allclose(right.xpos - left.xpos, 0.063 * x_N, atol=1e-12)
-        ahead = left.xpos + z_N
-        pixel = mujoco_pixel(model, data, "fixed_left", ahead)
-        np.testing.assert_allclose(pixel, OBSERVER_CAMERAS.principal_px, atol=1e-4)
-        beside = mujoco_pixel(model, data, "fixed_left", ahead + 0.1 * x_N) - pixel
-        np.testing.assert_allclose(beside, [67.621, 0.0], atol=1e-4)
-
-
-class TestTargets:
-    def test_the_body_is_the_frame_of_the_measured_point(self, simulated):
-        for board in (AprilTag(), Checkerboard()):
-            with named(board):
-                model = compile_model(simulated, targets={"board": board})
-                plate = model.geom("board")
-                # the front face is z = 0 of T; the upper left corner lies the origin's cells away
-                corner = plate.pos[:2] - plate.size[:2]
-                np.testing.assert_allclose(corner, -board.cell_m * np.array(board.origin_cells))
-                assert plate.pos[2] - plate.size[2] == pytest.approx(0.0)
-                size = board.cell_m * np.array(board.cells.T.shape)
-                np.testing.assert_allclose(2 * plate.size[:2], size)
-
-    def test_the_target_faces_the_resting_head_and_can_be_moved(self, simulated):
-        model = compile_model(simulated, targets={"tag": AprilTag()})
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        facing = simulated.base_pose(np.zeros(7))[:3, :3]
-        np.testing.assert_allclose(data.body("tag").xmat.reshape(3, 3), facing, atol=1e-12)
-        data.mocap_pos[model.body("tag").mocapid[0]] = [0.1, -2.0, 0.3]
-        mujoco.mj_kinematics(model, data)
-        np.testing.assert_array_equal(data.body("tag").xpos, [0.1, -2.0, 0.3])
+def test_a_model_of_other_joints_is_refused_by_name(simulated):
+    other = "<mujoco><worldbody><body><joint name='elbow'/><geom size='1'/></body></worldbody>"
+    with pytest.raises(ConfigurationError, match=r"neck_yaw.*elbow"):
+        find_model_indices(mujoco.MjModel.from_xml_string(f"{other}</mujoco>"), simulated)

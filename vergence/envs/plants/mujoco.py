@@ -29,8 +29,14 @@ from vergence.errors import ConfigurationError
 from vergence.kernels import compiled_for_threads, unpack_table
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import Batch, mujoco
-from vergence.models.mujoco.bodies import discrete_lag_rate, simulate, simulation_functions
-from vergence.models.mujoco.model import SUBSTEPS, compile_model, find_model_indices
+from vergence.models.mujoco.bodies import discrete_lag_rate
+from vergence.models.mujoco.model import (
+    SUBSTEPS,
+    compile_model,
+    find_model_indices,
+    simulate,
+    simulation_functions,
+)
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 

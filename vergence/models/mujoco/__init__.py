@@ -4,9 +4,12 @@ from importlib.metadata import PackageNotFoundError, version
 
 from vergence.errors import MujocoUnavailableError
 
+try:
+    import mujoco
+    from mujoco.batch import Batch
 
-def _fault() -> MujocoUnavailableError:
-    """Error that names the installed MuJoCo, and the command that mends it."""
+    mujoco.MjSpec, mujoco.mj_version  # a core without its files is an empty package  # noqa: B018
+except Exception as error:
     try:
         found = version("mujoco")
     except PackageNotFoundError:
@@ -17,15 +20,7 @@ def _fault() -> MujocoUnavailableError:
         parts = (f"{name}=={found}" for name in ("mujoco", "mujoco-core", "mujoco-studio"))
         cure = f"pip install --force-reinstall --no-deps {' '.join(parts)}"
         found += " with files that are missing or damaged"
-    return MujocoUnavailableError(f"mujoco: expected MuJoCo 4, got {found}; cure: {cure}")
-
-
-try:
-    import mujoco
-    from mujoco.batch import Batch
-
-    mujoco.MjSpec, mujoco.mj_version  # a core without its files is an empty package  # noqa: B018
-except Exception as error:
-    raise _fault() from error
+    fault = f"mujoco: expected MuJoCo 4, got {found}; cure: {cure}"
+    raise MujocoUnavailableError(fault) from error
 
 __all__ = ["Batch", "mujoco"]

@@ -5,52 +5,37 @@ frames), the site `N` is frame N, and the cameras `left` and `right` look along 
 `C_r`.
 """
 
-from collections.abc import Mapping
-from types import MappingProxyType
+import ctypes
+import functools
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
+from vergence.kernels import subroutine
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import mujoco
-from vergence.models.mujoco.bodies import (
-    add_bodies,
-    add_cameras,
-    add_couplings,
-    add_rotors,
-    add_servos,
-    couplings_of,
-    joint_index_by_name,
-    load_inertias,
-    needs_rotor_bodies,
-    rotor_couplings,
-    transmissions_of,
-)
-from vergence.models.mujoco.look import (
-    Board,
-    add_appearance,
-    add_observer_cameras,
-    add_scenery,
-    add_target,
-    surroundings_of,
-)
+from vergence.models.mujoco.bodies import add_mechanism, drives_of, joint_index_by_name
+from vergence.models.mujoco.look import add_appearance, add_scenery
 from vergence.models.parts import NECK
+from vergence.models.posture import rest_poses
 
 SUBSTEPS: Final = 4
-"""Default number of simulation steps per control period: 1/480 s at 120 Hz (chosen: accuracy
-against speed)."""
+"""Simulation steps per control period: 1/480 s at 120 Hz (chosen: accuracy against speed)."""
 
 
 def build_spec(
     head: HeadModel,
     *,
     neck: Literal["servo", "welded"] = "servo",
-    neck_position: ArrayLike = 0.0,
-    targets: Mapping[str, Board] = MappingProxyType({}),
-    observer_cameras: bool = False,
     visuals: bool = True,
+    scenery: bool = True,
     gravity: bool = False,
     timestep_s: float | None = None,
 ) -> mujoco.MjSpec:
@@ -58,26 +43,18 @@ def build_spec(
 
     Args:
         head: one head, not a population.
-        neck: `servo` for a neck that moves, `welded` for a rigid neck.
-        neck_position: (3,) or a scalar, the angles of a welded neck, rad.
-        targets: the boards by the names of the mocap bodies that carry them. A body's frame is T:
-            origin at the measured point, x right and y down as seen from in front, z into the
-            board.
-        observer_cameras: True to add the body `fixed_pair`, which looks over the head, with the
-            cameras `fixed_left` and `fixed_right`.
-        visuals: True to add shapes, a stand, a floor and lights, for rendering. Without them the
-            motion is the same and the simulation is faster.
+        neck: `servo` for a neck that moves, `welded` for one that is rigid at zero.
+        visuals: True to add shapes and a stand, which do not change the motion but slow it down.
+        scenery: True to add a floor and lights to these.
         gravity: True to enable gravity, contacts, springs and constraints, for models with
-            additional bodies. The head's weight is compensated and it has no contacts, so without
-            them its motion is the same and the simulation is faster. Coupled joints stay coupled
-            either way.
+            additional bodies. The head's weight is compensated, it has no contacts, and coupled
+            joints stay coupled either way, so its motion is the same and the simulation slower.
         timestep_s: time step of the simulation, s; None for a quarter of the control period.
 
     Returns:
         The specification. Joints have the head's names, in the order of their first indices in
         `HeadModel.joints`. Actuators are the joints of the neck, then the actuators of the eyes,
-        see `transmissions_of`. `ctrl` is an actuator's commanded velocity in rad/s, clipped to its
-        limits.
+        see `drives_of`. `ctrl` is an actuator's commanded velocity in rad/s, clipped to its limits.
 
     Raises:
         ConfigurationError: the head is a population, or moves without a lag, or an option has an
@@ -85,55 +62,35 @@ def build_spec(
 
     MuJoCo's cameras are pinholes: the model does not include lens distortion.
     """
-    spec = head_spec(
-        head,
-        neck=neck,
-        neck_position=neck_position,
-        visuals=visuals,
-        gravity=gravity,
-        timestep_s=timestep_s,
-    )
-    around = surroundings_of(head)
-    if visuals:
-        add_scenery(spec, around)
-    for name, board in targets.items():
-        add_target(spec, name, board, around)
-    if observer_cameras:
-        add_observer_cameras(spec, around)
-    return spec
-
-
-def head_spec(
-    head: HeadModel,
-    *,
-    neck: Literal["servo", "welded"] = "servo",
-    neck_position: ArrayLike = 0.0,
-    visuals: bool = True,
-    gravity: bool = False,
-    timestep_s: float | None = None,
-) -> mujoco.MjSpec:
-    """Build the head without surroundings; see `build_spec` for the arguments and errors."""
-    _check(head, neck)
-    spec = mujoco.MjSpec()
-    spec.modelname = head.name
+    if head.batch_shape:
+        raise ConfigurationError(
+            f"MuJoCo model: expected one head, got a population of shape {head.batch_shape}"
+        )
+    if neck not in ("servo", "welded"):
+        raise ConfigurationError(f"neck: expected 'servo' or 'welded', got {neck!r}")
+    if any(head.joints) and not head.timing.lag_s > 0.0:
+        raise ConfigurationError(
+            f"MuJoCo model: expected a head with timing.lag_s > 0, got {head.timing.lag_s}; "
+            "a velocity that follows at once is what the kinematic plant simulates"
+        )
     timestep_s = head.timing.period_s / SUBSTEPS if timestep_s is None else timestep_s
-    drives, rotors = transmissions_of(head), needs_rotor_bodies(head)
-    couplings = rotor_couplings(head, drives) if rotors else couplings_of(head)
-    _set_options(spec, timestep_s, gravity, bool(couplings))
-    angles = np.broadcast_to(np.asarray(neck_position, np.float64), (3,)).tolist()
-    named = zip(head.joints[NECK], angles, strict=True)
-    held = {name: angle for name, angle in named if name and neck == "welded"}
-    loads = load_inertias(head)
-    bodies = add_bodies(spec, head, held, loads.joint_armature)
-    add_cameras(spec, head, bodies)
-    if rotors:
-        add_rotors(spec, drives, loads.separate_rotors)
-    moving = [drive for drive in drives if drive.joint_or_rotor not in held]
-    add_servos(spec, head, moving, loads.actuator_loads)
-    add_couplings(spec, couplings)
-    spec.option.gravity = surroundings_of(head).gravity
+    if not (np.isfinite(timestep_s) and timestep_s > 0.0):
+        raise ConfigurationError(f"timestep_s: expected seconds above 0, got {timestep_s!r}")
+    spec, posture = mujoco.MjSpec(), rest_poses(head)
+    spec.modelname = head.name
+    spec.compiler.degree = spec.compiler.autolimits = False
+    spec.option.timestep = timestep_s
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.gravity = 0.0 - 9.81 * posture.upright_frame[:3, 2]
+    bodies = add_mechanism(spec, head, neck == "welded")
+    if not gravity:
+        bit = mujoco.mjtDisableBit
+        unused = bit.mjDSBL_CONTACT | bit.mjDSBL_SPRING | bit.mjDSBL_DAMPER | bit.mjDSBL_GRAVITY
+        spec.option.disableflags = int(unused if spec.equalities else unused | bit.mjDSBL_EQUALITY)
     if visuals:
-        add_appearance(spec, bodies, head)
+        add_appearance(spec, bodies, head, posture)
+        if scenery:
+            add_scenery(spec, posture)
     return spec
 
 
@@ -152,22 +109,16 @@ class ModelIndices(NamedTuple):
     that both eyes share has its index twice."""
     joint_of_qpos: NDArray[np.intp]
     """(J,) first index, in an array of all seven joints, of each joint in `qpos`, so that
-    `qpos[: len(joint_of_qpos)] = q[joint_of_qpos]`. This is all of `qpos`, unless the head has
-    rotors."""
+    `qpos[: len(joint_of_qpos)] = q[joint_of_qpos]`; the rest of `qpos` are rotors."""
     slot_of_rotor: NDArray[np.intp]
-    """Index of each rotor in the same array as for `slot_of_ctrl`; rotors are the rest of `qpos`,
-    see `needs_rotor_bodies`."""
+    """Index of each rotor in the same array as for `slot_of_ctrl`."""
     slot_of_ctrl: NDArray[np.intp]
     """(nu,) index of each number in `ctrl` in an array of the neck's joints and the four actuators
     of the eyes."""
 
 
 def find_model_indices(model: mujoco.MjModel, head: HeadModel) -> ModelIndices:
-    """Find a head's joints and actuators in a model from `build_spec`.
-
-    Args:
-        model: the model, with a moving or a welded neck.
-        head: the head.
+    """Find a head's joints and actuators in a model with a moving or a welded neck.
 
     Raises:
         ConfigurationError: the names or the order of the model's joints or actuators differ from
@@ -175,26 +126,17 @@ def find_model_indices(model: mujoco.MjModel, head: HeadModel) -> ModelIndices:
     """
     joints = tuple(model.joint(i).name for i in range(model.njnt))
     actuators = tuple(model.actuator(i).name for i in range(model.nu))
-    places, drives = joint_index_by_name(head), transmissions_of(head)
+    places, drives = joint_index_by_name(head), drives_of(head)
+    rotors = {drive.target: drive.slot for drive in drives if drive.is_rotor}
     for first in (0, NECK.stop):
         moving = {name: place for name, place in places.items() if place >= first}
         driven = {drive.name: drive.slot for drive in drives if drive.slot >= first}
-        rotors = {
-            drive.joint_or_rotor: drive.slot
-            for drive in drives
-            if drive.slot >= NECK.stop and needs_rotor_bodies(head)
-        }
         expected = (*moving, *rotors)
         if joints == expected and actuators == tuple(driven) and model.nq == len(expected):
             index = {name: i for i, name in enumerate(moving)}
-            return ModelIndices(
-                qpos_of_joint=np.array(
-                    [index.get(name, -1) for name in head.joints], dtype=np.intp
-                ),
-                joint_of_qpos=np.array([*moving.values()], dtype=np.intp),
-                slot_of_rotor=np.array([*rotors.values()], dtype=np.intp),
-                slot_of_ctrl=np.array([*driven.values()], dtype=np.intp),
-            )
+            of_joint = [index.get(name, -1) for name in head.joints]
+            found = (of_joint, moving.values(), rotors.values(), driven.values())
+            return ModelIndices(*(np.array([*numbers], dtype=np.intp) for numbers in found))
     raise ConfigurationError(
         f"MuJoCo model: expected the joints {tuple(places)} and the actuators "
         f"{tuple(drive.name for drive in drives)} in this order, with or without the neck's, got "
@@ -202,32 +144,53 @@ def find_model_indices(model: mujoco.MjModel, head: HeadModel) -> ModelIndices:
     )
 
 
-def _check(head: HeadModel, neck: str) -> None:
-    if head.batch_shape:
-        raise ConfigurationError(
-            f"MuJoCo model: expected one head, got a population of shape {head.batch_shape}"
-        )
-    if neck not in ("servo", "welded"):
-        raise ConfigurationError(f"neck: expected 'servo' or 'welded', got {neck!r}")
-    if any(head.joints) and not head.timing.lag_s > 0.0:
-        raise ConfigurationError(
-            f"MuJoCo model: expected a head with timing.lag_s > 0, got {head.timing.lag_s}; "
-            "a velocity that follows at once is what the kinematic plant simulates"
-        )
+@functools.cache
+def simulation_functions() -> tuple[int, int, int, int]:
+    """Addresses of `mj_setState`, `mj_step` and `mj_getState`, and the components of a state.
+
+    All are zero if the functions cannot be found. The components are not a constant of compiled
+    code, as its caches do not know MuJoCo's version.
+    """
+    folder, names = (
+        Path(mujoco.__file__).parent,
+        ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"),
+    )
+    for library in (path for name in names for path in sorted(folder.glob(name))):
+        with suppress(OSError, AttributeError):
+            found = ctypes.CDLL(str(library))
+            functions = (found.mj_setState, found.mj_step, found.mj_getState)
+            load, step, save = (ctypes.cast(f, ctypes.c_void_p).value or 0 for f in functions)
+            return load, step, save, int(mujoco.mjtState.mjSTATE_INTEGRATION)  # as mujoco.batch
+    return 0, 0, 0, 0
 
 
-def _set_options(
-    spec: mujoco.MjSpec, timestep_s: float, surroundings_act: bool, tied: bool
+@intrinsic
+def _call_c(typingctx: Any, address: Any, operands: Any) -> Any:
+    """Call a C function of addresses and integers that returns nothing."""
+
+    def call(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        made = [context.get_value_type(kind) for kind in operands]
+        function = builder.inttoptr(arguments[0], ir.FunctionType(ir.VoidType(), made).as_pointer())
+        builder.call(function, cgutils.unpack_tuple(builder, arguments[1]))
+        return context.get_dummy_value()
+
+    return types.none(address, operands), call
+
+
+_call: Any = _call_c
+
+
+@subroutine
+def simulate(
+    functions: tuple[int, int, int, int], model: int, data: int, state: int, nstep: int
 ) -> None:
-    if not (np.isfinite(timestep_s) and timestep_s > 0.0):
-        raise ConfigurationError(f"timestep_s: expected seconds above 0, got {timestep_s!r}")
-    spec.compiler.degree = False
-    spec.compiler.autolimits = False
-    spec.option.timestep = timestep_s
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    if not surroundings_act:
-        bit = mujoco.mjtDisableBit
-        unused = bit.mjDSBL_CONTACT | bit.mjDSBL_SPRING | bit.mjDSBL_DAMPER | bit.mjDSBL_GRAVITY
-        if not tied:
-            unused |= bit.mjDSBL_EQUALITY
-        spec.option.disableflags = int(unused)
+    """Advance a simulation by a number of steps, as `mujoco.batch.Batch.step` does.
+
+    The arguments are the result of `simulation_functions` and addresses: of an `mjModel`, of an
+    `mjData` of it, whose contents are lost, and of the row of its state, updated in place.
+    """
+    components = np.int32(functions[3])
+    _call(functions[0], (model, data, state, components))
+    for _ in range(nstep):
+        _call(functions[1], (model, data))
+    _call(functions[2], (model, data, state, components))
