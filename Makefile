@@ -55,7 +55,8 @@ test-all: $(NIGHTLY) test ## what `make test` does, and the nightly tests
 check: $(TEST) ## lint and the quick tests of what differs from main, or of rooms (ROOM="models eval")
 	@$(MAKE) -j2 types quick-tests
 
-quick-tests: style kernels
+quick-tests: style
+	@$(BIN)/python -m tests.kernels --once
 	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && \
 	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow and not nightly" $(ARGS) $$places || $(NO_TESTS_SELECTED); }
 

@@ -1,8 +1,9 @@
 """Compiles what the tests call before they start: `python -m tests.kernels`, in two processes.
 
 Each piece of work calls, in the smallest size, what some tests call. What is missing here is
-compiled by the first test that needs it. With `--ship` the result is put into the package's folder
-of shipped kernels, for all processors of this machine's kind, so that the next wheel carries it.
+compiled by the first test that needs it. With `--once` nothing is compiled where this was done
+before, for whatever sources. With `--ship` the result is put into the package's folder of shipped
+kernels, for all processors of this machine's kind, so that the next wheel carries it.
 """
 
 import contextlib
@@ -126,7 +127,7 @@ def main(words: list[str]) -> int:
     """Let a process do each share, or do the share of that number."""
     if words == ["--ship"]:
         return ship()
-    if words:
+    if words and words != ["--once"]:
         for piece in SHARES[int(words[0])]:
             piece()
         return 0
@@ -134,7 +135,7 @@ def main(words: list[str]) -> int:
     sources = [path.read_bytes() for path in sorted(PACKAGE.rglob("*.py"))]
     version = sha256(b"".join(text for text in sources if b"vergence.kernels" in text)).hexdigest()
     done = None if folder is None else folder / DONE
-    if done is None or (done.exists() and done.read_text() == version):
+    if done is None or (done.exists() and (words or done.read_text() == version)):
         return 0
     print("compiling the kernels, once")
     command = [sys.executable, "-m", "tests.kernels"]

@@ -1,9 +1,11 @@
 """Kernels broadcast, compile when called, follow changed sources, and need no writable folder."""
 
+import ast
 import errno
 import os
 import pickle
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
+from tests.rooms import sources_of
 from vergence.kernels import cache, jit, make_tuple_reader
 from vergence.models.packed import Pose, direction_to_outer
 from vergence.triangulation.rays import triangulate
@@ -229,6 +232,29 @@ def test_kernels_are_compiled_once_and_follow_the_sources_that_they_import(packa
         compiler.write("_OPTIMISATION = 2\n")
     run(package, code)
     assert not others & compiled_files(package)
+
+
+@pytest.mark.slow
+def test_kernels_take_functions_and_constants_from_modules_that_their_digest_has():
+    sources = sources_of(cache._PACKAGE)
+    stale = []
+    for module, path in sources.items():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+        origins = {name.asname or name.name: at.module for at in imports for name in at.names}
+        for function in ast.walk(tree):
+            if isinstance(function, ast.FunctionDef) and any(
+                set(jit.__all__) & set(re.findall(r"\w+", ast.unparse(each)))
+                for each in function.decorator_list
+            ):
+                inside = [node for part in function.body for node in ast.walk(part)]
+                used = {origins.get(getattr(node, "id", None)) for node in inside} & set(sources)
+                stale += [
+                    f"{module}.{function.name}: {origin}"
+                    for origin in used
+                    if b"vergence.kernels" not in sources[origin].read_bytes()
+                ]
+    assert stale == [], "import from a module that names vergence.kernels, or name it there"
 
 
 def test_the_first_folder_that_can_be_written_keeps_the_kernels(monkeypatch, tmp_path):

@@ -1,7 +1,9 @@
 """The built files carry what they should, and the installed wheel does its job."""
 
+import inspect
 import itertools
 import os
+import pkgutil
 import subprocess
 import sys
 import sysconfig
@@ -9,6 +11,7 @@ import tarfile
 import tomllib
 import venv
 import zipfile
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -95,6 +98,50 @@ def test_every_requirement_is_pinned_to_a_version_that_it_allows():
             pin = pins.get(canonicalize_name(requirement.name))
             assert pin is not None, f"{requirement} has no pin in constraints.txt"
             assert requirement.specifier.contains(pin), f"{requirement} excludes its pin {pin}"
+
+
+INNER = {
+    "base:BaseContext.insert_user_function": "self func fndesc libs",
+    "caching:Cache._index_key": "self sig codegen",
+    "caching:IndexDataCacheFile": "cache_path filename_base source_stamp",
+    "codegen:CPUCodegen._create_empty_module": "self name",
+    "codegen:CPUCodegen._module_pass_manager": "self kwargs",
+    "codegen:JITCodeLibrary._finalize_dynamic_globals": "self",
+    "codegen:JITCodeLibrary._finalize_final_module": "self",
+    "codegen:JITCodeLibrary._get_compiled_object": "self",
+    "codegen:JITCodeLibrary._optimize_final_module": "self",
+    "codegen:JITCodeLibrary.serialize_using_object_code": "self",
+    "compiler:CompileResult._rebuild": "target_context libdata fndesc env signature objectmode "
+    "lifted typeann reload_init referenced_envs",
+    "compiler:CompileResult._reduce": "self",
+    "compiler:DefaultPassBuilder.define_nopython_pipeline": "state name",
+    "registry:CPUDispatcher": "py_func locals targetoptions pipeline_class",
+    "registry:CPUDispatcher._compile_for_args": "self args kws",
+    "registry:CPUDispatcher.get_call_template": "self args kws",
+    "typed_passes:NativeLowering.run_pass": "self state",
+    "np.arrayobj:load_item": "context builder arrayty ptr",
+    "np.arrayobj:populate_array": "array data shape strides itemsize meminfo parent",
+    "np.ufunc.ufuncbuilder:GUFuncBuilder.build": "self cres",
+    "np.ufunc.wrappers:_GufuncWrapper": "py_func cres sin sout cache is_parfors",
+}
+"""Inner functions of numba that `vergence.kernels` calls or replaces, with their parameters."""
+
+
+def test_numba_is_a_release_that_the_kernels_are_tested_with():
+    found = version("numba")
+    todo = (
+        f"numba {found} is not tested: run tests/test_kernels.py with it, then raise the bound in "
+        "pyproject.toml; see vergence/kernels/__init__.py for how to take out each trick"
+    )
+    (numba,) = (r for r in map(Requirement, PROJECT["dependencies"]) if r.name == "numba")
+    assert numba.specifier.contains(found), todo
+    for name, parameters in INNER.items():
+        place = f"numba.{name}" if name.startswith("np.") else f"numba.core.{name}"
+        try:
+            has = " ".join(inspect.signature(pkgutil.resolve_name(place)).parameters)
+        except (ImportError, AttributeError) as error:
+            has = str(error)
+        assert has == parameters, f"{place} has changed. {todo}"
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,8 @@ Image = NDArray[np.uint8]
 class Reading(NamedTuple):
     """Sensor readings of a batch of heads, in one form for simulations and hardware.
 
-    A plant reuses the arrays: its next step changes them. Call `copy` to keep a reading.
+    A plant reuses the arrays: its next step changes them. Call `copy` to keep a reading. Compiled
+    code has the order of the fields, see `vergence.kernels`.
     """
 
     time_s: FloatArray

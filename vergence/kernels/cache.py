@@ -132,45 +132,50 @@ def _written() -> dict[str, Path]:
 
 
 _IMPORT: Final = re.compile(
-    rb"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|.*)|import[ \t]+([\w.]+))",
+    rf"^[ \t]*(?:from|import)[ \t]+({_PACKAGE.name}[\w.]*)"
+    r"(?:[ \t]+import[ \t]+(\([^)]*\)|.*))?".encode(),
     re.MULTILINE,
 )
-"""An import statement: the module, the names taken from it, the module of the second form."""
+"""An import from this package: the module, and the names taken from it."""
 
 
 @functools.cache
-def _source(module: str) -> tuple[bytes, frozenset[str]]:
-    """Text of a module of this package, or of a loaded one, and the modules it may import of it."""
+def _source(module: str) -> tuple[bytes, bool]:
+    """Text of a module, and if names may only pass through it; no text if there is no such file."""
     place = _PACKAGE.parent.joinpath(*module.split("."))
     paths = [place.with_suffix(".py"), place / "__init__.py"]
     if module.partition(".")[0] != _PACKAGE.name:
         paths = [Path(getattr(sys.modules.get(module), "__file__", None) or "")]
-    text = b""
     for path in paths:
         with contextlib.suppress(OSError):
-            text = path.read_bytes()
-            break
-    found = set()
-    for origin, names, alone in _IMPORT.findall(text):
-        found.add((origin or alone).decode())
-        found.update(f"{origin.decode()}.{name.decode()}" for name in re.findall(rb"\w+", names))
-    return text, frozenset(name for name in found if name.partition(".")[0] == _PACKAGE.name)
+            return path.read_bytes(), path.name == "__init__.py"
+    return b"", False
+
+
+def _imported(text: bytes) -> Iterator[str]:
+    """Modules of this package that names in a source come from."""
+    for origin, names in _IMPORT.findall(text):
+        taken = [f"{origin.decode()}.{name.decode()}" for name in re.findall(rb"\w+", names)]
+        modules = [name for name in taken if _source(name)[0]]
+        yield from modules if modules and modules == taken else [*modules, origin.decode()]
 
 
 @functools.cache
 def _digest(module: str) -> str:
     """Digest of the sources that a module's kernels may be compiled from."""
-    found, waiting = {}, [module]
+    compiled_in, seen, waiting = {}, set(), {module}
     while waiting:
         name = waiting.pop()
-        if name not in found:
-            found[name], imported = _source(name)
-            waiting += imported
+        seen.add(name)
+        text, passes_on = _source(name)
+        if name == module or _MARK in name.encode() + text:
+            compiled_in[name] = text
+        elif not passes_on:
+            continue
+        waiting.update(set(_imported(text)) - seen)
     digest = hashlib.sha256()
-    for name, text in sorted(found.items()):
-        named = name.encode() + text
-        if text and (name == module or _MARK in named):
-            digest.update(named)
+    for name, text in sorted(compiled_in.items()):
+        digest.update(name.encode() + text)
     return digest.hexdigest()[:16]
 
 

@@ -30,7 +30,7 @@ from vergence.models.parts import (
 from vergence.operands import as_operand
 
 SLOTS: Final = 4
-"""Number of eye actuators in the arrays of kernels (numerical)."""
+"""Number of eye actuators in the arrays of kernels (numerical); `vergence.kernels` compiles it."""
 _INHERITED_FIELDS: Final = ("lag_s", "encoder_resolution_rad", "velocity_resolution_rad_s")
 """Fields of an actuator that default to the head's own value; nan stands for the default."""
 
