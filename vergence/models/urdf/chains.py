@@ -228,7 +228,7 @@ def _fixed_values(mechanism: Mechanism, selection: _Selection) -> dict[str, floa
         elif mimic.multiplier == 0.0:
             fixed[name] = mimic.offset
         elif mimic.master in locked:
-            fixed[name] = mimic.multiplier * locked[mimic.master] + mimic.offset
+            fixed[name] = mimic.follow(locked)
         elif mimic.master not in known:
             wrong = (
                 f"one that follows {known_names_hint('moving joint', mimic.master, known)}, got "
