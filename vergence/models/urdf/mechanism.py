@@ -213,8 +213,7 @@ def _check_urdf_names(path: str, root: ET.Element) -> None:
     links = [link.get("name", "") for link in root.findall("link")]
     for joint in root.findall("joint[@name]"):
         for end in ("parent", "child"):
-            element = joint.find(end)
-            name = None if element is None else element.get("link")
+            name = _attributes(joint, end).get("link")
             if name is not None and name not in links:
                 hint = f"a {end} that is {known_names_hint('link', name, links)}"
                 raise HeadFileError(f"joint {joint.get('name')}", name, hint, path)
@@ -245,6 +244,7 @@ def _urdf_joints(root: ET.Element) -> _UrdfJoints:
                 name, mimic.get("joint", ""), _number(factor), _number(offset)
             )
         given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
+        # a missing one of the two is 0
         lower, upper = (limit.get(end, "0") if given else None for end in ("lower", "upper"))
         found.limits[name] = {
             "lower": _number(lower),
