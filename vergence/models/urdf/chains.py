@@ -145,9 +145,7 @@ def _check_options(selection: _Selection) -> None:
     neck, locked, shared = selection.neck, selection.locked, selection.shared
     for option, names in (("neck", neck), ("lock", locked)):
         for name in names:
-            if name not in selection.known:
-                hint = known_names_hint("joint", name, selection.known)
-                raise ConfigurationError(f"{option}: expected {hint}, got {name!r}")
+            _check_known(option, name, selection.known)
             if name not in selection.on_way:
                 raise ConfigurationError(
                     f"{option}: expected a joint on the way from the base to the cameras "
@@ -171,6 +169,12 @@ def _check_options(selection: _Selection) -> None:
             f"neck: expected up to three joints, got {len(neck)} ({' '.join(neck)}): hold the "
             f"others, such as {options}"
         )
+
+
+def _check_known(option: str, name: str, joints: Mapping[str, Joint]) -> None:
+    if name not in joints:
+        hint = known_names_hint("joint", name, joints)
+        raise ConfigurationError(f"{option}: expected {hint}, got {name!r}")
 
 
 def _check_frames(
@@ -228,7 +232,7 @@ def _fixed_values(mechanism: Mechanism, selection: _Selection) -> dict[str, floa
         elif mimic.multiplier == 0.0:
             fixed[name] = mimic.offset
         elif mimic.master in locked:
-            fixed[name] = mimic.multiplier * locked[mimic.master] + mimic.offset
+            fixed[name] = mimic.follow(locked)
         elif mimic.master not in known:
             wrong = (
                 f"one that follows {known_names_hint('moving joint', mimic.master, known)}, got "
@@ -335,9 +339,7 @@ def parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> di
         name, equals, text = word.rpartition("=")
         if not equals:
             raise ConfigurationError(f"lock: expected JOINT=DEG, got {word!r}")
-        if name not in joints:
-            hint = known_names_hint("joint", name, joints)
-            raise ConfigurationError(f"lock: expected {hint}, got {name!r}")
+        _check_known("lock", name, joints)
         if name in found:
             raise ConfigurationError(f"lock: expected each joint once, got {name} twice")
         slides = joints[name].kind == "slide"

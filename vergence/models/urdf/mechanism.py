@@ -83,6 +83,10 @@ class MimicJoint:
     multiplier: float
     offset: float
 
+    def follow(self, values: Mapping[str, float]) -> float:
+        """Value of the joint; a master without a value is at 0."""
+        return self.multiplier * values.get(self.master, 0.0) + self.offset
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mechanism:
@@ -128,16 +132,12 @@ class Mechanism:
         for index in frames:
             pose = pose @ self.frames[index].pose
             for joint in self.frames[index].joints:
-                pose = pose @ joint.motion(self._value(joint, values))
+                value = values.get(joint.name)
+                if value is None:
+                    tie = self.mimic_of(joint.name)
+                    value = joint.reference if tie is None else tie.follow(values)
+                pose = pose @ joint.motion(value)
         return pose
-
-    def _value(self, joint: Joint, values: Mapping[str, float]) -> float:
-        if joint.name in values:
-            return values[joint.name]
-        mimic = self.mimic_of(joint.name)
-        if mimic is None:
-            return joint.reference
-        return mimic.multiplier * values.get(mimic.master, 0.0) + mimic.offset
 
     def mimic_of(self, joint: str) -> MimicJoint | None:
         """Coupling to the joint at the end of the chain; None if the joint is independent."""
@@ -213,8 +213,7 @@ def _check_urdf_names(path: str, root: ET.Element) -> None:
     links = [link.get("name", "") for link in root.findall("link")]
     for joint in root.findall("joint[@name]"):
         for end in ("parent", "child"):
-            element = joint.find(end)
-            name = None if element is None else element.get("link")
+            name = _attributes(joint, end).get("link")
             if name is not None and name not in links:
                 hint = f"a {end} that is {known_names_hint('link', name, links)}"
                 raise HeadFileError(f"joint {joint.get('name')}", name, hint, path)
@@ -240,9 +239,12 @@ def _urdf_joints(root: ET.Element) -> _UrdfJoints:
         if fault := _fault(joint):
             found.faults[link] = f"joint {name}: {fault}"
         if joint.find("mimic") is not None:
-            factor, offset = (_number(mimic.get(*key)) for key in _MIMIC_NUMBERS)
-            found.mimic_joints[name] = MimicJoint(name, mimic.get("joint", ""), factor, offset)
+            factor, offset = mimic.get("multiplier", "1"), mimic.get("offset", "0")
+            found.mimic_joints[name] = MimicJoint(
+                name, mimic.get("joint", ""), _number(factor), _number(offset)
+            )
         given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
+        # a missing one of the two is 0
         lower, upper = (limit.get(end, "0") if given else None for end in ("lower", "upper"))
         found.limits[name] = {
             "lower": _number(lower),
@@ -265,7 +267,6 @@ def _number(text: str | None) -> float:
 
 
 _LIMITS: Final = ("lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk")
-_MIMIC_NUMBERS: Final = (("multiplier", "1"), ("offset", "0"))
 _ATTRIBUTES: Final[dict[str, dict[str, int]]] = {
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},

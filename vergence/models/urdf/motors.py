@@ -1,7 +1,7 @@
 """Motors of the eyes' joints in a robot description, and the limits of its joints."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from vergence.errors import ConfigurationError
 from vergence.models.head_joints import ACCELERATION, RADIANS, SPEED
 from vergence.models.parts import FloatArray
+from vergence.models.toml_table import Rule
 from vergence.models.urdf.chains import HeadChains
 from vergence.models.urdf.mechanism import Joint, MimicJoint, known_names_hint
 
@@ -84,7 +85,7 @@ def find_eye_motors(
         for name, each in chains.eye_joints().items()
     }
     followers = [mimic.joint for mimic in chains.mimic_joints]
-    found = [_free(name, chains.mimic_joints, joints) for name in joints if name not in followers]
+    found = [_motor(name, chains.mimic_joints, joints) for name in joints if name not in followers]
     for coupling in ("common-tilt", "version-vergence"):
         if coupling in couplings:
             left, right = former = _pair(found, joints, coupling)
@@ -92,41 +93,44 @@ def find_eye_motors(
                 new = [_common_tilt(left, right, joints)]
             else:
                 new = _version_vergence(left, right, joints, baseline_m)
-            place = min(map(found.index, former))
-            rest = [motor for motor in found if motor not in former]
+            place = min(i for i, motor in enumerate(found) if motor.name in former)
+            rest = [motor for motor in found if motor.name not in former]
             found = [*rest[:place], *new, *rest[place:]]
     return found
 
 
-def _free(name: str, mimic_joints: Sequence[MimicJoint], joints: _EyeJoints) -> EyeMotor:
-    """Motor of an independent joint and of the joints coupled to it."""
-    mine = [mimic for mimic in mimic_joints if mimic.master == name]
-    allowed = joints[name].limits
-    for mimic in mine:
-        follower = joints[mimic.joint].limits
-        allowed = allowed.intersection(follower.of_master(mimic.multiplier, mimic.offset))
-    if not allowed.lower < allowed.upper:
-        raise ConfigurationError(
+def _motor(
+    name: str, ties: Sequence[MimicJoint], joints: _EyeJoints, expected: str = ""
+) -> EyeMotor:
+    """Motor of an independent joint and of the joints tied to it."""
+    mine = [tie for tie in ties if tie.master == name]
+    limits = joints[name].limits
+    for tie in mine:
+        own = joints[tie.joint].limits
+        limits = limits.intersection(own.of_master(tie.multiplier, tie.offset))
+    if not limits.lower < limits.upper:
+        expected = expected or (
             f"joint {name}: expected a range that it and what follows it "
-            f"({', '.join(mimic.joint for mimic in mine)}) have in common, got none"
+            f"({', '.join(tie.joint for tie in mine)})"
         )
+        raise ConfigurationError(f"{expected} have in common, got none")
     return EyeMotor(
         name=name,
-        joint_factors={name: 1.0} | {mimic.joint: mimic.multiplier for mimic in mine},
-        joint_offsets={mimic.joint: mimic.offset for mimic in mine if mimic.offset},
-        limits=allowed,
+        joint_factors={name: 1.0} | {tie.joint: tie.multiplier for tie in mine},
+        joint_offsets={tie.joint: tie.offset for tie in mine if tie.offset},
+        limits=limits,
         assumed={},
     )
 
 
-def _pair(found: Sequence[EyeMotor], joints: _EyeJoints, coupling: str) -> list[EyeMotor]:
-    """Motors of the left and the right joint that a coupling joins."""
+def _pair(found: Sequence[EyeMotor], joints: _EyeJoints, coupling: str) -> list[str]:
+    """Names of the left and the right joint that a coupling joins."""
     pans = coupling == "version-vergence"
     which = "pans" if pans else "tilts"
     pair = []
     for part in ("left", "right"):
         own = [
-            motor
+            motor.name
             for motor in found
             if len(motor.joint_factors) == 1
             and (joints[motor.name].part, joints[motor.name].pans) == (part, pans)
@@ -142,30 +146,21 @@ def _pair(found: Sequence[EyeMotor], joints: _EyeJoints, coupling: str) -> list[
     return pair
 
 
-def _common_tilt(left: EyeMotor, right: EyeMotor, joints: _EyeJoints) -> EyeMotor:
-    factor = 1.0 if joints[left.name].axis @ joints[right.name].axis > 0.0 else -1.0
-    allowed = left.limits.intersection(right.limits.of_master(factor))
-    if not allowed.lower < allowed.upper:
-        raise ConfigurationError(
-            f"actuators: expected for common-tilt a range that {left.name} and {right.name} have "
-            "in common, got none"
-        )
-    return EyeMotor(
-        name=_free_name("tilt", joints),
-        joint_factors={left.name: 1.0, right.name: factor},
-        joint_offsets={},
-        limits=allowed,
-        assumed=dict.fromkeys(_RANGE, "what both tilts may do; --actuators common-tilt ties them"),
-    )
+def _common_tilt(left: str, right: str, joints: _EyeJoints) -> EyeMotor:
+    factor = 1.0 if joints[left].axis @ joints[right].axis > 0.0 else -1.0
+    range_of_both = f"actuators: expected for common-tilt a range that {left} and {right}"
+    motor = _motor(left, [MimicJoint(right, left, factor, 0.0)], joints, range_of_both)
+    why = "what both tilts may do; --actuators common-tilt ties them"
+    return replace(motor, name=_free_name("tilt", joints), assumed=dict.fromkeys(_RANGE, why))
 
 
 def _version_vergence(
-    left: EyeMotor, right: EyeMotor, joints: _EyeJoints, baseline_m: float
+    left: str, right: str, joints: _EyeJoints, baseline_m: float
 ) -> list[EyeMotor]:
     """Motors of version and vergence (eyes: `version +- vergence / 2`) with the largest ranges."""
-    signs = [float(np.sign(joints[motor.name].axis[1])) for motor in (left, right)]
+    signs = [float(np.sign(joints[name].axis[1])) for name in (left, right)]
     # ranges of the left and right eye's rotation to the right
-    l, r = left.limits.of_master(signs[0]), right.limits.of_master(signs[1])  # noqa: E741
+    l, r = (joints[n].limits.of_master(s) for n, s in zip((left, right), signs, strict=True))  # noqa: E741
     low, high = max(l.lower, r.lower), min(l.upper, r.upper)
     # vergence that remains at both ends of the version range
     inward = 2.0 * min(l.upper - high, low - r.lower)
@@ -175,7 +170,7 @@ def _version_vergence(
     if not low < high:
         raise ConfigurationError(
             "actuators: expected for version-vergence pans that can converge on "
-            f"{_NEAREST_FIXATION_M} m, got {left.name} and {right.name} with too little range"
+            f"{_NEAREST_FIXATION_M} m, got {left} and {right} with too little range"
         )
     _, _, velocity, acceleration = l.intersection(r)
     why = (
@@ -190,7 +185,7 @@ def _version_vergence(
     return [
         EyeMotor(
             name=_free_name(name, joints),
-            joint_factors=dict(zip((left.name, right.name), factors, strict=True)),
+            joint_factors=dict(zip((left, right), factors, strict=True)),
             joint_offsets={},
             limits=limits,
             assumed=dict.fromkeys((*_RANGE, "velocity_rad_s"), why),
@@ -218,8 +213,8 @@ def joint_motion_limits(
 ) -> tuple[dict[str, MotionLimits], dict[str, str]]:
     """Limits by moving joint, and the reason for each assumed one by its dotted key."""
     names = [joint.name for joint in joints]
-    speeds = _parse_per_joint("speed", speed, names, *SPEED)
-    accelerations = _parse_per_joint("acceleration", acceleration, names, *ACCELERATION)
+    speeds = _parse_per_joint("speed", speed, names, SPEED)
+    accelerations = _parse_per_joint("acceleration", acceleration, names, ACCELERATION)
     unreal = {j.name: j.velocity for j in joints if not 0.0 < j.velocity < _PLACEHOLDER_RAD_S}
     lacking = [name for name in unreal if name not in speeds]
     if lacking and "" not in speeds:
@@ -253,11 +248,7 @@ def joint_motion_limits(
 
 
 def _parse_per_joint(
-    option: str,
-    texts: Sequence[str],
-    joints: Sequence[str],
-    is_valid: Callable[[float], bool],
-    expected: str,
+    option: str, texts: Sequence[str], joints: Sequence[str], rule: Rule
 ) -> dict[str, float]:
     """Numbers by joint from `JOINT=NUMBER`, and by the empty name from `NUMBER`."""
     found: dict[str, float] = {}
@@ -267,8 +258,8 @@ def _parse_per_joint(
             number = float(text)
         except ValueError:
             number = np.nan
-        if not is_valid(number):
-            raise ConfigurationError(f"{option}: expected {expected}, got {word!r}")
+        if not rule[0](number):
+            raise ConfigurationError(f"{option}: expected {rule[1]}, got {word!r}")
         if equals and name not in joints:
             hint = known_names_hint("moving joint", name, joints)
             raise ConfigurationError(f"{option}: expected {hint}, got {name!r}")
