@@ -171,7 +171,9 @@ class TestTree:
                 np.testing.assert_array_equal(model.jnt_range[: len(kept)], ends)
                 expected = [name for name in head.joints[:3] if name] + list(head.actuation.names)
                 assert [model.actuator(i).name for i in range(model.nu)] == expected
-                slots = find_model_indices(model, head).slot_of_ctrl
+                *_, rotors, slots = find_model_indices(model, head)
+                ends = [head.actuation.lower[rotors], head.actuation.upper[rotors]]
+                np.testing.assert_array_equal(model.jnt_range[len(kept) :].T, ends)
                 fastest = head.actuation.velocity[slots]
                 np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], fastest)
                 # equality constraints are computed only where joints follow others
