@@ -20,7 +20,7 @@ import gymnasium, numpy as np, vergence
 from vergence.cli import main
 env = gymnasium.make("vergence/Gaze-v0", plant="kinematic")
 env.reset(seed=1)
-env.step(np.zeros(env.action_space.shape, dtype=env.action_space.dtype))
+env.step(np.zeros_like(env.action_space.sample()))
 head = vergence.load_head("simulated")
 point = [0.1, 0.0, 1.0]
 assert np.allclose(vergence.triangulate_gaze(head, head.fixate(point)).point, point)

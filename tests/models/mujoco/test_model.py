@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.heads import TEXTS, head_of, text_of
+from tests.heads import TEXTS, actuator, head_of, text_of
 from tests.naming import named
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models import load_head, parse_head
@@ -14,24 +14,17 @@ from vergence.models.mujoco.bodies import couplings_of, load_inertias
 from vergence.models.mujoco.model import build_spec, compile_model, find_model_indices
 
 BARE = {"visuals": False}
-PERIODS = 240
-"""Two seconds at 120 Hz."""
-VERGENCE_OF_ONE = text_of("tied").replace("left_pan = 0.5, right_pan = -0.5", "right_pan = -1.0")
-"""A pan of both eyes and a vergence of the right one: no division of rotors keeps these apart."""
-THREE_FROM_TWO = (
-    text_of("panfirst")
-    + "".join(
-        f'[[actuators]]\nname = "{name}"\njoints = {{ {joints} }}\nlower_rad = -0.4\n'
-        "upper_rad = 0.4\nvelocity_rad_s = 5.0\nacceleration_rad_s2 = 80.0\n"
-        for name, joints in (
-            ("first", "left_pan = 1.0, left_tilt = 0.5, right_tilt = 0.5"),
-            ("second", "right_pan = 1.0, left_tilt = 0.5, right_tilt = -0.5"),
-        )
-    )
-    + "[joint_offsets_rad]\nleft_tilt = 0.1\n"
-)
-"""Joints that follow two others."""
-MADE = {"vergence_of_one": VERGENCE_OF_ONE, "three_from_two": THREE_FROM_TWO}
+MADE = {
+    # no division of rotors keeps a pan of both eyes and a vergence of one apart
+    "vergence_of_one": text_of("tied").replace(
+        "left_pan = 0.5, right_pan = -0.5", "right_pan = -1"
+    ),
+    # joints that follow two others
+    "three_from_two": text_of("panfirst")
+    + actuator("first", "left_pan = 1.0, left_tilt = 0.5, right_tilt = 0.5")
+    + actuator("second", "right_pan = 1.0, left_tilt = 0.5, right_tilt = -0.5")
+    + "[joint_offsets_rad]\nleft_tilt = 0.1\n",
+}
 ALL = (*TEXTS, *MADE, "turrets", "physical")
 
 
@@ -75,34 +68,30 @@ def mujoco_pixel(model, data, name, point):
     return edges - 0.5
 
 
-def follow(model, commands, start, lag_s, acceleration, exact_actuator):
-    """Degrees between a model's joints, read half a step back, and the exact actuator."""
+def follow(model, commands, lag_s, acceleration, exact_actuator):
+    """Greatest degrees between a model's joints, read half a step back, and the exact actuator."""
     data = mujoco.MjData(model)
-    data.qpos[:] = start
-    q, v, worst = np.array(start), np.zeros(model.nv), np.zeros(model.nv)
+    (q, v), worst = np.zeros((2, model.nv)), 0.0
     for command in commands:
         data.ctrl[:] = command
         mujoco.mj_step(model, data, nstep=4)
         q, v = exact_actuator(q, v, command, 4 * model.opt.timestep, lag_s, acceleration)
         reading = data.qpos - 0.5 * model.opt.timestep * data.qvel
-        worst = np.maximum(worst, np.abs(reading - q))
-    return np.degrees(worst)
+        worst = max(worst, np.degrees(np.abs(reading - q).max()))
+    return worst
 
 
 def bang_bang(head, rng, exact_actuator):
-    """Full-speed commands that switch at random control periods, away from the limits."""
+    """Full speed for two seconds, switched at random control periods, away from the limits."""
     limits = head.limits
-    lower, upper = limits.lower + 0.45, limits.upper - 0.45
-    sign, hold = rng.choice([-1.0, 1.0], 7), rng.integers(1, 30, 7)
-    q, v, commands = np.zeros(7), np.zeros(7), np.empty((PERIODS, 7))
-    for i in range(PERIODS):
-        hold -= 1
-        sign[hold <= 0] *= -1.0
-        hold[hold <= 0] = rng.integers(1, 30, (hold <= 0).sum())
-        sign = np.where(q > upper, -1.0, np.where(q < lower, 1.0, sign))
-        commands[i] = sign * limits.velocity
-        q, v = exact_actuator(q, v, commands[i], 1 / 120, head.timing.lag_s, limits.acceleration)
-    return commands
+    sign, q, v = rng.choice([-1.0, 1.0], 7), np.zeros(7), np.zeros(7)
+    for _ in range(240):
+        sign = np.where(rng.random(7) < 0.06, -sign, sign)
+        sign = np.where(q > limits.upper - 0.45, -1.0, sign)
+        sign = np.where(q < limits.lower + 0.45, 1.0, sign)
+        command = sign * limits.velocity
+        q, v = exact_actuator(q, v, command, 1 / 120, head.timing.lag_s, limits.acceleration)
+        yield command
 
 
 class TestActuators:
@@ -110,28 +99,24 @@ class TestActuators:
 
     def test_bang_bang_of_all_joints(self, simulated, rng, exact_actuator):
         # the neck at its full acceleration is what disturbs the eyes most
-        model = compile_model(simulated, **BARE)
-        acceleration, lag_s = simulated.limits.acceleration, simulated.timing.lag_s
+        model, acceleration = bare_model("simulated"), simulated.limits.acceleration
         for _ in range(4):
             commands = bang_bang(simulated, rng, exact_actuator)
-            worst = follow(model, commands, np.zeros(7), lag_s, acceleration, exact_actuator)
-            assert worst.max() < 0.1
+            worst = follow(model, commands, simulated.timing.lag_s, acceleration, exact_actuator)
+            assert worst < 0.1
 
     def test_no_acceleration_limit_leaves_the_lag_alone(self, simulated, exact_actuator):
         free = simulated.replace(limits={"acceleration": np.full(7, np.inf)})
         model = compile_model(free, neck="welded", **BARE)
         assert not model.actuator_forcelimited.any()
         commands = np.tile([6.0, -6.0, -6.0, 6.0], (12, 1))
-        lag_s = free.timing.lag_s
-        worst = follow(model, commands, np.zeros(4), lag_s, 1e9 * np.ones(4), exact_actuator)
-        assert worst.max() < 0.02
+        assert follow(model, commands, free.timing.lag_s, np.full(4, 1e9), exact_actuator) < 0.02
 
     def test_nothing_sags(self, simulated):
         for gravity in (False, True):
             model = compile_model(simulated, gravity=gravity, **BARE)
-            data = mujoco.MjData(model)
-            data.qpos[:] = [0.3, 0.2, -0.4, 0.5, -0.5, -0.5, 0.5]
-            start = data.qpos.copy()
+            start = np.array([0.3, 0.2, -0.4, 0.5, -0.5, -0.5, 0.5])
+            data = placed(model, simulated, start)
             mujoco.mj_step(model, data, nstep=960)
             assert np.abs(data.qpos - start).max() < 1e-9
 
@@ -178,18 +163,22 @@ class TestTree:
         for name in ALL:
             with named(name):
                 head, model = any_head(name), bare_model(name)
-                joints = {name: i for i, name in reversed([*enumerate(head.joints)]) if name}
                 names = [model.joint(i).name for i in range(model.njnt)]
                 kept = [name for name in names if not name.endswith("_rotor")]
                 assert kept == [name for name in dict.fromkeys(head.joints) if name]
-                ends = np.transpose([head.limits.lower, head.limits.upper])
-                ends = ends[[joints[name] for name in kept]]
+                places = [head.joints.index(name) for name in kept]
+                ends = np.transpose([head.limits.lower, head.limits.upper])[places]
                 np.testing.assert_array_equal(model.jnt_range[: len(kept)], ends)
                 expected = [name for name in head.joints[:3] if name] + list(head.actuation.names)
                 assert [model.actuator(i).name for i in range(model.nu)] == expected
-                slots = find_model_indices(model, head).slot_of_ctrl
+                *_, rotors, slots = find_model_indices(model, head)
+                ends = [head.actuation.lower[rotors], head.actuation.upper[rotors]]
+                np.testing.assert_array_equal(model.jnt_range[len(kept) :].T, ends)
                 fastest = head.actuation.velocity[slots]
                 np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], fastest)
+                # equality constraints are computed only where joints follow others
+                off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+                assert bool(off) == (model.neq == 0)
 
     def test_a_welded_neck_leaves_the_eyes(self, head):
         indices = find_model_indices(compile_model(head, neck="welded"), head)
@@ -206,35 +195,25 @@ class TestTree:
         assert (model.vis.global_.offwidth, model.vis.global_.offheight) == (640, 400)
 
     def test_four_steps_are_a_control_period(self, head):
-        model = compile_model(head, **BARE)
-        assert 4 * model.opt.timestep == pytest.approx(head.timing.period_s)
-        assert compile_model(head, timestep_s=0.001, **BARE).opt.timestep == 0.001
+        assert 4 * compile_model(head).opt.timestep == pytest.approx(head.timing.period_s)
+        assert compile_model(head, timestep_s=0.001).opt.timestep == 0.001
 
 
 class TestTies:
-    def test_equality_constraints_are_computed_only_where_joints_follow_others(self):
-        for name in ALL:
-            with named(name):
-                model = bare_model(name)
-                off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
-                assert bool(off) == (model.neq == 0)
-
     def test_joints_that_follow_others_do_so_under_full_commands(self, rng):
         for name in ("mis", "vergence_of_one", "three_from_two"):
             with named(name):
                 head = any_head(name)
                 own, model = head.actuation, bare_model(name)
-                indices = find_model_indices(model, head)
-                middle = 0.5 * (own.lower + own.upper)
+                qpos_of_joint, joints, rotors, slots = find_model_indices(model, head)
+                middle, worst = 0.5 * (own.lower + own.upper), 0.0
                 data = placed(model, head, own.joints_of(middle))
-                data.qpos[len(indices.joint_of_qpos) :] = middle[indices.slot_of_rotor]
-                worst = 0.0
+                data.qpos[len(joints) :] = middle[rotors]
                 for step in range(400):
                     if step % 20 == 0:
-                        fastest = own.velocity[indices.slot_of_ctrl]
-                        data.ctrl[:] = rng.choice([-1.0, 1.0], model.nu) * fastest
+                        data.ctrl[:] = rng.choice([-1.0, 1.0], model.nu) * own.velocity[slots]
                     mujoco.mj_step(model, data)
-                    q = np.where(indices.qpos_of_joint >= 0, data.qpos[indices.qpos_of_joint], 0.0)
+                    q = np.where(qpos_of_joint >= 0, data.qpos[qpos_of_joint], 0.0)
                     worst = max(worst, np.abs(own.joints_of(own.actuators_of(q)) - q).max())
                 assert np.abs(data.qpos).max() > 0.1
                 # within what an encoder of 0.01 degrees tells
@@ -242,24 +221,15 @@ class TestTies:
 
     def test_a_joint_may_follow_two_others_from_an_offset(self, rng):
         head = any_head("three_from_two")
-        couplings = couplings_of(head)
-        assert couplings
         for q in postures(head, rng):
             angles = dict(zip(head.joints, q, strict=True))
-            for joint, others, offset in couplings:
+            for joint, others, offset in (couplings := couplings_of(head)):
                 follows = offset + sum(factor * angles[name] for name, factor in others)
                 assert angles[joint] == pytest.approx(follows, abs=1e-12)
+            assert couplings
 
 
 class TestAppearance:
-    def test_shapes_weigh_nothing_and_touch_nothing(self, simulated):
-        plain, dressed = compile_model(simulated, **BARE), compile_model(simulated)
-        np.testing.assert_array_equal(plain.body_mass, dressed.body_mass)
-        np.testing.assert_array_equal(plain.body_inertia, dressed.body_inertia)
-        assert dressed.ngeom > 10
-        assert not dressed.geom_contype.any()
-        assert not dressed.geom_conaffinity.any()
-
     def test_heads_stand_above_the_floor_whatever_their_base_frame(self, simulated):
         wider = [text_of("pair").replace("0.05, 0.0", f"{0.05 * s}, 0.0") for s in (0.6, 1.0, 10.0)]
         for head in (simulated, *map(parse_head, wider)):
@@ -272,12 +242,15 @@ class TestAppearance:
                 np.testing.assert_allclose(model.opt.gravity, -9.81 * up, atol=1e-12)
 
     @pytest.mark.slow
-    def test_eyeballs_are_about_the_cameras_and_do_not_touch(self):
+    def test_shapes_weigh_and_touch_nothing_and_eyeballs_are_about_the_cameras(self):
         for name in ALL:
             with named(name):
-                head = any_head(name)
+                head, plain = any_head(name), bare_model(name)
                 model = compile_model(head)
                 data = placed(model, head, head.rest())
+                np.testing.assert_array_equal(model.body_mass, plain.body_mass)
+                np.testing.assert_array_equal(model.body_inertia, plain.body_inertia)
+                assert not (model.geom_contype | model.geom_conaffinity).any()
                 balls = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)
                 assert len(balls) == 2
                 np.testing.assert_allclose(data.geom_xpos[balls], data.cam_xpos, atol=0.004)
