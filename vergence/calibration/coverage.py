@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.cameras import camera_row_for_kernels
-from vergence.calibration.files import stereo_pair_of
+from vergence.calibration.files import pair_of
 from vergence.calibration.uncertainty import board_points_in_camera, direction_sigma_px
 from vergence.models.camera import pixels_to_rays
 from vergence.models.parts import EYE_NAMES, FloatArray
@@ -151,7 +151,7 @@ def board_sag(calibration: Calibration) -> BoardSag:
 def advise_next_photographs(calibration: Calibration) -> list[str]:
     """Advise on the next photographs: up to `MOST_SENTENCES`, then remarks on images and doubts."""
     sentences = [text for rule in _RULES if (text := rule(calibration))]
-    doubts = stereo_pair_of(calibration).guesses if len(calibration.single_fits) > 1 else ()
+    doubts = pair_of(calibration).guesses if len(calibration.single_fits) > 1 else ()
     return [*sentences[:MOST_SENTENCES], *calibration.observations.remarks, *doubts]
 
 

@@ -10,9 +10,10 @@ from vergence.calibration.adjustment import CameraRig, rms_length
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.depth import pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
-from vergence.models.camera import CameraResponse
+from vergence.models.camera import Camera, CameraResponse, Lens, camera_matrix
 from vergence.models.parts import EYE_NAMES, CalibrationRecord, FloatArray
-from vergence.models.stereo_files import Intrinsics, Lens, StereoPair, stereo_pair_to_head_toml
+from vergence.models.stereo_files import ReadCameras, document_of_pair
+from vergence.models.toml_table import toml_text
 from vergence.reporting.runs import package_versions
 
 _RECORDED_PACKAGES: Final = ("vergence", "opencv-python-headless", "numpy", "scipy")
@@ -23,38 +24,37 @@ _ROS_LENSES: Final[dict[str, str]] = {
 }
 
 
-def intrinsics_of(calibration: Calibration, camera: int) -> Intrinsics:
-    """Extract the intrinsics of one camera."""
+def camera_of(calibration: Calibration, camera: int, pose: FloatArray | None = None) -> Camera:
+    """Extract one camera."""
     values, lens = calibration.rig.camera_parameters[camera], calibration.rig.lenses[camera]
-    known: dict[str, Lens] = {name: name for name in ("brown-conrady", "rational", "fisheye")}
-    width, height = calibration.observations.image_sizes[camera]
-    return Intrinsics(
-        width=width, height=height, focal=values[:2], principal=values[2:4], lens=known[lens],
-        distortion=values[4:],
-    )  # fmt: skip
-
-
-def stereo_pair_of(calibration: Calibration) -> StereoPair:
-    """Extract the pair of a pair's calibration."""
-    return StereoPair(
-        left=intrinsics_of(calibration, 0),
-        right=intrinsics_of(calibration, 1),
-        rotation=calibration.rig.rotation,
-        translation_m=calibration.rig.translation,
+    return Camera(
+        size=calibration.observations.image_sizes[camera],
+        matrix=camera_matrix(values[:2], values[2:4]),
+        lens=Lens(lens, values[4:]),
+        pose=np.eye(4) if pose is None else pose,
     )
+
+
+def pair_of(calibration: Calibration) -> ReadCameras:
+    """Extract the cameras of a pair's calibration."""
+    right = np.eye(4)
+    right[:3, :3] = calibration.rig.rotation.T
+    right[:3, 3] = -calibration.rig.rotation.T @ calibration.rig.translation
+    return ReadCameras(left=camera_of(calibration, 0), right=camera_of(calibration, 1, right))
 
 
 def head_file_text(
     calibration: Calibration, name: str, response: CameraResponse | None = None
 ) -> str:
     """Write the head file of a calibrated pair as TOML text."""
-    return stereo_pair_to_head_toml(
-        stereo_pair_of(calibration),
+    document = document_of_pair(
+        pair_of(calibration),
         name,
         noise_px=pixel_noise_px(calibration),
         calibration=calibration_record(calibration),
         response=response,
     )
+    return toml_text(document)
 
 
 def calibration_record(calibration: Calibration) -> CalibrationRecord:
@@ -104,9 +104,10 @@ def right_camera_pose_covariance(rig: CameraRig, covariance: FloatArray) -> Floa
 
 def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
     """Convert a camera's calibration to plain values with the keys of ROS's camera_info files."""
-    camera = intrinsics_of(calibration, 0)
+    camera = camera_of(calibration, 0)
+    lens, coefficients = camera.lens
     (f_u, f_v), (u_0, v_0) = camera.focal.tolist(), camera.principal.tolist()
-    names = camera_parameter_names(camera.lens)
+    names = camera_parameter_names(lens)
     return {
         "image_width": camera.width,
         "image_height": camera.height,
@@ -116,11 +117,11 @@ def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
             "cols": 3,
             "data": [f_u, 0.0, u_0, 0.0, f_v, v_0, 0.0, 0.0, 1.0],
         },
-        "distortion_model": _ROS_LENSES[camera.lens],
+        "distortion_model": _ROS_LENSES[lens],
         "distortion_coefficients": {
             "rows": 1,
-            "cols": len(camera.distortion),
-            "data": camera.distortion.tolist(),
+            "cols": len(coefficients),
+            "data": np.asarray(coefficients).tolist(),
         },
         "calibration": {
             "target": str(calibration.observations.target),

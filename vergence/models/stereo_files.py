@@ -4,7 +4,7 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
@@ -37,18 +37,14 @@ from vergence.models.calibration_files import (
     read_calibration,
     refuse_unused_files,
 )
-from vergence.models.camera import CameraResponse
+from vergence.models.camera import Camera, CameraResponse, Lens, camera_matrix
 from vergence.models.geometry import inverse_pose
-from vergence.models.head_file import check_head_name
+from vergence.models.head_file import camera_fields, check_head_name, eye_tables
+from vergence.models.head_joints import pose_fields
+from vergence.models.lens import BROWN_CONRADY
 from vergence.models.parts import EYE_NAMES, CalibrationRecord, FloatArray
-from vergence.models.toml_table import toml_text
 
-Lens = Literal["brown-conrady", "rational", "fisheye"]
-"""OpenCV's lens models with 5 and 8 coefficients, and its fisheye model with 4."""
-COEFFICIENTS: Final[dict[Lens, int]] = {"brown-conrady": 5, "rational": 8, "fisheye": 4}
-"""Number of distortion coefficients by lens model."""
-
-_MODELS: Final[dict[str, Lens | None]] = {
+_MODELS: Final[dict[str, str | None]] = {
     **dict.fromkeys(
         ("plumbbob", "radtan", "radialtangential", "brownconrady", "brown", "opencv"),
         "brown-conrady",
@@ -84,72 +80,70 @@ _MAX_UNREAD: Final = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Intrinsics:
-    """Intrinsics of one calibrated camera."""
+class ReadCameras:
+    """Left and right camera of calibration files; one object if one stands for both eyes.
 
-    width: int
-    """Image width, in pixels."""
-    height: int
-    """Image height, in pixels."""
-    focal: FloatArray
-    """(2,) f_u and f_v, in pixels."""
-    principal: FloatArray
-    """(2,) u_0 and v_0, in pixels, pixel centres at integers as in OpenCV."""
-    lens: Lens
-    """Lens model."""
-    distortion: FloatArray
-    """(5,), (8,) or (4,) coefficients of the lens, in OpenCV's order."""
-    lens_assumption: str = ""
-    """Assumption made about the lens because the file does not specify it; empty if none."""
+    Of a pair that does not move, the right one's pose is that in the left one's frame.
+    """
 
-    def size_fields(self) -> dict[str, int]:
-        """Fields of the image size in a head file, for `[image]` or, if eyes differ, `[[eyes]]`."""
-        return {"width_px": self.width, "height_px": self.height}
-
-    def fields(self) -> dict[str, Any]:
-        """Fields of the other intrinsics in a head file, for `[[eyes]]`."""
-        return {
-            "focal_px": self.focal.tolist(),
-            "principal_px": self.principal.tolist(),
-            **({} if self.lens == "brown-conrady" else {"lens": self.lens}),
-            "distortion": self.distortion.tolist(),
-        }
-
-    @property
-    def guesses(self) -> tuple[str, ...]:
-        """Assumed or doubtful values, one phrase each."""
-        off = np.abs(_offset(self.principal, self.width, self.height)).max() > _MAX_CENTRE_OFFSET
-        doubt = (
-            f"principal point ({self.principal[0]:.0f}, {self.principal[1]:.0f}) far from the "
-            f"middle of {self.width} x {self.height} px: was the camera calibrated at this size?"
-        )
-        return tuple(text for text in (self.lens_assumption, doubt if off else "") if text)
-
-
-def _offset(principal: FloatArray, width: float, height: float) -> FloatArray:
-    """(2,) distance of a principal point from the image centre, as a fraction of the sides."""
-    size = np.array([width, height])
-    offset: FloatArray = (principal - (size - 1.0) / 2.0) / size
-    return offset
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CalibratedCameras:
-    """Cameras of the left and the right eye; one object if a single camera stands for both."""
-
-    left: Intrinsics
-    right: Intrinsics
+    left: Camera
+    right: Camera
+    lens_assumptions: tuple[str, str] = ("", "")
+    """What was assumed about each lens because the files do not say it; empty for nothing."""
     notes: tuple[str, ...] = ()
     """Assumptions about the files, one phrase each."""
 
     @property
     def guesses(self) -> tuple[str, ...]:
         """Doubtful or assumed values that the user should check, one phrase each."""
+        own = [
+            _guesses(camera, said)
+            for camera, said in zip((self.left, self.right), self.lens_assumptions, strict=True)
+        ]
         if self.left is self.right:
-            return (*self.left.guesses, *self.notes)
-        cameras = {"left": self.left, "right": self.right}
-        said = (f"{eye} camera: {one}" for eye, camera in cameras.items() for one in camera.guesses)
-        return (*said, *self.notes)
+            return (*own[0], *self.notes)
+        said = (
+            f"{eye} camera: {one}"
+            for eye, found in zip(EYE_NAMES, own, strict=True)
+            for one in found
+        )
+        return (*said, *self.notes, *_mounting_guesses(self.right.pose))
+
+
+def _guesses(camera: Camera, lens_assumption: str) -> list[str]:
+    said = [lens_assumption] if lens_assumption else []
+    if np.abs(_offset(camera.principal, *camera.size)).max() > _MAX_CENTRE_OFFSET:
+        u, v = camera.principal
+        said.append(
+            f"principal point ({u:.0f}, {v:.0f}) far from the middle of {camera.width} x "
+            f"{camera.height} px: was the camera calibrated at this size?"
+        )
+    return said
+
+
+def _mounting_guesses(pose: FloatArray) -> list[str]:
+    """Doubts about where the right camera is mounted, from its pose in the left one's frame."""
+    said = []
+    across, along, _ = np.abs(pose[:3, 3])
+    if along > across:
+        said.append(
+            "the cameras stand one above the other: N is turned so that its x axis points "
+            "from the left one to the right one (are both turned about their optical axes?)"
+        )
+    roll = np.degrees(np.arctan2(pose[0, 1], pose[0, 0]))
+    if abs(roll) > _ODD_ROLL_DEG:
+        said.append(
+            f"the right camera is turned by {abs(roll):.0f} degrees about its optical axis "
+            "against the left one: is that how it is mounted, and are its images as it "
+            "delivers them?"
+        )
+    return said
+
+
+def _offset(principal: FloatArray, width: float, height: float) -> FloatArray:
+    """(2,) distance of a principal point from the image centre, as a fraction of the sides."""
+    size = np.array([width, height])
+    return np.asarray((principal - (size - 1.0) / 2.0) / size)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,7 +152,9 @@ class CameraFiles:
 
     names: Sequence[str]
     values: CalibrationValues
-    cameras: Sequence[Intrinsics]  # one or two, left first
+    cameras: Sequence[
+        tuple[Camera, str]
+    ]  # one or two, left first, with what is assumed of the lens
     keys: Sequence[tuple[CalibrationValues, str]]  # of each camera, with its label or ""
     apart: CalibrationValues  # values of files without a camera, else all
 
@@ -176,7 +172,7 @@ def read_camera_files(
     paths: Sequence[str | os.PathLike[str]],
     *,
     size: tuple[int, int] | None = None,
-    lens: Lens | None = None,
+    lens: str | None = None,
 ) -> CameraFiles:
     """Read the cameras in calibration files, for `read_intrinsics` and `read_stereo`."""
     names = [os.fspath(path) for path in paths]
@@ -210,8 +206,8 @@ def read_intrinsics(
     paths: Sequence[str | os.PathLike[str]],
     *,
     size: tuple[int, int] | None = None,
-    lens: Lens | None = None,
-) -> CalibratedCameras:
+    lens: str | None = None,
+) -> ReadCameras:
     """Read the left and the right camera: from one file, two (left first), or one for both eyes."""
     found = read_camera_files(paths, size=size, lens=lens)
     if found.apart is not found.values:
@@ -219,7 +215,12 @@ def read_intrinsics(
     for keys, side in found.keys:  # their places are the robot's, and a head's own
         for stems in (ROTATION, TRANSLATION, CHAINED, BODY_IN_CAMERA, CAMERA_IN_BODY, UNIT):
             keys.find(stems, side, shared=True)
-    return CalibratedCameras(left=found.cameras[0], right=found.cameras[-1], notes=found.notes())
+    return _read(found, found.notes())
+
+
+def _read(found: CameraFiles, notes: tuple[str, ...]) -> ReadCameras:
+    (left, said), (right, other) = found.cameras[0], found.cameras[-1]
+    return ReadCameras(left=left, right=right, lens_assumptions=(said, other), notes=notes)
 
 
 def _refuse_swapped(left: CalibrationValues, right: CalibrationValues) -> None:
@@ -239,9 +240,9 @@ def find_intrinsics(
     side: str = "",
     *,
     size: tuple[int, int] | None = None,
-    lens: Lens | None = None,
-) -> Intrinsics:
-    """Intrinsics of one camera in calibration files; `side` is its label in a pair, or empty."""
+    lens: str | None = None,
+) -> tuple[Camera, str]:
+    """One camera of calibration files, by its label in a pair or "", and what is assumed of it."""
     _named_lens(keys, side)  # an unsupported one explains what else is odd
     matrix = keys.find(MATRIX, side)
     if matrix is None:
@@ -250,11 +251,8 @@ def find_intrinsics(
     width, height = _image_size(keys, side, size)
     _check_principal(principal, matrix.label, width, height)
     _refuse_part(keys, side, (width, height))
-    model, distortion, guess = _lens(keys, side, lens)
-    return Intrinsics(
-        width=width, height=height, focal=focal, principal=principal, lens=model,
-        distortion=distortion, lens_assumption=guess,
-    )  # fmt: skip
+    found, guess = _lens(keys, side, lens)
+    return Camera(size=(width, height), matrix=camera_matrix(focal, principal), lens=found), guess
 
 
 def _pinhole(found: FoundValue) -> tuple[FloatArray, FloatArray]:
@@ -366,7 +364,7 @@ def _counts(
     return "" if named is None else named.label, values
 
 
-def _lens(keys: CalibrationValues, side: str, given: Lens | None) -> tuple[Lens, FloatArray, str]:
+def _lens(keys: CalibrationValues, side: str, given: str | None) -> tuple[Lens, str]:
     named = _named_lens(keys, side)
     if given is not None and named is not None and given != named:
         raise ConfigurationError(
@@ -375,8 +373,7 @@ def _lens(keys: CalibrationValues, side: str, given: Lens | None) -> tuple[Lens,
     lens = given or named
     found = keys.find(DISTORTION, side)
     if found is None or (parse_numbers(found.value) is not None and not np.size(found.value)):
-        lens = lens or "brown-conrady"
-        return lens, np.zeros(COEFFICIENTS[lens]), "" if found else "no distortion coefficients"
+        return Lens(lens or BROWN_CONRADY), "" if found else "no distortion coefficients"
     values = flat_array_of(
         found, (1, 2, 4, 5, 8, 12, 14), "4, 5, 8, 12 or 14 distortion coefficients"
     )
@@ -391,7 +388,7 @@ def _lens(keys: CalibrationValues, side: str, given: Lens | None) -> tuple[Lens,
             raise ConfigurationError(
                 f"{found.label}: expected 4 coefficients of a fisheye lens, got {values.size}"
             )
-        return lens, values, guess
+        return Lens(lens, values), guess
     if np.any(values[8:]):
         raise ConfigurationError(
             f"{found.label}: expected no thin prism and no tilt of the sensor (coefficients 9 to "
@@ -400,18 +397,18 @@ def _lens(keys: CalibrationValues, side: str, given: Lens | None) -> tuple[Lens,
     rational = np.zeros(8)
     rational[: min(values.size, 8)] = values[:8]
     if lens != "rational" and not rational[5:].any():
-        return "brown-conrady", rational[:5], guess
+        return Lens(BROWN_CONRADY, rational[:5]), guess
     if lens == "brown-conrady":
         raise ConfigurationError(
             f"{found.label}: expected 4 or 5 coefficients of the model brown-conrady, got "
             f"{values.size}"
         )
-    return "rational", rational, guess
+    return Lens("rational", rational), guess
 
 
-def _named_lens(keys: CalibrationValues, side: str) -> Lens | None:
+def _named_lens(keys: CalibrationValues, side: str) -> str | None:
     """Lens model named in the files; None if there is none."""
-    named: dict[Lens, str] = {}
+    named: dict[str, str] = {}
     flag = keys.find(FISHEYE, side, shared=True)
     if flag is not None:
         number = parse_numbers(flag.value)
@@ -466,48 +463,14 @@ _ROTATION_TOLERANCE: Final = 1e-3
 """Tolerance on the singular values of a rotation; files have as few as four decimals (chosen)."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StereoPair(CalibratedCameras):
-    """Two calibrated cameras that do not move: `x_right = R x_left + T`, as in OpenCV."""
-
-    rotation: FloatArray
-    """(3, 3) R, orthonormal."""
-    translation_m: FloatArray
-    """(3,) T, metres."""
-
-    @property
-    def baseline_m(self) -> FloatArray:
-        """(3,) position of the right camera in the left one's frame, metres."""
-        return -self.rotation.T @ self.translation_m
-
-    @property
-    def guesses(self) -> tuple[str, ...]:
-        """Doubtful or assumed values that the user should check, one phrase each."""
-        said = list(super().guesses)
-        across, along, _ = np.abs(self.baseline_m)
-        if along > across:
-            said.append(
-                "the cameras stand one above the other: N is turned so that its x axis points "
-                "from the left one to the right one (are both turned about their optical axes?)"
-            )
-        roll = np.degrees(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]))
-        if abs(roll) > _ODD_ROLL_DEG:
-            said.append(
-                f"the right camera is turned by {abs(roll):.0f} degrees about its optical axis "
-                "against the left one: is that how it is mounted, and are its images as it "
-                "delivers them?"
-            )
-        return tuple(said)
-
-
 def read_stereo(
     paths: Sequence[str | os.PathLike[str]],
     *,
     unit: str | None = None,
     size: tuple[int, int] | None = None,
-    lens: Lens | None = None,
+    lens: str | None = None,
     swap: bool = False,
-) -> StereoPair:
+) -> ReadCameras:
     """Read a calibrated stereo pair.
 
     The files are OpenCV's (`cameraMatrix1`, `distCoeffs1`, ..., `R`, `T`, or `M1`, `D1`, ... in
@@ -527,7 +490,7 @@ def read_stereo(
         swap: true if the first camera of the files is the right one.
 
     Returns:
-        The pair.
+        The pair; the right camera's pose is that in the left one's frame.
 
     Raises:
         ConfigurationError: a file cannot be read or is unused, a value is missing, or the pair
@@ -549,19 +512,17 @@ def read_stereo(
         )
     rotation, translation, label = placed
     scale, doubts = _scale(files.values, metres, float(np.abs(translation).max()))
-    pair = StereoPair(
-        left=files.cameras[0],
-        right=files.cameras[1],
-        rotation=rotation,
-        translation_m=scale * translation,
-        notes=(*doubts, *files.notes()),
-    )
+    pose = np.eye(4)  # of the right camera in the left one's frame
+    pose[:3, :3], pose[:3, 3] = rotation.T, -rotation.T @ (scale * translation)
+    pair = _read(files, (*doubts, *files.notes()))
     if swap:
-        pair = replace(
-            pair, left=pair.right, right=pair.left, rotation=rotation.T,
-            translation_m=pair.baseline_m,
+        pose = inverse_pose(pose)
+        pair = ReadCameras(
+            left=pair.right, right=pair.left, lens_assumptions=pair.lens_assumptions[::-1],
+            notes=pair.notes,
         )  # fmt: skip
-    _check(pair, label, scale, swap)
+    pair = replace(pair, right=replace(pair.right, pose=pose))
+    _check(pose, label, scale, swap)
     return pair
 
 
@@ -699,10 +660,10 @@ def _rotation(matrix: FloatArray, label: str) -> FloatArray:
     return nearest
 
 
-def _check(pair: StereoPair, label: str, scale: float, swap: bool) -> None:
+def _check(pose: FloatArray, label: str, scale: float, swap: bool) -> None:
     """Refuse a pair whose geometry no head can have."""
     with np.errstate(over="ignore"):  # an infinite baseline is refused as too long
-        right = pair.baseline_m
+        right = pose[:3, 3]
         baseline = float(np.linalg.norm(right))
     if not LEAST_BASELINE_M <= baseline <= GREATEST_BASELINE_M:
         raise ConfigurationError(
@@ -721,7 +682,7 @@ def _check(pair: StereoPair, label: str, scale: float, swap: bool) -> None:
             f"{label}: expected two cameras side by side, got the right one "
             f"{1000.0 * right[2]:.1f} mm along the left one's optical axis"
         )
-    between = np.degrees(np.arccos(np.clip(pair.rotation[2, 2], -1.0, 1.0)))
+    between = np.degrees(np.arccos(np.clip(pose[2, 2], -1.0, 1.0)))
     if between > 90.0:
         raise ConfigurationError(
             f"{label}: expected two cameras that look the same way, got {between:.0f} degrees "
@@ -775,42 +736,36 @@ _REASONS: Final = {
 }
 
 
-def stereo_pair_to_head_toml(
-    pair: StereoPair,
+def document_of_pair(
+    pair: ReadCameras,
     name: str,
     *,
     noise_px: float | None = None,
     calibration: CalibrationRecord | None = None,
     response: CameraResponse | None = None,
-) -> str:
-    """TOML text of a pair's head; N is midway between the cameras, z along the mean axis."""
+) -> dict[str, Any]:
+    """Tables of the head file of a pair; N is midway between the cameras, z along the mean axis."""
     check_head_name(name)
     cameras = (pair.left, pair.right)
-    positions = (np.zeros(3), pair.baseline_m)
-    rotations = (np.eye(3), pair.rotation.T)
-    sizes = [camera.size_fields() for camera in cameras]
-    one_size = sizes[0] == sizes[1]
     eyes = [
-        {"name": EYE_NAMES[eye]}
-        | ({} if one_size else sizes[eye])
-        | ({} if response is None else {"response": response})
-        | cameras[eye].fields()
-        | {"position_m": positions[eye].tolist(), "rotation": rotations[eye].tolist()}
-        for eye in range(2)
+        ({} if response is None else {"response": response})
+        | camera_fields(camera)
+        | pose_fields("position_m", camera.pose)
+        for camera in cameras
     ]
     guesses = {
-        f"eyes.{eye}.distortion": camera.lens_assumption
-        for eye, camera in zip(EYE_NAMES, cameras, strict=True)
-        if camera.lens_assumption
+        f"eyes.{eye}.distortion": said
+        for eye, said in zip(EYE_NAMES, pair.lens_assumptions, strict=True)
+        if said
     }
     sensor, reasons = dict(_ASSUMED["sensor"]), dict(_REASONS)
     if noise_px is not None:
         sensor["detection_noise_px"] = noise_px
         del reasons["sensor.detection_noise_px"]
-    return toml_text(
+    return (
         {"name": name}
-        | ({"image": sizes[0]} if one_size else {})
+        | eye_tables(cameras, eyes)
         | _ASSUMED
-        | {"sensor": sensor, "eyes": eyes, "assumptions": {**reasons, **guesses}}
+        | {"sensor": sensor, "assumptions": {**reasons, **guesses}}
         | ({"calibration": asdict(calibration)} if calibration else {})
     )

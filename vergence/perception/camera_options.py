@@ -3,11 +3,9 @@
 from pathlib import Path
 
 from vergence.errors import ConfigurationError
-from vergence.models.camera import Lens as CameraLens
-from vergence.models.camera import camera_matrix
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES
-from vergence.models.stereo_files import Lens, read_intrinsics
+from vergence.models.stereo_files import read_intrinsics
 from vergence.vision import Camera
 
 
@@ -17,7 +15,7 @@ def load_camera(
     eye: str | None,
     *,
     size: tuple[int, int] | None = None,
-    lens: Lens | None = None,
+    lens: str | None = None,
 ) -> tuple[Camera | None, tuple[str, ...]]:
     """Load the camera that options name, None if none, and phrases on its doubtful values."""
     if head is not None and calibration is not None:
@@ -43,10 +41,4 @@ def load_camera(
         raise ConfigurationError(
             f"eye: expected left or right, as {calibration} is of two cameras, got none"
         )
-    own = both.right if eye == "right" else both.left
-    camera = Camera(
-        size=(own.width, own.height),
-        matrix=camera_matrix(own.focal, own.principal),
-        lens=CameraLens(own.lens, own.distortion),
-    )
-    return camera, both.guesses
+    return both.right if eye == "right" else both.left, both.guesses

@@ -25,15 +25,24 @@ from .pairs import (
 )
 
 
+def right_from_left(pair) -> tuple[np.ndarray, np.ndarray]:
+    """R and T of `x_right = R x_left + T`, as in OpenCV."""
+    pose = pair.right.pose
+    return pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3]
+
+
 def check(pair, atol=1e-12, coefficients=5):
     for camera, k, d in ((pair.left, K_LEFT, D_LEFT), (pair.right, K_RIGHT, D_RIGHT)):
         assert (camera.width, camera.height) == SIZE
         np.testing.assert_allclose(camera.focal, k[[0, 1], [0, 1]], atol=atol)
         np.testing.assert_allclose(camera.principal, k[:2, 2], atol=atol)
-        assert camera.lens == "brown-conrady"
-        np.testing.assert_allclose(camera.distortion[:coefficients], d[:coefficients], atol=atol)
-    np.testing.assert_allclose(pair.rotation, R, atol=atol)
-    np.testing.assert_allclose(pair.translation_m, T, atol=atol)
+        assert camera.lens.model == "brown-conrady"
+        np.testing.assert_allclose(
+            camera.lens.coefficients[:coefficients], d[:coefficients], atol=atol
+        )
+    rotation, shift = right_from_left(pair)
+    np.testing.assert_allclose(rotation, R, atol=atol)
+    np.testing.assert_allclose(shift, T, atol=atol)
 
 
 def written(path, values):
@@ -113,8 +122,8 @@ def test_a_camchain_of_kalibr_is_read(tmp_path):
 
 def test_equidistant_cameras_have_the_fisheye_lens(tmp_path):
     pair = read_stereo([camchain(tmp_path / "camchain.yaml", "equidistant")])
-    assert pair.left.lens == pair.right.lens == "fisheye"
-    np.testing.assert_array_equal(pair.left.distortion, D_LEFT[:4])
+    assert pair.left.lens.model == pair.right.lens.model == "fisheye"
+    np.testing.assert_array_equal(pair.left.lens.coefficients, D_LEFT[:4])
 
 
 def test_cameras_in_a_file_each_take_their_place_from_a_third(tmp_path):
@@ -167,9 +176,9 @@ def test_the_number_of_coefficients_says_which_lens_it_is(tmp_path):
         with named(coefficients, lens, kept):
             values = opencv_pair(distCoeffs1=np.array([coefficients]))
             pair = read_stereo([write_opencv(tmp_path / "pair.yml", values)])
-            assert pair.left.lens == lens
-            np.testing.assert_array_equal(pair.left.distortion[:kept], coefficients[:kept])
-            assert not pair.left.distortion[kept:].any()
+            assert pair.left.lens.model == lens
+            np.testing.assert_array_equal(pair.left.lens.coefficients[:kept], coefficients[:kept])
+            assert not pair.left.lens.coefficients[kept:].any()
             assert (pair.guesses != ()) == (len(coefficients) == 4)
 
 
@@ -177,9 +186,9 @@ def test_a_lens_that_the_file_does_not_name_can_be_given(tmp_path):
     four = {f"distCoeffs{i}": np.array([[0.1, 0.02, 1e-3, 2e-3]]) for i in (1, 2)}
     path = write_opencv(tmp_path / "pair.yml", opencv_pair(**four))
     pair = read_stereo([path], lens="fisheye")
-    assert (pair.left.lens, pair.guesses) == ("fisheye", ())
+    assert (pair.left.lens.model, pair.guesses) == ("fisheye", ())
     marked = write_opencv(tmp_path / "marked.yml", opencv_pair(**four, fisheye_model=1))
-    assert read_stereo([marked]).right.lens == "fisheye"
+    assert read_stereo([marked]).right.lens.model == "fisheye"
 
 
 def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path):
@@ -358,7 +367,7 @@ def test_the_lens_model_is_read_under_the_names_of_other_programs(tmp_path):
     ]:  # fmt: skip
         with named(more, lens):
             both = read_intrinsics([written(tmp_path / "one.json", camera(**four, **more))])
-            assert both.left.lens == lens
+            assert both.left.lens.model == lens
             assert "fisheye" not in " ".join(both.guesses)
 
 

@@ -39,17 +39,18 @@ class ImportStereo(HeadOutput):
         if not self.files:
             raise ConfigurationError("files: expected calibration files, got none")
         from vergence.commands.importing.shown import print_imported_pair
-        from vergence.models.head_file import parse_head
-        from vergence.models.stereo_files import read_stereo, stereo_pair_to_head_toml
+        from vergence.models.head_file import head_of_document
+        from vergence.models.stereo_files import document_of_pair, read_stereo
+        from vergence.models.toml_table import toml_text
 
         pair = read_stereo(
             self.files, unit=self.unit, size=parse_size(self.size), lens=self.lens, swap=self.swap
         )
         print_guesses(pair.guesses)
-        text = stereo_pair_to_head_toml(pair, self.name or self.out.stem)
-        head = parse_head(text)
+        document = document_of_pair(pair, self.name or self.out.stem)
+        head = head_of_document(document)
         self.check()
-        self.write(text, head)
+        self.write(toml_text(document), head)
         print_imported_pair(head)
         self.print_paths()
         return 0

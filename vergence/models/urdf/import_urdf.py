@@ -12,11 +12,18 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import ConfigurationError, HeadFileError
+from vergence.models.camera import Camera, camera_matrix
 from vergence.models.head import HeadModel
-from vergence.models.head_file import NAME, check_head_name, head_of_document
+from vergence.models.head_file import (
+    NAME,
+    camera_fields,
+    check_head_name,
+    eye_tables,
+    head_of_document,
+)
 from vergence.models.head_joints import LENGTH, frame_between_cameras
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.models.stereo_files import CalibratedCameras, Intrinsics, Lens, read_intrinsics
+from vergence.models.stereo_files import ReadCameras, read_intrinsics
 from vergence.models.toml_table import toml_text
 from vergence.models.urdf.chains import (
     ChainJoint,
@@ -66,7 +73,7 @@ class UrdfSource:
     couplings: Sequence[Coupling] = ()
     intrinsics: Sequence[str | os.PathLike[str]] = ()
     size: tuple[int, int] | None = None
-    lens: Lens | None = None
+    lens: str | None = None
     name: str = ""
 
 
@@ -141,24 +148,21 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
             baseline_m=float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3])),
         )
     images, unsaid = _images([mechanism.frames[frame].camera for frame in frames], source)
-    intrinsics = (images.left, images.right)
-    sizes = [image.size_fields() for image in intrinsics]
-    one_size = sizes[0] == sizes[1]
-    if one_size:
+    cameras = (images.left, images.right)
+    if images.left.size == images.right.size:
         size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
         unsaid = {size.sub("image.", key): reason for key, reason in unsaid.items()}
     document = {
         "name": _name(source, mechanism),
-        **({"image": sizes[0]} if one_size else {}),
+        **eye_tables(
+            cameras,
+            [camera_fields(each) | mount for each, mount in zip(cameras, mounts, strict=True)],
+        ),
         **ASSUMED_LOOP,
         # limits belong to the motors: those of joints with shared motors follow from them
         "joints": [
             fields | ({} if motors and fields["part"] != "neck" else limit_fields(limit))
             for fields, limit in zip(joints, limits.values(), strict=True)
-        ],
-        "eyes": [
-            {"name": eye, **({} if one_size else image.size_fields()), **image.fields(), **mount}
-            for eye, image, mount in zip(EYE_NAMES, intrinsics, mounts, strict=True)
         ],
         **actuator_fields(motors),
         "assumptions": {**unsaid, **LOOP_REASONS, **_of_motors(assumed, motors)},
@@ -329,7 +333,7 @@ _ASSUMED_FOV_DEG: Final = 60.0
 
 def _images(
     cameras: Sequence[MjcfCamera | None], source: UrdfSource
-) -> tuple[CalibratedCameras, dict[str, str]]:
+) -> tuple[ReadCameras, dict[str, str]]:
     """Intrinsics of both eyes, files before cameras, and reasons of assumptions by dotted key."""
     for eye, camera in zip(EYE_NAMES, cameras, strict=True):
         if camera is not None and camera.fault:
@@ -339,11 +343,10 @@ def _images(
             )
     if source.intrinsics:
         calibrated = read_intrinsics(source.intrinsics, size=source.size, lens=source.lens)
-        eyes = dict(zip(EYE_NAMES, (calibrated.left, calibrated.right), strict=True))
         assumed = {
-            f"eyes.{eye}.distortion": image.lens_assumption
-            for eye, image in eyes.items()
-            if image.lens_assumption
+            f"eyes.{eye}.distortion": said
+            for eye, said in zip(EYE_NAMES, calibrated.lens_assumptions, strict=True)
+            if said
         }
         if calibrated.left is calibrated.right:
             assumed["eyes.right.focal_px"] = "one calibration was given for both cameras"
@@ -354,34 +357,28 @@ def _images(
     images, reasons = zip(*map(_image, cameras), strict=True)
     by_eye = zip(EYE_NAMES, reasons, strict=True)
     assumed = {f"eyes.{eye}.{key}": why for eye, found in by_eye for key, why in found.items()}
-    return CalibratedCameras(left=images[0], right=images[1]), assumed
+    return ReadCameras(left=images[0], right=images[1]), assumed
 
 
-def _image(camera: MjcfCamera | None) -> tuple[Intrinsics, dict[str, str]]:
+def _image(found: MjcfCamera | None) -> tuple[Camera, dict[str, str]]:
     """Camera without distortion, and reasons of assumptions by key."""
     assumed = {}
-    size = _ASSUMED_SIZE_PX if camera is None or camera.size is None else camera.size
-    if camera is None or camera.size is None:
+    size = _ASSUMED_SIZE_PX if found is None or found.size is None else found.size
+    if found is None or found.size is None:
         why = f"not in the file: {size[0]} x {size[1]}"
         assumed = {"width_px": why, "height_px": why}
-    if camera is None:
+    if found is None:
         focal: float | FloatArray = size[0] / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
         field = f"a field of view of {_ASSUMED_FOV_DEG:g} degrees horizontally"
         assumed["focal_px"] = f"not in the file: {field}"
-    elif camera.focal is None:
-        focal = size[1] / 2.0 / tan(radians(camera.fovy_deg) / 2.0)
+    elif found.focal is None:
+        focal = size[1] / 2.0 / tan(radians(found.fovy_deg) / 2.0)
     else:
-        focal = camera.focal
-    given = None if camera is None else camera.principal
-    image = Intrinsics(
-        width=size[0],
-        height=size[1],
-        focal=np.broadcast_to(focal, 2),
-        principal=(np.array(size) - 1.0) / 2.0 if given is None else given,
-        lens="brown-conrady",
-        distortion=np.zeros(5),
-    )
-    return image, assumed | {"distortion": "not in the file: no distortion"}
+        focal = found.focal
+    given = None if found is None else found.principal
+    principal = (np.array(size) - 1.0) / 2.0 if given is None else given
+    camera = Camera(size=size, matrix=camera_matrix(np.broadcast_to(focal, 2), principal))
+    return camera, assumed | {"distortion": "not in the file: no distortion"}
 
 
 def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[str, str]:
