@@ -17,7 +17,7 @@ from numba.core.caching import IndexDataCacheFile
 
 from tests.rooms import sources_of
 from vergence.kernels import cache, jit, make_tuple_reader
-from vergence.models.packed import Pose, direction_to_outer
+from vergence.models.kinematics import Pose, direction_to_outer
 from vergence.triangulation.rays import triangulate
 
 HELPER = "from heads.kernels import jit\n\n@jit.inlined\ndef scale(x):\n    return {factor} * x\n"

@@ -25,7 +25,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.envs.validation import check_at_least_zero
 from vergence.kernels import kernel
 from vergence.models.head import HeadModel
-from vergence.models.packed import PACKED, PackedHead, camera_of
+from vergence.models.kinematics import PACKED, PackedHead, camera_of
 from vergence.models.parts import FloatArray
 from vergence.operands import as_operand
 

@@ -21,7 +21,7 @@ from vergence.envs.reducible import image_jacobians, reducible_error_by_jacobian
 from vergence.kernels import inlined, kernel, subroutine
 from vergence.models.fixation import actuator_least_squares
 from vergence.models.head import HeadModel
-from vergence.models.packed import PACKED, PackedHead
+from vergence.models.kinematics import PACKED, PackedHead
 from vergence.models.parts import FloatArray
 
 

@@ -55,7 +55,7 @@ from vergence.envs.validation import check_above_zero, check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
-from vergence.models.packed import PACKED, PackedHead
+from vergence.models.kinematics import PACKED, PackedHead
 from vergence.models.parts import FloatArray
 
 FUZZY_SETS: Final = ("NB", "NM", "NS", "ZO", "PS", "PM", "PB")

@@ -25,8 +25,7 @@ from vergence.envs.validation import check_finite_number, real_number_array
 from vergence.errors import ConfigurationError
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import eye_frames, eye_jacobian
-from vergence.models.packed import PACKED, PackedHead, camera_of
+from vergence.models.kinematics import PACKED, PackedHead, camera_of, eye_frames, eye_jacobian
 from vergence.models.parts import FloatArray, LoopTiming
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
 

@@ -36,7 +36,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.envs.validation import check_at_least_zero
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
-from vergence.models.packed import PACKED, PackedHead, has_motor_per_joint
+from vergence.models.kinematics import PACKED, PackedHead, has_motor_per_joint
 from vergence.models.parts import FloatArray
 
 

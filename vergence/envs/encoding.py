@@ -16,7 +16,7 @@ from vergence.errors import ConfigurationError
 from vergence.kernels import inlined, kernel, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead
+from vergence.models.kinematics import PackedHead
 from vergence.models.parts import EYES, NECK, FloatArray
 
 FINE_PX: Final = 16.0

@@ -11,7 +11,7 @@ from vergence.envs.reward import StepResult, TimeLimits, TrialProgress, compute_
 from vergence.envs.streams import IntArray
 from vergence.kernels import compiled, inlined, unpack_table
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead
+from vergence.models.kinematics import PackedHead
 from vergence.models.parts import FloatArray
 
 LIMIT: Final = 1

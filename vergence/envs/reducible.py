@@ -13,8 +13,7 @@ import numpy as np
 from vergence.kernels import inlined, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.fixation import actuator_least_squares, image_rate
-from vergence.models.kinematics import eye_frames, eye_jacobian
-from vergence.models.packed import PackedHead, camera_of
+from vergence.models.kinematics import PackedHead, camera_of, eye_frames, eye_jacobian
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
 

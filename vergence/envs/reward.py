@@ -32,8 +32,7 @@ from vergence.envs.reducible import reducible_error
 from vergence.envs.streams import IntArray
 from vergence.kernels import compiled, inlined
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import pixel_error
-from vergence.models.packed import PackedHead
+from vergence.models.kinematics import PackedHead, pixel_error
 from vergence.models.parts import FloatArray
 
 TERMS: Final = ("tracking", "precision", "effort", "lost")

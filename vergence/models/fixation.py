@@ -12,12 +12,12 @@ import numpy as np
 
 from vergence.kernels import inlined, kernel, subroutine
 from vergence.models.actuation import SLOTS
-from vergence.models.kinematics import eye_frames
-from vergence.models.packed import (
+from vergence.models.kinematics import (
     PACKED,
     PackedHead,
     Vector,
     camera_of,
+    eye_frames,
     eye_joint_angle,
     joint_per_actuator,
     point_rate_in_camera,
@@ -172,21 +172,10 @@ def _aim_error(
     error: FloatArray,
     rate: FloatArray,
 ) -> bool:
-    """Error of a point's image from the principal point, and its Jacobian by the eye's joints.
+    """Principal point less image (2, 2), px, and its Jacobian (2, 2, 2) by an eye's joints, px/rad.
 
-    Args:
-        p: a packed head.
-        eye: 0 for left, 1 for right.
-        joints: (4,) the eyes' joint angles, rad.
-        point: in N, m.
-        bearings: True for bearings from the optical axis times the focal lengths, which converge
-            from any direction; False for pixels, whose squared error is to be minimised.
-        error: (2, 2) result by eye and image axis, px: principal point less image.
-        rate: (2, 2, 2) result by eye, image axis and joint of that eye, px/rad.
-
-    Returns:
-        False for a point at the camera's origin or straight above or below it; for pixels, also
-        for a point behind the camera.
+    With `bearings` not pixels but bearings from the optical axis times the focal lengths, which
+    converge from any direction. False for a point that has none.
     """
     frames = eye_frames(p, eye, joints[2 * eye], joints[2 * eye + 1])
     cx, cy, cz = point_to_local(frames.camera, point[0], point[1], point[2])

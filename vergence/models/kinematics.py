@@ -1,5 +1,12 @@
-"""Kinematics for kernels and arrays: link and camera poses, projection, image Jacobians."""
+"""Kinematics of packed heads in kernels: poses, frames, projection, image Jacobians.
 
+A row holds ten poses, which are the constants between the joints, two cameras, and the linear map
+between the eyes' actuators and joints. Operands of kernels stay flat rows of floats. Inside a
+kernel, `camera_of`, `neck_constant_pose` and `eye_constant_pose` return the parts as tuples with
+named fields, at no cost in time.
+"""
+
+from collections.abc import Sequence
 from math import cos, nan, sin
 from typing import Final, NamedTuple
 
@@ -7,37 +14,267 @@ import numpy as np
 from numpy import bool_
 from numpy.typing import NDArray
 
-from vergence.kernels import inlined, kernel
-from vergence.models.actuation import Actuation
+from vergence.kernels import inlined, kernel, make_tuple_reader
+from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.camera import Cameras
 from vergence.models.geometry import Links
 from vergence.models.lens import (
+    CAMERA_LENGTH,
     CameraRow,
+    camera_at,
     is_distorted,
     pinhole_pixel,
     pinhole_ray,
     ray_to_pixel,
     undistort_ray,
 )
-from vergence.models.packed import (
-    PACKED,
-    PackedHead,
-    Pose,
-    Vector,
-    camera_of,
-    compose,
-    eye_constant_pose,
-    inverse,
-    neck_constant_pose,
-    pack_constants,
-    point_rate_in_camera,
-    point_to_local,
-    point_to_outer,
-    pose_of_matrix,
-    rotate_z,
-    store_pose,
-)
 from vergence.models.parts import FloatArray
+
+Vector = tuple[float, float, float]
+"""x, y and z."""
+
+
+class Pose(NamedTuple):
+    """T_A_B, the pose of frame B in A: B's axes are the columns, (x, y, z) is its origin, m."""
+
+    xx: float
+    xy: float
+    xz: float
+    x: float
+    yx: float
+    yy: float
+    yz: float
+    y: float
+    zx: float
+    zy: float
+    zz: float
+    z: float
+
+
+_pose_run = make_tuple_reader(len(Pose._fields))
+
+
+@inlined
+def pose_at(row: FloatArray, i: int) -> Pose:
+    """Read the pose whose twelve numbers begin at index i of a row."""
+    return Pose(*_pose_run(row, i))
+
+
+@inlined
+def pose_of_matrix(matrix: FloatArray) -> Pose:
+    """The pose of a (4, 4) matrix."""
+    a, b, c = matrix[0], matrix[1], matrix[2]
+    return Pose(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3], c[0], c[1], c[2], c[3])
+
+
+@inlined
+def store_pose(out: FloatArray, m: Pose) -> None:
+    """Write a pose to a (4, 4) matrix."""
+    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = m.xx, m.xy, m.xz, m.x
+    out[1, 0], out[1, 1], out[1, 2], out[1, 3] = m.yx, m.yy, m.yz, m.y
+    out[2, 0], out[2, 1], out[2, 2], out[2, 3] = m.zx, m.zy, m.zz, m.z
+    out[3, 0] = out[3, 1] = out[3, 2] = 0.0
+    out[3, 3] = 1.0
+
+
+@inlined
+def rotate_z(m: Pose, angle: float) -> Pose:
+    """The pose m followed by a rotation about its own z axis."""
+    c, s = cos(angle), sin(angle)
+    return Pose(
+        m.xx * c + m.xy * s, m.xy * c - m.xx * s, m.xz, m.x,
+        m.yx * c + m.yy * s, m.yy * c - m.yx * s, m.yz, m.y,
+        m.zx * c + m.zy * s, m.zy * c - m.zx * s, m.zz, m.z,
+    )  # fmt: skip
+
+
+@inlined
+def compose(m: Pose, k: Pose) -> Pose:
+    """The product of two poses: T_A_C from T_A_B and T_B_C."""
+    return Pose(
+        m.xx * k.xx + m.xy * k.yx + m.xz * k.zx,
+        m.xx * k.xy + m.xy * k.yy + m.xz * k.zy,
+        m.xx * k.xz + m.xy * k.yz + m.xz * k.zz,
+        m.xx * k.x + m.xy * k.y + m.xz * k.z + m.x,
+        m.yx * k.xx + m.yy * k.yx + m.yz * k.zx,
+        m.yx * k.xy + m.yy * k.yy + m.yz * k.zy,
+        m.yx * k.xz + m.yy * k.yz + m.yz * k.zz,
+        m.yx * k.x + m.yy * k.y + m.yz * k.z + m.y,
+        m.zx * k.xx + m.zy * k.yx + m.zz * k.zx,
+        m.zx * k.xy + m.zy * k.yy + m.zz * k.zy,
+        m.zx * k.xz + m.zy * k.yz + m.zz * k.zz,
+        m.zx * k.x + m.zy * k.y + m.zz * k.z + m.z,
+    )
+
+
+@inlined
+def inverse(m: Pose) -> Pose:
+    """The inverse of a pose: T_B_A from T_A_B."""
+    return Pose(
+        m.xx, m.yx, m.zx, -(m.xx * m.x + m.yx * m.y + m.zx * m.z),
+        m.xy, m.yy, m.zy, -(m.xy * m.x + m.yy * m.y + m.zy * m.z),
+        m.xz, m.yz, m.zz, -(m.xz * m.x + m.yz * m.y + m.zz * m.z),
+    )  # fmt: skip
+
+
+@inlined
+def direction_to_outer(m: Pose, x: float, y: float, z: float) -> Vector:
+    """Rotate a direction from the pose's own frame to the outer frame."""
+    return (
+        m.xx * x + m.xy * y + m.xz * z,
+        m.yx * x + m.yy * y + m.yz * z,
+        m.zx * x + m.zy * y + m.zz * z,
+    )
+
+
+@inlined
+def direction_to_local(m: Pose, x: float, y: float, z: float) -> Vector:
+    """Rotate a direction from the outer frame to the pose's own frame."""
+    return (
+        m.xx * x + m.yx * y + m.zx * z,
+        m.xy * x + m.yy * y + m.zy * z,
+        m.xz * x + m.yz * y + m.zz * z,
+    )
+
+
+@inlined
+def point_to_local(m: Pose, x: float, y: float, z: float) -> Vector:
+    """Transform a point from the outer frame to the pose's own frame."""
+    return direction_to_local(m, x - m.x, y - m.y, z - m.z)
+
+
+@inlined
+def point_to_outer(m: Pose, x: float, y: float, z: float) -> Vector:
+    """Transform a point from the pose's own frame to the outer frame."""
+    return (
+        m.xx * x + m.xy * y + m.xz * z + m.x,
+        m.yx * x + m.yy * y + m.yz * z + m.y,
+        m.zx * x + m.zy * y + m.zz * z + m.z,
+    )
+
+
+@inlined
+def point_rate_in_camera(
+    joint_frame: Pose, camera_pose: Pose, x: float, y: float, z: float
+) -> Vector:
+    """`-R_C_N (z_i x (P - o_i))`: motion of a fixed point in the camera per radian of a joint."""
+    rx, ry, rz = x - joint_frame.x, y - joint_frame.y, z - joint_frame.z
+    wx = joint_frame.zz * ry - joint_frame.yz * rz
+    wy = joint_frame.xz * rz - joint_frame.zz * rx
+    wz = joint_frame.yz * rx - joint_frame.xz * ry
+    return direction_to_local(camera_pose, wx, wy, wz)
+
+
+PackedHead = FloatArray
+"""(PACKED,) one head."""
+
+# Lengths of the parts, and indices of their first elements, in the row of a head (numerical).
+_POSE_LENGTH: Final = 12
+_NECK_START: Final = 0
+_EYES_START: Final = 4 * _POSE_LENGTH
+_EYE_LENGTH: Final = 3 * _POSE_LENGTH
+_CAMERAS_START: Final = _EYES_START + 2 * _EYE_LENGTH
+_DIRECT: Final = _CAMERAS_START + 2 * CAMERA_LENGTH
+_TO_JOINTS: Final = _DIRECT + 1
+_OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
+_TO_ACTUATORS: Final = _OFFSET + SLOTS
+PACKED: Final = _TO_ACTUATORS + SLOTS * SLOTS
+"""Length of a packed head (numerical)."""
+
+
+def pack_constants(
+    poses: Sequence[FloatArray],
+    cameras: FloatArray,
+    actuation: Actuation,
+    batch_shape: tuple[int, ...],
+) -> FloatArray:
+    """(*batch, PACKED) read-only rows; from ten (..., 4, 4) poses and (..., 2, 17) cameras."""
+    packed = np.zeros((*batch_shape, PACKED))
+    for i, pose in enumerate(poses):
+        rows = pose[..., :3, :]
+        packed[..., i * _POSE_LENGTH : (i + 1) * _POSE_LENGTH] = rows.reshape(
+            *rows.shape[:-2], _POSE_LENGTH
+        )
+    packed[..., _CAMERAS_START:_DIRECT] = cameras.reshape(*cameras.shape[:-2], 2 * CAMERA_LENGTH)
+    packed[..., _DIRECT] = actuation.direct
+    packed[..., _TO_JOINTS:_OFFSET] = actuation.to_joints.ravel()
+    packed[..., _OFFSET:_TO_ACTUATORS] = actuation.offset
+    packed[..., _TO_ACTUATORS:] = actuation.to_actuators.ravel()
+    packed.flags.writeable = False
+    return packed
+
+
+@inlined
+def camera_of(p: PackedHead, eye: int) -> CameraRow:
+    """The camera of an eye, 0 for left, 1 for right."""
+    return camera_at(p, _CAMERAS_START + eye * CAMERA_LENGTH)
+
+
+@inlined
+def neck_constant_pose(p: PackedHead, index: int) -> Pose:
+    """One of the neck's four constants B_0 (before its first joint) to B_3 (after its third)."""
+    return pose_at(p, _NECK_START + index * _POSE_LENGTH)
+
+
+@inlined
+def eye_constant_pose(p: PackedHead, eye: int, index: int) -> Pose:
+    """One of an eye's three constants M_0 (before its first joint) to M_2 (after its second)."""
+    return pose_at(p, _EYES_START + eye * _EYE_LENGTH + index * _POSE_LENGTH)
+
+
+@inlined
+def has_motor_per_joint(p: PackedHead) -> bool:
+    """True if each of the four eye joints has its own motor, in joint order."""
+    direct: bool = p[_DIRECT] > 0.5
+    return direct
+
+
+@inlined
+def joint_per_actuator(p: PackedHead, joint: int, actuator: int) -> float:
+    """Angle of an eye joint (0 to 3) per angle of an actuator of the eyes (0 to 3)."""
+    factor: float = p[_TO_JOINTS + SLOTS * joint + actuator]
+    return factor
+
+
+@inlined
+def eye_joint_angle(p: PackedHead, joint: int, actuators: FloatArray) -> float:
+    """Angle of an eye joint, rad, from the actuators' angles (4,)."""
+    i = _TO_JOINTS + SLOTS * joint
+    angle: float = p[_OFFSET + joint]
+    for k in range(SLOTS):
+        angle += p[i + k] * actuators[k]
+    return angle
+
+
+@inlined
+def eye_joint_velocity(p: PackedHead, joint: int, actuators: FloatArray) -> float:
+    """Velocity of an eye joint, rad/s, from the actuators' velocities (4,)."""
+    i = _TO_JOINTS + SLOTS * joint
+    rate = 0.0
+    for k in range(SLOTS):
+        rate += p[i + k] * actuators[k]
+    return rate
+
+
+@inlined
+def eye_actuator_angle(p: PackedHead, actuator: int, joints: FloatArray) -> float:
+    """Angle of an actuator of the eyes, rad, from the eye joints' angles (4,)."""
+    i = _TO_ACTUATORS + SLOTS * actuator
+    angle = 0.0
+    for j in range(SLOTS):
+        angle += p[i + j] * (joints[j] - p[_OFFSET + j])
+    return angle
+
+
+@inlined
+def eye_actuator_velocity(p: PackedHead, actuator: int, joints: FloatArray) -> float:
+    """Velocity of an actuator of the eyes, rad/s, from the eye joints' velocities (4,)."""
+    i = _TO_ACTUATORS + SLOTS * actuator
+    rate = 0.0
+    for j in range(SLOTS):
+        rate += p[i + j] * joints[j]
+    return rate
+
 
 TWO_ELEMENTS: Final = np.zeros(2)
 """Operand of the dimension "two eyes" (or "u and v"), for kernels with this dimension only in a
@@ -48,7 +285,7 @@ FOUR_ELEMENTS: Final = np.zeros(4)
 
 
 def pack_head(links: Links, cameras: Cameras, actuation: Actuation) -> FloatArray:
-    """(..., PACKED) read-only rows of a head's constants, see `vergence.models.packed`."""
+    """(..., PACKED) read-only rows of a head's constants, see `vergence.models.kinematics`."""
     poses = links.constant_poses()
     for eye in range(2):
         poses[6 + 3 * eye] = poses[6 + 3 * eye] @ cameras[eye].pose

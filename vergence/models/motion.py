@@ -127,26 +127,10 @@ def follow_second_order_joint(
     torque_falloff: float,
     period: float,
 ) -> tuple[float, float, float]:
-    """Move a joint with a second-order lag by a short time, without position limits.
+    """Angle, velocity and acceleration after a time short against tau, by a second-order lag.
 
-    The result is exact, with two exceptions: the acceleration exceeds its limit only between the
-    start and the end of the time, or the limit falls with speed, as it is held constant. A time of
-    an eighth of tau gives an error of a quarter of a percent of the distance moved.
-
-    Args:
-        q: angle, rad.
-        v: velocity, rad/s.
-        acceleration: acceleration, rad/s^2.
-        u: velocity command, rad/s.
-        tau: time constant, s, above 0.
-        zeta: damping ratio, from above 0 to below 1.
-        max_acceleration: greatest acceleration at rest, rad/s^2; inf for no limit.
-        torque_falloff: fraction of `max_acceleration` lost per rad/s of speed while the joint
-            speeds up.
-        period: the time, s, short against tau.
-
-    Returns:
-        Angle, velocity and acceleration; rad, rad/s and rad/s^2.
+    Exact but where the limit falls with speed, as it is held constant, or is exceeded only between
+    start and end: a quarter of a percent of the way for an eighth of tau.
     """
     if max_acceleration == inf:
         return _swing(q, v, acceleration, u, tau, zeta, period)
@@ -262,20 +246,10 @@ def _unlimited(
 def follow_held_command(
     q: float, v: float, acceleration: float, u: float, response: HeldResponse
 ) -> tuple[float, float, float]:
-    """Move a joint by the hold time of a response, without position limits.
+    """Angle, velocity and acceleration after the hold time of a response.
 
-    The result is exact if the acceleration stays within its limit. Otherwise the error is within
-    half a percent of the distance moved, if the hold time is at most 1.5 time constants.
-
-    Args:
-        q: angle, rad.
-        v: velocity, rad/s.
-        acceleration: acceleration, rad/s^2; ignored by a first-order lag.
-        u: velocity command, rad/s.
-        response: coefficients from `prepare_held_response`.
-
-    Returns:
-        Angle, velocity and acceleration; rad, rad/s and rad/s^2.
+    Exact within the limit on acceleration, else within half a percent of the way for a hold time of
+    up to 1.5 time constants.
     """
     a = response.max_acceleration
     if response.build_up_s2 == 0.0:

@@ -3,7 +3,7 @@
 from typing import Final, NamedTuple
 
 from vergence.kernels import inlined
-from vergence.models.packed import PackedHead, Pose, camera_of, point_to_outer
+from vergence.models.kinematics import PackedHead, Pose, camera_of, point_to_outer
 from vergence.models.parts import FloatArray
 from vergence.triangulation.rays import Ray, distances_to_perpendicular
 

@@ -19,18 +19,20 @@ from numpy import bool_
 from numpy.typing import NDArray
 
 from vergence.kernels import inlined, kernel
-from vergence.models.kinematics import EyeFrames, eye_frames, undistort_pixel
-from vergence.models.lens import distort, is_distorted, pinhole_ray
-from vergence.models.packed import (
+from vergence.models.kinematics import (
     PACKED,
+    EyeFrames,
     PackedHead,
     Pose,
     Vector,
     camera_of,
     direction_to_outer,
+    eye_frames,
     has_motor_per_joint,
     joint_per_actuator,
+    undistort_pixel,
 )
+from vergence.models.lens import distort, is_distorted, pinhole_ray
 from vergence.models.parts import FloatArray
 
 MIN_ANGLE_RAD: Final = 1e-4

@@ -32,7 +32,7 @@ from vergence.envs.encoding import AGE_S
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
-from vergence.models.packed import (
+from vergence.models.kinematics import (
     PACKED,
     PackedHead,
     eye_actuator_angle,

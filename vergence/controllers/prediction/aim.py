@@ -13,11 +13,13 @@ import numpy as np
 
 from vergence.kernels import inlined
 from vergence.models.fixation import actuator_least_squares
-from vergence.models.kinematics import eye_frames, eye_jacobian, pixel_rate
-from vergence.models.packed import (
+from vergence.models.kinematics import (
     PackedHead,
     camera_of,
+    eye_frames,
+    eye_jacobian,
     eye_joint_angle,
+    pixel_rate,
     point_rate_in_camera,
     point_to_local,
     point_to_outer,

@@ -8,8 +8,13 @@ from vergence.controllers.prediction.moving import extrapolate_goal, visible_spe
 from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.controllers.prediction.response import selected_model
 from vergence.kernels import inlined
-from vergence.models.kinematics import eye_frames, point_in_eye
-from vergence.models.packed import PackedHead, camera_of, point_to_outer
+from vergence.models.kinematics import (
+    PackedHead,
+    camera_of,
+    eye_frames,
+    point_in_eye,
+    point_to_outer,
+)
 
 _REST_PROBABILITY: Final = 0.9
 """Probability of rest above which a target is treated as resting (chosen)."""

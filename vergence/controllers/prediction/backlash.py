@@ -14,7 +14,7 @@ from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.moving import MODELS, Motions
 from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.kernels import inlined
-from vergence.models.packed import PackedHead, joint_per_actuator
+from vergence.models.kinematics import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
 
 _CROSSING_SD_RAD: Final = 0.0006

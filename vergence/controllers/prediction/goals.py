@@ -59,7 +59,7 @@ from vergence.controllers.prediction.rest_or_motion import (
     update_motion_models,
 )
 from vergence.kernels import inlined
-from vergence.models.packed import PackedHead
+from vergence.models.kinematics import PackedHead
 from vergence.models.parts import FloatArray
 
 _PROCESS_NOISE_FRACTION: Final = 0.02

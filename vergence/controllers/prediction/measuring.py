@@ -8,8 +8,7 @@ from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
 from vergence.kernels import inlined
 from vergence.models.fixation import fixation_newton_step
-from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead, point_to_local
+from vergence.models.kinematics import PackedHead, eye_frames, point_to_local
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
 

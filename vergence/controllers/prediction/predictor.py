@@ -53,7 +53,7 @@ from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, inlined
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead, eye_joint_angle, has_motor_per_joint
+from vergence.models.kinematics import PackedHead, eye_joint_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray
 
 MAX_IMAGE_LATENCY_S: Final = 0.25

@@ -44,7 +44,7 @@ from vergence.controllers.prediction.response import (
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.encoding import AGE_S
 from vergence.kernels import inlined
-from vergence.models.packed import (
+from vergence.models.kinematics import (
     PackedHead,
     eye_actuator_angle,
     eye_actuator_velocity,

@@ -12,7 +12,7 @@ import numpy as np
 
 from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
-from vergence.models.packed import pack_constants
+from vergence.models.kinematics import pack_constants
 from vergence.models.parts import EYES, FloatArray
 
 _MAX_PARALLEL_SQUARED_SINE: Final = 1e-3

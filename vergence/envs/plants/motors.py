@@ -21,6 +21,12 @@ from vergence.envs.plants.conditions import EnvIndex
 from vergence.kernels import inlined, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
+from vergence.models.kinematics import (
+    PackedHead,
+    eye_joint_angle,
+    eye_joint_velocity,
+    joint_per_actuator,
+)
 from vergence.models.motion import (
     damping_ratio,
     follow_joint,
@@ -28,12 +34,6 @@ from vergence.models.motion import (
     follow_torque_limited_joint,
     lag_decay,
     time_to_reversal,
-)
-from vergence.models.packed import (
-    PackedHead,
-    eye_joint_angle,
-    eye_joint_velocity,
-    joint_per_actuator,
 )
 from vergence.models.parts import EYES, FloatArray
 

@@ -28,6 +28,7 @@ from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled_for_threads, unpack_table
 from vergence.models.head import HeadModel
+from vergence.models.kinematics import PackedHead
 from vergence.models.mujoco import Batch, mujoco
 from vergence.models.mujoco.bodies import discrete_lag_rate
 from vergence.models.mujoco.model import (
@@ -37,7 +38,6 @@ from vergence.models.mujoco.model import (
     simulate,
     simulation_functions,
 )
-from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 _HEADS_PER_THREAD: Final = 16

@@ -37,8 +37,7 @@ from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, untyped_tuple
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import eye_frames
-from vergence.models.packed import direction_to_local, point_to_local
+from vergence.models.kinematics import direction_to_local, eye_frames, point_to_local
 from vergence.models.parts import FloatArray
 from vergence.vision.detectors import make_detector
 from vergence.vision.targets import make_planar_target

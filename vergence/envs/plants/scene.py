@@ -10,13 +10,16 @@ from vergence.envs.streams import IntArray
 from vergence.envs.targets.motion import Motion, motion_position_at, unpack_motion
 from vergence.kernels import compiled, inlined
 from vergence.models.kinematics import (
+    PackedHead,
+    Vector,
     inside_image,
     neck_frame,
     pixel_error,
     point_in_eye,
+    point_to_local,
+    point_to_outer,
     point_to_pixel,
 )
-from vergence.models.packed import PackedHead, Vector, point_to_local, point_to_outer
 from vergence.models.parts import FloatArray
 
 

@@ -43,8 +43,7 @@ from vergence.envs.streams import (
 from vergence.envs.targets.motion import is_shown, unpack_motion
 from vergence.kernels import compiled, inlined
 from vergence.models.actuation import SLOTS
-from vergence.models.kinematics import inside_image
-from vergence.models.packed import eye_actuator_angle
+from vergence.models.kinematics import eye_actuator_angle, inside_image
 from vergence.models.parts import FloatArray
 
 _VARIATION: Final = int(StreamPurpose.VARIATION)

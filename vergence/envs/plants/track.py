@@ -23,8 +23,8 @@ from vergence.envs.plants.motors import (
 from vergence.envs.plants.scene import TrueHeadsAndTargets, true_head_row
 from vergence.envs.streams import IntArray
 from vergence.kernels import compiled
+from vergence.models.kinematics import PackedHead, eye_actuator_angle, eye_actuator_velocity
 from vergence.models.motion import damping_ratio, follow_second_order_joint, lag_decay
-from vergence.models.packed import PackedHead, eye_actuator_angle, eye_actuator_velocity
 from vergence.models.parts import FloatArray
 
 

@@ -20,7 +20,7 @@ from vergence.envs.streams import IntArray, KeyArray, RandomStreams
 from vergence.envs.validation import real_number_array
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import PACKED
+from vergence.models.kinematics import PACKED
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import DEVIATES
 

@@ -6,8 +6,14 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.kernels import inlined
-from vergence.models.kinematics import eye_frames, point_in_eye, point_to_pixel
-from vergence.models.packed import PackedHead, Vector, camera_of
+from vergence.models.kinematics import (
+    PackedHead,
+    Vector,
+    camera_of,
+    eye_frames,
+    point_in_eye,
+    point_to_pixel,
+)
 from vergence.models.parts import FloatArray
 
 Axes = tuple[Vector, Vector, Vector]

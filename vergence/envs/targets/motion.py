@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from vergence.envs.targets.path import MIN_PATH_LENGTH, point_at
 from vergence.kernels import inlined, kernel, make_tuple_reader
-from vergence.models.packed import Vector
+from vergence.models.kinematics import Vector
 from vergence.models.parts import FloatArray
 
 # indices of the fields in a motion's row (numerical)

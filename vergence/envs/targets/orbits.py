@@ -29,7 +29,7 @@ from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.kernels import compiled, inlined, untyped_tuple
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.packed import Vector, eye_actuator_angle, has_motor_per_joint
+from vergence.models.kinematics import Vector, eye_actuator_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray
 
 _TASK: Final = int(StreamPurpose.TASK)

@@ -17,7 +17,7 @@ from math import sin, sqrt
 from typing import Final
 
 from vergence.kernels import inlined, subroutine
-from vergence.models.packed import Vector
+from vergence.models.kinematics import Vector
 from vergence.models.parts import FloatArray
 
 MIN_PATH_LENGTH: Final = 12

@@ -10,8 +10,15 @@ from vergence.kernels import inlined
 from vergence.models.actuation import SLOTS
 from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import eye_frames, inside_image, point_in_eye, point_to_pixel
-from vergence.models.packed import PackedHead, Vector, eye_actuator_angle
+from vergence.models.kinematics import (
+    PackedHead,
+    Vector,
+    eye_actuator_angle,
+    eye_frames,
+    inside_image,
+    point_in_eye,
+    point_to_pixel,
+)
 from vergence.models.parts import EYES, FloatArray
 
 MAX_CANDIDATES: Final = 1000

@@ -20,7 +20,7 @@ from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.kernels import compiled, inlined, subroutine, untyped_tuple
 from vergence.models.head import HeadModel
-from vergence.models.packed import Vector
+from vergence.models.kinematics import Vector
 from vergence.models.parts import FloatArray
 
 _TASK: Final = int(StreamPurpose.TASK)

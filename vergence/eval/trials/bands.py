@@ -19,7 +19,7 @@ import numpy as np
 from vergence.eval.trials.goal import actuator_goal, eye_goal
 from vergence.kernels import compiled, inlined
 from vergence.models.actuation import SLOTS
-from vergence.models.packed import PackedHead, camera_of, joint_per_actuator
+from vergence.models.kinematics import PackedHead, camera_of, joint_per_actuator
 from vergence.models.parts import FloatArray
 
 _INVERSE_GOLDEN_RATIO: Final = 0.6180339887498949

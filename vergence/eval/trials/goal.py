@@ -21,8 +21,14 @@ from vergence.envs.task import GazeTask
 from vergence.kernels import compiled, inlined
 from vergence.models.actuation import SLOTS
 from vergence.models.fixation import actuator_least_squares, fixate_coupled, fixate_eye
-from vergence.models.kinematics import pixel_error, point_in_eye, point_to_pixel
-from vergence.models.packed import PackedHead, eye_actuator_angle, eye_joint_angle
+from vergence.models.kinematics import (
+    PackedHead,
+    eye_actuator_angle,
+    eye_joint_angle,
+    pixel_error,
+    point_in_eye,
+    point_to_pixel,
+)
 from vergence.models.parts import FloatArray
 
 _NEWTON_STEPS: Final = 30
