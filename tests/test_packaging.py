@@ -4,6 +4,7 @@ import inspect
 import itertools
 import os
 import pkgutil
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -16,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
+from packaging.utils import canonicalize_name, parse_wheel_filename
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -86,6 +87,26 @@ def test_the_sdist_carries_the_model_folder_and_all_that_make_test_needs(sdist_f
         "pyproject.toml", "tests/conftest.py", "vergence/models/presets/simulated.toml",
         "vergence/models/presets/physical.toml", "vergence/py.typed",
     } <= sdist_files | {name.split("/")[0] for name in sdist_files}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_wheel_with_kernels_is_for_its_python_and_platform_and_one_without_for_all(tmp_path):
+    for name in ("pyproject.toml", "hatch_build.py", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tmp_path)
+    shipped = tmp_path / "vergence" / "kernels" / "shipped"
+    shipped.parent.mkdir(parents=True)
+    build = (sys.executable, "-m", "build", "--no-isolation", "--wheel", tmp_path)
+    ran(*build)
+    assert [path.name for path in tmp_path.glob("dist/*")] == [WHEEL]
+    shipped.mkdir()
+    (shipped / "fit.nbc").touch()
+    ran(*build)
+    (made,) = {*tmp_path.glob("dist/*")} - {tmp_path / "dist" / WHEEL}
+    *_, (tag,) = parse_wheel_filename(made.name)
+    python = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+    assert (tag.interpreter, tag.abi, tag.platform) == (python, python, platform)
+    assert "vergence/kernels/shipped/fit.nbc" in zipfile.ZipFile(made).namelist()
 
 
 def test_every_requirement_is_pinned_to_a_version_that_it_allows():

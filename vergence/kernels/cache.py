@@ -1,17 +1,7 @@
-"""Keep compiled kernels on disk: never stale, and also where a wheel carries them.
+"""Compiled kernels on disk: never stale, and also where a wheel carries them.
 
-Numba stores machine code beside a function's source and recompiles if that file changes. It does
-not notice a change in another module whose function or constant was compiled in, so a kernel would
-keep running the old code of an edited helper. Here the folder of a module's kernels is named by a
-digest of the module and of what it imports, directly or not, as far as that names this folder:
-a change costs the kernels that it may touch, and no others. A constant that is compiled in must
-therefore be in such a module.
-
-A wheel may carry compiled kernels in a second folder, which is only read; `make wheel` fills it. It
-serves the sources, Python and numba that it was made with, on every processor of its kind;
-elsewhere kernels are compiled when they are called.
-
-If no folder can be written, kernels still work: each process then compiles them for itself.
+What names the folders, and why numba's own cache does not do, is in `vergence.kernels`. If no
+folder can be written, each process compiles for itself.
 """
 
 import atexit
@@ -51,14 +41,7 @@ _MARK: Final = f"{_PACKAGE.name}.kernels".encode()
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Folder of the machine code, with one inside for each version of a module.
-
-    It is in the first of these that can be written: ``NUMBA_CACHE_DIR``, the package's own
-    ``__pycache__``, the user's cache folder.
-
-    Returns:
-        An existing folder, or None if none can be written: nothing is cached then.
-    """
+    """Folder of the machine code, in the first place that can be written; None if none can."""
     if not Path(__file__).is_file():  # imported from an archive, whose files numba cannot check
         return None
     place = hashlib.sha256(os.fsencode(_PACKAGE)).hexdigest()[:8]
@@ -74,13 +57,10 @@ def cache_folder() -> Path | None:
 
 
 PORTABLE_PROCESSORS: Final = {
-    "x86_64": ("x86-64-v3", ""),
-    "AMD64": ("x86-64-v3", ""),
-    "aarch64": ("generic", ""),
-    "arm64": ("generic", ""),
+    **dict.fromkeys(("x86_64", "AMD64"), ("x86-64-v3", "")),
+    **dict.fromkeys(("aarch64", "arm64"), ("generic", "")),
 }
-"""Processor that shipped kernels are compiled for, as LLVM names it, with further features; by the
-name of the kind of machine."""
+"""LLVM's processor and features that shipped kernels are compiled for, by the kind of machine."""
 _X86_64_V3: Final = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
 """Processor features that x86-64-v3 adds to its predecessor."""
 
@@ -95,40 +75,19 @@ def shipped_name() -> str:
 def shipped_folder() -> Path | None:
     """Folder of compiled kernels that came with the package; None if none fit this machine."""
     folder = SHIPPED / shipped_name()
-    if not folder.is_dir():
-        return None
-    if platform.machine() in ("x86_64", "AMD64"):
-        features = cast("dict[str, bool]", get_host_cpu_features())
-        if not all(features.get(name) for name in _X86_64_V3):
-            return None
-    return folder
+    wanted = _X86_64_V3 if platform.machine() in ("x86_64", "AMD64") else ()
+    fits = folder.is_dir() and all(get_host_cpu_features().get(name) for name in wanted)
+    return folder if fits else None
 
 
 def _cache_parents() -> Iterator[Path]:
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    if chosen:
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         yield Path(chosen)
     yield _PACKAGE / "__pycache__"
-    cache_home = os.environ.get("XDG_CACHE_HOME")
-    if cache_home:
+    if cache_home := os.environ.get("XDG_CACHE_HOME"):
         yield Path(cache_home) / "vergence"
     with contextlib.suppress(RuntimeError):  # no home folder is known for this user
         yield Path.home() / ".cache" / "vergence"
-
-
-@functools.cache
-def _written() -> dict[str, Path]:
-    """Folders that this process writes, by module; at exit it deletes those of changed sources."""
-    folders: dict[str, Path] = {}
-
-    def discard_mixed() -> None:
-        _source.cache_clear()
-        for module, folder in folders.items():
-            if not folder.name.endswith(_digest.__wrapped__(module)):
-                shutil.rmtree(folder, ignore_errors=True)
-
-    atexit.register(discard_mixed)
-    return folders
 
 
 _IMPORT: Final = re.compile(
@@ -179,31 +138,33 @@ def _digest(module: str) -> str:
     return digest.hexdigest()[:16]
 
 
-@contextlib.contextmanager
-def compiling_alone(name: str) -> Iterator[None]:
-    """Wait until no other process is compiling a kernel of this name into the cache folder.
+_WRITTEN: Final[dict[str, Path]] = {}
+"""Folders that this process writes, by module."""
 
-    Numba stores a kernel's loop and its ufunc wrapper in two files, and the wrapper calls the loop
-    by a name that differs between processes. If two processes wrote at once, the two files might
-    not match, and every later process would call an address that does not exist.
-    """
+
+@atexit.register
+def _discard_mixed() -> None:
+    """Delete the folders of modules whose sources have changed since this process read them."""
+    _source.cache_clear()
+    for module, folder in _WRITTEN.items():
+        if not folder.name.endswith(_digest.__wrapped__(module)):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def compiling_alone(function: Callable[..., Any]) -> Iterator[None]:
+    """Wait until no other process is compiling this function into the cache folder."""
     folder = cache_folder()
-    if folder is None or fcntl is None:
-        yield
-        return
     with contextlib.ExitStack() as stack:
-        # numba recreates a folder that another version of the sources has just removed
-        with contextlib.suppress(OSError):
-            file = stack.enter_context((folder / f"{name}.lock").open("w"))
-            fcntl.flock(file, fcntl.LOCK_EX)
+        if folder is not None and fcntl is not None:
+            name = f"{function.__module__}.{function.__qualname__}.lock"
+            with contextlib.suppress(OSError):  # compile without the lock
+                fcntl.flock(stack.enter_context((folder / name).open("w")), fcntl.LOCK_EX)
         yield
 
 
 class KernelCache(Cache):
-    """Numba's cache of one function, in the folders of this module.
-
-    An error of reading or saving only means compiling again.
-    """
+    """Numba's cache of one function; an error of reading or saving only means compiling again."""
 
     _suffix = ""
 
@@ -220,18 +181,19 @@ class KernelCache(Cache):
         types, processor, code = self._index_key(sig, target_context.codegen())  # type: ignore[no-untyped-call]
         shipped = processor[0], *PORTABLE_PROCESSORS.get(platform.machine(), ("", ""))
         for folder, kind in ((shipped_folder(), shipped), (cache_folder(), processor)):
-            if folder is not None:
-                try:
-                    data = self._file(folder).load((types, kind, code))
-                except OSError:
-                    continue
-                except Exception:  # whatever unpickling of a damaged file raises
-                    self._discard(folder)
-                    continue
-                if data is not None:
-                    # LLVM asks for the code by a callback; without an answer, calls would crash
-                    with interrupts.postponed():
-                        return self._rebuilt(target_context, data)
+            data = None
+            try:
+                data = folder and self._file(folder).load((types, kind, code))
+            except OSError:
+                pass
+            except Exception:  # whatever unpickling of a damaged file raises
+                for path in self._place(cast("Path", folder)).glob(f"{self._file_name}.*nb?"):
+                    with contextlib.suppress(OSError):
+                        path.unlink()
+            if data is not None:
+                # LLVM asks for the code by a callback; without an answer, calls would crash
+                with interrupts.postponed():
+                    return self._rebuilt(target_context, data)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -241,21 +203,15 @@ class KernelCache(Cache):
         if folder is None or reduced is None:
             return
         place = self._place(folder)
-        _written()[self._module] = place
+        _WRITTEN[self._module] = place
         try:
-            for outdated in folder.glob(f"{self._module}-*"):
-                if outdated != place:
-                    shutil.rmtree(outdated, ignore_errors=True)
+            for outdated in {*folder.glob(f"{self._module}-*")} - {place}:
+                shutil.rmtree(outdated, ignore_errors=True)
             place.mkdir(parents=True, exist_ok=True)
             self._file(folder).save(self._index_key(sig, data.codegen), reduced)  # type: ignore[no-untyped-call]
         except OSError as error:
-            _REPORTER.not_kept(error)
-
-    def _discard(self, folder: Path) -> None:
-        """Delete a kernel's files."""
-        for path in self._place(folder).glob(f"{self._file_name}.*nb?"):
-            with contextlib.suppress(OSError):
-                path.unlink()
+            what = "compiled kernels cannot be kept for the next call"
+            _REPORTER.say(what, error.strerror or error)
 
     def _place(self, folder: Path) -> Path:
         return folder / f"{self._module}-{_digest(self._module)}"
@@ -295,55 +251,31 @@ class _Reporter(event.Listener):
         self._said: set[str] = set()
 
     def on_start(self, event: Any) -> None:
-        self.compiling()
-
-    def on_end(self, event: Any) -> None:
-        pass
-
-    def compiling(self) -> None:
+        when = ", once; another command may need others"
         if cache_folder() is None:
-            self._say("compiling", _UNCACHED_MESSAGE)
-        else:
-            self._say("compiling", _CACHED_MESSAGE)
+            when = " at every call, as no folder to keep them in can be written; "
+            when += "NUMBA_CACHE_DIR names another"
+        self.say("compiling kernels", f"some ten seconds to a minute{when}")
 
-    def not_kept(self, error: OSError) -> None:
-        reason = error.strerror or str(error)
-        self._say("kept", f"compiled kernels cannot be kept for the next call: {reason}")
+    def on_end(self, event: Any) -> None: ...
 
-    def _say(self, what: str, text: str) -> None:
+    def say(self, what: str, text: object) -> None:
         if self._tell is not None and what not in self._said:
             self._said.add(what)
-            self._tell(text)
+            self._tell(f"{what}: {text}")
 
 
-_COMPILE_TIME_TEXT: Final = "some ten seconds to a minute"
-"""Compile time on most machines; it depends on the machine and the command (least for a gaze)."""
-_CACHED_MESSAGE: Final = (
-    f"compiling kernels: {_COMPILE_TIME_TEXT}, once; another command may need others"
-)
-_UNCACHED_MESSAGE: Final = (
-    f"compiling kernels: {_COMPILE_TIME_TEXT} at every call, as no folder to keep them in can be "
-    "written; NUMBA_CACHE_DIR names another"
-)
 _REPORTER: Final = _Reporter()
 
 
 def set_compile_reporter(report: Callable[[str], None] | None) -> None:
-    """Set the callback for messages that kernels are being compiled or cannot be cached.
-
-    Args:
-        report: called with a message when the first kernel is about to be compiled, and with one
-            if compiled kernels cannot be cached; None for silence.
-    """
+    """Set what is told, once each, that kernels are being compiled and that they cannot be kept."""
     _REPORTER.start(report)
 
 
 def report_compiling_if_uncached() -> None:
-    """Report that kernels will be compiled if the cache holds none yet.
-
-    Called before worker processes start, as these do not report it themselves.
-    """
+    """Report that worker processes will compile, who do not say so, if no kernels are cached."""
     folder = cache_folder()
     cached = folder is not None and any(folder.rglob("*.nbi"))
     if not cached and shipped_folder() is None:
-        _REPORTER.compiling()
+        _REPORTER.on_start(None)

@@ -1,10 +1,8 @@
-"""Many arrays as one argument of a compiled function, and runs of an array's elements at once.
+"""Tables, many arrays as one argument of a compiled function; tuples read from an array at once.
 
-At each call from Python, numba unpacks each array of a group for a tenth of a microsecond. A table
-is a single array: its structured type says how arrays, numbers and tuples are nested, so compiled
-code is typed by it as by the group itself, and its bytes say where the arrays are. Nothing is
-reference-counted: whoever makes a table keeps the group alive, and makes another table once an
-array of it has been replaced.
+A table's structured type says how arrays, numbers and tuples are nested, so compiled code is typed
+by it as by the group itself, and its bytes say where the arrays are. Nothing is reference-counted:
+whoever makes a table keeps the group alive, and makes another once an array has been replaced.
 """
 
 from collections.abc import Callable
@@ -18,21 +16,17 @@ from numba.np.arrayobj import load_item, populate_array
 from numba.np.numpy_support import from_dtype
 from numpy.typing import NDArray
 
-__all__ = ["make_table", "unpack_table"]
+__all__ = ["make_table", "make_tuple_reader", "unpack_table"]
 
 _WORD: Final = 8
 """Size of an address, a length and a stride, bytes (numerical)."""
 
 
 def make_table(group: tuple[Any, ...]) -> NDArray[np.void]:
-    """Describe a group of arrays for `unpack_table`.
+    """Describe arrays, numbers, booleans, None and nested tuples of these for `unpack_table`.
 
-    Args:
-        group: arrays, floats, integers, booleans, None and tuples of these, nested as needed.
-
-    Returns:
-        (1,) structured array, valid as long as the group's arrays exist. Read-only arrays are
-        handed out as writable ones, so that compiled functions need no variants for them.
+    The (1,) structured array is valid as long as the group's arrays exist. Read-only arrays are
+    handed out as writable ones, so that compiled functions need no variants for them.
     """
     kind, value = _describe(group)
     return np.array([value], dtype=kind)
@@ -41,22 +35,19 @@ def make_table(group: tuple[Any, ...]) -> NDArray[np.void]:
 def _describe(group: tuple[Any, ...]) -> tuple[np.dtype[Any], tuple[Any, ...]]:
     fields: list[Any] = []
     values: list[Any] = []
-    value: Any
     for place, part in enumerate(group):
+        value: Any = 0 if part is None else part
         if isinstance(part, tuple):
             kind, value = _describe(part)
             fields.append((f"{place} tuple", kind))
         elif isinstance(part, np.ndarray):
-            value = (part.ctypes.data, *part.shape)
+            value = (part.ctypes.data, *part.shape, *part.strides)
             # numpy calls an array of one row contiguous whatever its stride, which would make
             # another type of the same array for one head
             dense = part.strides == np.empty_like(part, order="C", subok=False).strides
-            if not dense:
-                value += part.strides
             layout = "C" if dense else "A"
             fields.append((f"{place} {layout} {part.dtype.str}", np.int64, (len(value),)))
         else:
-            value = 0 if part is None else part
             what = "none" if part is None else "number"
             fields.append((f"{place} {what}", np.asarray(value).dtype))
         values.append(value)
@@ -64,16 +55,11 @@ def _describe(group: tuple[Any, ...]) -> tuple[np.dtype[Any], tuple[Any, ...]]:
 
 
 def unpack_table(table: NDArray[np.void]) -> Any:
-    """Rebuild the group of a table, as plain tuples.
-
-    Args:
-        table: result of `make_table`.
-    """
+    """Rebuild the group of a table, as plain tuples."""
     return _unpack(table[0])
 
 
 def _unpack(record: Any) -> tuple[Any, ...]:
-    """The group of a record outside compiled code."""
     parts: list[Any] = []
     for name in record.dtype.names:
         what, value = name.split()[1:], record[name]
@@ -84,16 +70,13 @@ def _unpack(record: Any) -> tuple[Any, ...]:
         elif what == ["number"]:
             parts.append(value.item())
         else:
-            layout, element = what
             address, *words = value.tolist()
-            shape = words if layout == "C" else words[: len(words) // 2]
-            strides = None if layout == "C" else words[len(words) // 2 :]
             interface = {
                 "version": 3,
                 "data": (address, False),
-                "typestr": element,
-                "shape": tuple(shape),
-                "strides": strides and tuple(strides),
+                "typestr": what[1],
+                "shape": tuple(words[: len(words) // 2]),
+                "strides": tuple(words[len(words) // 2 :]),
             }
             parts.append(np.asarray(SimpleNamespace(__array_interface__=interface)))
     return tuple(parts)
@@ -113,7 +96,6 @@ def _load_group(context: Any, builder: Any, signature: Any, arguments: Any) -> A
 
 
 def _type_of(record: Any) -> Any:
-    """Numba's type of the tuple that a record describes."""
     parts: list[Any] = []
     for name, field in record.fields.items():
         what = name.split()[1:]
@@ -125,14 +107,12 @@ def _type_of(record: Any) -> Any:
             parts.append(field.type)
         else:
             layout, element = what
-            words = field.type.shape[0] - 1
-            dimensions = words if layout == "C" else words // 2
+            dimensions = field.type.shape[0] // 2
             parts.append(types.Array(from_dtype(np.dtype(element)), dimensions, layout))
     return types.BaseTuple.from_types(tuple(parts))
 
 
 def _load(context: Any, builder: Any, record: Any, result: Any, start: Any) -> Any:
-    """Load the tuple that a record at `start` describes."""
     parts = []
     for part, field in zip(result.types, record.fields.values(), strict=True):
         at = cgutils.gep_inbounds(builder, start, field.offset)
@@ -156,32 +136,18 @@ def _load_array(context: Any, builder: Any, kind: Any, at: Any) -> Any:
     array = context.make_array(kind)(context, builder)
     shape = [word(1 + axis) for axis in range(kind.ndim)]
     size = context.get_constant(types.intp, context.get_abi_sizeof(array.data.type.pointee))
-    if kind.layout == "C":
+    strides = [word(1 + kind.ndim + axis) for axis in range(kind.ndim)]
+    if kind.layout == "C":  # LLVM knows more of these
         strides = [size]
         for length in reversed(shape[1:]):
             strides.insert(0, builder.mul(strides[0], length))
-    else:
-        strides = [word(1 + kind.ndim + axis) for axis in range(kind.ndim)]
-    populate_array(
-        array,
-        data=builder.inttoptr(word(0), array.data.type),
-        shape=shape,
-        strides=strides,
-        itemsize=size,
-        meminfo=None,
-    )
+    data = builder.inttoptr(word(0), array.data.type)
+    populate_array(array, data, shape, strides, itemsize=size, meminfo=None)
     return array._getvalue()
 
 
 def make_tuple_reader(count: int) -> Callable[[NDArray[Any], int], tuple[Any, ...]]:
-    """Make a function that reads consecutive elements of an array as a tuple.
-
-    Args:
-        count: number of elements.
-
-    Returns:
-        Function of an (n,) array and the index of the first element, which must not be negative.
-    """
+    """Make a function of an (n,) array and a first index >= 0 that returns elements as a tuple."""
 
     def run(row: NDArray[Any], first: int) -> tuple[Any, ...]:
         return tuple(row[first : first + count].tolist())
