@@ -247,19 +247,21 @@ def document_of_head(head: HeadModel) -> dict[str, Any]:
     ]
     joints, last_rows = written_joints(head)
     eyes = [eye | row for eye, row in zip(eyes, last_rows, strict=True)]
+    tables = eye_tables(head.cameras, eyes)
+    axes = isinstance(head.links, JointAxes)
     written: dict[str, Any] = {
         "name": head.name,
-        **eye_tables(head.cameras, eyes),
+        "image": tables.get("image"),
         "timing": _written_part(head.timing),
         "sensor": _written_part(head.sensor),
         "rendering": _written_part(head.rendering),
+        "eyes": tables["eyes"],
+        "frame": pose_fields("origin_m", head.links.frame_n_pose()) if axes else {},
         "joints": joints,
         **written_actuators(head),
         "assumptions": dict(head.assumptions),
         "calibration": dataclasses.asdict(head.calibration) if head.calibration else {},
     }
-    if isinstance(head.links, JointAxes):
-        written["frame"] = pose_fields("origin_m", head.links.frame)
     return {key: value for key, value in written.items() if value}
 
 
@@ -291,10 +293,10 @@ def _read_part(table: Table, part: type[_Part], **read: Any) -> _Part:
 
 
 def _written_part(part: Any) -> dict[str, Any]:
-    """Fields of a part, without those that have their default value."""
+    """Fields of a part, whole numbers last, without those that have their default value."""
     return {
         field.name: float(value) if field.type is float else value
-        for field in dataclasses.fields(part)
+        for field in sorted(dataclasses.fields(part), key=lambda field: field.type is int)
         if (value := getattr(part, field.name)) != field.default
     }
 

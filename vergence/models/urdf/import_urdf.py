@@ -152,18 +152,18 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     if images.left.size == images.right.size:
         size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
         unsaid = {size.sub("image.", key): reason for key, reason in unsaid.items()}
+    fields = [camera_fields(each) | mount for each, mount in zip(cameras, mounts, strict=True)]
+    eyes = eye_tables(cameras, fields)
     document = {
         "name": _name(source, mechanism),
-        **eye_tables(
-            cameras,
-            [camera_fields(each) | mount for each, mount in zip(cameras, mounts, strict=True)],
-        ),
+        **{key: table for key, table in eyes.items() if key == "image"},
         **ASSUMED_LOOP,
         # limits belong to the motors: those of joints with shared motors follow from them
         "joints": [
-            fields | ({} if motors and fields["part"] != "neck" else limit_fields(limit))
-            for fields, limit in zip(joints, limits.values(), strict=True)
+            joint | ({} if motors and joint["part"] != "neck" else limit_fields(limit))
+            for joint, limit in zip(joints, limits.values(), strict=True)
         ],
+        "eyes": eyes["eyes"],
         **actuator_fields(motors),
         "assumptions": {**unsaid, **LOOP_REASONS, **_of_motors(assumed, motors)},
     }
