@@ -79,7 +79,7 @@ def test_images_tell_latency_jitter_and_play():
         behind.append(joint)
     motors = np.zeros((len(exposed_s), 7))
     motors[:, SLOT] = np.interp(exposed_s, grid, behind)
-    camera = replace(HEAD.cameras, focal=focal * HEAD.cameras.focal)  # which nobody has calibrated
+    camera = HEAD.cameras.replaced(focal=focal * HEAD.cameras.focal)  # which nobody has calibrated
     true = replace(HEAD, cameras=camera)
     pixels = true.project(HEAD.actuation.joints_of(motors), POINT)[:, EYE]
     pixels += rng.normal(0.0, 0.1, pixels.shape)
