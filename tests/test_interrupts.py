@@ -86,7 +86,7 @@ def end_of(restored, monkeypatch, capsys):
     """Exit code and last words of the command line, if a function takes the command's place."""
 
     def end(command) -> tuple[int, str]:
-        monkeypatch.setattr(interrupts, "_interrupted", False)
+        monkeypatch.setattr(interrupts, "interrupted", False)
         monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
         monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
         monkeypatch.setattr("vergence.cli._run", command)
