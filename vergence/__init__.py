@@ -41,7 +41,7 @@ __all__ = [
     "triangulate_views",
 ]
 
-# where the other public names are; each of these modules imports those before it
+# modules with the other public names, the quickest to import first
 _HOMES = ("vergence.models", "vergence.triangulation", "vergence.controllers")
 
 register_environments_with_gymnasium()
