@@ -11,6 +11,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.util import resolve_name
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
@@ -46,10 +47,8 @@ class Import(NamedTuple):
 
 def sources_of(package: Path) -> dict[str, Path]:
     """Every module of a package by its absolute name."""
-    sources = {}
-    for path in sorted(package.rglob("*.py")):
-        sources[_module_at(PurePosixPath(path.relative_to(package.parent)))] = path
-    return sources
+    paths = sorted(package.rglob("*.py"))
+    return {_module_at(PurePosixPath(path.relative_to(package.parent))): path for path in paths}
 
 
 @functools.cache
@@ -59,34 +58,25 @@ def imports_of(package: Path) -> list[Import]:
     return [
         Import(module, imported)
         for module, path in sources.items()
-        for node in _statements(ast.parse(path.read_text(encoding="utf-8"), str(path)))
-        for imported in _imported(node, module, path, sources)
+        for imported in _imported(module, path, sources)
     ]
 
 
-def _statements(tree: ast.Module) -> Iterator[ast.AST]:
-    """All statements, at any depth; `ast.walk` takes three times as long, for expressions."""
-    waiting: list[ast.AST] = [tree]
-    while waiting:
+def _imported(module: str, path: Path, sources: dict[str, Path]) -> Iterator[str]:
+    home = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    waiting: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"), str(path))]
+    while waiting:  # all statements; `ast.walk` takes three times as long, for expressions
         node = waiting.pop()
-        yield node
         for field in ("body", "orelse", "finalbody", "handlers", "cases"):
             inner = getattr(node, field, ())
             waiting += inner if isinstance(inner, list) else ()
-
-
-def _imported(node: ast.AST, module: str, path: Path, sources: dict[str, Path]) -> Iterator[str]:
-    if isinstance(node, ast.Import):
-        yield from (alias.name for alias in node.names)
-    elif isinstance(node, ast.ImportFrom):
-        origin = node.module or ""
-        if node.level:
-            up = node.level - (path.name == "__init__.py")
-            base = module.split(".")[: len(module.split(".")) - up]
-            origin = ".".join([*base, *filter(None, [node.module])])
-        for alias in node.names:
-            submodule = f"{origin}.{alias.name}"
-            yield submodule if submodule in sources else origin
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            origin = resolve_name("." * node.level + (node.module or ""), home)
+            for alias in node.names:
+                submodule = f"{origin}.{alias.name}"
+                yield submodule if submodule in sources else origin
 
 
 def rooms_of(path: str) -> set[str]:
@@ -100,13 +90,6 @@ def rooms_of(path: str) -> set[str]:
     return {[*parts, "__init__"][1].strip("_").removeprefix("test_")}
 
 
-def named_in(package: Path) -> Iterator[Import]:
-    """Imports by name, written as `"module:attribute"`, as in registries."""
-    for module, path in sources_of(package).items():
-        for name in re.findall(r'"([\w.]+):\w+"', path.read_text(encoding="utf-8")):
-            yield Import(module, name)
-
-
 def named_by_tests(root: Path = ROOT) -> dict[str, set[str]]:
     """The modules that each file of tests names, from the root.
 
@@ -115,8 +98,11 @@ def named_by_tests(root: Path = ROOT) -> dict[str, set[str]]:
     """
     named: dict[str, set[str]] = {}
     for package in ("vergence", "tests", "benchmarks"):
-        for edge in (*imports_of(root / package), *named_in(root / package)):
-            named.setdefault(edge.importer, set()).add(edge.imported)
+        for importer, imported in imports_of(root / package):
+            named.setdefault(importer, set()).add(imported)
+        for module, path in sources_of(root / package).items():  # by name, as in registries
+            found = re.findall(r'"([\w.]+):\w+"', path.read_text(encoding="utf-8"))
+            named.setdefault(module, set()).update(found)
     folders = {
         name for name, path in sources_of(root / "vergence").items() if path.stem == "__init__"
     }
@@ -125,13 +111,13 @@ def named_by_tests(root: Path = ROOT) -> dict[str, set[str]]:
     tests = {}
     for path in (root / "tests").rglob("test_*.py"):
         place = PurePosixPath(path.relative_to(root))
-        found: set[str] = set()
+        its: set[str] = set()
         waiting = {_module_at(place)}
         while waiting:
-            new = named.get(waiting.pop(), set()) - found
-            found |= new
+            new = named.get(waiting.pop(), set()) - its
+            its |= new
             waiting |= new & folders
-        tests[place.as_posix()] = found | called if _calls(found) else found
+        tests[place.as_posix()] = its | called if _calls(its) else its
     return tests
 
 
@@ -150,11 +136,7 @@ def places_of(rooms: set[str], root: Path = ROOT) -> list[str]:
 
 
 def changed(root: Path = ROOT) -> set[str]:
-    """The files that differ from where this branch left `main`, new ones too, from the root.
-
-    Raises:
-        ConfigurationError: there is no git, no repository, or no `main`.
-    """
+    """The files that differ from where this branch left `main`, new ones too, from the root."""
 
     def git(*words: str) -> list[str]:
         command = ["git", "-c", "core.quotePath=false", *words]
@@ -184,9 +166,9 @@ def main(words: list[str], root: Path = ROOT) -> int:
     }
     known = set().union(*modules.values())
     rooms = {word.strip("_/") for word in words}
-    for room in rooms - known:
+    if unknown := sorted(rooms - known):
         names = ", ".join(name for name in sorted(known) if places_of({name}, root))
-        print(f"no room {room}: expected some of {names}", file=sys.stderr)
+        print(f"no room {unknown[0]}: expected some of {names}", file=sys.stderr)
         return 2
     changes = {name for name, its in modules.items() if its & rooms}
     if not rooms:
@@ -196,7 +178,6 @@ def main(words: list[str], root: Path = ROOT) -> int:
             print(f"no room was named, {error}".strip(), file=sys.stderr)
             return 2
         rooms = set().union(*map(rooms_of, paths))
-        changes = set()
         for path in map(PurePosixPath, paths):
             if path.suffix == ".py":
                 changes.add(_module_at(path))

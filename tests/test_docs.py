@@ -64,10 +64,8 @@ def examples(name: str) -> list[str]:
 )
 @pytest.mark.filterwarnings("ignore:You are trying to run PPO on the GPU:UserWarning")
 def test_the_examples_of_a_document_run_one_after_the_other(name, capsys) -> None:
-    found = examples(name)
-    assert found
     names: dict[str, object] = {}
-    for block in found:
+    for block in examples(name):
         exec(compile(block, name, "exec"), names)
     assert capsys.readouterr().out.strip()  # each document's examples show something
 
@@ -79,8 +77,7 @@ ALONE = {name for name in PAGES if examples(name)} - {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param("docs/evaluate.md", marks=pytest.mark.nightly), *sorted(ALONE)],
+    "name", [pytest.param("docs/evaluate.md", marks=pytest.mark.nightly), *sorted(ALONE)]
 )
 @pytest.mark.filterwarnings("ignore:You are trying to run PPO on the GPU:UserWarning")
 def test_each_example_of_a_page_runs_by_itself(name, tmp_path, monkeypatch) -> None:
@@ -92,18 +89,14 @@ def test_each_example_of_a_page_runs_by_itself(name, tmp_path, monkeypatch) -> N
             exec(code, {"__name__": "example", "model": model})
 
 
-def test_blocks_of_pages_are_of_kinds_that_are_checked() -> None:
+@pytest.mark.slow
+def test_blocks_of_pages_are_of_kinds_that_are_checked_and_their_commands_exist() -> None:
     known = {"python", "toml", "sh", "json", "text", ""}
+    found = 0
     for name in PAGES:
         assert set(re.findall(r"^ *```(\w*)\n.*?```$", page(name), re.M | re.S)) <= known
         for block in blocks(name, "toml"):
             tomllib.loads(block)
-
-
-@pytest.mark.slow
-def test_commands_in_blocks_of_pages_are_ones_that_exist() -> None:
-    found = 0
-    for name in PAGES:
         for block in blocks(name, r"\w*"):
             joined = re.sub(r"\$\w+", "0", block.replace("\\\n", ""))
             for words in re.findall(r"^ *(?:\$ )?vergence ([^#&\n]*)", joined, re.MULTILINE):
@@ -132,18 +125,18 @@ def test_the_pages_table_of_the_observation_is_that_of_the_layout() -> None:
         assert (layout.high()[part] == high).all()
 
 
-@pytest.mark.parametrize("name", ["docs/environment.md", "docs/evaluate.md"])
-def test_tables_of_imperfections_are_those_of_the_code(name) -> None:
-    assert "<!-- rows " in page(name)
-    assert made(page(name)) == page(name)
+def test_tables_of_imperfections_are_those_of_the_code() -> None:
+    for name in ("docs/environment.md", "docs/evaluate.md"):
+        assert "<!-- rows " in page(name)
+        assert made(page(name)) == page(name)
 
 
-@pytest.mark.parametrize("name", [name for name in vergence.__all__ if name != "__version__"])
-def test_each_public_name_has_an_example_that_holds(name) -> None:
-    (example,) = doctest.DocTestFinder(recurse=False).find(getattr(vergence, name), name)
-    failed, attempted = doctest.DocTestRunner().run(example)
-    assert attempted > 0
-    assert failed == 0
+def test_each_public_name_has_an_example_that_holds() -> None:
+    for name in set(vergence.__all__) - {"__version__"}:
+        (example,) = doctest.DocTestFinder(recurse=False).find(getattr(vergence, name), name)
+        failed, attempted = doctest.DocTestRunner().run(example)
+        assert attempted > 0, name
+        assert failed == 0, name
 
 
 @pytest.fixture
@@ -209,17 +202,14 @@ def anchors_of(text: str) -> set[str]:
 
 
 def test_links_between_pages_lead_to_a_file_and_a_heading() -> None:
-    pages = {
-        path: re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
-        for path in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"))
-    }
+    texts = {ROOT / name: re.sub(r"```.*?```", "", page(name), flags=re.DOTALL) for name in PAGES}
     broken, found = [], 0
-    for path, text in pages.items():
+    for path, text in texts.items():
         for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", text):
             file, _, anchor = link.partition("#")
             target = (path.parent / file).resolve() if file else path
             found += 1
-            if not target.exists() or (anchor and anchor not in anchors_of(pages[target])):
+            if not target.exists() or (anchor and anchor not in anchors_of(texts[target])):
                 broken.append(f"{path.name}: {link}")
     assert found > 100
     assert broken == []
@@ -229,7 +219,7 @@ def test_modules_and_places_that_pages_name_exist() -> None:
     known = {"mine.py", "my_plant.py", "file.py"}  # a reader's own
     for folder in ("vergence", "tests", "benchmarks", "docs"):
         known |= {path.name for path in (ROOT / folder).rglob("*.py")}
-    text = "\n".join(map(page, (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"))))
+    text = "\n".join(map(page, PAGES))
     assert set(re.findall(r"\w+\.py\b", text)) - known == set()
     text = page("docs/architecture.md") + page("docs/images/architecture.svg")
     named = set(re.findall(r"[\w/]+/(?:\w+\.py)?(?=[`,<])", text))
@@ -259,8 +249,6 @@ def test_the_configuration_of_a_robot_is_read_as_it_stands(tmp_path) -> None:
     assert [fault.what for fault in load_faults(file, [1, 2, 3, 4])] == ["lost"]
 
 
-@pytest.mark.parametrize(
-    "name", ["README.md", "docs/turrets.md", "docs/controllers.md", "docs/robot.md"]
-)
-def test_every_page_gives_the_same_answer_to_which_law(name) -> None:
-    assert WHICH_LAW in page(name)
+def test_every_page_gives_the_same_answer_to_which_law() -> None:
+    for name in ("README.md", "docs/turrets.md", "docs/controllers.md", "docs/robot.md"):
+        assert WHICH_LAW in page(name), name

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 
 import pytest
 
@@ -24,7 +25,7 @@ def restored(monkeypatch):
 
 
 @pytest.mark.usefixtures("restored")
-def test_only_the_command_line_is_guarded_while_it_starts(monkeypatch):
+def test_only_the_command_line_is_guarded_and_no_answer_that_somebody_else_has_chosen(monkeypatch):
     for program, words, guarded in (
         ("/usr/bin/vergence", "", True),
         ("vergence.exe", "", True),
@@ -41,10 +42,6 @@ def test_only_the_command_line_is_guarded_while_it_starts(monkeypatch):
             monkeypatch.setattr(sys, "orig_argv", words.split())
             interrupts.end_quietly_on_interrupt()
             assert (signal.getsignal(signal.SIGINT) is not signal.default_int_handler) == guarded
-
-
-@pytest.mark.usefixtures("restored")
-def test_an_answer_that_somebody_else_has_chosen_stays(monkeypatch):
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
     interrupts.end_quietly_on_interrupt()
@@ -53,7 +50,7 @@ def test_an_answer_that_somebody_else_has_chosen_stays(monkeypatch):
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
-# `orig_argv` and `argv` are those of a command line; the signal comes in the first import
+# `argv` is that of a command line; the signal comes in the first import
 FIRST_IMPORT = """
 import os, signal, sys
 sys.argv = ["/usr/bin/vergence"]
@@ -64,8 +61,6 @@ class Interrupted:
 sys.meta_path.insert(0, Interrupted())
 import vergence.cli
 """
-
-
 INTERRUPTED = (130, "vergence: interrupted: nothing was written\n")
 
 
@@ -77,8 +72,7 @@ def test_ctrl_c_while_the_package_is_imported_is_one_line_and_exit_code_130():
         # a shell's background job, such as this test may run in, ignores Ctrl-C
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
-    assert (done.returncode, done.stderr) == INTERRUPTED
-    assert done.stdout == ""
+    assert (done.returncode, done.stderr, done.stdout) == (*INTERRUPTED, "")
 
 
 @pytest.fixture
@@ -86,7 +80,7 @@ def end_of(restored, monkeypatch, capsys):
     """Exit code and last words of the command line, if a function takes the command's place."""
 
     def end(command) -> tuple[int, str]:
-        monkeypatch.setattr(interrupts, "_interrupted", False)
+        monkeypatch.setattr(interrupts, "interrupted", False)
         monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
         monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
         monkeypatch.setattr("vergence.cli._run", command)
@@ -99,12 +93,8 @@ def end_of(restored, monkeypatch, capsys):
 
 
 def test_ctrl_c_in_a_callback_that_cannot_raise_ends_the_command(end_of):
-    class Dying:
-        def __del__(self) -> None:
-            os.kill(os.getpid(), signal.SIGINT)
-
     def interrupted_in_finaliser(_words: list[str]) -> None:
-        Dying()
+        weakref.finalize(set(), os.kill, os.getpid(), signal.SIGINT)
         time.sleep(60.0)
         print("slept", file=sys.stderr)
 

@@ -29,20 +29,14 @@ ROOM = 64
 """Numbers before and after an array in its memory."""
 
 
-def all_kernels():
-    """Every kernel of the package by its name."""
-    found = {}
-    for info in pkgutil.walk_packages(vergence.__path__, "vergence."):
-        if info.name.startswith("vergence.training") or info.name.endswith("__main__"):
-            continue  # no kernels there, but torch
-        module = importlib.import_module(info.name)
-        for name, value in vars(module).items():
-            if isinstance(value, GufuncKernel) and value.__module__ == module.__name__:
-                found[f"{module.__name__.removeprefix('vergence.')}.{name}"] = value
-    return found
-
-
-KERNELS = all_kernels()
+KERNELS = {
+    f"{info.name.removeprefix('vergence.')}.{name}": value
+    for info in pkgutil.walk_packages(vergence.__path__, "vergence.")
+    # no kernels there, but torch
+    if not info.name.startswith("vergence.training") and not info.name.endswith("__main__")
+    for name, value in vars(importlib.import_module(info.name)).items()
+    if isinstance(value, GufuncKernel) and value.__module__ == info.name
+}
 
 
 def sizes(core, length):
@@ -55,37 +49,22 @@ def fitting(kernel, length=1):
     return [np.zeros(sizes(core, length), np.bool_) for core in cores]
 
 
-def each_operand():
-    """Every kernel and each of its operands: place, name and core dimensions."""
+@pytest.mark.slow
+def test_a_kernel_refuses_another_shape_and_what_is_no_number_by_the_name_of_the_argument():
     for label, kernel in KERNELS.items():
         for place, (name, core) in enumerate(kernel.input_core_dimensions.items()):
-            yield label, kernel, place, name, core
-
-
-@pytest.mark.slow
-def test_a_kernel_refuses_another_length_by_the_name_of_the_argument():
-    for label, kernel, place, name, core in each_operand():
-        expected = f"{name}: expected shape (..., {', '.join(map(str, core))}), got"
-        operands = fitting(kernel)
-        for axis, length in itertools.product(range(len(core)), LENGTHS):
-            if length != core[axis] and not isinstance(core[axis], str):
-                wrong = list(sizes(core, 1))
-                wrong[axis] = length
-                operands[place] = np.zeros(wrong, np.bool_)
-                refuses(label, kernel, operands, re.escape(expected))
-
-
-def refuses(label, kernel, operands, expected):
-    with named(label), pytest.raises(ConfigurationError, match=expected):
-        kernel(*operands)
-
-
-def test_a_kernel_refuses_another_rank_and_what_is_no_number():
-    for label, kernel, place, name, core in each_operand():
-        operands = fitting(kernel)
-        for wrong in (*NO_NUMBERS, *([0.0] if core else [])):
-            operands[place] = wrong
-            refuses(label, kernel, operands, f": {name}: expected")
+            operands = fitting(kernel)
+            shape = re.escape(f"{name}: expected shape (..., {', '.join(map(str, core))}), got")
+            other_forms = (*NO_NUMBERS, *([0.0] if core else ()))
+            wrong = [(value, f": {name}: expected") for value in other_forms]
+            for axis, length in itertools.product(range(len(core)), LENGTHS):
+                if length != core[axis] and not isinstance(core[axis], str):
+                    other = list(sizes(core, 1))
+                    other[axis] = length
+                    wrong.append((np.zeros(other, np.bool_), shape))
+            for operands[place], expected in wrong:
+                with named(label), pytest.raises(ConfigurationError, match=expected):
+                    kernel(*operands)
 
 
 def results_of(kernel, *operands, **options):
@@ -129,13 +108,8 @@ OPEN = {
 
 
 @pytest.mark.parametrize("kernel", OPEN.values(), ids=list(OPEN))
-def test_a_kernel_that_takes_any_length_stays_within_its_arrays(kernel):
-    for length in (*LENGTHS, 10, 11, 12, 15, 16, 24, 25, 26, 33, 37, 45, 63):
-        stays_within(kernel, length)
-
-
-def stays_within(kernel, length):
-    """Nothing beside the arrays of a length is read or written."""
+@pytest.mark.parametrize("length", [*LENGTHS, 10, 11, 12, 15, 16, 24, 25, 26, 33, 37, 45, 63])
+def test_a_kernel_that_takes_any_length_reads_and_writes_nothing_beside_its_arrays(kernel, length):
     fits = fitting(kernel, length)
     results = results_of(kernel, *fits)
     told = []
@@ -147,10 +121,10 @@ def stays_within(kernel, length):
         rooms = [in_room(np.shape(result), filled, 0.25) for result in results]
         results_of(kernel, *operands, out=tuple(array for _, array in rooms), casting="unsafe")
         for memory, array in rooms:
-            assert (memory[:ROOM] == filled).all(), length
-            assert (memory[ROOM + array.size :] == filled).all(), length
+            assert (memory[:ROOM] == filled).all()
+            assert (memory[ROOM + array.size :] == filled).all()
         told.append([array.copy() for _, array in rooms])
-    np.testing.assert_equal(told[0], told[1], err_msg=f"length {length}")
+    np.testing.assert_equal(told[0], told[1])
 
 
 HEAD = vergence.load_head("simulated")
@@ -197,19 +171,7 @@ CALLS = {
 }
 
 
-def test_public_geometry_refuses_what_does_not_fit():
-    for label, (call, arguments) in CALLS.items():
-        with named(label):
-            call(*arguments)
-            for place, fits in enumerate(arguments):
-                wrong = [np.zeros((*fits.shape[:-1], n)) for n in LENGTHS if n != fits.shape[-1]]
-                for value in (*wrong, 0.0, *NO_NUMBERS):
-                    given = [value if i == place else one for i, one in enumerate(arguments)]
-                    with pytest.raises(ConfigurationError, match="expected"):
-                        call(*given)
-
-
-def test_public_geometry_takes_lists_and_other_real_numbers():
+def test_public_geometry_takes_real_numbers_in_any_array_and_refuses_what_does_not_fit():
     for label, (call, arguments) in CALLS.items():
         with named(label):
             expected = call(*arguments)
@@ -219,6 +181,12 @@ def test_public_geometry_takes_lists_and_other_real_numbers():
                 for one, same in pairs or [(told, expected)]:
                     if isinstance(one, np.ndarray):
                         np.testing.assert_allclose(one, same, rtol=1e-5, atol=1e-5)
+            for place, fits in enumerate(arguments):
+                wrong = [np.zeros((*fits.shape[:-1], n)) for n in LENGTHS if n != fits.shape[-1]]
+                for value in (*wrong, 0.0, *NO_NUMBERS):
+                    given = [value if i == place else one for i, one in enumerate(arguments)]
+                    with pytest.raises(ConfigurationError, match="expected"):
+                        call(*given)
 
 
 def test_a_motion_of_a_length_that_none_has_is_nowhere():
@@ -253,7 +221,7 @@ def test_an_action_that_is_no_numbers_is_refused_in_one_line():
 class Misreporting(Robot):
     """A robot with one field of its readings of another form."""
 
-    field, value = "positions", None
+    field, value = "", None
 
     def step(self, command):
         told = super().step(command)
@@ -273,29 +241,27 @@ class Narrow(Robot):
         return self.told
 
 
+def on_robot(name):
+    env = GazeEnv(plant=f"{__name__}:{name}")
+    env.reset(seed=0)
+    return env
+
+
 def test_a_reading_of_another_form_is_refused_by_its_field(monkeypatch):
     for field, value in (
-        ("positions", np.zeros((1, 4))),
-        ("positions", np.zeros(7)),
-        ("pixels", np.zeros((1, 2))),
-        ("visible", np.zeros((2, 2), np.bool_)),
-        ("time_s", 0.1),
-        ("velocities", None),
-        ("", None),
-    ):
+        ("positions", np.zeros((1, 4))), ("positions", np.zeros(7)), ("pixels", np.zeros((1, 2))),
+        ("visible", np.zeros((2, 2), np.bool_)), ("time_s", 0.1), ("velocities", None), ("", None),
+    ):  # fmt: skip
         with named(field, value):
             monkeypatch.setattr(Misreporting, "field", field)
             monkeypatch.setattr(Misreporting, "value", value)
-            env = GazeEnv(plant=f"{__name__}:Misreporting")
-            env.reset(seed=0)
             said = f"Reading.{field}: expected" if field else "None"
             with pytest.raises(ConfigurationError, match=said):
-                env.step(np.zeros(4))
+                on_robot("Misreporting").step(np.zeros(4))
 
 
 def test_readings_of_single_precision_are_read_anew_in_each_step():
-    env = GazeEnv(plant=f"{__name__}:Narrow")
-    env.reset(seed=0)
+    env = on_robot("Narrow")
     for _ in range(3):
         env.step(np.ones(4))
         told = env.task.plant.told

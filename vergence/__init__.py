@@ -41,17 +41,8 @@ __all__ = [
     "triangulate_views",
 ]
 
-_LAZY = {
-    "Fix": "vergence.triangulation",
-    "HeadModel": "vergence.models",
-    "ModelErrors": "vergence.models",
-    "Noise": "vergence.triangulation",
-    "load_head": "vergence.models",
-    "make_controller": "vergence.controllers",
-    "triangulate_fixations": "vergence.triangulation",
-    "triangulate_gaze": "vergence.triangulation",
-    "triangulate_views": "vergence.triangulation",
-}
+# modules with the other public names, the quickest to import first
+_HOMES = ("vergence.models", "vergence.triangulation", "vergence.controllers")
 
 register_environments_with_gymnasium()
 # nothing is logged unless the application configures logging
@@ -59,21 +50,18 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
 def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(import_module(_LAZY[name]), name)
     if name == "__version__":
-        return _version()
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            return version(__name__)
+        except PackageNotFoundError:  # sources on the path, not installed
+            return "0+unknown"
+    for home in map(import_module, _HOMES if name in __all__ else ()):
+        if hasattr(home, name):
+            return getattr(home, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_LAZY])
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version(__name__)
-    except PackageNotFoundError:  # sources on the path, not installed
-        return "0+unknown"
+    return sorted({*globals(), *__all__})

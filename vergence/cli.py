@@ -1,12 +1,13 @@
 """The command line: parse the arguments, run the command, report errors."""
 
 import os
+import re
 import sys
 import traceback
 import warnings
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Any, Final
 
 from vergence import interrupts
 from vergence.commands.console import logging_to_stderr, print_to_stderr, replace_unprintable
@@ -20,14 +21,11 @@ _PACKAGE: Final = Path(__file__).parent
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line.
+    """Run the command line with the arguments, or with the process's own.
 
     The exit code is 0 for success; 1 for a gaze without a fix, images without a target, or a robot
     that fails; 2 for misuse (also for no arguments, which print the help) and for files that cannot
     be read or written; and 130 after Ctrl-C.
-
-    Args:
-        arguments: the arguments after the program's name; None for the process's own.
     """
     replace_unprintable()
     interrupts.raise_on_interrupt()
@@ -43,30 +41,39 @@ def _outcome(arguments: list[str]) -> int:
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:
                 stream.flush()
+        return code
     except VergenceError as error:
         return _fail(*error.lines, code=1 if isinstance(error, HardwareError) else 2)
     except BrokenPipeError:
         _give_up_stdout()  # the reader of a pipe has gone: print nothing more, not even at exit
         return 0
-    except KeyboardInterrupt as stop:
-        return _end_interrupted(stop)
-    except Exception as error:
+    except (KeyboardInterrupt, Exception) as error:
         # a library may convert Ctrl-C to an error of its own
-        if interrupts.was_interrupted():
-            return _end_interrupted()
+        if isinstance(error, KeyboardInterrupt) or interrupts.interrupted:
+            said = str(error) if isinstance(error, KeyboardInterrupt) else ""
+            print_to_stderr(f"interrupted: {said}" if said else interrupts.NOTHING_WRITTEN)
+            return 130
         if isinstance(error, OSError):
-            return _fail(_reason(error))
+            reason = error.strerror or str(error) or type(error).__name__
+            file = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
+            return _fail(file + reason)
         if isinstance(error, MemoryError):
             return _fail("expected more memory than this machine has to spare")
         if os.environ.get(TRACE_VARIABLE):
             raise
-        return _fail(_fault(error))
-    return code
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [frame for frame in frames if _PACKAGE in Path(frame.filename).parents]
+        place = f"{Path(own[-1].filename).relative_to(_PACKAGE)}:{own[-1].lineno}"
+        return _fail(
+            f"unexpected {type(error).__name__} at {place}: {error} (a fault of vergence itself: "
+            f"please report it; {TRACE_VARIABLE}=1 shows the whole trace)"
+        )
 
 
 def _run(arguments: list[str]) -> int:
     for word in arguments:
-        if "\0" in word or not _is_text(word):
+        # surrogates stand for bytes that the terminal's encoding does not have
+        if re.search("[\0\ud800-\udfff]", word):
             raise ConfigurationError(f"expected words of text in UTF-8, got {word!r}")
     words, verbosity = split_verbosity(arguments)
     command = parse_command(words)
@@ -80,32 +87,19 @@ def _run(arguments: list[str]) -> int:
 
 
 def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
+    message: Warning | str, category: type[Warning], *place: Any, **_options: Any
 ) -> None:
     """Show the package's own warnings in one line each, and others as Python does."""
     if issubclass(category, VergenceWarning):
         print_to_stderr(f"warning: {message}")
     elif sys.stderr is not None:
-        print(warnings.formatwarning(message, category, filename, lineno, line), file=sys.stderr)
+        print(warnings.formatwarning(message, category, *place[:2]), file=sys.stderr)
 
 
 def _tell_of_kernels() -> None:
     from vergence.kernels import cache  # it loads numba, which a help text does not need
 
     cache.set_compile_reporter(print_to_stderr)
-
-
-def _is_text(word: str) -> bool:
-    try:
-        word.encode()
-    except UnicodeEncodeError:  # bytes that the terminal's encoding does not have
-        return False
-    return True
 
 
 def _fail(*reasons: str, code: int = 2) -> int:
@@ -117,29 +111,6 @@ def _fail(*reasons: str, code: int = 2) -> int:
     except OSError:  # such as a full disk behind it
         _give_up_stdout()
     return code
-
-
-def _reason(error: OSError) -> str:
-    """Message of an error of the operating system, with the file's name."""
-    reason = error.strerror or str(error) or type(error).__name__
-    return reason if error.filename is None else f"{os.fsdecode(error.filename)}: {reason}"
-
-
-def _fault(error: Exception) -> str:
-    """Message about a bug of the package itself, with its place in the code."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if _PACKAGE in Path(frame.filename).parents]
-    place = f"{Path(own[-1].filename).relative_to(_PACKAGE)}:{own[-1].lineno}" if own else "unknown"
-    return (
-        f"unexpected {type(error).__name__} at {place}: {error} (a fault of vergence itself: "
-        f"please report it; {TRACE_VARIABLE}=1 shows the whole trace)"
-    )
-
-
-def _end_interrupted(stop: KeyboardInterrupt | None = None) -> int:
-    said = str(stop or "")
-    print_to_stderr(f"interrupted: {said}" if said else interrupts.NOTHING_WRITTEN)
-    return 130
 
 
 def _give_up_stdout() -> None:

@@ -45,15 +45,7 @@ class EntryPoint:
 
     @classmethod
     def of(cls, spec: str, kind: str) -> "EntryPoint":
-        """Parse an entry point.
-
-        Args:
-            spec: text such as `my_robot:Robot` or `folder/mine.py:Mine`.
-            kind: name for messages, such as `plant`.
-
-        Raises:
-            ConfigurationError: the text is not an entry point.
-        """
+        """Parse an entry point, or raise a `ConfigurationError` for other text."""
         module, colon, attribute = spec.rpartition(":")
         named = module.endswith(".py") or all(part.isidentifier() for part in module.split("."))
         if not (colon and named and attribute.isidentifier()):
@@ -63,111 +55,66 @@ class EntryPoint:
         return cls(spec=spec, kind=kind, module=module, attribute=attribute, folder=Path.cwd())
 
     def load(self) -> Any:
-        """Import the class or function.
-
-        Raises:
-            ConfigurationError: there is no such module, file or class, or it cannot be imported;
-                the message includes the module's own error, with its file and line.
-        """
+        """Import the class or function, or raise a `ConfigurationError` that says why not."""
         module = self._import()
         file = shown_path(getattr(module, "__file__", None) or self.module)
+        expected = f"{self.kind} {self.spec}: expected"
         if not hasattr(module, self.attribute):
-            known = [name for name, one in vars(module).items() if _defined_in(module, one)]
-            raise ConfigurationError(
-                f"{self.kind} {self.spec}: expected {self.attribute} in {file}, got "
-                f"{', '.join(known) or 'no class'}"
-            )
+            known = ", ".join(_classes_of(module)) or "no class"
+            raise ConfigurationError(f"{expected} {self.attribute} in {file}, got {known}")
         found = getattr(module, self.attribute)
         if not callable(found):
-            raise ConfigurationError(
-                f"{self.kind} {self.spec}: expected a class in {file}, got {found!r:.60}"
-            )
+            raise ConfigurationError(f"{expected} a class in {file}, got {found!r:.60}")
         return found
 
     def class_names_with_method(self, method: str) -> list[str]:
-        """Names of the classes defined in the module that have a method.
-
-        Raises:
-            ConfigurationError: there is no such module or file, or it cannot be imported.
-        """
-        module = self._import()
-        return [
-            name
-            for name, one in vars(module).items()
-            if _defined_in(module, one) and hasattr(one, method)
-        ]
+        """Names of the classes defined in the module that have a method."""
+        return [name for name, one in _classes_of(self._import()).items() if hasattr(one, method)]
 
     def _import(self) -> ModuleType:
         _append(self.folder)
         importlib.invalidate_caches()
-        expected = f"{self.kind}: expected module:class that exists, got {self.spec!r}"
+        file = self.folder / self.module
         try:
             if self.module.endswith(".py"):
-                return _load_file(self.folder / self.module)
+                return _load_file(file)
             return importlib.import_module(self.module)
-        except ModuleNotFoundError as error:
-            if error.name and f"{self.module}.".startswith(f"{error.name}."):
-                raise ConfigurationError(
-                    f"{expected}: no module {error.name}, in {self.folder} neither"
-                ) from error
-            raise self._cannot_import(error) from error
-        except FileNotFoundError as error:
-            if error.filename == str(self.folder / self.module):
-                raise ConfigurationError(f"{expected}: no such file") from error
-            raise self._cannot_import(error) from error
         except (Exception, SystemExit) as error:
-            raise self._cannot_import(error) from error
-
-    def _cannot_import(self, error: BaseException) -> ConfigurationError:
-        return ConfigurationError(
-            f"{self.kind} {self.spec}: cannot be imported: {user_error_with_place(error)}"
-        )
+            why = f"{self.kind}: expected module:class that exists, got {self.spec!r}: "
+            name = error.name if isinstance(error, ModuleNotFoundError) else None
+            if name and f"{self.module}.".startswith(f"{name}."):
+                why += f"no module {name}, in {self.folder} neither"
+            elif isinstance(error, FileNotFoundError) and error.filename == str(file):
+                why += "no such file"
+            else:
+                said = user_error_with_place(error)
+                why = f"{self.kind} {self.spec}: cannot be imported: {said}"
+            raise ConfigurationError(why) from error
 
 
 def accepted_arguments(function_or_class: Callable[..., Any]) -> set[str] | None:
-    """Names of the arguments that a function or class accepts.
-
-    Args:
-        function_or_class: `**options` of a class are taken to go to its base class.
-
-    Returns:
-        The names, or None if it accepts any.
-    """
-    if not isinstance(function_or_class, type):
-        parameters = signature(function_or_class).parameters.values()
-        if any(one.kind is Parameter.VAR_KEYWORD for one in parameters):
-            return None
-        return {one.name for one in parameters}
-    names: set[str] = set()
-    hands_on = False
-    for owner in function_or_class.__mro__[:-1]:
+    """Names of the accepted arguments, None for any; a class's `**options` go to its base class."""
+    functions = [function_or_class]
+    if is_class := isinstance(function_or_class, type):
         # the `__init__` of a protocol accepts anything and ignores it
-        if "__init__" not in vars(owner) or vars(owner).get("_is_protocol"):
-            continue
-        parameters = signature(vars(owner)["__init__"]).parameters.values()
-        names |= {
-            one.name
-            for one in list(parameters)[1:]
-            if one.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
-        }
-        hands_on = any(one.kind is Parameter.VAR_KEYWORD for one in parameters)
-        if not hands_on:
-            break
-    return None if hands_on else names
+        owners = [own for own in map(vars, function_or_class.__mro__[:-1]) if "__init__" in own]
+        functions = [own["__init__"] for own in owners if not own.get("_is_protocol")]
+    names: set[str] = set()
+    for function in functions:
+        parameters = list(signature(function).parameters.values())[is_class:]
+        named = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+        names |= {one.name for one in parameters if one.kind in named}
+        if all(one.kind is not Parameter.VAR_KEYWORD for one in parameters):
+            return names
+    return None if functions else names
 
 
 def user_error_with_place(error: BaseException) -> str:
-    """Describe an error in a user's code, with its place, in one line.
+    """Describe an error in a user's code in one line: `file:line in function: Type: message`.
 
-    Args:
-        error: the error that this code raised.
-
-    Returns:
-        `file:line in function: Type: message`, for the innermost place in the user's code. Places
-        in this package are never named, those in Python or installed packages only if there is no
-        other.
+    The place is the innermost in the user's code, never one in this package, and one in Python or
+    installed packages only if there is no other.
     """
-    said = _one_line(error)
     if isinstance(error, SyntaxError) and error.filename:
         return f"{shown_path(error.filename)}:{error.lineno}: {type(error).__name__}: {error.msg}"
     frames = [
@@ -175,16 +122,12 @@ def user_error_with_place(error: BaseException) -> str:
         for frame in traceback.extract_tb(error.__traceback__)
         if not (frame.filename.startswith("<frozen") or _PACKAGE in Path(frame.filename).parents)
     ]
-    own = [
-        frame
-        for frame in frames
-        if not any(part in frame.filename for part in _INSTALLED_PATH_PARTS)
-    ]
+    # the user's own ones last
+    frames.sort(key=lambda frame: not any(part in frame.filename for part in _INSTALLED_PATH_PARTS))
     if not frames:
-        return said
-    frame = (own or frames)[-1]
-    place = "" if frame.name == "<module>" else f" in {frame.name}"
-    return f"{shown_path(frame.filename)}:{frame.lineno}{place}: {said}"
+        return _one_line(error)
+    place = "" if frames[-1].name == "<module>" else f" in {frames[-1].name}"
+    return f"{shown_path(frames[-1].filename)}:{frames[-1].lineno}{place}: {_one_line(error)}"
 
 
 def shown_path(path: str | Path) -> str:
@@ -195,16 +138,20 @@ def shown_path(path: str | Path) -> str:
 
 
 def _one_line(error: BaseException) -> str:
-    try:
+    text = ""
+    with suppress(Exception):  # a user's own __str__ may fail
         text = " ".join(str(error).split())
-    except Exception:  # a user's own __str__ may fail
-        text = ""
     text = text if len(text) <= _MAX_MESSAGE_CHARS else f"{text[:_MAX_MESSAGE_CHARS]}..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def _defined_in(module: ModuleType, one: object) -> bool:
-    return inspect.isclass(one) and one.__module__ == module.__name__
+def _classes_of(module: ModuleType) -> dict[str, type]:
+    """Classes that are defined in a module, by name."""
+    return {
+        name: one
+        for name, one in vars(module).items()
+        if inspect.isclass(one) and one.__module__ == module.__name__
+    }
 
 
 def _append(folder: Path) -> None:
@@ -215,14 +162,13 @@ def _append(folder: Path) -> None:
 
 def _load_file(path: Path) -> ModuleType:
     """Load the module in a file; an unchanged file is loaded only once."""
-    content = path.read_bytes()
-    digest = hashlib.sha256(str(path).encode() + content).hexdigest()
+    digest = hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()
     name = f"{path.stem}_{digest[:16]}"
     if name in sys.modules:
         return sys.modules[name]
     spec = spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"expected a Python file, got {path}")
+    assert spec is not None
+    assert spec.loader is not None  # as the name ends in .py
     _append(path.parent)
     module = module_from_spec(spec)
     sys.modules[name] = module  # pickling its classes and creating dataclasses require this

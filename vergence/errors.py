@@ -18,10 +18,16 @@ class VergenceError(Exception):
         got 'turret' (did you mean turrets?)
     """
 
+    _lines: tuple[str, ...] = ()
+
     @property
     def lines(self) -> tuple[str, ...]:
         """The message, one line per problem."""
-        return (str(self),)
+        return self._lines or (str(self),)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # pickled with message and attributes, and made again without a call of `__init__`
+        return type(self).__new__, (type(self), *self.args), vars(self)
 
 
 class VergenceWarning(UserWarning):
@@ -39,25 +45,12 @@ class VergenceWarning(UserWarning):
 
 
 class HeadFileError(VergenceError):
-    """An invalid head preset or TOML file of a head.
-
-    Attributes:
-        key: the dotted key at fault, or the file's path if no single key is at fault.
-        value: the value of the key.
-        expected: description of valid values.
-        file: the file with the key; empty for text without a file.
-    """
+    """An invalid head preset or TOML file; without a single key at fault, `key` is its path."""
 
     def __init__(self, key: str, value: object, expected: str, file: str = "") -> None:
         where = f"{file}: {key}" if file else key
         super().__init__(f"{where}: expected {expected}, got {_shown(value)}")
-        self.key = key
-        self.value = value
-        self.expected = expected
-        self.file = file
-
-    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        return type(self), (self.key, self.value, self.expected, self.file)
+        self.key, self.value, self.expected, self.file = key, value, expected, file
 
 
 class UnquotedText(str):
@@ -68,64 +61,31 @@ class UnquotedText(str):
 
 
 class UnreadableFileError(VergenceError):
-    """A file that is missing or cannot be read.
-
-    Attributes:
-        path: path of the file.
-        reason: reason why it cannot be read.
-        expected: description of a valid file.
-    """
+    """A file that is missing or cannot be read."""
 
     def __init__(self, path: str, reason: object, expected: str) -> None:
         super().__init__(f"{path}: {reason}; expected {expected}")
-        self.path = path
-        self.reason = reason
-        self.expected = expected
-
-    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        return type(self), (self.path, self.reason, self.expected)
+        self.path, self.reason, self.expected = path, reason, expected
 
 
 class MistakesError(HeadFileError):
-    """Several mistakes in one file.
-
-    Attributes:
-        mistakes: one error per mistake.
-    """
+    """Several mistakes in one file."""
 
     def __init__(self, file: str, mistakes: Sequence[VergenceError]) -> None:
         super().__init__(file, UnquotedText(f"{len(mistakes)} mistakes"), "a file without mistakes")
         self.mistakes = tuple(mistakes)
-        self.args = ("\n".join(self.lines),)
-
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """The lines of all mistakes."""
-        return tuple(line for mistake in self.mistakes for line in mistake.lines)
-
-    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        return type(self), (self.key, self.mistakes)
+        self._lines = tuple(line for mistake in mistakes for line in mistake.lines)
+        self.args = ("\n".join(self._lines),)
 
 
 class UnknownNameError(VergenceError):
-    """A name that is not in a registry: a preset, a plant, a controller, a target.
-
-    Attributes:
-        kind: the kind of thing that was looked up.
-        name: the name that was not found.
-        known: the names that exist.
-    """
+    """A name that is not in a registry: a preset, a plant, a controller, a target."""
 
     def __init__(self, kind: str, name: object, known: list[str]) -> None:
         super().__init__(
             f"{kind}: expected one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}"
         )
-        self.kind = kind
-        self.name = name
-        self.known = known
-
-    def __reduce__(self) -> tuple[type, tuple[str, object, list[str]]]:
-        return type(self), (self.kind, self.name, self.known)
+        self.kind, self.name, self.known = kind, name, known
 
 
 class ConfigurationError(VergenceError):
@@ -171,23 +131,12 @@ class Finding:
 
 
 class ChecksFailedError(HardwareError):
-    """A robot that must not move yet.
-
-    Attributes:
-        findings: all findings, errors first; at least one is an error.
-    """
+    """A robot that must not move yet; its findings begin with errors, of which there is one."""
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         self.findings = tuple(sorted(findings, key=lambda finding: finding.warning))
-        super().__init__("\n".join(self.lines))
-
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """One line per finding, with a prefix for warnings."""
-        return tuple(f"{'warning: ' if one.warning else ''}{one}" for one in self.findings)
-
-    def __reduce__(self) -> tuple[type, tuple[tuple[Finding, ...]]]:
-        return type(self), (self.findings,)
+        self._lines = tuple(f"{'warning: ' * one.warning}{one}" for one in self.findings)
+        super().__init__("\n".join(self._lines))
 
 
 class MujocoUnavailableError(VergenceError):
@@ -239,16 +188,7 @@ def how_to_install(extra: str) -> str:
 
 
 def refuse_unknown(owner: str, fields: Mapping[str, object], known: Iterable[str]) -> None:
-    """Raise an error for an unknown field.
-
-    Args:
-        owner: name of the fields' owner, for messages.
-        fields: values by name.
-        known: the names that exist.
-
-    Raises:
-        ConfigurationError: a field is unknown.
-    """
+    """Raise a `ConfigurationError` for a field of an owner that is not among the known names."""
     names = list(known)
     for name, value in fields.items():
         if name not in names:

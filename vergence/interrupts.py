@@ -18,7 +18,11 @@ NOTHING_WRITTEN = "interrupted: nothing was written"
 _REPEAT_S = 0.05
 """Time after which a lost interruption is repeated, s (chosen: the callback has ended by then)."""
 
-_interrupted = False
+_ENDERS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Signals other than Ctrl-C that end a process; Windows has only one of them."""
+
+interrupted = False
+"""True if Ctrl-C was pressed, even if a library has converted or ignored it."""
 _started_as_command = False  # True if this process was started as the command line
 
 
@@ -32,7 +36,7 @@ def end_quietly_on_interrupt() -> None:
 
 
 def raise_on_interrupt() -> None:
-    """Make Ctrl-C raise `KeyboardInterrupt` from now on, and record it, see `was_interrupted`."""
+    """Make Ctrl-C raise `KeyboardInterrupt` from now on, and record it in `interrupted`."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, _interrupt)
         sys.unraisablehook = _repeat_if_lost
@@ -41,14 +45,14 @@ def raise_on_interrupt() -> None:
 def raise_on_termination() -> None:
     """Make SIGTERM and SIGHUP end the command line like Ctrl-C, so that the robot is stopped."""
     if _started_as_command:
-        for number in _enders():
+        for number in _ENDERS:
             if signal.getsignal(number) is signal.SIG_DFL:  # `nohup` ignores one of them
                 signal.signal(number, _interrupt)
 
 
 def ignore_interrupts() -> None:
     """Ignore Ctrl-C from now on: the command has ended and reported its result."""
-    for number in _enders():
+    for number in _ENDERS:
         if signal.getsignal(number) is _interrupt:
             signal.signal(number, signal.SIG_DFL)
     if signal.getsignal(signal.SIGINT) is _interrupt:
@@ -56,11 +60,6 @@ def ignore_interrupts() -> None:
         # Python kills itself with the signal if the last code that it ran from text was
         # interrupted, such as a library's during its import; this runs such code undisturbed
         exec("pass")
-
-
-def _enders() -> list[signal.Signals]:
-    """Signals other than Ctrl-C that end a process; Windows has only one of them."""
-    return [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 @contextmanager
@@ -80,11 +79,6 @@ def postponed() -> Iterator[None]:
             answer(*came[0])
 
 
-def was_interrupted() -> bool:
-    """True if Ctrl-C was pressed, even if a library has converted or ignored it."""
-    return _interrupted
-
-
 def _is_command_line() -> bool:
     program = sys.argv[0] if getattr(sys, "argv", None) else ""
     if program == "-m":  # `python -m` imports a module's package under this name
@@ -99,29 +93,20 @@ def _leave(_number: int, _frame: object) -> None:
 
 
 def _interrupt(number: int, frame: object) -> None:
-    global _interrupted
-    _interrupted = True
+    global interrupted
+    interrupted = True
     raise KeyboardInterrupt
 
 
 def _repeat_if_lost(lost: "sys.UnraisableHookArgs") -> None:
-    """Interrupt again if the first time was in a callback or finaliser, from where none gets out.
-
-    Python calls it with each exception that it cannot pass on.
-    """
-    if lost.exc_type is KeyboardInterrupt:
-        again = threading.Timer(_REPEAT_S, _interrupt_main_thread)
-        again.daemon = True
-        again.start()
-    else:
+    """Interrupt again if Python cannot pass an interruption on from a callback or finaliser."""
+    if lost.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(lost)
-
-
-def _interrupt_main_thread() -> None:
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-    else:  # Windows
-        interrupt_main()
+        return
+    to_main = getattr(signal, "pthread_kill", lambda *_: interrupt_main())  # Windows has none
+    again = threading.Timer(_REPEAT_S, to_main, (threading.main_thread().ident, signal.SIGINT))
+    again.daemon = True
+    again.start()
 
 
 end_quietly_on_interrupt()

@@ -11,18 +11,10 @@ _FLOAT64: Final = np.dtype(np.float64)
 
 
 def as_operand(name: str, value: ArrayLike, *core: int | str) -> NDArray[np.float64]:
-    """Convert real numbers to an array, and check its shape.
+    """Convert numbers, which may be nan and inf, to float64 of a shape (..., *core).
 
-    Args:
-        name: name for messages.
-        value: a number, or numbers in lists, tuples or an array.
-        *core: sizes of the last axes; a name for an axis of any size.
-
-    Returns:
-        (..., *core) float64, `value` itself if it is such an array; it may hold nan and inf.
-
-    Raises:
-        ConfigurationError: the value has another shape, or an element is not a real number.
+    A name in `core` stands for an axis of any size. An array that fits is returned itself; for what
+    does not fit, a `ConfigurationError` is raised.
     """
     if (
         isinstance(value, np.ndarray)
@@ -49,12 +41,7 @@ def as_operand(name: str, value: ArrayLike, *core: int | str) -> NDArray[np.floa
 
 
 def null_nonfinite_rows(values: ArrayLike | None) -> Any:
-    """Convert to a number or nested lists of numbers, with None for rows that are not finite.
-
-    Args:
-        values: array of any shape; a row (the last axis) that holds nan or infinity becomes None as
-            a whole, since a partial point is not usable. None stays None.
-    """
+    """Numbers in lists, with None for rows (the last axis) that hold nan or inf; None for None."""
     if values is None:
         return None
     array = np.asarray(values, np.float64)
@@ -64,7 +51,7 @@ def null_nonfinite_rows(values: ArrayLike | None) -> Any:
 
 
 def null_nonfinite_elements(values: ArrayLike) -> Any:
-    """Convert element by element, to a number or nested lists, with None for what is not finite."""
+    """A number, or numbers in lists, with None for nan and inf."""
     array = np.asarray(values, np.float64)
     found = array.astype(object)
     found[~np.isfinite(array)] = None
