@@ -170,14 +170,7 @@ class DenavitHartenberg(Links):
         return np.stack([np.matmul(*self.transforms(frame)) for frame in frames], axis=-3)
 
     def transforms(self, frame: int) -> tuple[FloatArray, FloatArray]:
-        """Constant factors of one link, before and after its rotation about z.
-
-        Args:
-            frame: the link's frame, 1 to 9.
-
-        Returns:
-            `RotX(alpha) TransX(a) RotZ(offset)` and `TransZ(d)`, each (..., 4, 4).
-        """
+        """(..., 4, 4) `RotX(alpha) TransX(a) RotZ(offset)` and `TransZ(d)` of one frame, 1 to 9."""
         alpha, a, offset, d = (
             _step(field, getattr(self, field)[..., frame - 1]) for field in _STEPS
         )
@@ -278,14 +271,8 @@ def inverse_pose(pose: FloatArray) -> FloatArray:
 def dh_pose(alpha: float, a: float, d: float, offset: float) -> FloatArray:
     """(4, 4) `RotX(alpha) TransX(a) RotZ(offset) TransZ(d)`."""
     ca, sa, co, so = cos(alpha), sin(alpha), cos(offset), sin(offset)
-    return np.array(
-        [
-            [co, -so, 0.0, a],
-            [ca * so, ca * co, -sa, -sa * d],
-            [sa * so, sa * co, ca, ca * d],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    x, y = [co, -so, 0.0, a], [ca * so, ca * co, -sa, -sa * d]
+    return np.array([x, y, [sa * so, sa * co, ca, ca * d], [0.0, 0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -353,14 +340,13 @@ class JointAxes(Links):
     def twists(self, reference: "JointAxes") -> FloatArray:
         """See `Links.twists`."""
         rotations = self.fields(reference)["axis_rotation"].reshape(-1, 3)
-        out = []
+        out = np.zeros((len(self.names), 6, 6, 6))
         for joint, places in enumerate(self.joint_indices):
-            if self.parts[joint] != "neck":
-                out.append(np.zeros((6, 6, 6)))
-                twists = pose_parameter_twists(reference.pose[joint], rotations[joint])
-                for eye, second in map(_eye_and_joint, places):
-                    out[-1][:, 3 * eye + second] = twists
-        return np.concatenate([np.zeros((0, 6, 6)), *out])
+            twists = pose_parameter_twists(reference.pose[joint], rotations[joint])
+            for eye, second in map(_eye_and_joint, places):
+                out[joint, :, 3 * eye + second] = twists
+        moved = [part != "neck" for part in self.parts]
+        return out[moved].reshape(-1, 6, 6)
 
 
 def _eye_and_joint(place: int) -> tuple[int, int]:

@@ -77,28 +77,27 @@ def _digest_of(head: "HeadModel") -> str:
         parts["timing"]["latency_frames"] = timing.latency_frames
         del parts["timing"]["latency_s"]
     for part, numbers in parts.items():
+        rounds = part in ("links", "head_eye") and isinstance(head.links, JointAxes)
         for field, value in sorted(numbers.items()):
             if is_name_tuple(value) or isinstance(value, str):
                 sha.update(f"{part}.{field}{value}".encode())
-                continue
-            array = np.asarray(value, dtype="<f8")
-            if part in ("links", "head_eye") and isinstance(head.links, JointAxes):
-                array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
-            sha.update(f"{part}.{field}{array.shape}".encode())
-            sha.update(array.tobytes())
+            else:
+                array = np.asarray(value, dtype="<f8")
+                if rounds:
+                    array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
+                sha.update(f"{part}.{field}{array.shape}".encode() + array.tobytes())
     return sha.hexdigest()
 
 
 def _numbers(part: Any) -> dict[str, Any]:
     """Fields of a part, but those that were added after version 1 and have their default value."""
-    fields = {field.name: field.default for field in dataclasses.fields(part)}
-    return {
-        name: value
-        for name, default in fields.items()
-        for value in (getattr(part, name),)
-        if name != "names"
-        and (default is dataclasses.MISSING or not np.array_equal(value, default))
-    }
+    kept = {}
+    for field in dataclasses.fields(part):
+        value, default = getattr(part, field.name), field.default
+        if default is dataclasses.MISSING or not np.array_equal(value, default):
+            kept[field.name] = value
+    kept.pop("names", None)
+    return kept
 
 
 def _camera_numbers(cameras: Cameras) -> dict[str, Any]:
@@ -282,87 +281,71 @@ class HeadModel:
         return replace_fields(self, "head", parts)
 
     def base_pose(self, q: ArrayLike) -> FloatArray:
-        """Pose of frame N in the base frame 0.
+        """(..., 4, 4) pose of frame N in the base frame 0, T_0_N, metres.
 
         Args:
             q: (..., 7) joint angles, rad.
-
-        Returns:
-            (..., 4, 4) T_0_N, metres.
         """
         return np.asarray(
             kinematics.frame_n_in_base(self._held(q), self.packed, kinematics.FOUR_ELEMENTS)
         )
 
     def camera_poses(self, q: ArrayLike) -> FloatArray:
-        """Poses of both cameras in N (Eqs. 14 to 17).
+        """(..., 2, 4, 4) poses of both cameras in N, T_N_Cl and T_N_Cr, metres (Eqs. 14 to 17).
 
         Args:
             q: (..., 7) joint angles, rad.
-
-        Returns:
-            (..., 2, 4, 4) T_N_Cl and T_N_Cr, metres.
         """
         extra = kinematics.TWO_ELEMENTS, kinematics.FOUR_ELEMENTS
         return np.asarray(kinematics.camera_poses(self._held(q), self.packed, *extra))
 
     def link_poses(self, q: ArrayLike) -> FloatArray:
-        """Poses in N of the last links of both eyes, which carry the cameras.
+        """(..., 2, 4, 4) poses in N of the last links of both eyes, T_N_6 and T_N_9, metres.
 
-        They do not include the head-eye transforms: `camera_poses(q) = link_poses(q) @ head_eye`.
+        These carry the cameras: `camera_poses(q) = link_poses(q) @ head_eye`.
 
         Args:
             q: (..., 7) joint angles, rad.
-
-        Returns:
-            (..., 2, 4, 4) T_N_6 and T_N_9, metres.
         """
         return np.asarray(kinematics.last_eye_link_poses(self._held(q), self.packed, self.head_eye))
 
     def project(self, q: ArrayLike, points: ArrayLike, distorted: bool = True) -> FloatArray:
-        """Project points into both images.
+        """(..., 2, 2) pixels of points by eye, not clipped to the image.
+
+        They are nan behind a camera and beyond the radius at which the lens model folds back.
 
         Args:
             q: (..., 7) joint angles, rad.
             points: (..., 3) in N, metres.
             distorted: True for raw pixels, False for pixels of the ideal pinhole.
-
-        Returns:
-            (..., 2, 2) pixels by eye, not clipped to the image; nan behind a camera and beyond the
-            radius at which the lens model folds back on itself.
         """
         q, extra = self._held(q), kinematics.TWO_ELEMENTS
         return np.asarray(kinematics.project(q, points, np.bool_(distorted), self.packed, extra))
 
     def undistort(self, pixels: ArrayLike) -> FloatArray:
-        """Convert raw pixels to pixels of the ideal pinhole with the same focal length and centre.
+        """(..., 2, 2) pixels of the ideal pinhole; nan where the lens model has no inverse.
 
         Args:
-            pixels: (..., 2, 2) raw pixels.
-
-        Returns:
-            (..., 2, 2) ideal pixels; nan if the lens model has no inverse there.
+            pixels: (..., 2, 2) raw pixels by eye.
         """
         return np.asarray(kinematics.undistort(pixels, self.packed))
 
     def image_jacobian(self, q: ArrayLike, pixels: ArrayLike, depth: ArrayLike) -> FloatArray:
-        """Pixel velocity per joint velocity, of a target at rest in frame 0 (Eq. 6).
+        """(..., 2, 2, 7) pixel velocity per joint velocity of a target at rest in frame 0 (Eq. 6).
+
+        In px/rad by eye, image axis and joint; zero for the joints of the other eye.
 
         Args:
             q: (..., 7) joint angles, rad.
             pixels: (..., 2, 2) ideal (undistorted) pixels.
             depth: (..., 2) the target's z in each camera frame, metres.
-
-        Returns:
-            (..., 2, 2, 7) px/rad by eye, image axis and joint; zero for the joints of the other
-            eye.
         """
         out = np.asarray(kinematics.image_jacobian(self._held(q), pixels, depth, self.packed))
         out[..., self._missing] = 0.0
         return out
 
     def fixate(self, points: ArrayLike, neck: ArrayLike = 0.0, *, warn: bool = True) -> FloatArray:
-        """Compute the joint angles that put points on both optical axes.
+        """(..., 7) joint angles, rad, that put points on both optical axes; nan without a solution.
 
         Where coupled joints allow no exact solution, the angles minimise the sum of squared pixel
         errors; `least_error` returns the residual. Limits are not applied; `reaches` checks them.
@@ -372,9 +355,6 @@ class HeadModel:
             neck: (..., 3) or a scalar, the neck's angles, rad; N moves with the neck.
             warn: True to issue a `VergenceWarning` for a single point (never for several) that
                 seems to be in millimetres or is beyond the limits of the eyes.
-
-        Returns:
-            (..., 7) joint angles, rad; nan for an eye without a solution.
 
         Raises:
             ConfigurationError: the eyes do not move.
@@ -424,14 +404,12 @@ class HeadModel:
         return self._with(perturb_geometry(self.geometry, rng, errors, shape))
 
     def least_error(self, points: ArrayLike) -> FloatArray:
-        """Residual pixel errors of `fixate`.
+        """(..., 2, 2) residual of `fixate` by eye and image axis: ideal pixel less principal point.
+
+        Zero for one head whose eye joints all have their own motors, nan without a solution.
 
         Args:
             points: (..., 3) in N, metres.
-
-        Returns:
-            (..., 2, 2) ideal pixel less principal point by eye and image axis, px; zero for one
-            head whose eye joints all have their own motors, nan if `fixate` has no solution.
         """
         points = as_operand("least_error: points", points, 3)
         if self.actuation.direct and not self.batch_shape:
@@ -440,14 +418,11 @@ class HeadModel:
         return np.asarray(pixels - self.cameras.principal)
 
     def reaches(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """True if joint angles are within all limits and possible for coupled joints.
+        """(...) True if joint angles are within all limits and possible for coupled joints.
 
         Args:
-            q: (..., 7) joint angles, rad.
+            q: (..., 7) joint angles, rad; False for nan.
             margin: the distance that actuators keep from their limits, rad.
-
-        Returns:
-            (...) booleans; False if an angle is nan.
         """
         q = as_operand("reaches: q", self._held(q), 7)
         actuation = self.actuation
@@ -468,13 +443,10 @@ class HeadModel:
         return Geometry(self.links, self.cameras)
 
     def parameters(self, about: "HeadModel | None" = None) -> Parameters:
-        """Flatten the geometry to a vector of named numbers: axes, head-eye transforms, cameras.
+        """Names such as `left.tilt.alpha`, units, and (..., n) values of the geometry's numbers.
 
         Args:
             about: the head that rotation vectors are relative to; None for this one: zeros.
-
-        Returns:
-            Names such as `left.tilt.alpha`, units, and values (..., n).
         """
         return parameters_of(self.geometry, None if about is None else about.geometry)
 
