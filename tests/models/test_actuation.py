@@ -14,13 +14,12 @@ POINTS = np.array([[0.1, -0.05, 0.6], [-0.2, 0.1, 1.2], [0.0, 0.0, 2.5], [0.05, 
 
 
 def test_the_article_s_heads_have_a_motor_a_joint():
-    for preset in ("simulated", "physical"):
-        head = load_head(preset)
-        assert head.actuation.direct
-        assert head.actuation.count == 4
-        assert head.actuation.names == head.joints[3:]
+    for head in map(load_head, ("simulated", "physical")):
+        own = head.actuation
+        assert own.direct
+        assert own.names == head.joints[3:]
         for name in ("lower", "upper", "velocity", "acceleration"):
-            np.testing.assert_array_equal(getattr(head.actuation, name), getattr(head.limits, name))
+            np.testing.assert_array_equal(getattr(own, name), getattr(head.limits, name))
 
 
 def test_a_joint_that_both_eyes_share_has_one_motor():
@@ -51,9 +50,7 @@ def test_limits_are_those_of_the_actuators():
     assert not head.reaches(beyond)
     assert head.reaches(inside, margin=0.05)
     assert not head.reaches(inside, margin=0.2)
-    untied = inside.copy()
-    untied[3] += 0.01  # one eye alone cannot look down
-    assert not head.reaches(untied)
+    assert not head.reaches(inside + 0.01 * np.eye(7)[3])  # one eye alone cannot look down
 
 
 @pytest.mark.parametrize("name", MOVING)

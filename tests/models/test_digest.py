@@ -30,13 +30,10 @@ def test_a_latency_of_whole_control_periods_counts_them(simulated):
     assert between.digest not in (simulated.digest, nearest.digest)
 
 
-def test_a_lens_or_an_image_size_makes_another_head(physical):
+def test_the_digest_of_other_cameras_is_of_the_same_form_ever_after(physical):
     same = physical.replace(cameras={"size": (640, 480), "lens": "brown-conrady"})
     assert same.digest == physical.digest
     assert wide("fisheye", "rational").digest != wide("rational", "fisheye").digest
-
-
-def test_the_digest_of_other_cameras_is_of_the_same_form_ever_after():
     digest = wide("fisheye", "rational").digest
     assert digest == "16ccd2facc796eefe3d8f773451b155001714bc6ce039ca9b970d93a784375c7"
 

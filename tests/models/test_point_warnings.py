@@ -39,11 +39,6 @@ def test_angles_beyond_the_limits_are_said_by_name():
                 head.fixate(point)
 
 
-def test_a_head_that_can_look_behind_itself_may():
-    head = load_head("turrets")
-    assert head.reaches(head.fixate([0.1, 0.0, -1.0]))
-
-
 def test_what_a_head_looks_at_is_not_asked_about():
     for name, distance in some_of(HEADS, [0.5, 20.0, 1e6, np.inf]):
         with named(name, distance), warnings.catch_warnings():
@@ -51,35 +46,33 @@ def test_what_a_head_looks_at_is_not_asked_about():
             load_head(name).fixate([0.0, 0.0, distance])
 
 
-def test_eyes_with_long_lenses_look_at_what_is_far():
+def test_a_head_may_look_behind_itself_and_far_with_long_lenses():
+    head = load_head("turrets")
+    assert head.reaches(head.fixate([0.1, 0.0, -1.0]))
     # 0.15 m between the eyes times 6000 px by 800 m is a disparity of 1.1 px
-    head = load_head("turrets").replace(cameras={"focal": np.full((2, 2), 6000.0)})
+    head = head.replace(cameras={"focal": np.full((2, 2), 6000.0)})
     assert head.reaches(head.fixate([0.0, 0.0, 800.0]))
 
 
-def test_who_judges_the_angles_need_not_be_warned(simulated):
+def test_programs_that_judge_the_angles_are_not_warned(simulated):
     simulated.fixate([0.1, 0.0, -1.0], warn=False)
-    simulated.least_error([0.1, 0.0, -1.0])
-    load_head("icub").least_error([0.1, 0.0, -1.0])
-
-
-def test_a_batch_is_a_programs_and_is_silent(simulated):
+    for head in (simulated, load_head("icub")):
+        head.least_error([0.1, 0.0, -1.0])
     q = simulated.fixate([[100.0, -100.0, 800.0], [0.1, 0.0, -1.0]])
     assert np.isfinite(q).all()
 
 
-def test_an_error_in_degrees_or_millimetres_is_refused():
+def test_an_error_in_degrees_or_millimetres_or_below_zero_is_refused():
+    degrees, millimetres = r"radians.*is it in degrees\?", r"metres.*is it in millimetres\?"
     for name, value, said in [
-        ("joint_offset_rad", 5.7, r"radians.*is it in degrees\?"),
-        ("common_tilt_rad", 1.4, r"radians.*is it in degrees\?"),
-        ("head_eye_rad", 1.0, r"radians.*is it in degrees\?"),
-        ("link_m", 0.5, r"metres.*is it in millimetres\?"),
-        ("head_eye_m", 0.5, r"metres.*is it in millimetres\?"),
+        ("joint_offset_rad", 5.7, degrees),
+        ("common_tilt_rad", 1.4, degrees),
+        ("head_eye_rad", 1.0, degrees),
+        ("link_m", 0.5, millimetres),
+        ("head_eye_m", 0.5, millimetres),
+        *(("principal_px", value, ">= 0") for value in (-1.0, np.nan, np.inf)),
     ]:
-        with named(name), pytest.raises(ConfigurationError, match=f"{name}.*{said}"):
+        with named(name, value), pytest.raises(ConfigurationError, match=f"{name}.*{said}"):
             ModelErrors(**{name: value})
-
-
-def test_a_bad_but_possible_head_is_drawn():
     # ten degrees, and a centimetre: what no calibration has seen
     ModelErrors(joint_offset_rad=0.17, head_eye_rad=0.17, link_m=0.01, head_eye_m=0.01)

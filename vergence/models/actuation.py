@@ -12,7 +12,7 @@ every head.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,8 +31,12 @@ from vergence.operands import as_operand
 
 SLOTS: Final = 4
 """Number of eye actuators in the arrays of kernels (numerical); `vergence.kernels` compiles it."""
-_INHERITED_FIELDS: Final = ("lag_s", "encoder_resolution_rad", "velocity_resolution_rad_s")
-"""Fields of an actuator that default to the head's own value; nan stands for the default."""
+_DEFAULTS: Final = {
+    **dict.fromkeys(("lag_s", "encoder_resolution_rad", "velocity_resolution_rad_s"), np.nan),
+    "backlash_rad": 0.0,
+}
+"""Numbers of an actuator that stand for the head's own value, by field."""
+_LIMITS: Final = ("lower", "upper", "velocity", "acceleration")
 
 
 def _unset_array() -> FloatArray:
@@ -75,12 +79,14 @@ class Actuators(FrozenArrays):
 
     def __post_init__(self) -> None:
         count = len(self.names)
-        for name in (*_INHERITED_FIELDS, "backlash_rad"):
-            if not len(np.atleast_1d(getattr(self, name))):
-                fill = 0.0 if name == "backlash_rad" else np.nan
-                object.__setattr__(self, name, np.full(count, fill))
+        for name, default in _DEFAULTS.items():
+            if not np.size(getattr(self, name)):
+                object.__setattr__(self, name, np.full(count, default))
         super().__post_init__()
-        if self.matrix.shape != (SLOTS, count) or np.linalg.matrix_rank(self.matrix) != count:
+        independent = self.matrix.shape == (SLOTS, count)
+        if independent and count:
+            independent = np.linalg.matrix_rank(self.matrix) == count
+        if not independent:
             raise ConfigurationError(
                 f"actuators: expected a (4, {count}) matrix of independent columns, got "
                 f"{self.matrix.tolist()}"
@@ -127,13 +133,10 @@ class Actuation(FrozenArrays):
         return len(self.names)
 
     def joints_of(self, actuators: ArrayLike) -> FloatArray:
-        """Convert angles of the neck and the eyes' actuators to joint angles of the whole head.
+        """(..., 7) joint angles of the whole head, rad.
 
         Args:
-            actuators: (..., 7) rad.
-
-        Returns:
-            (..., 7) rad.
+            actuators: (..., 7) angles of the neck and of the eyes' actuators, rad.
         """
         out = as_operand("actuators", actuators, 7).copy()
         if not self.direct:
@@ -141,21 +144,17 @@ class Actuation(FrozenArrays):
         return out
 
     def joint_velocities_of(self, actuators: ArrayLike) -> FloatArray:
-        """Convert velocities of the neck and the eyes' actuators to joint velocities."""
+        """(..., 7) joint velocities, rad/s, by those of the neck and of the eyes' actuators."""
         out = as_operand("actuators", actuators, 7).copy()
         if not self.direct:
             out[..., EYES] = out[..., EYES] @ self.to_joints.T
         return out
 
     def actuators_of(self, joints: ArrayLike) -> FloatArray:
-        """Convert joint angles to angles of the neck and the eyes' actuators; inverts `joints_of`.
+        """(..., 7) angles of the neck and of the eyes' actuators, rad: the inverse of `joints_of`.
 
         Args:
-            joints: (..., 7) rad; if no actuator angles give them, the least-squares solution is
-                taken.
-
-        Returns:
-            (..., 7) rad.
+            joints: (..., 7) rad; those that no actuators give are met in the least-squares sense.
         """
         out = as_operand("joints", joints, 7).copy()
         if not self.direct:
@@ -171,59 +170,46 @@ def assemble_actuation(
     actuators: Actuators | None,
 ) -> Actuation:
     """Assemble the actuation of (7,) joints; timing and sensor supply what actuators leave out."""
-    own = [(name, i) for i, name in enumerate(joints[EYES]) if name]
-    names = tuple(dict.fromkeys(name for name, _ in own))
-    seven: dict[str, FloatArray] = {}
-    if actuators is None:
-        direct = len(names) == SLOTS
-        to_joints = np.zeros((SLOTS, SLOTS))
-        for name, joint in own:
-            to_joints[joint, names.index(name)] = 1.0
-        first = [next(joint for name, joint in own if name == wanted) for wanted in names]
-        offset = np.zeros(SLOTS)
-        for name in ("lower", "upper", "velocity", "acceleration"):
-            values = getattr(limits, name)
-            seven[name] = _seven(values[NECK], values[EYES][first])
-        given: dict[str, Any] = dict.fromkeys(
-            (*_INHERITED_FIELDS, "backlash_rad"), np.full(len(names), np.nan)
-        )
-    else:
-        direct = False
-        names, offset = actuators.names, actuators.offset
-        to_joints = np.zeros((SLOTS, SLOTS))
-        to_joints[:, : len(names)] = actuators.matrix
-        for name in ("lower", "upper", "velocity", "acceleration"):
-            seven[name] = _seven(getattr(limits, name)[NECK], getattr(actuators, name))
-        given = {name: getattr(actuators, name) for name in (*_INHERITED_FIELDS, "backlash_rad")}
-    lag = np.where(np.isnan(given["lag_s"]), timing.lag_s, given["lag_s"])
+    own = _own_motors(joints[EYES], limits) if actuators is None else actuators
+    count = len(own.names)
+    direct = actuators is None and count == SLOTS
+
+    def seven(neck: FloatArray, eyes: FloatArray, fill: float = 0.0) -> FloatArray:
+        return np.concatenate([neck, eyes, np.full(SLOTS - len(eyes), fill)])
+
+    def given(name: str, of_head: float) -> FloatArray:
+        values, unset = getattr(own, name), _DEFAULTS[name]
+        return np.where(np.isnan(values) | (values == unset), of_head, values)
+
+    lag = given("lag_s", timing.lag_s)
     if timing.lag_s == 0.0 and lag.any():
         raise ConfigurationError(
             f"actuators.lag_s: expected 0 for a head whose timing.lag_s is 0, got {lag.tolist()}"
         )
-    ratio = lag / timing.lag_s if timing.lag_s > 0.0 else np.ones(len(names))
-    ones, steps = np.ones(3), {}
-    for name, of_head in (
-        ("encoder_resolution_rad", sensor.encoder_resolution_rad),
-        ("velocity_resolution_rad_s", sensor.velocity_resolution_rad_s),
-        ("backlash_rad", sensor.backlash_rad),
-    ):
-        unsaid = given[name] == 0.0 if name == "backlash_rad" else np.isnan(given[name])
-        values = np.where(unsaid | np.isnan(given[name]), of_head, given[name])
-        steps[name] = _seven((0.0 if name == "backlash_rad" else of_head) * ones, values)
+    to_joints, ones = np.zeros((SLOTS, SLOTS)), np.ones(NECK.stop)
+    to_joints[:, :count] = own.matrix
+    angle_step, speed_step = sensor.encoder_resolution_rad, sensor.velocity_resolution_rad_s
     return Actuation(
-        names=names,
+        names=own.names,
         direct=direct,
         to_joints=to_joints,
-        offset=offset,
+        offset=own.offset,
         to_actuators=np.eye(SLOTS) if direct else np.round(np.linalg.pinv(to_joints), 15),
-        lag_ratio=_seven(ones, ratio, 1.0),
-        angle_step=steps["encoder_resolution_rad"],
-        speed_step=steps["velocity_resolution_rad_s"],
-        backlash=steps["backlash_rad"],
-        **seven,
+        lag_ratio=seven(ones, lag / timing.lag_s if timing.lag_s > 0.0 else np.ones(count), 1.0),
+        angle_step=seven(angle_step * ones, given("encoder_resolution_rad", angle_step)),
+        speed_step=seven(speed_step * ones, given("velocity_resolution_rad_s", speed_step)),
+        backlash=seven(0.0 * ones, given("backlash_rad", sensor.backlash_rad)),
+        **{name: seven(getattr(limits, name)[NECK], getattr(own, name)) for name in _LIMITS},
     )
 
 
-def _seven(neck: FloatArray, eyes: FloatArray, fill: float = 0.0) -> FloatArray:
-    """Join values of the neck's joints and of the eyes' actuators, padded to shape (7,)."""
-    return np.concatenate([neck, eyes, np.full(SLOTS - len(eyes), fill)])
+def _own_motors(eyes: Sequence[str], limits: JointLimits) -> Actuators:
+    """One actuator for each joint of the eyes, by their (4,) names; shared ones occur twice."""
+    names = tuple(dict.fromkeys(filter(None, eyes)))
+    first = [EYES.start + eyes.index(name) for name in names]
+    return Actuators(
+        names=names,
+        matrix=np.array([[float(joint == name) for name in names] for joint in eyes]),
+        offset=np.zeros(SLOTS),
+        **{name: getattr(limits, name)[first] for name in _LIMITS},
+    )

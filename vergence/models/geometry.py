@@ -1,10 +1,10 @@
 """Geometry of a head's links, by D-H rows or by joint axes, and the parameters that may differ."""
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from math import cos, sin
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +26,19 @@ T_3_N: Final = np.array(
 )
 """From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N; its own inverse (physical: the definition of
 N)."""
+PARTS: Final = ("neck", "both", "left", "right")
+"""Names of a joint's load: the whole head (neck), both eyes, or one eye."""
+_STEPS: Final = {"alpha": (0, True), "a": (0, False), "offset": (2, True), "d": (2, False)}
+"""By field of `DenavitHartenberg`: the axis of its motion, and True if it is a rotation."""
+_FACTORS: Final = (
+    (("alpha", 0), ("a", 0), ("offset", 0)),
+    (("d", 0), ("alpha", 1), ("a", 1), ("offset", 1)),
+    (("d", 1), ("alpha", 2), ("a", 2), ("offset", 2), ("d", 2)),
+)
+"""Factors of the constants M_0 to M_2 in their order: field, and link counted from an eye's
+first."""
+_CAMERA_FIELDS: Final = {"focal": 2, "principal": 2, "distortion": 2, "pose": 3}
+"""Values of a pair of cameras that differ in a population, and their dimensions for one head."""
 
 
 class Body(NamedTuple):
@@ -41,57 +54,105 @@ class Body(NamedTuple):
     """(4, 4) pose of its frame in the parent's at a joint angle of zero, metres."""
 
 
-class Links(Protocol):
-    """Protocol of a description of joint axes: a frozen dataclass of arrays, batched or not."""
+class Links(FrozenArrays, ABC):
+    """Description of joint axes: a frozen dataclass of arrays, batched or not."""
+
+    names: tuple[str, ...]
+    parts: tuple[str, ...]
+    pose: FloatArray
+    frame: FloatArray
+    parameters: tuple[Parameter, ...]
+    """Numbers that a calibration may change; the neck's are excluded, as the neck moves N."""
+    _dimensions: tuple[tuple[str, int], ...]
+
+    @property
+    def joint_indices(self) -> tuple[tuple[int, ...], ...]:
+        """(J,) indices of each joint in an array of all seven; two for a joint of both eyes."""
+        used = {"neck": 0, "left": 3, "right": 5}
+        out = []
+        for part in self.parts:
+            loads = EYE_NAMES if part == "both" else (part,)
+            out.append(tuple(used[load] for load in loads))
+            used |= {load: used[load] + 1 for load in loads}
+        return tuple(out)
 
     @property
     def joints(self) -> tuple[str, ...]:
         """Seven names in joint order; empty for a joint that the head does not have."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Numbers that a calibration may change; the neck's are excluded, as the neck moves N."""
+        names = [""] * len(JOINTS)
+        for name, places in zip(self.names, self.joint_indices, strict=True):
+            for place in places:
+                names[place] = name
+        return tuple(names)
 
     def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
         """The numeric fields by name, each with its number of dimensions for one head."""
-
-    def fields(self, reference: Any) -> dict[str, FloatArray]:
-        """Arrays that hold the parameters, (..., k) each; rotations are relative to `reference`."""
-
-    def with_fields(self, fields: Mapping[str, FloatArray]) -> Any:
-        """A copy of these links with other parameters: the inverse of `fields`."""
-
-    def constant_poses(self) -> list[FloatArray]:
-        """(..., 4, 4) B_0-B_3 of the neck, M_0-M_2 of each eye; M_2 without head-eye."""
-
-    def twists(self, reference: Any) -> FloatArray:
-        """(n, 6, 6) body twists `M^-1 dM` by parameter and by M_0-M_2, left then right."""
+        return {name: (getattr(self, name), own) for name, own in self._dimensions}
 
     def bodies(self) -> tuple[Body, ...]:
         """The bodies that the joints carry, parents first; for one head, not for a population."""
+        last = {"neck": -1, "left": -1, "right": -1}
+        out: list[Body] = []
+        for name, part, places, pose in zip(
+            self.names, self.parts, self.joint_indices, self.pose, strict=True
+        ):
+            parent = last["left" if part == "both" else part]
+            carried = {"neck": last, "both": EYE_NAMES}.get(part, (part,))
+            last |= dict.fromkeys(carried, len(out))
+            out.append(Body(name, places, parent, pose))
+        return tuple(out)
+
+    def fields(self, reference: Any) -> dict[str, FloatArray]:
+        """Arrays that hold the parameters, (..., k) each; rotations are relative to `reference`."""
+        return {name: getattr(self, name) for name, _ in self._dimensions}
+
+    def with_fields(self, fields: Mapping[str, FloatArray]) -> Any:
+        """A copy of these links with other parameters: the inverse of `fields`."""
+        links: Any = self
+        return replace(links, **{name: fields[name] for name, _ in self._dimensions})
+
+    @abstractmethod
+    def constant_poses(self) -> list[FloatArray]:
+        """(..., 4, 4) B_0-B_3 of the neck, M_0-M_2 of each eye; M_2 without head-eye."""
+
+    @abstractmethod
+    def twists(self, reference: Any) -> FloatArray:
+        """(n, 6, 6) body twists `M^-1 dM` by parameter and by M_0-M_2, left then right."""
 
     def frame_n_pose(self) -> FloatArray:
         """(4, 4) pose of frame N in the body that carries it: the neck's last body or the base."""
+        return self.frame
 
     def camera_mount(self, eye: int) -> FloatArray:
         """(4, 4) pose of the head-eye transform's frame in the last body of an eye's chain."""
+        return np.eye(4)
 
 
 def chain_end(bodies: tuple[Body, ...], eye: int | None) -> int:
     """Index of the body that carries an eye's camera, or N if `eye` is None; -1 for the base."""
-    carried = set(range(NECK.stop))
-    if eye is not None:
-        carried |= {3 + 2 * eye, 4 + 2 * eye}
+    carried = {0, 1, 2} if eye is None else {0, 1, 2, 3 + 2 * eye, 4 + 2 * eye}
     return max((i for i, body in enumerate(bodies) if carried & set(body.joints)), default=-1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DenavitHartenberg(FrozenArrays):
+class DenavitHartenberg(Links):
     """The nine links of Table 1 in the modified (Craig) convention.
 
     `T_(i-1)_i = RotX(alpha_i) TransX(a_i) RotZ(theta_i + offset_i) TransZ(d_i)`; each
     field has the shape (..., 9) in the order of `vergence.models.parts.LINKS`.
     """
+
+    names = JOINTS
+    parts = (*["neck"] * 3, *["left"] * 2, *["right"] * 2)
+    frame = T_3_N
+    parameters = tuple(
+        Parameter(f"{eye}.{link}.{field}", "m" if field in "ad" else "rad", field, 3 + 3 * i + j)
+        for i, eye in enumerate(EYE_NAMES)
+        for j, link in enumerate(("tilt", "pan", "camera_link"))
+        for field in ("a", "d", "alpha", "offset")[: 3 if link == "camera_link" else 4]
+    )
+    """The 22 numbers of the six links after N; the last link of an eye has no joint offset."""
+    _dimensions = tuple(dict.fromkeys(_STEPS, 1).items())
 
     alpha: FloatArray
     """Link twists, in radians."""
@@ -103,39 +164,17 @@ class DenavitHartenberg(FrozenArrays):
     """Joint offsets, in radians."""
 
     @property
-    def joints(self) -> tuple[str, ...]:
-        """See `Links.joints`."""
-        return JOINTS
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The 22 numbers of the six links after N; the last link of an eye has no joint offset."""
-        return _LINK_PARAMETERS
-
-    def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
-        """See `Links.arrays`."""
-        return {name: (value, 1) for name, value in vars(self).items()}
-
-    def fields(self, reference: "DenavitHartenberg") -> dict[str, FloatArray]:
-        """See `Links.fields`; none of them is a rotation vector, so `reference` is not used."""
-        return dict(vars(self))
-
-    def with_fields(self, fields: Mapping[str, FloatArray]) -> "DenavitHartenberg":
-        """See `Links.with_fields`."""
-        return replace(self, **{name: fields[name] for name in vars(self)})
+    def pose(self) -> FloatArray:  # type: ignore[override]
+        """(..., 7, 4, 4) poses of the joints' frames in those before at zero angles, metres."""
+        frames = (frame for frame, _, name in LINKS if name)
+        return np.stack([np.matmul(*self.transforms(frame)) for frame in frames], axis=-3)
 
     def transforms(self, frame: int) -> tuple[FloatArray, FloatArray]:
-        """The two constant factors of one link, before and after its rotation about z.
-
-        Args:
-            frame: the link's frame, 1 to 9.
-
-        Returns:
-            `RotX(alpha) TransX(a) RotZ(offset)` and `TransZ(d)`, each (..., 4, 4).
-        """
-        i = frame - 1
-        before = _rot_x(self.alpha[..., i]) @ _translation(0, self.a[..., i])
-        return before @ rot_z(self.offset[..., i]), _translation(2, self.d[..., i])
+        """(..., 4, 4) `RotX(alpha) TransX(a) RotZ(offset)` and `TransZ(d)` of one frame, 1 to 9."""
+        alpha, a, offset, d = (
+            _step(field, getattr(self, field)[..., frame - 1]) for field in _STEPS
+        )
+        return alpha @ a @ offset, d
 
     def constant_poses(self) -> list[FloatArray]:
         """See `Links.constant_poses`."""
@@ -148,91 +187,51 @@ class DenavitHartenberg(FrozenArrays):
 
     def twists(self, reference: "DenavitHartenberg") -> FloatArray:
         """See `Links.twists`: each factor of a constant commutes with its own generator."""
-        found: dict[tuple[str, int], tuple[int, FloatArray]] = {}
-        for eye, tilt in enumerate((3, 6)):
-            for k, factors in enumerate(_FACTORS):
-                after = np.eye(4)
-                for field, link in reversed(factors):
-                    i = tilt + link
-                    twist = twist_vector(inverse_pose(after) @ _GENERATORS[field] @ after)
-                    found[field, i] = 3 * eye + k, twist
-                    after = _factor(field, getattr(self, field)[i]) @ after
-        out = np.zeros((len(self.parameters), 6, 6))
-        for row, parameter in zip(out, self.parameters, strict=True):
-            constant, twist = found[parameter.field, parameter.column]
-            row[constant] = twist
+        rows = {(own.field, own.column): row for row, own in enumerate(self.parameters)}
+        out = np.zeros((len(rows), 6, 6))
+        for place in range(6):
+            eye, constant = divmod(place, 3)
+            after = np.eye(4)
+            for field, link in reversed(_FACTORS[constant]):
+                i = 3 + 3 * eye + link
+                if (field, i) in rows:
+                    twist = inverse_pose(after) @ _GENERATORS[field] @ after
+                    out[rows[field, i], place] = twist[[2, 0, 1, 0, 1, 2], [1, 2, 0, 3, 3, 3]]
+                after = _step(field, getattr(self, field)[i]) @ after
         return out
-
-    def bodies(self) -> tuple[Body, ...]:
-        """See `Links.bodies`; one body for each link with a joint."""
-        places: dict[int, int] = {0: -1}
-        bodies: list[Body] = []
-        for frame, parent, name in LINKS:
-            if name:
-                pose = np.asarray(np.matmul(*self.transforms(frame)))
-                bodies.append(Body(name, (JOINTS.index(name),), places[parent], pose))
-                places[frame] = len(bodies) - 1
-        return tuple(bodies)
-
-    def frame_n_pose(self) -> FloatArray:
-        """See `Links.frame_n_pose`."""
-        return T_3_N
 
     def camera_mount(self, eye: int) -> FloatArray:
         """See `Links.camera_mount`; the pose of frame 6 in 5 (left) or 9 in 8 (right)."""
         return np.asarray(np.matmul(*self.transforms(6 + 3 * eye)))
 
 
-_LINK_PARAMETERS: Final = tuple(
-    Parameter(f"{eye}.{link}.{field}", "m" if field in "ad" else "rad", field, 3 + 3 * i + j)
-    for i, eye in enumerate(EYE_NAMES)
-    for j, link in enumerate(("tilt", "pan", "camera_link"))
-    for field in ("a", "d", "alpha", "offset")[: 3 if link == "camera_link" else 4]
-)
-
-
-_FACTORS: Final = (
-    (("alpha", 0), ("a", 0), ("offset", 0)),
-    (("d", 0), ("alpha", 1), ("a", 1), ("offset", 1)),
-    (("d", 1), ("alpha", 2), ("a", 2), ("offset", 2), ("d", 2)),
-)
-"""Factors of the constants M_0 to M_2 in their order: field, and link counted from an eye's
-first."""
-
-
-def _generator(axis: int, turns: bool) -> FloatArray:
-    out = np.zeros((4, 4))
+def _step(field: str, value: ArrayLike) -> FloatArray:
+    """(..., 4, 4) motion by one D-H number: a rotation about its axis, or a translation along."""
+    axis, turns = _STEPS[field]
+    value = np.asarray(value, np.float64)
+    out = np.zeros((*value.shape, 4, 4))
+    out[..., range(4), range(4)] = 1.0
     if turns:
         i, j = (axis + 1) % 3, (axis + 2) % 3
-        out[j, i], out[i, j] = 1.0, -1.0
+        out[..., i, i] = out[..., j, j] = np.cos(value)
+        out[..., j, i] = np.sin(value)
+        out[..., i, j] = -out[..., j, i]
     else:
-        out[axis, 3] = 1.0
+        out[..., axis, 3] = value
     return out
 
 
+def rot_z(angle: ArrayLike) -> FloatArray:
+    """(..., 4, 4) rotation about z by each angle, rad."""
+    return _step("offset", angle)
+
+
 _GENERATORS: Final = {
-    "alpha": _generator(0, True),
-    "a": _generator(0, False),
-    "offset": _generator(2, True),
-    "d": _generator(2, False),
+    # exact: the diagonals cancel
+    field: 0.5 * (_step(field, by) - _step(field, -by))
+    for field, by in (("alpha", 0.5 * np.pi), ("a", 1.0), ("offset", 0.5 * np.pi), ("d", 1.0))
 }
-
-
-def _factor(field: str, value: float) -> FloatArray:
-    number = np.float64(value)
-    make = {"alpha": _rot_x, "offset": rot_z}.get(field)
-    if make is not None:
-        return make(np.asarray(number))
-    return _translation(0 if field == "a" else 2, np.asarray(number))
-
-
-def twist_vector(matrix: FloatArray) -> FloatArray:
-    """(..., 6) vector (rotation, then translation) of a twist in matrix form (..., 4, 4)."""
-    return np.stack(
-        [matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0],
-         matrix[..., 0, 3], matrix[..., 1, 3], matrix[..., 2, 3]],
-        axis=-1,
-    )  # fmt: skip
+"""Twists of unit speed in matrix form, by field."""
 
 
 def pose_parameter_twists(reference_pose: FloatArray, rotation_vector: FloatArray) -> FloatArray:
@@ -244,18 +243,11 @@ def pose_parameter_twists(reference_pose: FloatArray, rotation_vector: FloatArra
     small = angle < 1e-4
     one = 0.5 - angle**2 / 24.0 if small else (1.0 - np.cos(angle)) / angle**2
     two = 1.0 / 6.0 - angle**2 / 120.0 if small else (angle - np.sin(angle)) / angle**3
-    jacobian = np.eye(3) - one * cross + two * cross @ cross
     turn = np.eye(3) + (1.0 - angle**2 * two) * cross + one * cross @ cross
     out = np.zeros((6, 6))
-    out[:3, :3] = jacobian.T
+    out[:3, :3] = (np.eye(3) - one * cross + two * cross @ cross).T
     out[3:, 3:] = reference_pose[:3, :3] @ turn
     return out
-
-
-def map_arrays(links: Any, pick: Callable[[FloatArray, int], FloatArray]) -> Any:
-    """Copy links; each array becomes `pick(array, its number of dimensions for one head)`."""
-    arrays = {name: pick(value, own) for name, (value, own) in links.arrays().items()}
-    return replace(links, **arrays)
 
 
 def multiply_poses(*poses: FloatArray) -> FloatArray:
@@ -279,48 +271,12 @@ def inverse_pose(pose: FloatArray) -> FloatArray:
 def dh_pose(alpha: float, a: float, d: float, offset: float) -> FloatArray:
     """(4, 4) `RotX(alpha) TransX(a) RotZ(offset) TransZ(d)`."""
     ca, sa, co, so = cos(alpha), sin(alpha), cos(offset), sin(offset)
-    return np.array(
-        [
-            [co, -so, 0.0, a],
-            [ca * so, ca * co, -sa, -sa * d],
-            [sa * so, sa * co, ca, ca * d],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
-
-
-def _rot_x(angle: FloatArray) -> FloatArray:
-    out = np.zeros((*angle.shape, 4, 4))
-    out[..., 0, 0] = out[..., 3, 3] = 1.0
-    out[..., 1, 1] = out[..., 2, 2] = np.cos(angle)
-    out[..., 2, 1] = np.sin(angle)
-    out[..., 1, 2] = -out[..., 2, 1]
-    return out
-
-
-def rot_z(angle: FloatArray) -> FloatArray:
-    """(..., 4, 4) rotation about z by each angle, rad."""
-    out = np.zeros((*angle.shape, 4, 4))
-    out[..., 2, 2] = out[..., 3, 3] = 1.0
-    out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)
-    out[..., 1, 0] = np.sin(angle)
-    out[..., 0, 1] = -out[..., 1, 0]
-    return out
-
-
-def _translation(axis: int, length: FloatArray) -> FloatArray:
-    out = np.zeros((*length.shape, 4, 4))
-    out[..., range(4), range(4)] = 1.0
-    out[..., axis, 3] = length
-    return out
-
-
-PARTS: Final = ("neck", "both", "left", "right")
-"""Names of a joint's load: the whole head (neck), both eyes, or one eye."""
+    x, y = [co, -so, 0.0, a], [ca * so, ca * co, -sa, -sa * d]
+    return np.array([x, y, [sa * so, sa * co, ca, ca * d], [0.0, 0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class JointAxes(FrozenArrays):
+class JointAxes(Links):
     """Joints of any head: the pose of each in the frame of the one before; its axis is z.
 
     The chain of an eye is the neck's joints, then the joints that both eyes share, then those of
@@ -328,6 +284,8 @@ class JointAxes(FrozenArrays):
     head-eye transform is relative to the frame of the eye's last joint, or, for an eye that does
     not move, to the frame that N is fixed to.
     """
+
+    _dimensions = (("pose", 3), ("frame", 2))
 
     names: tuple[str, ...]
     """(J,) names of the joints."""
@@ -340,77 +298,28 @@ class JointAxes(FrozenArrays):
     metres."""
 
     @property
-    def joint_indices(self) -> tuple[tuple[int, ...], ...]:
-        """(J,) indices of each joint in an array of all seven; two for a joint of both eyes."""
-        used = {"neck": 0, "left": 3, "right": 5}
-        out = []
-        for part in self.parts:
-            names = EYE_NAMES if part == "both" else (part,)
-            out.append(tuple(used[name] for name in names))
-            for name in names:
-                used[name] += 1
-        return tuple(out)
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """See `Links.joints`."""
-        names = [""] * len(JOINTS)
-        for name, places in zip(self.names, self.joint_indices, strict=True):
-            for place in places:
-                names[place] = name
-        return tuple(names)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
+    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
         """Six for each joint of the eyes: rotation vector and position of its frame.
 
         A name consists of the part, the joint's number in the chain and the axis, as `both.1.rz`.
         """
-        out, seen = [], dict.fromkeys(PARTS, 0)
-        for joint, part in enumerate(self.parts):
-            seen[part] += 1
-            if part == "neck":
-                continue
-            # joints that both eyes share come first in the chain of an eye
-            number = seen[part] + (seen["both"] if part != "both" else 0)
-            for field, unit, names in _POSE_FIELDS:
-                out += [
-                    Parameter(f"{part}.{number}.{name}", unit, field, 3 * joint + i)
-                    for i, name in enumerate(names)
-                ]
-        return tuple(out)
-
-    def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
-        """See `Links.arrays`."""
-        return {"pose": (self.pose, 3), "frame": (self.frame, 2)}
+        return tuple(
+            parameter
+            for joint, (part, places) in enumerate(zip(self.parts, self.joint_indices, strict=True))
+            if part != "neck"
+            for parameter in _pose_parameters(
+                f"{part}.{_eye_and_joint(places[0])[1] + 1}", "axis_", joint
+            )
+        )
 
     def fields(self, reference: "JointAxes") -> dict[str, FloatArray]:
         """See `Links.fields`."""
-        rotation = np.zeros((*self.pose.shape[:-3], 3 * len(self.names)))
-        if reference is not self and self.names:
-            relative = np.swapaxes(reference.pose[..., :3, :3], -1, -2) @ self.pose[..., :3, :3]
-            from scipy.spatial.transform import Rotation
-
-            vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
-            rotation = vectors.reshape(*relative.shape[:-3], 3 * len(self.names))
-        position = self.pose[..., :3, 3]
-        return {
-            "axis_rotation": rotation,
-            "axis_position": position.reshape(*position.shape[:-2], 3 * len(self.names)),
-        }
+        about = None if reference is self else reference.pose
+        return _pose_fields("axis_", self.pose, about)
 
     def with_fields(self, fields: Mapping[str, FloatArray]) -> "JointAxes":
         """See `Links.with_fields`."""
-        rotation, position = fields["axis_rotation"], fields["axis_position"]
-        batch = np.broadcast_shapes(rotation.shape[:-1], position.shape[:-1])
-        pose = np.broadcast_to(self.pose, (*batch, *self.pose.shape[-3:])).copy()
-        if self.names:
-            from scipy.spatial.transform import Rotation
-
-            turn = Rotation.from_rotvec(rotation.reshape(-1, 3)).as_matrix()
-            pose[..., :3, :3] @= turn.reshape(*rotation.shape[:-1], len(self.names), 3, 3)
-            pose[..., :3, 3] = position.reshape(*position.shape[:-1], len(self.names), 3)
-        return replace(self, pose=pose)
+        return replace(self, pose=_moved_poses(self.pose, "axis_", fields))
 
     def constant_poses(self) -> list[FloatArray]:
         """See `Links.constant_poses`."""
@@ -424,63 +333,64 @@ class JointAxes(FrozenArrays):
                 if place < NECK.stop:
                     poses[place] = pose
                 else:
-                    eye, second = divmod(place - NECK.stop, 2)
+                    eye, second = _eye_and_joint(place)
                     poses[4 + 3 * eye + second] = pose if second else multiply_poses(into_n, pose)
         return poses
 
     def twists(self, reference: "JointAxes") -> FloatArray:
         """See `Links.twists`."""
         rotations = self.fields(reference)["axis_rotation"].reshape(-1, 3)
-        out = np.zeros((len(self.parameters), 6, 6))
-        row = 0
+        out = np.zeros((len(self.names), 6, 6, 6))
         for joint, places in enumerate(self.joint_indices):
-            if self.parts[joint] == "neck":
-                continue
             twists = pose_parameter_twists(reference.pose[joint], rotations[joint])
-            for place in places:
-                eye, second = divmod(place - NECK.stop, 2)
-                out[row : row + 6, 3 * eye + second] = twists
-            row += 6
-        return out
-
-    def bodies(self) -> tuple[Body, ...]:
-        """See `Links.bodies`."""
-        last = {"neck": -1, "left": -1, "right": -1}
-        out = []
-        for joint, (name, part) in enumerate(zip(self.names, self.parts, strict=True)):
-            parent = last["left" if part == "both" else part]
-            out.append(Body(name, self.joint_indices[joint], parent, self.pose[joint]))
-            carried = {"neck": last, "both": EYE_NAMES}.get(part, (part,))
-            last |= dict.fromkeys(carried, joint)
-        return tuple(out)
-
-    def frame_n_pose(self) -> FloatArray:
-        """See `Links.frame_n_pose`."""
-        return self.frame
-
-    def camera_mount(self, eye: int) -> FloatArray:
-        """See `Links.camera_mount`: the last body's own frame."""
-        return np.eye(4)
+            for eye, second in map(_eye_and_joint, places):
+                out[joint, :, 3 * eye + second] = twists
+        moved = [part != "neck" for part in self.parts]
+        return out[moved].reshape(-1, 6, 6)
 
 
-_POSE_FIELDS: Final = (
-    ("axis_rotation", "rad", ("rx", "ry", "rz")),
-    ("axis_position", "m", ("x", "y", "z")),
-)
+def _eye_and_joint(place: int) -> tuple[int, int]:
+    """Eye of a joint by its index among seven, and 0 for the eye's first, 1 for its second."""
+    return divmod(place - NECK.stop, 2)
 
 
-_HEAD_EYE: Final = tuple(
-    Parameter(f"{eye}.head_eye.{name}", unit, field, 3 * i + j)
-    for i, eye in enumerate(EYE_NAMES)
-    for field, unit, names in (
-        ("rotation", "rad", ("rx", "ry", "rz")),
-        ("position", "m", ("x", "y", "z")),
-    )
-    for j, name in enumerate(names)
-)
+def _pose_parameters(prefix: str, of: str, index: int) -> list[Parameter]:
+    """Six parameters of a pose at an index of fields whose names begin with `of`."""
+    return [
+        Parameter(f"{prefix}.{name}", unit, f"{of}{field}", 3 * index + i)
+        for field, unit, names in (
+            ("rotation", "rad", ("rx", "ry", "rz")),
+            ("position", "m", ("x", "y", "z")),
+        )
+        for i, name in enumerate(names)
+    ]
 
 
-_CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
+def _pose_fields(of: str, poses: FloatArray, about: FloatArray | None) -> dict[str, FloatArray]:
+    """Rotation vectors about other poses (None for zeros) and positions of (..., k, 4, 4) poses."""
+    shape = (*poses.shape[:-3], 3 * poses.shape[-3])
+    rotation = np.zeros(shape)
+    if about is not None and poses.size:
+        from scipy.spatial.transform import Rotation
+
+        relative = np.swapaxes(about[..., :3, :3], -1, -2) @ poses[..., :3, :3]
+        vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
+        rotation = vectors.reshape(*relative.shape[:-3], shape[-1])
+    return {f"{of}rotation": rotation, f"{of}position": poses[..., :3, 3].reshape(shape)}
+
+
+def _moved_poses(poses: FloatArray, of: str, fields: Mapping[str, FloatArray]) -> FloatArray:
+    """Poses turned by rotation vectors, at other positions: the inverse of `_pose_fields`."""
+    rotation, position = fields[f"{of}rotation"], fields[f"{of}position"]
+    shape = (*rotation.shape[:-1], *poses.shape[-3:-2])
+    out = np.broadcast_to(poses, (*shape, 4, 4)).copy()
+    if poses.size:
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_rotvec(rotation.reshape(-1, 3)).as_matrix()
+        out[..., :3, :3] @= turn.reshape(*shape, 3, 3)
+        out[..., :3, 3] = position.reshape(*shape, 3)
+    return out
 
 
 class Geometry(NamedTuple):
@@ -499,74 +409,65 @@ class Parameters(NamedTuple):
     """(..., n): one vector per head."""
 
 
+def combine_geometries(
+    geometries: Sequence[Geometry], make: Callable[[Sequence[FloatArray], int], FloatArray]
+) -> Geometry:
+    """One geometry of `make(arrays of all, their number of dimensions for one head)` by field."""
+    first = geometries[0]
+    links = {
+        name: make([geometry.links.arrays()[name][0] for geometry in geometries], own)
+        for name, (_, own) in first.links.arrays().items()
+    }
+    cameras = {
+        name: make([getattr(geometry.cameras, name) for geometry in geometries], own)
+        for name, own in _CAMERA_FIELDS.items()
+    }
+    old: Any = first.links
+    return Geometry(replace(old, **links), first.cameras.replaced(**cameras))
+
+
 def parameters_of(geometry: Geometry, reference: Geometry | None = None) -> Parameters:
     """Flatten a geometry; rotation vectors are relative to `reference`, by default to itself."""
     parameters = _parameters(geometry)
-    fields = _fields(geometry, geometry if reference is None else reference)
+    fields = _fields(geometry, reference)
     batch = np.broadcast_shapes(*(field.shape[:-1] for field in fields.values()))
     values = np.empty((*batch, len(parameters)))
-    for name, (columns, places) in _places(parameters).items():
-        values[..., places] = fields[name][..., columns]
-    return Parameters(
-        tuple(parameter.name for parameter in parameters),
-        tuple(parameter.unit for parameter in parameters),
-        values,
-    )
+    for place, one in enumerate(parameters):
+        values[..., place] = fields[one.field][..., one.column]
+    names, units, *_ = zip(*parameters, strict=True)
+    return Parameters(names, units, values)
 
 
 def geometry_with(reference: Geometry, values: ArrayLike) -> Geometry:
     """Rebuild a geometry from (..., n) `parameters_of`; the neck is copied from the reference."""
-    parameters = _parameters(reference)
+    parameters, (links, cameras) = _parameters(reference), reference
     vector = as_operand("values", values, len(parameters))
     batch = vector.shape[:-1]
     fields = {
         name: np.broadcast_to(field, (*batch, field.shape[-1])).copy()
-        for name, field in _fields(reference, reference).items()
+        for name, field in _fields(reference, None).items()
     }
-    for name, (columns, places) in _places(parameters).items():
-        fields[name][..., columns] = vector[..., places]
-    from scipy.spatial.transform import Rotation
-
-    rotation = Rotation.from_rotvec(fields["rotation"].reshape(-1, 3)).as_matrix()
-    head_eye = np.broadcast_to(reference.cameras.pose, (*batch, 2, 4, 4)).copy()
-    head_eye[..., :3, :3] @= rotation.reshape(*batch, 2, 3, 3)
-    head_eye[..., :3, 3] = fields["position"].reshape(*batch, 2, 3)
-    cameras = {name: fields[name].reshape(*batch, 2, -1) for name in _CAMERA_FIELDS}
-    return Geometry(
-        reference.links.with_fields(fields), reference.cameras.replaced(**cameras, pose=head_eye)
-    )
+    for place, one in enumerate(parameters):
+        fields[one.field][..., one.column] = vector[..., place]
+    pinholes = {
+        name: fields[name].reshape(*batch, 2, -1) for name in _CAMERA_FIELDS if name != "pose"
+    }
+    pose = _moved_poses(cameras.pose, "", fields)
+    return Geometry(links.with_fields(fields), cameras.replaced(**pinholes, pose=pose))
 
 
 def _parameters(geometry: Geometry) -> tuple[Parameter, ...]:
-    return (*geometry.links.parameters, *_HEAD_EYE, *geometry.cameras.parameters)
+    left, right = (_pose_parameters(f"{eye}.head_eye", "", i) for i, eye in enumerate(EYE_NAMES))
+    return (*geometry.links.parameters, *left, *right, *geometry.cameras.parameters)
 
 
-@lru_cache(maxsize=8)
-def _places(parameters: tuple[Parameter, ...]) -> dict[str, tuple[list[int], list[int]]]:
-    """By field: the columns that hold parameters, and the parameters' indices in the vector."""
-    groups: dict[str, tuple[list[int], list[int]]] = {}
-    for place, parameter in enumerate(parameters):
-        columns, places = groups.setdefault(parameter.field, ([], []))
-        columns.append(parameter.column)
-        places.append(place)
-    return groups
-
-
-def _fields(geometry: Geometry, reference: Geometry) -> dict[str, FloatArray]:
+def _fields(geometry: Geometry, reference: Geometry | None) -> dict[str, FloatArray]:
     """Every field that holds parameters, by name, with its own dimensions flattened."""
     links, cameras = geometry
-    head_eye = cameras.pose
-    rotation = np.zeros((2, 3))
-    if reference is not geometry:
-        given = reference.cameras.pose[..., :3, :3]
-        relative = np.swapaxes(given, -1, -2) @ head_eye[..., :3, :3]
-        from scipy.spatial.transform import Rotation
-
-        vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
-        rotation = vectors.reshape(*relative.shape[:-2], 3)
-    pairs = {name: getattr(cameras, name) for name in _CAMERA_FIELDS}
-    pairs |= {"rotation": rotation, "position": head_eye[..., :3, 3]}
-    return links.fields(reference.links) | {
-        name: pair.reshape(*pair.shape[:-2], pair.shape[-2] * pair.shape[-1])
-        for name, pair in pairs.items()
+    about = None if reference is None else reference.cameras.pose
+    pairs = {name: getattr(cameras, name) for name in _CAMERA_FIELDS if name != "pose"}
+    return {
+        **links.fields(links if reference is None else reference.links),
+        **{name: pair.reshape(*pair.shape[:-2], -1) for name, pair in pairs.items()},
+        **_pose_fields("", cameras.pose, about),
     }

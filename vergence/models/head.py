@@ -20,8 +20,8 @@ from vergence.models.geometry import (
     JointAxes,
     Links,
     Parameters,
+    combine_geometries,
     geometry_with,
-    map_arrays,
     parameters_of,
 )
 from vergence.models.lens import BROWN_CONRADY, LENSES
@@ -38,62 +38,66 @@ from vergence.models.parts import (
     replace_fields,
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
-from vergence.models.point_warnings import FixationBounds, warn_of_point
+from vergence.models.point_warnings import FixationBounds
 from vergence.operands import as_operand
 
 FORM_VERSION: Final = 1
-"""Version of the form described above (numerical)."""
+"""Version of the digest's form (numerical), in which bundles and tuned options name their head.
+
+Of each part, for each field by name: the text `part.field(shape)`, then little-endian float64; text
+as Python prints its tuple. Names, assumptions and the calibration record are left out, and fields
+added later where they have their default. Fields keep their first names, so a renamed one is
+translated: a latency of whole control periods is `timing.latency_frames`, and two Brown-Conrady
+cameras of one size have `cameras.width` and `cameras.height`. Any other change needs a new version,
+and support for both at once.
+"""
 _WHOLE_PERIODS_TOLERANCE: Final = 1e-9
 """Tolerance for a whole number of control periods (numerical)."""
-_ROUNDED_PARTS: Final = ("links", "head_eye")
 _POSE_DECIMALS: Final = 12
-"""Decimals that rounding keeps of a `JointAxes` head's poses (numerical)."""
+"""Decimals kept of a `JointAxes` head's poses, whose last bits differ by machine (numerical)."""
+_COUPLING_TOLERANCE_RAD: Final = 1e-9
+"""Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
 
 
-def digest_of(head: "HeadModel") -> str:
-    """64 hexadecimal digits of a head's numbers, in the form above."""
+def _digest_of(head: "HeadModel") -> str:
     sha = hashlib.sha256()
     parts = {
         "links": _numbers(head.links),
         "head_eye": {"": head.head_eye},
         "cameras": _camera_numbers(head.cameras),
         "limits": _numbers(head.limits),
-        "timing": _timing_numbers(head.timing),
+        "timing": _numbers(head.timing),
         "sensor": _numbers(head.sensor),
         "rendering": _numbers(head.rendering),
         "actuators": {} if head.actuators is None else _numbers(head.actuators),
     }
+    timing = head.timing
+    periods = timing.latency_s * timing.control_rate_hz
+    if abs(periods - timing.latency_frames) < _WHOLE_PERIODS_TOLERANCE:
+        parts["timing"]["latency_frames"] = timing.latency_frames
+        del parts["timing"]["latency_s"]
     for part, numbers in parts.items():
+        rounds = part in ("links", "head_eye") and isinstance(head.links, JointAxes)
         for field, value in sorted(numbers.items()):
             if is_name_tuple(value) or isinstance(value, str):
                 sha.update(f"{part}.{field}{value}".encode())
-                continue
-            array = np.asarray(value, dtype="<f8")
-            if part in _ROUNDED_PARTS and isinstance(head.links, JointAxes):
-                array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
-            sha.update(f"{part}.{field}{array.shape}".encode())
-            sha.update(array.tobytes())
+            else:
+                array = np.asarray(value, dtype="<f8")
+                if rounds:
+                    array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
+                sha.update(f"{part}.{field}{array.shape}".encode() + array.tobytes())
     return sha.hexdigest()
 
 
 def _numbers(part: Any) -> dict[str, Any]:
     """Fields of a part, but those that were added after version 1 and have their default value."""
-    return {
-        field.name: value
-        for field in dataclasses.fields(part)
-        for value in (getattr(part, field.name),)
-        if field.name != "names"
-        and (field.default is dataclasses.MISSING or not np.array_equal(value, field.default))
-    }
-
-
-def _timing_numbers(timing: LoopTiming) -> dict[str, Any]:
-    numbers = _numbers(timing)
-    periods = timing.latency_s * timing.control_rate_hz
-    if abs(periods - timing.latency_frames) < _WHOLE_PERIODS_TOLERANCE:
-        numbers["latency_frames"] = timing.latency_frames
-        del numbers["latency_s"]
-    return numbers
+    kept = {}
+    for field in dataclasses.fields(part):
+        value, default = getattr(part, field.name), field.default
+        if default is dataclasses.MISSING or not np.array_equal(value, default):
+            kept[field.name] = value
+    kept.pop("names", None)
+    return kept
 
 
 def _camera_numbers(cameras: Cameras) -> dict[str, Any]:
@@ -109,27 +113,20 @@ def _camera_numbers(cameras: Cameras) -> dict[str, Any]:
     return numbers
 
 
-_COUPLING_TOLERANCE_RAD: Final = 1e-9
-"""Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
-_CAMERA_FIELDS: Final = (("focal", 2), ("principal", 2), ("distortion", 2), ("pose", 3))
-"""Values of a pair of cameras that differ in a population, and their dimensions for one head."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadModel:
     """A binocular head: links, eyes, cameras, limits, timing, sensors and actuators.
 
     Frames: `N` is fixed to the body that the neck's last joint carries, x right, y down, z
     forward; every point that the package computes is in `N`. `C_l` and `C_r` are the cameras, x
-    along u, y along v, z along the optical axis. `T_N_Cl` maps coordinates in `C_l` to coordinates
-    in `N`.
+    along u, y along v, z along the optical axis. `T_N_Cl` maps coordinates in `C_l` to `N`.
 
-    Arrays of joint angles always have seven entries: three for the neck and two for each eye, see
-    `vergence.models.parts`. A joint that the head does not have has an empty name in `joints` and
-    limits of zero, and its angle is ignored. `actuation` holds the actuators that take commands.
+    Arrays of joint angles always have seven entries, three for the neck and two for each eye, see
+    `vergence.models.parts`. A joint that the head does not have has an empty name and limits of
+    zero, and its angle is ignored. `actuation` holds the actuators that take commands.
 
-    The geometry (`links`, `cameras`) may carry a batch shape; every method then
-    broadcasts it with the arguments' leading shapes by NumPy's rules.
+    The geometry (`links`, `cameras`) may carry a batch shape, which every method broadcasts with
+    the arguments' leading shapes.
 
     Examples:
         Eyes that look at a point 1 m ahead see it at their principal points:
@@ -181,10 +178,7 @@ class HeadModel:
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """(7,) names in joint order; empty for a joint that the head does not have.
-
-        The name of a joint that both eyes share occurs twice.
-        """
+        """(7,) names in joint order; empty for a missing joint, twice for one of both eyes."""
         return self.links.joints
 
     @property
@@ -213,8 +207,8 @@ class HeadModel:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 over the head's numbers, in hexadecimal, see `vergence.models.head`."""
-        return digest_of(self)
+        """SHA-256 over the head's numbers, 64 hexadecimal digits; its form is `FORM_VERSION`."""
+        return _digest_of(self)
 
     def __eq__(self, other: object) -> bool:
         """True if two heads have the same name and the same digest."""
@@ -234,7 +228,13 @@ class HeadModel:
 
     def __getitem__(self, index: Any) -> "HeadModel":
         """Select one head, or several, of a population."""
-        return self._with(pick_geometry(self.geometry, self.batch_shape, index))
+
+        def picked(arrays: Sequence[FloatArray], own: int) -> FloatArray:
+            (values,) = arrays
+            full = np.broadcast_to(values, (*self.batch_shape, *values.shape[values.ndim - own :]))
+            return np.asarray(full[index])
+
+        return self._with(combine_geometries([self.geometry], picked))
 
     @staticmethod
     def stack(heads: Sequence["HeadModel"]) -> "HeadModel":
@@ -243,7 +243,18 @@ class HeadModel:
         Raises:
             ConfigurationError: the heads have different lens models or different joints.
         """
-        return heads[0]._with(stack_geometries([head.geometry for head in heads]))
+        for name, own in (
+            ("lenses", [head.cameras.lens for head in heads]),
+            ("joints", [head.joints for head in heads]),
+        ):
+            if any(each != own[0] for each in own):
+                raise ConfigurationError(
+                    f"stack: expected heads with the {name} of the first, {own[0]}, got {own!r:.80}"
+                )
+        geometry = combine_geometries(
+            [head.geometry for head in heads], lambda arrays, own: np.stack(arrays)
+        )
+        return heads[0]._with(geometry)
 
     def _with(self, geometry: Geometry) -> "HeadModel":
         # the calibration record does not apply to another geometry
@@ -253,125 +264,97 @@ class HeadModel:
         """A copy with some parts, or fields of parts, changed.
 
         Args:
-            **parts: a field of this class with its new value, or with a dict of the
-                fields of that part to change: `head.replace(timing={"lag_s": 0.0})`.
-
-        Returns:
-            The new head.
+            **parts: new values by field, or a dict of the fields of that part to change:
+                `head.replace(timing={"lag_s": 0.0})`.
 
         Raises:
             ConfigurationError: a field is unknown, or a value is invalid.
         """
-        if "head_eye" in parts:
-            parts["cameras"] = self.cameras.replaced(pose=parts.pop("head_eye"))
-        elif isinstance(cameras := parts.get("cameras"), Mapping):
+        cameras = parts.get("cameras")
+        if isinstance(cameras, Mapping):
             parts["cameras"] = self.cameras.replaced(**cameras)
+        if "head_eye" in parts:
+            pose = parts.pop("head_eye")
+            parts["cameras"] = parts.get("cameras", self.cameras).replaced(pose=pose)
         if {"links", "cameras"} & set(parts):
             parts = {"calibration": None} | parts  # the record does not apply to another geometry
         return replace_fields(self, "head", parts)
 
     def base_pose(self, q: ArrayLike) -> FloatArray:
-        """Pose of frame N in the base frame 0.
+        """(..., 4, 4) pose of frame N in the base frame 0, T_0_N, metres.
 
         Args:
             q: (..., 7) joint angles, rad.
-
-        Returns:
-            (..., 4, 4) T_0_N, metres.
         """
         return np.asarray(
             kinematics.frame_n_in_base(self._held(q), self.packed, kinematics.FOUR_ELEMENTS)
         )
 
     def camera_poses(self, q: ArrayLike) -> FloatArray:
-        """Poses of both cameras in N (Eqs. 14 to 17).
+        """(..., 2, 4, 4) poses of both cameras in N, T_N_Cl and T_N_Cr, metres (Eqs. 14 to 17).
 
         Args:
             q: (..., 7) joint angles, rad.
-
-        Returns:
-            (..., 2, 4, 4) T_N_Cl and T_N_Cr, metres.
         """
-        q = self._held(q)
-        return np.asarray(
-            kinematics.camera_poses(
-                q, self.packed, kinematics.TWO_ELEMENTS, kinematics.FOUR_ELEMENTS
-            )
-        )
+        extra = kinematics.TWO_ELEMENTS, kinematics.FOUR_ELEMENTS
+        return np.asarray(kinematics.camera_poses(self._held(q), self.packed, *extra))
 
     def link_poses(self, q: ArrayLike) -> FloatArray:
-        """Poses in N of the last links of both eyes, which carry the cameras.
+        """(..., 2, 4, 4) poses in N of the last links of both eyes, T_N_6 and T_N_9, metres.
 
-        They do not include the head-eye transforms: `camera_poses(q) = link_poses(q) @ head_eye`.
+        These carry the cameras: `camera_poses(q) = link_poses(q) @ head_eye`.
 
         Args:
             q: (..., 7) joint angles, rad.
-
-        Returns:
-            (..., 2, 4, 4) T_N_6 and T_N_9, metres.
         """
         return np.asarray(kinematics.last_eye_link_poses(self._held(q), self.packed, self.head_eye))
 
     def project(self, q: ArrayLike, points: ArrayLike, distorted: bool = True) -> FloatArray:
-        """Project points into both images.
+        """(..., 2, 2) pixels of points by eye, not clipped to the image.
+
+        They are nan behind a camera and beyond the radius at which the lens model folds back.
 
         Args:
             q: (..., 7) joint angles, rad.
             points: (..., 3) in N, metres.
             distorted: True for raw pixels, False for pixels of the ideal pinhole.
-
-        Returns:
-            (..., 2, 2) pixels by eye, not clipped to the image; nan behind a camera and beyond the
-            radius at which the lens model folds back on itself.
         """
-        return np.asarray(
-            kinematics.project(
-                self._held(q), points, np.bool_(distorted), self.packed, kinematics.TWO_ELEMENTS
-            )
-        )
+        q, extra = self._held(q), kinematics.TWO_ELEMENTS
+        return np.asarray(kinematics.project(q, points, np.bool_(distorted), self.packed, extra))
 
     def undistort(self, pixels: ArrayLike) -> FloatArray:
-        """Convert raw pixels to pixels of the ideal pinhole with the same focal length and centre.
+        """(..., 2, 2) pixels of the ideal pinhole; nan where the lens model has no inverse.
 
         Args:
-            pixels: (..., 2, 2) raw pixels.
-
-        Returns:
-            (..., 2, 2) ideal pixels; nan if the lens model has no inverse there.
+            pixels: (..., 2, 2) raw pixels by eye.
         """
         return np.asarray(kinematics.undistort(pixels, self.packed))
 
     def image_jacobian(self, q: ArrayLike, pixels: ArrayLike, depth: ArrayLike) -> FloatArray:
-        """Pixel velocity per joint velocity, of a target at rest in frame 0 (Eq. 6).
+        """(..., 2, 2, 7) pixel velocity per joint velocity of a target at rest in frame 0 (Eq. 6).
+
+        In px/rad by eye, image axis and joint; zero for the joints of the other eye.
 
         Args:
             q: (..., 7) joint angles, rad.
             pixels: (..., 2, 2) ideal (undistorted) pixels.
             depth: (..., 2) the target's z in each camera frame, metres.
-
-        Returns:
-            (..., 2, 2, 7) px/rad by eye, image axis and joint; zero for the joints of the other
-            eye.
         """
         out = np.asarray(kinematics.image_jacobian(self._held(q), pixels, depth, self.packed))
         out[..., self._missing] = 0.0
         return out
 
     def fixate(self, points: ArrayLike, neck: ArrayLike = 0.0, *, warn: bool = True) -> FloatArray:
-        """Compute the joint angles that put points on both optical axes.
+        """(..., 7) joint angles, rad, that put points on both optical axes; nan without a solution.
 
-        With coupled joints there may be no exact solution, as for a common tilt of eyes that are
-        not quite level. The angles then minimise the sum of squared pixel errors, and `least_error`
-        returns the residual. Limits are not applied; `reaches` checks them.
+        Where coupled joints allow no exact solution, the angles minimise the sum of squared pixel
+        errors; `least_error` returns the residual. Limits are not applied; `reaches` checks them.
 
         Args:
             points: (..., 3) in N, metres.
             neck: (..., 3) or a scalar, the neck's angles, rad; N moves with the neck.
-            warn: True to issue a `VergenceWarning` for a single point, never for several, that
-                seems to be in millimetres or that is beyond the limits of the eyes.
-
-        Returns:
-            (..., 7) joint angles, rad; nan for an eye without a solution.
+            warn: True to issue a `VergenceWarning` for a single point (never for several) that
+                seems to be in millimetres or is beyond the limits of the eyes.
 
         Raises:
             ConfigurationError: the eyes do not move.
@@ -386,14 +369,16 @@ class HeadModel:
             kernel = fixation.fixate if self.actuation.direct else fixation.fixate_least_squares
             q = np.asarray(kernel(points, neck, np.zeros(7), self.packed))
         if warn and q.ndim == 1:  # a program that asks for many points checks the angles itself
-            warn_of_point(self._bounds, points, q)
+            self._bounds.warn_of_point(points, q)
         return q
 
     @cached_property
     def _bounds(self) -> FixationBounds:
         left, right = self.camera_poses(self.rest())[:, :3, 3]
-        baseline, focal = float(np.linalg.norm(right - left)), float(self.cameras.focal.max())
-        return FixationBounds.of(self.joints, self.limits, self.actuation, baseline, focal)
+        baseline, focal = np.linalg.norm(right - left), self.cameras.focal.max()
+        return FixationBounds(
+            self.joints, self.limits, self.actuation, float(baseline), float(focal)
+        )
 
     def perturbed(
         self,
@@ -406,11 +391,7 @@ class HeadModel:
         Args:
             rng: the source of randomness.
             errors: standard deviations of the errors.
-            size: the population's shape; None for one head.
-
-        Returns:
-            A head whose geometry has the batch shape `size`; limits, timing and sensors are those
-            of this head.
+            size: the population's shape, the batch shape of its geometry; None for one head.
 
         Raises:
             ConfigurationError: this head is a population already.
@@ -423,14 +404,12 @@ class HeadModel:
         return self._with(perturb_geometry(self.geometry, rng, errors, shape))
 
     def least_error(self, points: ArrayLike) -> FloatArray:
-        """Residual pixel errors of `fixate`.
+        """(..., 2, 2) residual of `fixate` by eye and image axis: ideal pixel less principal point.
+
+        Zero for one head whose eye joints all have their own motors, nan without a solution.
 
         Args:
             points: (..., 3) in N, metres.
-
-        Returns:
-            (..., 2, 2) ideal pixel less principal point by eye and image axis, px; zero for one
-            head whose eye joints all have their own motors, nan if `fixate` has no solution.
         """
         points = as_operand("least_error: points", points, 3)
         if self.actuation.direct and not self.batch_shape:
@@ -439,14 +418,11 @@ class HeadModel:
         return np.asarray(pixels - self.cameras.principal)
 
     def reaches(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """True if joint angles are within all limits and possible for coupled joints.
+        """(...) True if joint angles are within all limits and possible for coupled joints.
 
         Args:
-            q: (..., 7) joint angles, rad.
+            q: (..., 7) joint angles, rad; False for nan.
             margin: the distance that actuators keep from their limits, rad.
-
-        Returns:
-            (...) booleans; False if an angle is nan or if coupled joints cannot take these angles.
         """
         q = as_operand("reaches: q", self._held(q), 7)
         actuation = self.actuation
@@ -467,14 +443,10 @@ class HeadModel:
         return Geometry(self.links, self.cameras)
 
     def parameters(self, about: "HeadModel | None" = None) -> Parameters:
-        """Flatten the geometry to a vector of named numbers: axes, head-eye transforms, cameras.
+        """Names such as `left.tilt.alpha`, units, and (..., n) values of the geometry's numbers.
 
         Args:
-            about: the reference head for rotation vectors; None for this head itself, whose
-                rotation vectors are then zero.
-
-        Returns:
-            Names such as `left.tilt.alpha`, units, and values (..., n).
+            about: the head that rotation vectors are relative to; None for this one: zeros.
         """
         return parameters_of(self.geometry, None if about is None else about.geometry)
 
@@ -482,12 +454,8 @@ class HeadModel:
         """Rebuild a head from its vector: `about.with_parameters(head.parameters(about).values)`.
 
         Args:
-            values: (..., n) in the order of `parameters`; rotation vectors are relative to this
-                head.
-
-        Returns:
-            A head with the batch shape of the values. The neck, limits, timing and sensors are
-            those of this head.
+            values: (..., n) in the order of `parameters`, rotation vectors relative to this head;
+                the neck, limits, timing and sensors stay.
 
         Raises:
             ConfigurationError: the vector has the wrong length.
@@ -502,38 +470,3 @@ class HeadModel:
     def camera_in_last_link(self, eye: int) -> FloatArray:
         """(4, 4) pose of an eye's camera in the frame of the last body of its chain, metres."""
         return np.asarray(self.links.camera_mount(eye) @ self.head_eye[eye])
-
-
-def pick_geometry(geometry: Geometry, batch_shape: tuple[int, ...], index: Any) -> Geometry:
-    """Select one geometry, or several, of a population by a NumPy index for its shape."""
-
-    def taken(values: FloatArray, own: int) -> FloatArray:
-        full = np.broadcast_to(values, (*batch_shape, *values.shape[values.ndim - own :]))
-        return np.asarray(full[index])
-
-    cameras = {name: taken(getattr(geometry.cameras, name), own) for name, own in _CAMERA_FIELDS}
-    return Geometry(map_arrays(geometry.links, taken), geometry.cameras.replaced(**cameras))
-
-
-def stack_geometries(geometries: Sequence[Geometry]) -> Geometry:
-    """Stack geometries of equal shape to a population."""
-    first = geometries[0]
-    lenses = [geometry.cameras.lens for geometry in geometries]
-    if any(lens != lenses[0] for lens in lenses):
-        raise ConfigurationError(
-            f"stack: expected heads with the lenses of the first, {lenses[0]}, got {lenses!r:.80}"
-        )
-    joints = [geometry.links.joints for geometry in geometries]
-    if any(names != joints[0] for names in joints):
-        raise ConfigurationError(
-            f"stack: expected heads with the joints of the first, {joints[0]}, got {joints!r:.80}"
-        )
-    links: Any = {
-        name: np.stack([geometry.links.arrays()[name][0] for geometry in geometries])
-        for name in first.links.arrays()
-    }
-    cameras: Any = {
-        name: np.stack([getattr(geometry.cameras, name) for geometry in geometries])
-        for name, _ in _CAMERA_FIELDS
-    }
-    return Geometry(replace_fields(first.links, "links", links), first.cameras.replaced(**cameras))

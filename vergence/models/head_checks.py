@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import HeadFileError
+from vergence.models.actuation import Actuation
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, EYES, FloatArray
 
@@ -23,39 +24,6 @@ _ANGLE_STEP_RAD: Final = 1e-5
 
 def refuse_unusable_head(head: HeadModel) -> None:
     """Refuse a head that cannot triangulate or servo at rest."""
-    _refuse_far_ranges(head)
-    poses = head.camera_poses(head.rest())
-    _refuse_places(poses)
-    if not head.actuation.count:
-        return
-    own = _image_jacobians(head, poses)
-    if head.actuation.direct:
-        for eye, name in enumerate(EYE_NAMES):
-            condition = float(np.abs(np.linalg.det(own[eye][:, 2 * eye : 2 * eye + 2])))
-            if not condition > _LEAST_CONDITION:
-                first, second = head.joints[3 + 2 * eye : 5 + 2 * eye]
-                raise HeadFileError(
-                    f"joints of the {name} eye",
-                    f"an image Jacobian with determinant {condition:.3g} (by the focal lengths)",
-                    f"{first} and {second} to move the image along two directions at rest, above "
-                    f"{_LEAST_CONDITION} (does an axis point along the optical axis?)",
-                )
-        return
-    count = head.actuation.count
-    _left, values, ways = np.linalg.svd(own.reshape(4, count))
-    if not values[-1] > _LEAST_CONDITION:
-        weakest = head.actuation.names[int(np.argmax(np.abs(ways[-1])))]
-        raise HeadFileError(
-            f"joints moved by {weakest}",
-            f"image Jacobians with a least singular value of {values[-1]:.3g} (by the focal "
-            "lengths)",
-            f"{', '.join(head.actuation.names)} each to move the images in a way of its own at "
-            f"rest, above {_LEAST_CONDITION} (does an axis point along the optical axis?)",
-        )
-
-
-def _refuse_far_ranges(head: HeadModel) -> None:
-    """Refuse eye joints whose range stays more than 90 degrees away from their zero."""
     for name, lower, upper in zip(
         head.joints[EYES], head.limits.lower[EYES], head.limits.upper[EYES], strict=True
     ):
@@ -66,10 +34,7 @@ def _refuse_far_ranges(head: HeadModel) -> None:
                 "a range that comes within 1.57 rad of zero, where the eyes look ahead: angles are "
                 "counted from there (turn the joint's frame by rpy_rad, and its limits with it)",
             )
-
-
-def _refuse_places(poses: FloatArray) -> None:
-    """Refuse eyes in one place, and a left eye on the right of the right one."""
+    poses = head.camera_poses(head.rest())
     across = poses[1, :3, 3] - poses[0, :3, 3]
     baseline = float(np.linalg.norm(across))
     if not baseline > _LEAST_BASELINE_M:
@@ -82,6 +47,34 @@ def _refuse_places(poses: FloatArray) -> None:
             f"a left camera {1e3 * baseline:.1f} mm on the right of the right one",
             "the left camera on the left, as the images have it (are left and right exchanged, or "
             "both cameras turned by 180 degrees, or do they look back with all joints at zero?)",
+        )
+    if head.actuation.count:
+        _refuse_still_images(_image_jacobians(head, poses), head.actuation)
+
+
+def _refuse_still_images(own: FloatArray, actuation: Actuation) -> None:
+    """Refuse actuators that at rest do not each move the images in a way of its own."""
+    names = actuation.names
+    if actuation.direct:
+        for eye, name in enumerate(EYE_NAMES):
+            condition = float(np.abs(np.linalg.det(own[eye][:, 2 * eye : 2 * eye + 2])))
+            if not condition > _LEAST_CONDITION:
+                first, second = names[2 * eye : 2 * eye + 2]
+                raise HeadFileError(
+                    f"joints of the {name} eye",
+                    f"an image Jacobian with determinant {condition:.3g} (by the focal lengths)",
+                    f"{first} and {second} to move the image along two directions at rest, above "
+                    f"{_LEAST_CONDITION} (does an axis point along the optical axis?)",
+                )
+        return
+    _left, values, ways = np.linalg.svd(own.reshape(4, len(names)))
+    if not values[-1] > _LEAST_CONDITION:
+        raise HeadFileError(
+            f"joints moved by {names[int(np.argmax(np.abs(ways[-1])))]}",
+            f"image Jacobians with a least singular value of {values[-1]:.3g} (by the focal "
+            "lengths)",
+            f"{', '.join(names)} each to move the images in a way of its own at rest, above "
+            f"{_LEAST_CONDITION} (does an axis point along the optical axis?)",
         )
 
 

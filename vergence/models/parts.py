@@ -32,17 +32,18 @@ def replace_fields(part: T, part_name: str, fields: Mapping[str, Any]) -> T:
     """Copy a head or a part with some fields changed; a mapping changes fields of a part."""
     known: Any = part
     refuse_unknown(part_name, fields, [field.name for field in dataclasses.fields(known)])
-    new = {}
+    new = dict(fields)
     for key, value in fields.items():
-        if isinstance(value, Mapping) and dataclasses.is_dataclass(getattr(part, key)):
-            new[key] = replace_fields(getattr(part, key), key, value)
-        else:
-            new[key] = _checked(f"{part_name}.{key}", value, getattr(part, key))
+        now = getattr(part, key)
+        if isinstance(value, Mapping) and dataclasses.is_dataclass(now):
+            new[key] = replace_fields(now, key, value)
+        elif (part_name, key) != ("head", "calibration"):  # None for no record
+            _check(f"{part_name}.{key}", value, now)
     made: T = dataclasses.replace(known, **new)
     return made
 
 
-def _checked(name: str, value: Any, now: Any) -> Any:
+def _check(name: str, value: Any, now: Any) -> None:
     """Check that a new value has the type of the current one."""
     if isinstance(now, int | float | np.ndarray):
         try:
@@ -52,11 +53,8 @@ def _checked(name: str, value: Any, now: Any) -> Any:
         if np.isnan(numbers).any() or (np.ndim(now) == 0) != (numbers.ndim == 0):
             what = "a number" if np.ndim(now) == 0 else "an array of numbers"
             raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
-    elif name in ("cameras.lens", "cameras.response", "head.calibration"):
-        pass  # the cameras check these, one value may apply to both eyes; None for no record
     elif not isinstance(value, type(now)):
         raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")
-    return value
 
 
 class FrozenArrays:
@@ -75,10 +73,9 @@ class _NotNegative:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if isinstance(value, str):
-                continue
-            if not (value > 0.0 if name in self._above_zero else value >= 0.0):
-                least = "above 0" if name in self._above_zero else "of at least 0"
+            above, text = name in self._above_zero, isinstance(value, str)
+            if not (text or (value > 0.0 if above else value >= 0.0)):
+                least = "above 0" if above else "of at least 0"
                 raise ConfigurationError(f"{name}: expected a number {least}, got {value!r}")
 
 
@@ -109,14 +106,11 @@ class JointLimits(FrozenArrays):
     """Greatest acceleration, in rad/s^2; inf for no limit."""
 
     def contains(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """True if all joints are at least `margin` rad inside their limits.
+        """(...) True if all joints are at least `margin` rad inside their limits; False for nan.
 
         Args:
             q: (..., 7) joint angles, rad.
             margin: the distance to keep, rad.
-
-        Returns:
-            (...) booleans; False if an angle is nan.
         """
         q = as_operand("q", q, 7)
         inside = (q >= self.lower + margin) & (q <= self.upper - margin)
@@ -197,11 +191,7 @@ class SensorModel(_NotNegative):
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """Grey-level model of one rig's images.
-
-    An image is the supersampled target, blurred by the lens, scaled to the rig's contrast, with
-    white noise added, rounded to 8 bits.
-    """
+    """Grey levels of a rig's images: supersampled, blurred, scaled, with noise, in 8 bits."""
 
     blur_px: float
     """Standard deviation of the lens's Gaussian blur, px."""
@@ -218,14 +208,8 @@ class Rendering:
 
 
 JOINTS: Final = (
-    "neck_yaw",
-    "neck_roll",
-    "neck_pitch",
-    "left_tilt",
-    "left_pan",
-    "right_tilt",
-    "right_pan",
-)
+    "neck_yaw", "neck_roll", "neck_pitch", "left_tilt", "left_pan", "right_tilt", "right_pan",
+)  # fmt: skip
 """Joint order of every array of joint angles, velocities and limits."""
 
 NECK: Final = slice(0, 3)
@@ -238,16 +222,10 @@ EYE_NAMES: Final = ("left", "right")
 """Eye order of every array of cameras, pixels and image Jacobians."""
 
 LINKS: Final = (
-    (1, 0, "neck_yaw"),
-    (2, 1, "neck_roll"),
-    (3, 2, "neck_pitch"),
-    (4, 3, "left_tilt"),
-    (5, 4, "left_pan"),
-    (6, 5, ""),
-    (7, 3, "right_tilt"),
-    (8, 7, "right_pan"),
-    (9, 8, ""),
-)
+    (1, 0, "neck_yaw"), (2, 1, "neck_roll"), (3, 2, "neck_pitch"),
+    (4, 3, "left_tilt"), (5, 4, "left_pan"), (6, 5, ""),
+    (7, 3, "right_tilt"), (8, 7, "right_pan"), (9, 8, ""),
+)  # fmt: skip
 """The tree of frames, (frame, parent, joint); an empty joint is a fixed link (Table 1)."""
 
 

@@ -2,21 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, refuse_unknown
-from vergence.models.geometry import (
-    DenavitHartenberg,
-    Geometry,
-    chain_end,
-    geometry_with,
-    inverse_pose,
-    parameters_of,
-)
+from vergence.models.geometry import Geometry, geometry_with, parameters_of
 from vergence.models.parts import EYE_NAMES, FloatArray
 
 _WRONG_UNIT_LIMITS: Final = {
@@ -101,9 +93,7 @@ def as_model_errors(errors: Mapping[str, float] | ModelErrors, name: str) -> Mod
 
 def _links(field: str) -> list[str]:
     """Parameter names of one field for the nine links; empty for the neck's, which stay."""
-    return ["", "", ""] + [
-        f"{eye}.{link}.{field}" for eye in EYE_NAMES for link in ("tilt", "pan", "camera_link")
-    ]
+    return ["", "", "", *_eyes(f"tilt.{field}", f"pan.{field}", f"camera_link.{field}")]
 
 
 def _eyes(*names: str) -> list[str]:
@@ -125,40 +115,32 @@ _DEVIATE_LAYOUT: Final = (
 """The standard normal numbers of a head, in the order of drawing: the error of each, and the
 parameter it moves (empty for none)."""
 
+_DEVIATES: Final = [(error, name) for error, names in _DEVIATE_LAYOUT for name in names]
 _DEVIATE_OF_PARAMETER: Final = {
-    name: (error, place)
-    for place, (error, name) in enumerate(
-        (error, name) for error, names in _DEVIATE_LAYOUT for name in names
-    )
+    name: (error, place) for place, (error, name) in enumerate(_DEVIATES)
 }
 """By parameter: its error, and the index of its standard normal number."""
 
-_SHARED_FOCAL: Final = {
-    f"{eye}.camera.{name}": f"{eye}.camera.f" for eye in EYE_NAMES for name in ("f_u", "f_v")
-}
-"""Focal lengths by parameter: one number moves both of a camera."""
-
-_DH_PARAMETER_OF_AXIS: Final = {
-    f"{eye}.{own}": f"{eye}.{link}"
-    for eye in EYE_NAMES
-    for own, link in (
+_SOURCE_OF_PARAMETER: Final = {
+    f"{part}.{own}": f"{eye}.{source}"
+    for part, eye in (("left", "left"), ("right", "right"), ("both", "left"))
+    for own, source in (
         ("1.x", "tilt.a"), ("1.y", "tilt.d"), ("1.z", "camera_link.a"),
         ("2.x", "pan.a"), ("2.y", "pan.d"), ("2.z", "camera_link.d"),
         ("1.rx", "tilt.alpha"), ("2.rx", "pan.alpha"), ("2.ry", "camera_link.alpha"),
-        ("1.rz", "tilt.offset"), ("2.rz", "pan.offset"),
+        ("1.rz", "tilt.offset"), ("2.rz", "pan.offset"), ("1.ry", "1.ry"),
+        ("camera.f_u", "camera.f"), ("camera.f_v", "camera.f"),
     )
 }  # fmt: skip
-"""By parameter of `JointAxes`: the parameter of the article's links whose number it uses. Rotations
-`1.ry` use the neck's otherwise unused numbers. A joint that both eyes share uses the left eye's."""
+"""By parameter: the one whose number it uses. Those of `JointAxes` use the article's links', and
+the neck's otherwise unused numbers for rotations `1.ry`; a joint that both eyes share uses the left
+eye's; one number moves both focal lengths of a camera."""
 
-_ARTICLE_TILT_SIGNS: Final = {"left.tilt.offset": 1.0, "right.tilt.offset": -1.0}
-"""Factors on the common tilt for the article's head: a positive left tilt looks down, a positive
-right tilt up."""
 _MIN_TILT_COMPONENT: Final = 0.5
 """Least component of a joint's axis along x_N for the joint to count as a tilt (chosen: within 60
 degrees of x_N)."""
 
-DEVIATES: Final = sum(len(names) for _error, names in _DEVIATE_LAYOUT)
+DEVIATES: Final = len(_DEVIATES)
 """Number of standard normal numbers per head."""
 
 
@@ -179,17 +161,12 @@ def perturb_geometry(
 def perturb_by_deviates(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> Geometry:
     """Perturb the nominal geometry by (..., DEVIATES) standard normal numbers."""
     names, _units, values = parameters_of(nominal)
-    sources, places, relative = _sources(names)
-    sigma = np.array([getattr(errors, source, 0.0) for source in sources])
+    sigma, places, relative = _spreads(names, errors)
     deviations = sigma * deviates[..., places]
     # not by `standard_deviations`, so that heads drawn by earlier versions stay equal bit for bit
     values = np.where(relative, values * (1.0 + deviations), values + deviations)
     if errors.common_tilt_rad > 0.0:
-        lowered = (
-            _ARTICLE_TILT_SIGNS
-            if isinstance(nominal.links, DenavitHartenberg)
-            else _lowered(nominal)
-        )
+        lowered = _lowered(nominal, names)
         shares = np.array([lowered.get(name, 0.0) for name in names])
         values += shares * (errors.common_tilt_rad * deviates[..., -1:])
     return geometry_with(nominal, values)
@@ -198,46 +175,32 @@ def perturb_by_deviates(nominal: Geometry, errors: ModelErrors, deviates: FloatA
 def standard_deviations(nominal: Geometry, errors: ModelErrors) -> FloatArray:
     """(n,) sigma in the order of `parameters_of`, without the common tilt; 0 if none moves it."""
     names, _units, values = parameters_of(nominal)
-    sources, _places, relative = _sources(names)
-    sigma = np.array([getattr(errors, source, 0.0) for source in sources])
+    sigma, _places, relative = _spreads(names, errors)
     return np.where(relative, np.abs(values) * sigma, sigma)
 
 
-@lru_cache(maxsize=8)
-def _sources(
-    names: tuple[str, ...],
-) -> tuple[tuple[str, ...], list[int], NDArray[np.bool_]]:
-    """By parameter: its error, the index of its number, and True if the error is relative."""
-    moved = []
-    for name in names:
-        own = name.replace("both.", "left.", 1)
-        own = _DH_PARAMETER_OF_AXIS.get(own, _SHARED_FOCAL.get(own, own))
-        moved.append(_DEVIATE_OF_PARAMETER.get(own, ("", 0)))
-    errors = tuple(error for error, _place in moved)
-    relative = np.array([error == "focal_relative" for error in errors])
-    return errors, [place for _error, place in moved], relative
+def _spreads(
+    names: tuple[str, ...], errors: ModelErrors
+) -> tuple[FloatArray, list[int], NDArray[np.bool_]]:
+    """By parameter: sigma, the index of its number, and True if sigma is relative."""
+    sources = (_SOURCE_OF_PARAMETER.get(name, name) for name in names)
+    moved = [_DEVIATE_OF_PARAMETER.get(source, ("", 0)) for source in sources]
+    sigma = np.array([getattr(errors, error, 0.0) for error, _place in moved])
+    relative = np.array([error == "focal_relative" for error, _place in moved])
+    return sigma, [place for _error, place in moved], relative
 
 
-def _lowered(nominal: Geometry) -> dict[str, float]:
+def _lowered(nominal: Geometry, names: tuple[str, ...]) -> dict[str, float]:
     """By parameter: its change, rad, per radian of a common downward tilt of both eyes."""
-    links = nominal.links
-    bodies = links.bodies()
-    in_n: list[FloatArray] = []
-    into_n = inverse_pose(links.frame_n_pose())
-    carrier = chain_end(bodies, None)
-    for i, body in enumerate(bodies):
-        before = np.eye(4) if body.parent < 0 else in_n[body.parent]
-        in_n.append(before @ body.pose)
-        if i == carrier:  # poses from here on are relative to this body
-            in_n[i] = np.eye(4)
-    out = {}
+    poses, out = nominal.links.constant_poses(), {}
     for eye, name in enumerate(EYE_NAMES):
+        first = poses[4 + 3 * eye]
         tilts = {}
-        for i, body in enumerate(bodies):
-            for place in set(body.joints) & {3 + 2 * eye, 4 + 2 * eye}:
-                own = "both" if len(body.joints) > 1 else name
-                along_x = float((into_n @ in_n[i])[0, 2])
-                tilts[f"{own}.{place - 2 - 2 * eye}.rz"] = along_x
+        for number, pose in ((1, first), (2, first @ poses[5 + 3 * eye])):
+            own = f"{name}.{number}.rz"
+            for parameter in (own, f"both.{number}.rz", _SOURCE_OF_PARAMETER[own]):
+                if parameter in names:
+                    tilts[parameter] = float(pose[0, 2])
         best = max(tilts, key=lambda key: abs(tilts[key]), default="")
         if best and abs(tilts[best]) > _MIN_TILT_COMPONENT:
             out[best] = -float(np.sign(tilts[best]))  # about x_N, y turns to z: the eye looks up

@@ -3,7 +3,7 @@
 import warnings
 from math import hypot
 from operator import le
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,63 +21,49 @@ _ROUNDING_RAD: Final = 1e-9
 """Tolerance for angles at their limits, rad (numerical)."""
 
 
-class FixationBounds(NamedTuple):
+class FixationBounds:
     """Limits of points and angles of `HeadModel.fixate`: floats, compared faster than arrays."""
 
-    zero_disparity_m: float
-    """Distance from which the disparity does not distinguish a point from one at infinity, m."""
-    actuation: Actuation
-    limits: JointLimits
-    joints: tuple[str, ...]
-    """(7,) names."""
-    eye_lower_rad: list[float]
-    """(8,) least angles of the eyes' four joints, then of their four actuators, rad."""
-    eye_upper_rad: list[float]
-    """(8,) greatest angles, in the same order, rad."""
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         joints: tuple[str, ...],
         limits: JointLimits,
         actuation: Actuation,
         baseline_m: float,
         focal_px: float,
-    ) -> "FixationBounds":
-        """Bounds of one head, from its limits, its baseline at rest and its focal length."""
-        return cls(
-            baseline_m * focal_px / _ZERO_DISPARITY_PX,
-            actuation,
-            limits,
-            joints,
-            (np.r_[limits.lower[EYES], actuation.lower[EYES]] - _ROUNDING_RAD).tolist(),
-            (np.r_[limits.upper[EYES], actuation.upper[EYES]] + _ROUNDING_RAD).tolist(),
+    ) -> None:
+        self._joints, self._limits, self._actuation = joints, limits, actuation
+        # no disparity tells a point farther off from one at infinity
+        self._zero_disparity_m = baseline_m * focal_px / _ZERO_DISPARITY_PX
+        # of the eyes' four joints, then of their four actuators
+        lower, upper = (
+            np.r_[getattr(limits, end)[EYES], getattr(actuation, end)[EYES]]
+            for end in ("lower", "upper")
         )
+        self._lower = (lower - _ROUNDING_RAD).tolist()
+        self._upper = (upper + _ROUNDING_RAD).tolist()
 
-
-def warn_of_point(bounds: FixationBounds, point: ArrayLike, q: FloatArray) -> None:
-    """Warn of a point in millimetres (not beyond 1000 x far_m, as a star) or out of reach."""
-    x, y, z = np.asarray(point, dtype=np.float64).tolist()
-    distance = hypot(x, y, z)
-    if bounds.zero_disparity_m < distance < _MM_PER_M * bounds.zero_disparity_m:
-        said = (
-            f"metres, got {_formatted(x, y, z)}, which is {distance:.3g} m away, where no eye of "
-            f"this head tells how far (from {bounds.zero_disparity_m:.0f} m on): is it in "
-            "millimetres?"
-        )
-    else:
-        angles = q.tolist()[EYES]
-        if not bounds.actuation.direct:
-            angles += bounds.actuation.actuators_of(q).tolist()[EYES]
-        if all(map(le, bounds.eye_lower_rad, angles)) and all(
-            map(le, angles, bounds.eye_upper_rad)
-        ):
-            return
-        beyond = describe_beyond_limits(bounds.joints, bounds.limits, bounds.actuation, q)
-        if not beyond:
-            return
-        said = f"a point that the eyes can turn to, got {_formatted(x, y, z)} m, for which {beyond}"
-    warnings.warn(f"fixate: points: expected {said}", VergenceWarning, stacklevel=3)
+    def warn_of_point(self, point: ArrayLike, q: FloatArray) -> None:
+        """Warn of a point in millimetres (not beyond 1000 x far_m, as a star) or out of reach."""
+        x, y, z = np.asarray(point, dtype=np.float64).tolist()
+        distance, said_point = hypot(x, y, z), f"({x:g}, {y:g}, {z:g})"
+        if self._zero_disparity_m < distance < _MM_PER_M * self._zero_disparity_m:
+            said = (
+                f"metres, got {said_point}, which is {distance:.3g} m away, where no eye of this "
+                f"head tells how far (from {self._zero_disparity_m:.0f} m on): is it in "
+                "millimetres?"
+            )
+        else:
+            angles = q.tolist()[EYES]
+            if not self._actuation.direct:
+                angles += self._actuation.actuators_of(q).tolist()[EYES]
+            if all(map(le, self._lower, angles)) and all(map(le, angles, self._upper)):
+                return
+            beyond = describe_beyond_limits(self._joints, self._limits, self._actuation, q)
+            if not beyond:
+                return
+            said = f"a point that the eyes can turn to, got {said_point} m, for which {beyond}"
+        warnings.warn(f"fixate: points: expected {said}", VergenceWarning, stacklevel=3)
 
 
 def describe_beyond_limits(
@@ -94,7 +80,3 @@ def describe_beyond_limits(
                 low, angle, high = np.rad2deg([low, angle, high])
                 return f"{name} would be at {angle:.1f} degrees, outside {low:.1f} to {high:.1f}"
     return ""
-
-
-def _formatted(*numbers: float) -> str:
-    return f"({', '.join(f'{number:g}' for number in numbers)})"
