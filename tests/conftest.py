@@ -93,27 +93,22 @@ def pytest_runtest_protocol(item, nextitem):
     """
     if UNHURRIED.intersection(mark.name for mark in item.iter_markers()):
         return None
-
-    def run():
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    took_s = []
+    while len(took_s) < 2:
         before_s = _waited_s()
         reports = runtestprotocol(item, nextitem=nextitem, log=False)
-        called = [report for report in reports if report.when == "call" and report.passed]
-        if called and called[0].duration - (_waited_s() - before_s) > QUICK_S:
-            return reports, called[0]
-        return reports, None
-
-    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    reports, slow = run()
-    if slow is not None:
+        call = next((one for one in reports if one.when == "call" and one.passed), None)
+        if call is None or call.duration - (_waited_s() - before_s) <= QUICK_S:
+            break
+        took_s.append(call.duration)
         item._initrequest()  # new fixtures
-        first_s = slow.duration
-        reports, slow = run()
-        if slow is not None:
-            slow.outcome = "failed"
-            slow.longrepr = (
-                f"expected at most {QUICK_S:g} s, got {first_s:.1f} s and {slow.duration:.1f} s: "
-                "make it quicker, or mark it slow or nightly, see CONTRIBUTING.md"
-            )
+    else:
+        call.outcome = "failed"
+        call.longrepr = (
+            f"expected at most {QUICK_S:g} s, got {took_s[0]:.1f} s and {took_s[1]:.1f} s: "
+            "make it quicker, or mark it slow or nightly, see CONTRIBUTING.md"
+        )
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)

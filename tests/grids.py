@@ -9,21 +9,14 @@ from typing import Any
 def some_of(*axes: Sequence[Any], seed: int = 0) -> list[tuple[Any, ...]]:
     """The cells that find what depends on one value or on two extremes, and one drawn at random.
 
-    Args:
-        axes: the values of each parameter, in order where they have one.
-        seed: seed of the draw.
-
-    Returns:
-        Cells such that every value of every axis is in one, and that any two axes meet in all four
-        pairs of their first and last values (an orthogonal array of strength 2); each cell once.
+    Every value of every axis is in one, and any two axes meet in all four pairs of their first and
+    last values (an orthogonal array of strength 2); each cell comes once.
     """
     longest = max(map(len, axes))
     values = [tuple(i % len(axis) for axis in axes) for i in range(longest)]
     bits = len(axes).bit_length()
     corners = [
-        tuple(
-            (len(axis) - 1) * ((row & place).bit_count() % 2) for place, axis in enumerate(axes, 1)
-        )
+        tuple((len(axis) - 1) * ((row & i).bit_count() % 2) for i, axis in enumerate(axes, 1))
         for row in range(2**bits)
     ]
     cells = dict.fromkeys(corners + values)

@@ -39,20 +39,17 @@ white_grey = 190.0
 background_grey = 110.0
 """
 CENTRE: Final = (0.0, 0.0, 0.0)
-"""Origin of a frame, m (numerical)."""
 
 
-def joint(
-    name: str, part: str, origin: Sequence[float], axis: Sequence[float], limits: str = LIMITS
-) -> str:
-    """A table of a joint."""
-    return (
-        f'[[joints]]\nname = "{name}"\npart = "{part}"\norigin_m = {list(map(float, origin))}\n'
-        f"axis = {list(map(float, axis))}\n{limits}"
-    )
+Vector = Sequence[float]
 
 
-def eyes(left: Sequence[float] = CENTRE, right: Sequence[float] = CENTRE) -> str:
+def joint(name: str, part: str, origin: Vector, axis: Vector, limits: str = LIMITS) -> str:
+    place = f"origin_m = {list(map(float, origin))}\naxis = {list(map(float, axis))}\n"
+    return f'[[joints]]\nname = "{name}"\npart = "{part}"\n{place}{limits}'
+
+
+def eyes(left: Vector = CENTRE, right: Vector = CENTRE) -> str:
     """Both cameras, at places in their eyes' last links."""
     return "".join(
         f'[[eyes]]\nname = "{name}"\nfocal_px = [343.0, 343.0]\nprincipal_px = [159.5, 119.5]\n'
@@ -62,7 +59,6 @@ def eyes(left: Sequence[float] = CENTRE, right: Sequence[float] = CENTRE) -> str
 
 
 def actuator(name: str, joints: str, limits: str = LIMITS) -> str:
-    """A table of an actuator."""
     return f'[[actuators]]\nname = "{name}"\njoints = {{ {joints} }}\n{limits}'
 
 
@@ -74,8 +70,7 @@ TEXTS: Final = {
         joint("eyes_tilt", "both", (0, -0.05, 0.05), (1, 0, 0)),
         joint("left_pan", "left", (-0.034, 0, 0), (0, 1, 0), ""),
         joint("right_pan", "right", (0.034, 0, 0), (0, 1, 0), ""),
-        IMAGE,
-        eyes(),
+        IMAGE, eyes(),
         actuator("tilt", "eyes_tilt = 1.0"),
         actuator("version", "left_pan = 1.0, right_pan = 1.0"),
         actuator("vergence", "left_pan = 0.5, right_pan = -0.5",
@@ -86,8 +81,7 @@ TEXTS: Final = {
         joint("left_pan", "left", (0, 0, 0.01), (0, 1, 0)),
         joint("right_tilt", "right", (0.034, 0.001, 0), (1, 0, 0.01)),
         joint("right_pan", "right", (0, 0, 0.01), (0, 1, 0)),
-        IMAGE,
-        eyes(),
+        IMAGE, eyes(),
         actuator("tilt", "left_tilt = 1.0, right_tilt = 1.0"),
         actuator("left_pan", "left_pan = 1.0"),
         actuator("right_pan", "right_pan = 1.0"),
@@ -97,34 +91,28 @@ TEXTS: Final = {
         joint("left_tilt", "left", (0, -0.05, 0.02), (1, 0, 0)),
         joint("right_pan", "right", (0.1, 0, 0), (0, 1, 0)),
         joint("right_tilt", "right", (0, -0.05, 0.02), (1, 0, 0)),
-        IMAGE,
-        eyes((0, -0.02, 0.03), (0, -0.02, 0.03)),
+        IMAGE, eyes((0, -0.02, 0.03), (0, -0.02, 0.03)),
     )),
     "common": "".join((
         joint("pan", "both", CENTRE, (0, 1, 0)),
         joint("tilt", "both", (0, -0.05, 0.02), (1, 0, 0)),
-        IMAGE,
-        eyes((-0.05, 0, 0), (0.05, 0, 0)),
+        IMAGE, eyes((-0.05, 0, 0), (0.05, 0, 0)),
     )),
     "vergeonly": "".join((
         joint("pan", "neck", CENTRE, (0, 1, 0)),
         joint("left_pan", "left", (-0.03, 0, 0), (0, 1, 0)),
         joint("right_pan", "right", (0.03, 0, 0), (0, 1, 0)),
-        IMAGE,
-        eyes(),
+        IMAGE, eyes(),
     )),
     "pair": IMAGE + eyes((-0.05, 0, 0), (0.05, 0, 0)),
 }  # fmt: skip
-"""The files of these heads."""
 MOVING: Final = ("tied", "mis", "panfirst", "common", "vergeonly")
 """Those whose eyes move."""
 
 
 def text_of(name: str) -> str:
-    """The file of one of these heads."""
     return f'name = "{name}"\n{TEXTS[name]}{LOOP}'
 
 
 def head_of(name: str) -> HeadModel:
-    """One of these heads."""
     return parse_head(text_of(name))

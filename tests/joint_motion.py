@@ -11,13 +11,7 @@ def respond(
 ) -> tuple[Array, Array]:
     """Angle and velocity after a time under a command: `dv/dt = clip((u - v) / lag, -a, a)`.
 
-    Args:
-        q: angles, rad.
-        v: velocities, rad/s.
-        u: commands, rad/s.
-        lag: time constants, s; 0 for none.
-        a: greatest accelerations, rad/s^2; inf for none.
-        time: s; all six broadcast.
+    A lag of 0 s is none, and so is an acceleration of inf.
     """
     q, v, u, lag, a, time = map(np.asarray, (q, v, u, lag, a, time))
     gap = u - v

@@ -31,13 +31,9 @@ ELSEWHERE: Final = {
     **dict.fromkeys(("pyproject.toml", "constraints.txt"), (EVERYTHING,)),
 }
 """The rooms of files that stand in none, by how their paths begin."""
-CALLING: Final = frozenset({"vergence.cli", "vergence.commands"})
-"""What tests name that call commands, and so all that the commands name."""
 
 
 class Import(NamedTuple):
-    """One module importing another, both by their absolute names."""
-
     importer: str
     imported: str
 
@@ -91,10 +87,9 @@ def rooms_of(path: str) -> set[str]:
 
 
 def named_by_tests(root: Path = ROOT) -> dict[str, set[str]]:
-    """The modules that each file of tests names, from the root.
+    """The modules that each file of tests names: itself, by a folder or by commands that it calls.
 
-    It does so itself, by a folder's public names, or by the commands that it calls. What a helper
-    of tests names does not count: nearly all tests make a head by one.
+    What a helper of tests names does not count: nearly all tests make a head by one.
     """
     named: dict[str, set[str]] = {}
     for package in ("vergence", "tests", "benchmarks"):
@@ -103,9 +98,8 @@ def named_by_tests(root: Path = ROOT) -> dict[str, set[str]]:
         for module, path in sources_of(root / package).items():  # by name, as in registries
             found = re.findall(r'"([\w.]+):\w+"', path.read_text(encoding="utf-8"))
             named.setdefault(module, set()).update(found)
-    folders = {
-        name for name, path in sources_of(root / "vergence").items() if path.stem == "__init__"
-    }
+    sources = sources_of(root / "vergence")
+    folders = {name for name, path in sources.items() if path.stem == "__init__"}
     folders -= {"vergence"}  # many tests import it so that environments are registered
     called = {name for caller, found in named.items() if _calls({caller}) for name in found}
     tests = {}
@@ -122,16 +116,16 @@ def named_by_tests(root: Path = ROOT) -> dict[str, set[str]]:
 
 
 def _calls(names: set[str]) -> bool:
-    return any(".".join(name.split(".")[:2]) in CALLING for name in names)
+    """True for who calls commands, and so names all that they name."""
+    return any(f"{name}.".startswith(("vergence.cli.", "vergence.commands.")) for name in names)
 
 
 def places_of(rooms: set[str], root: Path = ROOT) -> list[str]:
     """The folders and files of tests of some rooms, from the root."""
-    found = []
+    tests, found = root / "tests", []
     for room in sorted(rooms):
-        folder, files = root / "tests" / room, (root / "tests").glob(f"test_{room}*.py")
-        found += [folder] if any(folder.rglob("test_*.py")) else []
-        found += sorted(files)
+        found += [tests / room] if any((tests / room).rglob("test_*.py")) else []
+        found += sorted(tests.glob(f"test_{room}*.py"))
     return [path.relative_to(root).as_posix() for path in dict.fromkeys(found)]
 
 

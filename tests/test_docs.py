@@ -3,7 +3,6 @@
 import doctest
 import re
 import shlex
-import sys
 import tomllib
 from pathlib import Path
 
@@ -58,35 +57,28 @@ def examples(name: str) -> list[str]:
     return found
 
 
+TOGETHER = {"README.md", "docs/guide.md"}
+"""Pages whose examples build on one another."""
+NIGHTLY = {"docs/guide.md", "docs/evaluate.md"}
+RUN = sorted({name for name in PAGES if examples(name)} - {"docs/stable-baselines3.md"})
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["README.md", pytest.param("docs/guide.md", marks=pytest.mark.nightly)]
+    "name", [pytest.param(one, marks=[pytest.mark.nightly] * (one in NIGHTLY)) for one in RUN]
 )
 @pytest.mark.filterwarnings("ignore:You are trying to run PPO on the GPU:UserWarning")
-def test_the_examples_of_a_document_run_one_after_the_other(name, capsys) -> None:
+def test_the_examples_of_a_page_run(name, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for block in examples(name):
-        exec(compile(block, name, "exec"), names)
-    assert capsys.readouterr().out.strip()  # each document's examples show something
-
-
-ALONE = {name for name in PAGES if examples(name)} - {
-    "README.md", "docs/guide.md", "docs/evaluate.md", "docs/stable-baselines3.md",
-}  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [pytest.param("docs/evaluate.md", marks=pytest.mark.nightly), *sorted(ALONE)]
-)
-@pytest.mark.filterwarnings("ignore:You are trying to run PPO on the GPU:UserWarning")
-def test_each_example_of_a_page_runs_by_itself(name, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    for block in examples(name):
         code = compile(block, name, "exec")
-        if "runs/" not in block and "torch.onnx" not in block:  # these need a trained network
+        if name not in TOGETHER:
             model = make_controller("ibvs", load_head("simulated"))
-            exec(code, {"__name__": "example", "model": model})
+            names = {"__name__": "example", "model": model}
+        if "runs/" not in block and "torch.onnx" not in block:  # these need a trained network
+            exec(code, names)
+    assert capsys.readouterr().out.strip() or name not in TOGETHER  # these show something
 
 
 @pytest.mark.slow
@@ -140,14 +132,11 @@ def test_each_public_name_has_an_example_that_holds() -> None:
 
 
 @pytest.fixture
-def own_plant(tmp_path, monkeypatch):
-    """The guide's plant in a module of the current folder."""
+def own_plant(tmp_path):
+    """The plant of the docs in a file."""
     code = next(block for block in examples("docs/environment.md") if "class MyHead" in block)
     (tmp_path / "my_plant.py").write_text(code, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    yield "my_plant:MyHead"
-    sys.modules.pop("my_plant", None)
+    return f"{tmp_path / 'my_plant.py'}:MyHead"
 
 
 def test_the_plant_of_the_docs_keeps_time_and_brings_the_target_to_the_centre(own_plant) -> None:

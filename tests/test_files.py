@@ -41,6 +41,8 @@ def test_a_failure_leaves_the_former_file_or_folder(tmp_path):
         (folder / "one").touch()
     with pytest.raises(FileNotFoundError), atomic_folder(tmp_path / "run") as folder:
         (folder / "missing" / "two").touch()
+    with pytest.raises(OSError, match="not empty"), atomic_folder(tmp_path / "run") as folder:
+        (folder / "two").touch()
     assert names(tmp_path) == ["file", "run"]
     assert names(tmp_path / "run") == ["one"]
 
@@ -59,13 +61,6 @@ def test_the_last_of_several_files_comes_last(tmp_path, monkeypatch):
             (folder / name).write_text(name)
     assert order == ["b.csv", "c.csv", "a.json"]
     assert names(tmp_path) == sorted(order)
-
-
-def test_a_folder_that_somebody_else_has_filled_meanwhile_is_kept(tmp_path):
-    with pytest.raises(OSError, match="not empty"), atomic_folder(tmp_path / "run"):
-        fill(tmp_path / "run")
-    assert names(tmp_path) == ["run"]
-    assert names(tmp_path / "run") == ["theirs"]
 
 
 def test_a_folder_replaces_the_former_one_whole_or_gives_it_its_place_back(tmp_path, monkeypatch):

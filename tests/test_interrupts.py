@@ -27,15 +27,10 @@ def restored(monkeypatch):
 @pytest.mark.usefixtures("restored")
 def test_only_the_command_line_is_guarded_and_no_answer_that_somebody_else_has_chosen(monkeypatch):
     for program, words, guarded in (
-        ("/usr/bin/vergence", "", True),
-        ("vergence.exe", "", True),
-        ("-m", "python -m vergence gaze", True),
-        ("-m", "python -mvergence", True),
-        ("-m", "python -m pytest", False),
-        ("/home/me/train.py", "", False),
-        ("vergence.py", "", False),
-        ("", "", False),
-    ):
+        ("/usr/bin/vergence", "", True), ("vergence.exe", "", True), ("vergence.py", "", False),
+        ("-m", "python -m vergence gaze", True), ("-m", "python -mvergence", True),
+        ("-m", "python -m pytest", False), ("/home/me/train.py", "", False), ("", "", False),
+    ):  # fmt: skip
         with named(program, words):
             signal.signal(signal.SIGINT, signal.default_int_handler)
             monkeypatch.setattr(sys, "argv", [program])
@@ -53,6 +48,7 @@ def test_only_the_command_line_is_guarded_and_no_answer_that_somebody_else_has_c
 # `argv` is that of a command line; the signal comes in the first import
 FIRST_IMPORT = """
 import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores Ctrl-C
 sys.argv = ["/usr/bin/vergence"]
 class Interrupted:
     def find_spec(self, name, *rest):
@@ -65,13 +61,8 @@ INTERRUPTED = (130, "vergence: interrupted: nothing was written\n")
 
 
 def test_ctrl_c_while_the_package_is_imported_is_one_line_and_exit_code_130():
-    done = subprocess.run(
-        [sys.executable, "-c", FIRST_IMPORT],
-        capture_output=True,
-        text=True,
-        # a shell's background job, such as this test may run in, ignores Ctrl-C
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    words = [sys.executable, "-c", FIRST_IMPORT]
+    done = subprocess.run(words, capture_output=True, text=True)
     assert (done.returncode, done.stderr, done.stdout) == (*INTERRUPTED, "")
 
 
@@ -104,14 +95,9 @@ def test_ctrl_c_in_a_callback_that_cannot_raise_ends_the_command(end_of):
 @pytest.mark.usefixtures("restored")
 def test_ctrl_c_comes_after_what_it_must_not_disturb():
     done = []
-
-    def interrupted() -> None:
-        with interrupts.postponed():
-            os.kill(os.getpid(), signal.SIGINT)
-            done.append("undisturbed")
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
+    with pytest.raises(KeyboardInterrupt), interrupts.postponed():  # noqa: PT012
+        os.kill(os.getpid(), signal.SIGINT)
+        done.append("undisturbed")
     assert done == ["undisturbed"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 

@@ -78,10 +78,9 @@ def test_a_kernel_takes_empty_batches_and_arrays_that_lie_apart():
     for label, kernel in KERNELS.items():
         with named(label):
             operands = fitting(kernel, LAYOUT.size)
-            first = next(iter(kernel.input_core_dimensions.values()))
             apart = [np.zeros((*one.shape, 2), np.bool_)[..., 0] for one in operands]
             np.testing.assert_equal(results_of(kernel, *apart), results_of(kernel, *operands))
-            operands[0] = np.zeros((0, *sizes(first, LAYOUT.size)), np.bool_)
+            operands[0] = np.zeros((0, *operands[0].shape), np.bool_)
             assert not any(len(result) for result in results_of(kernel, *operands))
 
 
@@ -98,12 +97,11 @@ def is_open(core):
     return any(isinstance(size, str) for size in core)
 
 
-CHECKED = "envs.encoding._decode"
-"""Called by one function alone, which looks at the length before."""
 OPEN = {
     name: kernel
     for name, kernel in KERNELS.items()
-    if name != CHECKED and any(map(is_open, kernel.input_core_dimensions.values()))
+    if any(map(is_open, kernel.input_core_dimensions.values()))
+    and name != "envs.encoding._decode"  # called by one function, which looks at the length before
 }
 
 
@@ -135,45 +133,33 @@ LAW = vergence.make_controller("adaptive", head=HEAD, layout=LAYOUT)
 Q, POINT, PIXELS = np.zeros(7), np.array([0.0, 0.0, 1.0]), np.full((2, 2), 400.0)
 
 
-def of_head(head):
-    """The geometry of a head: a call, and arrays that fit it."""
-    return {
-        "base_pose": (head.base_pose, [Q]),
-        "camera_poses": (head.camera_poses, [Q]),
-        "link_poses": (head.link_poses, [Q]),
-        "project": (head.project, [Q, POINT]),
-        "undistort": (head.undistort, [PIXELS]),
-        "image_jacobian": (head.image_jacobian, [Q, PIXELS, np.ones(2)]),
-        "fixate": (head.fixate, [POINT]),
-        "least_error": (head.least_error, [POINT]),
-        "reaches": (head.reaches, [Q]),
-        "limits.contains": (head.limits.contains, [Q]),
-        "joints_of": (head.actuation.joints_of, [Q]),
-        "joint_velocities_of": (head.actuation.joint_velocities_of, [Q]),
-        "actuators_of": (head.actuation.actuators_of, [Q]),
-        "with_parameters": (head.with_parameters, [head.parameters().values]),
-        "triangulate_gaze": (partial(vergence.triangulate_gaze, head), [Q]),
-        "triangulate_views": (partial(vergence.triangulate_views, head), [Q, PIXELS]),
-    }
-
-
-OF_TIED = ("fixate", "least_error", "joints_of", "joint_velocities_of", "actuators_of")
-CALLS = {
-    **of_head(HEAD),
-    **{f"{name} of tied eyes": of_head(TIED)[name] for name in OF_TIED},
-    "Camera.project": (CAMERA.project, [POINT[None]]),
-    "Camera.rays": (CAMERA.rays, [PIXELS]),
-    "flat_view_about": (partial(flat_view_about, CAMERA), [PIXELS]),
-    "Adaptive.gains": (LAW.gains, [PIXELS]),
-    "Adaptive.command": (LAW.command, [Q, PIXELS]),
-    "decode": (LAYOUT.decode, [np.zeros(LAYOUT.size)]),
-    "action": (LAYOUT.action, [np.zeros(4)]),
-}
+HEADS = (HEAD, TIED)
+CALLS = [
+    *[(call, [Q]) for call in (HEAD.base_pose, HEAD.camera_poses, HEAD.link_poses, HEAD.reaches)],
+    *[(call, [Q]) for head in HEADS for call in (head.actuation.joints_of,
+      head.actuation.joint_velocities_of, head.actuation.actuators_of)],
+    *[(call, [POINT]) for head in HEADS for call in (head.fixate, head.least_error)],
+    (HEAD.project, [Q, POINT]),
+    (HEAD.undistort, [PIXELS]),
+    (HEAD.image_jacobian, [Q, PIXELS, np.ones(2)]),
+    (HEAD.limits.contains, [Q]),
+    (HEAD.with_parameters, [HEAD.parameters().values]),
+    (partial(vergence.triangulate_gaze, HEAD), [Q]),
+    (partial(vergence.triangulate_views, HEAD), [Q, PIXELS]),
+    (CAMERA.project, [POINT[None]]),
+    (CAMERA.rays, [PIXELS]),
+    (partial(flat_view_about, CAMERA), [PIXELS]),
+    (LAW.gains, [PIXELS]),
+    (LAW.command, [Q, PIXELS]),
+    (LAYOUT.decode, [np.zeros(LAYOUT.size)]),
+    (LAYOUT.action, [np.zeros(4)]),
+]  # fmt: skip
+"""Public geometry: calls, and arrays that fit them."""
 
 
 def test_public_geometry_takes_real_numbers_in_any_array_and_refuses_what_does_not_fit():
-    for label, (call, arguments) in CALLS.items():
-        with named(label):
+    for call, arguments in CALLS:
+        with named(call):
             expected = call(*arguments)
             for other in (np.ndarray.tolist, np.asfortranarray, np.float32):
                 told = call(*[other(one) for one in arguments])
@@ -219,8 +205,6 @@ def test_an_action_that_is_no_numbers_is_refused_in_one_line():
 
 
 class Misreporting(Robot):
-    """A robot with one field of its readings of another form."""
-
     field, value = "", None
 
     def step(self, command):
@@ -229,7 +213,7 @@ class Misreporting(Robot):
 
 
 class Narrow(Robot):
-    """A robot that reports in single precision, in the same arrays each time."""
+    """It reports in single precision, in the same arrays each time."""
 
     told = None
 

@@ -18,13 +18,8 @@ if TYPE_CHECKING:
     __version__: str
     from vergence.controllers import make_controller
     from vergence.models import HeadModel, ModelErrors, load_head
-    from vergence.triangulation import (
-        Fix,
-        Noise,
-        triangulate_fixations,
-        triangulate_gaze,
-        triangulate_views,
-    )
+    from vergence.triangulation.fix import Fix, Noise, triangulate_gaze, triangulate_views
+    from vergence.triangulation.several import triangulate_fixations
 
 __all__ = [
     "Fix",

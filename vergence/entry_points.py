@@ -21,8 +21,6 @@ from vergence.errors import ConfigurationError
 
 _PACKAGE: Final = Path(__file__).parent
 _INSTALLED_PATH_PARTS: Final = ("site-packages", "dist-packages", f"python{sys.version_info[0]}.")
-_MAX_MESSAGE_CHARS: Final = 400
-"""Most characters of a foreign error message that are shown (chosen: detail against length)."""
 
 
 def is_entry_point(text: object) -> bool:
@@ -141,7 +139,7 @@ def _one_line(error: BaseException) -> str:
     text = ""
     with suppress(Exception):  # a user's own __str__ may fail
         text = " ".join(str(error).split())
-    text = text if len(text) <= _MAX_MESSAGE_CHARS else f"{text[:_MAX_MESSAGE_CHARS]}..."
+    text = text if len(text) <= 400 else f"{text[:400]}..."  # (chosen: detail against length)
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 

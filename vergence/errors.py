@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Final
 
 
 class VergenceError(Exception):
@@ -119,9 +118,7 @@ class Finding:
     part: str
     """The part at fault, such as "servos: left_pan", "bus" or "cameras.left"."""
     problem: str
-    """Description of the problem: the expected and the actual value."""
     cure: str = ""
-    """Advice on solving the problem; empty if none is known."""
     warning: bool = False
     """True if the robot may move nevertheless."""
 
@@ -162,10 +159,6 @@ class UserControllerError(VergenceError):
     """
 
 
-_MAX_VALUE_CHARS: Final = 200
-"""Most characters of a value that a message shows (chosen: detail against length)."""
-
-
 def _shown(value: object) -> str:
     try:
         text = repr(value)
@@ -173,7 +166,7 @@ def _shown(value: object) -> str:
         return "a number of thousands of digits"
     except RecursionError:
         return "values nested too deep"
-    return text if len(text) <= _MAX_VALUE_CHARS else f"{text[:_MAX_VALUE_CHARS]} ..."
+    return text if len(text) <= 200 else f"{text[:200]} ..."  # (chosen: detail against length)
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

@@ -18,8 +18,6 @@ PARTIAL_PREFIX: Final = ".vergence-partial-"
 """Prefix of the names of hidden temporary folders."""
 SUFFIX: Final = ".vergence-lock"
 """Suffix of the names of lock files."""
-_ATTEMPTS: Final = 100
-"""Most attempts to create a parent folder that other processes remove (numerical)."""
 
 PathName = str | os.PathLike[str]
 
@@ -28,8 +26,7 @@ PathName = str | os.PathLike[str]
 def atomic_files(folder: PathName, moved_last: str | None = None) -> Iterator[Path]:
     """Write files of an existing folder to a temporary one, and move them when all are complete.
 
-    They are moved one by one, so a reader or a kill in between finds new and former files; the file
-    named `moved_last` comes last, as a sign that the others are complete.
+    They are moved one by one, `moved_last` as the sign that the others are complete.
     """
     folder = Path(folder)
     with _hidden(folder) as beside:
@@ -59,8 +56,7 @@ def write_atomic(path: PathName, content: str | bytes) -> None:
 def atomic_folder(path: PathName, *, replace: bool = False) -> Iterator[Path]:
     """Write a temporary folder, and rename it to its path when it is complete.
 
-    An `OSError` is raised if a folder with content is there by then, unless `replace` is True: it
-    is then replaced, and missing for an instant.
+    A folder with content that is there by then is an `OSError`, or replaced if asked for.
     """
     path = Path(path)
     with _new_folder(path) as partial:
@@ -79,10 +75,7 @@ def atomic_folder(path: PathName, *, replace: bool = False) -> Iterator[Path]:
 
 
 def save_folder_at_free_path(path: PathName, write: Callable[[Path], None]) -> Path:
-    """Write a folder atomically to its path or, if that is taken, to `path-2`, `path-3` and so on.
-
-    Returns the path that was free.
-    """
+    """Write a folder atomically to its path or the first free one of `path-2`, `path-3`, ..."""
     path = place = Path(path)
     with _new_folder(path) as partial:
         write(partial)
@@ -99,10 +92,7 @@ def save_folder_at_free_path(path: PathName, write: Callable[[Path], None]) -> P
 
 
 def remove_partial(folder: PathName, name: str = "") -> None:
-    """Remove what killed processes have left in a folder, of all or of one folder to be in it.
-
-    No other process may be writing there.
-    """
+    """Remove what killed processes have left in a folder, of all names or of one folder's."""
     with suppress(OSError):
         for path in list(Path(folder).iterdir()):
             if path.name.startswith(_prefix(name)):
@@ -117,8 +107,7 @@ def _prefix(name: str) -> str:
 @contextmanager
 def _hidden(folder: Path, name: str = "") -> Iterator[Path]:
     """Create a hidden folder within another, for a folder to be named `name` or for files."""
-    # not `tempfile.TemporaryDirectory`, which never stops trying to remove itself if permission
-    # has been lost
+    # not `tempfile.TemporaryDirectory`, which would try for ever if permission has been lost
     hidden = tempfile.mkdtemp(prefix=_prefix(name), dir=folder)
     try:
         yield Path(hidden)
@@ -162,12 +151,10 @@ def _fsync(*paths: Path) -> None:
 
 @contextmanager
 def hold_lock(path: PathName, *, wait: bool = False) -> Iterator[bool]:
-    """Hold the lock of a file or folder, which excludes other processes that use this lock.
+    """Hold the lock of a file or folder, and refuse it to others or let them wait.
 
-    Missing parents are created, and removed at the end if they are still empty. If the file system
-    has no locks, or no file can be created in the parent, there is no lock, and False is yielded:
-    the last process to write then finds the path taken. If another process holds the lock, a
-    `ConfigurationError` is raised, unless `wait` is True.
+    Missing parents are created, and removed at the end if they are still empty. If no lock is
+    possible there, False is yielded: the last process to write then finds the path taken.
     """
     # the real path, so that a file or folder has one lock regardless of links
     place = Path(os.path.realpath(path))
@@ -178,8 +165,8 @@ def hold_lock(path: PathName, *, wait: bool = False) -> Iterator[bool]:
         yield lock is not None
     finally:
         if lock is not None:
-            # removed while held: a process that has opened it meanwhile notices, and creates a new
-            # one; on Windows it can only be removed by the release, which does so
+            # removed while held: a process that has opened it meanwhile notices, and makes another;
+            # on Windows only the release can remove it
             for end in (file.unlink, lock.release):
                 with suppress(OSError):
                     end()
@@ -191,11 +178,13 @@ def hold_lock(path: PathName, *, wait: bool = False) -> Iterator[bool]:
 def _taken(file: Path, place: Path, wait: bool) -> FileLock | None:
     """Acquire the lock; None if there cannot be one."""
     # no soft lock, since it would outlive a process that is killed
-    lock = FileLock(file, fallback_to_soft=False, on_acquired=_sign)
-    for _attempt in range(_ATTEMPTS):
+    lock = FileLock(file, fallback_to_soft=False)
+    for _attempt in range(100):  # more than other processes remove the parent (numerical)
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             lock.acquire(blocking=wait)
+            with suppress(OSError):  # a full disk
+                file.write_text(str(os.getpid()))  # for the messages of other processes
             return lock
         except Timeout:
             owner = "another process"
@@ -210,10 +199,3 @@ def _taken(file: Path, place: Path, wait: bool) -> FileLock | None:
         except OSError:
             break
     return None
-
-
-def _sign(handle: int) -> None:
-    """Write this process's number into the lock file, for the messages of other processes."""
-    with suppress(OSError):  # a full disk
-        os.ftruncate(handle, 0)
-        os.write(handle, str(os.getpid()).encode())

@@ -1,8 +1,7 @@
 """Handle Ctrl-C while the command line starts, runs and ends: one line and exit code 130.
 
-By default, Python prints a stack trace of the current import, and some libraries convert the
-interruption to an error of their own, or ignore it. Only a process that was started as the command
-line is changed: a program that imports the package keeps its own handling.
+Only a process that was started as the command line is changed: a program that imports the package
+keeps its own handling.
 """
 
 import os
@@ -29,7 +28,11 @@ _started_as_command = False  # True if this process was started as the command l
 def end_quietly_on_interrupt() -> None:
     """Make Ctrl-C end the command line with one line; called at this module's import, the first."""
     global _started_as_command
-    _started_as_command = _is_command_line()
+    program = sys.argv[0] if getattr(sys, "argv", None) else ""
+    name, suffix = os.path.splitext(os.path.basename(program).lower())
+    _started_as_command = name == "vergence" and suffix in ("", ".exe")
+    if program == "-m":  # `python -m` imports a module's package under this name
+        _started_as_command = "vergence" in sys.orig_argv or "-mvergence" in sys.orig_argv
     if _started_as_command and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         with suppress(ValueError):  # imported by another thread than the main one
             signal.signal(signal.SIGINT, _leave)
@@ -77,14 +80,6 @@ def postponed() -> Iterator[None]:
         signal.signal(signal.SIGINT, answer)
         if came:
             answer(*came[0])
-
-
-def _is_command_line() -> bool:
-    program = sys.argv[0] if getattr(sys, "argv", None) else ""
-    if program == "-m":  # `python -m` imports a module's package under this name
-        return "vergence" in sys.orig_argv or "-mvergence" in sys.orig_argv
-    name, suffix = os.path.splitext(os.path.basename(program))
-    return name.lower() == "vergence" and suffix.lower() in ("", ".exe")
 
 
 def _leave(_number: int, _frame: object) -> None:
