@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, refuse_unknown
-from vergence.models.geometry import Geometry, geometry_with, parameters_of
+from vergence.models.geometry import Geometry, Links, geometry_with, parameters_of
 from vergence.models.parts import EYE_NAMES, FloatArray
 
 _WRONG_UNIT_LIMITS: Final = {
@@ -166,7 +167,7 @@ def perturb_by_deviates(nominal: Geometry, errors: ModelErrors, deviates: FloatA
     # not by `standard_deviations`, so that heads drawn by earlier versions stay equal bit for bit
     values = np.where(relative, values * (1.0 + deviations), values + deviations)
     if errors.common_tilt_rad > 0.0:
-        lowered = _lowered(nominal, names)
+        lowered = _lowered(nominal.links, names)
         shares = np.array([lowered.get(name, 0.0) for name in names])
         values += shares * (errors.common_tilt_rad * deviates[..., -1:])
     return geometry_with(nominal, values)
@@ -190,9 +191,10 @@ def _spreads(
     return sigma, [place for _error, place in moved], relative
 
 
-def _lowered(nominal: Geometry, names: tuple[str, ...]) -> dict[str, float]:
+@lru_cache(maxsize=8)
+def _lowered(links: Links, names: tuple[str, ...]) -> dict[str, float]:
     """By parameter: its change, rad, per radian of a common downward tilt of both eyes."""
-    poses, out = nominal.links.constant_poses(), {}
+    poses, out = links.constant_poses(), {}
     for eye, name in enumerate(EYE_NAMES):
         first = poses[4 + 3 * eye]
         tilts = {}
