@@ -23,8 +23,7 @@ from vergence.operands import as_operand
 T_3_N: Final = np.array(
     [[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N; its own inverse (physical: the definition of
-N)."""
+"""From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N; its own inverse (physical: a definition)."""
 PARTS: Final = ("neck", "both", "left", "right")
 """Names of a joint's load: the whole head (neck), both eyes, or one eye."""
 _STEPS: Final = {"alpha": (0, True), "a": (0, False), "offset": (2, True), "d": (2, False)}
@@ -34,8 +33,7 @@ _FACTORS: Final = (
     (("d", 0), ("alpha", 1), ("a", 1), ("offset", 1)),
     (("d", 1), ("alpha", 2), ("a", 2), ("offset", 2), ("d", 2)),
 )
-"""Factors of the constants M_0 to M_2 in their order: field, and link counted from an eye's
-first."""
+"""Factors of the constants M_0 to M_2: field, and link counted from an eye's first."""
 _CONSTANT_OF_JOINT: Final = (0, 1, 2, 4, 5, 7, 8)
 """Index in `Links.constant_poses` of the pose before each of the seven joints (numerical)."""
 _PINHOLE: Final = ("focal", "principal", "distortion")
@@ -173,9 +171,8 @@ class DenavitHartenberg(Links):
 
     def transforms(self, frame: int) -> tuple[FloatArray, FloatArray]:
         """(..., 4, 4) `RotX(alpha) TransX(a) RotZ(offset)` and `TransZ(d)` of one frame, 1 to 9."""
-        alpha, a, offset, d = (
-            _step(field, getattr(self, field)[..., frame - 1]) for field in _STEPS
-        )
+        values = {field: getattr(self, field)[..., frame - 1] for field in _STEPS}
+        alpha, a, offset, d = map(_step, values, values.values())
         return alpha @ a @ offset, d
 
     def constant_poses(self) -> list[FloatArray]:
@@ -296,15 +293,11 @@ class JointAxes(Links):
     pose: FloatArray
     """(..., J, 4, 4) poses at joint angles of zero, metres."""
     frame: FloatArray
-    """(..., 4, 4) pose of frame N in the frame of the neck's last joint, or in the base's,
-    metres."""
+    """(..., 4, 4) pose of frame N in that of the neck's last joint, or the base's, metres."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        """Six for each joint of the eyes: rotation vector and position of its frame.
-
-        A name consists of the part, the joint's number in the chain and the axis, as `both.1.rz`.
-        """
+        """Six by joint of the eyes, named by part, number in the chain and axis: `both.1.rz`."""
         out = []
         for joint, (part, places) in enumerate(zip(self.parts, self.joint_indices, strict=True)):
             if part != "neck":
@@ -314,8 +307,7 @@ class JointAxes(Links):
 
     def fields(self, reference: "JointAxes") -> dict[str, FloatArray]:
         """See `Links.fields`."""
-        about = None if reference is self else reference.pose
-        return _pose_fields("axis_", self.pose, about)
+        return _pose_fields("axis_", self.pose, None if reference is self else reference.pose)
 
     def with_fields(self, fields: Mapping[str, FloatArray]) -> "JointAxes":
         """See `Links.with_fields`."""

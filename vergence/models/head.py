@@ -55,8 +55,7 @@ _WHOLE_PERIODS_TOLERANCE: Final = 1e-9
 _POSE_DECIMALS: Final = 12
 """Decimals kept of a `JointAxes` head's poses, whose last bits differ by machine (numerical)."""
 _ZERO_DISPARITY_PX: Final = 0.5
-"""Disparity below which a point looks as if at infinity, px: it rounds to 0 (chosen: half a
-pixel)."""
+"""Disparity below which a point looks as if at infinity, px: it rounds to 0 (chosen)."""
 _COUPLING_TOLERANCE_RAD: Final = 1e-9
 """Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
 
@@ -275,7 +274,7 @@ class HeadModel:
             pose = parts.pop("head_eye")
             parts["cameras"] = parts.get("cameras", self.cameras).replaced(pose=pose)
         if {"links", "cameras"} & set(parts):
-            parts = {"calibration": None} | parts  # the record does not apply to another geometry
+            parts.setdefault("calibration", None)  # the record does not apply to another geometry
         return replace_fields(self, "head", parts)
 
     def base_pose(self, q: ArrayLike) -> FloatArray:
