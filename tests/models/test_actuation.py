@@ -57,17 +57,14 @@ def test_limits_are_those_of_the_actuators():
 def test_fixation_leaves_the_least_sum_of_squares(name):
     head = head_of(name)
     actuation = head.actuation
-    centre = head.cameras.principal
     for point in POINTS:
         q = head.fixate(point)
         own = actuation.actuators_of(q)[3 : 3 + actuation.count]
         np.testing.assert_allclose(actuation.joints_of(actuation.actuators_of(q)), q, atol=1e-12)
 
         def error(actuators, point=point):
-            seven = np.zeros(7)
-            seven[3 : 3 + actuation.count] = actuators
-            pixels = head.project(actuation.joints_of(seven), point, distorted=False)
-            return (pixels - centre).ravel()
+            joints = actuation.joints_of(np.r_[[0.0] * 3, actuators, [0.0] * (4 - actuation.count)])
+            return (head.project(joints, point, distorted=False) - head.cameras.principal).ravel()
 
         best = least_squares(error, np.zeros(actuation.count), xtol=1e-15, ftol=1e-15, gtol=1e-15)
         np.testing.assert_allclose(own, best.x, atol=2e-6)
@@ -83,11 +80,9 @@ def test_eyes_that_do_not_move_fixate_nothing():
 
 
 def test_an_actuator_may_have_its_own_lag_and_steps():
+    own = {"lag_s": [np.nan, 0.06, np.nan], "backlash_rad": [0.0, 0.002, 0.0]}
     head = head_of("tied")
-    slow = dataclasses.replace(
-        head.actuators, lag_s=[np.nan, 0.06, np.nan], backlash_rad=[0.0, 0.002, 0.0]
-    )
-    actuation = head.replace(actuators=slow).actuation
+    actuation = head.replace(actuators=dataclasses.replace(head.actuators, **own)).actuation
     np.testing.assert_array_equal(actuation.lag_ratio, [1, 1, 1, 1, 2, 1, 1])
     np.testing.assert_array_equal(actuation.backlash, [0, 0, 0, 0, 0.002, 0, 0])
     np.testing.assert_array_equal(actuation.angle_step[3:], [0.0005, 0.0005, 0.0005, 0.0])

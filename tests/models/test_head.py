@@ -85,19 +85,16 @@ def test_limits_keep_the_margin_and_contain_no_nan(simulated):
 
 
 class TestPerturbation:
-    def test_a_population_cannot_be_perturbed_again(self, physical, errors, rng):
-        heads = physical.perturbed(rng, errors, 2)
+    def test_one_head_is_drawn_by_the_generator(self, physical, errors):
+        first, again, other = (
+            physical.perturbed(np.random.default_rng(seed), errors) for seed in (3, 3, 4)
+        )
+        assert first == again
+        assert first != other
+        same = physical.perturbed(np.random.default_rng(3), ModelErrors(), 2)
+        np.testing.assert_allclose(same[1].packed, physical.packed, rtol=0, atol=1e-15)
         with pytest.raises(ConfigurationError, match=r"one head.*\(2,\)"):
-            heads.perturbed(rng, errors)
-
-    def test_same_generator_same_head(self, physical, errors):
-        first, second = (physical.perturbed(np.random.default_rng(3), errors) for _ in range(2))
-        assert first == second
-        assert first != physical.perturbed(np.random.default_rng(4), errors)
-
-    def test_no_errors_leave_the_head_as_it_is(self, physical, rng):
-        drawn = physical.perturbed(rng, ModelErrors())
-        np.testing.assert_allclose(drawn.packed, physical.packed, rtol=0, atol=1e-15)
+            same.perturbed(np.random.default_rng(3), errors)
 
     def test_the_neck_and_all_but_the_geometry_stays(self, physical, errors, rng):
         drawn = physical.perturbed(rng, errors)

@@ -33,7 +33,7 @@ from vergence.hardware.config import load_hardware
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
-from vergence.models.point_warnings import describe_beyond_limits
+from vergence.models.point_warnings import describe_beyond_limits, limits_of_eyes
 from vergence.operands import null_nonfinite_elements
 from vergence.recording import Recorder
 from vergence.recording.health import warn_of_gap
@@ -310,7 +310,8 @@ def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> s
     q = head.fixate(point, head.rest()[NECK], warn=False)
     if not np.isfinite(q).all():
         return f"{expected} the eyes have no angles"
-    beyond = describe_beyond_limits(head.joints, head.limits, head.actuation, q)
+    eyes = limits_of_eyes(head.joints, head.limits, head.actuation)
+    beyond = describe_beyond_limits(eyes, head.actuation, q)
     return f"{expected} {beyond}" if beyond else ""
 
 

@@ -53,8 +53,7 @@ class Actuators(FrozenArrays):
     names: tuple[str, ...]
     """(m,) names of the actuators."""
     matrix: FloatArray
-    """(4, m) rotation of each joint per rotation of each actuator: joints = matrix @ actuators +
-    offset; rows in joint order."""
+    """(4, m) rotation of each joint, in order, per rotation of each actuator."""
     offset: FloatArray
     """(4,) joint angles with all actuators at zero, rad."""
     lower: FloatArray
@@ -66,16 +65,13 @@ class Actuators(FrozenArrays):
     acceleration: FloatArray
     """Greatest acceleration, rad/s^2; inf for no limit."""
     lag_s: FloatArray = field(default_factory=_unset_array)
-    """Time constants, s; nan (or empty) for the value in the head's `timing`."""
+    """Time constants, s; nan (or empty) for that of the head's `timing`."""
     encoder_resolution_rad: FloatArray = field(default_factory=_unset_array)
-    """Quantisation of the angle feedback, rad; nan (or empty) for the value in the head's
-    `sensor`."""
+    """Quantisation of the angle feedback, rad; nan (or empty) for that of the head's `sensor`."""
     velocity_resolution_rad_s: FloatArray = field(default_factory=_unset_array)
-    """Quantisation of the velocity feedback, rad/s; nan (or empty) for the value in the head's
-    `sensor`."""
+    """Quantisation of the velocity feedback, rad/s; nan (or empty) for that of the `sensor`."""
     backlash_rad: FloatArray = field(default_factory=_unset_array)
-    """Backlash between the motor and its load, whole width, rad; 0 (or empty) for the value in the
-    head's `sensor`."""
+    """Backlash between motor and load, whole width, rad; 0 (or empty) for that of the `sensor`."""
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -83,10 +79,8 @@ class Actuators(FrozenArrays):
             if not np.size(getattr(self, name)):
                 object.__setattr__(self, name, np.full(count, default))
         super().__post_init__()
-        independent = self.matrix.shape == (SLOTS, count)
-        if independent and count:
-            independent = np.linalg.matrix_rank(self.matrix) == count
-        if not independent:
+        shape = self.matrix.shape
+        if shape != (SLOTS, count) or (count and np.linalg.matrix_rank(self.matrix) != count):
             raise ConfigurationError(
                 f"actuators: expected a (4, {count}) matrix of independent columns, got "
                 f"{self.matrix.tolist()}"

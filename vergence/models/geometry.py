@@ -14,7 +14,6 @@ from vergence.models.parts import (
     EYE_NAMES,
     JOINTS,
     LINKS,
-    NECK,
     FloatArray,
     FrozenArrays,
     Parameter,
@@ -24,8 +23,7 @@ from vergence.operands import as_operand
 T_3_N: Final = np.array(
     [[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N; its own inverse (physical: the definition of
-N)."""
+"""From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N; its own inverse (physical: a definition)."""
 PARTS: Final = ("neck", "both", "left", "right")
 """Names of a joint's load: the whole head (neck), both eyes, or one eye."""
 _STEPS: Final = {"alpha": (0, True), "a": (0, False), "offset": (2, True), "d": (2, False)}
@@ -35,9 +33,11 @@ _FACTORS: Final = (
     (("d", 0), ("alpha", 1), ("a", 1), ("offset", 1)),
     (("d", 1), ("alpha", 2), ("a", 2), ("offset", 2), ("d", 2)),
 )
-"""Factors of the constants M_0 to M_2 in their order: field, and link counted from an eye's
-first."""
-_CAMERA_FIELDS: Final = {"focal": 2, "principal": 2, "distortion": 2, "pose": 3}
+"""Factors of the constants M_0 to M_2: field, and link counted from an eye's first."""
+_CONSTANT_OF_JOINT: Final = (0, 1, 2, 4, 5, 7, 8)
+"""Index in `Links.constant_poses` of the pose before each of the seven joints (numerical)."""
+_PINHOLE: Final = ("focal", "principal", "distortion")
+_CAMERA_FIELDS: Final = (*((name, 2) for name in _PINHOLE), ("pose", 3))
 """Values of a pair of cameras that differ in a population, and their dimensions for one head."""
 
 
@@ -171,9 +171,8 @@ class DenavitHartenberg(Links):
 
     def transforms(self, frame: int) -> tuple[FloatArray, FloatArray]:
         """(..., 4, 4) `RotX(alpha) TransX(a) RotZ(offset)` and `TransZ(d)` of one frame, 1 to 9."""
-        alpha, a, offset, d = (
-            _step(field, getattr(self, field)[..., frame - 1]) for field in _STEPS
-        )
+        values = {field: getattr(self, field)[..., frame - 1] for field in _STEPS}
+        alpha, a, offset, d = map(_step, values, values.values())
         return alpha @ a @ offset, d
 
     def constant_poses(self) -> list[FloatArray]:
@@ -294,28 +293,21 @@ class JointAxes(Links):
     pose: FloatArray
     """(..., J, 4, 4) poses at joint angles of zero, metres."""
     frame: FloatArray
-    """(..., 4, 4) pose of frame N in the frame of the neck's last joint, or in the base's,
-    metres."""
+    """(..., 4, 4) pose of frame N in that of the neck's last joint, or the base's, metres."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        """Six for each joint of the eyes: rotation vector and position of its frame.
-
-        A name consists of the part, the joint's number in the chain and the axis, as `both.1.rz`.
-        """
-        return tuple(
-            parameter
-            for joint, (part, places) in enumerate(zip(self.parts, self.joint_indices, strict=True))
-            if part != "neck"
-            for parameter in _pose_parameters(
-                f"{part}.{_eye_and_joint(places[0])[1] + 1}", "axis_", joint
-            )
-        )
+        """Six by joint of the eyes, named by part, number in the chain and axis: `both.1.rz`."""
+        out = []
+        for joint, (part, places) in enumerate(zip(self.parts, self.joint_indices, strict=True)):
+            if part != "neck":
+                number = _CONSTANT_OF_JOINT[places[0]] % 3  # 1 or 2
+                out += _pose_parameters(f"{part}.{number}", "axis_", joint)
+        return tuple(out)
 
     def fields(self, reference: "JointAxes") -> dict[str, FloatArray]:
         """See `Links.fields`."""
-        about = None if reference is self else reference.pose
-        return _pose_fields("axis_", self.pose, about)
+        return _pose_fields("axis_", self.pose, None if reference is self else reference.pose)
 
     def with_fields(self, fields: Mapping[str, FloatArray]) -> "JointAxes":
         """See `Links.with_fields`."""
@@ -329,12 +321,8 @@ class JointAxes(Links):
         poses[4] = poses[7] = into_n
         for joint, places in enumerate(self.joint_indices):
             pose = self.pose[..., joint, :, :]
-            for place in places:
-                if place < NECK.stop:
-                    poses[place] = pose
-                else:
-                    eye, second = _eye_and_joint(place)
-                    poses[4 + 3 * eye + second] = pose if second else multiply_poses(into_n, pose)
+            for constant in (_CONSTANT_OF_JOINT[place] for place in places):
+                poses[constant] = multiply_poses(into_n, pose) if constant in (4, 7) else pose
         return poses
 
     def twists(self, reference: "JointAxes") -> FloatArray:
@@ -343,15 +331,10 @@ class JointAxes(Links):
         out = np.zeros((len(self.names), 6, 6, 6))
         for joint, places in enumerate(self.joint_indices):
             twists = pose_parameter_twists(reference.pose[joint], rotations[joint])
-            for eye, second in map(_eye_and_joint, places):
-                out[joint, :, 3 * eye + second] = twists
+            for place in places:
+                out[joint, :, _CONSTANT_OF_JOINT[place] - 4] = twists
         moved = [part != "neck" for part in self.parts]
         return out[moved].reshape(-1, 6, 6)
-
-
-def _eye_and_joint(place: int) -> tuple[int, int]:
-    """Eye of a joint by its index among seven, and 0 for the eye's first, 1 for its second."""
-    return divmod(place - NECK.stop, 2)
 
 
 def _pose_parameters(prefix: str, of: str, index: int) -> list[Parameter]:
@@ -413,17 +396,14 @@ def combine_geometries(
     geometries: Sequence[Geometry], make: Callable[[Sequence[FloatArray], int], FloatArray]
 ) -> Geometry:
     """One geometry of `make(arrays of all, their number of dimensions for one head)` by field."""
-    first = geometries[0]
-    links = {
-        name: make([geometry.links.arrays()[name][0] for geometry in geometries], own)
-        for name, (_, own) in first.links.arrays().items()
-    }
-    cameras = {
-        name: make([getattr(geometry.cameras, name) for geometry in geometries], own)
-        for name, own in _CAMERA_FIELDS.items()
-    }
-    old: Any = first.links
-    return Geometry(replace(old, **links), first.cameras.replaced(**cameras))
+    first: Any = geometries[0]
+    links, cameras = (
+        {name: make([getattr(part, name) for part in parts], own) for name, own in fields}
+        for parts, fields in zip(
+            zip(*geometries, strict=True), (first.links._dimensions, _CAMERA_FIELDS), strict=True
+        )
+    )
+    return Geometry(replace(first.links, **links), first.cameras.replaced(**cameras))
 
 
 def parameters_of(geometry: Geometry, reference: Geometry | None = None) -> Parameters:
@@ -449,9 +429,7 @@ def geometry_with(reference: Geometry, values: ArrayLike) -> Geometry:
     }
     for place, one in enumerate(parameters):
         fields[one.field][..., one.column] = vector[..., place]
-    pinholes = {
-        name: fields[name].reshape(*batch, 2, -1) for name in _CAMERA_FIELDS if name != "pose"
-    }
+    pinholes = {name: fields[name].reshape(*batch, 2, -1) for name in _PINHOLE}
     pose = _moved_poses(cameras.pose, "", fields)
     return Geometry(links.with_fields(fields), cameras.replaced(**pinholes, pose=pose))
 
@@ -465,9 +443,11 @@ def _fields(geometry: Geometry, reference: Geometry | None) -> dict[str, FloatAr
     """Every field that holds parameters, by name, with its own dimensions flattened."""
     links, cameras = geometry
     about = None if reference is None else reference.cameras.pose
-    pairs = {name: getattr(cameras, name) for name in _CAMERA_FIELDS if name != "pose"}
+    pairs = {name: getattr(cameras, name) for name in _PINHOLE}
     return {
         **links.fields(links if reference is None else reference.links),
-        **{name: pair.reshape(*pair.shape[:-2], -1) for name, pair in pairs.items()},
+        **{
+            name: pair.reshape(*pair.shape[:-2], 2 * pair.shape[-1]) for name, pair in pairs.items()
+        },
         **_pose_fields("", cameras.pose, about),
     }

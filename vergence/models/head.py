@@ -26,7 +26,6 @@ from vergence.models.geometry import (
 )
 from vergence.models.lens import BROWN_CONRADY, LENSES
 from vergence.models.parts import (
-    EYES,
     CalibrationRecord,
     FloatArray,
     JointLimits,
@@ -38,7 +37,7 @@ from vergence.models.parts import (
     replace_fields,
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
-from vergence.models.point_warnings import FixationBounds
+from vergence.models.point_warnings import limits_of_eyes, warn_of_point
 from vergence.operands import as_operand
 
 FORM_VERSION: Final = 1
@@ -55,6 +54,8 @@ _WHOLE_PERIODS_TOLERANCE: Final = 1e-9
 """Tolerance for a whole number of control periods (numerical)."""
 _POSE_DECIMALS: Final = 12
 """Decimals kept of a `JointAxes` head's poses, whose last bits differ by machine (numerical)."""
+_ZERO_DISPARITY_PX: Final = 0.5
+"""Disparity below which a point looks as if at infinity, px: it rounds to 0 (chosen)."""
 _COUPLING_TOLERANCE_RAD: Final = 1e-9
 """Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
 
@@ -184,8 +185,7 @@ class HeadModel:
     @property
     def has_fixed_pair(self) -> bool:
         """True if no joint turns one eye alone, so that the eyes cannot converge."""
-        left_1, left_2, right_1, right_2 = self.joints[EYES]
-        return (left_1, left_2) == (right_1, right_2)
+        return self.joints[3:5] == self.joints[5:]
 
     @cached_property
     def _missing(self) -> NDArray[np.intp]:
@@ -251,10 +251,8 @@ class HeadModel:
                 raise ConfigurationError(
                     f"stack: expected heads with the {name} of the first, {own[0]}, got {own!r:.80}"
                 )
-        geometry = combine_geometries(
-            [head.geometry for head in heads], lambda arrays, own: np.stack(arrays)
-        )
-        return heads[0]._with(geometry)
+        geometries = [head.geometry for head in heads]
+        return heads[0]._with(combine_geometries(geometries, lambda arrays, own: np.stack(arrays)))
 
     def _with(self, geometry: Geometry) -> "HeadModel":
         # the calibration record does not apply to another geometry
@@ -270,14 +268,13 @@ class HeadModel:
         Raises:
             ConfigurationError: a field is unknown, or a value is invalid.
         """
-        cameras = parts.get("cameras")
-        if isinstance(cameras, Mapping):
+        if isinstance(cameras := parts.get("cameras"), Mapping):
             parts["cameras"] = self.cameras.replaced(**cameras)
         if "head_eye" in parts:
             pose = parts.pop("head_eye")
             parts["cameras"] = parts.get("cameras", self.cameras).replaced(pose=pose)
         if {"links", "cameras"} & set(parts):
-            parts = {"calibration": None} | parts  # the record does not apply to another geometry
+            parts.setdefault("calibration", None)  # the record does not apply to another geometry
         return replace_fields(self, "head", parts)
 
     def base_pose(self, q: ArrayLike) -> FloatArray:
@@ -286,9 +283,8 @@ class HeadModel:
         Args:
             q: (..., 7) joint angles, rad.
         """
-        return np.asarray(
-            kinematics.frame_n_in_base(self._held(q), self.packed, kinematics.FOUR_ELEMENTS)
-        )
+        q, extra = self._held(q), kinematics.FOUR_ELEMENTS
+        return np.asarray(kinematics.frame_n_in_base(q, self.packed, extra))
 
     def camera_poses(self, q: ArrayLike) -> FloatArray:
         """(..., 2, 4, 4) poses of both cameras in N, T_N_Cl and T_N_Cr, metres (Eqs. 14 to 17).
@@ -369,16 +365,16 @@ class HeadModel:
             kernel = fixation.fixate if self.actuation.direct else fixation.fixate_least_squares
             q = np.asarray(kernel(points, neck, np.zeros(7), self.packed))
         if warn and q.ndim == 1:  # a program that asks for many points checks the angles itself
-            self._bounds.warn_of_point(points, q)
+            warn_of_point(points, q, *self._bounds, self.actuation)
         return q
 
     @cached_property
-    def _bounds(self) -> FixationBounds:
+    def _bounds(self) -> tuple[float, list[tuple[str, float, float]]]:
+        """Distance beyond which no disparity tells one, m, and `limits_of_eyes`."""
         left, right = self.camera_poses(self.rest())[:, :3, 3]
-        baseline, focal = np.linalg.norm(right - left), self.cameras.focal.max()
-        return FixationBounds(
-            self.joints, self.limits, self.actuation, float(baseline), float(focal)
-        )
+        baseline_m, focal_px = np.linalg.norm(right - left), self.cameras.focal.max()
+        far_m = float(baseline_m) * float(focal_px) / _ZERO_DISPARITY_PX
+        return far_m, limits_of_eyes(self.joints, self.limits, self.actuation)
 
     def perturbed(
         self,
@@ -430,12 +426,10 @@ class HeadModel:
             return self.limits.contains(q, margin)
         own = actuation.actuators_of(q)
         tied = np.abs(actuation.joints_of(own) - q).max(axis=-1) < _COUPLING_TOLERANCE_RAD
-        moves = actuation.upper > actuation.lower
-        keep = np.where(moves, margin, -_COUPLING_TOLERANCE_RAD)
+        keep = np.where(actuation.upper > actuation.lower, margin, -_COUPLING_TOLERANCE_RAD)
         inside = (own >= actuation.lower + keep) & (own <= actuation.upper - keep)
-        return np.asarray(
-            tied & inside.all(axis=-1) & self.limits.contains(q, -_COUPLING_TOLERANCE_RAD)
-        )
+        contained = self.limits.contains(q, -_COUPLING_TOLERANCE_RAD)
+        return np.asarray(tied & inside.all(axis=-1) & contained)
 
     @property
     def geometry(self) -> Geometry:

@@ -12,10 +12,8 @@ from vergence.models.parts import EYE_NAMES, EYES, FloatArray
 _LEAST_BASELINE_M: Final = 1e-3
 """Smallest distance between the cameras (chosen: far below any real head)."""
 _LEAST_CONDITION: Final = 0.05
-"""Smallest determinant, or singular value, of an image Jacobian in focal lengths per radian.
-
-Below it an actuator hardly moves the images (chosen: higher values would refuse usable heads).
-"""
+"""Smallest determinant, or singular value, of an image Jacobian in focal lengths per radian, below
+which an actuator hardly moves the images (chosen: more would refuse usable heads)."""
 _TEST_POINT_DISTANCE_M: Final = 100.0
 """Distance of the point ahead; eye translation is negligible there (chosen)."""
 _ANGLE_STEP_RAD: Final = 1e-5

@@ -31,7 +31,7 @@ def is_name_tuple(value: object) -> bool:
 def replace_fields(part: T, part_name: str, fields: Mapping[str, Any]) -> T:
     """Copy a head or a part with some fields changed; a mapping changes fields of a part."""
     known: Any = part
-    refuse_unknown(part_name, fields, [field.name for field in dataclasses.fields(known)])
+    refuse_unknown(part_name, fields, known.__dataclass_fields__)
     new = dict(fields)
     for key, value in fields.items():
         now = getattr(part, key)
@@ -138,8 +138,7 @@ class LoopTiming(_NotNegative):
     feedback_latency_s: float = 0.0
     """Latency from a measurement of the joints until it is readable, s."""
     exposure_stamps: bool = False
-    """True if the cameras stamp frames with the time of exposure; else frames are dated on
-    receipt."""
+    """True if the cameras stamp frames with the time of exposure; else receipt dates them."""
 
     @property
     def period_s(self) -> float:
@@ -172,14 +171,11 @@ class SensorModel(_NotNegative):
     max_smear_px: float
     """Largest motion of the target in the image during an exposure before it is not visible, px."""
     command_resolution_rad_s: float = 0.0
-    """Quantisation of the velocity commands, rad/s; 0 for exact. A command of at most one step
-    moves nothing."""
+    """Quantisation of the velocity commands, rad/s, up to which none moves; 0 for exact."""
     backlash_rad: float = 0.0
-    """Default backlash between an actuator's motor and its load, whole width, rad; an actuator may
-    override it."""
+    """Backlash between motor and load, whole width, rad, unless an actuator has its own."""
     encoder_side: Literal["motor", "output"] = "motor"
-    """Side of the backlash on which the encoders sit: `motor`, from which only the images show the
-    backlash, or `output`."""
+    """Side of the backlash with the encoders: `motor`, where only images show it, or `output`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, refuse_unknown
-from vergence.models.geometry import Geometry, geometry_with, parameters_of
+from vergence.models.geometry import Geometry, Links, geometry_with, parameters_of
 from vergence.models.parts import EYE_NAMES, FloatArray
 
 _WRONG_UNIT_LIMITS: Final = {
@@ -18,16 +19,14 @@ _WRONG_UNIT_LIMITS: Final = {
     # about the baseline between the eyes
     "_m": (0.1, "metres", "millimetres"),
 }
-"""By the unit in a name: the standard deviation from which the value is rejected, its unit, and the
-unit that was probably meant."""
+"""By unit: the least standard deviation that is rejected, its unit, and the one probably meant."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelErrors:
     """Standard deviations of a head's errors against its model, all independent and normal.
 
-    The error sources are those of the article: link length, coaxiality, joint offsets, head-eye
-    transforms, intrinsics. The neck's links move N itself and are not changed.
+    The sources are those of the article. The neck's links move N itself and are not changed.
 
     Examples:
         Joint offsets of 0.01 rad shift the point at which the axes cross by centimetres:
@@ -57,8 +56,8 @@ class ModelErrors:
     distortion: float = 0.0
     """Standard deviation of the first two radial coefficients k1 and k2."""
     common_tilt_rad: float = 0.0
-    """Standard deviation of a downward tilt that both eyes share and the encoders do not measure,
-    rad; no calibration between the two cameras can observe it."""
+    """Standard deviation of a downward tilt of both eyes that no encoder measures and no
+    calibration between the cameras can observe, rad."""
 
     def __post_init__(self) -> None:
         for key, value in vars(self).items():
@@ -137,8 +136,7 @@ the neck's otherwise unused numbers for rotations `1.ry`; a joint that both eyes
 eye's; one number moves both focal lengths of a camera."""
 
 _MIN_TILT_COMPONENT: Final = 0.5
-"""Least component of a joint's axis along x_N for the joint to count as a tilt (chosen: within 60
-degrees of x_N)."""
+"""Least component along x_N of the axis of a joint that tilts (chosen: within 60 degrees)."""
 
 DEVIATES: Final = len(_DEVIATES)
 """Number of standard normal numbers per head."""
@@ -166,7 +164,7 @@ def perturb_by_deviates(nominal: Geometry, errors: ModelErrors, deviates: FloatA
     # not by `standard_deviations`, so that heads drawn by earlier versions stay equal bit for bit
     values = np.where(relative, values * (1.0 + deviations), values + deviations)
     if errors.common_tilt_rad > 0.0:
-        lowered = _lowered(nominal, names)
+        lowered = _lowered(nominal.links, names)
         shares = np.array([lowered.get(name, 0.0) for name in names])
         values += shares * (errors.common_tilt_rad * deviates[..., -1:])
     return geometry_with(nominal, values)
@@ -190,9 +188,10 @@ def _spreads(
     return sigma, [place for _error, place in moved], relative
 
 
-def _lowered(nominal: Geometry, names: tuple[str, ...]) -> dict[str, float]:
+@lru_cache(maxsize=8)
+def _lowered(links: Links, names: tuple[str, ...]) -> dict[str, float]:
     """By parameter: its change, rad, per radian of a common downward tilt of both eyes."""
-    poses, out = nominal.links.constant_poses(), {}
+    poses, out = links.constant_poses(), {}
     for eye, name in enumerate(EYE_NAMES):
         first = poses[4 + 3 * eye]
         tilts = {}
