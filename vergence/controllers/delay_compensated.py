@@ -15,9 +15,8 @@ from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import SmithPredictor
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
-from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.parts import EYES, FloatArray
+from vergence.models.parts import EYES, SLOTS, FloatArray
 
 DEFAULT_GAIN: Final = 10.0
 """Default gain, 1/s (chosen): only the joints' lag is left in the loop, and it bounds the gain."""

@@ -12,9 +12,8 @@ from vergence.controllers.command_steps import CommandQuantiser
 from vergence.controllers.outlier_gate import GatedDetections, OutlierGate
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
-from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, FloatArray
 
 
 class GatedImageController(StatefulController):

@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.envs.reading import BoolArray, Reading
 from vergence.errors import ConfigurationError
 from vergence.kernels import inlined, kernel, subroutine
-from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PackedHead
-from vergence.models.parts import EYES, NECK, FloatArray
+from vergence.models.parts import EYES, NECK, SLOTS, FloatArray
 
 FINE_PX: Final = 16.0
 """Pixel error at which the fine channel saturates, px (chosen: resolution against range)."""

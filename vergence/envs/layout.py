@@ -24,9 +24,8 @@ from vergence.envs.encoding import (
     packed_observation_scaling,
 )
 from vergence.envs.reading import BoolArray
-from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, FloatArray
 from vergence.operands import as_operand
 
 __all__ = ["AGE_S", "Observation", "ObservationLayout"]

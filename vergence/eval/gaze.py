@@ -30,10 +30,9 @@ from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.trials.goal import least_reachable_error
 from vergence.eval.trials.metrics import settle_time
 from vergence.hardware.config import load_hardware
-from vergence.models.head import HeadModel
+from vergence.models.head import HeadModel, describe_beyond_limits, limits_of_eyes
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
-from vergence.models.point_warnings import describe_beyond_limits, limits_of_eyes
 from vergence.operands import null_nonfinite_elements
 from vergence.recording import Recorder
 from vergence.recording.health import warn_of_gap

@@ -1,6 +1,5 @@
 """Head models: kinematics, cameras, limits, presets, and the MuJoCo model made from them."""
 
-from vergence.models.actuation import Actuation, Actuators
 from vergence.models.camera import Cameras
 from vergence.models.geometry import DenavitHartenberg, JointAxes
 from vergence.models.head import HeadModel
@@ -10,6 +9,8 @@ from vergence.models.parts import (
     EYES,
     JOINTS,
     NECK,
+    Actuation,
+    Actuators,
     JointLimits,
     LoopTiming,
     Rendering,

@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from vergence.kernels import inlined, kernel, subroutine
-from vergence.models.actuation import SLOTS
 from vergence.models.kinematics import (
     PACKED,
     PackedHead,
@@ -23,7 +22,7 @@ from vergence.models.kinematics import (
     point_rate_in_camera,
     point_to_local,
 )
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, FloatArray
 
 _DAMPING: Final = 1e-11
 """Damping of the normal equations, as a fraction of their trace (numerical)."""

@@ -12,11 +12,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import HeadFileError
-from vergence.models.actuation import Actuators
 from vergence.models.camera import Cameras
 from vergence.models.geometry import PARTS, DenavitHartenberg, JointAxes, dh_pose, multiply_poses
 from vergence.models.head import HeadModel
-from vergence.models.parts import EYE_NAMES, EYES, JOINTS, LINKS, FloatArray, JointLimits
+from vergence.models.parts import EYE_NAMES, EYES, JOINTS, LINKS, Actuators, FloatArray, JointLimits
 from vergence.models.toml_table import Rule, Table
 
 METRES: Final[Rule] = (lambda x: abs(x) < 1.0, "metres below 1 in size (is it in millimetres?)")

@@ -15,7 +15,6 @@ from numpy import bool_
 from numpy.typing import NDArray
 
 from vergence.kernels import inlined, kernel, make_tuple_reader
-from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.camera import Cameras
 from vergence.models.geometry import Links
 from vergence.models.lens import (
@@ -28,7 +27,7 @@ from vergence.models.lens import (
     ray_to_pixel,
     undistort_ray,
 )
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, Actuation, FloatArray
 
 Vector = tuple[float, float, float]
 """x, y and z."""

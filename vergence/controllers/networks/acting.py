@@ -26,8 +26,7 @@ from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
-from vergence.models.actuation import SLOTS
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, FloatArray
 
 
 class NetworkPrePostProcessor:

@@ -19,7 +19,6 @@ import numpy as np
 
 from vergence.envs.plants.conditions import EnvIndex
 from vergence.kernels import inlined, subroutine
-from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (
     PackedHead,
@@ -35,7 +34,7 @@ from vergence.models.motion import (
     lag_decay,
     time_to_reversal,
 )
-from vergence.models.parts import EYES, FloatArray
+from vergence.models.parts import EYES, SLOTS, FloatArray
 
 _CONTACT_RAD: Final = 1e-12
 """Rounding tolerance of contact between a motor and its output, rad (numerical)."""

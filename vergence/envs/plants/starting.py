@@ -42,9 +42,8 @@ from vergence.envs.streams import (
 )
 from vergence.envs.targets.motion import is_shown, unpack_motion
 from vergence.kernels import compiled, inlined
-from vergence.models.actuation import SLOTS
 from vergence.models.kinematics import eye_actuator_angle, inside_image
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, FloatArray
 
 _VARIATION: Final = int(StreamPurpose.VARIATION)
 _MAX_SEARCH_S: Final = 10.0

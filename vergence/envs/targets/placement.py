@@ -7,7 +7,6 @@ import numpy as np
 
 from vergence.envs.streams import Words, to_uniform
 from vergence.kernels import inlined
-from vergence.models.actuation import SLOTS
 from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (
@@ -19,7 +18,7 @@ from vergence.models.kinematics import (
     point_in_eye,
     point_to_pixel,
 )
-from vergence.models.parts import EYES, FloatArray
+from vergence.models.parts import EYES, SLOTS, FloatArray
 
 MAX_CANDIDATES: Final = 1000
 """Candidates tried for a trial (numerical)."""

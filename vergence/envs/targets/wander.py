@@ -29,10 +29,9 @@ from vergence.envs.targets.placement import (
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.kernels import compiled, inlined, subroutine, untyped_tuple
-from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import Vector, eye_actuator_angle, has_motor_per_joint
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, FloatArray
 
 _TASK: Final = int(StreamPurpose.TASK)
 _SEGMENTS_PER_PATH: Final = 32

@@ -18,9 +18,8 @@ import numpy as np
 
 from vergence.eval.trials.goal import actuator_goal, eye_goal
 from vergence.kernels import compiled, inlined
-from vergence.models.actuation import SLOTS
 from vergence.models.kinematics import PackedHead, camera_of, joint_per_actuator
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, FloatArray
 
 _INVERSE_GOLDEN_RATIO: Final = 0.6180339887498949
 """Golden ratio less 1: the factor by which a section shrinks the bracket (numerical)."""

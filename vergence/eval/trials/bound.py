@@ -39,8 +39,7 @@ from vergence.eval.trials.bands import actuator_settling_bands, eye_settling_ban
 from vergence.eval.trials.entry import least_entry_time
 from vergence.eval.trials.goal import least_reachable_error
 from vergence.kernels import compiled, inlined, untyped_tuple
-from vergence.models.actuation import SLOTS, Actuation
-from vergence.models.parts import EYES, FloatArray
+from vergence.models.parts import EYES, SLOTS, Actuation, FloatArray
 
 _PERIOD_TOLERANCE: Final = 1e-6
 """Tolerance, in control periods, within which two times count as equal (numerical)."""

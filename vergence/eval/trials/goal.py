@@ -19,7 +19,6 @@ import numpy as np
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.task import GazeTask
 from vergence.kernels import compiled, inlined
-from vergence.models.actuation import SLOTS
 from vergence.models.fixation import actuator_least_squares, fixate_coupled, fixate_eye
 from vergence.models.kinematics import (
     PackedHead,
@@ -29,7 +28,7 @@ from vergence.models.kinematics import (
     point_in_eye,
     point_to_pixel,
 )
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, FloatArray
 
 _NEWTON_STEPS: Final = 30
 """Most Newton steps for an eye (numerical)."""
