@@ -44,7 +44,7 @@ _OTHER_TEXTS: Final = {
 """Calibration files of programs that are not read, by a pattern of their text."""
 _TIGHT_KEY: Final = re.compile(r"^(\s*[\w.]+:)(?=[\[\d+-])", re.MULTILINE)
 """A key of OpenCV's YAML whose value follows without a space."""
-_NOT_FINITE: Final = re.compile(r"(?<![\w.])[+-]?(?:\.?nan|\.?inf)\b", re.IGNORECASE)
+_NOT_FINITE: Final = re.compile(r"([+-]?)\.?(nan|inf)", re.IGNORECASE)
 
 
 def unexpected(label: str, expected: str, got: object) -> ConfigurationError:
@@ -187,23 +187,47 @@ def parse_numbers(value: Any) -> FloatArray | None:
     if isinstance(value, bool | Mapping) or value is None:
         return None
     if isinstance(value, list):  # OpenCV's .Nan and .Inf
-        value = [
-            one.replace(".", "") if isinstance(one, str) and _NOT_FINITE.fullmatch(one) else one
-            for one in value
-        ]
+        value = [_NOT_FINITE.sub(r"\1\2", x) if isinstance(x, str) else x for x in value]
     try:
         return np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         return None
 
 
-MATRIX: Final = (
-    "cameramatrix", "k", "m", "intrinsics", "intrinsic", "intrinsicmatrix", "intrinsicsmatrix",
-    "cammatrix", "cammat", "cameramat", "matrix", "mtx",
-)  # fmt: skip
-"""Spellings of the key of a camera matrix, as those in `stereo_files`."""
-_NAMED_SIDES: Final = (("left", "right"), ("l", "r"))
-"""Labels, other than numbers, by which keys distinguish the two cameras of a pair."""
+# Known spellings of each key, lower-case without punctuation, in order of lookup.
+SPELLINGS: Final = {
+    name: spellings.split()
+    for name, spellings in {
+        "MATRIX": "cameramatrix k m intrinsics intrinsic intrinsicmatrix intrinsicsmatrix "
+        "cammatrix cammat cameramat matrix mtx",
+        "DISTORTION": "distortioncoefficients distcoeffs d distortioncoeffs distortioncoefs "
+        "distortioncoeff distortionvector distortion distcoeff distcoefs distcoef distortions "
+        "dist kc",
+        "MODEL": "distortionmodel lensmodel cameramodel projectionmodel modeltype distortiontype "
+        "lenstype lens model cameratype camtype type modelname cameramodelname lensname "
+        "lensmodelname distortionmodelname",
+        "FISHEYE": "fisheyemodel isfisheye usefisheye fisheye",
+        "SIZE": "imagesize imgsize resolution imageresolution size",
+        # rows by columns, as NumPy's
+        "SHAPE": "imageshape imgshape shape",
+        "WIDTH": "imagewidth width imgwidth imagecols imgcols cols",
+        "HEIGHT": "imageheight height imgheight imagerows imgrows rows",
+        "ROTATION": "r rotation rotationmatrix rmat rot stereor extrinsicr extrinsicsr",
+        "TRANSLATION": "t translation translationvector tvec trans stereot extrinsict extrinsicst",
+        "UNIT": "unit units lengthunit translationunit tunit squaresizeunit",
+        "SQUARE": "squaresize square squarelength squarewidth sizeofsquare",
+        # kalibr's T_cn_cnm1, from the previous camera's frame to this one's
+        "CHAINED": "tcncnm1",
+        # from the frame of a body, such as an IMU, to the camera's (kalibr)
+        "BODY_IN_CAMERA": "tcamimu tcambody tcb",
+        # from the camera's frame to that of a body (EuRoC, OpenVINS, VINS, ORB-SLAM3)
+        "CAMERA_IN_BODY": "tbs timucam tbodycam bodyt tbc tic",
+        "RECTIFICATION": "rectificationmatrix rectification r",
+        "PROJECTION": "projectionmatrix projection p",
+    }.items()
+}
+_SIDES: Final = (("left", "right"), ("l", "r"), "0123456789")
+"""Labels by which keys distinguish the two cameras of a pair."""
 _OTHER_MEANING: Final = {
     "xi": "an omnidirectional lens (cv2.omnidir, MEI)",
     "alpha": "skew, or a lens of another model, such as EUCM (or stereoRectify's alpha: leave it "
@@ -239,23 +263,24 @@ class FoundValue(NamedTuple):
     """Name of the file and the key, for messages."""
     file: str
 
-    def error(self, expected: str, got: object) -> ConfigurationError:
-        """Error about this value."""
-        return unexpected(self.label, expected, got)
+    def expect(self, fine: object, expected: str, got: object) -> None:
+        """Raise an error about this value unless it is fine."""
+        if not fine:
+            raise unexpected(self.label, expected, got)
 
     def numbers(self, counts: Sequence[int], expected: str) -> FloatArray:
         """(n,) finite numbers, n one of the counts."""
         values = parse_numbers(self.value)
-        counted = values is not None and values.size in counts
-        if values is not None and counted and np.isfinite(values).all():
-            return values.reshape(-1)
         shown = self.value if values is None else values.tolist()
         got = f"{shown!r:.80}" if values is None or values.size < 10 else f"{values.size} numbers"
-        raise self.error(expected, f"{got}, not all of them finite" if counted else got)
+        if values is None or values.size not in counts:
+            raise unexpected(self.label, expected, got)
+        self.expect(np.isfinite(values).all(), expected, f"{got}, not all of them finite")
+        return values.reshape(-1)
 
 
 class CalibrationValues:
-    """Values of one or several calibration files, found under any known spelling of their keys.
+    """Values of calibration files, found under any known spelling of their keys.
 
     Attributes:
         name: the files, for messages.
@@ -263,68 +288,95 @@ class CalibrationValues:
         used: name of the file by label of each value found.
     """
 
-    def __init__(self, files: Mapping[str, Mapping[str, Any]]) -> None:
-        self._files = tuple(files)
-        self.name = ", ".join(files)
+    def __init__(self, paths: Sequence[str | os.PathLike[str]]) -> None:
+        self._files = [os.fspath(path) for path in paths]
+        self.name = ", ".join(self._files)
         self.side = ""
         self.used: dict[str, str] = {}
         self._found: dict[str, list[FoundValue]] = {}
-        for name, content in files.items():
-            for key, value in _flattened(_unwrapped(content)):
+        contents = {name: _unwrapped(read_calibration(name)) for name in self._files}
+        if len(contents) < len(paths):
+            raise unexpected(self.name, "different files", "one of them twice")
+        for name, content in contents.items():
+            for key, value in _flattened(content):
                 plain = re.sub(r"[^a-z0-9]", "", key.lower())
                 if re.search(r"k\d$", plain) and isinstance(value, int | float | str):
                     plain = f"coefficient{plain}"  # of a lens; K1 is a matrix
                 self._found.setdefault(plain, []).append(FoundValue(value, f"{name}: {key}", name))
+        self._refuse_other_meanings()
 
-    def of_files(self, names: Collection[str]) -> "CalibrationValues":
-        """The values of some of the files; what is found in them counts as found here."""
+    def _part(self, name: str, side: str, files: Collection[str]) -> "CalibrationValues":
+        """Values of a camera or of some files; what is found in them counts as found here."""
         part = copy(self)
-        part.name = ", ".join(names)
-        part._found = {
-            key: kept
-            for key, found in self._found.items()
-            if (kept := [one for one in found if one.file in names])
-        }
+        part.name, part.side, part._files = name, side, list(files)
+        if files != self._files:
+            part._found = {
+                key: kept
+                for key, found in self._found.items()
+                if (kept := [one for one in found if one.file in files])
+            }
         return part
 
-    def of_side(self, side: str) -> "CalibrationValues":
-        """The values of one camera; what is found of it counts as found here."""
-        part = copy(self)
-        part.side = side
-        return part
+    def has(self, *names: str) -> bool:
+        """True if there are values of all of these keys."""
+        keys = ({key for stem in SPELLINGS[name] for key in self._keys(stem)} for name in names)
+        return all(each & self._found.keys() for each in keys)
 
-    def has(self, stems: Sequence[str]) -> bool:
-        """True if there is a value of any spelling."""
-        return any(key in self._found for stem in stems for key in _spellings(stem, self.side))
+    def _keys(self, stem: str) -> Iterator[str]:
+        """Spellings of a key, with a side those such as `cameramatrix1` and `leftk`."""
+        side = self.side
+        yield stem + side
+        if side:
+            yield side + stem
+            for camera in ("cam", "camera"):
+                yield camera + side + stem
+                yield side + camera + stem
+                yield stem + camera + side
+                yield camera + stem + side
 
-    def find(self, stems: Sequence[str], *, shared: bool = False) -> FoundValue | None:
-        """Find the value of the first spelling; None if absent. A `shared` one needs no side."""
-        for stem in stems:
-            for key in _spellings(stem, self.side):
+    def find(self, name: str, *, shared: bool = False) -> FoundValue | None:
+        """Find the value of a key of `SPELLINGS` or, plain, of another one; None if absent.
+
+        A `shared` one may stand without a side.
+        """
+        for stem in SPELLINGS.get(name, [name]):
+            for key in self._keys(stem):
                 if found := self._found.get(key):
                     for other in found[1:]:
-                        if not _same(found[0].value, other.value):
-                            raise other.error(f"what {found[0].label} says", "something else")
+                        same = _same(found[0].value, other.value)
+                        other.expect(same, f"what {found[0].label} says", "something else")
                     self.used.update((one.label, one.file) for one in found)
                     return found[0]
-        return self.of_side("").find(stems) if shared and self.side else None
+        return self._part(self.name, "", self._files).find(name) if shared and self.side else None
 
-    def cameras(self) -> list["CalibrationValues"]:
-        """The values of the left and the right camera by labels in the keys; empty if not two."""
-        for sides in _NAMED_SIDES:
-            named = [self.of_side(side) for side in sides]
-            if all(one.has(MATRIX) for one in named):
-                return named
-        numbered = [one for one in map(self.of_side, "0123456789") if one.has(MATRIX)]
-        if len(numbered) > 2:
+    def cameras(self) -> tuple[list["CalibrationValues"], "CalibrationValues"]:
+        """Values of the left and right camera, or of one for both, and those of no camera alone.
+
+        Cameras are told apart by labels in the keys, or by their files.
+        """
+        for sides in _SIDES:
+            named = [self._part(self.name, side, self._files) for side in sides]
+            found = [one for one in named if one.has("MATRIX")]
+            if len(found) > 2:
+                raise ConfigurationError(
+                    f"{self.name}: expected one or two cameras, got those of "
+                    f"{', '.join(one.side for one in found)} (as in cam0): leave only the two that "
+                    "are the eyes in the file"
+                )
+            if len(found) == 2:
+                return found, self
+        each = [self._part(name, "", [name]) for name in self._files]
+        found = [one for one in each if one.has("MATRIX")]
+        if len(found) not in (1, 2):
             raise ConfigurationError(
-                f"{self.name}: expected one or two cameras, got those of "
-                f"{', '.join(one.side for one in numbered)} (as in cam0): leave only the two that "
-                "are the eyes in the file"
+                f"{self.name}: expected the camera matrices of one or two cameras (such as "
+                f"cameraMatrix1 and cameraMatrix2, or camera_matrix in a file for each), got "
+                f"{len(found)} of them; {READ_FORMATS}"
             )
-        return numbered if len(numbered) == 2 else []
+        others = [one.name for one in each if one not in found]
+        return found, self if len(found) == 1 else self._part(", ".join(others), "", others)
 
-    def refuse_other_meanings(self) -> None:
+    def _refuse_other_meanings(self) -> None:
         """Refuse a value that changes the meaning of others and that is not supported."""
         for found in (one for same in self._found.values() for one in same):
             *_, key = found.label.removeprefix(f"{found.file}: ").split(".")
@@ -339,11 +391,11 @@ class CalibrationValues:
             off = str(found.value).lower() in ("false", "no", "none", "off", "")
             if numbers is not None:  # -1 is stereoRectify's default
                 off = off or not numbers.any() or ("alpha" in words and (numbers == -1.0).all())
-            if not off:
-                raise found.error(
-                    "a calibration of a pinhole or fisheye camera as OpenCV has them",
-                    f"{found.value!r:.60}: {meaning}; this is not supported",
-                )
+            found.expect(
+                off,
+                "a calibration of a pinhole or fisheye camera as OpenCV has them",
+                f"{found.value!r:.60}: {meaning}; this is not supported",
+            )
             self.used[found.label] = ""  # said, of no effect
 
     def notes(self) -> tuple[str, ...]:
@@ -365,18 +417,6 @@ class CalibrationValues:
         more = f" and {len(unread) - _MAX_UNREAD} more" if len(unread) > _MAX_UNREAD else ""
         said = f"these keys are not read: {', '.join(unread[:_MAX_UNREAD])}{more}"
         return (said,) if unread else ()
-
-
-def _spellings(stem: str, side: str) -> Iterator[str]:
-    """Spellings of a key, with a side those such as `cameramatrix1` and `leftk`."""
-    yield stem + side
-    if side:
-        yield side + stem
-        for camera in ("cam", "camera"):
-            yield camera + side + stem
-            yield side + camera + stem
-            yield stem + camera + side
-            yield camera + stem + side
 
 
 def _flattened(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
