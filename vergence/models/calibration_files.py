@@ -4,7 +4,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import copy
 from math import prod
 from pathlib import Path
@@ -17,12 +17,10 @@ import yaml
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
-_MAX_FILE_BYTES: Final = 50_000_000
-"""Largest size of a calibration file; a file with every image point has a few million (chosen)."""
-_LOOKED_AT: Final = 100_000
-"""Characters of a file in which another program's format is looked for (chosen)."""
-_MAX_DEPTH: Final = 100
-"""Deepest nesting in YAML; its parser would overflow the stack somewhere beyond (chosen)."""
+_MAX_FILE_BYTES: Final = 50_000_000  # a file with every image point has a few million (chosen)
+_LOOKED_AT: Final = 100_000  # characters, for the format of another program (chosen)
+_MAX_DEPTH: Final = 100  # of YAML; its parser would overflow the stack somewhere beyond (chosen)
+_MAX_UNREAD: Final = 6  # most keys that are named as not read (chosen)
 READ_FORMATS: Final = (
     "calibrations are read as OpenCV (YAML, XML, JSON), ROS (camera_info), kalibr (camchain), "
     "EuRoC (sensor.yaml) and ORB-SLAM2 (LEFT.K, RIGHT.K) write them"
@@ -42,8 +40,8 @@ _OTHER_TEXTS: Final = {
     r"<(calibration|sensor|Calibration)[ >]": "an XML file of another program (Agisoft's?)",
 }
 """Calibration files of programs that are not read, by a pattern of their text."""
+# A key of OpenCV's YAML whose value follows without a space.
 _TIGHT_KEY: Final = re.compile(r"^(\s*[\w.]+:)(?=[\[\d+-])", re.MULTILINE)
-"""A key of OpenCV's YAML whose value follows without a space."""
 _NOT_FINITE: Final = re.compile(r"([+-]?)\.?(nan|inf)", re.IGNORECASE)
 
 
@@ -77,7 +75,10 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
             raise unexpected(name, "a calibration file", got)
     kind = {"<": "XML", "{": "JSON"}.get(text.lstrip()[:1], "YAML")
     try:
-        parsed = _PARSERS[kind](text)
+        if kind == "JSON":
+            parsed = json.loads(text)
+        else:
+            parsed = _parse_xml(text) if kind == "XML" else _parse_yaml(text)
     except (ValueError, RecursionError, ElementTree.ParseError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         if isinstance(error, RecursionError):
@@ -150,13 +151,6 @@ def _element(element: ElementTree.Element) -> Any:
     return values[0] if len(values) == 1 else values
 
 
-_PARSERS: Final[dict[str, Callable[[str], Any]]] = {
-    "XML": _parse_xml,
-    "JSON": json.loads,
-    "YAML": _parse_yaml,
-}
-
-
 def _with_matrices(value: Any, where: str) -> Any:
     """Copy of a value with matrices that are written as mappings turned into arrays."""
     if not isinstance(value, Mapping):
@@ -208,20 +202,16 @@ SPELLINGS: Final = {
         "lensmodelname distortionmodelname",
         "FISHEYE": "fisheyemodel isfisheye usefisheye fisheye",
         "SIZE": "imagesize imgsize resolution imageresolution size",
-        # rows by columns, as NumPy's
-        "SHAPE": "imageshape imgshape shape",
+        "SHAPE": "imageshape imgshape shape",  # rows by columns, as NumPy's
         "WIDTH": "imagewidth width imgwidth imagecols imgcols cols",
         "HEIGHT": "imageheight height imgheight imagerows imgrows rows",
         "ROTATION": "r rotation rotationmatrix rmat rot stereor extrinsicr extrinsicsr",
         "TRANSLATION": "t translation translationvector tvec trans stereot extrinsict extrinsicst",
         "UNIT": "unit units lengthunit translationunit tunit squaresizeunit",
         "SQUARE": "squaresize square squarelength squarewidth sizeofsquare",
-        # kalibr's T_cn_cnm1, from the previous camera's frame to this one's
-        "CHAINED": "tcncnm1",
-        # from the frame of a body, such as an IMU, to the camera's (kalibr)
-        "BODY_IN_CAMERA": "tcamimu tcambody tcb",
-        # from the camera's frame to that of a body (EuRoC, OpenVINS, VINS, ORB-SLAM3)
-        "CAMERA_IN_BODY": "tbs timucam tbodycam bodyt tbc tic",
+        "CHAINED": "tcncnm1",  # kalibr's T_cn_cnm1, from the previous camera's frame to this one's
+        "BODY_IN_CAMERA": "tcamimu tcambody tcb",  # from a body's frame, such as an IMU's (kalibr)
+        "CAMERA_IN_BODY": "tbs timucam tbodycam bodyt tbc tic",  # EuRoC, VINS, ORB-SLAM3
         "RECTIFICATION": "rectificationmatrix rectification r",
         "PROJECTION": "projectionmatrix projection p",
     }.items()
@@ -251,16 +241,13 @@ _NO_MATTER: Final = re.compile(
     r"|(left|right|l|r|cam[0-9])[rp]$|^[rp](left|right|l|r)$|stereo(e|f|q)$"
 )
 """Plain keys of a file that say nothing of cameras and their places, or follow from the others."""
-_MAX_UNREAD: Final = 6
-"""Most keys that are named as not read (chosen)."""
 
 
 class FoundValue(NamedTuple):
     """A value found in a calibration file."""
 
     value: Any
-    label: str
-    """Name of the file and the key, for messages."""
+    label: str  # the file and the key, for messages
     file: str
 
     def expect(self, fine: object, expected: str, got: object) -> None:
@@ -402,12 +389,9 @@ class CalibrationValues:
         """Refuse files that nothing was read of, and name keys that nothing asked for."""
         used = set(self.used.values())
         if others := [name for name in self._files if name not in used]:
-            raise unexpected(
-                ", ".join(others),
-                "files that belong together",
-                f"a calibration in {', '.join(name for name in self._files if name in used)} that "
-                "uses nothing else",
-            )
+            enough = ", ".join(name for name in self._files if name in used)
+            got = f"a calibration in {enough} that uses nothing else"
+            raise unexpected(", ".join(others), "files that belong together", got)
         unread = [
             one.label
             for key, found in self._found.items()

@@ -47,25 +47,18 @@ _UNSUPPORTED: Final = re.compile(
     r"|equirectangular|panoram|brown|conrady|radial|fisheye|brandt"
 )
 """Part of a lens model's name that none of the supported ones has."""
-_MAX_CENTRE_OFFSET: Final = 0.2
-"""Distance of a principal point from the image centre, as a fraction of the image side, above
-which it is doubted (chosen: false doubts against missed wrong image sizes)."""
-_SWAPPED_OFFSET: Final = 0.1
-"""Such a distance above which the sides of an image may be swapped, if these fit twice as well
-(chosen: a 5:4 image with swapped sides has 0.125)."""
+# Distances of a principal point from the image centre, as a fraction of the image side (chosen).
+_MAX_CENTRE_OFFSET: Final = 0.2  # doubted above: false doubts against missed wrong image sizes
+_SWAPPED_OFFSET: Final = 0.1  # with half of it, swapped sides fit: a swapped 5:4 image has 0.125
 _UNITS: Final = {"mm": (0.001, "millimetres"), "cm": (0.01, "centimetres"), "m": (1.0, "metres")}
 """Metres per unit (physical), and its name."""
 
 # Range of plausible baselines; others suggest a wrong unit (chosen).
 LEAST_BASELINE_M: Final = 0.01
 GREATEST_BASELINE_M: Final = 1.0
-
-_LEAST_SQUARES: Final = 0.2
-"""Shortest baseline in squares of a board (chosen: a shorter one is in metres)."""
-_ODD_ROLL_DEG: Final = 45.0
-"""Roll of one camera against the other above which the mounting is doubted (chosen)."""
-_ROTATION_TOLERANCE: Final = 1e-3
-"""Tolerance on the singular values of a rotation; files have as few as four decimals (chosen)."""
+_LEAST_SQUARES: Final = 0.2  # baseline in squares of a board; a shorter one is in metres (chosen)
+_ODD_ROLL_DEG: Final = 45.0  # of one camera against the other, doubted above (chosen)
+_ROTATION_TOLERANCE: Final = 1e-3  # on singular values; files have as few as 4 decimals (chosen)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,14 +183,11 @@ def _pinhole(found: FoundValue) -> tuple[FloatArray, FloatArray]:
     if values.size == 9:
         matrix = values.reshape(3, 3)
         zeros = [*matrix[[1, 2, 2], [0, 0, 1]], matrix[2, 2] - 1.0]
-        found.expect(
-            np.abs(zeros).max() <= 1e-9,
-            "rows f_u 0 u_0, 0 f_v v_0, 0 0 1",
-            f"{matrix.tolist()} (is it transposed, as MATLAB has it?)",
-        )
+        got = f"{matrix.tolist()} (is it transposed, as MATLAB has it?)"
+        found.expect(np.abs(zeros).max() <= 1e-9, "rows f_u 0 u_0, 0 f_v v_0, 0 0 1", got)
         focal, principal, skew = matrix[[0, 1], [0, 1]], matrix[:2, 2], matrix[0, 1]
-        fixed = f"{skew:g} (calibrate with it fixed)"
-        found.expect(abs(skew) <= 1e-6 * abs(focal[0]), "no skew", fixed)
+        got = f"{skew:g} (calibrate with it fixed)"
+        found.expect(abs(skew) <= 1e-6 * abs(focal[0]), "no skew", got)
     found.expect((focal > 10.0).all(), "focal lengths in pixels above 10", focal.tolist())
     return focal, principal
 
@@ -370,13 +360,12 @@ def read_stereo(
     scale, doubts = _scale(values, metres, float(np.abs(shift).max()))
     pose = np.eye(4)  # of the right camera in the left one's frame
     pose[:3, :3], pose[:3, 3] = rotation.T, -rotation.T @ (scale * shift)
-    pair = replace(pair, notes=(*doubts, *values.notes()))
-    left, right = pair.left, pair.right
+    notes = (*doubts, *values.notes())
     if swap:
-        pose, left, right = inverse_pose(pose), right, left
-        pair = replace(pair, lens_assumptions=pair.lens_assumptions[::-1])
+        pose, lenses = inverse_pose(pose), pair.lens_assumptions[::-1]
+        pair = ReadCameras(left=pair.right, right=pair.left, lens_assumptions=lenses)
     _check(pose, found, scale, swap)
-    return replace(pair, left=left, right=replace(right, pose=pose))
+    return replace(pair, right=replace(pair.right, pose=pose), notes=notes)
 
 
 def parse_unit(text: str, owner: str) -> float:
@@ -521,10 +510,11 @@ def _check(pose: FloatArray, found: FoundValue, scale: float, swap: bool) -> Non
 def _unit_hint(baseline: float, scale: float) -> str:
     """Unit in which a baseline would be plausible."""
     for unit, (metres, name) in _UNITS.items():
-        if metres != scale and LEAST_BASELINE_M <= metres * baseline <= GREATEST_BASELINE_M:
+        length = metres * baseline
+        if metres != scale and LEAST_BASELINE_M <= length <= GREATEST_BASELINE_M:
             return (
-                f" (is it in {name}? give --unit {unit}: {metres * baseline:.4g} m; in squares of "
-                "the board? give --unit with the length of one, such as 25mm)"
+                f" (is it in {name}? give --unit {unit}: {length:.4g} m; in squares of the board? "
+                "give --unit with the length of one, such as 25mm)"
             )
     return " (was the calibration told how large the squares are?)"
 
