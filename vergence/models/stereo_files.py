@@ -89,7 +89,7 @@ class ReadCameras:
 
 
 def _principal_doubts(camera: Camera) -> Iterator[str]:
-    if np.abs(_offset(camera.principal, *camera.size)).max() > _MAX_CENTRE_OFFSET:
+    if _off_centre(camera.principal, *camera.size) > _MAX_CENTRE_OFFSET:
         u, v = camera.principal
         yield (
             f"principal point ({u:.0f}, {v:.0f}) far from the middle of {camera.width} x "
@@ -113,10 +113,9 @@ def _mounting_doubts(pose: FloatArray) -> Iterator[str]:
         )
 
 
-def _offset(principal: FloatArray, width: float, height: float) -> FloatArray:
-    """(2,) distance of a principal point from the image centre, as a fraction of the sides."""
-    size = np.array([width, height])
-    return np.asarray((principal - (size - 1.0) / 2.0) / size)
+def _off_centre(principal: FloatArray, *size: int) -> float:
+    """Distance of a principal point from the image centre, as a fraction of the sides."""
+    return float(np.max(np.abs((principal - (np.array(size) - 1.0) / 2.0) / size)))
 
 
 def _read(
@@ -220,8 +219,7 @@ def _image_size(keys: CalibrationValues, given: tuple[int, int] | None) -> tuple
 
 def _check_principal(principal: FloatArray, found: FoundValue, width: int, height: int) -> None:
     """Refuse an image size that the principal point contradicts."""
-    off = np.abs(_offset(principal, width, height)).max()
-    swapped = np.abs(_offset(principal, height, width)).max()
+    off, swapped = _off_centre(principal, width, height), _off_centre(principal, height, width)
     found.expect(
         off <= _SWAPPED_OFFSET or swapped >= off / 2.0,
         f"a principal point near the middle of {width} x {height} px",
