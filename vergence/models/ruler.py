@@ -6,6 +6,7 @@ from math import hypot, pi, radians, tan, tau
 from typing import Final, Literal, NamedTuple
 
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models.assumed import RULER, RULER_REASONS
 from vergence.models.parts import EYE_NAMES
 
 _STEPS_4096_RAD: Final = tau / 4096
@@ -15,27 +16,15 @@ _SAME: Final = "assumed, as for the XL430 of the preset turrets"
 
 
 class ServoModel(NamedTuple):
-    """What a data sheet says of a servo.
-
-    Attributes:
-        name: the maker's name.
-        rev_min: speed without load, rev/min.
-        volts: supply at that speed, V.
-        acceleration_rad_s2: greatest acceleration, rad/s^2.
-        source: origin of speed and resolution.
-        acceleration_source: origin of the acceleration.
-        backlash_deg: play of the gears, degrees; 0 where it is not stated.
-        angle_step_rad: step of the reported angle, rad.
-        speed_step_rad_s: step of speeds, rad/s.
-    """
+    """Contents of a servo's data sheet."""
 
     name: str
-    rev_min: float
-    volts: float
+    rev_min: float  # without load
+    volts: float  # at that speed
     acceleration_rad_s2: float
-    source: str
+    source: str  # of speed and resolution
     acceleration_source: str
-    backlash_deg: float = 0.0
+    backlash_deg: float = 0.0  # 0 where it is not stated
     angle_step_rad: float = _STEPS_4096_RAD
     speed_step_rad_s: float = _DYNAMIXEL_SPEED_RAD_S
 
@@ -48,46 +37,33 @@ class ServoModel(NamedTuple):
 SERVO_MODELS: Final = {
     model.name: model
     for model in (
-        ServoModel(
-            "XL330-M288", 103.0, 5.0, 144.0, f"{_MANUAL}xl330-m288",
-            "half of 0.52 N m over 0.0018 kg m^2, the rotor's in the MuJoCo model of Reachy Mini",
-        ),
+        ServoModel("XL330-M288", 103.0, 5.0, 144.0, f"{_MANUAL}xl330-m288",
+                   "half of 0.52 N m over 0.0018 kg m^2, the rotor's in the MuJoCo model of Reachy "
+                   "Mini"),
         ServoModel("XL330-M077", 383.0, 5.0, 144.0, f"{_MANUAL}xl330-m077", "as the XL330-M288"),
         ServoModel("XL430-W250", 57.0, 11.1, 80.0, f"{_MANUAL}xl430-w250", "assumed"),
         ServoModel("XC330-T288", 65.0, 11.1, 80.0, f"{_MANUAL}xc330-t288", _SAME),
         ServoModel("XC330-T181", 104.0, 11.1, 80.0, f"{_MANUAL}xc330-t181", _SAME),
         ServoModel("XC330-M288", 81.0, 5.0, 80.0, f"{_MANUAL}xc330-m288", _SAME),
-        ServoModel(
-            "XM430-W350", 46.0, 12.0, 45.0, f"{_MANUAL}xm430-w350",
-            "half of 4.1 N m over 0.045 kg m^2, the rotor's in MuJoCo Menagerie's robotis_op3",
-            backlash_deg=0.25,
-        ),
-        ServoModel(
-            "XM430-W210", 77.0, 12.0, 45.0, f"{_MANUAL}xm430-w210", "as the XM430-W350",
-            backlash_deg=0.25,
-        ),
-        ServoModel(
-            "STS3215", 45.0, 12.0, 52.0, "Feetech's data sheet of the STS3215-C018",
-            "half of 2.94 N m over 0.028 kg m^2, the rotor's in the MuJoCo model of the SO-101 arm",
-            backlash_deg=0.5, speed_step_rad_s=_STEPS_4096_RAD,
-        ),
-        ServoModel(
-            "hobby", 59.0, 4.8, 80.0,
-            "Tower Pro's data sheet of the MG996R: 0.17 s for 60 degrees, dead band 5 us; it tells "
-            "no angle, so it can be simulated, and not deployed on",
-            _SAME, backlash_deg=0.5, angle_step_rad=0.5 * pi / 180, speed_step_rad_s=0.0,
-        ),
+        ServoModel("XM430-W350", 46.0, 12.0, 45.0, f"{_MANUAL}xm430-w350",
+                   "half of 4.1 N m over 0.045 kg m^2, the rotor's in MuJoCo Menagerie's "
+                   "robotis_op3", 0.25),
+        ServoModel("XM430-W210", 77.0, 12.0, 45.0, f"{_MANUAL}xm430-w210", "as the XM430-W350",
+                   0.25),
+        ServoModel("STS3215", 45.0, 12.0, 52.0, "Feetech's data sheet of the STS3215-C018",
+                   "half of 2.94 N m over 0.028 kg m^2, the rotor's in the MuJoCo model of the "
+                   "SO-101 arm", 0.5, speed_step_rad_s=_STEPS_4096_RAD),
+        ServoModel("hobby", 59.0, 4.8, 80.0,
+                   "Tower Pro's data sheet of the MG996R: 0.17 s for 60 degrees, dead band 5 us; "
+                   "it tells no angle, so it can be simulated, and not deployed on",
+                   _SAME, 0.5, angle_step_rad=0.5 * pi / 180, speed_step_rad_s=0.0),
     )
 }  # fmt: skip
 """Servo models by name, the usual one of a family first."""
 
 
 def find_servo_model(text: str) -> ServoModel:
-    """Model of a name, or of the beginning of one: XL330, XL430-W250-T, sts3215.
-
-    Raises:
-        UnknownNameError: there is none in the table.
-    """
+    """Model of a name, or of the beginning of one: XL330, XL430-W250-T, sts3215."""
     asked = re.sub(r"[^a-z0-9]", "", text.lower())
     for model in SERVO_MODELS.values():
         name = re.sub(r"[^a-z0-9]", "", model.name.lower())
@@ -119,59 +95,38 @@ VIEWS: Final = ("view", "diagonal", "focal")
 
 @dataclass(frozen=True, kw_only=True)
 class Ruler:
-    """A head as a person measures it, looking straight ahead; defaults are usual values.
-
-    Raises:
-        ConfigurationError: a value suggests another unit, or none or several state the view.
-    """
+    """A head as a person measures it, looking straight ahead; defaults are usual values."""
 
     name: str
     servo: ServoModel
-    baseline: float
-    """Distance between the lenses, mm."""
-    view: float | None = None
-    """Horizontal field of view, degrees."""
-    diagonal: float | None = None
-    """Diagonal field of view, degrees."""
-    focal: float | None = None
-    """Focal length, px."""
-    mount: Literal["turrets", "neck"] = "turrets"
-    """Each eye pans and tilts by itself, or both together."""
-    first: Literal["pan", "tilt"] = "pan"
-    """The joint nearer to the base."""
-    axes_apart: float | None = None
-    """Distance between the first axes of two turrets, mm; that of the lenses by default."""
-    height: float = 100.0
-    """Height of the lenses above the plate on which all stands, mm."""
-    axes_ahead: float = 0.0
-    """Distance of the second axis ahead of the first, mm."""
-    lens_ahead: float = 20.0
-    """Distance of the lenses ahead of the second axis, mm."""
-    lens_above: float = 40.0
-    """Height of the lenses above the tilt axis, mm."""
-    size: tuple[int, int] = (640, 480)
-    """Width and height of the images, px."""
-    pan: float = 80.0
-    """Range of a pan to either side, degrees."""
-    tilt: float = 45.0
-    """Range of a tilt to either side, degrees."""
-    fps: float = 30.0
-    """Images a second."""
-    speed: float | None = None
-    """Greatest speed of the joints, rad/s; the servo's by default."""
-    acceleration: float | None = None
-    """Greatest acceleration of the joints, rad/s^2; the servo's by default."""
-    measured: frozenset[str] = frozenset()
-    """Names of the values that are no defaults."""
+    baseline: float  # between the lenses, mm
+    # the view, one of:
+    view: float | None = None  # horizontally, degrees
+    diagonal: float | None = None  # degrees
+    focal: float | None = None  # px
+    mount: Literal["turrets", "neck"] = "turrets"  # each eye has a pan and a tilt, or both together
+    first: Literal["pan", "tilt"] = "pan"  # joint nearer to the base
+    axes_apart: float | None = None  # between the first axes of turrets, mm; None: as the lenses
+    height: float = 100.0  # of the lenses above the plate on which all stands, mm
+    axes_ahead: float = 0.0  # from the first axis to the second, mm
+    lens_ahead: float = 20.0  # from the second axis to the lenses, mm
+    lens_above: float = 40.0  # from the tilt axis to the lenses, mm
+    size: tuple[int, int] = (640, 480)  # width and height of the images, px
+    pan: float = 80.0  # to either side, degrees
+    tilt: float = 45.0  # to either side, degrees
+    fps: float = RULER["timing"]["frame_rate_hz"]  # images a second
+    speed: float | None = None  # of the joints, rad/s; None for the servo's
+    acceleration: float | None = None  # of the joints, rad/s^2; None for the servo's
+    measured: frozenset[str] = frozenset()  # names of the values that are no defaults
 
     def __post_init__(self) -> None:
         for field in fields(self):
             check_measure(field.name, getattr(self, field.name))
         views = [name for name in VIEWS if getattr(self, name) is not None]
         if len(views) != 1:
-            got = " and ".join(views) or "none"
             raise ConfigurationError(
-                f"view: expected one of --view, --diagonal and --focal, got {got}"
+                "view: expected one of --view, --diagonal and --focal, got "
+                f"{' and '.join(views) or 'none'}"
             )
         if self.height < self.lens_above:
             raise ConfigurationError(
@@ -212,16 +167,7 @@ def ruler_to_toml(ruler: Ruler) -> str:
     sides = {"left": -0.5, "right": 0.5, "both": 0.0}
     joints = "".join(_joints(ruler, part, sides[part]) for part in parts)
     eyes = "".join(_eye(ruler, eye, sides[eye]) for eye in EYE_NAMES)
-    reasons = {
-        "joints.acceleration_rad_s2": servo.acceleration_source,
-        "timing.latency_s": "common for webcams over USB: measure-delay measures it",
-        "timing.lag_s": "common for such servos: measure-delay measures it",
-        "timing.exposure_s": "10 ms, a lit room",
-        "sensor.detection_noise_px": "0.1 px, of a board or tag in a sharp image",
-        "eyes.principal_px": "the middle of the image, until the cameras are calibrated",
-        "eyes.distortion": "none, until the cameras are calibrated",
-        "rendering": "a webcam's blur, noise and contrast",
-    }
+    reasons = {"joints.acceleration_rad_s2": servo.acceleration_source, **RULER_REASONS}
     lengths = [
         name.replace("_", "-")
         for name in ("height", "axes_ahead", "lens_ahead", "lens_above")
@@ -234,11 +180,9 @@ def ruler_to_toml(ruler: Ruler) -> str:
     if "fps" not in ruler.measured:
         reasons["timing.frame_rate_hz"] = "common for webcams"
     assumptions = "\n".join(f'"{key}" = "{why}"' for key, why in reasons.items())
-    backlash = (
-        f"backlash_rad = {radians(servo.backlash_deg):.5f}        # play of its gears, at most\n"
-        if servo.backlash_deg
-        else ""
-    )
+    play = f"backlash_rad = {radians(servo.backlash_deg):.5f}        # play of its gears, at most\n"
+    timing, sensor = RULER["timing"], RULER["sensor"]
+    looks = "\n".join(f"{key} = {value}" for key, value in RULER["rendering"].items())
     return f"""# Measured with a ruler, looking straight ahead. Metres, radians, seconds, pixels.
 # Base frame: on the plate, midway between the first axes; x right, y down, z forward.
 # N, in which targets are given, is midway between the lenses. Each origin_m is relative to the
@@ -250,28 +194,23 @@ width_px = {width}
 height_px = {height}
 {joints}{eyes}
 [timing]
-control_rate_hz = {max(ruler.fps, 60.0):g}
+control_rate_hz = {max(ruler.fps, timing["control_rate_hz"]):g}
 frame_rate_hz = {ruler.fps:g}
-latency_s = 0.1               # from exposure to image, until it is measured
-exposure_s = 0.01
-lag_s = 0.03                  # of the servos' response, until it is measured
+latency_s = {timing["latency_s"]}               # from exposure to image, until it is measured
+exposure_s = {timing["exposure_s"]}
+lag_s = {timing["lag_s"]}                  # of the servos' response, until it is measured
 
 # {servo.name}: {servo.source}
 [sensor]
 encoder_resolution_rad = {servo.angle_step_rad:.6f}
 encoder_side = "output"
 velocity_resolution_rad_s = {servo.speed_step_rad_s:.6f}
-{backlash}detection_noise_px = 0.1
-dropped_frame_probability = 0.0
-max_smear_px = 6.0
+{play if servo.backlash_deg else ""}detection_noise_px = {sensor["detection_noise_px"]}
+dropped_frame_probability = {sensor["dropped_frame_probability"]}
+max_smear_px = {sensor["max_smear_px"]}
 
 [rendering]
-blur_px = 0.7
-noise_grey = 4.0
-supersampling = 1
-black_grey = 50.0
-white_grey = 190.0
-background_grey = 110.0
+{looks}
 
 [assumptions]
 {assumptions}
@@ -279,7 +218,6 @@ background_grey = 110.0
 
 
 def _joints(ruler: Ruler, part: str, side: float) -> str:
-    """Both joints of an eye, or of the neck, from the plate outwards."""
     servo, up = ruler.servo, (ruler.height - ruler.lens_above) / 1000.0
     first_up, second_up = (0.0, up) if ruler.first == "pan" else (up, 0.0)
     apart = ruler.baseline if ruler.axes_apart is None else ruler.axes_apart

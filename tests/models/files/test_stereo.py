@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.naming import named
 from vergence.errors import ConfigurationError
@@ -24,30 +25,34 @@ from .pairs import (
     write_opencv,
 )
 
-
-def right_from_left(pair) -> tuple[np.ndarray, np.ndarray]:
-    """R and T of `x_right = R x_left + T`, as in OpenCV."""
-    pose = pair.right.pose
-    return pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3]
+EYES = (("left", K_LEFT, D_LEFT), ("right", K_RIGHT, D_RIGHT))
+FOUR = [0.1, 0.02, 1e-3, 2e-3]
+EIGHT = [*FOUR, 0.3, 0.4, 0.5, 0.6]
 
 
 def check(pair, atol=1e-12, coefficients=5):
-    for camera, k, d in ((pair.left, K_LEFT, D_LEFT), (pair.right, K_RIGHT, D_RIGHT)):
+    for eye, k, d in EYES:
+        camera = getattr(pair, eye)
         assert (camera.width, camera.height) == SIZE
         np.testing.assert_allclose(camera.focal, k[[0, 1], [0, 1]], atol=atol)
         np.testing.assert_allclose(camera.principal, k[:2, 2], atol=atol)
         assert camera.lens.model == "brown-conrady"
-        np.testing.assert_allclose(
-            camera.lens.coefficients[:coefficients], d[:coefficients], atol=atol
-        )
-    rotation, shift = right_from_left(pair)
-    np.testing.assert_allclose(rotation, R, atol=atol)
-    np.testing.assert_allclose(shift, T, atol=atol)
+        read = camera.lens.coefficients[:coefficients]
+        np.testing.assert_allclose(read, d[:coefficients], atol=atol)
+    left_from_right = np.linalg.inv(np.vstack([np.column_stack([R, T]), [0.0, 0.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(pair.right.pose, left_from_right, atol=atol)
 
 
 def written(path, values):
     path.write_text(json.dumps(values), encoding="utf-8")
     return path
+
+
+def refused(said, read, paths, **options) -> str:
+    with named(said, paths), pytest.raises(ConfigurationError, match=said) as caught:
+        read(paths, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
 
 
 def info_pair(folder):
@@ -58,6 +63,11 @@ def test_a_file_that_opencv_writes_is_read_in_each_of_its_formats(tmp_path):
     for suffix in ("yml", "yaml", "xml", "json"):
         with named(suffix):
             check(read_stereo([write_opencv(tmp_path / f"pair.{suffix}", opencv_pair())]))
+    # older YAML may lack spaces before values
+    path = tmp_path / "pair.yml"
+    text = path.read_text("utf-8").replace("data: [", "data:[").replace("_width: ", "_width:")
+    path.write_text("%YAML:1.0\n---\n" + text.partition("---\n")[2], encoding="utf-8")
+    check(read_stereo([path]))
 
 
 def test_the_two_files_of_opencvs_stereo_sample_are_read_together(tmp_path):
@@ -81,36 +91,26 @@ def test_keys_may_be_spelled_as_people_spell_them(tmp_path):
                 values[matrix.format(side)] = k.tolist()
                 values[coefficients.format(side)] = d.tolist()
             check(read_stereo([written(tmp_path / "pair.json", values)]))
-
-
-def test_cameras_may_stand_in_tables_of_their_own(tmp_path):
     eyes = {
         eye: {"K": k.tolist(), "dist": d.tolist(), "width": SIZE[0], "height": SIZE[1]}
-        for eye, k, d in (("left", K_LEFT, D_LEFT), ("right", K_RIGHT, D_RIGHT))
+        for eye, k, d in EYES
     }
-    values = {"calibration": {**eyes, "extrinsics": {"R": R.tolist(), "T": T.tolist()}}}
-    check(read_stereo([written(tmp_path / "pair.json", values)]))
+    tables = {"calibration": {**eyes, "extrinsics": {"R": R.tolist(), "T": T.tolist()}}}
+    check(read_stereo([written(tmp_path / "pair.json", tables)]))
 
 
 def test_camera_info_pairs_hold_the_pair_in_rectification_and_projection(tmp_path):
-    check(read_stereo(info_pair(tmp_path)), atol=1e-7)  # files have eight decimals
-
-
-def test_camera_info_as_a_recorded_message_is_read(tmp_path):
-    import yaml
-
-    paths = []
-    for eye, name in enumerate(("left", "right")):
-        old = yaml.safe_load(camera_info(tmp_path / f"{name}.yaml", eye).read_text("utf-8"))
-        message = {
+    paths = info_pair(tmp_path)
+    check(read_stereo(paths), atol=1e-7)  # files have eight decimals
+    for name, path in zip(("left", "right"), paths, strict=True):
+        old = yaml.safe_load(path.read_text("utf-8"))
+        message = {  # as recorded from a topic
             "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": name}, "height": SIZE[1],
             "width": SIZE[0], "distortion_model": "plumb_bob",
             "d": old["distortion_coefficients"]["data"], "k": old["camera_matrix"]["data"],
             "r": old["rectification_matrix"]["data"], "p": old["projection_matrix"]["data"],
         }  # fmt: skip
-        path = tmp_path / f"{name}-echo.yaml"
         path.write_text(yaml.safe_dump(message) + "---\n" + yaml.safe_dump(message), "utf-8")
-        paths.append(path)
     check(read_stereo(paths), atol=1e-7)
 
 
@@ -118,23 +118,17 @@ def test_a_camchain_of_kalibr_is_read(tmp_path):
     pair = read_stereo([camchain(tmp_path / "camchain.yaml")])
     check(pair, coefficients=4)
     assert pair.guesses == ()
-
-
-def test_equidistant_cameras_have_the_fisheye_lens(tmp_path):
     pair = read_stereo([camchain(tmp_path / "camchain.yaml", "equidistant")])
     assert pair.left.lens.model == pair.right.lens.model == "fisheye"
     np.testing.assert_array_equal(pair.left.lens.coefficients, D_LEFT[:4])
 
 
 def test_cameras_in_a_file_each_take_their_place_from_a_third(tmp_path):
+    size = {"image_width": SIZE[0], "image_height": SIZE[1]}
     paths = [
-        write_opencv(
-            tmp_path / f"{name}.yml",
-            {"camera_matrix": k, "distortion_coefficients": d, "image_width": SIZE[0],
-             "image_height": SIZE[1]},
-        )
-        for name, k, d in (("l", K_LEFT, D_LEFT), ("r", K_RIGHT, D_RIGHT))
-    ]  # fmt: skip
+        write_opencv(tmp_path / f"{eye}.yml", {"camera_matrix": k, "dist_coeffs": d} | size)
+        for eye, k, d in EYES
+    ]
     place = write_opencv(tmp_path / "place.xml", {"R": R, "T": T})
     check(read_stereo([*paths, place]))
     both = read_intrinsics(paths)
@@ -147,8 +141,10 @@ def test_cameras_in_a_file_each_take_their_place_from_a_third(tmp_path):
 def test_the_unit_of_the_squares_is_that_of_the_translation(tmp_path):
     path = write_opencv(tmp_path / "pair.yml", opencv_pair(T=1000.0 * T))
     check(read_stereo([path], unit="mm"))
-    with pytest.raises(ConfigurationError, match=r"millimetres.*--unit mm: 0\.0939\d? m"):
-        read_stereo([path])
+    refused(r"millimetres.*--unit mm: 0\.0939\d? m", read_stereo, [path])
+    path = write_opencv(tmp_path / "named.yml", opencv_pair(T=1000.0 * T, unit="millimeters"))
+    check(read_stereo([path]))
+    refused("unit: expected the unit that was given", read_stereo, [path], unit="m")
 
 
 def test_a_swapped_pair_is_said_and_can_be_swapped_back(tmp_path):
@@ -157,22 +153,21 @@ def test_a_swapped_pair_is_said_and_can_be_swapped_back(tmp_path):
         R=R.T, T=(-R.T @ T).reshape(3, 1),
     )  # fmt: skip
     path = write_opencv(tmp_path / "pair.yml", swapped)
-    with pytest.raises(ConfigurationError, match="left and right swapped: give --swap"):
-        read_stereo([path])
+    refused("left and right swapped: give --swap", read_stereo, [path])
     check(read_stereo([path], swap=True))
-    with pytest.raises(ConfigurationError, match="left and right swapped"):
-        read_stereo(info_pair(tmp_path)[::-1])
+    left, right = info_pair(tmp_path)
+    refused("left and right swapped", read_stereo, [right, left])
+    refused(r"right\.yaml: proj.* left and right swapped", read_intrinsics, [right, left])
+    for fine in ([left, right], [left], [right], [left, message(tmp_path / "other.yaml", "")]):
+        read_intrinsics(fine)
 
 
 def test_the_number_of_coefficients_says_which_lens_it_is(tmp_path):
     for coefficients, lens, kept in [
-        ([0.1, 0.02, 1e-3, 2e-3], "brown-conrady", 4),
-        ([0.1, 0.02, 1e-3, 2e-3, 0.3], "brown-conrady", 5),
-        ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6], "rational", 8),
-        ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.0, 0.0, 0.0], "brown-conrady", 5),
-        ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6] + 6 * [0.0], "rational", 8),
-        ([0.1, 0.02, 1e-3, 2e-3, 0.3] + 9 * [0.0], "brown-conrady", 5),
-    ]:
+        (FOUR, "brown-conrady", 4), ([*FOUR, 0.3], "brown-conrady", 5), (EIGHT, "rational", 8),
+        ([*FOUR, 0.3, 0.0, 0.0, 0.0], "brown-conrady", 5), (EIGHT + 6 * [0.0], "rational", 8),
+        ([*FOUR, 0.3] + 9 * [0.0], "brown-conrady", 5),
+    ]:  # fmt: skip
         with named(coefficients, lens, kept):
             values = opencv_pair(distCoeffs1=np.array([coefficients]))
             pair = read_stereo([write_opencv(tmp_path / "pair.yml", values)])
@@ -183,7 +178,7 @@ def test_the_number_of_coefficients_says_which_lens_it_is(tmp_path):
 
 
 def test_a_lens_that_the_file_does_not_name_can_be_given(tmp_path):
-    four = {f"distCoeffs{i}": np.array([[0.1, 0.02, 1e-3, 2e-3]]) for i in (1, 2)}
+    four = {f"distCoeffs{i}": np.array([FOUR]) for i in (1, 2)}
     path = write_opencv(tmp_path / "pair.yml", opencv_pair(**four))
     pair = read_stereo([path], lens="fisheye")
     assert (pair.left.lens.model, pair.guesses) == ("fisheye", ())
@@ -210,17 +205,13 @@ def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path):
         ({"distCoeffs1": np.full((1, 12), 0.01)}, "thin prism"),
         ({"distortion_model": "omni"}, "expected a lens model"),
     ]:  # fmt: skip
-        with named(changes, said):
-            path = write_opencv(tmp_path / "pair.yml", opencv_pair(**changes))
-            with pytest.raises(ConfigurationError, match=said) as caught:
-                read_stereo([path])
-            assert str(path) in str(caught.value)
-            assert "\n" not in str(caught.value)
+        path = write_opencv(tmp_path / "pair.yml", opencv_pair(**changes))
+        assert str(path) in refused(said, read_stereo, [path])
 
 
 def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path):
     for text in [
-        "", "- 1\n- 2\n",
+        "", "- 1\n- 2\n", "? [a, b]\n: 1\n", "M1: {rows: -1, data: []}\n",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2]\n",
         "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: -1\n   cols: x\n   data: [1, 2]\n",
@@ -230,50 +221,23 @@ def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path):
         '{"M1": ' * 100_000,
         "<opencv_storage>" + "<a>" * 100_000 + "1" + "</a>" * 100_000 + "</opencv_storage>",
     ]:  # fmt: skip
-        with named(text):
-            path = tmp_path / "pair.yml"
-            path.write_text(text, encoding="utf-8")
-            with pytest.raises(ConfigurationError, match=r"pair\.yml") as caught:
-                read_stereo([path])
-            assert "\n" not in str(caught.value)
+        path = tmp_path / "pair.yml"
+        path.write_text(text, encoding="utf-8")
+        refused(r"pair\.yml", read_stereo, [path])
 
 
-def test_a_missing_file_and_a_file_given_twice_are_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match="No such file"):
-        read_stereo([tmp_path / "none.yml"])
+def test_files_that_are_missing_or_do_not_belong_together_are_refused(tmp_path):
+    refused("No such file", read_stereo, [tmp_path / "none.yml"])
     path = write_opencv(tmp_path / "pair.yml", opencv_pair())
-    with pytest.raises(ConfigurationError, match="twice"):
-        read_stereo([path, path])
-
-
-def test_files_that_a_pair_does_not_use_are_refused_by_name(tmp_path):
+    refused("twice", read_stereo, [path, path])
+    other = write_opencv(tmp_path / "other.yml", {"T": 2.0 * T})
+    refused(r"other\.yml: T: expected what .*pair", read_stereo, [path, other])
     files = [*info_pair(tmp_path), camchain(tmp_path / "camchain.yaml")]
-    why = r"(left|right)\.yaml, \S*(right|left)\.yaml: expected"
+    unused = r"(left|right)\.yaml, \S*(right|left)\.yaml: expected .*camchain\.yaml"
     for read, given in [(read_stereo, files), (read_stereo, files[::-1]), (read_intrinsics, files)]:
-        with named(read, given), pytest.raises(ConfigurationError, match=why) as error:
-            read(given)
-        assert "camchain.yaml" in str(error.value)
-
-
-def test_files_that_contradict_one_another_are_refused(tmp_path):
-    first = write_opencv(tmp_path / "first.yml", opencv_pair())
-    second = write_opencv(tmp_path / "second.yml", {"T": 2.0 * T})
-    with pytest.raises(ConfigurationError, match=r"second\.yml: T: expected what .*first"):
-        read_stereo([first, second])
-
-
-def test_camera_info_of_cameras_calibrated_one_by_one_is_refused(tmp_path):
-    paths = [camera_info(tmp_path / f"{name}.yaml", 0) for name in ("left", "right")]
-    with pytest.raises(ConfigurationError, match="calibration of both cameras together"):
-        read_stereo(paths)
-
-
-def test_brackets_in_texts_are_of_no_matter(tmp_path):
-    for name in ("pair.json", "pair.yaml"):
-        eyes = {"K1": K_LEFT, "K2": K_RIGHT, "D1": D_LEFT, "D2": D_RIGHT, "R": R, "T": T}
-        values = {key: value.tolist() for key, value in eyes.items()}
-        values |= {"image_size": list(SIZE), "note": "it's \\\" " + "[{" * 500}
-        check(read_stereo([written(tmp_path / name, values)]))
+        refused(unused, read, given)
+    alone = [camera_info(path, 0) for path in files[:2]]
+    refused("calibration of both cameras together", read_stereo, alone)
 
 
 def message(path, more: str):
@@ -290,11 +254,7 @@ def test_a_calibration_of_part_of_the_image_is_refused(tmp_path):
         ("roi:\n  x_offset: 16\n", r"roi\.x_offset: .* a region of 640 x 480 px at \(16, 0\)"),
         ("binning_x: two\n", "binning_x: expected a number of pixels"),
     ]:
-        with named(more, said), pytest.raises(ConfigurationError, match=said):
-            read_intrinsics([message(tmp_path / "one.yaml", more)])
-
-
-def test_a_calibration_of_the_full_image_may_say_so(tmp_path):
+        refused(said, read_intrinsics, [message(tmp_path / "one.yaml", more)])
     for more in (
         "binning_x: 0\nbinning_y: 0\n",
         "roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: true}\n",
@@ -305,20 +265,17 @@ def test_a_calibration_of_the_full_image_may_say_so(tmp_path):
             assert (left.width, left.height) == SIZE
 
 
-def test_camera_info_files_the_wrong_way_round_are_refused_for_a_robot_too(tmp_path):
-    left, right = info_pair(tmp_path)
-    with pytest.raises(ConfigurationError, match=r"right\.yaml: proj.* left and right swapped"):
-        read_intrinsics([right, left])
-    for fine in ([left, right], [left], [right], [left, message(tmp_path / "other.yaml", "")]):
-        read_intrinsics(fine)
-
-
-def test_cameras_one_above_the_other_are_accepted_with_a_word(tmp_path):
-    above = write_opencv(tmp_path / "above.yml", opencv_pair(T=np.array([-0.01, 0.1, 0.0])))
-    (guess,) = read_stereo([above]).guesses
-    assert "one above the other: N is turned" in guess
-    beside = write_opencv(tmp_path / "beside.yml", opencv_pair(T=np.array([-0.1, 0.09, 0.0])))
-    assert read_stereo([beside]).guesses == ()
+def test_an_odd_mounting_is_accepted_with_a_word(tmp_path):
+    turned = np.diag([-1.0, -1.0, 1.0])
+    for changes, said in [
+        ({"T": np.array([-0.01, 0.1, 0.0])}, ["one above the other: N is turned"]),
+        ({"T": np.array([-0.1, 0.09, 0.0])}, []),
+        ({"R": turned @ R, "T": turned @ T}, ["turned by 180 degrees about its optical axis"]),
+    ]:
+        guesses = read_stereo([write_opencv(tmp_path / "odd.yml", opencv_pair(**changes))]).guesses
+        assert [one in guess for one, guess in zip(said, guesses, strict=True)] == [True] * len(
+            said
+        )
 
 
 def test_a_principal_point_far_from_the_middle_asks_about_the_size(tmp_path):
@@ -347,18 +304,13 @@ def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(tmp_path)
         ({"lens_type": "FOV"}, "lens_type: .* not supported"),
         ({"fisheye": True, "distortion_model": "plumb_bob"}, "fisheye and .* one lens model"),
     ]:  # fmt: skip
-        with named(more, said), pytest.raises(ConfigurationError, match=said):
-            read_intrinsics([written(tmp_path / "one.json", camera(**more))])
-
-
-def test_such_a_value_that_changes_nothing_is_accepted(tmp_path):
+        refused(said, read_intrinsics, [written(tmp_path / "one.json", camera(**more))])
     for more in ({"xi": 0.0}, {"alpha": -1}, {"mirror": False}, {"flip": "none"}, {"skew": 0}):
         with named(more):
             assert read_intrinsics([written(tmp_path / "one.json", camera(**more))]).guesses == ()
 
 
 def test_the_lens_model_is_read_under_the_names_of_other_programs(tmp_path):
-    four = {"D": [0.1, 0.02, 1e-3, 2e-3]}
     for more, lens in [
         ({"model": "OPENCV_FISHEYE"}, "fisheye"), ({"model_type": "KANNALA_BRANDT"}, "fisheye"),
         ({"Camera.type": "KannalaBrandt8", "camera_type": "KannalaBrandt8"}, "fisheye"),
@@ -366,7 +318,7 @@ def test_the_lens_model_is_read_under_the_names_of_other_programs(tmp_path):
         ({"camera_model": "pinhole", "distortion_type": "radial-tangential"}, "brown-conrady"),
     ]:  # fmt: skip
         with named(more, lens):
-            both = read_intrinsics([written(tmp_path / "one.json", camera(**four, **more))])
+            both = read_intrinsics([written(tmp_path / "one.json", camera(D=FOUR, **more))])
             assert both.left.lens.model == lens
             assert "fisheye" not in " ".join(both.guesses)
 
@@ -379,33 +331,27 @@ def test_keys_that_nothing_reads_are_named(tmp_path):
     assert guess.endswith(f"{path}: camera_model, {path}: image_scale, {path}: k1")
 
 
-def test_a_key_that_stands_twice_is_refused(tmp_path):
-    path = camera_info(tmp_path / "both.yaml", 0)
-    path.write_text(path.read_text("utf-8") * 2, "utf-8")
-    with pytest.raises(ConfigurationError, match="the key 'image_width' twice"):
-        read_intrinsics([path])
-
-
 def test_numbers_that_nothing_reads_need_not_be_finite(tmp_path):
     errors = {"perViewReprojectionErrors": np.array([0.1, np.nan, np.inf])}
     check(read_stereo([write_opencv(tmp_path / "pair.yml", opencv_pair(**errors))]))
 
 
-def test_files_of_three_cameras_are_refused(tmp_path):
+def test_files_of_more_cameras_than_they_can_hold_are_refused(tmp_path):
+    path = camera_info(tmp_path / "both.yaml", 0)
+    path.write_text(path.read_text("utf-8") * 2, "utf-8")
+    refused("the key 'image_width' twice", read_intrinsics, [path])
     chain = camchain(tmp_path / "three.yaml")
     text = chain.read_text("utf-8")
     chain.write_text(text + text.partition("cam1:")[2].join(["cam2:", ""]), "utf-8")
     values = {f"K{i}": K_LEFT.tolist() for i in range(3)} | {"size": list(SIZE)}
     for path in (chain, written(tmp_path / "three.json", values)):
-        for read in (read_intrinsics, read_stereo):
-            with named(path.name, read), pytest.raises(ConfigurationError, match="0, 1, 2"):
-                read([path])
+        refused("0, 1, 2", read_intrinsics, [path])
+        refused("0, 1, 2", read_stereo, [path])
 
 
 def test_an_image_size_of_rows_by_columns_is_refused(tmp_path):
     swapped = written(tmp_path / "one.json", camera(image_size=[480, 640]))
-    with pytest.raises(ConfigurationError, match=r"that of 640 x 480: is .* rows by columns\?"):
-        read_intrinsics([swapped])
+    refused(r"that of 640 x 480: is .* rows by columns\?", read_intrinsics, [swapped])
     shape = {key: v for key, v in camera(shape=[480, 640, 3]).items() if key != "image_size"}
     both = read_intrinsics([written(tmp_path / "shape.json", shape)])
     assert (both.left.width, both.left.height) == SIZE
@@ -414,22 +360,13 @@ def test_an_image_size_of_rows_by_columns_is_refused(tmp_path):
 def test_a_translation_in_squares_asks_for_their_length(tmp_path):
     squares = opencv_pair(T=T / 0.025, square_size=1.0)
     path = write_opencv(tmp_path / "pair.yml", squares)
-    with pytest.raises(ConfigurationError, match=r"in squares: .* --unit 25mm"):
-        read_stereo([path])
+    refused(r"in squares: .* --unit 25mm", read_stereo, [path])
     check(read_stereo([path], unit="25mm"))
     assert "in squares of the board?" in read_stereo([path], unit="cm").guesses[0]
     scaled = write_opencv(tmp_path / "scaled.yml", opencv_pair(square_size=1.0))
     assert read_stereo([scaled]).guesses == ()
     for unit in ("inch", "0mm", "-3 mm", "mm25"):
-        with named(unit), pytest.raises(ConfigurationError, match="unit: expected m, cm or mm"):
-            read_stereo([path], unit=unit)
-
-
-def test_a_unit_that_the_file_names_counts(tmp_path):
-    path = write_opencv(tmp_path / "pair.yml", opencv_pair(T=1000.0 * T, unit="millimeters"))
-    check(read_stereo([path]))
-    with pytest.raises(ConfigurationError, match="unit: expected the unit that was given"):
-        read_stereo([path], unit="m")
+        refused("unit: expected m, cm or mm", read_stereo, [path], unit=unit)
 
 
 def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):
@@ -444,34 +381,25 @@ def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):
         with named(key):
             eyes = zip("01", (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), values, strict=True)
             cameras = {
-                side: {"resolution": SIZE, "intrinsics": k.tolist(), "distortion": d.tolist()}
-                | ({} if key.endswith("T_cam") else {key: pose.tolist()})
+                side: {"size": SIZE, "K": k.tolist(), "D": d.tolist(), key: pose.tolist()}
                 for side, k, d, pose in eyes
             }
+            one = {f"cam{side}": camera for side, camera in cameras.items()}
             if key == "body_T_cam":
-                top = {f"{key}{i}": pose.tolist() for i, pose in enumerate(values)}
+                one |= {f"{key}{side}": camera.pop(key) for side, camera in cameras.items()}
             else:
-                top = {}
                 files = [written(tmp_path / f"{side}.json", cameras[side]) for side in cameras]
                 check(read_stereo(files), atol=1e-9)
-            one = {f"cam{side}": camera for side, camera in cameras.items()} | top
             check(read_stereo([written(tmp_path / "one.json", one)]), atol=1e-9)
 
 
 def test_settings_of_orb_slam_hold_the_pair_in_rectification_and_projection(tmp_path):
     values = {"Camera.fx": 400.0, "Camera.bf": 40.0}
-    for eye, (side, k, d) in enumerate((("LEFT", K_LEFT, D_LEFT), ("RIGHT", K_RIGHT, D_RIGHT))):
-        values |= {f"{side}.width": SIZE[0], f"{side}.height": SIZE[1]}
-        each = {"K": k, "D": d, "R": RECTIFIED[eye], "P": RECTIFIED[2 + eye]}
-        values |= {f"{side}.{key}": matrix.tolist() for key, matrix in each.items()}
+    for eye, (name, k, d) in enumerate(EYES):
+        each = {"width": SIZE[0], "height": SIZE[1], "K": k.tolist(), "D": d.tolist()}
+        each |= {"R": RECTIFIED[eye].tolist(), "P": RECTIFIED[2 + eye].tolist()}
+        values |= {f"{name.upper()}.{key}": value for key, value in each.items()}
     check(read_stereo([written(tmp_path / "orb.json", values)]), atol=1e-9)
-
-
-def test_older_yaml_of_opencv_is_read_which_may_lack_spaces_before_values(tmp_path):
-    path = write_opencv(tmp_path / "pair.yml", opencv_pair())
-    text = path.read_text("utf-8").replace("data: [", "data:[").replace("_width: ", "_width:")
-    path.write_text("%YAML:1.0\n---\n" + text.partition("---\n")[2], encoding="utf-8")
-    check(read_stereo([path]))
 
 
 def test_a_format_that_is_not_read_is_named_with_those_that_are(tmp_path):
@@ -485,16 +413,7 @@ def test_a_format_that_is_not_read_is_named_with_those_that_are(tmp_path):
         ("fc = [ 657.46 ; 657.95 ];\ncc = [ 303.13 ; 242.56 ];\n", "MATLAB"),
         ("<?xml version='1.0'?>\n<calibration>\n<f>3000</f></calibration>", "Agisoft"),
     ]:
-        with named(program, text):
-            path = tmp_path / "calibration.txt"
-            path.write_text(text, encoding="utf-8")
-            said = rf"{program}.* not read: .*OpenCV .*ROS .*kalibr .*EuRoC .*ORB-SLAM2"
-            with pytest.raises(ConfigurationError, match=said):
-                read_intrinsics([path])
-
-
-def test_a_camera_turned_against_the_other_is_told(tmp_path):
-    turned = np.diag([-1.0, -1.0, 1.0])
-    over = write_opencv(tmp_path / "over.yml", opencv_pair(R=turned @ R, T=turned @ T))
-    (guess,) = read_stereo([over]).guesses
-    assert "turned by 180 degrees about its optical axis" in guess
+        path = tmp_path / "calibration.txt"
+        path.write_text(text, encoding="utf-8")
+        said = rf"{program}.* not read: .*OpenCV .*ROS .*kalibr .*EuRoC .*ORB-SLAM2"
+        refused(said, read_intrinsics, [path])

@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import ConfigurationError, HeadFileError
+from vergence.models.assumed import ROBOT, ROBOT_REASONS
 from vergence.models.camera import Camera, camera_matrix
 from vergence.models.head import HeadModel
 from vergence.models.head_file import (
@@ -153,19 +154,20 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
         unsaid = {size.sub("image.", key): reason for key, reason in unsaid.items()}
     fields = [camera_fields(each) | mount for each, mount in zip(cameras, mounts, strict=True)]
-    eyes = eye_tables(cameras, fields)
+    tables = eye_tables(cameras, fields)
+    eyes = tables.pop("eyes")
     document = {
         "name": _name(source, mechanism),
-        **{key: table for key, table in eyes.items() if key == "image"},
-        **ASSUMED_LOOP,
+        **tables,
+        **ROBOT,
         # limits belong to the motors: those of joints with shared motors follow from them
         "joints": [
             joint | ({} if motors and joint["part"] != "neck" else limit_fields(limit))
             for joint, limit in zip(joints, limits.values(), strict=True)
         ],
-        "eyes": eyes["eyes"],
+        "eyes": eyes,
         **actuator_fields(motors),
-        "assumptions": {**unsaid, **LOOP_REASONS, **_of_motors(assumed, motors)},
+        "assumptions": {**unsaid, **ROBOT_REASONS, **_of_motors(assumed, motors)},
     }
     try:
         head = head_of_document(document)
@@ -488,40 +490,3 @@ def actuator_fields(motors: Sequence[EyeMotor]) -> dict[str, Any]:
         ]
     }
     return tables | ({"joint_offsets_rad": offsets} if offsets else {})
-
-
-ASSUMED_LOOP: Final[dict[str, Any]] = {
-    "timing": {
-        "control_rate_hz": 120.0,
-        "frame_rate_hz": 60.0,
-        "latency_s": 8 / 120,
-        "exposure_s": 0.0,
-        "lag_s": 0.03,
-    },
-    "sensor": {
-        "detection_noise_px": 0.05,
-        "encoder_resolution_rad": 0.0,
-        "velocity_resolution_rad_s": 0.0,
-        "dropped_frame_probability": 0.0,
-        "max_smear_px": 6.0,
-    },
-    "rendering": {
-        "blur_px": 0.5,
-        "noise_grey": 2.0,
-        "supersampling": 1,
-        "black_grey": 40.0,
-        "white_grey": 210.0,
-        "background_grey": 120.0,
-    },
-}
-"""Assumed values for the parts of a head that a robot description does not contain."""
-LOOP_REASONS: Final = {
-    "timing.control_rate_hz": "not in such a file: what a servo bus of few joints reaches",
-    "timing.frame_rate_hz": "not in such a file: that of common USB cameras",
-    "timing.latency_s": "not in such a file: that of a USB camera with detection, 67 ms",
-    "timing.exposure_s": "not in such a file: a short one in good light",
-    "timing.lag_s": "not in such a file: that of common servos, 30 ms",
-    "sensor": "not in such a file: detection as in docs/vision.md, ideal encoders, no lost images",
-    "rendering": "not in such a file: how simulated images look, that of the simulated preset",
-}
-"""Reason for the assumed values by key of the head file."""
