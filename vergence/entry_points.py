@@ -33,10 +33,8 @@ class EntryPoint:
     """Location of a class, `module:class` or `path/to/file.py:class`; picklable."""
 
     spec: str
-    kind: str
-    """Name for messages, such as `controller`."""
-    module: str
-    """A dotted name, or the path of a file that ends in `.py`."""
+    kind: str  # name for messages, such as `controller`
+    module: str  # a dotted name, or the path of a file that ends in `.py`
     attribute: str
     folder: Path
     """Current folder at creation, in which modules and files are searched, in workers as well."""

@@ -115,12 +115,10 @@ class ServoRefusalError(HardwareError):
 class Finding:
     """A problem of a robot, found by a check before it moves."""
 
-    part: str
-    """The part at fault, such as "servos: left_pan", "bus" or "cameras.left"."""
+    part: str  # the part at fault, such as "servos: left_pan", "bus" or "cameras.left"
     problem: str
     cure: str = ""
-    warning: bool = False
-    """True if the robot may move nevertheless."""
+    warning: bool = False  # true if the robot may move nevertheless
 
     def __str__(self) -> str:
         cure = f"; cure: {self.cure}" if self.cure else ""

@@ -138,8 +138,7 @@ def _digest(module: str) -> str:
     return digest.hexdigest()[:16]
 
 
-_WRITTEN: Final[dict[str, Path]] = {}
-"""Folders that this process writes, by module."""
+_WRITTEN: Final[dict[str, Path]] = {}  # folders that this process writes, by module
 
 
 @atexit.register

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 __all__ = ["make_table", "make_tuple_reader", "unpack_table"]
 
-_WORD: Final = 8
-"""Size of an address, a length and a stride, bytes (numerical)."""
+_WORD: Final = 8  # size of an address, a length and a stride, bytes (numerical)
 
 
 def make_table(group: tuple[Any, ...]) -> NDArray[np.void]:

@@ -41,10 +41,8 @@ EXPECTED: Final = (
 _GAMMA_RANGE: Final = (0.2, 5.0)
 """Least and greatest gamma; those of cameras and displays lie between 1 and 2.6 (chosen: far
 beyond)."""
-_LEVELS: Final = 256
-"""Grey levels of 8 bits (numerical)."""
-_MOST_ENTRIES: Final = 65536
-"""Most entries of a table, one for each level of 16 bits (numerical)."""
+_LEVELS: Final = 256  # grey levels of 8 bits (numerical)
+_MOST_ENTRIES: Final = 65536  # most entries of a table, one for each level of 16 bits (numerical)
 
 
 def parse_response(value: Any, name: str = "response") -> CameraResponse:

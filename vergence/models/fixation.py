@@ -24,8 +24,7 @@ from vergence.models.kinematics import (
 )
 from vergence.models.parts import SLOTS, FloatArray
 
-_DAMPING: Final = 1e-11
-"""Damping of the normal equations, as a fraction of their trace (numerical)."""
+_DAMPING: Final = 1e-11  # damping of the normal equations, as a fraction of their trace (numerical)
 
 
 @subroutine
@@ -98,14 +97,11 @@ def image_rate(
 
 _MAX_ITERATIONS: Final = 60
 """Iteration limit of Newton's method, and half that of Gauss-Newton (numerical)."""
-_MAX_STEP_RAD: Final = 0.5
-"""Longest step of one iteration, rad (numerical)."""
-_NEWTON_TOLERANCE_RAD: Final = 1e-15
-"""Convergence tolerance of a Newton step, rad (numerical)."""
+_MAX_STEP_RAD: Final = 0.5  # longest step of one iteration, rad (numerical)
+_NEWTON_TOLERANCE_RAD: Final = 1e-15  # convergence tolerance of a Newton step, rad (numerical)
 _PIXEL_PHASE_STEP_RAD: Final = 1e-4
 """Gauss-Newton step below which the errors change from bearings to pixels, rad (numerical)."""
-_GN_TOLERANCE_RAD: Final = 1e-13
-"""Convergence tolerance of a Gauss-Newton step, rad (numerical)."""
+_GN_TOLERANCE_RAD: Final = 1e-13  # convergence tolerance of a Gauss-Newton step, rad (numerical)
 _ACCEPTED_STEP_RAD: Final = 1e-7
 """Last Gauss-Newton step that is accepted at the iteration limit, rad (numerical)."""
 

@@ -44,14 +44,11 @@ _CAMERA_FIELDS: Final = (*((name, 2) for name in _PINHOLE), ("pose", 3))
 class Body(NamedTuple):
     """Body that one joint carries. The z axis of its frame is the joint's axis."""
 
-    name: str
-    """The joint's name."""
+    name: str  # the joint's name
     joints: tuple[int, ...]
     """Indices of the joint in an array of all seven; two for a joint that both eyes share."""
-    parent: int
-    """Index in `Links.bodies` of the body that carries this one; -1 for the base."""
-    pose: FloatArray
-    """(4, 4) pose of its frame in the parent's at a joint angle of zero, metres."""
+    parent: int  # index in `Links.bodies` of the body that carries this one; -1 for the base
+    pose: FloatArray  # (4, 4) pose of its frame in the parent's at a joint angle of zero, metres
 
 
 class Links(FrozenArrays, ABC):
@@ -388,8 +385,7 @@ class Parameters(NamedTuple):
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    values: FloatArray
-    """(..., n): one vector per head."""
+    values: FloatArray  # (..., n): one vector per head
 
 
 def combine_geometries(

@@ -44,10 +44,8 @@ from vergence.models.parts import (
 from vergence.models.perturbation import ModelErrors, perturb_geometry
 from vergence.operands import as_operand
 
-_MM_PER_M: Final = 1000.0
-"""Millimetres per metre (physical: the unit)."""
-_ROUNDING_RAD: Final = 1e-9
-"""Tolerance for angles at their limits, rad (numerical)."""
+_MM_PER_M: Final = 1000.0  # millimetres per metre (physical: the unit)
+_ROUNDING_RAD: Final = 1e-9  # tolerance for angles at their limits, rad (numerical)
 
 
 def limits_of_eyes(

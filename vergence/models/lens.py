@@ -44,15 +44,12 @@ RATIONAL: Final = 2.0
 """`CameraRow.lens` of `rational` (numerical)."""
 FISHEYE: Final = 3.0
 """`CameraRow.lens` of `fisheye` (numerical)."""
-_NEWTON_STEPS: Final = 25
-"""Iteration limit of Newton's method (numerical)."""
-_NEWTON_TOLERANCE: Final = 1e-15
-"""Relative convergence tolerance of a Newton step (numerical)."""
+_NEWTON_STEPS: Final = 25  # iteration limit of Newton's method (numerical)
+_NEWTON_TOLERANCE: Final = 1e-15  # relative convergence tolerance of a Newton step (numerical)
 _MAX_RESIDUAL: Final = 1e-13
 """Largest distance of an inverse's distorted coordinates from the given ones, relative
 (numerical)."""
-_SEARCH_STEPS: Final = 200
-"""Iteration limit of the damped search (numerical)."""
+_SEARCH_STEPS: Final = 200  # iteration limit of the damped search (numerical)
 _LEAST_STEP_FRACTION: Final = 1e-6
 """Smallest fraction of a Newton step that the damped search tries (numerical)."""
 _MAX_COORDINATE: Final = 1e20
@@ -77,8 +74,7 @@ class CameraRow(NamedTuple):
     k6: float
     width: float
     height: float
-    lens: float
-    """`PINHOLE`, `POLYNOMIAL`, `RATIONAL` or `FISHEYE`."""
+    lens: float  # `PINHOLE`, `POLYNOMIAL`, `RATIONAL` or `FISHEYE`
     fold_radius_squared: float
     """Squared ideal radius of the fold, at which the image turns back on itself; inf if there is
     none."""
@@ -92,8 +88,7 @@ class DistortedPoint(NamedTuple):
     x: float
     y: float
     dxx: float
-    dxy: float
-    """Derivative of x by y, which equals that of y by x."""
+    dxy: float  # derivative of x by y, which equals that of y by x
     dyy: float
 
 

@@ -166,8 +166,7 @@ _MIN_BUILD_UP: Final = 0.02
 """Build-up m below which the response is taken as first-order (numerical)."""
 _MAX_PART_LENGTH: Final = 0.5
 """Longest part of the hold time, in time constants, if the acceleration is limited (numerical)."""
-_MAX_PARTS: Final = 3
-"""Most parts of the hold time (numerical)."""
+_MAX_PARTS: Final = 3  # most parts of the hold time (numerical)
 _MIN_RATE_DIFFERENCE: Final = 1e-5
 """Least half difference of the two decay rates, as a fraction of their mean: avoids a division by
 zero at critical damping (numerical)."""
@@ -176,24 +175,15 @@ zero at critical damping (numerical)."""
 class HeldResponse(NamedTuple):
     """Coefficients of the response to a held command, in equal parts with linear changes."""
 
-    lag_s: float
-    """Lag l, s."""
-    build_up_s2: float
-    """m l^2, s^2; 0 for a first-order lag."""
-    max_acceleration: float
-    """Greatest acceleration, rad/s^2, inf for none."""
-    part_s: float
-    """Duration of one part, s."""
-    part_count: int
-    """Number of parts of the hold time."""
-    gap_factor: float
-    """Factor from the gap to the gap after a part."""
-    gap_from_acceleration: float
-    """Factor from the acceleration to the gap after a part, s."""
-    acceleration_factor: float
-    """Factor from the acceleration to the acceleration after a part."""
-    acceleration_from_gap: float
-    """Factor from the gap to the acceleration after a part, 1/s."""
+    lag_s: float  # lag l, s
+    build_up_s2: float  # m l^2, s^2; 0 for a first-order lag
+    max_acceleration: float  # greatest acceleration, rad/s^2, inf for none
+    part_s: float  # duration of one part, s
+    part_count: int  # number of parts of the hold time
+    gap_factor: float  # factor from the gap to the gap after a part
+    gap_from_acceleration: float  # factor from the acceleration to the gap after a part, s
+    acceleration_factor: float  # factor from the acceleration to the acceleration after a part
+    acceleration_from_gap: float  # factor from the gap to the acceleration after a part, 1/s
 
 
 @inlined

@@ -82,14 +82,10 @@ class _NotNegative:
 class Parameter(NamedTuple):
     """One number of a part in which a real head may differ from its model."""
 
-    name: str
-    """Name, such as `left.tilt.alpha`."""
-    unit: str
-    """Unit: `m`, `rad`, `px`, or `1` for a ratio or a coefficient."""
-    field: str
-    """Field of the part that holds the number."""
-    column: int
-    """Index of the number in that field, with the field's own dimensions flattened."""
+    name: str  # name, such as `left.tilt.alpha`
+    unit: str  # unit: `m`, `rad`, `px`, or `1` for a ratio or a coefficient
+    field: str  # field of the part that holds the number
+    column: int  # index of the number in that field, with the field's own dimensions flattened
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

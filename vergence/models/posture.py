@@ -27,12 +27,9 @@ _N_ORIGIN_M: Final = (-0.011, -0.06427, 0.0)
 class RestPoses(NamedTuple):
     """Poses of a head at rest, all in frame 0."""
 
-    links: FloatArray
-    """(B, 4, 4) poses of the links, in the order of `Links.bodies`."""
-    frame_n: FloatArray
-    """(4, 4) T_0_N."""
-    cameras: FloatArray
-    """(2, 4, 4) poses of both cameras."""
+    links: FloatArray  # (B, 4, 4) poses of the links, in the order of `Links.bodies`
+    frame_n: FloatArray  # (4, 4) T_0_N
+    cameras: FloatArray  # (2, 4, 4) poses of both cameras
     upright_frame: FloatArray
     """(4, 4) pose of the upright frame: z up, -y forward, and N at the same pose in it as in the
     article's frame 0; the identity for the article's head."""

@@ -72,8 +72,7 @@ class ReadCameras:
     right: Camera
     lens_assumptions: tuple[str, str] = ("", "")
     """Assumption about each lens that the files do not tell; empty for none."""
-    notes: tuple[str, ...] = ()
-    """Assumptions about the files, one phrase each."""
+    notes: tuple[str, ...] = ()  # assumptions about the files, one phrase each
 
     @property
     def guesses(self) -> tuple[str, ...]:

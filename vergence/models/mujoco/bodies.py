@@ -29,8 +29,7 @@ class LinkInertia(NamedTuple):
     mass: float
     centre: FloatArray
     moments: FloatArray
-    edges: FloatArray
-    """(3,) edges of the solid box with these moments, m."""
+    edges: FloatArray  # (3,) edges of the solid box with these moments, m
 
 
 def link_inertias(head: HeadModel) -> list[LinkInertia]:
@@ -82,8 +81,7 @@ def _balance(links: Sequence[Body], skull: int) -> FloatArray:
     return np.array([0.0, 0.0, origin[2] + distance * axis[2]])
 
 
-_FACTOR_DECIMALS: Final = 12
-"""Decimals to which factors are rounded (numerical)."""
+_FACTOR_DECIMALS: Final = 12  # decimals to which factors are rounded (numerical)
 
 Factors = Sequence[tuple[str, float]]
 """Names of joints with their factors in a weighted sum of their angles."""
@@ -93,17 +91,14 @@ class Drive(NamedTuple):
     """An actuator and its joints: its angle is a weighted sum of joint angles, less an offset."""
 
     name: str
-    slot: int
-    """Index in an array of the neck's joints and the four actuators of the eyes."""
+    slot: int  # index in an array of the neck's joints and the four actuators of the eyes
     joints: Factors
     """Joints with their factors; a single one with the factor 1 is the actuator's own."""
-    ends: tuple[float, float]
-    """Least and greatest value of that sum, rad."""
+    ends: tuple[float, float]  # least and greatest value of that sum, rad
     target: str
     """Joint that only this actuator turns, over the joint's whole range, or the actuator's rotor;
     empty for neither."""
-    is_rotor: bool
-    """True if the rotor is a body of its own, see `_decoupling_inertias`."""
+    is_rotor: bool  # true if the rotor is a body of its own, see `_decoupling_inertias`
 
 
 class Coupling(NamedTuple):
@@ -111,8 +106,7 @@ class Coupling(NamedTuple):
 
     joint: str
     follows: Factors
-    offset: float
-    """Offset, rad."""
+    offset: float  # offset, rad
 
 
 def joint_index_by_name(head: HeadModel) -> dict[str, int]:
@@ -366,10 +360,8 @@ constant gains against realistic rotors)."""
 class LoadInertias(NamedTuple):
     """Inertias that the servos accelerate with the head at rest, (7,) kg m^2; zero if missing."""
 
-    joint_armature: FloatArray
-    """Of the rotors at each joint."""
-    joint_loads: FloatArray
-    """Of the rotors and links at each joint."""
+    joint_armature: FloatArray  # of the rotors at each joint
+    joint_loads: FloatArray  # of the rotors and links at each joint
     actuator_loads: FloatArray
     """Of the rotors and links at each joint of the neck and each actuator of the eyes."""
     separate_rotors: FloatArray

@@ -110,8 +110,7 @@ class ModelIndices(NamedTuple):
     joint_of_qpos: NDArray[np.intp]
     """(J,) first index, in an array of all seven joints, of each joint in `qpos`, so that
     `qpos[: len(joint_of_qpos)] = q[joint_of_qpos]`; the rest of `qpos` are rotors."""
-    slot_of_rotor: NDArray[np.intp]
-    """Index of each rotor in the same array as for `slot_of_ctrl`."""
+    slot_of_rotor: NDArray[np.intp]  # index of each rotor in the same array as for `slot_of_ctrl`
     slot_of_ctrl: NDArray[np.intp]
     """(nu,) index of each number in `ctrl` in an array of the neck's joints and the four actuators
     of the eyes."""

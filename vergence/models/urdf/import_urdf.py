@@ -194,8 +194,7 @@ def _check_two(cameras: tuple[str, str]) -> None:
         )
 
 
-_OPTICAL_AXES: Final = "x,y,z"
-"""Axes of an optical frame: x right, y down, z forward."""
+_OPTICAL_AXES: Final = "x,y,z"  # axes of an optical frame: x right, y down, z forward
 _MUJOCO_AXES: Final = "x,-y,-z"
 """Axes of MuJoCo's cameras, which look along -z with y up, as in OpenGL."""
 _SIGNED: Final = {sign + name: s * np.eye(3)[i] for s, sign in ((1.0, ""), (-1.0, "-"))

@@ -157,8 +157,7 @@ class Mechanism:
         return None if master == joint else MimicJoint(joint, master, factor, offset)
 
 
-_MAX_NAMES_SHOWN: Final = 12
-"""Most names that a message lists (chosen)."""
+_MAX_NAMES_SHOWN: Final = 12  # most names that a message lists (chosen)
 
 
 def known_names_hint(kind: str, name: str, names: Iterable[str]) -> str:
