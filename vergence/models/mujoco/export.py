@@ -32,21 +32,10 @@ _SCENE = "scene"
 def export_files(
     head: HeadModel, format: str, targets: Mapping[str, Board] = MappingProxyType({})
 ) -> dict[str, bytes]:
-    """Make the files of a head in one format, to be written into a folder.
+    """Contents of the files of one head by name, relative to their folder.
 
-    Args:
-        head: one head, not a population.
-        format: `mjcf` for `NAME.xml` (the head alone), `scene.xml` (which includes it and adds
-            light, floor, the targets and the fixed pair) and the targets' textures, or `urdf` for
-            `NAME.urdf`. NAME is the name of the head, in letters that files may have.
-        targets: the boards by the names of the mocap bodies that carry them, see `add_target`.
-
-    Returns:
-        File names, relative to the folder, with their contents.
-
-    Raises:
-        UnknownNameError: there is no such format.
-        ConfigurationError: the head is a population, or has no lag (MJCF).
+    `mjcf` makes `NAME.xml` (the head alone), `scene.xml` (which includes it and adds light, floor,
+    targets by the names of their mocap bodies, and the fixed pair) and textures; `urdf` NAME.urdf.
     """
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", head.name).strip(".-") or "head"
     stem = f"{stem}-head" if stem.lower() == _SCENE else stem

@@ -39,28 +39,16 @@ def build_spec(
     gravity: bool = False,
     timestep_s: float | None = None,
 ) -> mujoco.MjSpec:
-    """Build the head in its surroundings as an editable MuJoCo specification.
+    """Build one head in its surroundings as an editable MuJoCo specification.
 
-    Args:
-        head: one head, not a population.
-        neck: `servo` for a neck that moves, `welded` for one that is rigid at zero.
-        visuals: True to add shapes and a stand, which do not change the motion but slow it down.
-        scenery: True to add a floor and lights to these.
-        gravity: True to enable gravity, contacts, springs and constraints, for models with
-            additional bodies. The head's weight is compensated, it has no contacts, and coupled
-            joints stay coupled either way, so its motion is the same and the simulation slower.
-        timestep_s: time step of the simulation, s; None for a quarter of the control period.
+    Joints have the head's names, in the order of their first indices in `HeadModel.joints`.
+    Actuators are the joints of the neck, then the actuators of the eyes, see `drives_of`; `ctrl` is
+    an actuator's commanded velocity in rad/s, clipped to its limits. Cameras are pinholes.
 
-    Returns:
-        The specification. Joints have the head's names, in the order of their first indices in
-        `HeadModel.joints`. Actuators are the joints of the neck, then the actuators of the eyes,
-        see `drives_of`. `ctrl` is an actuator's commanded velocity in rad/s, clipped to its limits.
-
-    Raises:
-        ConfigurationError: the head is a population, or moves without a lag, or an option has an
-            invalid value.
-
-    MuJoCo's cameras are pinholes: the model does not include lens distortion.
+    A `welded` neck is rigid at zero. Visuals are shapes and a stand, and with scenery a floor and
+    lights: they slow a simulation down. So does gravity, which stands for contacts, springs and
+    constraints too, for models with additional bodies: it is compensated in the head, whose motion
+    is the same. The time step, s, is a quarter of the control period by default.
     """
     if head.batch_shape:
         raise ConfigurationError(

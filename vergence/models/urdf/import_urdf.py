@@ -44,59 +44,33 @@ from vergence.models.urdf.motors import (
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfSource:
-    """A robot description, and the frames and joints of it that make up the head.
+    """A robot description, and the frames and joints of it that make up the head."""
 
-    Attributes:
-        file: URDF or MJCF.
-        base: frame that the neck is mounted on.
-        cameras: frames of the left and the right camera.
-        neck: up to three neck joints.
-        lock: `JOINT=DEG` for joints held at an angle; `JOINT=0.1m` for prismatic joints.
-        camera_axes: `right,down,forward` axes of the camera frames, one for both or one each; empty
-            if the frames are optical frames or cameras of an MJCF.
-        speed: `RAD_S` for joints without a speed limit, `JOINT=RAD_S` for one.
-        acceleration: `RAD_S2` for all joints, `JOINT=RAD_S2` for one.
-        couplings: motors that move both eyes but are missing in the file.
-        intrinsics: files with the cameras' calibration.
-        size: (width, height) in pixels, for calibration files that do not give it.
-        lens: lens model, for calibration files that do not name it.
-        name: name of the head; empty for the robot's name.
-    """
-
-    file: str | os.PathLike[str]
-    base: str
-    cameras: tuple[str, str]
-    neck: Sequence[str] = ()
-    lock: Sequence[str] = ()
-    camera_axes: Sequence[str] = ()
-    speed: Sequence[str] = ()
-    acceleration: Sequence[str] = ()
-    couplings: Sequence[Coupling] = ()
-    intrinsics: Sequence[str | os.PathLike[str]] = ()
-    size: tuple[int, int] | None = None
-    lens: str | None = None
-    name: str = ""
+    file: str | os.PathLike[str]  # URDF or MJCF
+    base: str  # frame that the neck is mounted on
+    cameras: tuple[str, str]  # frames of the left and the right camera
+    neck: Sequence[str] = ()  # up to three joints
+    lock: Sequence[str] = ()  # `JOINT=DEG` for joints held there, `JOINT=0.1m` for prismatic ones
+    camera_axes: Sequence[str] = ()  # `right,down,forward`, one for both or each; else the usual
+    speed: Sequence[str] = ()  # `RAD_S` for joints without a limit, `JOINT=RAD_S` for one
+    acceleration: Sequence[str] = ()  # `RAD_S2` for all joints, `JOINT=RAD_S2` for one
+    couplings: Sequence[Coupling] = ()  # motors of both eyes that the file lacks
+    intrinsics: Sequence[str | os.PathLike[str]] = ()  # files with the cameras' calibration
+    size: tuple[int, int] | None = None  # width and height, px, for such files without it
+    lens: str | None = None  # for such files that do not name it
+    name: str = ""  # of the head; empty for the robot's
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImportedHead:
-    """A head imported from a robot description.
-
-    Attributes:
-        head: the head.
-        text: text of the head file.
-        chains: the kinematic chains of the head in the robot description.
-        motors: motors of the eyes; empty if each joint has its own.
-        ignored: parts of the robot that the head leaves out, one phrase each.
-        guesses: doubtful or assumed values of the cameras' calibration, one phrase each.
-    """
+    """A head imported from a robot description."""
 
     head: HeadModel
-    text: str
+    text: str  # of the head file
     chains: HeadChains
-    motors: Sequence[EyeMotor]
-    ignored: Sequence[str]
-    guesses: Sequence[str]
+    motors: Sequence[EyeMotor]  # of the eyes; empty if each joint has its own
+    ignored: Sequence[str]  # parts of the robot that the head leaves out, one phrase each
+    guesses: Sequence[str]  # doubts about the cameras' calibration, one phrase each
 
 
 def import_urdf(source: UrdfSource) -> ImportedHead:
@@ -105,14 +79,6 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     Locked joints become part of the fixed poses between moving joints. Frame N follows the head
     file's default rule: fixed to the link of the last neck joint, midway between the cameras with
     all joints at zero.
-
-    Args:
-        source: the file, and the selection of frames and joints.
-
-    Raises:
-        UnreadableFileError: the file cannot be read.
-        HeadFileError: what it describes cannot be a head.
-        ConfigurationError: the selection is wrong, or a head file cannot express it.
     """
     mechanism = read_mechanism(source.file)
     base = mechanism.find_frame(source.base, "base", ("body", "site", "camera"))
