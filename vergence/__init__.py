@@ -54,7 +54,8 @@ def __getattr__(name: str) -> Any:
             return "0+unknown"
     for home in map(import_module, _HOMES if name in __all__ else ()):
         if hasattr(home, name):
-            return getattr(home, name)
+            globals()[name] = getattr(home, name)  # found at once from now on
+            return globals()[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -4,6 +4,7 @@ Pixels follow OpenCV: the centre of the upper left pixel is (0, 0), a pixel cove
 each side of its centre, and u = u_0 + f_u x / z.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from math import isfinite
@@ -193,15 +194,15 @@ class Camera:
         """Image height, in pixels."""
         return self.size[1]
 
-    @property
+    @cached_property
     def focal(self) -> FloatArray:
         """(..., 2) focal lengths f_u and f_v, in pixels."""
-        return np.asarray(self.matrix[..., [0, 1], [0, 1]])
+        return readonly_array(self.matrix[..., [0, 1], [0, 1]])
 
-    @property
+    @cached_property
     def principal(self) -> FloatArray:
         """(..., 2) principal point (u_0, v_0), in pixels."""
-        return np.asarray(self.matrix[..., :2, 2])
+        return readonly_array(self.matrix[..., :2, 2])
 
     @cached_property
     def inverse_matrix(self) -> FloatArray:
@@ -272,33 +273,40 @@ def camera_matrix(focal: ArrayLike, principal: ArrayLike) -> FloatArray:
     return matrix
 
 
-class Cameras(NamedTuple):
+@dataclass(frozen=True)
+class Cameras:
     """The cameras of a head, with their values stacked by eye."""
 
     left: Camera
     right: Camera
 
-    @property
+    def __iter__(self) -> Iterator[Camera]:
+        return iter((self.left, self.right))
+
+    def __getitem__(self, eye: int) -> Camera:
+        return (self.left, self.right)[eye]
+
+    @cached_property
     def size(self) -> NDArray[np.int64]:
         """(2, 2) (width, height) by eye, in pixels."""
         return np.array([camera.size for camera in self])
 
-    @property
+    @cached_property
     def focal(self) -> FloatArray:
         """(..., 2, 2) (f_u, f_v) by eye, in pixels."""
-        return np.stack([camera.focal for camera in self], axis=-2)
+        return readonly_array(np.stack([camera.focal for camera in self], axis=-2))
 
-    @property
+    @cached_property
     def principal(self) -> FloatArray:
         """(..., 2, 2) (u_0, v_0) by eye, in pixels, pixel centres at integers."""
-        return np.stack([camera.principal for camera in self], axis=-2)
+        return readonly_array(np.stack([camera.principal for camera in self], axis=-2))
 
-    @property
+    @cached_property
     def lens(self) -> tuple[str, str]:
         """Lens model by eye."""
         return self.left.lens.model, self.right.lens.model
 
-    @property
+    @cached_property
     def distortion(self) -> FloatArray:
         """(..., 2, n) coefficients by eye, padded: n is 5 for two Brown-Conrady lenses, else 8."""
         own = [np.asarray(camera.lens.coefficients) for camera in self]
@@ -306,24 +314,24 @@ class Cameras(NamedTuple):
         out = np.zeros((*batch, 2, _padded_count(self.lens)))
         for eye, coefficients in enumerate(own):
             out[..., eye, : coefficients.shape[-1]] = coefficients
-        return out
+        return readonly_array(out)
 
-    @property
+    @cached_property
     def response(self) -> tuple[CameraResponse | None, CameraResponse | None]:
         """Response by eye."""
         return self.left.response, self.right.response
 
-    @property
+    @cached_property
     def pose(self) -> FloatArray:
         """(..., 2, 4, 4) poses in the eyes' last links, T_6_Cl and T_9_Cr, metres."""
-        return np.stack([camera.pose for camera in self], axis=-3)
+        return readonly_array(np.stack([camera.pose for camera in self], axis=-3))
 
-    @property
+    @cached_property
     def rows(self) -> FloatArray:
         """(..., 2, 17) packed cameras for kernels."""
         return np.stack(np.broadcast_arrays(self.left.row, self.right.row), axis=-2)
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of pinhole and lens of both eyes; 18 for two Brown-Conrady lenses."""
         return _camera_parameters(self.lens)

@@ -4,7 +4,7 @@ import dataclasses
 import os
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
@@ -537,7 +537,7 @@ def camera_fields(camera: Camera) -> dict[str, Any]:
     }
 
 
-def eye_tables(cameras: Sequence[Camera], fields: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def eye_tables(cameras: Iterable[Camera], fields: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Tables `eyes` and, for images of one size, `image`, from the other fields of both eyes."""
     left, right = ({"width_px": camera.width, "height_px": camera.height} for camera in cameras)
     named = [{"name": name} for name in EYE_NAMES]
