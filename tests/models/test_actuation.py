@@ -31,7 +31,7 @@ def test_a_joint_that_both_eyes_share_has_one_motor():
     np.testing.assert_allclose(actuation.actuators_of(q), [0, 0, 0, 0.1, 0.2, 0, 0], atol=1e-15)
 
 
-def test_version_and_vergence_move_both_pans():
+def test_version_and_vergence_move_both_pans_within_their_limits():
     head = head_of("tied")
     q = head.actuation.joints_of([0, 0, 0, 0.1, 0.2, 0.3, 0.0])
     np.testing.assert_allclose(q[3:], [0.1, 0.35, 0.1, 0.05], atol=1e-15)
@@ -40,10 +40,6 @@ def test_version_and_vergence_move_both_pans():
     # the joints' own limits are all that the actuators reach
     np.testing.assert_allclose(head.limits.upper[4], 0.9 + 0.6)
     np.testing.assert_allclose(head.limits.lower[6], -0.9 - 0.6)
-
-
-def test_limits_are_those_of_the_actuators():
-    head = head_of("tied")
     inside = head.actuation.joints_of([0, 0, 0, 0, 0.8, 1.1, 0])
     beyond = head.actuation.joints_of([0, 0, 0, 0, 0.8, -0.1, 0])  # eyes that look apart
     assert head.reaches(inside)
@@ -79,16 +75,13 @@ def test_eyes_that_do_not_move_fixate_nothing():
         pair.fixate([0.0, 0.0, 1.0])
 
 
-def test_an_actuator_may_have_its_own_lag_and_steps():
+def test_an_actuator_may_have_its_own_lag_and_steps_but_not_do_what_others_do():
     own = {"lag_s": [np.nan, 0.06, np.nan], "backlash_rad": [0.0, 0.002, 0.0]}
     head = head_of("tied")
     actuation = head.replace(actuators=dataclasses.replace(head.actuators, **own)).actuation
     np.testing.assert_array_equal(actuation.lag_ratio, [1, 1, 1, 1, 2, 1, 1])
     np.testing.assert_array_equal(actuation.backlash, [0, 0, 0, 0, 0.002, 0, 0])
     np.testing.assert_array_equal(actuation.angle_step[3:], [0.0005, 0.0005, 0.0005, 0.0])
-
-
-def test_actuators_that_do_the_same_are_refused():
     with pytest.raises(ConfigurationError, match="independent columns"):
         Actuators(
             names=("a", "b"), matrix=np.ones((4, 2)), offset=np.zeros(4), lower=-np.ones(2),

@@ -9,17 +9,6 @@ from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.models import ModelErrors, load_head
 
-CAMERA = ("size", "focal", "principal", "lens", "distortion", "response", "pose")
-PARTS = ("links", "cameras", "limits", "timing", "sensor", "rendering")
-
-
-def numbers(head):
-    for part in PARTS:
-        own = getattr(head, part)
-        for field in CAMERA if part == "cameras" else vars(own):
-            for index in np.ndindex(np.shape(getattr(own, field))):
-                yield part, field, index
-
 
 def nudged(head, part, field, index):
     """The head with one number changed a little, another lens, flag or side of its encoders."""
@@ -41,10 +30,15 @@ def nudged(head, part, field, index):
 def test_the_digest_changes_with_any_number_flag_or_word(physical):
     # no fifth coefficient, which a fisheye lacks
     physical = physical.replace(cameras={"distortion": 0.01 * np.ones((2, 4))})
-    changes = list(numbers(physical))
-    digests = {physical.digest, *(nudged(physical, *change).digest for change in changes)}
-    assert len(changes) > 100
-    assert len(digests) == len(changes) + 1
+    camera = ("size", "focal", "principal", "lens", "distortion", "response", "pose")
+    digests = [
+        nudged(physical, part, field, index).digest
+        for part in ("links", "cameras", "limits", "timing", "sensor", "rendering")
+        for field in (camera if part == "cameras" else vars(getattr(physical, part)))
+        for index in np.ndindex(np.shape(getattr(getattr(physical, part), field)))
+    ]
+    assert len(digests) > 100
+    assert len({physical.digest, *digests}) == len(digests) + 1
 
 
 def test_heads_are_equal_by_name_and_numbers(simulated, physical, head):
@@ -61,7 +55,7 @@ def test_heads_are_equal_by_name_and_numbers(simulated, physical, head):
     np.testing.assert_array_equal(copy.packed, head.packed)
 
 
-def test_arrays_are_the_heads_own_and_cannot_be_written(simulated):
+def test_arrays_are_the_heads_own_and_only_replaced_together(simulated):
     for array in (simulated.links.a, simulated.limits.upper, simulated.cameras.left.matrix):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
@@ -69,19 +63,16 @@ def test_arrays_are_the_heads_own_and_cannot_be_written(simulated):
     head = simulated.replace(head_eye=head_eye)
     head_eye[:] = 0.0
     np.testing.assert_array_equal(head.head_eye, simulated.head_eye)
-
-
-def test_cameras_and_head_eye_transforms_change_together(simulated):
     head = simulated.replace(head_eye=np.tile(np.eye(4), (2, 1, 1)), cameras={"size": (64, 48)})
     assert head.cameras.left.size == (64, 48)
     np.testing.assert_array_equal(head.head_eye[0], np.eye(4))
 
 
 def test_limits_keep_the_margin_and_contain_no_nan(simulated):
-    at_the_limit = simulated.limits.upper
-    assert simulated.limits.contains(at_the_limit)
-    assert not simulated.limits.contains(at_the_limit, margin=1e-6)
-    assert not simulated.limits.contains(np.full(7, np.nan))
+    limits = simulated.limits
+    assert limits.contains(limits.upper)
+    assert not limits.contains(limits.upper, margin=1e-6)
+    assert not limits.contains(np.full(7, np.nan))
 
 
 class TestPerturbation:

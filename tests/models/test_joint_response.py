@@ -45,31 +45,16 @@ def test_closed_form_is_the_solution_of_the_equation_of_motion() -> None:
     assert np.abs(got[:, 1] - expected_v).max() < 1e-6
 
 
-@given(v=speeds, u=speeds, split=st.floats(0.01, 0.99), tau=st.sampled_from([0.0, 0.01, 0.03]))
-def test_two_parts_of_a_period_make_the_whole(v, u, split, tau) -> None:
-    period = 0.05
-    whole = follow_one(0.0, v, u, tau=tau, a=120.0, period=period)
-    part = follow_one(0.0, v, u, tau=tau, a=120.0, period=split * period)
-    parts = follow_one(*part, u, tau=tau, a=120.0, period=(1.0 - split) * period)
-    assert parts == pytest.approx(whole, abs=1e-12)
-
-
-def test_a_pure_lag_covers_the_area_under_its_exponential() -> None:
-    q, v = follow_one(0.0, 0.0, 1.0, tau=0.03, a=np.inf, period=0.03)
-    assert v == pytest.approx(1.0 - np.exp(-1.0), abs=1e-15)
-    assert q == pytest.approx(0.03 * np.exp(-1.0), abs=1e-15)
-
-
-def test_without_lag_and_limit_the_command_is_the_motion() -> None:
-    q, v = follow_one(0.2, -5.0, 3.0, tau=0.0, a=np.inf, period=0.01)
-    assert (q, v) == pytest.approx((0.23, 3.0), abs=1e-15)
-
-
-def test_without_lag_the_speed_ramps_to_the_command() -> None:
-    # 3 rad/s at 120 rad/s^2 take 25 ms, the remaining 25 ms run at full speed
-    q, v = follow_one(0.0, 0.0, 3.0, tau=0.0, a=120.0, period=0.05)
-    assert v == pytest.approx(3.0, abs=1e-12)
-    assert q == pytest.approx(0.5 * 3.0 * 0.025 + 3.0 * 0.025, abs=1e-12)
+def test_a_lag_or_a_limit_alone_has_a_closed_form() -> None:
+    for (q, v, u), tau, a, period, wanted in [
+        # the area under the exponential of a lag
+        ((0.0, 0.0, 1.0), 0.03, np.inf, 0.03, (0.03 * np.exp(-1.0), 1.0 - np.exp(-1.0))),
+        ((0.2, -5.0, 3.0), 0.0, np.inf, 0.01, (0.23, 3.0)),
+        # 3 rad/s at 120 rad/s^2 take 25 ms, the remaining 25 ms run at full speed
+        ((0.0, 0.0, 3.0), 0.0, 120.0, 0.05, (0.5 * 3.0 * 0.025 + 3.0 * 0.025, 3.0)),
+    ]:
+        found = follow_one(q, v, u, tau=tau, a=a, period=period)
+        assert found == pytest.approx(wanted, abs=1e-15)
 
 
 @given(
@@ -109,9 +94,13 @@ def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equati
 
 
 @given(v=speeds, u=speeds, split=st.floats(0.01, 0.99), tau=st.sampled_from([0.0, 0.01, 0.03]))
-def test_two_parts_of_a_fading_motors_period_make_the_whole(v, u, split, tau) -> None:
-    period, a, torque_falloff = 0.05, 120.0, 0.1
-    whole = follow_torque_limited_joint(0.0, v, u, tau, a, torque_falloff, period)
-    part = follow_torque_limited_joint(0.0, v, u, tau, a, torque_falloff, split * period)
-    parts = follow_torque_limited_joint(*part, u, tau, a, torque_falloff, (1.0 - split) * period)
-    assert parts == pytest.approx(whole, abs=1e-10)
+def test_two_parts_of_a_period_make_the_whole(v, u, split, tau) -> None:
+    def plain(q, v, part):
+        return follow_one(q, v, u, tau=tau, a=120.0, period=0.05 * part)
+
+    def fading(q, v, part):
+        return follow_torque_limited_joint(q, v, u, tau, 120.0, 0.1, 0.05 * part)
+
+    for follow, within in ((plain, 1e-12), (fading, 1e-10)):
+        parts = follow(*follow(0.0, v, split), 1.0 - split)
+        assert parts == pytest.approx(follow(0.0, v, 1.0), abs=within)

@@ -13,17 +13,13 @@ from tests.naming import named
 from vergence.models.camera import pack_camera, pixels_to_rays, rays_to_pixels
 from vergence.models.lens import camera_at, distort
 
-K1_ONLY = {
-    "brown-conrady": (-0.3, 0.0, 0.0, 0.0, 0.0),
-    "rational": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 0.0), "fisheye": (-0.3, 0.0, 0.0, 0.0),
-}  # fmt: skip
-FOLD = {
-    # r (1 - 0.3 r^2) turns back at r^2 = 1 / 0.9
-    "brown-conrady": 1.0 / np.sqrt(0.9),
+FOLDS = {  # by the first radial coefficient, or those of a quotient, and r where it turns back
+    # r (1 - 0.3 r^2) at r^2 = 1 / 0.9
+    "brown-conrady": ((-0.3, 0.0, 0.0, 0.0, 0.0), 1.0 / np.sqrt(0.9)),
     # r / (1 + r^2 / 3) at r^2 = 3
-    "rational": np.sqrt(3.0),
+    "rational": ((0.0, 0.0, 0.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 0.0), np.sqrt(3.0)),
     # t (1 - 0.3 t^2) at t^2 = 1 / 0.9, and r is its tangent
-    "fisheye": np.tan(1.0 / np.sqrt(0.9)),
+    "fisheye": ((-0.3, 0.0, 0.0, 0.0), np.tan(1.0 / np.sqrt(0.9))),
 }
 
 UNDISTORT = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
@@ -42,18 +38,27 @@ def spread_rays(rng, count, most_deg=89.0):
     return np.tan(angle)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 
 
-def test_projection_is_opencvs(rng):
-    for lens in LENSES:
-        with named(lens):
-            head = wide(lens)
-            rays = spread_rays(rng, 2000)
-            for eye, row in enumerate(head.cameras.rows):
+def test_projection_is_opencvs_and_leads_there_and_back_over_the_whole_image(rng):
+    for right, left in some_of(LENSES, LENSES):
+        with named(right, left):
+            head = wide(left, right)
+            rays, rest = spread_rays(rng, 2000), np.zeros(7)
+            points = rng.uniform([-0.5, -0.4, 0.4], [0.5, 0.4, 1.0], (100, 3))
+            seen, to_cameras = head.project(rest, points), np.linalg.inv(head.camera_poses(rest))
+            for eye, (row, pose) in enumerate(zip(head.cameras.rows, to_cameras, strict=True)):
                 pixels = rays_to_pixels(rays, row)
                 inside = ((pixels >= -0.5) & (pixels <= head.cameras.size[eye] - 0.5)).all(axis=-1)
                 assert inside.mean() > 0.5
                 expected = by_opencv(head, eye, np.insert(rays[inside], 2, 1.0, axis=1))
                 # rounding of pixels
                 assert np.abs(pixels[inside] - expected).max() < 1e-9
+                expected = by_opencv(head, eye, points @ pose[:3, :3].T + pose[:3, 3])
+                assert np.abs(seen[:, eye] - expected).max() < 1e-9
+                raw = pixels_of_image(head, eye)
+                back = pixels_to_rays(raw, row)
+                has_ray = np.isfinite(back).all(axis=-1)
+                assert has_ray.mean() > 0.95
+                assert np.abs(rays_to_pixels(back[has_ray], row) - raw[has_ray]).max() < 1e-9
 
 
 def test_undistortion_is_opencvs(rng):
@@ -74,94 +79,59 @@ def test_undistortion_is_opencvs(rng):
                 assert np.abs(expected.reshape(-1, 2) - ideal[:, eye]).max() < tolerance
 
 
-def test_a_head_may_have_a_lens_of_its_own_in_each_eye(rng):
-    for right, left in some_of(LENSES, LENSES):
-        with named(right, left):
-            head = wide(left, right)
-            points = rng.uniform([-0.5, -0.4, 0.4], [0.5, 0.4, 1.0], (100, 3))
-            pixels = head.project(np.zeros(7), points)
-            for eye, pose in enumerate(np.linalg.inv(head.camera_poses(np.zeros(7)))):
-                in_camera = points @ pose[:3, :3].T + pose[:3, 3]
-                assert np.abs(by_opencv(head, eye, in_camera) - pixels[:, eye]).max() < 1e-9
-
-
-def test_there_and_back_over_the_whole_image():
-    for lens in LENSES:
-        with named(lens):
-            head = wide(lens)
-            for eye, row in enumerate(head.cameras.rows):
-                raw = pixels_of_image(head, eye)
-                rays = pixels_to_rays(raw, row)
-                seen = np.isfinite(rays).all(axis=-1)
-                assert seen.mean() > 0.95
-                assert np.abs(rays_to_pixels(rays[seen], row) - raw[seen]).max() < 1e-9
-
-
 def test_the_derivative_is_that_of_finite_differences_and_symmetric(rng):
+    step = 1e-6
     for lens in LENSES:
-        with named(lens):
-            camera = camera_at(row_of(lens, COEFFICIENTS[lens]), 0)
-            step = 1e-6
-            for x, y in [*spread_rays(rng, 50, 55.0), (0.0, 0.0), (1e-9, -1e-9), (0.0, 0.5)]:
-                bent = distort(camera, x, y)
-                right, left = distort(camera, x + step, y), distort(camera, x - step, y)
-                below, above = distort(camera, x, y + step), distort(camera, x, y - step)
-                by_x = np.array([right.x - left.x, right.y - left.y]) / (2.0 * step)
-                by_y = np.array([below.x - above.x, below.y - above.y]) / (2.0 * step)
+        camera = camera_at(row_of(lens, COEFFICIENTS[lens]), 0)
+        for x, y in [*spread_rays(rng, 50, 55.0), (0.0, 0.0), (1e-9, -1e-9), (0.0, 0.5)]:
+            bent = distort(camera, x, y)
+            for derivative, dx, dy in (
+                ([bent.dxx, bent.dxy], step, 0.0), ([bent.dxy, bent.dyy], 0.0, step),
+            ):  # fmt: skip
+                after, before = distort(camera, x + dx, y + dy), distort(camera, x - dx, y - dy)
+                slope = np.array([after.x - before.x, after.y - before.y]) / (2.0 * step)
                 # central differences of functions of size 1: 1e-16 / 1e-6 of rounding, 1e-12 of
                 # curvature
-                assert [bent.dxx, bent.dxy] == pytest.approx(by_x, abs=1e-9)
-                assert [bent.dxy, bent.dyy] == pytest.approx(by_y, abs=1e-9)
+                with named(lens, x, y):
+                    assert derivative == pytest.approx(slope, abs=1e-9)
 
 
 def test_a_ray_beyond_the_fold_has_no_pixel_and_a_pixel_beyond_it_no_ray():
-    for lens in LENSES:
+    turn = np.linspace(0.0, 2.0 * np.pi, 25)
+    around, centre = np.stack([np.cos(turn), np.sin(turn)], axis=-1), np.array([499.5, 399.5])
+    for lens, (coefficients, fold) in FOLDS.items():
         with named(lens):
-            row = row_of(lens, K1_ONLY[lens])
-            turn = np.linspace(0.0, 2.0 * np.pi, 25)
-            around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-            assert np.isfinite(rays_to_pixels(0.999 * FOLD[lens] * around, row)).all()
+            row = row_of(lens, coefficients)
+            edge = rays_to_pixels(0.999999 * fold * around, row)
+            rim = np.linalg.norm(edge - centre, axis=-1)[:, None] * around
+            assert np.isfinite(rays_to_pixels(0.999 * fold * around, row)).all()
+            assert np.isfinite(pixels_to_rays(centre + 0.999 * rim, row)).all()
             for beyond in (1.001, 1.5, 20.0):
-                assert np.isnan(rays_to_pixels(beyond * FOLD[lens] * around, row)).all()
-            centre = np.array([499.5, 399.5])
-            edge = rays_to_pixels(0.999999 * FOLD[lens] * around, row)
-            rim = np.linalg.norm(edge - centre, axis=-1)
-            assert np.isfinite(pixels_to_rays(centre + 0.999 * rim[:, None] * around, row)).all()
-            for beyond in (1.001, 1.5, 20.0):
-                assert np.isnan(pixels_to_rays(centre + beyond * rim[:, None] * around, row)).all()
+                assert np.isnan(rays_to_pixels(beyond * fold * around, row)).all()
+                assert np.isnan(pixels_to_rays(centre + beyond * rim, row)).all()
+            row = row_of(lens, COEFFICIENTS[lens])
+            for nowhere in ([np.nan, np.nan], [1e20, 0.0], [-1e15, 1e15]):
+                assert np.isnan(pixels_to_rays(np.array(nowhere), row)).all()
 
 
-def test_before_its_denominator_vanishes_a_rational_lens_reaches_everywhere():
-    # r / (1 - r^2 / 4) rises to infinity at r = 2, and comes back from below
-    row = row_of("rational", (0.0, 0.0, 0.0, 0.0, 0.0, -0.25, 0.0, 0.0))
-    assert np.isfinite(rays_to_pixels(np.array([1.9999, 0.0]), row)).all()
-    assert np.isnan(rays_to_pixels(np.array([2.0001, 0.0]), row)).all()
-    for ray in (1.0, 1.9, 1.99):
-        pixel = rays_to_pixels(np.array([ray, 0.0]), row)
-        assert pixels_to_rays(pixel, row) == pytest.approx([ray, 0.0], rel=1e-12)
-
-
-def test_where_tangential_terms_turn_the_image_over_there_is_no_pixel():
-    # the derivative along x at (x, 0) is 1 + 6 p2 x: zero at x = -1 / (6 p2)
-    row = row_of("brown-conrady", (0.0, 0.0, 0.0, 0.1, 0.0))
-    assert np.isfinite(rays_to_pixels(np.array([-1.66, 0.0]), row)).all()
-    assert np.isnan(rays_to_pixels(np.array([-1.67, 0.0]), row)).all()
-    assert np.isfinite(rays_to_pixels(np.array([1.67, 0.0]), row)).all()
-
-
-def test_an_ideal_pinhole_shows_nothing_at_a_right_angle():
-    row = row_of("fisheye", (0.0, 0.0, 0.0, 0.0))
-    rim = 499.5 + 500.0 * np.pi / 2.0
+def test_where_the_image_ends_without_a_radial_fold():
+    for lens, coefficients, inside, outside, why in [
+        ("rational", (0.0, 0.0, 0.0, 0.0, 0.0, -0.25, 0.0, 0.0), 1.9999, 2.0001,
+         "r / (1 - r^2 / 4) rises to infinity at r = 2, and comes back from below"),
+        ("brown-conrady", (0.0, 0.0, 0.0, 0.1, 0.0), -1.66, -1.67,
+         "the derivative along x at (x, 0) is 1 + 6 p2 x: zero at x = -1 / (6 p2)"),
+    ]:  # fmt: skip
+        row = row_of(lens, coefficients)
+        with named(why):
+            assert np.isfinite(rays_to_pixels(np.array([inside, 0.0]), row)).all()
+            assert np.isnan(rays_to_pixels(np.array([outside, 0.0]), row)).all()
+            for ray in (1.0, 0.95 * abs(inside), 0.995 * abs(inside)):
+                pixel = rays_to_pixels(np.array([ray, 0.0]), row)
+                assert pixels_to_rays(pixel, row) == pytest.approx([ray, 0.0], rel=1e-12, abs=1e-15)
+    # an ideal pinhole shows nothing at a right angle
+    row, rim = row_of("fisheye", (0.0, 0.0, 0.0, 0.0)), 499.5 + 500.0 * np.pi / 2.0
     assert np.isfinite(pixels_to_rays(np.array([rim - 1e-3, 399.5]), row)).all()
     assert np.isnan(pixels_to_rays(np.array([rim + 1e-3, 399.5]), row)).all()
-
-
-def test_what_a_lens_sees_nowhere_is_undistorted_to_nan_in_silence():
-    for lens in LENSES:
-        with named(lens):
-            row = row_of(lens, COEFFICIENTS[lens])
-            for pixel in ([np.nan, np.nan], [1e20, 0.0], [-1e15, 1e15]):
-                assert np.isnan(pixels_to_rays(np.array(pixel), row)).all()
 
 
 RADIAL, TANGENTIAL = st.floats(-2.0, 2.0), st.floats(-0.01, 0.01)

@@ -29,21 +29,18 @@ def test_another_head_comes_back_from_its_vector_about_the_model(physical, error
             assert set(units) == {"m", "rad", "px", "1"}
 
 
-NAMED = [
-    ("left.tilt.a", "m", lambda head: head.links.a[3]),
-    ("left.pan.alpha", "rad", lambda head: head.links.alpha[4]),
-    ("right.tilt.offset", "rad", lambda head: head.links.offset[6]),
-    ("right.camera_link.d", "m", lambda head: head.links.d[8]),
-    ("right.head_eye.y", "m", lambda head: head.head_eye[1, 1, 3]),
-    ("left.camera.f_v", "px", lambda head: head.cameras.focal[0, 1]),
-    ("right.camera.u_0", "px", lambda head: head.cameras.principal[1, 0]),
-    ("right.camera.k3", "1", lambda head: head.cameras.distortion[1, 4]),
-]
-
-
 def test_a_name_says_which_number_it_is(head):
     names, units, values = head.parameters()
-    for name, unit, of in NAMED:
+    for name, unit, of in [
+        ("left.tilt.a", "m", lambda head: head.links.a[3]),
+        ("left.pan.alpha", "rad", lambda head: head.links.alpha[4]),
+        ("right.tilt.offset", "rad", lambda head: head.links.offset[6]),
+        ("right.camera_link.d", "m", lambda head: head.links.d[8]),
+        ("right.head_eye.y", "m", lambda head: head.head_eye[1, 1, 3]),
+        ("left.camera.f_v", "px", lambda head: head.cameras.focal[0, 1]),
+        ("right.camera.u_0", "px", lambda head: head.cameras.principal[1, 0]),
+        ("right.camera.k3", "1", lambda head: head.cameras.distortion[1, 4]),
+    ]:
         assert units[names.index(name)] == unit, name
         assert values[names.index(name)] == of(head), name
         assert of(moved(head, name, 1e-3)) == pytest.approx(of(head) + 1e-3, rel=1e-15), name
@@ -59,24 +56,19 @@ def test_every_parameter_moves_what_an_eye_sees(physical, random_poses):
         eye = 0 if name.startswith("left") else 1
         assert change[eye].max() > 0.0, name
         assert change[1 - eye].max() == 0.0, name
-
-
-def test_head_eye_rotations_turn_about_the_cameras_own_axes(physical):
+    # rotations are about the cameras' own axes
     q, angle = np.zeros(7), 0.01
     turned = moved(physical, "left.head_eye.rx", angle).camera_poses(q)[0, :3, :3]
     rest = physical.camera_poses(q)[0, :3, :3]
     c, s = np.cos(angle), np.sin(angle)
     np.testing.assert_allclose(rest.T @ turned, [[1, 0, 0], [0, c, -s], [0, s, c]], atol=1e-12)
-
-
-def test_a_vector_of_another_length_is_refused(physical):
     for shape in [(51,), (3, 53), ()]:
         said = r"expected shape \(\.\.\., 52\)"
         with named(shape), pytest.raises(ConfigurationError, match=said):
             physical.with_parameters(np.zeros(shape))
 
 
-def test_a_lens_has_its_own_coefficients_by_name():
+def test_a_lens_has_its_own_coefficients_by_name(rng):
     head = wide("fisheye", "rational")
     names, _units, values = head.parameters()
     named = dict(zip(names, values.tolist(), strict=True))
@@ -87,10 +79,7 @@ def test_a_lens_has_its_own_coefficients_by_name():
         of_eye = [name for name in names if name.startswith(f"{eye}.camera.")]
         assert of_eye == [f"{eye}.camera.{name}" for name in ("f_u", "f_v", "u_0", "v_0", *own)]
         assert tuple(named[f"{eye}.camera.{name}"] for name in own) == COEFFICIENTS[lens]
-
-
-def test_distortion_errors_are_of_the_first_two_radial_coefficients_of_any_lens(rng):
-    head = wide("fisheye", "rational")
+    # of errors, the first two radial coefficients of any lens
     drawn = head.perturbed(rng, ModelErrors(distortion=0.1), 200)
     moved = (drawn.cameras.distortion - head.cameras.distortion).std(axis=0)
     # of 200 draws, 5 % a standard deviation of the estimate

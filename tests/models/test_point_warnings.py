@@ -39,39 +39,31 @@ def test_angles_beyond_the_limits_are_said_by_name():
                 head.fixate(point)
 
 
-def test_what_a_head_looks_at_is_not_asked_about():
+def test_what_a_head_looks_at_or_a_program_judges_is_not_asked_about(simulated):
     for name, distance in some_of(HEADS, [0.5, 20.0, 1e6, np.inf]):
         with named(name, distance), warnings.catch_warnings():
             warnings.simplefilter("error")
             load_head(name).fixate([0.0, 0.0, distance])
-
-
-def test_a_head_may_look_behind_itself_and_far_with_long_lenses():
     head = load_head("turrets")
     assert head.reaches(head.fixate([0.1, 0.0, -1.0]))
     # 0.15 m between the eyes times 6000 px by 800 m is a disparity of 1.1 px
     head = head.replace(cameras={"focal": np.full((2, 2), 6000.0)})
     assert head.reaches(head.fixate([0.0, 0.0, 800.0]))
-
-
-def test_programs_that_judge_the_angles_are_not_warned(simulated):
+    # programs that judge the angles themselves
     simulated.fixate([0.1, 0.0, -1.0], warn=False)
     for head in (simulated, load_head("icub")):
         head.least_error([0.1, 0.0, -1.0])
-    q = simulated.fixate([[100.0, -100.0, 800.0], [0.1, 0.0, -1.0]])
-    assert np.isfinite(q).all()
+    assert np.isfinite(simulated.fixate([[100.0, -100.0, 800.0], [0.1, 0.0, -1.0]])).all()
 
 
 def test_an_error_in_degrees_or_millimetres_or_below_zero_is_refused():
     degrees, millimetres = r"radians.*is it in degrees\?", r"metres.*is it in millimetres\?"
     for name, value, said in [
-        ("joint_offset_rad", 5.7, degrees),
-        ("common_tilt_rad", 1.4, degrees),
-        ("head_eye_rad", 1.0, degrees),
-        ("link_m", 0.5, millimetres),
+        ("joint_offset_rad", 5.7, degrees), ("common_tilt_rad", 1.4, degrees),
+        ("head_eye_rad", 1.0, degrees), ("link_m", 0.5, millimetres),
         ("head_eye_m", 0.5, millimetres),
         *(("principal_px", value, ">= 0") for value in (-1.0, np.nan, np.inf)),
-    ]:
+    ]:  # fmt: skip
         with named(name, value), pytest.raises(ConfigurationError, match=f"{name}.*{said}"):
             ModelErrors(**{name: value})
     # ten degrees, and a centimetre: what no calibration has seen

@@ -11,24 +11,21 @@ from vergence.errors import HeadFileError
 from vergence.models import parse_head
 
 
-def pans(left: float, right: float) -> str:
+def desk(left: float, right: float) -> str:
     """Two eyes that pan and tilt, at places along x."""
-    return "".join(
+    joints = "".join(
         joint(f"{eye}_pan", eye, (x, 0, 0), (0, 1, 0))
         + joint(f"{eye}_tilt", eye, CENTRE, (1, 0, 0))
         for eye, x in (("left", left), ("right", right))
     )
-
-
-def desk(left: float, right: float) -> str:
-    return 'name = "desk"\n' + pans(left, right) + IMAGE + eyes() + LOOP
+    return 'name = "desk"\n' + joints + IMAGE + eyes() + LOOP
 
 
 def pair(left: Sequence[float], right: Sequence[float]) -> str:
     return 'name = "pair"\n' + IMAGE + eyes(left, right) + LOOP
 
 
-def test_what_cannot_be_is_told():
+def test_what_cannot_be_and_what_was_meant_is_told():
     assert parse_head(desk(-0.04, 0.04)).camera_poses(np.zeros(7))[1, 0, 3] == pytest.approx(0.04)
     panfirst, pan, rolls = text_of("panfirst"), "axis = [0.0, 1.0, 0.0]", "axis = [0.0, 0.0, 1.0]"
     near, far = "lower_rad = -0.9\nupper_rad = 0.9", "lower_rad = 2.0\nupper_rad = 4.5"
@@ -42,20 +39,13 @@ def test_what_cannot_be_is_told():
         (text_of("common").replace(pan, rolls, 1), "joints moved by pan: expected pan, tilt each"),
         # before what follows from it
         (panfirst.replace(near, far, 1), r"limits of left_pan: expected .*of zero.*2\.0, 4\.5"),
-        (
-            desk(-0.04, 0.04) + actuator("tilt", "left_tilt = 1.0"),
-            "none that moves left_pan, right_pan, right_tilt",
-        ),
-        (
-            text_of("tied").replace("eyes_tilt = 1.0", "eye_tilt = 1.0"),
-            ": eyes_tilt, left_pan, right_pan, got 'eye_tilt'",
-        ),
-    ]:
+        (desk(-0.04, 0.04) + actuator("tilt", "left_tilt = 1.0"),
+         "none that moves left_pan, right_pan, right_tilt"),
+        (text_of("tied").replace("eyes_tilt = 1.0", "eye_tilt = 1.0"),
+         ": eyes_tilt, left_pan, right_pan, got 'eye_tilt'"),
+    ]:  # fmt: skip
         with named(said), pytest.raises(HeadFileError, match=said):
             parse_head(text)
-
-
-def test_what_was_meant_is_told():
     coefficients = "[0.0, 0.0, 0.0, 0.0, 0.0]"
     for name, given, wrong, said in [
         ("common", "[[joints]]", "[[joint]]", r"^joint: expected no such key \(is joints m"),

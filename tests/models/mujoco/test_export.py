@@ -23,39 +23,31 @@ TARGETS = {"tag": AprilTag()}
 FOLDER = Path(__file__).resolve().parents[3] / "models" / "bionic_eyes"
 
 
-def numbers(text):
-    return [float(value) for value in text.split()]
-
-
-def urdf_poses(text, q):
-    """Poses of all links in the root, by walking the XML; q by joint name."""
-    poses = {"base": np.eye(4)}
-    for joint in ET.fromstring(text).iter("joint"):
-        origin = joint.find("origin")
-        pose = np.eye(4)
-        # URDF: fixed axes x, y, z in this order
-        rotation = Rotation.from_euler("xyz", numbers(origin.get("rpy")))
-        if joint.get("type") == "revolute":
-            axis = np.array(numbers(joint.find("axis").get("xyz")))
-            rotation *= Rotation.from_rotvec(q[joint.get("name")] * axis)
-        pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), numbers(origin.get("xyz"))
-        poses[joint.find("child").get("link")] = poses[joint.find("parent").get("link")] @ pose
-    return poses
+def numbers(element, key):
+    return [float(value) for value in element.get(key).split()]
 
 
 class TestUrdf:
     def test_it_has_the_heads_frames(self, rng):
-        for kind in ALL:
+        for kind, q in ((name, q) for name in ALL for q in postures(any_head(name), rng)):
+            head = any_head(kind)
+            angles = dict(zip(head.joints, q, strict=True))
+            poses = {"base": np.eye(4)}  # of all links in the root, by walking the XML
+            for joint in ET.fromstring(to_urdf(head)).iter("joint"):
+                origin, pose = joint.find("origin"), np.eye(4)
+                # URDF: fixed axes x, y, z in this order
+                rotation = Rotation.from_euler("xyz", numbers(origin, "rpy"))
+                if joint.get("type") == "revolute":
+                    axis = np.array(numbers(joint.find("axis"), "xyz"))
+                    rotation *= Rotation.from_rotvec(angles[joint.get("name")] * axis)
+                pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), numbers(origin, "xyz")
+                parent, child = (joint.find(end).get("link") for end in ("parent", "child"))
+                poses[child] = poses[parent] @ pose
+            base = head.base_pose(q)
+            expected = [base, *(base @ head.camera_poses(q))]
+            found = [poses[name] for name in ("N", "left_camera", "right_camera")]
             with named(kind):
-                head = any_head(kind)
-                text = to_urdf(head)
-                for q in postures(head, rng):
-                    poses = urdf_poses(text, dict(zip(head.joints, q, strict=True)))
-                    base = head.base_pose(q)
-                    np.testing.assert_allclose(poses["N"], base, atol=1e-12)
-                    for eye, name in enumerate(("left_camera", "right_camera")):
-                        expected = base @ head.camera_poses(q)[eye]
-                        np.testing.assert_allclose(poses[name], expected, atol=1e-12)
+                np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_a_joint_that_follows_one_other_is_a_mimic_and_a_version_a_comment(self):
         joints = {j.get("name"): j for j in ET.fromstring(to_urdf(head_of("mis"))).iter("joint")}
@@ -66,39 +58,38 @@ class TestUrdf:
         assert "left_pan = 1 version +0.5 vergence" in text
         assert "mimic" not in text
 
-    def test_limits_and_efforts(self, head):
-        limits = [*ET.fromstring(to_urdf(head)).iter("limit")]
-        for name in ("lower", "upper", "velocity"):
+    def test_limits_efforts_and_inertia_are_the_models(self, head):
+        limits, model = [*ET.fromstring(to_urdf(head)).iter("limit")], compile_model(head)
+        for name, own in [
+            *((name, getattr(head.limits, name)) for name in ("lower", "upper", "velocity")),
+            ("effort", model.actuator_forcerange[:, 1]),
+        ]:
             values = [float(limit.get(name)) for limit in limits]
-            np.testing.assert_allclose(values, getattr(head.limits, name), rtol=1e-12)
-        efforts = [float(limit.get("effort")) for limit in limits]
-        torques = compile_model(head).actuator_forcerange[:, 1]
-        np.testing.assert_allclose(efforts, torques, rtol=1e-12)
-
-    def test_inertia_is_the_models(self, head):
-        urdf, model = mujoco.MjModel.from_xml_string(to_urdf(head)), compile_model(head)
+            np.testing.assert_allclose(values, own, rtol=1e-12)
+        urdf = mujoco.MjModel.from_xml_string(to_urdf(head))
         for joint in JOINTS:
             ours, theirs = (one.body(f"{joint}_link") for one in (model, urdf))
             np.testing.assert_allclose(theirs.mass, ours.mass)
             np.testing.assert_allclose(theirs.ipos, ours.ipos, atol=1e-12)
             np.testing.assert_allclose(np.sort(theirs.inertia), np.sort(ours.inertia), rtol=1e-9)
-
-    def test_efforts_are_finite_without_an_acceleration_limit(self, simulated):
-        free = simulated.replace(limits={"acceleration": np.full(7, np.inf)})
+        free = head.replace(limits={"acceleration": np.full(7, np.inf)})
         limits = ET.fromstring(to_urdf(free)).iter("limit")
         assert all(0.0 < float(limit.get("effort")) < 1e3 for limit in limits)
 
-    def test_a_population_is_refused(self, physical, errors, rng):
-        with pytest.raises(ConfigurationError, match=r"one head.*\(2,\)"):
-            to_urdf(physical.perturbed(rng, errors, 2))
-
     def test_roll_pitch_yaw_make_the_rotation(self, rng):
         for pitch in [0.3, np.pi / 2, -np.pi / 2, np.pi / 2 - 1e-8, 1.5707]:
-            with named(pitch):
-                for roll, yaw in rng.uniform(-3.0, 3.0, (50, 2)):
-                    rotation = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
-                    again = Rotation.from_euler("xyz", roll_pitch_yaw(rotation)).as_matrix()
+            for roll, yaw in rng.uniform(-3.0, 3.0, (50, 2)):
+                rotation = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
+                again = Rotation.from_euler("xyz", roll_pitch_yaw(rotation)).as_matrix()
+                with named(roll, pitch, yaw):
                     np.testing.assert_allclose(again, rotation, atol=1e-12)
+
+
+def test_what_cannot_be_exported_is_refused(physical, errors, rng):
+    with pytest.raises(ConfigurationError, match=r"one head.*\(2,\)"):
+        to_urdf(physical.perturbed(rng, errors, 2))
+    with pytest.raises(UnknownNameError, match="mjcf, urdf, got 'sdf'"):
+        export_files(physical, "sdf")
 
 
 def test_exported_files_carry_the_heads_name(simulated):
@@ -199,7 +190,3 @@ class TestMjcf:
         # gravity and contacts act on what others add; the head is spared by its own attributes
         assert model.opt.disableflags == 0
         assert (model.body_gravcomp[1:] == 1.0).all()
-
-    def test_an_unknown_format_is_refused(self, simulated):
-        with pytest.raises(UnknownNameError, match="mjcf, urdf, got 'sdf'"):
-            export_files(simulated, "sdf")

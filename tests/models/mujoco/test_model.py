@@ -68,7 +68,20 @@ def mujoco_pixel(model, data, name, point):
     return edges - 0.5
 
 
-def follow(model, commands, lag_s, acceleration, exact_actuator):
+def exact_actuator(q, v, u, time_s, lag_s, acceleration):
+    """Advance v' = clip((u - v) / tau, +-a_max), q' = v by a closed form."""
+    gap = u - v
+    clamped_s = np.clip(np.abs(gap) / acceleration - lag_s, 0.0, time_s)
+    slope = np.sign(gap) * acceleration
+    q = q + v * clamped_s + 0.5 * slope * clamped_s**2
+    v = v + slope * clamped_s
+    gap = u - v
+    rest_s = time_s - clamped_s
+    decay = -np.expm1(-rest_s / lag_s)
+    return q + u * rest_s - gap * lag_s * decay, v + gap * decay
+
+
+def follow(model, commands, lag_s, acceleration):
     """Greatest degrees between a model's joints, read half a step back, and the exact actuator."""
     data = mujoco.MjData(model)
     (q, v), worst = np.zeros((2, model.nv)), 0.0
@@ -81,36 +94,29 @@ def follow(model, commands, lag_s, acceleration, exact_actuator):
     return worst
 
 
-def bang_bang(head, rng, exact_actuator):
-    """Full speed for two seconds, switched at random control periods, away from the limits."""
-    limits = head.limits
-    sign, q, v = rng.choice([-1.0, 1.0], 7), np.zeros(7), np.zeros(7)
-    for _ in range(240):
-        sign = np.where(rng.random(7) < 0.06, -sign, sign)
-        sign = np.where(q > limits.upper - 0.45, -1.0, sign)
-        sign = np.where(q < limits.lower + 0.45, 1.0, sign)
-        command = sign * limits.velocity
-        q, v = exact_actuator(q, v, command, 1 / 120, head.timing.lag_s, limits.acceleration)
-        yield command
-
-
 class TestActuators:
     """The joints follow `v' = clip((u - v) / tau, +-a_max)`, whose lag is the preset's."""
 
-    def test_bang_bang_of_all_joints(self, simulated, rng, exact_actuator):
+    def test_bang_bang_of_all_joints(self, simulated, rng):
         # the neck at its full acceleration is what disturbs the eyes most
-        model, acceleration = bare_model("simulated"), simulated.limits.acceleration
+        limits, lag_s = simulated.limits, simulated.timing.lag_s
         for _ in range(4):
-            commands = bang_bang(simulated, rng, exact_actuator)
-            worst = follow(model, commands, simulated.timing.lag_s, acceleration, exact_actuator)
-            assert worst < 0.1
+            # full speed for two seconds, switched at random control periods, away from the limits
+            (q, v), sign, commands = np.zeros((2, 7)), rng.choice([-1.0, 1.0], 7), []
+            for _ in range(240):
+                sign = np.where(rng.random(7) < 0.06, -sign, sign)
+                sign = np.where(q > limits.upper - 0.45, -1.0, sign)
+                sign = np.where(q < limits.lower + 0.45, 1.0, sign)
+                commands.append(sign * limits.velocity)
+                q, v = exact_actuator(q, v, commands[-1], 1 / 120, lag_s, limits.acceleration)
+            assert follow(bare_model("simulated"), commands, lag_s, limits.acceleration) < 0.1
 
-    def test_no_acceleration_limit_leaves_the_lag_alone(self, simulated, exact_actuator):
+    def test_no_acceleration_limit_leaves_the_lag_alone(self, simulated):
         free = simulated.replace(limits={"acceleration": np.full(7, np.inf)})
         model = compile_model(free, neck="welded", **BARE)
         assert not model.actuator_forcelimited.any()
         commands = np.tile([6.0, -6.0, -6.0, 6.0], (12, 1))
-        assert follow(model, commands, free.timing.lag_s, np.full(4, 1e9), exact_actuator) < 0.02
+        assert follow(model, commands, free.timing.lag_s, np.full(4, 1e9)) < 0.02
 
     def test_nothing_sags(self, simulated):
         for gravity in (False, True):
@@ -129,8 +135,7 @@ class TestActuators:
             own = np.diag(inertia)
             assert (model.dof_armature / own).min() > 0.95
             assert (np.abs(inertia - np.diag(own)) / own).max() < 0.005
-
-    def test_servos_of_a_wide_head_are_stronger(self):
+        # servos of a wide head are stronger
         wide = parse_head(text_of("common").replace("0.05, 0.0, 0.0", "0.5, 0.0, 0.0"))
         stronger, own = (load_inertias(h).joint_armature for h in (wide, head_of("common")))
         assert (stronger >= own).all()
@@ -180,53 +185,46 @@ class TestTree:
                 off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
                 assert bool(off) == (model.neq == 0)
 
-    def test_a_welded_neck_leaves_the_eyes(self, head):
-        indices = find_model_indices(compile_model(head, neck="welded"), head)
+    def test_a_welded_neck_leaves_the_eyes_and_four_steps_are_a_control_period(self, head):
+        model = compile_model(head, neck="welded")
+        indices = find_model_indices(model, head)
         np.testing.assert_array_equal(indices.qpos_of_joint, [-1, -1, -1, 0, 1, 2, 3])
         np.testing.assert_array_equal(indices.joint_of_qpos, [3, 4, 5, 6])
+        assert 4 * model.opt.timestep == pytest.approx(head.timing.period_s)
+        assert compile_model(head, timestep_s=0.001).opt.timestep == 0.001
 
-    def test_an_actuator_may_have_the_name_of_a_neck_joint(self):
+    def test_an_actuator_may_have_the_name_of_a_neck_joint_and_each_eye_its_size(self):
         head = parse_head(text_of("tied").replace('name = "tilt"', 'name = "neck_yaw"'))
-        assert compile_model(head, **BARE).actuator("eyes_neck_yaw").id == 3
-
-    def test_each_eye_has_its_own_image_size(self):
-        model = compile_model(head_of("pair").replace(cameras={"size": [[320, 240], [640, 400]]}))
+        model = compile_model(head.replace(cameras={"size": [[320, 240], [640, 400]]}))
+        assert model.actuator("eyes_neck_yaw").id == 3
         np.testing.assert_array_equal(model.cam_resolution, [[320, 240], [640, 400]])
         assert (model.vis.global_.offwidth, model.vis.global_.offheight) == (640, 400)
 
-    def test_four_steps_are_a_control_period(self, head):
-        assert 4 * compile_model(head).opt.timestep == pytest.approx(head.timing.period_s)
-        assert compile_model(head, timestep_s=0.001).opt.timestep == 0.001
 
-
-class TestTies:
-    def test_joints_that_follow_others_do_so_under_full_commands(self, rng):
-        for name in ("mis", "vergence_of_one", "three_from_two"):
-            with named(name):
-                head = any_head(name)
-                own, model = head.actuation, bare_model(name)
-                qpos_of_joint, joints, rotors, slots = find_model_indices(model, head)
-                middle, worst = 0.5 * (own.lower + own.upper), 0.0
-                data = placed(model, head, own.joints_of(middle))
-                data.qpos[len(joints) :] = middle[rotors]
-                for step in range(400):
-                    if step % 20 == 0:
-                        data.ctrl[:] = rng.choice([-1.0, 1.0], model.nu) * own.velocity[slots]
-                    mujoco.mj_step(model, data)
-                    q = np.where(qpos_of_joint >= 0, data.qpos[qpos_of_joint], 0.0)
-                    worst = max(worst, np.abs(own.joints_of(own.actuators_of(q)) - q).max())
-                assert np.abs(data.qpos).max() > 0.1
-                # within what an encoder of 0.01 degrees tells
-                assert worst < 1e-4
-
-    def test_a_joint_may_follow_two_others_from_an_offset(self, rng):
-        head = any_head("three_from_two")
-        for q in postures(head, rng):
-            angles = dict(zip(head.joints, q, strict=True))
-            for joint, others, offset in (couplings := couplings_of(head)):
-                follows = offset + sum(factor * angles[name] for name, factor in others)
-                assert angles[joint] == pytest.approx(follows, abs=1e-12)
-            assert couplings
+def test_joints_that_follow_others_do_so_under_full_commands(rng):
+    for name in ("mis", "vergence_of_one", "three_from_two"):
+        with named(name):
+            head = any_head(name)
+            own, model = head.actuation, bare_model(name)
+            qpos_of_joint, joints, rotors, slots = find_model_indices(model, head)
+            middle, worst = 0.5 * (own.lower + own.upper), 0.0
+            data = placed(model, head, own.joints_of(middle))
+            data.qpos[len(joints) :] = middle[rotors]
+            for step in range(400):
+                if step % 20 == 0:
+                    data.ctrl[:] = rng.choice([-1.0, 1.0], model.nu) * own.velocity[slots]
+                mujoco.mj_step(model, data)
+                q = np.where(qpos_of_joint >= 0, data.qpos[qpos_of_joint], 0.0)
+                worst = max(worst, np.abs(own.joints_of(own.actuators_of(q)) - q).max())
+            assert np.abs(data.qpos).max() > 0.1
+            # within what an encoder of 0.01 degrees tells
+            assert worst < 1e-4
+    assert couplings_of(head)  # to two others, from an offset
+    for q in postures(head, rng):
+        angles = dict(zip(head.joints, q, strict=True))
+        for joint, others, offset in couplings_of(head):
+            follows = offset + sum(factor * angles[name] for name, factor in others)
+            assert angles[joint] == pytest.approx(follows, abs=1e-12)
 
 
 class TestAppearance:
@@ -268,9 +266,6 @@ def test_what_no_model_can_be_made_of_is_refused(simulated, physical, errors, rn
     ]:
         with named(options, said), pytest.raises(VergenceError, match=said):
             build_spec(head, **options)
-
-
-def test_a_model_of_other_joints_is_refused_by_name(simulated):
     other = "<mujoco><worldbody><body><joint name='elbow'/><geom size='1'/></body></worldbody>"
     with pytest.raises(ConfigurationError, match=r"neck_yaw.*elbow"):
         find_model_indices(mujoco.MjModel.from_xml_string(f"{other}</mujoco>"), simulated)

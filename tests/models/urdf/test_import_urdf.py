@@ -4,7 +4,6 @@ import itertools
 import pickle
 import re
 import tomllib
-from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -26,6 +25,7 @@ from vergence.models.urdf.import_urdf import ImportedHead, UrdfSource, import_ur
 
 TURNS = ("yaw", "roll", "pitch")
 CAMERAS = ("left_optical", "right_optical")
+TURRETS = ("left_pan", "left_tilt", "right_pan", "right_tilt")
 LEFT, RIGHT = eye("left"), eye("right")
 ROBOT = urdf(NECK, LEFT, RIGHT)
 FIXED_EYES = "".join(
@@ -60,9 +60,9 @@ def refused(head_of):
     return run
 
 
-def random_angles(imported: ImportedHead, count: int, seed: int = 0) -> np.ndarray:
+def random_angles(imported: ImportedHead, count: int) -> np.ndarray:
     """(count, 7) joint angles within limits, tied joints tied."""
-    rng, head = np.random.default_rng(seed), imported.head
+    rng, head = np.random.default_rng(0), imported.head
     q = rng.uniform(head.limits.lower, head.limits.upper, (count, 7))
     for i, j in itertools.combinations(range(7), 2):
         if head.joints[i] and head.joints[i] == head.joints[j]:
@@ -74,30 +74,55 @@ def by_name(imported: ImportedHead, q: np.ndarray) -> dict[str, float]:
     return {name: float(angle) for name, angle in zip(imported.head.joints, q, strict=True) if name}
 
 
-def assert_moves_as(imported, cameras, kinematics, base, held=MappingProxyType({}), count=100):
+def assert_moves_as(imported, cameras, kinematics, base, held):
     """`base_pose` and `camera_poses` are those of other kinematics, N fixed to the last link."""
-    q = random_angles(imported, count)
-    T_0_N = imported.head.base_pose(q)
-    found = T_0_N[:, None] @ imported.head.camera_poses(q)
-    wanted = np.array(
-        [
-            [kinematics.pose(name, base, by_name(imported, row) | held) for name in cameras]
-            for row in q
-        ]
-    )  # fmt: skip
-    assert np.abs(found - wanted).max() < 1e-9
+    q = random_angles(imported, 100)
+    found = imported.head.base_pose(q)[:, None] @ imported.head.camera_poses(q)
+    angles = [by_name(imported, row) | held for row in q]
+    wanted = [[kinematics.pose(name, base, each) for name in cameras] for each in angles]
+    assert np.abs(found - np.array(wanted)).max() < 1e-9
 
 
-def test_a_pan_first_turret_pair_moves_as_its_urdf(head_of):
-    imported = head_of(ROBOT, neck=("pitch", "yaw", "roll"))  # in any order
-    eyes = ("left_pan", "left_tilt", "right_pan", "right_tilt")
-    assert imported.head.joints == (*TURNS, *eyes)
-    assert_moves_as(imported, CAMERAS, UrdfKinematics(ROBOT), "base")
+def test_a_head_moves_as_its_urdf(head_of):
+    lift = joint("lift", "foot", "base", kind="prismatic", xyz="0 0 0.2", lower="0", upper="0.4")
+    shared = joint("eyes_tilt", "head", "tilted", xyz="0.04 0 0.1", axis="0 1 0") + "".join(
+        joint(f"{side}_pan", "tilted", f"{side}_eye", xyz=f"0 {y} 0", axis=axis)
+        + joint(f"{side}_fixed", f"{side}_eye", f"{side}_optical", kind="fixed", rpy=OPTICAL)
+        for side, y, axis in (("left", 0.034, "0 0 -1"), ("right", -0.034, "0 0 1"))
+    )
+    roll = joint("roll", "n1", "n2", xyz="0 0.01 0.05", axis="1 0 0")
+    tied = roll.replace("</joint>", '<mimic joint="yaw" multiplier="0.5" offset="0.1"/></joint>')
+    off_the_way = [  # where a file may say anything
+        joint("jaw", "head", "chin", lower="", velocity="").replace("<origin xyz", "<origin xzy"),
+        joint("tail", "n1", "tip", rpy="0 0 180"),
+        joint("stand", "floor", "base", kind="floating", rpy="0 0 360"),
+        joint("tray", "n1", "plate", kind="planar"),
+        joint("stuck", "head", "stuck_link", lower="0.2", upper="0.2"),
+    ]
+    turned = NECK.replace('rpy="0.1 -0.2 0.3"', 'rpy="0.1 -0.2 -6.2832"')
+    lifted = {"base": "foot", "neck": ("yaw", "pitch"), "lock": ("lift=0.25m", "roll=-20")}
+    yaw = np.deg2rad(20.0)
+    for text, options, joints, motors, held in [
+        (ROBOT, {"neck": ("pitch", "yaw", "roll")}, (*TURNS, *TURRETS), 4, {}),  # in any order
+        (urdf(NECK, shared), {}, (*TURNS, "eyes_tilt", "left_pan", "eyes_tilt"), 3, {}),
+        (urdf(lift, NECK, LEFT, RIGHT), lifted, ("yaw", "pitch", ""), 4,
+         {"lift": 0.25, "roll": -yaw}),
+        (urdf(NECK, FIXED_EYES), {}, TURNS, 0, {}),
+        (urdf(NECK.replace(roll, tied), LEFT, RIGHT), {"neck": ("pitch",), "lock": ("yaw=20",)},
+         ("pitch", ""), 4, {"yaw": yaw, "roll": 0.5 * yaw + 0.1}),
+        (urdf(turned, LEFT, RIGHT, *off_the_way), {}, TURNS, 4, {}),
+    ]:  # fmt: skip
+        with named(options, joints):
+            imported = head_of(text, **options)
+            assert imported.head.joints[: len(joints)] == joints
+            assert imported.head.actuation.count == motors
+            assert imported.chains.fixed_values == pytest.approx(held)
+            base = options.get("base", "base")
+            assert_moves_as(imported, CAMERAS, UrdfKinematics(text), base, held)
 
 
 def test_n_is_fixed_to_what_the_last_neck_joint_carries_midway_between_the_cameras(head_of):
-    imported = head_of(ROBOT)
-    kinematics = UrdfKinematics(ROBOT)
+    imported, kinematics = head_of(ROBOT), UrdfKinematics(ROBOT)
     T_head_N = np.eye(4)
     # x right, y down, z forward in a link with x forward, y left, z up
     T_head_N[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
@@ -105,36 +130,6 @@ def test_n_is_fixed_to_what_the_last_neck_joint_carries_midway_between_the_camer
     for q in random_angles(imported, 20):
         T_base_N = kinematics.pose("head", "base", by_name(imported, q)) @ T_head_N
         np.testing.assert_allclose(imported.head.base_pose(q), T_base_N, atol=1e-12)
-
-
-def test_joints_that_both_eyes_stand_on_after_the_neck_are_theirs(head_of):
-    pans = [
-        joint(f"{side}_pan", "tilted", f"{side}_eye", xyz=f"0 {y} 0", axis=axis)
-        + joint(f"{side}_fixed", f"{side}_eye", f"{side}_optical", kind="fixed", rpy=OPTICAL)
-        for side, y, axis in (("left", 0.034, "0 0 -1"), ("right", -0.034, "0 0 1"))
-    ]
-    text = urdf(NECK, joint("eyes_tilt", "head", "tilted", xyz="0.04 0 0.1", axis="0 1 0"), *pans)
-    imported = head_of(text)
-    assert imported.head.joints[3:] == ("eyes_tilt", "left_pan", "eyes_tilt", "right_pan")
-    assert imported.head.actuation.count == 3
-    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base")
-
-
-def test_held_joints_are_folded_into_what_moves(head_of):
-    lift = joint("lift", "foot", "base", kind="prismatic", xyz="0 0 0.2", lower="0", upper="0.4")
-    text = urdf(lift, NECK, LEFT, RIGHT)
-    neck = ("yaw", "pitch")
-    imported = head_of(text, base="foot", neck=neck, lock=("lift=0.25m", "roll=-20"))
-    assert imported.head.joints[:3] == (*neck, "")
-    held = {"lift": 0.25, "roll": np.deg2rad(-20.0)}
-    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "foot", held)
-
-
-def test_eyes_that_do_not_move_on_a_neck_make_a_head(head_of):
-    text = urdf(NECK, FIXED_EYES)
-    imported = head_of(text)
-    assert imported.head.actuation.count == 0
-    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base")
 
 
 def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
@@ -160,39 +155,12 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
         np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
-def test_a_mimic_that_a_head_cannot_have_says_why(refused):
-    text = urdf(NECK, LEFT, RIGHT, joint("jaw", "head", "chin"))
-    for name, mimic, why in [
-        ("roll", 'joint="yaw"', "roll: .* neck .* follows yaw"),
-        ("left_pan", 'joint="pitch"', "left_pan: .* follows pitch"),
-        ("left_pan", 'joint="jaw"', "left_pan: .* follows jaw, .* not on the way"),
-        ("left_pan", 'joint="rightpan"', r"left_pan: .*\(near: right_pan.*'rightpan', which is no"),
-        ("left_pan", 'joint="left_pan"', "left_pan: .* circle"),
-        ("roll", 'joint="pitch" multiplier="0"', "neck: .* 'roll', which is held"),
-    ]:
-        end = text.index("</joint>", text.index(f'<joint name="{name}"'))
-        refused(f"{text[:end]}<mimic {mimic}/>{text[end:]}", why)
-
-
-def test_what_follows_a_held_joint_is_held_too(head_of):
-    roll = joint("roll", "n1", "n2", xyz="0 0.01 0.05", axis="1 0 0")
-    tied = roll.replace("</joint>", '<mimic joint="yaw" multiplier="0.5" offset="0.1"/></joint>')
-    text = urdf(NECK.replace(roll, tied), LEFT, RIGHT)
-    imported = head_of(text, neck=("pitch",), lock=("yaw=20",))
-    held = {"yaw": np.deg2rad(20.0)}
-    assert imported.chains.fixed_values == pytest.approx(held | {"roll": 0.5 * held["yaw"] + 0.1})
-    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base", held)
-
-
-TOP = joint("nod", "top", "base", lower="0.1", upper="0.3")
-FIRST = joint("turn", "foot", "top")
-
-
-def test_a_refused_neck_comes_with_options_that_work(head_of, refused):
+def test_a_refused_neck_or_eye_comes_with_options_that_work(head_of, refused):
+    top, foot = joint("nod", "top", "base", lower="0.1", upper="0.3"), joint("turn", "foot", "top")
     for first, options in [
-        ((TOP, FIRST), {"base": "foot", "neck": ()}), ((TOP,), {"base": "top"}),
-        ((TOP,), {"base": "top", "neck": ("nod", *TURNS)}), ((TOP, FIRST), {"base": "foot"}),
-        ((TOP,), {"base": "top", "neck": ("nod", "roll", "pitch")}),
+        ((top, foot), {"base": "foot", "neck": ()}), ((top,), {"base": "top"}),
+        ((top,), {"base": "top", "neck": ("nod", *TURNS)}), ((top, foot), {"base": "foot"}),
+        ((top,), {"base": "top", "neck": ("nod", "roll", "pitch")}),
     ]:  # fmt: skip
         text = urdf(*first, NECK, LEFT, RIGHT)
         words = refused(text, "neck: ", **options)
@@ -202,26 +170,23 @@ def test_a_refused_neck_comes_with_options_that_work(head_of, refused):
             options = options | {"neck": tuple(neck[1].split())}
         head = head_of(text, **options, lock=tuple(lock[1].split()) if lock else ()).head
         assert head.joints[-1] == "right_tilt"
-
-
-def test_a_third_joint_of_an_eye_is_refused_with_the_lock_that_works(head_of, refused):
     third = joint("left_cyclo", "left_b", "left_c", axis="1 0 0")
-    last = joint("left_last", "left_c", "left_third", kind="fixed", rpy=OPTICAL)
-    text = urdf(NECK, LEFT, RIGHT, third, last)
+    third += joint("left_last", "left_c", "left_third", kind="fixed", rpy=OPTICAL)
+    text = urdf(NECK, LEFT, RIGHT, third)
     options = {"cameras": ("left_third", "right_optical")}
     refused(text, r"got 3 \(.*, left_cyclo\).*--lock left_cyclo=0", **options)
     assert head_of(text, **options, lock=("left_cyclo=0",)).head.joints[3] == "left_pan"
 
 
 def test_what_cannot_be_a_head_says_why_in_one_line(refused):
-    def with_more(*more: str) -> str:
-        return urdf(NECK, LEFT, RIGHT, *more)
-
-    far = with_more(joint("far", "foot", "base", kind="fixed", xyz="0 0 4"))
-    depth = with_more(joint("depth_mount", "left_camera", "left_depth", kind="fixed"))
-    waist = with_more(joint("w", "foot", "base"))
-    jaw = with_more(joint("jaw", "head", "chin"))
-    short = ("yaw", "pitch")
+    waist, jaw, far, depth = (
+        urdf(NECK, LEFT, RIGHT, more)
+        for more in (
+            joint("w", "foot", "base"), joint("jaw", "head", "chin"),
+            joint("far", "foot", "base", kind="fixed", xyz="0 0 4"),
+            joint("depth_mount", "left_camera", "left_depth", kind="fixed"),
+        )
+    )  # fmt: skip
     planar = urdf(NECK, LEFT, RIGHT.replace('right_pan" type="revolute', 'right_pan" type="planar'))
     for text, options, why in [
         (urdf(NECK, LEFT.replace("revolute", "prismatic"), RIGHT), {},
@@ -239,8 +204,10 @@ def test_what_cannot_be_a_head_says_why_in_one_line(refused):
         (far, {"base": "foot"}, "yaw: expected to be less than 3 m .* --base"),
         (ROBOT, {"neck": ("ptch",)}, r"neck: .* joint of the file \(near: pitch\), got 'ptch'"),
         (jaw, {"lock": ("jaw=0",)}, "lock: .* on the way from the base to the .* got 'jaw'"),
-        (ROBOT, {"neck": short, "lock": ("roll=50",)}, "roll within -34.3775 to 34.3775 deg, got"),
-        (ROBOT, {"neck": short, "lock": ("roll=ten",)}, "lock: .* roll=10, in degrees, got 'roll="),
+        *((ROBOT, {"neck": ("yaw", "pitch"), "lock": (lock,)}, why) for lock, why in (
+            ("roll=50", "roll within -34.3775 to 34.3775 deg, got"),
+            ("roll=ten", "lock: .* roll=10, in degrees, got 'roll="),
+        )),
         (ROBOT, {"lock": ("roll=0",)}, "lock: expected joints that are not of the neck"),
         (ROBOT, {"cameras": ("left_opt", "x")}, r"left-camera: .* file \(near: left_optical"),
         (ROBOT, {"cameras": ("left_optical",) * 2}, "vergence needs two cameras"),
@@ -248,15 +215,25 @@ def test_what_cannot_be_a_head_says_why_in_one_line(refused):
         (depth, {"cameras": ("left_optical", "left_depth")}, "a colour and a depth frame of one"),
         (urdf(NECK, FIXED_EYES), {"couplings": ("version-vergence",)},
          "version-vergence a joint that pans .* got none"),
+        *((ROBOT, {"speed": words}, "^speed: expected") for words in (
+            ("fast",), ("-2",), ("0",), ("500",), ("jaw=2",), ("2", "3"),
+        )),
+        *((ROBOT, {"camera_axes": (axes,)}, "^camera-axes: expected") for axes in (
+            "x,y", "x,x,z", "a,b,c", "x,y,-z", "right,down,forward", "",
+        )),
     ]:  # fmt: skip
         refused(text, why, **options)
-
-
-def test_options_that_say_nothing_are_refused(refused):
-    for word in [("fast",), ("-2",), ("0",), ("500",), ("jaw=2",), ("2", "3")]:
-        refused(ROBOT, r"^speed: expected", speed=word)
-    for axes in ["x,y", "x,x,z", "a,b,c", "x,y,-z", "right,down,forward", ""]:
-        refused(ROBOT, r"^camera-axes: expected", camera_axes=(axes,))
+    refused(ROBOT, r"^name: ", VergenceError, name="con")
+    for name, mimic, why in [
+        ("roll", 'joint="yaw"', "roll: .* neck .* follows yaw"),
+        ("left_pan", 'joint="pitch"', "left_pan: .* follows pitch"),
+        ("left_pan", 'joint="jaw"', "left_pan: .* follows jaw, .* not on the way"),
+        ("left_pan", 'joint="rightpan"', r"left_pan: .*\(near: right_pan.*'rightpan', which is no"),
+        ("left_pan", 'joint="left_pan"', "left_pan: .* circle"),
+        ("roll", 'joint="pitch" multiplier="0"', "neck: .* 'roll', which is held"),
+    ]:
+        end = jaw.index("</joint>", jaw.index(f'<joint name="{name}"'))
+        refused(f"{jaw[:end]}<mimic {mimic}/>{jaw[end:]}", why)
 
 
 def test_a_speed_that_no_motor_has_is_refused_unless_overridden(head_of, refused):
@@ -269,7 +246,24 @@ def test_a_speed_that_no_motor_has_is_refused_unless_overridden(head_of, refused
         assert "joints.right_pan.velocity_rad_s" not in head.assumptions
 
 
-def test_a_joint_without_limits_may_turn_once_around_and_says_so(head_of):
+def test_what_the_file_lacks_is_marked_as_assumed(head_of, tmp_path):
+    imported = head_of(ROBOT)
+    head = imported.head
+    assert {
+        "timing.lag_s", "timing.latency_s", "image.width_px", "eyes.left.focal_px",
+        "eyes.right.distortion", "joints.yaw.acceleration_rad_s2",
+    } <= set(head.assumptions)  # fmt: skip
+    assert head.cameras.size.tolist() == [[640, 480]] * 2
+    across = 2.0 * np.arctan(320.0 / head.cameras.focal[:, 0])
+    np.testing.assert_allclose(np.rad2deg(across), 60.0)
+    np.testing.assert_allclose(head.cameras.principal, [[319.5, 239.5]] * 2)
+    path = tmp_path / "head.toml"
+    path.write_text(imported.text, encoding="utf-8")
+    assert load_head(path) == head
+    head = head_of(ROBOT, acceleration=("50", "yaw=20")).head
+    assert head.limits.acceleration.tolist() == [20.0, *[50.0] * 6]
+    assert not [key for key in head.assumptions if "acceleration" in key]
+    # a joint without limits may turn once around
     free = eye("left", lower=None, upper=None)
     free = free.replace('pan" type="revolute', 'pan" type="continuous')
     head = head_of(urdf(NECK, free, eye("right", upper="1000"))).head
@@ -277,22 +271,6 @@ def test_a_joint_without_limits_may_turn_once_around_and_says_so(head_of):
     assert head.limits.upper[3:].tolist() == [np.pi] * 4
     for name in head.joints[3:]:
         assert "one turn" in head.assumptions[f"joints.{name}.upper_rad"]
-
-
-def test_what_the_file_lacks_is_marked_as_assumed(head_of):
-    head = head_of(ROBOT).head
-    for key in (
-        "timing.lag_s", "timing.latency_s", "image.width_px", "eyes.left.focal_px",
-        "eyes.right.distortion", "joints.yaw.acceleration_rad_s2",
-    ):  # fmt: skip
-        assert key in head.assumptions
-    assert head.cameras.size.tolist() == [[640, 480]] * 2
-    across = 2.0 * np.arctan(320.0 / head.cameras.focal[:, 0])
-    np.testing.assert_allclose(np.rad2deg(across), 60.0)
-    np.testing.assert_allclose(head.cameras.principal, [[319.5, 239.5]] * 2)
-    head = head_of(ROBOT, acceleration=("50", "yaw=20")).head
-    assert head.limits.acceleration.tolist() == [20.0, *[50.0] * 6]
-    assert not [key for key in head.assumptions if "acceleration" in key]
 
 
 def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_of, refused):
@@ -312,24 +290,20 @@ def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_o
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_version_and_vergence_are_given_to_two_pans(head_of):
+def test_version_and_vergence_are_given_to_two_pans_and_stay_within_them(head_of):
     mirrored = RIGHT.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>')
     couplings = ("common-tilt", "version-vergence")
     imported = head_of(urdf(NECK, LEFT, mirrored), couplings=couplings)
-    assert [motor.name for motor in imported.motors] == ["version", "vergence", "tilt"]
     version, vergence, _ = imported.motors
+    assert [motor.name for motor in imported.motors] == ["version", "vergence", "tilt"]
     # the left pan turns left, the right one, its axis downwards, right
     assert dict(version.joint_factors) == {"left_pan": -1.0, "right_pan": 1.0}
     assert dict(vergence.joint_factors) == {"left_pan": -0.5, "right_pan": -0.5}
     head = imported.head
     assert head.actuation.count == 3
     converged = head.actuation.joints_of(np.array([0, 0, 0, 0, 0.2, 0, 0.0]))
-    left, right = head.camera_poses(converged)
-    np.testing.assert_allclose(left[:3, 2], [np.sin(0.1), 0.0, np.cos(0.1)], atol=1e-12)
-    np.testing.assert_allclose(right[:3, 2], [-np.sin(0.1), 0.0, np.cos(0.1)], atol=1e-12)
-
-
-def test_version_and_vergence_stay_within_the_pans(head_of):
+    wanted = [[np.sin(0.1), 0.0, np.cos(0.1)], [-np.sin(0.1), 0.0, np.cos(0.1)]]
+    np.testing.assert_allclose(head.camera_poses(converged)[:, :3, 2], wanted, atol=1e-12)
     eyes = eye("left", lower="-0.5", upper="0.9"), eye("right", lower="-0.4", upper="0.5")
     imported = head_of(urdf(NECK, *eyes), couplings=("version-vergence",))
     version, vergence, *_ = imported.motors
@@ -339,9 +313,7 @@ def test_version_and_vergence_stay_within_the_pans(head_of):
             angle = version.joint_factors[name] * v + vergence.joint_factors[name] * g
             assert low - 1e-12 <= angle <= high + 1e-12
     assert version.limits.velocity + 0.5 * vergence.limits.velocity <= 5.0
-
-
-def test_what_is_assumed_of_motors_is_marked_by_their_names(head_of):
+    # what is assumed of motors is marked by their names
     text = urdf(NECK, eye("left", velocity="0"), RIGHT)
     imported = head_of(text, speed=("4",), couplings=("version-vergence",))
     written = tomllib.loads(imported.text)
@@ -354,7 +326,18 @@ def test_what_is_assumed_of_motors_is_marked_by_their_names(head_of):
         assert f"actuators.{key}" in imported.head.assumptions
 
 
-MJCF = """
+def mjcf_eye(side: str, place: str) -> str:
+    return (
+        f'<body name="{side[0]}e" pos="{place}" childclass="eye">'
+        f'<joint name="{side[0]}p"/><joint name="{side[0]}t" axis="0 1 0" ref="2"/>'
+        f'<camera name="{side}" pos="0.02 0 0" xyaxes="0 -1 0 0 0 1" fovy="50"'
+        ' resolution="800 600"/>'
+        f'<site name="{side}_site" pos="0.02 0 0" xyaxes="0 -1 0 0 0 -1"/></body>'
+    )
+
+
+PITCH = '<joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>'
+MJCF = f"""
 <mujoco model="toy">
   <compiler angle="degree" eulerseq="zyx"/>
   <default>
@@ -366,21 +349,9 @@ MJCF = """
     <body name="base" pos="0.1 0.2 0.9" euler="5 10 15">
       <body name="head" pos="0 0 0.1" euler="10 -5 0">
         <geom type="mesh" mesh="shell"/>
-        <joint name="yaw" axis="0 0 1" ref="4"/>
-        <joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>
-        <frame pos="0.05 0 0.02" euler="0 0 3">
-          <body name="le" pos="0 0.03 0" childclass="eye">
-            <joint name="lp"/><joint name="lt" axis="0 1 0" ref="2"/>
-            <camera name="left" pos="0.02 0 0" xyaxes="0 -1 0 0 0 1" fovy="50"
-                    resolution="800 600"/>
-            <site name="left_site" pos="0.02 0 0" xyaxes="0 -1 0 0 0 -1"/>
-          </body>
-        </frame>
-        <body name="re" pos="0.05 -0.03 0.02" childclass="eye">
-          <joint name="rp"/><joint name="rt" axis="0 1 0" ref="2"/>
-          <camera name="right" pos="0.02 0 0" xyaxes="0 -1 0 0 0 1" fovy="50" resolution="800 600"/>
-          <site name="right_site" pos="0.02 0 0" xyaxes="0 -1 0 0 0 -1"/>
-        </body>
+        <joint name="yaw" axis="0 0 1" ref="4"/>{PITCH}
+        <frame pos="0.05 0 0.02" euler="0 0 3">{mjcf_eye("left", "0 0.03 0")}</frame>
+        {mjcf_eye("right", "0.05 -0.03 0.02")}
       </body>
     </body>
   </worldbody>
@@ -399,36 +370,29 @@ def with_tie(equality: str, tendons: str = "") -> str:
     return MJCF.replace("EQUALITY", equality).replace("</mujoco>", f"{more}</mujoco>")
 
 
-def compiled(text: str) -> mujoco.MjModel:
-    """Model by MuJoCo itself, of the file without its mesh."""
+def posed(text: str, angles: dict[str, float]) -> mujoco.MjData:
+    """What MuJoCo itself makes of the file without its mesh, at joint angles."""
     bare = text.replace('<mesh name="shell" file="nowhere.stl"/>', "").replace(
         '<geom type="mesh" mesh="shell"/>', '<geom size="0.1"/>'
     )
-    return mujoco.MjModel.from_xml_string(bare.replace("<site ", '<geom size="0.01"/><site '))
-
-
-def compiled_pose(text: str, kind: str, name: str, angles: dict[str, float]) -> np.ndarray:
-    model = compiled(text)
+    model = mujoco.MjModel.from_xml_string(bare.replace("<site ", '<geom size="0.01"/><site '))
     data = mujoco.MjData(model)
-    for joint_name, angle in angles.items():
-        data.joint(joint_name).qpos = angle
+    for name, angle in angles.items():
+        data.joint(name).qpos = angle
     mujoco.mj_forward(model, data)
+    return data
 
-    def world(part) -> np.ndarray:
-        pose = np.eye(4)
-        pose[:3, :3] = np.reshape(part.xmat, (3, 3))
-        pose[:3, 3] = part.xpos
-        return pose
 
-    return np.linalg.inv(world(data.body("base"))) @ world(getattr(data, kind)(name))
+def pose_of(part) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.reshape(part.xmat, (3, 3)), part.xpos
+    return pose
 
 
 @pytest.mark.slow
 def test_an_mjcf_moves_as_mujoco_moves_it(head_of):
     in_frame = PLAIN_MJCF.replace(
-        '<joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>',
-        '<frame pos="0.1 0 0" euler="0 0 20">'
-        '<joint name="pitch" axis="0 1 0" pos="0 0 -1"/></frame>',
+        PITCH, f'<frame pos="0.1 0 0" euler="0 0 20">{PITCH.replace("-0.02", "-1")}</frame>'
     )
     optical = np.diag([1.0, -1.0, -1.0, 1.0])
     for text, cameras, kind, turn in [
@@ -439,79 +403,59 @@ def test_an_mjcf_moves_as_mujoco_moves_it(head_of):
         with named(cameras, text):
             imported = head_of(text, cameras=cameras)
             for q in random_angles(imported, 20):
-                angles = by_name(imported, q)
                 found = imported.head.base_pose(q) @ imported.head.camera_poses(q)
-                wanted = [compiled_pose(text, kind, name, angles) @ turn for name in cameras]
-                np.testing.assert_allclose(found, wanted, atol=1e-9)
+                data = posed(text, by_name(imported, q))
+                wanted = [pose_of(getattr(data, kind)(name)) @ turn for name in cameras]
+                base = np.linalg.inv(pose_of(data.body("base")))
+                np.testing.assert_allclose(found, base @ wanted, atol=1e-9)
             np.testing.assert_allclose(imported.head.limits.upper[:2], np.deg2rad(30.0))
 
 
-def test_a_camera_of_an_mjcf_brings_its_image(head_of):
+def test_a_camera_of_an_mjcf_brings_its_image_and_a_velocity_servo_its_speed(head_of):
     head = head_of(PLAIN_MJCF).head
+    assert head.limits.velocity[3] == 1.5  # 3 rad/s through a gear of 2
     assert head.cameras.size.tolist() == [[800, 600]] * 2
     np.testing.assert_allclose(2 * np.rad2deg(np.arctan(300 / head.cameras.focal[:, 1])), 50.0)
     assert "eyes.left.focal_px" not in head.assumptions
     lens = 'focalpixel="500 510" principalpixel="3 4" sensorsize="0.008 0.006"'
-    given = PLAIN_MJCF.replace('fovy="50"', lens)
-    head = head_of(given).head
+    head = head_of(PLAIN_MJCF.replace('fovy="50"', lens)).head
     np.testing.assert_allclose(head.cameras.focal, [[500.0, 510.0]] * 2)
     np.testing.assert_allclose(head.cameras.principal, [[396.5, 295.5]] * 2)
 
 
-def test_a_velocity_servo_of_an_mjcf_says_how_fast_its_joint_is(head_of):
-    head = head_of(PLAIN_MJCF).head
-    assert head.limits.velocity[3] == 1.5  # 3 rad/s through a gear of 2
-
-
-def test_an_equality_of_an_mjcf_ties_joints_while_it_is_active(head_of):
-    tie = '<joint joint1="rt" joint2="lt" polycoef="0.01 1 0 0 0" active="ACTIVE"/>'
-    tied = head_of(with_tie(tie.replace("ACTIVE", "true")))
-    assert tied.head.actuation.count == 3
-    # MuJoCo counts both from their references, which are alike here
-    assert tied.motors[1].joint_offsets == pytest.approx({"rt": 0.01})
-    assert head_of(with_tie(tie.replace("ACTIVE", "false"))).head.actuation.count == 4
-
-
-def test_an_equality_of_tendons_ties_joints_as_in_mujoco(head_of):
+def test_active_equalities_tie_joints_as_in_mujoco(head_of):
+    tie = '<joint joint1="rt" joint2="lt" polycoef="0.01 1 0 0 0" active="true"/>'
+    assert head_of(with_tie(tie.replace("true", "false"))).head.actuation.count == 4
     for tendons, equality in [
-        (
-            '<fixed name="t"><joint joint="lt" coef="2"/><joint joint="rt" coef="-1.5"/></fixed>',
-            '<tendon tendon1="t" polycoef="0.02 1 0 0 0"/>',
-        ),
-        (
-            '<fixed name="a"><joint joint="lp" coef="1"/></fixed>'
-            '<fixed name="b"><joint joint="rp" coef="0.8"/></fixed>',
-            '<tendon tendon1="b" tendon2="a" polycoef="0.02 -0.5 0 0 0"/>',
-        ),
-    ]:
+        ("", tie),
+        ('<fixed name="t"><joint joint="lt" coef="2"/><joint joint="rt" coef="-1.5"/></fixed>',
+         '<tendon tendon1="t" polycoef="0.02 1 0 0 0"/>'),
+        ('<fixed name="a"><joint joint="lp" coef="1"/></fixed>'
+         '<fixed name="b"><joint joint="rp" coef="0.8"/></fixed>',
+         '<tendon tendon1="b" tendon2="a" polycoef="0.02 -0.5 0 0 0"/>'),
+    ]:  # fmt: skip
         with named(tendons, equality):
             text = with_tie(equality, tendons)
             imported = head_of(text)
             assert imported.head.actuation.count == 3
-            model = compiled(text)
-            data = mujoco.MjData(model)
+            rest = by_name(imported, imported.head.rest()) | dict(imported.chains.fixed_values)
             for motors in np.random.default_rng(1).uniform(0.0, 0.2, (5, 3)):
-                angles = by_name(imported, imported.head.rest()) | dict(
-                    imported.chains.fixed_values
-                )
-                for motor, value in zip(imported.motors, motors, strict=True):
-                    for name, factor in motor.joint_factors.items():
-                        angles[name] = factor * value + motor.joint_offsets.get(name, 0.0)
-                for name, value in angles.items():
-                    data.joint(name).qpos = value
-                mujoco.mj_forward(model, data)
+                angles = rest | {
+                    name: factor * value + motor.joint_offsets.get(name, 0.0)
+                    for motor, value in zip(imported.motors, motors, strict=True)
+                    for name, factor in motor.joint_factors.items()
+                }
+                data = posed(text, angles)
                 tied = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+                assert tied.any()
                 np.testing.assert_allclose(data.efc_pos[tied], 0.0, atol=1e-12)
-
-
-def test_what_ties_joints_and_no_head_has_is_said_to_be_left_out(head_of):
     tendons = '<fixed name="t"><joint joint="lt" coef="1"/><joint joint="rt" coef="1"/></fixed>'
     said = "; ".join(head_of(with_tie('<weld body1="le" body2="re"/>', tendons)).ignored)
     assert "tendon t (ties lt, rt: see --actuators)" in said
     assert "weld of le, which may tie bodies" in said
 
 
-def test_what_a_urdf_says_and_nothing_reads_is_refused(refused):
+def test_what_a_file_says_and_nothing_reads_or_no_head_can_have_is_refused(refused):
     place = '<origin xyz="0 0.01 0.05" rpy="0 0 0"/>'
     for becomes, why in [
         ('<origin xyz="" rpy="0 0 0"/>', "joint roll: .* 3 numbers in xyz of <origin>, got ''"),
@@ -530,21 +474,6 @@ def test_what_a_urdf_says_and_nothing_reads_is_refused(refused):
     refused(text, "<Joint>", HeadFileError)
     why = r"^joint right_optical_joint: .* radians within one turn, got '-90 0 -90' \(.*degrees\?"
     refused(urdf(NECK, LEFT, RIGHT.replace(OPTICAL, "-90 0 -90")), why)
-
-
-def test_what_stands_off_the_way_to_the_cameras_may_say_anything(head_of):
-    others = [
-        joint("jaw", "head", "chin", lower="", velocity="").replace("<origin xyz", "<origin xzy"),
-        joint("tail", "n1", "tip", rpy="0 0 180"),
-        joint("stand", "floor", "base", kind="floating", rpy="0 0 360"),
-        joint("tray", "n1", "plate", kind="planar"),
-        joint("stuck", "head", "stuck_link", lower="0.2", upper="0.2"),
-    ]
-    text = urdf(NECK.replace('rpy="0.1 -0.2 0.3"', 'rpy="0.1 -0.2 -6.2832"'), LEFT, RIGHT, *others)
-    assert_moves_as(head_of(text), CAMERAS, UrdfKinematics(text), "base")
-
-
-def test_what_an_mjcf_has_that_no_head_can_have_says_why(refused):
     for was, becomes, why in [
         ('name="left" ', 'name="left" mode="targetbody" target="head" ', "left-camera: .* fixed"),
         ('name="right" ', 'name="right" projection="orthographic" ', "right-camera: .* persp"),
@@ -553,25 +482,21 @@ def test_what_an_mjcf_has_that_no_head_can_have_says_why(refused):
     ]:
         refused(PLAIN_MJCF.replace(was, becomes, 1), why)
     three = "".join(f'<joint joint="{name}" coef="1"/>' for name in ("lp", "rp", "lt"))
-    tendon = f'<fixed name="t">{three}</fixed>'
-    tie = '<tendon tendon1="t"/>'
+    tie, tendon = '<tendon tendon1="t"/>', f'<fixed name="t">{three}</fixed>'
     refused(with_tie(tie, tendon), "joint lt: .* follows lp and rp otherwise")
-    gone = tendon.replace('"lp"', '"lips"')
-    refused(with_tie(tie, gone), "tendon t with a joint that is not in", HeadFileError)
+    gone = with_tie(tie, tendon.replace('"lp"', '"lips"'))
+    refused(gone, "tendon t with a joint that is not in", HeadFileError)
     square = '<joint joint1="rt" joint2="lt" polycoef="0 1 0.5 0 0"/>'
     refused(with_tie(square), "rt: .* straight line")
 
 
-def test_a_file_that_is_no_description_is_refused(refused):
+def test_a_file_that_is_no_description_of_different_links_and_joints_is_refused(refused, tmp_path):
     for text, why in [
         ("<robot><link", "no well-formed XML"), ("<sdf version='1.7'/>", "got '<sdf>'"),
         ('<robot xmlns:xacro="http://x/xacro"><xacro:macro name="m"/></robot>', "xacro FILE > h"),
         ('<robot name="a"><link name="l"/><joint name="j" type="fixed"/></robot>', "MuJoCo can"),
     ]:  # fmt: skip
         refused(text, why, HeadFileError)
-
-
-def test_names_that_fit_no_other_or_several_are_refused(refused, tmp_path):
     path = tmp_path / "robot.urdf"
     for tag, end in (("joint", "pan"), ("link", "a")):
         text = ROBOT.replace(f'{tag} name="right_{end}"', f'{tag} name="left_{end}"')
@@ -583,48 +508,27 @@ def test_names_that_fit_no_other_or_several_are_refused(refused, tmp_path):
         refused(text, rf"joint left_tilt: {expected}.*, got '{link}x'$", HeadFileError)
 
 
-def test_an_expanded_xacro_is_read_though_its_namespace_stays(head_of):
-    text = ROBOT.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
-    assert head_of(text).head.joints[:3] == TURNS
-
-
-def test_nothing_is_left_in_the_working_directory(head_of, tmp_path, monkeypatch):
+def test_a_head_has_the_name_of_its_robot_and_leaves_no_file_behind(head_of, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     equal = joint("stuck", "head", "stuck_link", lower="0.2", upper="0.2")  # MuJoCo warns of it
-    head_of(urdf(NECK, LEFT, RIGHT, equal))
+    text = urdf(NECK, LEFT, RIGHT, equal, name="my robot/2 ")
+    # the namespace of an expanded xacro stays
+    text = text.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    assert head_of(text).head.name == "my_robot_2"
+    assert head_of(text, name="desk").head.name == "desk"
     assert [path.name for path in tmp_path.iterdir()] == ["robot.urdf"]
 
 
-def test_the_name_is_that_of_the_robot_as_a_file_may_have_it(head_of, refused):
-    text = urdf(NECK, LEFT, RIGHT, name="my robot/2 ")
-    assert head_of(text).head.name == "my_robot_2"
-    assert head_of(text, name="desk").head.name == "desk"
-    refused(text, r"^name: ", VergenceError, name="con")
-
-
-REAL = {
-    "icub_visuomanip.urdf": {
-        "base": "chest", "cameras": ("l_eye", "r_eye"),
-        "neck": ("neck_pitch", "neck_roll", "neck_yaw"),
-    },
-    "romeo.urdf": {
-        "base": "torso", "cameras": ("CameraLeftEye_optical_frame", "CameraRightEye_optical_frame"),
-        "neck": ("NeckYaw", "NeckPitch", "HeadPitch"), "lock": ("HeadRoll=10",),
-    },
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", REAL)
-def test_a_real_head_moves_as_its_urdf(name):
-    path = real_robot(name)
-    imported = import_urdf(UrdfSource(file=path, speed=("6",), **REAL[name]))
-    held = dict(imported.chains.fixed_values)
+@pytest.mark.parametrize(("name", "base", "cameras", "neck", "lock"), [
+    ("icub_visuomanip.urdf", "chest", "{}_eye", ("neck_pitch", "neck_roll", "neck_yaw"), ()),
+    ("romeo.urdf", "torso", "Camera{}Eye_optical_frame", ("NeckYaw", "NeckPitch", "HeadPitch"),
+     ("HeadRoll=10",)),
+])  # fmt: skip
+def test_a_real_head_moves_as_its_urdf(name, base, cameras, neck, lock):
+    path, sides = real_robot(name), ("Left", "Right") if "Eye" in cameras else "lr"
+    cameras = tuple(cameras.format(side) for side in sides)
+    imported = import_urdf(
+        UrdfSource(file=path, base=base, cameras=cameras, neck=neck, lock=lock, speed=("6",))
+    )
     kinematics = UrdfKinematics(path.read_text(encoding="utf-8"))
-    assert_moves_as(imported, REAL[name]["cameras"], kinematics, REAL[name]["base"], held)
-
-
-def test_the_text_is_that_of_a_head_file(head_of, tmp_path):
-    imported = head_of(ROBOT)
-    path = tmp_path / "head.toml"
-    path.write_text(imported.text, encoding="utf-8")
-    assert load_head(path) == imported.head
+    assert_moves_as(imported, cameras, kinematics, base, dict(imported.chains.fixed_values))
