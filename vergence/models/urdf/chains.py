@@ -67,6 +67,7 @@ class _Way(NamedTuple):
     shared: Sequence[str]  # that both cameras stand on
     neck: Sequence[str]
     locked: Mapping[str, float]
+    fixed: dict[str, float]  # values of those locked and of those coupled to them
 
     def neck_and_lock(self, names: Sequence[str]) -> str:
         """Options that make the uppermost joints the neck and lock the others."""
@@ -84,33 +85,27 @@ class _Way(NamedTuple):
 
 
 def build_head_chains(
-    mechanism: Mechanism,
-    *,
-    base: int,
-    cameras: Sequence[int],
-    neck: Sequence[str],
-    locked: Mapping[str, float],
+    mechanism: Mechanism, ends: Sequence[int], neck: Sequence[str], locked: Mapping[str, float]
 ) -> HeadChains:
-    """Determine the role of each joint between the base and the left and the right camera."""
-    paths = [_path(mechanism, base, camera) for camera in cameras]
+    """Determine each joint's role between the ends: the base, the left and the right camera."""
+    paths = [_path(mechanism, ends[0], camera) for camera in ends[1:]]
     on_way = list(dict.fromkeys(j.name for path in paths for j in (*path.up, *path.down)))
     shared = [j.name for j in paths[0].down if j in paths[1].down]
-    way = _Way(mechanism, mechanism.joints(), paths, on_way, shared, neck, locked)
+    way = _Way(mechanism, mechanism.joints(), paths, on_way, shared, neck, locked, {})
     _check_options(way)
-    _check_frames(way, (base, *cameras))
-    fixed = _fixed_values(way)
-    for path in paths:
-        _check_joints(path, fixed)
-    parts = _parts(way, fixed)
+    _check_frames(way, ends)
+    _fix_joints(way)
+    _check_joints(way)
+    parts = _parts(way)
     joints: dict[str, ChainJoint] = {}
-    ends = [_chain(mechanism, path, parts, fixed, joints) for path in paths]
+    at_zero, mounts = zip(*(_chain(way, path, parts, joints) for path in paths), strict=True)
     ties = [tie for name in parts if (tie := mechanism.mimic_of(name)) is not None]
     return HeadChains(
         joints={name: joints[name] for name in parts},
         mimic_joints=ties,
-        fixed_values=fixed,
-        camera_poses=np.stack([pose for pose, _ in ends]),
-        mounts=np.stack([mount for _, mount in ends]),
+        fixed_values=way.fixed,
+        camera_poses=np.stack(at_zero),
+        mounts=np.stack(mounts),
     )
 
 
@@ -122,20 +117,16 @@ def _path(mechanism: Mechanism, base: int, camera: int) -> _Path:
 
 
 def _chain(
-    mechanism: Mechanism,
-    path: _Path,
-    parts: Mapping[str, str],
-    fixed: Mapping[str, float],
-    joints: dict[str, ChainJoint],
+    way: _Way, path: _Path, parts: Mapping[str, str], joints: dict[str, ChainJoint]
 ) -> tuple[FloatArray, FloatArray]:
     """(4, 4) camera frame in the base at zero, and in the last link; adds the moving joints."""
-    at_zero = np.eye(4)
-    pending = np.asarray(np.linalg.inv(mechanism.pose_along(path.frames_up, fixed)), np.float64)
+    mechanism, at_zero = way.mechanism, np.eye(4)
+    pending = np.asarray(np.linalg.inv(mechanism.pose_along(path.frames_up, way.fixed)), float)
     for frame in map(mechanism.frames.__getitem__, path.frames_down):
         pending = pending @ frame.pose
         for joint in frame.joints:
-            if joint.name in fixed:
-                pending = pending @ joint.motion(fixed[joint.name])
+            if joint.name in way.fixed:
+                pending = pending @ joint.motion(way.fixed[joint.name])
                 continue
             to_axis, turned, from_axis = np.eye(4), np.eye(4), np.eye(4)
             to_axis[:3, 3], from_axis[:3, 3] = joint.anchor, -joint.anchor
@@ -185,30 +176,29 @@ def _check_frames(way: _Way, ends: Sequence[int]) -> None:
             refuse(f"frame {frame.name}", "a finite pose", frame.pose[:3, 3].tolist())
 
 
-def _check_joints(path: _Path, fixed: Mapping[str, float]) -> None:
+def _check_joints(way: _Way) -> None:
     """Refuse joints that move the base, do not turn, or have no axis."""
-    for joint in path.up:
-        if joint.name not in fixed:
-            held = f", or --lock {joint.name}=DEG" if joint.kind in ("hinge", "slide") else ""
-            got = f"one that {joint.name} moves: name a base below it{held}"
-            refuse("base", "a frame that the neck stands on", got)
-    for joint in path.down:
-        if joint.name not in fixed and joint.kind != "hinge":
-            _refuse_kind(joint)
-    for joint in (*path.up, *path.down):
-        if not (np.isfinite(joint.axis).all() and np.isfinite(joint.anchor).all()):
-            refuse(f"joint {joint.name}", "an axis with a direction", "none")
+    for path in way.paths:
+        for joint in path.up:
+            if joint.name not in way.fixed:
+                held = f", or --lock {joint.name}=DEG" if joint.kind in ("hinge", "slide") else ""
+                got = f"one that {joint.name} moves: name a base below it{held}"
+                refuse("base", "a frame that the neck stands on", got)
+        for joint in path.down:
+            if joint.name not in way.fixed and joint.kind != "hinge":
+                _refuse_kind(joint)
+        for joint in (*path.up, *path.down):
+            if not np.isfinite([joint.axis, joint.anchor]).all():
+                refuse(f"joint {joint.name}", "an axis with a direction", "none")
 
 
-def _fixed_values(way: _Way) -> dict[str, float]:
-    """Values of the locked joints and of the joints coupled to them."""
-    known, locked = way.known, way.locked
-    fixed = {}
+def _fix_joints(way: _Way) -> None:
+    """Find the values of the locked joints and of the joints coupled to them."""
     for name in way.on_way:
         owner, mimic = f"joint {name}", way.mechanism.mimic_of(name)
-        if name in locked:
-            _check_lock(way, known[name], mimic)
-            fixed[name] = locked[name]
+        if name in way.locked:
+            _check_lock(way, way.known[name], mimic)
+            way.fixed[name] = way.locked[name]
             continue
         if mimic is None:
             continue
@@ -217,11 +207,11 @@ def _fixed_values(way: _Way) -> dict[str, float]:
             straight = "one that follows one other joint by a straight line, which is all that a "
             refuse(owner, f"{straight}head file can say", f"{follows} otherwise")
         elif mimic.multiplier == 0.0:
-            fixed[name] = mimic.offset
-        elif master in locked:
-            fixed[name] = mimic.follow(locked)
-        elif master not in known:
-            hint = known_names_hint("moving joint", master, known)
+            way.fixed[name] = mimic.offset
+        elif master in way.locked:
+            way.fixed[name] = mimic.follow(way.locked)
+        elif master not in way.known:
+            hint = known_names_hint("moving joint", master, way.known)
             none = f"one that follows {master!r}, which is none"
             refuse(owner, f"one that follows {hint}", none)
         elif master not in way.on_way:
@@ -230,7 +220,6 @@ def _fixed_values(way: _Way) -> dict[str, float]:
         elif name in way.neck or master in way.neck:
             tied = "which a head file cannot say of a neck: lock both, or one motor could not move"
             refuse(owner, "a joint of the neck that moves by itself", f"{follows}, {tied} the two")
-    return fixed
 
 
 def _check_lock(way: _Way, joint: Joint, mimic: MimicJoint | None) -> None:
@@ -257,9 +246,9 @@ def _refuse_kind(joint: Joint) -> NoReturn:
     refuse(f"joint {joint.name}", expected, f"{found}, which a head file cannot say: {way_on}")
 
 
-def _parts(way: _Way, fixed: Mapping[str, float]) -> dict[str, str]:
+def _parts(way: _Way) -> dict[str, str]:
     """Part of each moving joint (neck, both, left or right), from the base up."""
-    shared, neck = way.shared, way.neck
+    shared, neck, fixed = way.shared, way.neck, way.fixed
     for name in neck:
         if name in fixed:
             refuse("neck", "joints that move", f"{name!r}, which is held by what it follows")

@@ -22,7 +22,7 @@ from vergence.models.head_file import (
     eye_tables,
     head_of_document,
 )
-from vergence.models.head_joints import LENGTH, frame_between_cameras
+from vergence.models.head_joints import LENGTH
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.stereo_files import ReadCameras, read_intrinsics
 from vergence.models.toml_table import toml_text
@@ -83,9 +83,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     frames = [mechanism.frames[camera] for camera in cameras]
     _check_two(*source.cameras)
     locked = parse_locked_joints(source.lock, mechanism.joints())
-    chains = build_head_chains(
-        mechanism, base=base, cameras=cameras, neck=source.neck, locked=locked
-    )
+    chains = build_head_chains(mechanism, (base, *cameras), source.neck, locked)
     axes = _axes(frames, source.camera_axes)
     poses = chains.camera_poses @ axes
     joints = [_joint_fields(name, joint) for name, joint in chains.joints.items()]
@@ -99,13 +97,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         _check_camera_axes(source.cameras, poses, chains, up=base_in_root[2, :3])
     moving = [joint.joint for joint in chains.joints.values()]
     limits, assumed = joint_motion_limits(moving, source.speed, source.acceleration)
-    motors: list[EyeMotor] = []  # none if each joint has its own
-    if chains.mimic_joints or source.couplings:
-        between = frame_between_cameras(poses)
-        baseline_m = float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3]))
-        motors = find_eye_motors(
-            chains, limits, source.couplings, between=between, baseline_m=baseline_m
-        )
+    motors = find_eye_motors(chains, limits, source.couplings, poses)
     read, unsaid = _images([frame.camera for frame in frames], source)
     images = (read.left, read.right)
     if images[0].size == images[1].size:

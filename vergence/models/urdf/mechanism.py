@@ -244,7 +244,7 @@ def _urdf_joint(joint: ET.Element) -> _UrdfJoint:
     limits["velocity"] = _number(limit.get("velocity"))
     factor, offset = _number(mimic.get("multiplier", "1")), _number(mimic.get("offset", "0"))
     tie = MimicJoint(name, mimic.get("joint", ""), factor, offset)
-    tied = tie if joint.find("mimic") is not None else None
+    tied = None if joint.find("mimic") is None else tie
     return _UrdfJoint(name, kind, limits, tied, fault and f"joint {name}: {fault}")
 
 

@@ -6,7 +6,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence.models.head_joints import ACCELERATION, RADIANS, SPEED
+from vergence.models.head_joints import ACCELERATION, RADIANS, SPEED, frame_between_cameras
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.toml_table import Rule
 from vergence.models.urdf.chains import HeadChains
@@ -75,16 +75,18 @@ def find_eye_motors(
     chains: HeadChains,
     limits: Mapping[str, MotionLimits],
     couplings: Sequence[Coupling],
-    *,
-    between: FloatArray,
-    baseline_m: float,
+    poses: FloatArray,
 ) -> list[EyeMotor]:
-    """Motors of the eyes; `between` (4, 4) is the frame midway between the cameras, in the base."""
+    """Motors of the eyes, none if each joint has its own; `poses` (2, 4, 4) of the cameras."""
+    ties = chains.mimic_joints
+    if not ties and not couplings:
+        return []
+    R_base_between = frame_between_cameras(poses)[:3, :3]
+    baseline_m = float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3]))
     joints = {
-        name: _EyeJoint(each.part, each.axis_in_base @ between[:3, :3], limits[name])
+        name: _EyeJoint(each.part, each.axis_in_base @ R_base_between, limits[name])
         for name, each in chains.eye_joints().items()
     }
-    ties = chains.mimic_joints
     followers = [tie.joint for tie in ties]
     found = [_motor(name, ties, joints) for name in joints if name not in followers]
     for coupling in ("common-tilt", "version-vergence"):
