@@ -9,14 +9,7 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.models.urdf.mechanism import (
-    Joint,
-    Mechanism,
-    MimicJoint,
-    known_names_hint,
-    refuse,
-    refuse_unknown,
-)
+from vergence.models.urdf.mechanism import Joint, Mechanism, MimicJoint, refuse, refuse_unknown
 
 # Most joints that a head file has for the neck and for the chain of an eye (numerical).
 _MAX_NECK_JOINTS: Final = 3
@@ -85,13 +78,15 @@ class _Way(NamedTuple):
 
 
 def build_head_chains(
-    mechanism: Mechanism, ends: Sequence[int], neck: Sequence[str], locked: Mapping[str, float]
+    mechanism: Mechanism, ends: Sequence[int], neck: Sequence[str], lock: Sequence[str]
 ) -> HeadChains:
     """Determine each joint's role between the ends: the base, the left and the right camera."""
+    known = mechanism.joints()
+    locked = _parse_locked_joints(lock, known)
     paths = [_path(mechanism, ends[0], camera) for camera in ends[1:]]
     on_way = list(dict.fromkeys(j.name for path in paths for j in (*path.up, *path.down)))
     shared = [j.name for j in paths[0].down if j in paths[1].down]
-    way = _Way(mechanism, mechanism.joints(), paths, on_way, shared, neck, locked, {})
+    way = _Way(mechanism, known, paths, on_way, shared, neck, locked, {})
     _check_options(way)
     _check_frames(way, ends)
     _fix_joints(way)
@@ -211,9 +206,8 @@ def _fix_joints(way: _Way) -> None:
         elif master in way.locked:
             way.fixed[name] = mimic.follow(way.locked)
         elif master not in way.known:
-            hint = known_names_hint("moving joint", master, way.known)
-            none = f"one that follows {master!r}, which is none"
-            refuse(owner, f"one that follows {hint}", none)
+            form = "one that follows {}"
+            refuse_unknown(owner, "moving joint", master, way.known, form, ", which is none")
         elif master not in way.on_way:
             aside = f"{follows}, which is not on the way to the cameras: --lock {name}=DEG"
             refuse(owner, "one that follows no joint or one of an eye", aside)
@@ -286,7 +280,7 @@ _RADIANS_PER_UNIT: Final = {"": np.pi / 180.0, "deg": np.pi / 180.0, "rad": 1.0}
 _METRES_PER_UNIT: Final = {"m": 1.0, "mm": 1e-3}
 
 
-def parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
+def _parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
     """Parse values, rad or m, from `JOINT=DEG`, `JOINT=1.5rad`, `JOINT=0.1m`."""
     found: dict[str, float] = {}
     for word in texts:

@@ -26,12 +26,7 @@ from vergence.models.head_joints import LENGTH
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.stereo_files import ReadCameras, read_intrinsics
 from vergence.models.toml_table import toml_text
-from vergence.models.urdf.chains import (
-    ChainJoint,
-    HeadChains,
-    build_head_chains,
-    parse_locked_joints,
-)
+from vergence.models.urdf.chains import ChainJoint, HeadChains, build_head_chains
 from vergence.models.urdf.mechanism import Frame, Mechanism, MjcfCamera, read_mechanism, refuse
 from vergence.models.urdf.motors import Coupling, EyeMotor, find_eye_motors, joint_motion_limits
 
@@ -82,8 +77,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     ]
     frames = [mechanism.frames[camera] for camera in cameras]
     _check_two(*source.cameras)
-    locked = parse_locked_joints(source.lock, mechanism.joints())
-    chains = build_head_chains(mechanism, (base, *cameras), source.neck, locked)
+    chains = build_head_chains(mechanism, (base, *cameras), source.neck, source.lock)
     axes = _axes(frames, source.camera_axes)
     poses = chains.camera_poses @ axes
     joints = [_joint_fields(name, joint) for name, joint in chains.joints.items()]

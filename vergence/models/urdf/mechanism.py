@@ -176,10 +176,13 @@ def refuse(owner: str, expected: str, got: object) -> NoReturn:
     raise ConfigurationError(f"{owner}: expected {expected}, got {got}")
 
 
-def refuse_unknown(option: str, kind: str, name: str, names: Collection[str]) -> None:
-    """Refuse a name that is none of those in the file."""
+def refuse_unknown(
+    owner: str, kind: str, name: str, names: Collection[str], form: str = "{}", more: str = ""
+) -> None:
+    """Refuse a name that is none of those in the file; `form` is what both names stand in."""
     if name not in names:
-        refuse(option, known_names_hint(kind, name, names), repr(name))
+        hint = known_names_hint(kind, name, names)
+        refuse(owner, form.format(hint), form.format(repr(name)) + more)
 
 
 _EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
@@ -193,11 +196,9 @@ def _parse_xml(path: str) -> ET.Element:
     except (ET.ParseError, ValueError, LookupError) as error:
         raise HeadFileError(path, f"no well-formed XML: {error}", _EXPECTED) from error
     # macros are left to expand; an expanded file may keep xacro's namespace
-    if any(
-        "xacro" in str(element.tag).partition("}")[0]
-        or any("${" in value or "$(" in value for value in element.attrib.values())
-        for element in root.iter()
-    ):
+    tags = any("xacro" in str(each.tag).partition("}")[0] for each in root.iter())
+    values = "\n".join(value for each in root.iter() for value in each.attrib.values())
+    if tags or "${" in values or "$(" in values:
         expand = f"{_EXPECTED}; expand it first: xacro FILE > head.urdf"
         raise HeadFileError(path, "a xacro file", expand)
     if root.tag not in ("robot", "mujoco"):
@@ -240,9 +241,14 @@ def _urdf_joint(joint: ET.Element) -> _UrdfJoint:
     limit, mimic = _attributes(joint, "limit"), _attributes(joint, "mimic")
     given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
     # a missing one of the two is 0
-    limits = {end: _number(limit.get(end, "0") if given else None) for end in ("lower", "upper")}
-    limits["velocity"] = _number(limit.get("velocity"))
-    factor, offset = _number(mimic.get("multiplier", "1")), _number(mimic.get("offset", "0"))
+    limits = {
+        end: parse_number(limit.get(end, "0") if given else None) for end in ("lower", "upper")
+    }
+    limits["velocity"] = parse_number(limit.get("velocity"))
+    factor, offset = (
+        parse_number(mimic.get("multiplier", "1")),
+        parse_number(mimic.get("offset", "0")),
+    )
     tie = MimicJoint(name, mimic.get("joint", ""), factor, offset)
     tied = None if joint.find("mimic") is None else tie
     return _UrdfJoint(name, kind, limits, tied, fault and f"joint {name}: {fault}")
@@ -253,7 +259,8 @@ def _attributes(joint: ET.Element, tag: str) -> Mapping[str, str]:
     return {} if element is None else element.attrib
 
 
-def _number(text: str | None) -> float:
+def parse_number(text: str | None) -> float:
+    """The number that a text gives; nan if there is none."""
     try:
         return np.nan if text is None else float(text)
     except ValueError:
@@ -302,12 +309,12 @@ def _fault(joint: ET.Element) -> str:
             if attribute not in known:
                 got = f"the attribute {attribute!r} = {value!r:.80}, which is not read"
                 return f"{expected} {names}, got {got}"
-            count, numbers = known[attribute], [_number(word) for word in value.split()]
+            count, numbers = known[attribute], [parse_number(word) for word in value.split()]
             bad = np.isnan(numbers) if tag == "limit" else ~np.isfinite(numbers)
             if count and (len(numbers) != count or bad.any()):
                 return f"expected {count} numbers in {attribute} of <{tag}>, got {value!r:.80}"
     angles = _attributes(joint, "origin").get("rpy", "")
-    if any(abs(_number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
+    if any(abs(parse_number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
         expected = "expected an origin with rpy in radians within one turn"
         return f"{expected}, got {angles!r:.80} (is it in degrees?)"
     return ""

@@ -10,7 +10,7 @@ from vergence.models.head_joints import ACCELERATION, RADIANS, SPEED, frame_betw
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.toml_table import Rule
 from vergence.models.urdf.chains import HeadChains
-from vergence.models.urdf.mechanism import Joint, MimicJoint, refuse, refuse_unknown
+from vergence.models.urdf.mechanism import Joint, MimicJoint, parse_number, refuse, refuse_unknown
 
 Coupling = Literal["common-tilt", "version-vergence"]
 """Coupling of both eyes: one motor for both tilts, or motors for version and for vergence."""
@@ -60,12 +60,8 @@ class EyeMotor:
 class _EyeJoint(NamedTuple):
     part: str  # both, left or right
     axis: FloatArray  # (3,) at zero, in the mean camera's axes: right, down, forward
+    pans: bool  # turns its eye more left and right than up and down
     limits: MotionLimits
-
-    @property
-    def pans(self) -> bool:
-        """True if the joint turns its eye more left and right than up and down."""
-        return abs(float(self.axis[1])) > abs(float(self.axis[0]))
 
 
 _EyeJoints = Mapping[str, _EyeJoint]
@@ -83,10 +79,10 @@ def find_eye_motors(
         return []
     R_base_between = frame_between_cameras(poses)[:3, :3]
     baseline_m = float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3]))
-    joints = {
-        name: _EyeJoint(each.part, each.axis_in_base @ R_base_between, limits[name])
-        for name, each in chains.eye_joints().items()
-    }
+    joints = {}
+    for name, each in chains.eye_joints().items():
+        axis = each.axis_in_base @ R_base_between
+        joints[name] = _EyeJoint(each.part, axis, bool(abs(axis[1]) > abs(axis[0])), limits[name])
     followers = [tie.joint for tie in ties]
     found = [_motor(name, ties, joints) for name in joints if name not in followers]
     for coupling in ("common-tilt", "version-vergence"):
@@ -244,10 +240,7 @@ def _parse_per_joint(
     found: dict[str, float] = {}
     for word in texts:
         name, equals, text = word.rpartition("=")
-        try:
-            number = float(text)
-        except ValueError:
-            number = np.nan
+        number = parse_number(text)
         if not rule[0](number):
             refuse(option, rule[1], repr(word))
         if equals:
