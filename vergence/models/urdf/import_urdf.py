@@ -227,19 +227,17 @@ def _check_camera_axes(
 
 def _fault(eye: _Eye, across: FloatArray, up: FloatArray) -> str:
     right, down, forward = eye.rotation.T
-    if right @ across < _ALIGNED_COSINE:
-        return f"x is {_angle(right @ across)} from the line from the left camera to the right one"
-    if abs(forward @ across) > _ALIGNED_COSINE:
-        return f"z is {_angle(forward @ across)} from the line between the cameras"
+    cosines = np.array([right @ across, forward @ across])
+    x, z = (f"{angle:.0f} degrees" for angle in np.rad2deg(np.arccos(np.clip(cosines, -1.0, 1.0))))
+    if cosines[0] < _ALIGNED_COSINE:
+        return f"x is {x} from the line from the left camera to the right one"
+    if abs(cosines[1]) > _ALIGNED_COSINE:
+        return f"z is {z} from the line between the cameras"
     if down @ up > _ALIGNED_COSINE:
         return "y points up"
     if any(abs(forward @ axis) > _ROLL_AXIS_COSINE for axis in eye.joint_axes):
         return "z lies along an axis that the eye turns about"
     return ""
-
-
-def _angle(cosine: float) -> str:
-    return f"{np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees"
 
 
 def _misfit(eye: _Eye, rotation: FloatArray, across: FloatArray, up: FloatArray) -> float:
@@ -273,18 +271,16 @@ def _images(
     for option, given in (("size", source.size), ("lens", source.lens)):
         if given is not None:
             refuse(option, "--intrinsics beside it", "none")
-    images, reasons = zip(*map(_image, cameras), strict=True)
-    by_eye = zip(EYE_NAMES, reasons, strict=True)
-    assumed = {f"eyes.{eye}.{key}": why for eye, found in by_eye for key, why in found.items()}
-    return ReadCameras(left=images[0], right=images[1]), assumed
+    images, reasons = zip(*map(_image, EYE_NAMES, cameras), strict=True)
+    return ReadCameras(left=images[0], right=images[1]), reasons[0] | reasons[1]
 
 
-def _image(found: MjcfCamera | None) -> tuple[Camera, dict[str, str]]:
-    """Camera without distortion, and reasons of assumptions by key."""
+def _image(eye: str, found: MjcfCamera | None) -> tuple[Camera, dict[str, str]]:
+    """Camera without distortion, and reasons of assumptions by dotted key."""
     given = found or MjcfCamera(None, None, None, np.nan, "")
     size = given.size or _ASSUMED_SIZE_PX
     missing = f"not in the file: {size[0]} x {size[1]}"
-    assumed = {} if given.size else {"width_px": missing, "height_px": missing}
+    assumed = {} if given.size else dict.fromkeys(("width_px", "height_px"), missing)
     focal: float | FloatArray | None = given.focal
     if found is None:
         focal = size[0] / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
@@ -294,7 +290,8 @@ def _image(found: MjcfCamera | None) -> tuple[Camera, dict[str, str]]:
         focal = size[1] / 2.0 / tan(radians(given.fovy_deg) / 2.0)
     principal = (np.array(size) - 1.0) / 2.0 if given.principal is None else given.principal
     camera = Camera(size=size, matrix=camera_matrix(np.broadcast_to(focal, 2), principal))
-    return camera, assumed | {"distortion": "not in the file: no distortion"}
+    assumed["distortion"] = "not in the file: no distortion"
+    return camera, {f"eyes.{eye}.{key}": why for key, why in assumed.items()}
 
 
 def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[str, str]:

@@ -231,6 +231,7 @@ class _UrdfJoint(NamedTuple):
 
     name: str
     kind: str
+    child: str  # link, of which MuJoCo refuses a second joint
     limits: Mapping[str, Any]  # fields of `Joint`
     tie: MimicJoint | None
     fault: str  # why no path to a camera may pass its child, or empty
@@ -241,17 +242,13 @@ def _urdf_joint(joint: ET.Element) -> _UrdfJoint:
     limit, mimic = _attributes(joint, "limit"), _attributes(joint, "mimic")
     given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
     # a missing one of the two is 0
-    limits = {
-        end: parse_number(limit.get(end, "0") if given else None) for end in ("lower", "upper")
-    }
-    limits["velocity"] = parse_number(limit.get("velocity"))
-    factor, offset = (
-        parse_number(mimic.get("multiplier", "1")),
-        parse_number(mimic.get("offset", "0")),
-    )
+    limits = {end: number(limit.get(end, "0") if given else None) for end in ("lower", "upper")}
+    limits["velocity"] = number(limit.get("velocity"))
+    factor, offset = number(mimic.get("multiplier", "1")), number(mimic.get("offset", "0"))
     tie = MimicJoint(name, mimic.get("joint", ""), factor, offset)
     tied = None if joint.find("mimic") is None else tie
-    return _UrdfJoint(name, kind, limits, tied, fault and f"joint {name}: {fault}")
+    child = _attributes(joint, "child").get("link", "")
+    return _UrdfJoint(name, kind, child, limits, tied, fault and f"joint {name}: {fault}")
 
 
 def _attributes(joint: ET.Element, tag: str) -> Mapping[str, str]:
@@ -259,7 +256,7 @@ def _attributes(joint: ET.Element, tag: str) -> Mapping[str, str]:
     return {} if element is None else element.attrib
 
 
-def parse_number(text: str | None) -> float:
+def number(text: str | None) -> float:
     """The number that a text gives; nan if there is none."""
     try:
         return np.nan if text is None else float(text)
@@ -309,12 +306,12 @@ def _fault(joint: ET.Element) -> str:
             if attribute not in known:
                 got = f"the attribute {attribute!r} = {value!r:.80}, which is not read"
                 return f"{expected} {names}, got {got}"
-            count, numbers = known[attribute], [parse_number(word) for word in value.split()]
+            count, numbers = known[attribute], [number(word) for word in value.split()]
             bad = np.isnan(numbers) if tag == "limit" else ~np.isfinite(numbers)
             if count and (len(numbers) != count or bad.any()):
                 return f"expected {count} numbers in {attribute} of <{tag}>, got {value!r:.80}"
     angles = _attributes(joint, "origin").get("rpy", "")
-    if any(abs(parse_number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
+    if any(abs(number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
         expected = "expected an origin with rpy in radians within one turn"
         return f"{expected}, got {angles!r:.80} (is it in degrees?)"
     return ""
@@ -351,12 +348,9 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
 def _of_urdf(spec: Any, root: ET.Element) -> Mechanism:
     # MuJoCo adds a world body above the root link, which is not a frame of the file
     world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
-    # by child, of which MuJoCo accepts no two
-    joints = {
-        _attributes(j, "child").get("link", ""): _urdf_joint(j) for j in root.iterfind("joint")
-    }
-    ties = {joint.name: joint.tie for joint in joints.values() if joint.tie}
-    frames = _frames(spec, world, joints)
+    joints = [_urdf_joint(joint) for joint in root.iterfind("joint")]
+    ties = {joint.name: joint.tie for joint in joints if joint.tie}
+    frames = _frames(spec, world, {joint.child: joint for joint in joints})
     return Mechanism(name=root.get("name", ""), frames=frames, mimic_joints=ties)
 
 
@@ -435,7 +429,7 @@ def _frames(spec: Any, world: str, urdf: Mapping[str, _UrdfJoint]) -> tuple[Fram
         index = len(frames)
         name = body.name if index else world
         joints = [_joint(spec, each, f"{name}#{i}", speeds) for i, each in enumerate(body.joints)]
-        given = urdf.get(name, _UrdfJoint("", "", {}, None, ""))
+        given = urdf.get(name, _UrdfJoint("", "", "", {}, None, ""))
         if given.kind in ("planar", "floating"):  # MuJoCo splits a planar joint into three
             joints = [replace(joint, name=given.name, kind=given.kind) for joint in joints[:1]]
         joints = [replace(j, **given.limits) if j.name == given.name else j for j in joints]

@@ -10,7 +10,7 @@ from vergence.models.head_joints import ACCELERATION, RADIANS, SPEED, frame_betw
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.toml_table import Rule
 from vergence.models.urdf.chains import HeadChains
-from vergence.models.urdf.mechanism import Joint, MimicJoint, parse_number, refuse, refuse_unknown
+from vergence.models.urdf.mechanism import Joint, MimicJoint, number, refuse, refuse_unknown
 
 Coupling = Literal["common-tilt", "version-vergence"]
 """Coupling of both eyes: one motor for both tilts, or motors for version and for vergence."""
@@ -240,14 +240,14 @@ def _parse_per_joint(
     found: dict[str, float] = {}
     for word in texts:
         name, equals, text = word.rpartition("=")
-        number = parse_number(text)
-        if not rule[0](number):
+        value = number(text)
+        if not rule[0](value):
             refuse(option, rule[1], repr(word))
         if equals:
             refuse_unknown(option, "moving joint", name, joints)
         if name in found:
             refuse(option, "one number a joint", f"{word!r} too")
-        found[name] = number
+        found[name] = value
     return found
 
 
