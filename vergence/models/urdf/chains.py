@@ -260,11 +260,11 @@ def _parts(way: _Way) -> dict[str, str]:
         below = moving[: len(moving) - max(_MAX_EYE_JOINTS - longest, 0)]
         others = [name for name in below if name not in neck]
         way_on = way.lock(others) if neck else way.neck_and_lock(below)
-        expected = (
-            "every joint that both cameras stand on to be one of up to three of --neck, or held by "
-            "--lock JOINT=DEG, or one of two that turn an eye"
+        held = "held by --lock JOINT=DEG, or one of two that turn an eye"
+        expected = "every joint that both cameras stand on to be one of up to three of --neck"
+        refuse(
+            "neck", f"{expected}, or {held}", f"{', '.join(unnamed or both)}: give {way_on}, say"
         )
-        refuse("neck", expected, f"{', '.join(unnamed or both)}: give {way_on}, say")
     for side, names in own.items():
         if len(names) > _MAX_EYE_JOINTS:
             more = [name for each in own.values() for name in each[_MAX_EYE_JOINTS:]]

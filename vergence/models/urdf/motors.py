@@ -219,8 +219,8 @@ def joint_motion_limits(
         lower, upper, why = _angles(joint)
         if why:
             assumed |= {f"{key}.{end}": why for end in _RANGE}
-        given = accelerations.get(name, accelerations.get(""))
-        if given is None:
+        given = accelerations.get(name, accelerations.get("", _ASSUMED_ACCELERATION))
+        if accelerations.keys().isdisjoint((name, "")):
             why = "not in the file, which has no place for it: that of common servos"
             assumed[f"{key}.acceleration_rad_s2"] = why
         if name in speeds or name in unreal:
@@ -228,8 +228,7 @@ def joint_motion_limits(
             why = "; not in the file" if np.isnan(velocity) else former
             assumed[f"{key}.velocity_rad_s"] = f"given by --speed{why}"
             velocity = speeds[name if name in speeds else ""]
-        acceleration_limit = _ASSUMED_ACCELERATION if given is None else given
-        ranges[name] = MotionLimits(lower, upper, velocity, acceleration_limit)
+        ranges[name] = MotionLimits(lower, upper, velocity, given)
     return ranges, assumed
 
 
