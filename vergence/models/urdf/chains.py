@@ -3,13 +3,13 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple, NoReturn
 
 import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.models.urdf.mechanism import Joint, Mechanism, MimicJoint, known_names_hint
+from vergence.models.urdf.mechanism import Joint, Mechanism, MimicJoint, refuse, refuse_unknown
 
 # Most joints that a head file has for the neck and for the chain of an eye (numerical).
 _MAX_NECK_JOINTS: Final = 3
@@ -41,8 +41,7 @@ class HeadChains:
         return {name: each for name, each in self.joints.items() if each.part != "neck"}
 
 
-@dataclass(frozen=True)
-class _Path:
+class _Path(NamedTuple):
     """Frames from the base up to the common ancestor with a camera, then down; their joints."""
 
     frames_up: Sequence[int]
@@ -51,15 +50,17 @@ class _Path:
     down: Sequence[Joint]
 
 
-@dataclass(frozen=True)
-class _Selection:
-    """Joints on the way to the cameras, and what the user says of them."""
+class _Way(NamedTuple):
+    """What lies between the base and the cameras, and what the user says of it."""
 
+    mechanism: Mechanism
     known: Mapping[str, Joint]  # all of the file
+    paths: Sequence[_Path]  # to the left and the right camera
     on_way: Sequence[str]
     shared: Sequence[str]  # that both cameras stand on
     neck: Sequence[str]
     locked: Mapping[str, float]
+    fixed: dict[str, float]  # values of those locked and of those coupled to them
 
     def neck_and_lock(self, names: Sequence[str]) -> str:
         """Options that make the uppermost joints the neck and lock the others."""
@@ -69,42 +70,37 @@ class _Selection:
     def lock(self, names: Sequence[str]) -> str:
         """Option that locks joints as near to zero as their limits allow."""
         said = []
-        for name in names:
-            joint = self.known[name]
+        for joint in map(self.known.__getitem__, names):
             value = float(np.nan_to_num(np.fmin(np.fmax(0.0, joint.lower), joint.upper)))
-            slides = joint.kind == "slide"
-            said.append(f"{name}={value if slides else np.degrees(value):.6g}{'m' * slides}")
+            shown = f"{value:.6g}m" if joint.kind == "slide" else f"{np.degrees(value):.6g}"
+            said.append(f"{joint.name}={shown}")
         return f"--lock {' '.join(said)}"
 
 
 def build_head_chains(
-    mechanism: Mechanism,
-    *,
-    base: int,
-    cameras: Sequence[int],
-    neck: Sequence[str],
-    locked: Mapping[str, float],
+    mechanism: Mechanism, ends: Sequence[int], neck: Sequence[str], lock: Sequence[str]
 ) -> HeadChains:
-    """Determine the role of each joint between the base and the left and the right camera."""
-    paths = [_path(mechanism, base, camera) for camera in cameras]
+    """Determine each joint's role between the ends: the base, the left and the right camera."""
+    known = mechanism.joints()
+    locked = _parse_locked_joints(lock, known)
+    paths = [_path(mechanism, ends[0], camera) for camera in ends[1:]]
     on_way = list(dict.fromkeys(j.name for path in paths for j in (*path.up, *path.down)))
     shared = [j.name for j in paths[0].down if j in paths[1].down]
-    selection = _Selection(mechanism.joints(), on_way, shared, neck, locked)
-    _check_options(selection)
-    _check_frames(mechanism, base, cameras, paths)
-    fixed = _fixed_values(mechanism, selection)
-    for path in paths:
-        _check_joints(path, fixed)
-    parts = _parts(selection, paths, fixed)
-    chains = [_chain(mechanism, path, parts, fixed) for path in paths]
-    found = {joint.joint.name: joint for joints, _, _ in reversed(chains) for joint in joints}
+    way = _Way(mechanism, known, paths, on_way, shared, neck, locked, {})
+    _check_options(way)
+    _check_frames(way, ends)
+    _fix_joints(way)
+    _check_joints(way)
+    parts = _parts(way)
+    joints: dict[str, ChainJoint] = {}
+    at_zero, mounts = zip(*(_chain(way, path, parts, joints) for path in paths), strict=True)
     ties = [tie for name in parts if (tie := mechanism.mimic_of(name)) is not None]
     return HeadChains(
-        joints={name: found[name] for name in parts},
+        joints={name: joints[name] for name in parts},
         mimic_joints=ties,
-        fixed_values=fixed,
-        camera_poses=np.stack([pose for _, pose, _ in chains]),
-        mounts=np.stack([mount for _, _, mount in chains]),
+        fixed_values=way.fixed,
+        camera_poses=np.stack(at_zero),
+        mounts=np.stack(mounts),
     )
 
 
@@ -116,18 +112,16 @@ def _path(mechanism: Mechanism, base: int, camera: int) -> _Path:
 
 
 def _chain(
-    mechanism: Mechanism, path: _Path, parts: Mapping[str, str], fixed: Mapping[str, float]
-) -> tuple[list[ChainJoint], FloatArray, FloatArray]:
-    """Moving joints; (4, 4) the camera frame in the base at zero, and in the last link."""
-    joints = []
-    at_zero = np.eye(4)
-    pending = np.asarray(np.linalg.inv(mechanism.pose_along(path.frames_up, fixed)), np.float64)
-    for index in path.frames_down:
-        frame = mechanism.frames[index]
+    way: _Way, path: _Path, parts: Mapping[str, str], joints: dict[str, ChainJoint]
+) -> tuple[FloatArray, FloatArray]:
+    """(4, 4) camera frame in the base at zero, and in the last link; adds the moving joints."""
+    mechanism, at_zero = way.mechanism, np.eye(4)
+    pending = np.asarray(np.linalg.inv(mechanism.pose_along(path.frames_up, way.fixed)), float)
+    for frame in map(mechanism.frames.__getitem__, path.frames_down):
         pending = pending @ frame.pose
         for joint in frame.joints:
-            if joint.name in fixed:
-                pending = pending @ joint.motion(fixed[joint.name])
+            if joint.name in way.fixed:
+                pending = pending @ joint.motion(way.fixed[joint.name])
                 continue
             to_axis, turned, from_axis = np.eye(4), np.eye(4), np.eye(4)
             to_axis[:3, 3], from_axis[:3, 3] = joint.anchor, -joint.anchor
@@ -135,171 +129,127 @@ def _chain(
             origin = pending @ to_axis @ turned
             at_zero = at_zero @ origin
             axis = at_zero[:3, :3] @ joint.axis
-            joints.append(ChainJoint(joint, parts[joint.name], origin, axis))
+            joints.setdefault(joint.name, ChainJoint(joint, parts[joint.name], origin, axis))
             pending = from_axis
-    return joints, at_zero @ pending, pending
+    return at_zero @ pending, pending
 
 
-def _check_options(selection: _Selection) -> None:
+def _check_options(way: _Way) -> None:
     """Refuse joints of `--neck` and `--lock` that are not there, or in a wrong place."""
-    neck, locked, shared = selection.neck, selection.locked, selection.shared
-    for option, names in (("neck", neck), ("lock", locked)):
+    neck, shared = way.neck, way.shared
+    for option, names in (("neck", neck), ("lock", way.locked)):
         for name in names:
-            _check_known(option, name, selection.known)
-            if name not in selection.on_way:
-                raise ConfigurationError(
-                    f"{option}: expected a joint on the way from the base to the cameras "
-                    f"({', '.join(selection.on_way) or 'there is none'}), got {name!r}"
-                )
+            refuse_unknown(option, "joint", name, way.known)
+            if name not in way.on_way:
+                there = ", ".join(way.on_way) or "there is none"
+                on_way = f"a joint on the way from the base to the cameras ({there})"
+                refuse(option, on_way, repr(name))
     if len(set(neck)) != len(neck):
-        raise ConfigurationError(f"neck: expected each joint once, got {' '.join(neck)}")
+        refuse("neck", "each joint once", " ".join(neck))
     for name in neck:
-        if name in locked:
-            raise ConfigurationError(
-                f"lock: expected joints that are not of the neck, got {name!r}"
-            )
+        if name in way.locked:
+            refuse("lock", "joints that are not of the neck", repr(name))
         if name not in shared:
-            raise ConfigurationError(
-                f"neck: expected joints that both cameras stand on "
-                f"({', '.join(shared) or 'there is none'}), got {name!r}, which moves one of them"
-            )
+            there = f"({', '.join(shared) or 'there is none'})"
+            one = f"{name!r}, which moves one of them"
+            refuse("neck", f"joints that both cameras stand on {there}", one)
     if len(neck) > _MAX_NECK_JOINTS:
-        options = selection.neck_and_lock([name for name in shared if name in neck])
-        raise ConfigurationError(
-            f"neck: expected up to three joints, got {len(neck)} ({' '.join(neck)}): hold the "
-            f"others, such as {options}"
-        )
+        options = way.neck_and_lock([name for name in shared if name in neck])
+        got = f"{len(neck)} ({' '.join(neck)}): hold the others, such as {options}"
+        refuse("neck", "up to three joints", got)
 
 
-def _check_known(option: str, name: str, joints: Mapping[str, Joint]) -> None:
-    if name not in joints:
-        hint = known_names_hint("joint", name, joints)
-        raise ConfigurationError(f"{option}: expected {hint}, got {name!r}")
-
-
-def _check_frames(
-    mechanism: Mechanism, base: int, cameras: Sequence[int], paths: Sequence[_Path]
-) -> None:
+def _check_frames(way: _Way, ends: Sequence[int]) -> None:
     """Refuse frames with a fault on the path, and non-finite poses from the root to its ends."""
-    frames = mechanism.frames
-    for path in paths:
+    frames = way.mechanism.frames
+    for path in way.paths:
         for index in sorted((*path.frames_up, *path.frames_down)):
             if frames[index].fault:
                 raise ConfigurationError(frames[index].fault)
-    for end in (base, *cameras):
-        for frame in (frames[index] for index in mechanism.ancestors(end)):
-            if not np.isfinite(frame.pose).all():
-                place = frame.pose[:3, 3].tolist()
-                raise ConfigurationError(f"frame {frame.name}: expected a finite pose, got {place}")
+    for frame in (frames[i] for end in ends for i in way.mechanism.ancestors(end)):
+        if not np.isfinite(frame.pose).all():
+            refuse(f"frame {frame.name}", "a finite pose", frame.pose[:3, 3].tolist())
 
 
-def _check_joints(path: _Path, fixed: Mapping[str, float]) -> None:
+def _check_joints(way: _Way) -> None:
     """Refuse joints that move the base, do not turn, or have no axis."""
-    for joint in path.up:
-        if joint.name not in fixed:
-            held = f", or --lock {joint.name}=DEG" if joint.kind in ("hinge", "slide") else ""
-            raise ConfigurationError(
-                f"base: expected a frame that the neck stands on, got one that {joint.name} "
-                f"moves: name a base below it{held}"
-            )
-    for joint in path.down:
-        if joint.name not in fixed and joint.kind != "hinge":
-            raise ConfigurationError(_why_not(joint))
-    for joint in (*path.up, *path.down):
-        if not (np.isfinite(joint.axis).all() and np.isfinite(joint.anchor).all()):
-            raise ConfigurationError(
-                f"joint {joint.name}: expected an axis with a direction, got none"
-            )
+    for path in way.paths:
+        for joint in path.up:
+            if joint.name not in way.fixed:
+                held = f", or --lock {joint.name}=DEG" if joint.kind in ("hinge", "slide") else ""
+                got = f"one that {joint.name} moves: name a base below it{held}"
+                refuse("base", "a frame that the neck stands on", got)
+        for joint in path.down:
+            if joint.name not in way.fixed and joint.kind != "hinge":
+                _refuse_kind(joint)
+        for joint in (*path.up, *path.down):
+            if not np.isfinite([joint.axis, joint.anchor]).all():
+                refuse(f"joint {joint.name}", "an axis with a direction", "none")
 
 
-def _fixed_values(mechanism: Mechanism, selection: _Selection) -> dict[str, float]:
-    """Values of the locked joints and of the joints coupled to them."""
-    known, on_way, locked = selection.known, selection.on_way, selection.locked
-    fixed = {}
-    for name in on_way:
-        mimic = mechanism.mimic_of(name)
-        wrong = ""
-        if name in locked:
-            _check_lock(selection, known[name], mimic)
-            fixed[name] = locked[name]
-        elif mimic is None:
+def _fix_joints(way: _Way) -> None:
+    """Find the values of the locked joints and of the joints coupled to them."""
+    for name in way.on_way:
+        owner, mimic = f"joint {name}", way.mechanism.mimic_of(name)
+        if name in way.locked:
+            _check_lock(way, way.known[name], mimic)
+            way.fixed[name] = way.locked[name]
             continue
-        elif np.isnan(mimic.multiplier):
-            wrong = (
-                "one that follows one other joint by a straight line, which is all that a head "
-                f"file can say, got one that follows {mimic.master} otherwise"
-            )
+        if mimic is None:
+            continue
+        master, follows = mimic.master, f"one that follows {mimic.master}"
+        if np.isnan(mimic.multiplier):
+            straight = "one that follows one other joint by a straight line, which is all that a "
+            refuse(owner, f"{straight}head file can say", f"{follows} otherwise")
         elif mimic.multiplier == 0.0:
-            fixed[name] = mimic.offset
-        elif mimic.master in locked:
-            fixed[name] = mimic.follow(locked)
-        elif mimic.master not in known:
-            wrong = (
-                f"one that follows {known_names_hint('moving joint', mimic.master, known)}, got "
-                f"one that follows {mimic.master!r}, which is none"
-            )
-        elif mimic.master not in on_way:
-            wrong = (
-                f"one that follows no joint or one of an eye, got one that follows {mimic.master}, "
-                f"which is not on the way to the cameras: --lock {name}=DEG"
-            )
-        elif name in selection.neck or mimic.master in selection.neck:
-            wrong = (
-                f"a joint of the neck that moves by itself, got one that follows {mimic.master}, "
-                "which a head file cannot say of a neck: lock both, or one motor could not move "
-                "the two"
-            )
-        if wrong:
-            raise ConfigurationError(f"joint {name}: expected {wrong}")
-    return fixed
+            way.fixed[name] = mimic.offset
+        elif master in way.locked:
+            way.fixed[name] = mimic.follow(way.locked)
+        elif master not in way.known:
+            form = "one that follows {}"
+            refuse_unknown(owner, "moving joint", master, way.known, form, ", which is none")
+        elif master not in way.on_way:
+            aside = f"{follows}, which is not on the way to the cameras: --lock {name}=DEG"
+            refuse(owner, "one that follows no joint or one of an eye", aside)
+        elif name in way.neck or master in way.neck:
+            tied = "which a head file cannot say of a neck: lock both, or one motor could not move"
+            refuse(owner, "a joint of the neck that moves by itself", f"{follows}, {tied} the two")
 
 
-def _check_lock(selection: _Selection, joint: Joint, mimic: MimicJoint | None) -> None:
-    value, locked = selection.locked[joint.name], selection.locked
+def _check_lock(way: _Way, joint: Joint, mimic: MimicJoint | None) -> None:
+    value, lower, upper = way.locked[joint.name], joint.lower, joint.upper
     if joint.kind not in ("hinge", "slide"):
-        raise ConfigurationError(_why_not(joint))
-    if mimic is not None and mimic.master in selection.on_way and mimic.master not in locked:
-        raise ConfigurationError(
-            f"lock: expected a joint that moves by itself, got {joint.name}, which follows "
-            f"{mimic.master}: lock that one"
-        )
-    unit, scale = ("m", 1.0) if joint.kind == "slide" else ("deg", 180.0 / np.pi)
+        _refuse_kind(joint)
+    if mimic is not None and mimic.master in way.on_way and mimic.master not in way.locked:
+        got = f"{joint.name}, which follows {mimic.master}: lock that one"
+        refuse("lock", "a joint that moves by itself", got)
     # tolerance for degrees given with few decimals
-    if value < joint.lower - 1e-3 or value > joint.upper + 1e-3:
-        raise ConfigurationError(
-            f"lock: expected {joint.name} within {scale * joint.lower:.6g} to "
-            f"{scale * joint.upper:.6g} {unit}, got {scale * value:.6g}"
-        )
+    if value < lower - 1e-3 or value > upper + 1e-3:
+        unit, scale = ("m", 1.0) if joint.kind == "slide" else ("deg", 180.0 / np.pi)
+        within = f"{joint.name} within {scale * lower:.6g} to {scale * upper:.6g} {unit}"
+        refuse("lock", within, f"{scale * value:.6g}")
 
 
-def _why_not(joint: Joint) -> str:
-    if joint.kind == "slide":
-        return (
-            f"joint {joint.name}: expected a joint that turns, got one that slides (prismatic), "
-            f"which a head file cannot say: --lock {joint.name}=0.1m holds it in its place"
-        )
+def _refuse_kind(joint: Joint) -> NoReturn:
+    expected, way_on = "a joint that turns about one axis", "name a base above it"
     named = {"ball": "a ball joint", "free": "a floating joint"}
-    name = named.get(joint.kind, f"type {joint.kind!r}")
-    return (
-        f"joint {joint.name}: expected a joint that turns about one axis, got {name}, which a head "
-        "file cannot say: name a base above it"
-    )
+    found = named.get(joint.kind, f"type {joint.kind!r}")
+    if joint.kind == "slide":
+        expected, found = "a joint that turns", "one that slides (prismatic)"
+        way_on = f"--lock {joint.name}=0.1m holds it in its place"
+    refuse(f"joint {joint.name}", expected, f"{found}, which a head file cannot say: {way_on}")
 
 
-def _parts(
-    selection: _Selection, paths: Sequence[_Path], fixed: Mapping[str, float]
-) -> dict[str, str]:
+def _parts(way: _Way) -> dict[str, str]:
     """Part of each moving joint (neck, both, left or right), from the base up."""
-    shared, neck = selection.shared, selection.neck
+    shared, neck, fixed = way.shared, way.neck, way.fixed
     for name in neck:
         if name in fixed:
-            raise ConfigurationError(
-                f"neck: expected joints that move, got {name!r}, which is held by what it follows"
-            )
+            refuse("neck", "joints that move", f"{name!r}, which is held by what it follows")
     moving = [name for name in shared if name not in fixed]
     own = {
         side: [j.name for j in path.down if j.name not in shared and j.name not in fixed]
-        for side, path in zip(EYE_NAMES, paths, strict=True)
+        for side, path in zip(EYE_NAMES, way.paths, strict=True)
     }
     last = max((moving.index(name) for name in neck), default=-1)
     unnamed = [name for name in moving[: last + 1] if name not in neck]
@@ -309,20 +259,18 @@ def _parts(
         # the uppermost may turn both eyes, as long as no eye has more than two joints
         below = moving[: len(moving) - max(_MAX_EYE_JOINTS - longest, 0)]
         others = [name for name in below if name not in neck]
-        way_on = selection.lock(others) if neck else selection.neck_and_lock(below)
-        raise ConfigurationError(
-            "neck: expected every joint that both cameras stand on to be one of up to three of "
-            "--neck, or held by --lock JOINT=DEG, or one of two that turn an eye, got "
-            f"{', '.join(unnamed or both)}: give {way_on}, say"
+        way_on = way.lock(others) if neck else way.neck_and_lock(below)
+        held = "held by --lock JOINT=DEG, or one of two that turn an eye"
+        expected = "every joint that both cameras stand on to be one of up to three of --neck"
+        refuse(
+            "neck", f"{expected}, or {held}", f"{', '.join(unnamed or both)}: give {way_on}, say"
         )
     for side, names in own.items():
         if len(names) > _MAX_EYE_JOINTS:
             more = [name for each in own.values() for name in each[_MAX_EYE_JOINTS:]]
-            raise ConfigurationError(
-                f"{side} camera: expected up to two joints that move this eye alone, which is all "
-                f"that a head file can say, got {len(names)} ({', '.join(names)}): give "
-                f"{selection.lock(more)}, say"
-            )
+            got = f"{len(names)} ({', '.join(names)}): give {way.lock(more)}, say"
+            alone = "up to two joints that move this eye alone"
+            refuse(f"{side} camera", f"{alone}, which is all that a head file can say", got)
     parts = dict.fromkeys(moving[: last + 1], "neck") | dict.fromkeys(both, "both")
     return parts | {name: side for side, names in own.items() for name in names}
 
@@ -332,21 +280,21 @@ _RADIANS_PER_UNIT: Final = {"": np.pi / 180.0, "deg": np.pi / 180.0, "rad": 1.0}
 _METRES_PER_UNIT: Final = {"m": 1.0, "mm": 1e-3}
 
 
-def parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
+def _parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
     """Parse values, rad or m, from `JOINT=DEG`, `JOINT=1.5rad`, `JOINT=0.1m`."""
     found: dict[str, float] = {}
     for word in texts:
         name, equals, text = word.rpartition("=")
         if not equals:
-            raise ConfigurationError(f"lock: expected JOINT=DEG, got {word!r}")
-        _check_known("lock", name, joints)
+            refuse("lock", "JOINT=DEG", repr(word))
+        refuse_unknown("lock", "joint", name, joints)
         if name in found:
-            raise ConfigurationError(f"lock: expected each joint once, got {name} twice")
+            refuse("lock", "each joint once", f"{name} twice")
         slides = joints[name].kind == "slide"
         units = _METRES_PER_UNIT if slides else _RADIANS_PER_UNIT
         parts = _NUMBER.fullmatch(text)
         if parts is None or parts[2] not in units:
             example = f"{name}=0.1m" if slides else f"{name}=10, in degrees"
-            raise ConfigurationError(f"lock: expected a place such as {example}, got {word!r}")
+            refuse("lock", f"a place such as {example}", repr(word))
         found[name] = float(parts[1]) * units[parts[2]]
     return found

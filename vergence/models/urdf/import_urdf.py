@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from vergence.errors import ConfigurationError, HeadFileError
+from vergence.errors import HeadFileError
 from vergence.models.assumed import ROBOT, ROBOT_REASONS
 from vergence.models.camera import Camera, camera_matrix
 from vergence.models.head import HeadModel
@@ -22,24 +22,13 @@ from vergence.models.head_file import (
     eye_tables,
     head_of_document,
 )
-from vergence.models.head_joints import LENGTH, frame_between_cameras
+from vergence.models.head_joints import LENGTH
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.stereo_files import ReadCameras, read_intrinsics
 from vergence.models.toml_table import toml_text
-from vergence.models.urdf.chains import (
-    ChainJoint,
-    HeadChains,
-    build_head_chains,
-    parse_locked_joints,
-)
-from vergence.models.urdf.mechanism import Mechanism, MjcfCamera, read_mechanism
-from vergence.models.urdf.motors import (
-    Coupling,
-    EyeMotor,
-    MotionLimits,
-    find_eye_motors,
-    joint_motion_limits,
-)
+from vergence.models.urdf.chains import ChainJoint, HeadChains, build_head_chains
+from vergence.models.urdf.mechanism import Frame, Mechanism, MjcfCamera, read_mechanism, refuse
+from vergence.models.urdf.motors import Coupling, EyeMotor, find_eye_motors, joint_motion_limits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,45 +71,34 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     """
     mechanism = read_mechanism(source.file)
     base = mechanism.find_frame(source.base, "base", ("body", "site", "camera"))
-    frames = [
+    cameras = [
         mechanism.find_frame(name, f"{eye}-camera", ("camera", "site", "body"))
         for eye, name in zip(EYE_NAMES, source.cameras, strict=True)
     ]
-    _check_two(source.cameras)
-    locked = parse_locked_joints(source.lock, mechanism.joints())
-    chains = build_head_chains(
-        mechanism, base=base, cameras=frames, neck=source.neck, locked=locked
-    )
-    axes = _axes([mechanism.frames[frame].kind for frame in frames], source.camera_axes)
+    frames = [mechanism.frames[camera] for camera in cameras]
+    _check_two(*source.cameras)
+    chains = build_head_chains(mechanism, (base, *cameras), source.neck, source.lock)
+    axes = _axes(frames, source.camera_axes)
     poses = chains.camera_poses @ axes
-    joints = [joint_fields(name, joint) for name, joint in chains.joints.items()]
+    joints = [_joint_fields(name, joint) for name, joint in chains.joints.items()]
     mounts = [
-        pose_fields("position_m", mount, f"{eye} camera")
+        _pose_fields("position_m", mount, f"{eye} camera")
         for eye, mount in zip(EYE_NAMES, chains.mounts @ axes, strict=True)
     ]
     if not source.camera_axes:
         angles = dict.fromkeys(chains.joints, 0.0) | dict(chains.fixed_values)
         base_in_root = mechanism.pose_along(mechanism.ancestors(base), angles)
         _check_camera_axes(source.cameras, poses, chains, up=base_in_root[2, :3])
-    limits, assumed = joint_motion_limits(
-        [joint.joint for joint in chains.joints.values()], source.speed, source.acceleration
-    )
-    motors: list[EyeMotor] = []  # none if each joint has its own
-    if chains.mimic_joints or source.couplings:
-        motors = find_eye_motors(
-            chains,
-            limits,
-            source.couplings,
-            between=frame_between_cameras(poses),
-            baseline_m=float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3])),
-        )
-    images, unsaid = _images([mechanism.frames[frame].camera for frame in frames], source)
-    cameras = (images.left, images.right)
-    if images.left.size == images.right.size:
+    moving = [joint.joint for joint in chains.joints.values()]
+    limits, assumed = joint_motion_limits(moving, source.speed, source.acceleration)
+    motors = find_eye_motors(chains, limits, source.couplings, poses)
+    read, unsaid = _images([frame.camera for frame in frames], source)
+    images = (read.left, read.right)
+    if images[0].size == images[1].size:
         size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
         unsaid = {size.sub("image.", key): reason for key, reason in unsaid.items()}
-    fields = [camera_fields(each) | mount for each, mount in zip(cameras, mounts, strict=True)]
-    tables = eye_tables(cameras, fields)
+    fields = [camera_fields(image) | mount for image, mount in zip(images, mounts, strict=True)]
+    tables = eye_tables(images, fields)
     eyes = tables.pop("eyes")
     document = {
         "name": _name(source, mechanism),
@@ -128,11 +106,11 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         **ROBOT,
         # limits belong to the motors: those of joints with shared motors follow from them
         "joints": [
-            joint | ({} if motors and joint["part"] != "neck" else limit_fields(limit))
+            joint | ({} if motors and joint["part"] != "neck" else limit.fields())
             for joint, limit in zip(joints, limits.values(), strict=True)
         ],
         "eyes": eyes,
-        **actuator_fields(motors),
+        **_actuator_fields(motors),
         "assumptions": {**unsaid, **ROBOT_REASONS, **_of_motors(assumed, motors)},
     }
     try:
@@ -146,18 +124,15 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         chains=chains,
         motors=motors,
         ignored=_ignored(mechanism, chains),
-        guesses=images.guesses if source.intrinsics else (),
+        guesses=read.guesses if source.intrinsics else (),
     )
 
 
-def _check_two(cameras: tuple[str, str]) -> None:
+def _check_two(left: str, right: str) -> None:
     """Refuse one camera given twice, and the colour and depth frames of one device."""
-    left, right = cameras
     if left == right or ("depth" in left.lower()) != ("depth" in right.lower()):
-        raise ConfigurationError(
-            f"left-camera, right-camera: expected frames of two cameras, got {left} and {right}: "
-            "vergence needs two cameras, and a colour and a depth frame of one device are not two"
-        )
+        why = "vergence needs two cameras, and a colour and a depth frame of one device are not two"
+        refuse("left-camera, right-camera", "frames of two cameras", f"{left} and {right}: {why}")
 
 
 _OPTICAL_AXES: Final = "x,y,z"  # axes of an optical frame: x right, y down, z forward
@@ -181,42 +156,36 @@ _ROLL_AXIS_COSINE: Final = np.cos(np.deg2rad(25.0))
 image (chosen: tilted mounts are accepted, wrong frames refused)."""
 
 
-def _axes(kinds: Sequence[str], triples: Sequence[str]) -> FloatArray:
+def _axes(frames: Sequence[Frame], triples: Sequence[str]) -> FloatArray:
     """(2, 4, 4) pose of each camera in its frame, of the given axes or those usual for its kind."""
     if len(triples) > 2:
-        raise ConfigurationError(
-            f"camera-axes: expected one for both cameras or one for each, got {len(triples)}"
-        )
-    usual = [_MUJOCO_AXES if kind == "camera" else _OPTICAL_AXES for kind in kinds]
+        refuse("camera-axes", "one for both cameras or one for each", len(triples))
+    usual = [_MUJOCO_AXES if frame.kind == "camera" else _OPTICAL_AXES for frame in frames]
     poses = np.tile(np.eye(4), (2, 1, 1))
-    poses[:, :3, :3] = [
-        _rotation(axes) for axes in ([triples[0], triples[-1]] if triples else usual)
-    ]
+    poses[:, :3, :3] = [_rotation(axes) for axes in (*triples[:1], *triples[-1:]) or usual]
     return poses
 
 
 def _rotation(right_down_forward: str) -> FloatArray:
     """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`."""
     names = [name.strip().lower().removeprefix("+") for name in right_down_forward.split(",")]
+    axes, got = ",".join(names), repr(right_down_forward)
     expected = (
-        "camera-axes: expected the axes of the camera's frame that point right in the image, down "
-        "in it and forward, such as x,-y,-z"
+        "the axes of the camera's frame that point right in the image, down in it and forward, "
+        "such as x,-y,-z"
     )
-    if ",".join(names) not in _ROTATIONS:
-        raise ConfigurationError(f"{expected}, got {right_down_forward!r}")
-    if ",".join(names) not in _RIGHT_HANDED:
-        forward = names[2].removeprefix("-") if names[2].startswith("-") else f"-{names[2]}"
-        raise ConfigurationError(
-            f"{expected}, forward being right x down, got {right_down_forward!r}, which is "
-            f"left-handed ({names[0]},{names[1]},{forward} is not)"
-        )
-    return _ROTATIONS[",".join(names)]
+    if axes not in _ROTATIONS:
+        refuse("camera-axes", expected, got)
+    if axes not in _RIGHT_HANDED:
+        forward = f"-{names[2]}".removeprefix("--")
+        other = f"left-handed ({names[0]},{names[1]},{forward} is not)"
+        refuse("camera-axes", f"{expected}, forward being right x down", f"{got}, which is {other}")
+    return _ROTATIONS[axes]
 
 
 class _Eye(NamedTuple):
     """A camera at zero, in the base's frame."""
 
-    name: str
     rotation: FloatArray  # (3, 3), its columns right, down and forward
     joint_axes: Sequence[FloatArray]  # (3,) of the joints that move this eye
 
@@ -228,61 +197,47 @@ def _check_camera_axes(
     across = poses[1, :3, 3] - poses[0, :3, 3]
     distance = float(np.linalg.norm(across))
     if not distance > 1e-3:
-        raise ConfigurationError(
-            f"cameras: expected two that are more than 1 mm apart, got {names[0]} and "
-            f"{names[1]}, {1000.0 * distance:.3g} mm apart at zero"
-        )
+        got = f"{names[0]} and {names[1]}, {1000.0 * distance:.3g} mm apart at zero"
+        refuse("cameras", "two that are more than 1 mm apart", got)
     across = across / distance
+    turning = chains.eye_joints().values()
     eyes = [
-        _Eye(
-            name,
-            pose[:3, :3],
-            [j.axis_in_base for j in chains.eye_joints().values() if j.part in ("both", side)],
-        )
-        for name, side, pose in zip(names, EYE_NAMES, poses, strict=True)
+        _Eye(pose[:3, :3], [j.axis_in_base for j in turning if j.part in ("both", side)])
+        for side, pose in zip(EYE_NAMES, poses, strict=True)
     ]
-    wrong = [(eye.name, why) for eye in eyes if (why := _fault(eye, across, up))]
-    if not wrong:
+    faults = [_fault(eye, across, up) for eye in eyes]
+    if not any(faults):
         return
-    name, why = wrong[0]
+    name, why = next(pair for pair in zip(names, faults, strict=True) if pair[1])
     fitting = [
         min(_RIGHT_HANDED, key=lambda axes: _misfit(eye, _ROTATIONS[axes], across, up))
         for eye in eyes
     ]
-    exchanged = (
-        "; or the left and the right camera are exchanged"
-        if all(eye.rotation[:, 0] @ across < -_ALIGNED_COSINE for eye in eyes)
-        else ""
-    )
+    swapped = all(eye.rotation[:, 0] @ across < -_ALIGNED_COSINE for eye in eyes)
+    exchanged = "; or the left and the right camera are exchanged" if swapped else ""
+    got = f"one whose {why}:"
     if set(fitting) == {_OPTICAL_AXES}:
-        raise ConfigurationError(
-            f"{name}: expected cameras side by side that look ahead at zero, got one whose "
-            f"{why}: check which frames are the cameras (--camera-axes={_OPTICAL_AXES} takes them "
-            f"as they are{exchanged})"
-        )
-    proposals = fitting[:1] if fitting[0] == fitting[1] else fitting
-    text = " ".join(f"--camera-axes={triple}" for triple in proposals)
-    raise ConfigurationError(
-        f"{name}: expected a camera frame with x right, y down and z forward, got one whose "
-        f"{why}: {text} would fit ({_OPTICAL_AXES} if it is right as it is{exchanged})"
-    )
+        way_on = f"check which frames are the cameras (--camera-axes={_OPTICAL_AXES} takes them as"
+        way_on = f"{way_on} they are{exchanged})"
+        refuse(name, "cameras side by side that look ahead at zero", f"{got} {way_on}")
+    text = " ".join(f"--camera-axes={triple}" for triple in dict.fromkeys(fitting))
+    way_on = f"{text} would fit ({_OPTICAL_AXES} if it is right as it is{exchanged})"
+    refuse(name, "a camera frame with x right, y down and z forward", f"{got} {way_on}")
 
 
 def _fault(eye: _Eye, across: FloatArray, up: FloatArray) -> str:
     right, down, forward = eye.rotation.T
-    if right @ across < _ALIGNED_COSINE:
-        return f"x is {_angle(right @ across)} from the line from the left camera to the right one"
-    if abs(forward @ across) > _ALIGNED_COSINE:
-        return f"z is {_angle(forward @ across)} from the line between the cameras"
+    cosines = np.array([right @ across, forward @ across])
+    x, z = (f"{angle:.0f} degrees" for angle in np.rad2deg(np.arccos(np.clip(cosines, -1.0, 1.0))))
+    if cosines[0] < _ALIGNED_COSINE:
+        return f"x is {x} from the line from the left camera to the right one"
+    if abs(cosines[1]) > _ALIGNED_COSINE:
+        return f"z is {z} from the line between the cameras"
     if down @ up > _ALIGNED_COSINE:
         return "y points up"
     if any(abs(forward @ axis) > _ROLL_AXIS_COSINE for axis in eye.joint_axes):
         return "z lies along an axis that the eye turns about"
     return ""
-
-
-def _angle(cosine: float) -> str:
-    return f"{np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees"
 
 
 def _misfit(eye: _Eye, rotation: FloatArray, across: FloatArray, up: FloatArray) -> float:
@@ -304,48 +259,39 @@ def _images(
     """Intrinsics of both eyes, files before cameras, and reasons of assumptions by dotted key."""
     for eye, camera in zip(EYE_NAMES, cameras, strict=True):
         if camera is not None and camera.fault:
-            raise ConfigurationError(
-                f"{eye}-camera: expected a camera that is fixed to its body and sees in "
-                f"perspective, got one that {camera.fault}"
-            )
+            expected = "a camera that is fixed to its body and sees in perspective"
+            refuse(f"{eye}-camera", expected, f"one that {camera.fault}")
     if source.intrinsics:
-        calibrated = read_intrinsics(source.intrinsics, size=source.size, lens=source.lens)
-        assumed = {
-            f"eyes.{eye}.distortion": said
-            for eye, said in zip(EYE_NAMES, calibrated.lens_assumptions, strict=True)
-            if said
-        }
-        if calibrated.left is calibrated.right:
+        read = read_intrinsics(source.intrinsics, size=source.size, lens=source.lens)
+        lenses = zip(EYE_NAMES, read.lens_assumptions, strict=True)
+        assumed = {f"eyes.{eye}.distortion": said for eye, said in lenses if said}
+        if read.left is read.right:
             assumed["eyes.right.focal_px"] = "one calibration was given for both cameras"
-        return calibrated, assumed
+        return read, assumed
     for option, given in (("size", source.size), ("lens", source.lens)):
         if given is not None:
-            raise ConfigurationError(f"{option}: expected --intrinsics beside it, got none")
-    images, reasons = zip(*map(_image, cameras), strict=True)
-    by_eye = zip(EYE_NAMES, reasons, strict=True)
-    assumed = {f"eyes.{eye}.{key}": why for eye, found in by_eye for key, why in found.items()}
-    return ReadCameras(left=images[0], right=images[1]), assumed
+            refuse(option, "--intrinsics beside it", "none")
+    images, reasons = zip(*map(_image, EYE_NAMES, cameras), strict=True)
+    return ReadCameras(left=images[0], right=images[1]), reasons[0] | reasons[1]
 
 
-def _image(found: MjcfCamera | None) -> tuple[Camera, dict[str, str]]:
-    """Camera without distortion, and reasons of assumptions by key."""
-    assumed = {}
-    size = _ASSUMED_SIZE_PX if found is None or found.size is None else found.size
-    if found is None or found.size is None:
-        why = f"not in the file: {size[0]} x {size[1]}"
-        assumed = {"width_px": why, "height_px": why}
+def _image(eye: str, found: MjcfCamera | None) -> tuple[Camera, dict[str, str]]:
+    """Camera without distortion, and reasons of assumptions by dotted key."""
+    given = found or MjcfCamera(None, None, None, np.nan, "")
+    size = given.size or _ASSUMED_SIZE_PX
+    missing = f"not in the file: {size[0]} x {size[1]}"
+    assumed = {} if given.size else dict.fromkeys(("width_px", "height_px"), missing)
+    focal: float | FloatArray | None = given.focal
     if found is None:
-        focal: float | FloatArray = size[0] / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
+        focal = size[0] / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
         field = f"a field of view of {_ASSUMED_FOV_DEG:g} degrees horizontally"
         assumed["focal_px"] = f"not in the file: {field}"
-    elif found.focal is None:
-        focal = size[1] / 2.0 / tan(radians(found.fovy_deg) / 2.0)
-    else:
-        focal = found.focal
-    given = None if found is None else found.principal
-    principal = (np.array(size) - 1.0) / 2.0 if given is None else given
+    elif focal is None:
+        focal = size[1] / 2.0 / tan(radians(given.fovy_deg) / 2.0)
+    principal = (np.array(size) - 1.0) / 2.0 if given.principal is None else given.principal
     camera = Camera(size=size, matrix=camera_matrix(np.broadcast_to(focal, 2), principal))
-    return camera, assumed | {"distortion": "not in the file: no distortion"}
+    assumed["distortion"] = "not in the file: no distortion"
+    return camera, {f"eyes.{eye}.{key}": why for key, why in assumed.items()}
 
 
 def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[str, str]:
@@ -353,11 +299,9 @@ def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[st
     found: dict[str, str] = {}
     for key, why in assumed.items():
         joint, _, field = key.removeprefix("joints.").rpartition(".")
-        movers = [motor for motor in moved if joint in motor.joint_factors]
-        for motor in movers:
-            found.setdefault(f"actuators.{motor.name}.{field}", why)
-        if not movers:
-            found[key] = why
+        movers = [motor.name for motor in moved if joint in motor.joint_factors]
+        for moved_key in [f"actuators.{name}.{field}" for name in movers] or [key]:
+            found.setdefault(moved_key, why)
     for motor in moved:
         found |= {f"actuators.{motor.name}.{key}": why for key, why in motor.assumed.items()}
     return found
@@ -375,10 +319,9 @@ def _name(source: UrdfSource, mechanism: Mechanism) -> str:
 
 
 def _heading(source: UrdfSource, mechanism: Mechanism, chains: HeadChains) -> str:
-    lines = [
-        f"The head of {mechanism.name or 'a robot'} in {Path(source.file).name}, from "
-        f"{source.base} to the cameras {source.cameras[0]} and {source.cameras[1]}."
-    ]
+    robot, (left, right) = mechanism.name or "a robot", source.cameras
+    way = f"from {source.base} to the cameras {left} and {right}"
+    lines = [f"The head of {robot} in {Path(source.file).name}, {way}."]
     if chains.fixed_values:
         held = (f"{name} at {value:.6g}" for name, value in chains.fixed_values.items())
         lines.append(f"Held, in rad or m: {', '.join(held)}.")
@@ -388,7 +331,7 @@ def _heading(source: UrdfSource, mechanism: Mechanism, chains: HeadChains) -> st
 
 
 def _ignored(mechanism: Mechanism, chains: HeadChains) -> list[str]:
-    ties = [
+    found = [
         f"{name} (ties {', '.join(joints)}: see --actuators)"
         for name, joints in mechanism.left_out
         if not chains.joints.keys().isdisjoint(joints)
@@ -396,62 +339,39 @@ def _ignored(mechanism: Mechanism, chains: HeadChains) -> list[str]:
     bodies = [name for name, joints in mechanism.left_out if not joints]
     if bodies:
         more = f" and {len(bodies) - 1} more" if len(bodies) > 1 else ""
-        ties.append(f"{bodies[0]}{more}, which may tie bodies")
-    others = len(mechanism.joints()) - len(chains.joints) - len(chains.fixed_values)
-    return [
-        *ties,
-        *([f"{others} other joints"] if others else []),
-        "shapes, masses, friction, efforts",
-        "cameras and plugins of simulators other than MuJoCo",
-    ]
+        found.append(f"{bodies[0]}{more}, which may tie bodies")
+    if others := len(mechanism.joints()) - len(chains.joints) - len(chains.fixed_values):
+        found.append(f"{others} other joints")
+    simulators = "cameras and plugins of simulators other than MuJoCo"
+    return [*found, "shapes, masses, friction, efforts", simulators]
 
 
-def pose_fields(position_key: str, pose: FloatArray, name: str) -> dict[str, Any]:
+def _pose_fields(position_key: str, pose: FloatArray, name: str) -> dict[str, Any]:
     """Fields of a pose: its position and, unless it is the identity, its rotation."""
     # restore values that only rounding has moved from 0 or 1
     near = np.round(pose)
     clean = np.where(np.abs(pose - near) < 1e-15, near, pose) + 0.0
-    if not all(LENGTH[0](float(length)) for length in clean[:3, 3]):
-        raise ConfigurationError(
-            f"{name}: expected to be less than 3 m from what carries it, got "
-            f"{np.linalg.norm(clean[:3, 3]):.3g} m: name a --base nearer to the head (or is the "
-            "file in millimetres?)"
-        )
-    fields = {position_key: clean[:3, 3].tolist()}
-    if (clean[:3, :3] != np.eye(3)).any():
-        fields["rotation"] = clean[:3, :3].tolist()
-    return fields
+    place, rotation = clean[:3, 3], clean[:3, :3]
+    if not all(LENGTH[0](float(length)) for length in place):
+        why = "name a --base nearer to the head (or is the file in millimetres?)"
+        far = f"{np.linalg.norm(place):.3g} m: {why}"
+        refuse(name, "to be less than 3 m from what carries it", far)
+    turned = {"rotation": rotation.tolist()} if (rotation != np.eye(3)).any() else {}
+    return {position_key: place.tolist(), **turned}
 
 
-def joint_fields(name: str, joint: ChainJoint) -> dict[str, Any]:
+def _joint_fields(name: str, joint: ChainJoint) -> dict[str, Any]:
     """Fields of a joint's table in `[[joints]]`, without its limits."""
-    return {
-        "name": name,
-        "part": joint.part,
-        **pose_fields("origin_m", joint.origin, f"joint {name}"),
-        "axis": (joint.joint.axis + 0.0).tolist(),
-    }
+    origin = _pose_fields("origin_m", joint.origin, f"joint {name}")
+    return {"name": name, "part": joint.part, **origin, "axis": (joint.joint.axis + 0.0).tolist()}
 
 
-def limit_fields(limits: MotionLimits) -> dict[str, float]:
-    """Fields of the limits of a joint or an actuator."""
-    return {
-        "lower_rad": float(limits.lower),
-        "upper_rad": float(limits.upper),
-        "velocity_rad_s": float(limits.velocity),
-        "acceleration_rad_s2": float(limits.acceleration),
-    }
-
-
-def actuator_fields(motors: Sequence[EyeMotor]) -> dict[str, Any]:
+def _actuator_fields(motors: Sequence[EyeMotor]) -> dict[str, Any]:
     """Tables of actuators; empty if each joint has its own."""
-    if not motors:
-        return {}
+    tables = [
+        {"name": motor.name, "joints": dict(motor.joint_factors), **motor.limits.fields()}
+        for motor in motors
+    ]
     offsets = {joint: offset for motor in motors for joint, offset in motor.joint_offsets.items()}
-    tables: dict[str, Any] = {
-        "actuators": [
-            {"name": motor.name, "joints": dict(motor.joint_factors), **limit_fields(motor.limits)}
-            for motor in motors
-        ]
-    }
-    return tables | ({"joint_offsets_rad": offsets} if offsets else {})
+    fields = {"actuators": tables, "joint_offsets_rad": offsets}
+    return {key: value for key, value in fields.items() if value}

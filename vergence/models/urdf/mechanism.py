@@ -3,11 +3,11 @@
 import os
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -95,7 +95,7 @@ class Mechanism:
     name: str
     frames: tuple[Frame, ...]
     mimic_joints: Mapping[str, MimicJoint]  # by name of the coupled joint
-    left_out: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    left_out: Sequence[tuple[str, tuple[str, ...]]] = ()
     """Name of what ties joints and is in no mechanism here, with the joints; none if bodies."""
 
     def joints(self) -> dict[str, Joint]:
@@ -114,9 +114,7 @@ class Mechanism:
         names = [frame.name for frame in self.frames if frame.kind in prefer]
         root = next((f.name for f in self.frames if f.kind == "body" and f.name), "")
         below = f" (the root of the file is {root})" if option == "base" and root else ""
-        raise ConfigurationError(
-            f"{option}: expected {known_names_hint('frame', name, names)}, got {name!r}{below}"
-        )
+        refuse(option, known_names_hint("frame", name, names), f"{name!r}{below}")
 
     def ancestors(self, frame: int) -> list[int]:
         """Indices of the frames from the root to this one, both included."""
@@ -149,10 +147,8 @@ class Mechanism:
             if factor == 0.0:
                 break
             if master in seen:
-                raise ConfigurationError(
-                    f"joint {joint}: expected it to follow another joint, got a circle of them "
-                    f"({', '.join(sorted(seen))})"
-                )
+                circle = f"a circle of them ({', '.join(sorted(seen))})"
+                refuse(f"joint {joint}", "it to follow another joint", circle)
             seen.add(master)
         return None if master == joint else MimicJoint(joint, master, factor, offset)
 
@@ -175,6 +171,20 @@ def known_names_hint(kind: str, name: str, names: Iterable[str]) -> str:
     return f"a {kind} of the file ({', '.join(known[:_MAX_NAMES_SHOWN])}{more})"
 
 
+def refuse(owner: str, expected: str, got: object) -> NoReturn:
+    """Raise the error of an option, frame or joint."""
+    raise ConfigurationError(f"{owner}: expected {expected}, got {got}")
+
+
+def refuse_unknown(
+    owner: str, kind: str, name: str, names: Collection[str], form: str = "{}", more: str = ""
+) -> None:
+    """Refuse a name that is none of those in the file; `form` is what both names stand in."""
+    if name not in names:
+        hint = known_names_hint(kind, name, names)
+        refuse(owner, form.format(hint), form.format(repr(name)) + more)
+
+
 _EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
 
 
@@ -186,11 +196,9 @@ def _parse_xml(path: str) -> ET.Element:
     except (ET.ParseError, ValueError, LookupError) as error:
         raise HeadFileError(path, f"no well-formed XML: {error}", _EXPECTED) from error
     # macros are left to expand; an expanded file may keep xacro's namespace
-    if any(
-        "xacro" in str(element.tag).partition("}")[0]
-        or any("${" in value or "$(" in value for value in element.attrib.values())
-        for element in root.iter()
-    ):
+    tags = any("xacro" in str(each.tag).partition("}")[0] for each in root.iter())
+    values = "\n".join(value for each in root.iter() for value in each.attrib.values())
+    if tags or "${" in values or "$(" in values:
         expand = f"{_EXPECTED}; expand it first: xacro FILE > head.urdf"
         raise HeadFileError(path, "a xacro file", expand)
     if root.tag not in ("robot", "mujoco"):
@@ -200,10 +208,10 @@ def _parse_xml(path: str) -> ET.Element:
 
 def _check_urdf_names(path: str, root: ET.Element) -> None:
     """Refuse a URDF with ambiguous names of joints or links, misspelt ones, or unknown links."""
-    for part in root:
-        if near := _meant(part.tag, ("joint", "link")):
-            no_element = f"no such element (is <{near}> meant?)"
-            raise HeadFileError(path, UnquotedText(f"<{part.tag}>"), no_element)
+    for tag in (part.tag for part in root):
+        if near := _meant(tag, ("joint", "link")):
+            meant = f"no such element (is <{near}> meant?)"
+            raise HeadFileError(path, UnquotedText(f"<{tag}>"), meant)
     for tag in ("joint", "link"):
         for name, count in Counter(each.get("name") for each in root.findall(tag)).items():
             if name and count > 1:
@@ -218,39 +226,29 @@ def _check_urdf_names(path: str, root: ET.Element) -> None:
                 raise HeadFileError(f"joint {joint.get('name')}", name, hint, path)
 
 
-class _UrdfJoints(NamedTuple):
-    """Values of a URDF's joints that MuJoCo's parser drops or changes."""
+class _UrdfJoint(NamedTuple):
+    """Values of a URDF's joint that MuJoCo's parser drops or changes."""
 
-    limits: dict[str, dict[str, Any]]  # fields of `Joint`, by joint
-    mimic_joints: dict[str, MimicJoint]
-    kinds: dict[str, tuple[str, str]]  # name and kind of planar and floating ones, by child
-    faults: dict[str, str]  # why no path to a camera may pass a link, by link
+    name: str
+    kind: str
+    child: str  # link, of which MuJoCo refuses a second joint
+    limits: Mapping[str, Any]  # fields of `Joint`
+    tie: MimicJoint | None
+    fault: str  # why no path to a camera may pass its child, or empty
 
 
-def _urdf_joints(root: ET.Element) -> _UrdfJoints:
-    found = _UrdfJoints({}, {}, {}, {})
-    for joint in root.findall("joint"):
-        name, kind = joint.get("name", ""), joint.get("type", "")
-        child, mimic, limit = (_attributes(joint, tag) for tag in ("child", "mimic", "limit"))
-        link = child.get("link", "")
-        if kind in ("planar", "floating"):
-            found.kinds[link] = name, kind
-        if fault := _fault(joint):
-            found.faults[link] = f"joint {name}: {fault}"
-        if joint.find("mimic") is not None:
-            factor, offset = mimic.get("multiplier", "1"), mimic.get("offset", "0")
-            found.mimic_joints[name] = MimicJoint(
-                name, mimic.get("joint", ""), _number(factor), _number(offset)
-            )
-        given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
-        # a missing one of the two is 0
-        lower, upper = (limit.get(end, "0") if given else None for end in ("lower", "upper"))
-        found.limits[name] = {
-            "lower": _number(lower),
-            "upper": _number(upper),
-            "velocity": _number(limit.get("velocity")),
-        }
-    return found
+def _urdf_joint(joint: ET.Element) -> _UrdfJoint:
+    name, kind, fault = joint.get("name", ""), joint.get("type", ""), _fault(joint)
+    limit, mimic = _attributes(joint, "limit"), _attributes(joint, "mimic")
+    given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
+    # a missing one of the two is 0
+    limits = {end: number(limit.get(end, "0") if given else None) for end in ("lower", "upper")}
+    limits["velocity"] = number(limit.get("velocity"))
+    factor, offset = number(mimic.get("multiplier", "1")), number(mimic.get("offset", "0"))
+    tie = MimicJoint(name, mimic.get("joint", ""), factor, offset)
+    tied = None if joint.find("mimic") is None else tie
+    child = _attributes(joint, "child").get("link", "")
+    return _UrdfJoint(name, kind, child, limits, tied, fault and f"joint {name}: {fault}")
 
 
 def _attributes(joint: ET.Element, tag: str) -> Mapping[str, str]:
@@ -258,7 +256,8 @@ def _attributes(joint: ET.Element, tag: str) -> Mapping[str, str]:
     return {} if element is None else element.attrib
 
 
-def _number(text: str | None) -> float:
+def number(text: str | None) -> float:
+    """The number that a text gives; nan if there is none."""
     try:
         return np.nan if text is None else float(text)
     except ValueError:
@@ -295,31 +294,26 @@ def _fault(joint: ET.Element) -> str:
             if near := _meant(tag, (*_ATTRIBUTES, *_OTHER_ELEMENTS)):
                 return f"expected no element <{tag}>, which nothing reads (is <{near}> meant?)"
             continue
+        expected, names = f"expected <{tag}> with", ", ".join(known)
         if len(element):
-            return f"expected <{tag}> with attributes, got <{element[0].tag}> in it"
+            return f"{expected} attributes, got <{element[0].tag}> in it"
         if text:
-            return (
-                f"expected <{tag}> with attributes ({', '.join(known)}), got the text "
-                f"{text!r:.80}, which nothing reads"
-            )
+            got = f"the text {text!r:.80}, which nothing reads"
+            return f"{expected} attributes ({names}), got {got}"
         for attribute, value in element.attrib.items():
             if "}" in attribute:  # of a namespace, such as Drake's
                 continue
             if attribute not in known:
-                return (
-                    f"expected <{tag}> with {', '.join(known)}, got the attribute {attribute!r} = "
-                    f"{value!r:.80}, which is not read"
-                )
-            count, numbers = known[attribute], [_number(word) for word in value.split()]
+                got = f"the attribute {attribute!r} = {value!r:.80}, which is not read"
+                return f"{expected} {names}, got {got}"
+            count, numbers = known[attribute], [number(word) for word in value.split()]
             bad = np.isnan(numbers) if tag == "limit" else ~np.isfinite(numbers)
             if count and (len(numbers) != count or bad.any()):
                 return f"expected {count} numbers in {attribute} of <{tag}>, got {value!r:.80}"
     angles = _attributes(joint, "origin").get("rpy", "")
-    if any(abs(_number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
-        return (
-            "expected an origin with rpy in radians within one turn, got "
-            f"{angles!r:.80} (is it in degrees?)"
-        )
+    if any(abs(number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
+        expected = "expected an origin with rpy in radians within one turn"
+        return f"{expected}, got {angles!r:.80} (is it in degrees?)"
     return ""
 
 
@@ -354,29 +348,25 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
 def _of_urdf(spec: Any, root: ET.Element) -> Mechanism:
     # MuJoCo adds a world body above the root link, which is not a frame of the file
     world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
-    joints = _urdf_joints(root)
-    return Mechanism(
-        name=root.get("name", ""),
-        frames=_frames(spec, world, joints),
-        mimic_joints=joints.mimic_joints,
-    )
+    joints = [_urdf_joint(joint) for joint in root.iterfind("joint")]
+    ties = {joint.name: joint.tie for joint in joints if joint.tie}
+    frames = _frames(spec, world, {joint.child: joint for joint in joints})
+    return Mechanism(name=root.get("name", ""), frames=frames, mimic_joints=ties)
 
 
 def _of_mjcf(spec: Any) -> Mechanism:
     tendons = {tendon.name: _coefficients(tendon) for tendon in spec.tendons}
     active = [equality for equality in spec.equalities if equality.active]
-    mimic_joints, tied = _ties(spec, active, tendons)
-    untied = [(name, joints) for name, joints in tendons.items() if name not in tied]
+    ties, tied = _ties(spec, active, tendons)
+    left_out = [
+        (f"tendon {name or 'without a name'}", tuple(joints))
+        for name, joints in tendons.items()
+        if name not in tied
+    ]
     loops = [equality for equality in active if equality.type in _LOOPS]
-    return Mechanism(
-        name=spec.modelname,
-        frames=_frames(spec, "world", _UrdfJoints({}, {}, {}, {})),
-        mimic_joints=mimic_joints,
-        left_out=(
-            *((f"tendon {name or 'without a name'}", tuple(joints)) for name, joints in untied),
-            *((f"{each.type.name[5:].lower()} of {each.name1}", ()) for each in loops),
-        ),
-    )
+    left_out += [(f"{each.type.name[5:].lower()} of {each.name1}", ()) for each in loops]
+    frames = _frames(spec, "world", {})
+    return Mechanism(name=spec.modelname, frames=frames, mimic_joints=ties, left_out=left_out)
 
 
 def _coefficients(tendon: Any) -> dict[str, float]:
@@ -397,16 +387,16 @@ def _ties(
     references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
     found: dict[str, MimicJoint] = {}
     tied: set[str] = set()
-    kinds = (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON)
-    for equality in (each for kind in kinds for each in equalities if each.type == kind):
+    of_joints, of_tendons = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
+    for equality in (e for kind in (of_joints, of_tendons) for e in equalities if e.type == kind):
         names = [name for name in (equality.name1, equality.name2) if name]
-        is_joint = equality.type == mujoco.mjtEq.mjEQ_JOINT
+        is_joint = equality.type == of_joints
         sums = [{name: 1.0} if is_joint else tendons.get(name, {}) for name in names]
         if not all(sums):
             continue
         offset, factor, *higher = (float(value) for value in equality.data[:5])
         terms = dict(sums[0])
-        for joint, coefficient in sums[1].items() if len(sums) > 1 else ():
+        for joint, coefficient in (item for other in sums[1:] for item in other.items()):
             terms[joint] = terms.get(joint, 0.0) - factor * coefficient
         follower = names[0]
         if not is_joint:
@@ -426,7 +416,7 @@ def _ties(
     return found, tied
 
 
-def _frames(spec: Any, world: str, urdf: _UrdfJoints) -> tuple[Frame, ...]:
+def _frames(spec: Any, world: str, urdf: Mapping[str, _UrdfJoint]) -> tuple[Frame, ...]:
     frames: list[Frame] = []
 
     def add(kind: FrameKind, element: Any, parent: int, **more: Any) -> None:
@@ -439,12 +429,11 @@ def _frames(spec: Any, world: str, urdf: _UrdfJoints) -> tuple[Frame, ...]:
         index = len(frames)
         name = body.name if index else world
         joints = [_joint(spec, each, f"{name}#{i}", speeds) for i, each in enumerate(body.joints)]
-        joints = [replace(joint, **urdf.limits.get(joint.name, {})) for joint in joints]
-        if name in urdf.kinds:  # MuJoCo splits a planar joint into three
-            whole, kind = urdf.kinds[name]
-            joints = [replace(joint, name=whole, kind=kind) for joint in joints[:1]]
-        fault = urdf.faults.get(name, "")
-        add("body", body, parent, name=name, joints=tuple(joints), fault=fault)
+        given = urdf.get(name, _UrdfJoint("", "", "", {}, None, ""))
+        if given.kind in ("planar", "floating"):  # MuJoCo splits a planar joint into three
+            joints = [replace(joint, name=given.name, kind=given.kind) for joint in joints[:1]]
+        joints = [replace(j, **given.limits) if j.name == given.name else j for j in joints]
+        add("body", body, parent, name=name, joints=tuple(joints), fault=given.fault)
         for site in body.sites:
             add("site", site, index)
         for camera in body.cameras:
@@ -480,21 +469,17 @@ def _unit(joint: Any) -> float:
     return np.pi / 180.0 if hinge and joint.compiler.degree else 1.0
 
 
-_VELOCITY_SERVO: Final = (
-    mujoco.mjtTrn.mjTRN_JOINT,
-    mujoco.mjtGain.mjGAIN_FIXED,
-    mujoco.mjtBias.mjBIAS_AFFINE,
-    mujoco.mjtDyn.mjDYN_NONE,
-)
+_VELOCITY_SERVO: Final = ["mjTRN_JOINT", "mjGAIN_FIXED", "mjBIAS_AFFINE", "mjDYN_NONE"]
 
 
 def _servo_speeds(spec: Any) -> dict[str, float]:
     """Speed limits by joint, from the control ranges of an MJCF's velocity servos, rad/s."""
     speeds = {}
     for servo in spec.actuators:
-        kinds = servo.trntype, servo.gaintype, servo.biastype, servo.dyntype
+        types = servo.trntype, servo.gaintype, servo.biastype, servo.dyntype
         gain, bias, gear = servo.gainprm[0], servo.biasprm, abs(float(servo.gear[0]))
-        is_servo = kinds == _VELOCITY_SERVO and bias[0] == bias[1] == 0.0 < gain == -bias[2]
+        by_speed = bias[0] == bias[1] == 0.0 < gain == -bias[2]
+        is_servo = [each.name for each in types] == _VELOCITY_SERVO and by_speed
         limited = servo.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE
         if is_servo and gear and limited and servo.ctrlrange[0] < servo.ctrlrange[1]:
             speeds[servo.target] = min(abs(float(end)) for end in servo.ctrlrange) / gear
@@ -510,22 +495,17 @@ def _placed(spec: Any, element: Any) -> FloatArray:
 def _frames_around(spec: Any, element: Any) -> FloatArray:
     """(4, 4) product of the nested <frame> elements of an MJCF that contain an element."""
     pose = np.eye(4)
-    frame = element.frame
-    while frame is not None:
-        pose = _pose(spec, frame) @ pose
-        frame = frame.frame
+    while (element := element.frame) is not None:
+        pose = _pose(spec, element) @ pose
     return pose
 
 
 def _pose(spec: Any, element: Any) -> FloatArray:
-    quat = np.array(element.quat, dtype=np.float64)
-    if element.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
-        compiler = element.compiler
-        quat = np.array(
-            spec.resolve_orientation(
-                degree=compiler.degree, sequence=compiler.eulerseq, orientation=element.alt
-            )
-        )
+    quat, alt, compiler = element.quat, element.alt, element.compiler
+    if alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        units = {"degree": compiler.degree, "sequence": compiler.eulerseq}
+        quat = spec.resolve_orientation(orientation=alt, **units)
+    quat = np.array(quat, dtype=np.float64)
     w, x, y, z = quat / np.linalg.norm(quat)
     pose = np.eye(4)
     pose[:3, :3] = [
@@ -544,11 +524,10 @@ def _decimals(values: Any) -> FloatArray:
 
 def _camera(camera: Any) -> MjcfCamera:
     """Image parameters of a camera; one pixel, MuJoCo's default, is no given resolution."""
-    fault = ""
+    flat = camera.proj != mujoco.mjtProjection.mjPROJ_PERSPECTIVE
+    fault = "has a projection that is not perspective" if flat else ""
     if camera.mode != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
         fault = "turns by itself after something (its mode is not fixed)"
-    elif camera.proj != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
-        fault = "has a projection that is not perspective"
     size, sensor = np.array(camera.resolution, dtype=np.float64), _decimals(camera.sensor_size)
     pixels = None if size.max() <= 1.0 else (int(size[0]), int(size[1]))
     focal, offset = _decimals(camera.focal_pixel), _decimals(camera.principal_pixel)
