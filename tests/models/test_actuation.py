@@ -79,16 +79,13 @@ def test_eyes_that_do_not_move_fixate_nothing():
         pair.fixate([0.0, 0.0, 1.0])
 
 
-def test_an_actuator_may_have_its_own_lag_and_steps():
+def test_an_actuator_may_have_its_own_lag_and_steps_but_not_do_what_others_do():
     own = {"lag_s": [np.nan, 0.06, np.nan], "backlash_rad": [0.0, 0.002, 0.0]}
     head = head_of("tied")
     actuation = head.replace(actuators=dataclasses.replace(head.actuators, **own)).actuation
     np.testing.assert_array_equal(actuation.lag_ratio, [1, 1, 1, 1, 2, 1, 1])
     np.testing.assert_array_equal(actuation.backlash, [0, 0, 0, 0, 0.002, 0, 0])
     np.testing.assert_array_equal(actuation.angle_step[3:], [0.0005, 0.0005, 0.0005, 0.0])
-
-
-def test_actuators_that_do_the_same_are_refused():
     with pytest.raises(ConfigurationError, match="independent columns"):
         Actuators(
             names=("a", "b"), matrix=np.ones((4, 2)), offset=np.zeros(4), lower=-np.ones(2),

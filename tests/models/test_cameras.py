@@ -16,20 +16,17 @@ def cameras(**fields) -> Cameras:
     return Cameras(CAMERA, CAMERA).replaced(**({"size": (640, 480)} | fields))
 
 
-def test_one_size_and_one_lens_stand_for_both_eyes():
+def test_one_size_lens_or_response_stands_for_both_eyes():
     made = cameras(lens="fisheye", distortion=np.full((2, 4), 0.1))
     assert made.size.tolist() == [[640, 480], [640, 480]]
     assert made.size.dtype == np.int64
     assert made.lens == ("fisheye", "fisheye")
-
-
-def test_one_response_stands_for_both_eyes():
+    assert made.response == (None, None)
     for given, pair in [
         ("srgb", ("srgb", "srgb")), ([0.0, 0.2, 1.0], ((0.0, 0.2, 1.0), (0.0, 0.2, 1.0))),
         ((None, 2.2), (None, 2.2)),
     ]:  # fmt: skip
         with named(given, pair):
-            assert cameras().response == (None, None)
             assert cameras(response=given).response == pair
 
 
@@ -44,25 +41,22 @@ def test_two_lenses_of_five_coefficients_have_five_columns_and_others_eight():
 
 def test_what_cannot_be_is_refused_with_what_came():
     for fields, message in [
-        (
-            {"size": (640, 480, 3)},
-            r"size: expected .* for both eyes or for each, got \(640, 480, 3\)",
-        ),
-        ({"size": (640.5, 480)}, "size: expected .*whole pixels"),
-        ({"size": (0, 480)}, "size: expected .*whole pixels"),
-        ({"size": (np.nan, 480)}, "size: expected .*whole pixels"),
+        ({"size": (640, 480, 3)}, r"size: .* for both eyes or for each, got \(640, 480, 3\)"),
+        *(({"size": size}, "size: expected .*whole pixels") for size in (
+            (640.5, 480), (0, 480), (np.nan, 480),
+        )),
         ({"lens": "pinhole"}, "lens: expected one of brown-conrady, rational, fisheye, got 'pinh"),
         ({"lens": 3}, "lens: expected a name for each eye, got 3"),
         ({"distortion": np.zeros((2, 3))}, "distortion: expected 5 numbers, got 3"),
         ({"distortion": np.zeros((3, 5))}, r"distortion: expected shape \(..., 2, n\), got"),
         ({"focus": 3.0}, "cameras.focus: expected one of size, focal"),
         ({"distortion": np.ones((2, 8))}, "5 coefficients for the left eye's brown-conrady lens"),
-    ]:
+    ]:  # fmt: skip
         with named(fields, message), pytest.raises(ConfigurationError, match=message):
             cameras(**fields)
 
 
-def test_a_population_keeps_lenses_and_sizes(errors, rng):
+def test_a_population_keeps_lenses_and_sizes_which_are_the_same(errors, rng):
     head = wide("fisheye", "rational")
     heads = HeadModel.stack([head.perturbed(rng, errors) for _ in range(3)])
     assert heads[1].cameras.lens == head.cameras.lens
@@ -70,8 +64,16 @@ def test_a_population_keeps_lenses_and_sizes(errors, rng):
     pixels = heads.project(np.zeros(7), [0.05, -0.1, 0.8])
     assert pixels.shape == (3, 2, 2)
     np.testing.assert_array_equal(pixels[1], heads[1].project(np.zeros(7), [0.05, -0.1, 0.8]))
-
-
-def test_heads_with_other_lenses_are_no_population():
     with pytest.raises(ConfigurationError, match="stack: expected heads with the lenses"):
         HeadModel.stack([wide("fisheye", "rational"), wide("rational")])
+
+
+def test_without_distortion_the_projection_is_a_pinhole_before_the_camera(physical, head):
+    rest, point = np.zeros(7), np.array([0.1, -0.1, 0.8])
+    camera = np.linalg.inv(physical.camera_poses(rest)) @ [*point, 1.0]
+    expected = physical.cameras.principal + physical.cameras.focal * camera[:, :2] / camera[:, 2:3]
+    pixels = physical.project(rest, point, distorted=False)
+    np.testing.assert_allclose(pixels, expected, atol=1e-9)
+    for z in (-1.0, 0.0138):
+        # 0.1 m further back, as a drawn head's cameras may look slightly aside
+        assert np.isnan(head.project(rest, np.array([0.0, 0.0, z - 0.1]))).all(), z

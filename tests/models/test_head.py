@@ -13,14 +13,6 @@ CAMERA = ("size", "focal", "principal", "lens", "distortion", "response", "pose"
 PARTS = ("links", "cameras", "limits", "timing", "sensor", "rendering")
 
 
-def numbers(head):
-    for part in PARTS:
-        own = getattr(head, part)
-        for field in CAMERA if part == "cameras" else vars(own):
-            for index in np.ndindex(np.shape(getattr(own, field))):
-                yield part, field, index
-
-
 def nudged(head, part, field, index):
     """The head with one number changed a little, another lens, flag or side of its encoders."""
     value = getattr(getattr(head, part), field)
@@ -41,10 +33,14 @@ def nudged(head, part, field, index):
 def test_the_digest_changes_with_any_number_flag_or_word(physical):
     # no fifth coefficient, which a fisheye lacks
     physical = physical.replace(cameras={"distortion": 0.01 * np.ones((2, 4))})
-    changes = list(numbers(physical))
-    digests = {physical.digest, *(nudged(physical, *change).digest for change in changes)}
-    assert len(changes) > 100
-    assert len(digests) == len(changes) + 1
+    digests = [
+        nudged(physical, part, field, index).digest
+        for part in PARTS
+        for field in (CAMERA if part == "cameras" else vars(getattr(physical, part)))
+        for index in np.ndindex(np.shape(getattr(getattr(physical, part), field)))
+    ]
+    assert len(digests) > 100
+    assert len({physical.digest, *digests}) == len(digests) + 1
 
 
 def test_heads_are_equal_by_name_and_numbers(simulated, physical, head):
@@ -78,10 +74,10 @@ def test_cameras_and_head_eye_transforms_change_together(simulated):
 
 
 def test_limits_keep_the_margin_and_contain_no_nan(simulated):
-    at_the_limit = simulated.limits.upper
-    assert simulated.limits.contains(at_the_limit)
-    assert not simulated.limits.contains(at_the_limit, margin=1e-6)
-    assert not simulated.limits.contains(np.full(7, np.nan))
+    limits = simulated.limits
+    assert limits.contains(limits.upper)
+    assert not limits.contains(limits.upper, margin=1e-6)
+    assert not limits.contains(np.full(7, np.nan))
 
 
 class TestPerturbation:

@@ -54,22 +54,16 @@ def test_two_parts_of_a_period_make_the_whole(v, u, split, tau) -> None:
     assert parts == pytest.approx(whole, abs=1e-12)
 
 
-def test_a_pure_lag_covers_the_area_under_its_exponential() -> None:
-    q, v = follow_one(0.0, 0.0, 1.0, tau=0.03, a=np.inf, period=0.03)
-    assert v == pytest.approx(1.0 - np.exp(-1.0), abs=1e-15)
-    assert q == pytest.approx(0.03 * np.exp(-1.0), abs=1e-15)
-
-
-def test_without_lag_and_limit_the_command_is_the_motion() -> None:
-    q, v = follow_one(0.2, -5.0, 3.0, tau=0.0, a=np.inf, period=0.01)
-    assert (q, v) == pytest.approx((0.23, 3.0), abs=1e-15)
-
-
-def test_without_lag_the_speed_ramps_to_the_command() -> None:
-    # 3 rad/s at 120 rad/s^2 take 25 ms, the remaining 25 ms run at full speed
-    q, v = follow_one(0.0, 0.0, 3.0, tau=0.0, a=120.0, period=0.05)
-    assert v == pytest.approx(3.0, abs=1e-12)
-    assert q == pytest.approx(0.5 * 3.0 * 0.025 + 3.0 * 0.025, abs=1e-12)
+def test_a_lag_or_a_limit_alone_has_a_closed_form() -> None:
+    for (q, v, u), tau, a, period, wanted in [
+        # the area under the exponential of a lag
+        ((0.0, 0.0, 1.0), 0.03, np.inf, 0.03, (0.03 * np.exp(-1.0), 1.0 - np.exp(-1.0))),
+        ((0.2, -5.0, 3.0), 0.0, np.inf, 0.01, (0.23, 3.0)),
+        # 3 rad/s at 120 rad/s^2 take 25 ms, the remaining 25 ms run at full speed
+        ((0.0, 0.0, 3.0), 0.0, 120.0, 0.05, (0.5 * 3.0 * 0.025 + 3.0 * 0.025, 3.0)),
+    ]:
+        found = follow_one(q, v, u, tau=tau, a=a, period=period)
+        assert found == pytest.approx(wanted, abs=1e-15)
 
 
 @given(

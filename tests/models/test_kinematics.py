@@ -30,40 +30,25 @@ def test_at_rest_n_and_the_cameras_are_where_the_article_has_them(simulated, phy
             np.testing.assert_allclose(poses[:, :3, :3], [np.eye(3)] * 2, atol=1e-12)
 
 
-def turned(joint: int) -> np.ndarray:
-    q = np.zeros(7)
-    q[joint] = 0.1
-    return q
-
-
-class TestDirections:
-    """Directions of positive turns; N has x right, y down, z forward as the head sees it."""
-
-    def test_neck(self, simulated):
-        for what, joint, axis, towards in (
-            ("yaw turns left", 0, Z, -X), ("roll lowers the right ear", 1, X, Y),
-            ("pitch looks up", 2, Z, -Y),
-        ):  # fmt: skip
-            with named(what):
-                rest, moved = simulated.base_pose(np.zeros(7)), simulated.base_pose(turned(joint))
-                in_rest = rest[:3, :3].T @ moved[:3, :3] @ axis
-                assert in_rest @ towards == pytest.approx(np.sin(0.1), abs=1e-12)
-
-    def test_eyes(self, simulated):
-        for what, joint, eye, towards in (
-            ("left tilt looks down", 3, 0, Y), ("right tilt looks up", 5, 1, -Y),
-            ("left pan looks left", 4, 0, -X), ("right pan looks left", 6, 1, -X),
-        ):  # fmt: skip
-            with named(what):
-                axis = simulated.camera_poses(turned(joint))[eye, :3, 2]
-                assert axis @ towards == pytest.approx(np.sin(0.1), abs=1e-12)
-
-    def test_an_eye_leaves_the_other_where_it_is(self, simulated):
-        for joint in (3, 4, 5, 6):
-            with named(joint):
-                other = 1 - (joint - 3) // 2
-                rest, moved = simulated.camera_poses([np.zeros(7), turned(joint)])[:, other]
-                np.testing.assert_array_equal(moved, rest)
+def test_positive_turns_have_the_articles_directions(simulated):
+    """N has x right, y down, z forward as the head sees it."""
+    zero = np.zeros(7)
+    rest = simulated.base_pose(zero)[:3, :3]
+    for what, joint, axis, towards in (
+        ("yaw turns left", 0, Z, -X), ("roll lowers the right ear", 1, X, Y),
+        ("pitch looks up", 2, Z, -Y), ("left tilt looks down", 3, Z, Y),
+        ("left pan looks left", 4, Z, -X), ("right tilt looks up", 5, Z, -Y),
+        ("right pan looks left", 6, Z, -X),
+    ):  # fmt: skip
+        with named(what):
+            turned, eye = 0.1 * np.eye(7)[joint], (joint - 3) // 2
+            poses, before = simulated.camera_poses([turned, zero])
+            if joint < 3:
+                moved = rest.T @ simulated.base_pose(turned)[:3, :3]
+            else:
+                moved = poses[eye, :3, :3]
+                np.testing.assert_array_equal(poses[1 - eye], before[1 - eye])
+            assert moved @ axis @ towards == pytest.approx(np.sin(0.1), abs=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -89,32 +74,27 @@ def test_poses_agree_with_the_robotics_toolbox(head, random_poses):
         assert_same_poses(head.camera_poses(q)[:, eye], expected)
 
 
-class TestBatches:
-    """A population of heads and a batch of poses broadcast, bit for bit equal to a loop."""
-
-    def test_equals_a_loop(self, physical, rng, errors, random_poses):
-        population = physical.perturbed(rng, errors, size=(5, 1))
-        poses = random_poses(population, 3)
-        points = rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 2.0], (3, 3))
-        computations = {
-            "base_pose": lambda head, q, p: head.base_pose(q),
-            "camera_poses": lambda head, q, p: head.camera_poses(q),
-            "link_poses": lambda head, q, p: head.link_poses(q),
-            "project": lambda head, q, p: head.project(q, p),
-            "undistort": lambda head, q, p: head.undistort(head.project(q, p)),
-            "image_jacobian": lambda head, q, p: head.image_jacobian(
-                q, head.project(q, p, False), p[..., 1:]
-            ),
-            "fixate": lambda head, q, p: head.fixate(p, neck=q[..., :3]),
-        }
-        for name, compute in computations.items():
-            with named(name):
-                together = compute(population, poses, points)
-                assert together.shape[:2] == (5, 3)
-                for i in range(5):
-                    for j in range(3):
-                        alone = compute(population[i, 0], poses[j], points[j])
-                        np.testing.assert_array_equal(together[i, j], alone)
+def test_populations_and_batches_equal_a_loop_bit_for_bit(physical, rng, errors, random_poses):
+    population = physical.perturbed(rng, errors, size=(5, 1))
+    poses = random_poses(population, 3)
+    points = rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 2.0], (3, 3))
+    for name, compute in {
+        "base_pose": lambda head, q, p: head.base_pose(q),
+        "camera_poses": lambda head, q, p: head.camera_poses(q),
+        "link_poses": lambda head, q, p: head.link_poses(q),
+        "project": lambda head, q, p: head.project(q, p),
+        "undistort": lambda head, q, p: head.undistort(head.project(q, p)),
+        "image_jacobian": lambda head, q, p: head.image_jacobian(
+            q, head.project(q, p, False), p[..., 1:]
+        ),
+        "fixate": lambda head, q, p: head.fixate(p, neck=q[..., :3]),
+    }.items():
+        together = compute(population, poses, points)
+        assert together.shape[:2] == (5, 3)
+        for i, j in np.ndindex(5, 3):
+            with named(name, i, j):
+                alone = compute(population[i, 0], poses[j], points[j])
+                np.testing.assert_array_equal(together[i, j], alone)
 
 
 def test_head_eye_transforms_lead_from_links_to_cameras(head, physical, random_poses, rng):

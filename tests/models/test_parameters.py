@@ -29,21 +29,18 @@ def test_another_head_comes_back_from_its_vector_about_the_model(physical, error
             assert set(units) == {"m", "rad", "px", "1"}
 
 
-NAMED = [
-    ("left.tilt.a", "m", lambda head: head.links.a[3]),
-    ("left.pan.alpha", "rad", lambda head: head.links.alpha[4]),
-    ("right.tilt.offset", "rad", lambda head: head.links.offset[6]),
-    ("right.camera_link.d", "m", lambda head: head.links.d[8]),
-    ("right.head_eye.y", "m", lambda head: head.head_eye[1, 1, 3]),
-    ("left.camera.f_v", "px", lambda head: head.cameras.focal[0, 1]),
-    ("right.camera.u_0", "px", lambda head: head.cameras.principal[1, 0]),
-    ("right.camera.k3", "1", lambda head: head.cameras.distortion[1, 4]),
-]
-
-
 def test_a_name_says_which_number_it_is(head):
     names, units, values = head.parameters()
-    for name, unit, of in NAMED:
+    for name, unit, of in [
+        ("left.tilt.a", "m", lambda head: head.links.a[3]),
+        ("left.pan.alpha", "rad", lambda head: head.links.alpha[4]),
+        ("right.tilt.offset", "rad", lambda head: head.links.offset[6]),
+        ("right.camera_link.d", "m", lambda head: head.links.d[8]),
+        ("right.head_eye.y", "m", lambda head: head.head_eye[1, 1, 3]),
+        ("left.camera.f_v", "px", lambda head: head.cameras.focal[0, 1]),
+        ("right.camera.u_0", "px", lambda head: head.cameras.principal[1, 0]),
+        ("right.camera.k3", "1", lambda head: head.cameras.distortion[1, 4]),
+    ]:
         assert units[names.index(name)] == unit, name
         assert values[names.index(name)] == of(head), name
         assert of(moved(head, name, 1e-3)) == pytest.approx(of(head) + 1e-3, rel=1e-15), name

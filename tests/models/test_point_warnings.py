@@ -58,20 +58,17 @@ def test_programs_that_judge_the_angles_are_not_warned(simulated):
     simulated.fixate([0.1, 0.0, -1.0], warn=False)
     for head in (simulated, load_head("icub")):
         head.least_error([0.1, 0.0, -1.0])
-    q = simulated.fixate([[100.0, -100.0, 800.0], [0.1, 0.0, -1.0]])
-    assert np.isfinite(q).all()
+    assert np.isfinite(simulated.fixate([[100.0, -100.0, 800.0], [0.1, 0.0, -1.0]])).all()
 
 
 def test_an_error_in_degrees_or_millimetres_or_below_zero_is_refused():
     degrees, millimetres = r"radians.*is it in degrees\?", r"metres.*is it in millimetres\?"
     for name, value, said in [
-        ("joint_offset_rad", 5.7, degrees),
-        ("common_tilt_rad", 1.4, degrees),
-        ("head_eye_rad", 1.0, degrees),
-        ("link_m", 0.5, millimetres),
+        ("joint_offset_rad", 5.7, degrees), ("common_tilt_rad", 1.4, degrees),
+        ("head_eye_rad", 1.0, degrees), ("link_m", 0.5, millimetres),
         ("head_eye_m", 0.5, millimetres),
         *(("principal_px", value, ">= 0") for value in (-1.0, np.nan, np.inf)),
-    ]:
+    ]:  # fmt: skip
         with named(name, value), pytest.raises(ConfigurationError, match=f"{name}.*{said}"):
             ModelErrors(**{name: value})
     # ten degrees, and a centimetre: what no calibration has seen

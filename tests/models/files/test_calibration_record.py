@@ -35,16 +35,10 @@ def test_a_file_gives_it_back(calibrated, tmp_path):
         assert head_to_toml(again) == head_to_toml(head)
 
 
-def test_a_head_without_one_has_none(simulated):
+def test_it_is_of_one_geometry_and_no_part_of_the_digest(calibrated, simulated, rng, errors):
     assert simulated.calibration is None
     assert "calibration" not in tomllib.loads(head_to_toml(simulated))
-
-
-def test_the_digest_does_not_know_it(calibrated):
     assert replace(calibrated, calibration=None).digest == calibrated.digest
-
-
-def test_another_geometry_has_none(calibrated, rng, errors):
     drawn = calibrated.perturbed(rng, errors, 3)
     assert drawn.calibration is None
     assert drawn[1].calibration is None

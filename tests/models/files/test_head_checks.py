@@ -11,17 +11,14 @@ from vergence.errors import HeadFileError
 from vergence.models import parse_head
 
 
-def pans(left: float, right: float) -> str:
+def desk(left: float, right: float) -> str:
     """Two eyes that pan and tilt, at places along x."""
-    return "".join(
+    joints = "".join(
         joint(f"{eye}_pan", eye, (x, 0, 0), (0, 1, 0))
         + joint(f"{eye}_tilt", eye, CENTRE, (1, 0, 0))
         for eye, x in (("left", left), ("right", right))
     )
-
-
-def desk(left: float, right: float) -> str:
-    return 'name = "desk"\n' + pans(left, right) + IMAGE + eyes() + LOOP
+    return 'name = "desk"\n' + joints + IMAGE + eyes() + LOOP
 
 
 def pair(left: Sequence[float], right: Sequence[float]) -> str:
@@ -42,15 +39,11 @@ def test_what_cannot_be_is_told():
         (text_of("common").replace(pan, rolls, 1), "joints moved by pan: expected pan, tilt each"),
         # before what follows from it
         (panfirst.replace(near, far, 1), r"limits of left_pan: expected .*of zero.*2\.0, 4\.5"),
-        (
-            desk(-0.04, 0.04) + actuator("tilt", "left_tilt = 1.0"),
-            "none that moves left_pan, right_pan, right_tilt",
-        ),
-        (
-            text_of("tied").replace("eyes_tilt = 1.0", "eye_tilt = 1.0"),
-            ": eyes_tilt, left_pan, right_pan, got 'eye_tilt'",
-        ),
-    ]:
+        (desk(-0.04, 0.04) + actuator("tilt", "left_tilt = 1.0"),
+         "none that moves left_pan, right_pan, right_tilt"),
+        (text_of("tied").replace("eyes_tilt = 1.0", "eye_tilt = 1.0"),
+         ": eyes_tilt, left_pan, right_pan, got 'eye_tilt'"),
+    ]:  # fmt: skip
         with named(said), pytest.raises(HeadFileError, match=said):
             parse_head(text)
 

@@ -9,9 +9,8 @@ from vergence.models.head_file import head_to_toml, parse_head
 
 
 def test_what_nobody_measured_is_marked():
-    for preset in ["icub", "turrets"]:
-        with named(preset):
-            head = load_head(preset)
+    for head in map(load_head, ("icub", "turrets")):
+        with named(head.name):
             assert any("acceleration" in key for key in head.assumptions)
             assert {"timing.latency_s", "timing.lag_s"} <= set(head.assumptions)
             assert parse_head(head_to_toml(head)) == head

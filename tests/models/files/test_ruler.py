@@ -23,22 +23,17 @@ def lenses(ruler: Ruler, angles: dict[str, float]) -> np.ndarray:
     return 1e3 * (head.base_pose(q) @ head.camera_poses(q))[:, :3, 3]
 
 
-def test_lenses_at_rest_are_where_they_were_measured():
-    np.testing.assert_allclose(
-        lenses(MEASURED, {}), [[-60.0, -150.0, 40.0], [60.0, -150.0, 40.0]], atol=1e-9
-    )
-
-
-def test_a_lens_turns_about_the_axes_that_were_measured():
+def test_lenses_turn_about_the_axes_that_were_measured_from_where_they_were_measured():
+    rest = lenses(MEASURED, {})
+    np.testing.assert_allclose(rest, [[-60.0, -150.0, 40.0], [60.0, -150.0, 40.0]], atol=1e-9)
     left, right = lenses(MEASURED, {"left_pan": 30.0, "right_tilt": 20.0})
     c, s = cos(radians(30.0)), sin(radians(30.0))
     # 40 mm ahead of the pan axis and 10 mm left of it; a positive pan turns right
     np.testing.assert_allclose(left, [-50 - 10 * c + 40 * s, -150, 10 * s + 40 * c], atol=1e-9)
     c, s = cos(radians(20.0)), sin(radians(20.0))
     # 25 mm ahead of the tilt axis and 40 mm above it; a positive tilt looks up
-    np.testing.assert_allclose(
-        right, [60.0, -110.0 - 40 * c - 25 * s, 15.0 + 25 * c - 40 * s], atol=1e-9
-    )
+    wanted = [60.0, -110.0 - 40 * c - 25 * s, 15.0 + 25 * c - 40 * s]
+    np.testing.assert_allclose(right, wanted, atol=1e-9)
 
 
 @pytest.mark.parametrize("mount", ["turrets", "neck"])
@@ -54,21 +49,17 @@ def test_every_build_looks_at_a_point_ahead(mount, first):
     assert error == pytest.approx([0.0, 0.0] if mount == "turrets" else [half, half], abs=1.5)
 
 
-def test_a_view_is_that_of_a_pinhole():
+def test_a_view_is_that_of_a_pinhole_and_a_tilt_axis_above_the_plate():
     assert MEASURED.focal_px == pytest.approx(320 / tan(radians(30.0)))
     diagonal = dataclasses.replace(MEASURED, view=None, diagonal=60.0)
     assert diagonal.focal_px == pytest.approx(400 / tan(radians(30.0)))
-
-
-def test_a_tilt_axis_below_the_plate_is_refused():
     with pytest.raises(ConfigurationError, match="height: expected at least"):
         dataclasses.replace(MEASURED, height=30.0)
 
 
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [("xl330", "XL330-M288"), ("XL430-W250-T", "XL430-W250"), ("xm430w210", "XM430-W210"),
-     ("STS3215", "STS3215"), ("hobby", "hobby")],
-)  # fmt: skip
-def test_servos_are_found_by_the_beginning_of_their_names(text, name):
-    assert find_servo_model(text).name == name
+def test_servos_are_found_by_the_beginning_of_their_names():
+    for text, name in [
+        ("xl330", "XL330-M288"), ("XL430-W250-T", "XL430-W250"), ("xm430w210", "XM430-W210"),
+        ("STS3215", "STS3215"), ("hobby", "hobby"),
+    ]:  # fmt: skip
+        assert find_servo_model(text).name == name, text

@@ -1,7 +1,9 @@
-"""Plain values as TOML that people read."""
+"""Plain values as TOML that people read, or in errors, which are no errors of their own."""
 
 import tomllib
+from functools import reduce
 
+from vergence.errors import HeadFileError
 from vergence.models.toml_table import toml_text
 
 
@@ -20,3 +22,9 @@ def test_a_short_list_is_on_one_line_and_everything_is_read_back():
     assert "    [1.0, 0.0, 0.0]," in lines
     assert "values = [1, 2]" in lines
     assert max(map(len, lines)) <= 100
+
+
+def test_values_nested_too_deep_to_be_written_out_are_called_so():
+    deep = reduce(lambda inner, _: {"a": inner}, range(5000), {})
+    error = HeadFileError("timing", deep, "a number")
+    assert str(error) == "timing: expected a number, got values nested too deep"
