@@ -78,13 +78,16 @@ def test_a_row_of_dh_numbers_is_an_axis_like_any_other(rng):
     np.testing.assert_allclose(found[:3, :3], expected[:3, :3] @ OPTICAL, atol=1e-15)
 
 
-def test_a_joint_that_is_missing_turns_nothing():
+def test_a_joint_that_is_missing_turns_nothing_and_heads_of_a_population_are_stacked(rng):
     for head in map(head_of, TEXTS):
         missing = np.array([not joint for joint in head.joints])
         for poses in (head.camera_poses, head.base_pose):
             np.testing.assert_array_equal(poses(0.7 * missing), poses(np.zeros(7)))
         for ends in (head.limits.lower, head.limits.upper):
             assert not ends[missing].any()
+        heads = head.perturbed(rng, ModelErrors(head_eye_rad=0.01, link_m=1e-3), size=3)
+        stacked = type(head).stack([heads[i] for i in range(3)])
+        np.testing.assert_array_equal(stacked.packed, heads.packed)
 
 
 def test_an_axis_that_both_eyes_share_is_perturbed_once(rng):
@@ -109,10 +112,3 @@ def test_a_common_tilt_makes_both_eyes_look_lower():
             y = (drawn.camera_poses(np.zeros(7)) - head.camera_poses(np.zeros(7)))[:, :, 1, 2]
             np.testing.assert_allclose(y[:, 0], y[:, 1], atol=1e-12)
             assert np.std(y[:, 0]) == pytest.approx(0.02, rel=0.5)
-
-
-def test_heads_of_a_population_are_picked_and_stacked(rng):
-    for head in map(head_of, TEXTS):
-        heads = head.perturbed(rng, ModelErrors(head_eye_rad=0.01, link_m=1e-3), size=3)
-        stacked = type(head).stack([heads[i] for i in range(3)])
-        np.testing.assert_array_equal(stacked.packed, heads.packed)

@@ -73,7 +73,7 @@ def test_a_vector_of_another_length_is_refused(physical):
             physical.with_parameters(np.zeros(shape))
 
 
-def test_a_lens_has_its_own_coefficients_by_name():
+def test_a_lens_has_its_own_coefficients_by_name(rng):
     head = wide("fisheye", "rational")
     names, _units, values = head.parameters()
     named = dict(zip(names, values.tolist(), strict=True))
@@ -84,10 +84,7 @@ def test_a_lens_has_its_own_coefficients_by_name():
         of_eye = [name for name in names if name.startswith(f"{eye}.camera.")]
         assert of_eye == [f"{eye}.camera.{name}" for name in ("f_u", "f_v", "u_0", "v_0", *own)]
         assert tuple(named[f"{eye}.camera.{name}"] for name in own) == COEFFICIENTS[lens]
-
-
-def test_distortion_errors_are_of_the_first_two_radial_coefficients_of_any_lens(rng):
-    head = wide("fisheye", "rational")
+    # of errors, the first two radial coefficients of any lens
     drawn = head.perturbed(rng, ModelErrors(distortion=0.1), 200)
     moved = (drawn.cameras.distortion - head.cameras.distortion).std(axis=0)
     # of 200 draws, 5 % a standard deviation of the estimate

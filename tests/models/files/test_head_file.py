@@ -217,7 +217,11 @@ def test_cameras_may_have_any_rate_and_the_loop_any_times(content):
 
 
 def test_the_older_form_of_the_articles_head_is_read_and_refused_by_its_own_keys(content, physical):
-    """Nine links, and limits with seven numbers a key."""
+    """Latencies in control periods, nine links, and limits with seven numbers a key."""
+    older, key = {"timing.latency_s": ..., "timing.latency_frames": 8}, "timing.latency_frames"
+    assert parse(content, older).timing == physical.timing
+    refuse(content, {key: 8}, "one of latency_s and latency_frames", "timing")
+    refuse(content, older | {key: -1}, "expected", key)
     rows = [{key: table.pop(key) for key in DH} for table in content["joints"] + content["eyes"]]
     content["links"] = [
         {"frame": frame, "parent": parent, "joint": joint} | rows[i]
@@ -236,14 +240,6 @@ def test_the_older_form_of_the_articles_head_is_read_and_refused_by_its_own_keys
         ("eyes[0].head_eye_translation_m[2]", -5.0),
     ]:  # fmt: skip
         refuse(content, {key: value}, f"{re.escape(key)}.*: expected", key)
-
-
-def test_an_older_file_counts_its_latency_in_control_periods(content, physical):
-    older = {"timing.latency_s": ..., "timing.latency_frames": 8}
-    assert parse(content, older).timing == physical.timing
-    key = "timing.latency_frames"
-    refuse(content, {key: 8}, "one of latency_s and latency_frames", "timing")
-    refuse(content, older | {key: -1}, "expected", key)
 
 
 def test_geometry_that_no_head_can_have_is_refused(content, simulated):
@@ -297,8 +293,6 @@ class TestCameras:
         assert cameras.size.tolist() == [[640, 480], [1280, 720]]
         assert cameras.lens == ("brown-conrady", "fisheye")
         assert tuple(cameras.distortion[1, :4]) == COEFFICIENTS["fisheye"]
-
-    def test_coefficients_of_a_quotient_may_be_large(self, content):
         k = [22.4, 5.9, 0.001, -0.002, 0.21, 22.8, 14.2, 1.5]
         content["eyes"][0] |= {"lens": "rational", "distortion": k}
         assert parse(content).cameras.distortion[0].tolist() == k

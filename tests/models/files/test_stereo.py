@@ -93,15 +93,6 @@ def test_a_file_that_opencv_writes_is_read_in_each_of_its_formats(tmp_path):
     check(read_stereo([path]))
 
 
-def test_the_two_files_of_opencvs_stereo_sample_are_read_together(tmp_path):
-    intrinsics = {"M1": K_LEFT, "D1": D_LEFT, "M2": K_RIGHT, "D2": D_RIGHT}
-    extrinsics = {"R": R, "T": T, "R1": np.eye(3), "R2": np.eye(3), "Q": np.eye(4)}
-    paths = [write_opencv(tmp_path / "intrinsics.yml", intrinsics)]
-    paths.append(write_opencv(tmp_path / "extrinsics.yml", extrinsics))
-    check(read_stereo(paths, size=SIZE))
-    check(read_stereo(paths[::-1], size=SIZE))
-
-
 def test_keys_may_be_spelled_as_people_spell_them(tmp_path):
     for matrix, coefficients, sides in [
         ("K{}", "D{}", "12"), ("{}_camera_matrix", "{}_distortion_coefficients", ("left", "right")),
@@ -146,7 +137,15 @@ def test_a_camchain_of_kalibr_is_read(tmp_path):
     np.testing.assert_array_equal(pair.left.lens.coefficients, D_LEFT[:4])
 
 
-def test_cameras_in_a_file_each_take_their_place_from_a_third(tmp_path):
+def test_the_parts_of_a_pair_may_stand_in_files_of_their_own(tmp_path):
+    values = {"M1": K_LEFT, "D1": D_LEFT, "M2": K_RIGHT, "D2": D_RIGHT}
+    place = {"R": R, "T": T, "R1": np.eye(3), "R2": np.eye(3), "Q": np.eye(4)}
+    paths = [  # of OpenCV's stereo sample
+        write_opencv(tmp_path / "intrinsics.yml", values),
+        write_opencv(tmp_path / "extrinsics.yml", place),
+    ]
+    check(read_stereo(paths, size=SIZE))
+    check(read_stereo(paths[::-1], size=SIZE))
     size = {"image_width": SIZE[0], "image_height": SIZE[1]}
     paths = [
         write_opencv(tmp_path / f"{eye}.yml", {"camera_matrix": k, "dist_coeffs": d} | size)
@@ -259,7 +258,7 @@ def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path):
         refused(r"pair\.yml", read_stereo, [path])
 
 
-def test_files_that_are_missing_or_do_not_belong_together_are_refused(tmp_path, opencv):
+def test_files_that_are_missing_or_do_not_belong_together_are_refused(tmp_path, opencv, one):
     refused("No such file", read_stereo, [tmp_path / "none.yml"])
     (path,) = opencv()
     refused("twice", read_stereo, [path, path])
@@ -271,6 +270,15 @@ def test_files_that_are_missing_or_do_not_belong_together_are_refused(tmp_path, 
         refused(unused, read, given)
     alone = [camera_info(path, 0) for path in files[:2]]
     refused("calibration of both cameras together", read_stereo, alone)
+    text = camera_info(tmp_path / "both.yaml", 0).read_text("utf-8")
+    refused("the key 'image_width' twice", read_intrinsics, one(text))
+    chain = camchain(tmp_path / "three.yaml")
+    text = chain.read_text("utf-8")
+    chain.write_text(text + text.partition("cam1:")[2].join(["cam2:", ""]), "utf-8")
+    values = {f"K{i}": K_LEFT.tolist() for i in range(3)} | {"size": list(SIZE)}
+    for path in (chain, written(tmp_path / "three.json", values)):
+        refused("0, 1, 2", read_intrinsics, [path])
+        refused("0, 1, 2", read_stereo, [path])
 
 
 def test_a_calibration_of_part_of_the_image_is_refused(one):
@@ -329,27 +337,13 @@ def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(one):
     for more in ({"xi": 0.0}, {"alpha": -1}, {"mirror": False}, {"flip": "none"}, {"skew": 0}):
         with named(more):
             assert read_intrinsics(one(more)).guesses == ()
-
-
-def test_keys_that_nothing_reads_are_named(one):
+    # keys that nothing reads
     more = {"camera_model": "OmniVision OV2311", "image_scale": 2, "rms": 0.2, "k1": 0.1}
     files = one(more | {"R1": np.eye(3).tolist()})
     (guess,) = read_intrinsics(files).guesses
     assert guess.endswith(
         ", ".join(f"{files[0]}: {k}" for k in ("camera_model", "image_scale", "k1"))
     )
-
-
-def test_files_of_more_cameras_than_they_can_hold_are_refused(tmp_path, one):
-    text = camera_info(tmp_path / "both.yaml", 0).read_text("utf-8")
-    refused("the key 'image_width' twice", read_intrinsics, one(text))
-    chain = camchain(tmp_path / "three.yaml")
-    text = chain.read_text("utf-8")
-    chain.write_text(text + text.partition("cam1:")[2].join(["cam2:", ""]), "utf-8")
-    values = {f"K{i}": K_LEFT.tolist() for i in range(3)} | {"size": list(SIZE)}
-    for path in (chain, written(tmp_path / "three.json", values)):
-        refused("0, 1, 2", read_intrinsics, [path])
-        refused("0, 1, 2", read_stereo, [path])
 
 
 def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):

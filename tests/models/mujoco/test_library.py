@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -35,12 +36,9 @@ def test_a_mujoco_that_cannot_be_imported_is_told_with_its_cure(monkeypatch):
         (None, "got none; cure: pip install"),
     ]:
         with named(installed, cure):
-
-            def version(name: str, installed: str | None = installed) -> str:
-                if installed is None:
-                    raise importlib.metadata.PackageNotFoundError(name)
-                return installed
-
+            version = Mock(return_value=installed)
+            if installed is None:
+                version.side_effect = importlib.metadata.PackageNotFoundError("mujoco")
             monkeypatch.setitem(sys.modules, "mujoco", None)
             monkeypatch.delitem(sys.modules, "vergence.models.mujoco", raising=False)
             monkeypatch.setattr(importlib.metadata, "version", version)

@@ -60,9 +60,9 @@ def refused(head_of):
     return run
 
 
-def random_angles(imported: ImportedHead, count: int, seed: int = 0) -> np.ndarray:
+def random_angles(imported: ImportedHead, count: int) -> np.ndarray:
     """(count, 7) joint angles within limits, tied joints tied."""
-    rng, head = np.random.default_rng(seed), imported.head
+    rng, head = np.random.default_rng(0), imported.head
     q = rng.uniform(head.limits.lower, head.limits.upper, (count, 7))
     for i, j in itertools.combinations(range(7), 2):
         if head.joints[i] and head.joints[i] == head.joints[j]:
@@ -155,15 +155,12 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
         np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
-TOP = joint("nod", "top", "base", lower="0.1", upper="0.3")
-FIRST = joint("turn", "foot", "top")
-
-
-def test_a_refused_neck_comes_with_options_that_work(head_of, refused):
+def test_a_refused_neck_or_eye_comes_with_options_that_work(head_of, refused):
+    top, foot = joint("nod", "top", "base", lower="0.1", upper="0.3"), joint("turn", "foot", "top")
     for first, options in [
-        ((TOP, FIRST), {"base": "foot", "neck": ()}), ((TOP,), {"base": "top"}),
-        ((TOP,), {"base": "top", "neck": ("nod", *TURNS)}), ((TOP, FIRST), {"base": "foot"}),
-        ((TOP,), {"base": "top", "neck": ("nod", "roll", "pitch")}),
+        ((top, foot), {"base": "foot", "neck": ()}), ((top,), {"base": "top"}),
+        ((top,), {"base": "top", "neck": ("nod", *TURNS)}), ((top, foot), {"base": "foot"}),
+        ((top,), {"base": "top", "neck": ("nod", "roll", "pitch")}),
     ]:  # fmt: skip
         text = urdf(*first, NECK, LEFT, RIGHT)
         words = refused(text, "neck: ", **options)
@@ -173,12 +170,9 @@ def test_a_refused_neck_comes_with_options_that_work(head_of, refused):
             options = options | {"neck": tuple(neck[1].split())}
         head = head_of(text, **options, lock=tuple(lock[1].split()) if lock else ()).head
         assert head.joints[-1] == "right_tilt"
-
-
-def test_a_third_joint_of_an_eye_is_refused_with_the_lock_that_works(head_of, refused):
     third = joint("left_cyclo", "left_b", "left_c", axis="1 0 0")
-    last = joint("left_last", "left_c", "left_third", kind="fixed", rpy=OPTICAL)
-    text = urdf(NECK, LEFT, RIGHT, third, last)
+    third += joint("left_last", "left_c", "left_third", kind="fixed", rpy=OPTICAL)
+    text = urdf(NECK, LEFT, RIGHT, third)
     options = {"cameras": ("left_third", "right_optical")}
     refused(text, r"got 3 \(.*, left_cyclo\).*--lock left_cyclo=0", **options)
     assert head_of(text, **options, lock=("left_cyclo=0",)).head.joints[3] == "left_pan"
@@ -298,7 +292,7 @@ def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_o
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_version_and_vergence_are_given_to_two_pans(head_of):
+def test_version_and_vergence_are_given_to_two_pans_and_stay_within_them(head_of):
     mirrored = RIGHT.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>')
     couplings = ("common-tilt", "version-vergence")
     imported = head_of(urdf(NECK, LEFT, mirrored), couplings=couplings)
@@ -312,9 +306,6 @@ def test_version_and_vergence_are_given_to_two_pans(head_of):
     converged = head.actuation.joints_of(np.array([0, 0, 0, 0, 0.2, 0, 0.0]))
     wanted = [[np.sin(0.1), 0.0, np.cos(0.1)], [-np.sin(0.1), 0.0, np.cos(0.1)]]
     np.testing.assert_allclose(head.camera_poses(converged)[:, :3, 2], wanted, atol=1e-12)
-
-
-def test_version_and_vergence_stay_within_the_pans(head_of):
     eyes = eye("left", lower="-0.5", upper="0.9"), eye("right", lower="-0.4", upper="0.5")
     imported = head_of(urdf(NECK, *eyes), couplings=("version-vergence",))
     version, vergence, *_ = imported.motors
@@ -462,9 +453,6 @@ def test_active_equalities_tie_joints_as_in_mujoco(head_of):
                 tied = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
                 assert tied.any()
                 np.testing.assert_allclose(data.efc_pos[tied], 0.0, atol=1e-12)
-
-
-def test_what_ties_joints_and_no_head_has_is_said_to_be_left_out(head_of):
     tendons = '<fixed name="t"><joint joint="lt" coef="1"/><joint joint="rt" coef="1"/></fixed>'
     said = "; ".join(head_of(with_tie('<weld body1="le" body2="re"/>', tendons)).ignored)
     assert "tendon t (ties lt, rt: see --actuators)" in said
@@ -501,7 +489,6 @@ def test_what_an_mjcf_has_that_no_head_can_have_says_why(refused):
     ]:
         refused(PLAIN_MJCF.replace(was, becomes, 1), why)
     three = "".join(f'<joint joint="{name}" coef="1"/>' for name in ("lp", "rp", "lt"))
-    three = "".join(f'<joint joint="{name}" coef="1"/>' for name in ("lp", "rp", "lt"))
     tie, tendon = '<tendon tendon1="t"/>', f'<fixed name="t">{three}</fixed>'
     refused(with_tie(tie, tendon), "joint lt: .* follows lp and rp otherwise")
     gone = with_tie(tie, tendon.replace('"lp"', '"lips"'))
@@ -510,16 +497,13 @@ def test_what_an_mjcf_has_that_no_head_can_have_says_why(refused):
     refused(with_tie(square), "rt: .* straight line")
 
 
-def test_a_file_that_is_no_description_is_refused(refused):
+def test_a_file_that_is_no_description_of_different_links_and_joints_is_refused(refused, tmp_path):
     for text, why in [
         ("<robot><link", "no well-formed XML"), ("<sdf version='1.7'/>", "got '<sdf>'"),
         ('<robot xmlns:xacro="http://x/xacro"><xacro:macro name="m"/></robot>', "xacro FILE > h"),
         ('<robot name="a"><link name="l"/><joint name="j" type="fixed"/></robot>', "MuJoCo can"),
     ]:  # fmt: skip
         refused(text, why, HeadFileError)
-
-
-def test_names_that_fit_no_other_or_several_are_refused(refused, tmp_path):
     path = tmp_path / "robot.urdf"
     for tag, end in (("joint", "pan"), ("link", "a")):
         text = ROBOT.replace(f'{tag} name="right_{end}"', f'{tag} name="left_{end}"')
@@ -542,19 +526,16 @@ def test_a_head_has_the_name_of_its_robot_and_leaves_no_file_behind(head_of, tmp
     assert [path.name for path in tmp_path.iterdir()] == ["robot.urdf"]
 
 
-@pytest.mark.parametrize(("name", "options"), [
-    ("icub_visuomanip.urdf", {
-        "base": "chest", "cameras": ("l_eye", "r_eye"),
-        "neck": ("neck_pitch", "neck_roll", "neck_yaw"),
-    }),
-    ("romeo.urdf", {
-        "base": "torso", "cameras": ("CameraLeftEye_optical_frame", "CameraRightEye_optical_frame"),
-        "neck": ("NeckYaw", "NeckPitch", "HeadPitch"), "lock": ("HeadRoll=10",),
-    }),
+@pytest.mark.parametrize(("name", "base", "cameras", "neck", "lock"), [
+    ("icub_visuomanip.urdf", "chest", "{}_eye", ("neck_pitch", "neck_roll", "neck_yaw"), ()),
+    ("romeo.urdf", "torso", "Camera{}Eye_optical_frame", ("NeckYaw", "NeckPitch", "HeadPitch"),
+     ("HeadRoll=10",)),
 ])  # fmt: skip
-def test_a_real_head_moves_as_its_urdf(name, options):
-    path = real_robot(name)
-    imported = import_urdf(UrdfSource(file=path, speed=("6",), **options))
-    held = dict(imported.chains.fixed_values)
+def test_a_real_head_moves_as_its_urdf(name, base, cameras, neck, lock):
+    path, sides = real_robot(name), ("Left", "Right") if "Eye" in cameras else "lr"
+    cameras = tuple(cameras.format(side) for side in sides)
+    imported = import_urdf(
+        UrdfSource(file=path, base=base, cameras=cameras, neck=neck, lock=lock, speed=("6",))
+    )
     kinematics = UrdfKinematics(path.read_text(encoding="utf-8"))
-    assert_moves_as(imported, options["cameras"], kinematics, options["base"], held)
+    assert_moves_as(imported, cameras, kinematics, base, dict(imported.chains.fixed_values))
