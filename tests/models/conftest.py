@@ -5,16 +5,11 @@ import pytest
 
 from vergence.models import HeadModel, ModelErrors, load_head
 
-ERRORS = ModelErrors(
-    link_m=1e-3, coaxiality_rad=0.01, joint_offset_rad=0.02, head_eye_rad=0.01, head_eye_m=1e-3,
-    focal_relative=0.01, principal_px=5.0, distortion=0.01,
-)  # fmt: skip
-
 
 @pytest.fixture
-def head() -> HeadModel:
+def head(physical, errors) -> HeadModel:
     """A head drawn about the preset with distortion: none of its numbers is a round one."""
-    return load_head("physical").perturbed(np.random.default_rng(7), ERRORS)
+    return physical.perturbed(np.random.default_rng(7), errors)
 
 
 @pytest.fixture
@@ -30,7 +25,10 @@ def physical() -> HeadModel:
 @pytest.fixture
 def errors() -> ModelErrors:
     """Errors a few times those of a carelessly built head."""
-    return ERRORS
+    return ModelErrors(
+        link_m=1e-3, coaxiality_rad=0.01, joint_offset_rad=0.02, head_eye_rad=0.01,
+        head_eye_m=1e-3, focal_relative=0.01, principal_px=5.0, distortion=0.01,
+    )  # fmt: skip
 
 
 @pytest.fixture

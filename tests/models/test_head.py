@@ -9,9 +9,6 @@ from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.models import ModelErrors, load_head
 
-CAMERA = ("size", "focal", "principal", "lens", "distortion", "response", "pose")
-PARTS = ("links", "cameras", "limits", "timing", "sensor", "rendering")
-
 
 def nudged(head, part, field, index):
     """The head with one number changed a little, another lens, flag or side of its encoders."""
@@ -33,10 +30,11 @@ def nudged(head, part, field, index):
 def test_the_digest_changes_with_any_number_flag_or_word(physical):
     # no fifth coefficient, which a fisheye lacks
     physical = physical.replace(cameras={"distortion": 0.01 * np.ones((2, 4))})
+    camera = ("size", "focal", "principal", "lens", "distortion", "response", "pose")
     digests = [
         nudged(physical, part, field, index).digest
-        for part in PARTS
-        for field in (CAMERA if part == "cameras" else vars(getattr(physical, part)))
+        for part in ("links", "cameras", "limits", "timing", "sensor", "rendering")
+        for field in (camera if part == "cameras" else vars(getattr(physical, part)))
         for index in np.ndindex(np.shape(getattr(getattr(physical, part), field)))
     ]
     assert len(digests) > 100

@@ -46,9 +46,7 @@ def test_no_acceleration_passes_its_limit() -> None:
                 assert abs(w) <= 50.0
                 assert q == pytest.approx(angle, abs=2e-4)  # of 16 mrad
                 assert v == pytest.approx(speed, abs=0.03)
-
-
-def test_without_a_build_up_it_is_the_lag_of_first_order() -> None:
+    # without a build-up it is the lag of first order
     response = prepare_held_response(LAG_S, 0.0, 40.0, PERIOD_S)
     q, v, w = follow_held_command(0.1, 1.0, 5.0, 4.0, response)
     expected = follow_joint(0.1, 1.0, 4.0, LAG_S, 40.0, PERIOD_S, lag_decay(PERIOD_S, LAG_S))

@@ -38,7 +38,7 @@ def spread_rays(rng, count, most_deg=89.0):
     return np.tan(angle)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 
 
-def test_projection_is_opencvs(rng):
+def test_projection_is_opencvs_and_leads_there_and_back_over_the_whole_image(rng):
     for right, left in some_of(LENSES, LENSES):
         with named(right, left):
             head = wide(left, right)
@@ -54,6 +54,11 @@ def test_projection_is_opencvs(rng):
                 assert np.abs(pixels[inside] - expected).max() < 1e-9
                 expected = by_opencv(head, eye, points @ pose[:3, :3].T + pose[:3, 3])
                 assert np.abs(seen[:, eye] - expected).max() < 1e-9
+                raw = pixels_of_image(head, eye)
+                back = pixels_to_rays(raw, row)
+                has_ray = np.isfinite(back).all(axis=-1)
+                assert has_ray.mean() > 0.95
+                assert np.abs(rays_to_pixels(back[has_ray], row) - raw[has_ray]).max() < 1e-9
 
 
 def test_undistortion_is_opencvs(rng):
@@ -72,18 +77,6 @@ def test_undistortion_is_opencvs(rng):
                 # OpenCV stops its search of a fisheye's angle at 1e-8
                 tolerance = 1e-5 if lens == "fisheye" else 1e-8
                 assert np.abs(expected.reshape(-1, 2) - ideal[:, eye]).max() < tolerance
-
-
-def test_there_and_back_over_the_whole_image():
-    for lens in LENSES:
-        with named(lens):
-            head = wide(lens)
-            for eye, row in enumerate(head.cameras.rows):
-                raw = pixels_of_image(head, eye)
-                rays = pixels_to_rays(raw, row)
-                seen = np.isfinite(rays).all(axis=-1)
-                assert seen.mean() > 0.95
-                assert np.abs(rays_to_pixels(rays[seen], row) - raw[seen]).max() < 1e-9
 
 
 def test_the_derivative_is_that_of_finite_differences_and_symmetric(rng):

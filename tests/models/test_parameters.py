@@ -56,17 +56,12 @@ def test_every_parameter_moves_what_an_eye_sees(physical, random_poses):
         eye = 0 if name.startswith("left") else 1
         assert change[eye].max() > 0.0, name
         assert change[1 - eye].max() == 0.0, name
-
-
-def test_head_eye_rotations_turn_about_the_cameras_own_axes(physical):
+    # rotations are about the cameras' own axes
     q, angle = np.zeros(7), 0.01
     turned = moved(physical, "left.head_eye.rx", angle).camera_poses(q)[0, :3, :3]
     rest = physical.camera_poses(q)[0, :3, :3]
     c, s = np.cos(angle), np.sin(angle)
     np.testing.assert_allclose(rest.T @ turned, [[1, 0, 0], [0, c, -s], [0, s, c]], atol=1e-12)
-
-
-def test_a_vector_of_another_length_is_refused(physical):
     for shape in [(51,), (3, 53), ()]:
         said = r"expected shape \(\.\.\., 52\)"
         with named(shape), pytest.raises(ConfigurationError, match=said):

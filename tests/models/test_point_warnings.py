@@ -39,22 +39,17 @@ def test_angles_beyond_the_limits_are_said_by_name():
                 head.fixate(point)
 
 
-def test_what_a_head_looks_at_is_not_asked_about():
+def test_what_a_head_looks_at_or_a_program_judges_is_not_asked_about(simulated):
     for name, distance in some_of(HEADS, [0.5, 20.0, 1e6, np.inf]):
         with named(name, distance), warnings.catch_warnings():
             warnings.simplefilter("error")
             load_head(name).fixate([0.0, 0.0, distance])
-
-
-def test_a_head_may_look_behind_itself_and_far_with_long_lenses():
     head = load_head("turrets")
     assert head.reaches(head.fixate([0.1, 0.0, -1.0]))
     # 0.15 m between the eyes times 6000 px by 800 m is a disparity of 1.1 px
     head = head.replace(cameras={"focal": np.full((2, 2), 6000.0)})
     assert head.reaches(head.fixate([0.0, 0.0, 800.0]))
-
-
-def test_programs_that_judge_the_angles_are_not_warned(simulated):
+    # programs that judge the angles themselves
     simulated.fixate([0.1, 0.0, -1.0], warn=False)
     for head in (simulated, load_head("icub")):
         head.least_error([0.1, 0.0, -1.0])

@@ -25,7 +25,7 @@ def pair(left: Sequence[float], right: Sequence[float]) -> str:
     return 'name = "pair"\n' + IMAGE + eyes(left, right) + LOOP
 
 
-def test_what_cannot_be_is_told():
+def test_what_cannot_be_and_what_was_meant_is_told():
     assert parse_head(desk(-0.04, 0.04)).camera_poses(np.zeros(7))[1, 0, 3] == pytest.approx(0.04)
     panfirst, pan, rolls = text_of("panfirst"), "axis = [0.0, 1.0, 0.0]", "axis = [0.0, 0.0, 1.0]"
     near, far = "lower_rad = -0.9\nupper_rad = 0.9", "lower_rad = 2.0\nupper_rad = 4.5"
@@ -46,9 +46,6 @@ def test_what_cannot_be_is_told():
     ]:  # fmt: skip
         with named(said), pytest.raises(HeadFileError, match=said):
             parse_head(text)
-
-
-def test_what_was_meant_is_told():
     coefficients = "[0.0, 0.0, 0.0, 0.0, 0.0]"
     for name, given, wrong, said in [
         ("common", "[[joints]]", "[[joint]]", r"^joint: expected no such key \(is joints m"),

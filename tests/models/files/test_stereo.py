@@ -340,10 +340,9 @@ def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(one):
     # keys that nothing reads
     more = {"camera_model": "OmniVision OV2311", "image_scale": 2, "rms": 0.2, "k1": 0.1}
     files = one(more | {"R1": np.eye(3).tolist()})
+    unread = ", ".join(f"{files[0]}: {key}" for key in ("camera_model", "image_scale", "k1"))
     (guess,) = read_intrinsics(files).guesses
-    assert guess.endswith(
-        ", ".join(f"{files[0]}: {k}" for k in ("camera_model", "image_scale", "k1"))
-    )
+    assert guess.endswith(unread)
 
 
 def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):
@@ -356,16 +355,15 @@ def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):
         ("T_imu_cam", poses), ("body_T_cam", poses),
     ]:  # fmt: skip
         with named(key):
-            eyes = zip("01", (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), values, strict=True)
-            cameras = {
-                side: {"size": SIZE, "K": k.tolist(), "D": d.tolist(), key: pose.tolist()}
-                for side, k, d, pose in eyes
-            }
-            one = {f"cam{side}": camera for side, camera in cameras.items()}
+            cameras = [
+                {"size": SIZE, "K": k.tolist(), "D": d.tolist(), key: pose.tolist()}
+                for (_, k, d), pose in zip(EYES, values, strict=True)
+            ]
+            one = {f"cam{i}": camera for i, camera in enumerate(cameras)}
             if key == "body_T_cam":
-                one |= {f"{key}{side}": camera.pop(key) for side, camera in cameras.items()}
+                one |= {f"{key}{i}": camera.pop(key) for i, camera in enumerate(cameras)}
             else:
-                files = [written(tmp_path / f"{side}.json", cameras[side]) for side in cameras]
+                files = [written(tmp_path / f"{i}.json", cameras[i]) for i in range(2)]
                 check(read_stereo(files), atol=1e-9)
             check(read_stereo([written(tmp_path / "one.json", one)]), atol=1e-9)
 

@@ -135,8 +135,7 @@ class TestActuators:
             own = np.diag(inertia)
             assert (model.dof_armature / own).min() > 0.95
             assert (np.abs(inertia - np.diag(own)) / own).max() < 0.005
-
-    def test_servos_of_a_wide_head_are_stronger(self):
+        # servos of a wide head are stronger
         wide = parse_head(text_of("common").replace("0.05, 0.0, 0.0", "0.5, 0.0, 0.0"))
         stronger, own = (load_inertias(h).joint_armature for h in (wide, head_of("common")))
         assert (stronger >= own).all()

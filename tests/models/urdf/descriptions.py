@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "data" / "heads"
-
 
 def real_robot(name: str) -> Path:
     """A robot's URDF that others wrote and that is not part of this repository."""
-    path = SHARED / name
+    path = Path(__file__).resolve().parents[4] / "shared" / "data" / "heads" / name
     if not path.exists():
         pytest.skip(f"{name} is not beside the repository, in ../shared/data/heads")
     return path

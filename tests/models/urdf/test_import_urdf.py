@@ -246,16 +246,6 @@ def test_a_speed_that_no_motor_has_is_refused_unless_overridden(head_of, refused
         assert "joints.right_pan.velocity_rad_s" not in head.assumptions
 
 
-def test_a_joint_without_limits_may_turn_once_around_and_says_so(head_of):
-    free = eye("left", lower=None, upper=None)
-    free = free.replace('pan" type="revolute', 'pan" type="continuous')
-    head = head_of(urdf(NECK, free, eye("right", upper="1000"))).head
-    assert head.limits.lower[3:].tolist() == [-np.pi] * 4
-    assert head.limits.upper[3:].tolist() == [np.pi] * 4
-    for name in head.joints[3:]:
-        assert "one turn" in head.assumptions[f"joints.{name}.upper_rad"]
-
-
 def test_what_the_file_lacks_is_marked_as_assumed(head_of, tmp_path):
     imported = head_of(ROBOT)
     head = imported.head
@@ -273,6 +263,14 @@ def test_what_the_file_lacks_is_marked_as_assumed(head_of, tmp_path):
     head = head_of(ROBOT, acceleration=("50", "yaw=20")).head
     assert head.limits.acceleration.tolist() == [20.0, *[50.0] * 6]
     assert not [key for key in head.assumptions if "acceleration" in key]
+    # a joint without limits may turn once around
+    free = eye("left", lower=None, upper=None)
+    free = free.replace('pan" type="revolute', 'pan" type="continuous')
+    head = head_of(urdf(NECK, free, eye("right", upper="1000"))).head
+    assert head.limits.lower[3:].tolist() == [-np.pi] * 4
+    assert head.limits.upper[3:].tolist() == [np.pi] * 4
+    for name in head.joints[3:]:
+        assert "one turn" in head.assumptions[f"joints.{name}.upper_rad"]
 
 
 def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_of, refused):
@@ -315,9 +313,7 @@ def test_version_and_vergence_are_given_to_two_pans_and_stay_within_them(head_of
             angle = version.joint_factors[name] * v + vergence.joint_factors[name] * g
             assert low - 1e-12 <= angle <= high + 1e-12
     assert version.limits.velocity + 0.5 * vergence.limits.velocity <= 5.0
-
-
-def test_what_is_assumed_of_motors_is_marked_by_their_names(head_of):
+    # what is assumed of motors is marked by their names
     text = urdf(NECK, eye("left", velocity="0"), RIGHT)
     imported = head_of(text, speed=("4",), couplings=("version-vergence",))
     written = tomllib.loads(imported.text)
@@ -459,7 +455,7 @@ def test_active_equalities_tie_joints_as_in_mujoco(head_of):
     assert "weld of le, which may tie bodies" in said
 
 
-def test_what_a_urdf_says_and_nothing_reads_is_refused(refused):
+def test_what_a_file_says_and_nothing_reads_or_no_head_can_have_is_refused(refused):
     place = '<origin xyz="0 0.01 0.05" rpy="0 0 0"/>'
     for becomes, why in [
         ('<origin xyz="" rpy="0 0 0"/>', "joint roll: .* 3 numbers in xyz of <origin>, got ''"),
@@ -478,9 +474,6 @@ def test_what_a_urdf_says_and_nothing_reads_is_refused(refused):
     refused(text, "<Joint>", HeadFileError)
     why = r"^joint right_optical_joint: .* radians within one turn, got '-90 0 -90' \(.*degrees\?"
     refused(urdf(NECK, LEFT, RIGHT.replace(OPTICAL, "-90 0 -90")), why)
-
-
-def test_what_an_mjcf_has_that_no_head_can_have_says_why(refused):
     for was, becomes, why in [
         ('name="left" ', 'name="left" mode="targetbody" target="head" ', "left-camera: .* fixed"),
         ('name="right" ', 'name="right" projection="orthographic" ', "right-camera: .* persp"),
