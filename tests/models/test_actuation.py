@@ -22,13 +22,17 @@ def test_the_article_s_heads_have_a_motor_a_joint():
             np.testing.assert_array_equal(getattr(own, name), getattr(head.limits, name))
 
 
-def test_a_joint_that_both_eyes_share_has_one_motor():
+def test_a_joint_that_both_eyes_share_has_one_motor_and_a_fixed_pair_none():
     actuation = head_of("common").actuation
     assert actuation.names == ("pan", "tilt")
     assert not actuation.direct
     q = actuation.joints_of([0, 0, 0, 0.1, 0.2, 0, 0])
     np.testing.assert_array_equal(q, [0, 0, 0, 0.1, 0.2, 0.1, 0.2])
     np.testing.assert_allclose(actuation.actuators_of(q), [0, 0, 0, 0.1, 0.2, 0, 0], atol=1e-15)
+    pair = head_of("pair")
+    assert pair.actuation.count == 0
+    with pytest.raises(ConfigurationError, match="a fixed pair"):
+        pair.fixate([0.0, 0.0, 1.0])
 
 
 def test_version_and_vergence_move_both_pans_within_their_limits():
@@ -66,13 +70,6 @@ def test_fixation_leaves_the_least_sum_of_squares(name):
         np.testing.assert_allclose(own, best.x, atol=2e-6)
         np.testing.assert_allclose(head.least_error(point).ravel(), error(own), atol=1e-9)
         assert error(own) @ error(own) <= 2.0 * best.cost * (1.0 + 1e-9) + 1e-12
-
-
-def test_eyes_that_do_not_move_fixate_nothing():
-    pair = head_of("pair")
-    assert pair.actuation.count == 0
-    with pytest.raises(ConfigurationError, match="a fixed pair"):
-        pair.fixate([0.0, 0.0, 1.0])
 
 
 def test_an_actuator_may_have_its_own_lag_and_steps_but_not_do_what_others_do():

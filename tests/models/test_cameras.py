@@ -16,7 +16,7 @@ def cameras(**fields) -> Cameras:
     return Cameras(CAMERA, CAMERA).replaced(**({"size": (640, 480)} | fields))
 
 
-def test_one_size_lens_or_response_stands_for_both_eyes():
+def test_one_size_lens_or_response_stands_for_both_eyes_and_coefficients_are_filled_up():
     made = cameras(lens="fisheye", distortion=np.full((2, 4), 0.1))
     assert made.size.tolist() == [[640, 480], [640, 480]]
     assert made.size.dtype == np.int64
@@ -28,9 +28,7 @@ def test_one_size_lens_or_response_stands_for_both_eyes():
     ]:  # fmt: skip
         with named(given, pair):
             assert cameras(response=given).response == pair
-
-
-def test_two_lenses_of_five_coefficients_have_five_columns_and_others_eight():
+    # two lenses of five coefficients have five columns, and others eight
     assert cameras(distortion=np.zeros((3, 2, 4))).distortion.shape == (3, 2, 5)
     assert cameras(distortion=np.zeros((2, 8))).distortion.shape == (2, 5)
     for lens in LENSES[1:]:

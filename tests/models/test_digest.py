@@ -20,13 +20,17 @@ def test_the_presets_keep_the_digests_that_bundles_and_tuned_options_name(simula
         assert head.digest == digest
 
 
-def test_a_latency_of_whole_control_periods_counts_them(simulated):
+def test_what_rounding_leaves_of_a_latency_or_a_pose_is_no_other_head(simulated):
     # a decimal's rounding makes no other head
     same = simulated.replace(timing={"latency_s": 0.066666666666667})
     assert same.digest == simulated.digest
     between = simulated.replace(timing={"latency_s": 0.0708})
     nearest = simulated.replace(timing={"latency_s": between.timing.latency_frames / 120.0})
     assert between.digest not in (simulated.digest, nearest.digest)
+    head = parse_head(text_of("panfirst"))
+    for nudge, same in ((1e-16, True), (1e-9, False)):
+        links = dataclasses.replace(head.links, pose=head.links.pose + nudge)
+        assert (dataclasses.replace(head, links=links).digest == head.digest) is same
 
 
 def test_the_digest_of_other_cameras_is_of_the_same_form_ever_after(physical):
@@ -49,10 +53,3 @@ def test_a_head_is_the_same_on_another_processor():
         env=os.environ | {"OPENBLAS_CORETYPE": "Prescott"},
     )  # fmt: skip
     assert run.stdout.split() == [parse_head(text).digest]
-
-
-def test_what_rounding_leaves_of_a_pose_is_no_other_head():
-    head = parse_head(text_of("panfirst"))
-    for nudge, same in ((1e-16, True), (1e-9, False)):
-        links = dataclasses.replace(head.links, pose=head.links.pose + nudge)
-        assert (dataclasses.replace(head, links=links).digest == head.digest) is same

@@ -24,7 +24,7 @@ def test_every_point_of_the_article_is_fixated(simulated, physical):
                 assert head.limits.contains(q).all()
 
 
-def test_points_at_the_edge_of_the_limits_are_fixated(head, random_poses):
+def test_points_at_the_edge_of_the_limits_are_fixated_with_any_neck(head, simulated, random_poses):
     q = random_poses(head, 500)
     poses = head.camera_poses(q)
     for eye, joints in ((0, slice(3, 5)), (1, slice(5, 7))):
@@ -32,9 +32,7 @@ def test_points_at_the_edge_of_the_limits_are_fixated(head, random_poses):
         found = head.fixate(points, neck=q[:, :3])
         np.testing.assert_allclose(found[:, joints], q[:, joints], atol=1e-9)
         np.testing.assert_array_equal(found[:, :3], q[:, :3])
-
-
-def test_the_neck_takes_part_in_no_way_but_its_own_angles(simulated):
+    # the neck takes part in no way but its own angles
     point = np.array([0.1, -0.1, 1.0])
     np.testing.assert_array_equal(simulated.fixate(point)[:3], 0.0)
     turned = simulated.fixate(point, neck=[0.1, 0.2, 0.3])
@@ -52,3 +50,4 @@ def test_a_point_that_no_eye_can_look_at_has_no_angles_and_spares_the_others(sim
     q = simulated.fixate([[0.0, 0.0, 0.0138], [0.0, 0.0, np.nan], [0.0, 0.0, np.inf], [0, 0, 1.0]])
     assert np.isnan(q[:3, 3:]).all()
     assert np.isfinite(q[3]).all()
+    assert np.isnan(simulated.fixate([0.0, 0.0, np.nan])[3:]).all()

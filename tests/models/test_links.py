@@ -90,7 +90,7 @@ def test_a_joint_that_is_missing_turns_nothing_and_heads_of_a_population_are_sta
         np.testing.assert_array_equal(stacked.packed, heads.packed)
 
 
-def test_an_axis_that_both_eyes_share_is_perturbed_once(rng):
+def test_an_axis_that_both_eyes_share_is_perturbed_once_and_a_common_tilt_alike(rng):
     head = head_of("tied")
     errors = ModelErrors(link_m=1e-3, coaxiality_rad=0.01, joint_offset_rad=0.02)
     heads = head.perturbed(rng, errors, size=50)
@@ -100,9 +100,6 @@ def test_an_axis_that_both_eyes_share_is_perturbed_once(rng):
     # the tilt axis in N is the same line for the left eye and for the right
     axes = [heads.packed[:, 4 * 12 + 36 * eye : 4 * 12 + 36 * eye + 12] for eye in range(2)]
     np.testing.assert_array_equal(axes[0], axes[1])
-
-
-def test_a_common_tilt_makes_both_eyes_look_lower():
     heads = map(load_head, ("simulated", "turrets"))
     for head in (*heads, *map(head_of, ("tied", "panfirst", "common"))):
         with named(head.name):

@@ -27,9 +27,8 @@ def test_a_point_in_millimetres_is_asked_about_and_answered():
 
 
 def test_angles_beyond_the_limits_are_said_by_name():
-    for name, point in some_of(
-        ["simulated", "icub"], [(0.1, 0.0, -1.0), (0.0, -2.0, 0.5), (0.0, 2.0, 0.5)]
-    ):
+    points = [(0.1, 0.0, -1.0), (0.0, -2.0, 0.5), (0.0, 2.0, 0.5)]
+    for name, point in some_of(["simulated", "icub"], points):
         with named(name, point):
             head = load_head(name)
             q = head.fixate([point])[0]

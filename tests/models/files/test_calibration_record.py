@@ -3,7 +3,6 @@
 import tomllib
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import tomli_w
 
@@ -40,10 +39,8 @@ def test_it_is_of_one_geometry_and_no_part_of_the_digest(calibrated, simulated, 
     assert "calibration" not in tomllib.loads(head_to_toml(simulated))
     assert replace(calibrated, calibration=None).digest == calibrated.digest
     drawn = calibrated.perturbed(rng, errors, 3)
-    assert drawn.calibration is None
-    assert drawn[1].calibration is None
-    values = np.array(calibrated.parameters().values)
-    assert calibrated.with_parameters(values).calibration is None
+    assert (drawn.calibration, drawn[1].calibration) == (None, None)
+    assert calibrated.with_parameters(calibrated.parameters().values).calibration is None
     assert calibrated.calibration == RECORD
     assert calibrated.replace(timing={"lag_s": 0.0}).calibration == RECORD
     assert calibrated.replace(cameras={"focal": calibrated.cameras.focal + 1.0}).calibration is None

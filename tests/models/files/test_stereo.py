@@ -113,7 +113,7 @@ def test_keys_may_be_spelled_as_people_spell_them(tmp_path):
     check(read_stereo([written(tmp_path / "pair.json", tables)]))
 
 
-def test_camera_info_pairs_hold_the_pair_in_rectification_and_projection(tmp_path):
+def test_files_of_ros_and_orb_slam_hold_the_pair_in_rectification_and_projection(tmp_path):
     paths = info_pair(tmp_path)
     check(read_stereo(paths), atol=1e-7)  # files have eight decimals
     for name, path in zip(("left", "right"), paths, strict=True):
@@ -126,6 +126,12 @@ def test_camera_info_pairs_hold_the_pair_in_rectification_and_projection(tmp_pat
         }  # fmt: skip
         path.write_text(yaml.safe_dump(message) + "---\n" + yaml.safe_dump(message), "utf-8")
     check(read_stereo(paths), atol=1e-7)
+    values = {"Camera.fx": 400.0, "Camera.bf": 40.0}
+    for eye, (name, k, d) in enumerate(EYES):
+        each = {"width": SIZE[0], "height": SIZE[1], "K": k.tolist(), "D": d.tolist()}
+        each |= {"R": RECTIFIED[eye].tolist(), "P": RECTIFIED[2 + eye].tolist()}
+        values |= {f"{name.upper()}.{key}": value for key, value in each.items()}
+    check(read_stereo([written(tmp_path / "orb.json", values)]), atol=1e-9)
 
 
 def test_a_camchain_of_kalibr_is_read(tmp_path):
@@ -154,8 +160,7 @@ def test_the_parts_of_a_pair_may_stand_in_files_of_their_own(tmp_path):
     place = write_opencv(tmp_path / "place.xml", {"R": R, "T": T})
     check(read_stereo([*paths, place]))
     both = read_intrinsics(paths)
-    assert both.left.focal[0] == K_LEFT[0, 0]
-    assert both.right.focal[0] == K_RIGHT[0, 0]
+    assert (both.left.focal[0], both.right.focal[0]) == (K_LEFT[0, 0], K_RIGHT[0, 0])
     both = read_intrinsics(paths[:1])
     assert both.right is both.left
 
@@ -366,15 +371,6 @@ def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):
                 files = [written(tmp_path / f"{i}.json", cameras[i]) for i in range(2)]
                 check(read_stereo(files), atol=1e-9)
             check(read_stereo([written(tmp_path / "one.json", one)]), atol=1e-9)
-
-
-def test_settings_of_orb_slam_hold_the_pair_in_rectification_and_projection(tmp_path):
-    values = {"Camera.fx": 400.0, "Camera.bf": 40.0}
-    for eye, (name, k, d) in enumerate(EYES):
-        each = {"width": SIZE[0], "height": SIZE[1], "K": k.tolist(), "D": d.tolist()}
-        each |= {"R": RECTIFIED[eye].tolist(), "P": RECTIFIED[2 + eye].tolist()}
-        values |= {f"{name.upper()}.{key}": value for key, value in each.items()}
-    check(read_stereo([written(tmp_path / "orb.json", values)]), atol=1e-9)
 
 
 def test_a_format_that_is_not_read_is_named_with_those_that_are(tmp_path):

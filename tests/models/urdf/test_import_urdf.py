@@ -143,8 +143,7 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
     assert dict(tilt.joint_factors) == {"left_tilt": 1.0, "right_tilt": -1.5}
     # the right joint's -0.5 to 0.7 allow the left one -0.4 to 0.4, at 2 rad/s
     assert tilt.limits[:3] == pytest.approx([-0.4, 0.4, 2.0])
-    kinematics = UrdfKinematics(text)
-    head = imported.head
+    head, kinematics = imported.head, UrdfKinematics(text)
     low, high = head.actuation.lower, head.actuation.upper
     for slots in np.random.default_rng(1).uniform(low, high, (50, 7)):
         q = head.actuation.joints_of(slots)
@@ -299,11 +298,11 @@ def test_version_and_vergence_are_given_to_two_pans_and_stay_within_them(head_of
     # the left pan turns left, the right one, its axis downwards, right
     assert dict(version.joint_factors) == {"left_pan": -1.0, "right_pan": 1.0}
     assert dict(vergence.joint_factors) == {"left_pan": -0.5, "right_pan": -0.5}
-    head = imported.head
-    assert head.actuation.count == 3
-    converged = head.actuation.joints_of(np.array([0, 0, 0, 0, 0.2, 0, 0.0]))
+    own = imported.head.actuation
+    assert own.count == 3
+    converged = own.joints_of(np.array([0, 0, 0, 0, 0.2, 0, 0.0]))
     wanted = [[np.sin(0.1), 0.0, np.cos(0.1)], [-np.sin(0.1), 0.0, np.cos(0.1)]]
-    np.testing.assert_allclose(head.camera_poses(converged)[:, :3, 2], wanted, atol=1e-12)
+    np.testing.assert_allclose(imported.head.camera_poses(converged)[:, :3, 2], wanted, atol=1e-12)
     eyes = eye("left", lower="-0.5", upper="0.9"), eye("right", lower="-0.4", upper="0.5")
     imported = head_of(urdf(NECK, *eyes), couplings=("version-vergence",))
     version, vergence, *_ = imported.motors
