@@ -109,10 +109,8 @@ def _motor(
         limits = limits.intersection(own.of_master(tie.multiplier, tie.offset))
     if not limits.lower < limits.upper:
         followers = ", ".join(tie.joint for tie in mine)
-        owner, range_of = whose or (
-            f"joint {name}",
-            f"a range that it and what follows it ({followers})",
-        )
+        usual = (f"joint {name}", f"a range that it and what follows it ({followers})")
+        owner, range_of = whose or usual
         refuse(owner, f"{range_of} have in common", "none")
     return EyeMotor(
         name=name,
