@@ -8,9 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from itertools import count
 from pathlib import Path
-from typing import Final
-
-from filelock import FileLock, Timeout
+from typing import TYPE_CHECKING, Final
 
 from vergence.errors import ConfigurationError
 
@@ -18,6 +16,9 @@ PARTIAL_PREFIX: Final = ".vergence-partial-"
 """Prefix of the names of hidden temporary folders."""
 SUFFIX: Final = ".vergence-lock"
 """Suffix of the names of lock files."""
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 PathName = str | os.PathLike[str]
 
@@ -175,8 +176,10 @@ def hold_lock(path: PathName, *, wait: bool = False) -> Iterator[bool]:
                 parent.rmdir()
 
 
-def _taken(file: Path, place: Path, wait: bool) -> FileLock | None:
+def _taken(file: Path, place: Path, wait: bool) -> "FileLock | None":
     """Acquire the lock; None if there cannot be one."""
+    from filelock import FileLock, Timeout  # slow to import, which a help text does not need
+
     # no soft lock, since it would outlive a process that is killed
     lock = FileLock(file, fallback_to_soft=False)
     for _attempt in range(100):  # more than other processes remove the parent (numerical)
