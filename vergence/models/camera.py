@@ -156,9 +156,10 @@ class Camera:
                 "matrix: expected a camera matrix of focal lengths and a principal point, shape "
                 f"(..., 3, 3), got {matrix.tolist()!r:.80}"
             )
-        if not (matrix[..., [0, 1], [0, 1]] > 0.0).all():
+        focal = matrix[..., [0, 1], [0, 1]]
+        if not (focal > 0.0).all():
             raise ConfigurationError(
-                f"focal: expected positive focal lengths, got {self.focal.tolist()!r:.80}"
+                f"focal: expected positive focal lengths, got {focal.tolist()!r:.80}"
             )
         response = None if self.response is None else parse_response(self.response)
         for name, value in {
@@ -357,13 +358,12 @@ class Cameras:
         numbers = {name: as_operand(f"cameras.{name}", stacked[name], 2, *own)
                    for name, own in (("focal", (2,)), ("principal", (2,)), ("distortion", ("n",)),
                                      ("pose", (4, 4)))}  # fmt: skip
+        matrix = camera_matrix(numbers["focal"], numbers["principal"])
         return Cameras(
             *(
                 Camera(
                     size=size[eye],
-                    matrix=camera_matrix(
-                        numbers["focal"][..., eye, :], numbers["principal"][..., eye, :]
-                    ),
+                    matrix=matrix[..., eye, :, :],
                     lens=_trimmed(lens[eye], numbers["distortion"][..., eye, :], EYE_NAMES[eye]),
                     response=response[eye],
                     pose=numbers["pose"][..., eye, :, :],
@@ -426,6 +426,8 @@ def _checked_lens(model: str, coefficients: ArrayLike) -> Lens:
         values = np.zeros(count)
     if values.shape[-1] != count:
         raise ConfigurationError(f"distortion: expected {count} numbers, got {values.shape[-1]}")
+    if np.isnan(values).any():
+        raise ConfigurationError(f"distortion: expected numbers, got {values.tolist()!r:.80}")
     return Lens(model, readonly_array(values))
 
 
