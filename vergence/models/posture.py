@@ -25,7 +25,7 @@ _N_ORIGIN_M: Final = (-0.011, -0.06427, 0.0)
 
 
 class RestPoses(NamedTuple):
-    """Poses of a head at rest, all in frame 0."""
+    """Poses and measures of a head at rest, all in frame 0."""
 
     links: FloatArray  # (B, 4, 4) poses of the links, in the order of `Links.bodies`
     frame_n: FloatArray  # (4, 4) T_0_N
@@ -35,41 +35,18 @@ class RestPoses(NamedTuple):
     article's frame 0; the identity for the article's head."""
     eye_roots: FloatArray
     """(2, 3) positions of each eye's first joint, or of its camera if it does not move, m."""
-    has_neck: bool
-
-    @property
-    def baseline_m(self) -> float:
-        """Distance of the two cameras, m."""
-        return float(np.linalg.norm(self.cameras[1, :3, 3] - self.cameras[0, :3, 3]))
-
-    @property
-    def scale(self) -> float:
-        """Ratio of the size of the head's parts to the article's, from the baseline, 0.5 to 1.7."""
-        return float(np.clip(self.baseline_m / _ARTICLE_BASELINE_M, 0.5, 1.7))
-
-    @property
-    def eye_radius_m(self) -> float:
-        """Radius of an eyeball, m; smaller for a narrow head, so that its eyes do not touch."""
-        return EYE_RADIUS_M * float(np.clip(self.baseline_m / 0.06, 0.1, 1.0))
-
-    @property
-    def bar_ends(self) -> FloatArray:
-        """(2, 3) ends of a bar behind both eyes' first joints, m."""
-        return np.asarray(self.eye_roots - 1.6 * self.eye_radius_m * self.frame_n[:3, 2])
-
-    @property
-    def stand_top(self) -> FloatArray:
-        """(3,) top of the stand, m: below the neck, or at the middle of the bar."""
-        if self.has_neck:
-            return np.asarray(self.links[0, :3, 3] - 0.03 * self.scale * self.upright_frame[:3, 2])
-        return np.asarray(self.bar_ends.mean(axis=0))
-
-    @property
-    def floor_m(self) -> float:
-        """Height of the floor in the upright frame, m, below the lowest joint and camera."""
-        points = np.concatenate([self.links[:, :3, 3], self.cameras[:, :3, 3]])
-        heights = (points - self.upright_frame[:3, 3]) @ self.upright_frame[:3, 2]
-        return float(heights.min()) - _FLOOR_BELOW_M
+    baseline_m: float
+    """Distance of the two cameras, m."""
+    scale: float
+    """Ratio of the size of the head's parts to the article's, from the baseline, 0.5 to 1.7."""
+    eye_radius_m: float
+    """Radius of an eyeball, m; smaller for a narrow head, so that its eyes do not touch."""
+    bar_ends: FloatArray
+    """(2, 3) ends of a bar behind both eyes' first joints, m."""
+    stand_top: FloatArray
+    """(3,) top of the stand, m: below the neck, or at the middle of the bar."""
+    floor_m: float
+    """Height of the floor in the upright frame, m, below the lowest joint and camera."""
 
 
 def rest_poses(head: HeadModel) -> RestPoses:
@@ -92,4 +69,16 @@ def rest_poses(head: HeadModel) -> RestPoses:
             while links[end].parent != carrier:
                 end = links[end].parent
             roots[eye] = frames[end][:3, 3]
-    return RestPoses(frames[:-1], base, cameras, upright, roots, has_neck=carrier >= 0)
+    baseline_m = float(np.linalg.norm(cameras[1, :3, 3] - cameras[0, :3, 3]))
+    scale = float(np.clip(baseline_m / _ARTICLE_BASELINE_M, 0.5, 1.7))
+    eye_radius_m = EYE_RADIUS_M * float(np.clip(baseline_m / 0.06, 0.1, 1.0))
+    bar_ends = roots - 1.6 * eye_radius_m * base[:3, 2]
+    stand_top = bar_ends.mean(axis=0)
+    if carrier >= 0:
+        stand_top = frames[0, :3, 3] - 0.03 * scale * upright[:3, 2]
+    points = np.concatenate([frames[:-1, :3, 3], cameras[:, :3, 3]])
+    floor_m = float(((points - upright[:3, 3]) @ upright[:3, 2]).min()) - _FLOOR_BELOW_M
+    return RestPoses(
+        frames[:-1], base, cameras, upright, roots,
+        baseline_m, scale, eye_radius_m, bar_ends, stand_top, floor_m,
+    )  # fmt: skip

@@ -10,8 +10,13 @@ from tests.heads import TEXTS, actuator, head_of, text_of
 from tests.naming import named
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models import load_head, parse_head
-from vergence.models.mujoco.bodies import couplings_of, load_inertias
-from vergence.models.mujoco.model import build_spec, compile_model, find_model_indices
+from vergence.models.mujoco.model import (
+    build_spec,
+    compile_model,
+    couplings_of,
+    find_model_indices,
+    load_inertias,
+)
 
 BARE = {"visuals": False}
 MADE = {

@@ -30,10 +30,10 @@ from vergence.kernels import compiled_for_threads, unpack_table
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PackedHead
 from vergence.models.mujoco import Batch, mujoco
-from vergence.models.mujoco.bodies import discrete_lag_rate
 from vergence.models.mujoco.model import (
     SUBSTEPS,
     compile_model,
+    discrete_lag_rate,
     find_model_indices,
     simulate,
     simulation_functions,

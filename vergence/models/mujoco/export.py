@@ -13,14 +13,15 @@ from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.geometry import chain_end
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import mujoco
-from vergence.models.mujoco.bodies import (
-    coupled_joint_equations,
+from vergence.models.mujoco.look import Board, add_observer_cameras, add_scenery, add_target
+from vergence.models.mujoco.model import (
+    build_spec,
     couplings_of,
+    eye_joints,
+    joint_index_by_name,
     link_inertias,
     load_inertias,
 )
-from vergence.models.mujoco.look import Board, add_observer_cameras, add_scenery, add_target
-from vergence.models.mujoco.model import build_spec
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.posture import rest_poses
 
@@ -88,10 +89,14 @@ def to_urdf(head: HeadModel) -> str:
     # MuJoCo reads this and keeps the fixed frames as bodies; other programs ignore it
     ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", fusestatic="false")
     ET.SubElement(robot, "link", name="base")
-    for equation in coupled_joint_equations(head):
-        _add_comment(robot, equation)
-    bodies, loads, limits = head.links.bodies(), load_inertias(head).joint_loads, head.limits
-    couplings = {coupling.joint: coupling for coupling in couplings_of(head)}
+    for name, row, start in zip(*eye_joints(head), strict=True):
+        if np.count_nonzero(row) > 1:
+            terms = [f"{f:+g} {a}" for a, f in zip(head.actuation.names, row, strict=True) if f]
+            terms += [f"{start:+g}"] if start else []
+            _add_comment(robot, f"{name} = {' '.join(terms).removeprefix('+')}")
+    bodies, limits = head.links.bodies(), head.limits
+    loads = dict(zip(joint_index_by_name(head), load_inertias(head).joint_loads, strict=True))
+    couplings = {joint: (follows, offset) for joint, follows, offset in couplings_of(head)}
     links = {-1: "base"} | {place: f"{body.name}_link" for place, body in enumerate(bodies)}
     for place, (mass, centre, moments, edges) in enumerate(link_inertias(head)):
         body, index = bodies[place], bodies[place].joints[0]
@@ -103,16 +108,16 @@ def to_urdf(head: HeadModel) -> str:
         _add(inertial, "inertia", ixy=0, ixz=0, iyz=0, ixx=ixx, iyy=iyy, izz=izz)
         _add(visual, "origin", xyz=centre)
         _add(ET.SubElement(visual, "geometry"), "box", size=edges)
-        joint = _add_joint(robot, body.name, "revolute", links[body.parent], links[place])
-        _add_origin(joint, body.pose)
+        parent = links[body.parent]
+        joint = _add_joint(robot, body.name, "revolute", parent, links[place], body.pose)
         speed, acceleration = limits.velocity[index], limits.acceleration[index]
         if not np.isfinite(acceleration):
             acceleration = speed * head.timing.control_rate_hz
         _add(joint, "axis", xyz=(0, 0, 1))
         ends = {"lower": limits.lower[index], "upper": limits.upper[index]}
-        _add(joint, "limit", **ends, velocity=speed, effort=loads[index] * acceleration)
+        _add(joint, "limit", **ends, velocity=speed, effort=loads[body.name] * acceleration)
         if body.name in couplings:
-            _, follows, offset = couplings[body.name]
+            follows, offset = couplings[body.name]
             if len(follows) == 1:
                 ((other, factor),) = follows
                 _add(joint, "mimic", joint=other, multiplier=factor, offset=offset)
@@ -122,22 +127,21 @@ def to_urdf(head: HeadModel) -> str:
     fixed = {"N": (chain_end(bodies, None), head.links.frame_n_pose())}
     for eye, name in enumerate(EYE_NAMES):
         fixed[f"{name}_camera"] = chain_end(bodies, eye), head.camera_in_last_link(eye)
-    for name, (parent, pose) in fixed.items():
+    for name, (place, pose) in fixed.items():
         ET.SubElement(robot, "link", name=name)
-        _add_origin(_add_joint(robot, f"{name}_fixed", "fixed", links[parent], name), pose)
+        _add_joint(robot, f"{name}_fixed", "fixed", links[place], name, pose)
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _add_joint(robot: ET.Element, name: str, kind: str, parent: str, child: str) -> ET.Element:
+def _add_joint(
+    robot: ET.Element, name: str, kind: str, parent: str, child: str, pose: FloatArray
+) -> ET.Element:
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
-    return joint
-
-
-def _add_origin(joint: ET.Element, pose: FloatArray) -> None:
+    _add(joint, "parent", link=parent)
+    _add(joint, "child", link=child)
     _add(joint, "origin", xyz=pose[:3, 3], rpy=roll_pitch_yaw(pose[:3, :3]))
+    return joint
 
 
 def _add(parent: ET.Element, tag: str, **values: ArrayLike) -> None:

@@ -1,6 +1,6 @@
 """What the MuJoCo model shows: shapes of the head, and its surroundings."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, Protocol
 
 import cv2
@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.models.geometry import chain_end, inverse_pose
 from vergence.models.head import HeadModel
 from vergence.models.mujoco import mujoco
-from vergence.models.mujoco.bodies import Bodies, add_camera, pos_and_quat
 from vergence.models.parts import NECK, FloatArray
 from vergence.models.posture import EYE_RADIUS_M, N_UPRIGHT, RestPoses
 
@@ -42,9 +41,13 @@ _TEXELS_PER_CELL: Final = 32
 """Texture pixels along a cell of a board (chosen: sharp edges under OpenGL's interpolation against
 memory)."""
 
+_FROM_OPTICAL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Pose of MuJoCo's camera frame, which looks along -z with y up, in C: a turn by 180 degrees about
+x (physical: MuJoCo's convention)."""
+
 
 def add_appearance(
-    spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel, posture: RestPoses
+    spec: mujoco.MjSpec, bodies: Mapping[int, Any], head: HeadModel, posture: RestPoses
 ) -> None:
     """Add the visible shapes of a head with two eyes; they have no mass and no contacts."""
     for name, (rgba, shininess) in _MATERIALS.items():
@@ -136,6 +139,28 @@ def _add_eye(body: Any, camera: FloatArray, posture: RestPoses, moves: bool) -> 
     _add_rod(body, centre + 1.05 * front, 0.6 * iris, start, "lens", kind)
 
 
+def add_camera(
+    body: Any, name: str, pose: FloatArray, optics: Sequence[ArrayLike], pixel_m: float = 3e-6
+) -> None:
+    """Add a camera by its optical frame; optics are its size, focal length and principal point, px.
+
+    The edge of a pixel, m, cancels in the image.
+    MuJoCo counts the principal point from the image's centre, with right and down negative.
+    OpenCV's (0, 0) is the centre of the upper left pixel, hence `W / 2 - (u_0 + 1/2)`.
+    """
+    size, focal, principal = map(np.asarray, optics)
+    seen = {"focal_pixel": focal, "principal_pixel": size / 2.0 - (principal + 0.5)}
+    seen |= {"resolution": size, "sensor_size": pixel_m * size}
+    body.add_camera(name=name, **seen, **pos_and_quat(pose @ _FROM_OPTICAL))
+
+
+def pos_and_quat(pose: FloatArray) -> dict[str, FloatArray]:
+    """Convert a pose (4, 4) in the parent to MuJoCo's attributes `pos` and `quat`."""
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, pose[:3, :3].ravel())
+    return {"pos": pose[:3, 3], "quat": np.copysign(1.0, quat[0]) * quat}
+
+
 def _place(posture: RestPoses, point: ArrayLike, faces_head: bool = False) -> dict[str, Any]:
     """Attributes of what stands upright, or faces the head at rest as N looks at it."""
     pose = posture.upright_frame.copy()
@@ -215,12 +240,10 @@ def add_scenery(spec: mujoco.MjSpec, posture: RestPoses) -> None:
     bottom, top = _moved(upright, [[x, y, floor_m], [x, y, floor_m + 0.012]])
     _add_rod(spec.worldbody, top, 0.09, bottom, _DARK, _Kind.mjGEOM_CYLINDER)
     # offscreen multisampling and shadow maps take most of a frame's time on a CPU
-    spec.visual.quality.offsamples = 0
-    spec.visual.quality.shadowsize = 0
+    spec.visual.quality.offsamples = spec.visual.quality.shadowsize = 0
     spec.visual.rgba.haze = [0.16, 0.17, 0.19, 1.0]
-    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
-    spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
-    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+    light = spec.visual.headlight
+    light.ambient, light.diffuse, light.specular = [0.35] * 3, [0.25] * 3, [0.0] * 3
     beam = {"dir": upright[:3, :3] @ [-0.4, 0.5, -0.8], "diffuse": [0.6, 0.6, 0.6]}
     spec.worldbody.add_light(name="key", pos=_moved(upright, [0.6, -0.8, 1.2]), **beam)
     spec.visual.map.znear = 0.005
