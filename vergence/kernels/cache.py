@@ -16,7 +16,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numba
 from llvmlite.binding import get_host_cpu_features
@@ -180,15 +180,17 @@ class KernelCache(Cache):
         types, processor, code = self._index_key(sig, target_context.codegen())  # type: ignore[no-untyped-call]
         shipped = processor[0], *PORTABLE_PROCESSORS.get(platform.machine(), ("", ""))
         for folder, kind in ((shipped_folder(), shipped), (cache_folder(), processor)):
-            data = None
+            if folder is None:
+                continue
             try:
-                data = folder and self._file(folder).load((types, kind, code))
+                data = self._file(folder).load((types, kind, code))
             except OSError:
-                pass
+                continue
             except Exception:  # whatever unpickling of a damaged file raises
-                for path in self._place(cast("Path", folder)).glob(f"{self._file_name}.*nb?"):
+                for path in self._place(folder).glob(f"{self._file_name}.*nb?"):
                     with contextlib.suppress(OSError):
                         path.unlink()
+                continue
             if data is not None:
                 # LLVM asks for the code by a callback; without an answer, calls would crash
                 with interrupts.postponed():
@@ -198,8 +200,7 @@ class KernelCache(Cache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function, if a folder can be written."""
         folder = cache_folder()
-        reduced = None if folder is None else self._reduced(data)
-        if folder is None or reduced is None:
+        if folder is None or (reduced := self._reduced(data)) is None:
             return
         place = self._place(folder)
         _WRITTEN[self._module] = place
@@ -242,12 +243,12 @@ class _Reporter(event.Listener):
     """Reports once that kernels are being compiled, and once that they cannot be cached."""
 
     def __init__(self) -> None:
-        self.start(None)
+        self.set(None)
         event.register("numba:run_pass", self)
 
-    def start(self, tell: Callable[[str], None] | None) -> None:
-        self._tell = tell
-        self._said: set[str] = set()
+    def set(self, report: Callable[[str], None] | None) -> None:
+        """Set what is told, once each, that kernels are compiled and that they cannot be kept."""
+        self._report, self._said = report, set[str]()
 
     def on_start(self, event: Any) -> None:
         when = ", once; another command may need others"
@@ -259,17 +260,13 @@ class _Reporter(event.Listener):
     def on_end(self, event: Any) -> None: ...
 
     def say(self, what: str, text: object) -> None:
-        if self._tell is not None and what not in self._said:
+        if self._report is not None and what not in self._said:
             self._said.add(what)
-            self._tell(f"{what}: {text}")
+            self._report(f"{what}: {text}")
 
 
 _REPORTER: Final = _Reporter()
-
-
-def set_compile_reporter(report: Callable[[str], None] | None) -> None:
-    """Set what is told, once each, that kernels are being compiled and that they cannot be kept."""
-    _REPORTER.start(report)
+set_compile_reporter: Final = _REPORTER.set
 
 
 def report_compiling_if_uncached() -> None:

@@ -50,7 +50,7 @@ class GufuncKernel:
         self._function = function
         self._signatures = list(signatures)
         self.layout = layout
-        self._ufunc: Callable[..., Any] = self._compile_and_call
+        self._ufunc: Callable[..., Any] | None = None
 
     def __call__(self, *operands: Any, **options: Any) -> Any:
         """Call the generalized ufunc with the inputs alone, or with ``out=``.
@@ -59,7 +59,7 @@ class GufuncKernel:
             ConfigurationError: an operand has another shape or type than the layout requires.
         """
         try:
-            return self._ufunc(*operands, **options)
+            return (self._ufunc or self.compile())(*operands, **options)
         except (TypeError, ValueError) as error:  # NumPy checks all shapes before the loop
             raise self._refusal(operands, error) from error
 
@@ -92,20 +92,17 @@ class GufuncKernel:
     def __reduce__(self) -> str:
         return self._function.__qualname__  # pickled by name, as functions are
 
-    def compile(self) -> None:
+    def compile(self) -> Callable[..., Any]:
         """Compile the kernel, or load it from the cache, unless this has been done."""
         with _COMPILE_LOCK, compiling_alone(self._function), _quicker_compiler():
-            if self._ufunc == self._compile_and_call:
+            if self._ufunc is None:
                 # numba does not support fixed dimensions: it gets names, and NumPy the numbers
                 builder = _GufuncBuilder(self._function, re.sub(r"\b(?=\d)", "size", self.layout))
                 for signature in self._signatures:
                     builder.add(signature)  # type: ignore[no-untyped-call]
                 builder.signature = self.layout
                 self._ufunc = builder.build_ufunc()
-
-    def _compile_and_call(self, *operands: Any, **options: Any) -> Any:
-        self.compile()
-        return self._ufunc(*operands, **options)
+            return self._ufunc
 
 
 def kernel(

@@ -6,7 +6,6 @@ whoever makes a table keeps the group alive, and makes another once an array has
 """
 
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
@@ -54,31 +53,8 @@ def _describe(group: tuple[Any, ...]) -> tuple[np.dtype[Any], tuple[Any, ...]]:
 
 
 def unpack_table(table: NDArray[np.void]) -> Any:
-    """Rebuild the group of a table, as plain tuples."""
-    return _unpack(table[0])
-
-
-def _unpack(record: Any) -> tuple[Any, ...]:
-    parts: list[Any] = []
-    for name in record.dtype.names:
-        what, value = name.split()[1:], record[name]
-        if what == ["tuple"]:
-            parts.append(_unpack(value))
-        elif what == ["none"]:
-            parts.append(None)
-        elif what == ["number"]:
-            parts.append(value.item())
-        else:
-            address, *words = value.tolist()
-            interface = {
-                "version": 3,
-                "data": (address, False),
-                "typestr": what[1],
-                "shape": tuple(words[: len(words) // 2]),
-                "strides": tuple(words[len(words) // 2 :]),
-            }
-            parts.append(np.asarray(SimpleNamespace(__array_interface__=interface)))
-    return tuple(parts)
+    """Rebuild the group of a table, as plain tuples, inside a compiled function."""
+    raise NotImplementedError
 
 
 @type_callable(unpack_table)
