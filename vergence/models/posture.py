@@ -61,20 +61,17 @@ def rest_poses(head: HeadModel) -> RestPoses:
     whole = np.round(upright)  # without the noise of rounding, so that files stay readable
     upright = np.where(np.abs(upright - whole) < 1e-15, whole + 0.0, upright)
     cameras = base @ head.camera_poses(q)
-    carrier = chain_end(links, None)
     roots = np.array(cameras[:, :3, 3])
     for eye in range(2):
-        end = chain_end(links, eye)
-        if end != carrier:
-            while links[end].parent != carrier:
-                end = links[end].parent
-            roots[eye] = frames[end][:3, 3]
+        chain = [i for i, body in enumerate(links) if {3 + 2 * eye, 4 + 2 * eye} & {*body.joints}]
+        if chain:
+            roots[eye] = frames[chain[0], :3, 3]
     baseline_m = float(np.linalg.norm(cameras[1, :3, 3] - cameras[0, :3, 3]))
     scale = float(np.clip(baseline_m / _ARTICLE_BASELINE_M, 0.5, 1.7))
     eye_radius_m = EYE_RADIUS_M * float(np.clip(baseline_m / 0.06, 0.1, 1.0))
     bar_ends = roots - 1.6 * eye_radius_m * base[:3, 2]
     stand_top = bar_ends.mean(axis=0)
-    if carrier >= 0:
+    if chain_end(links, None) >= 0:
         stand_top = frames[0, :3, 3] - 0.03 * scale * upright[:3, 2]
     points = np.concatenate([frames[:-1, :3, 3], cameras[:, :3, 3]])
     floor_m = float(((points - upright[:3, 3]) @ upright[:3, 2]).min()) - _FLOOR_BELOW_M
