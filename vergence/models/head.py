@@ -23,6 +23,8 @@ from vergence.models.geometry import (
     Parameters,
     combine_geometries,
     geometry_with,
+    inverse_pose,
+    multiply_poses,
     parameters_of,
 )
 from vergence.models.lens import BROWN_CONRADY, LENSES
@@ -38,7 +40,6 @@ from vergence.models.parts import (
     SensorModel,
     assemble_actuation,
     is_name_tuple,
-    readonly_array,
     replace_fields,
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
@@ -235,7 +236,7 @@ class HeadModel:
     @cached_property
     def head_eye(self) -> FloatArray:
         """(..., 2, 4, 4) the cameras' poses in the eyes' last links, T_6_Cl and T_9_Cr, metres."""
-        return readonly_array(self.cameras.pose)
+        return self.cameras.pose
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -363,7 +364,7 @@ class HeadModel:
         Args:
             q: (..., 7) joint angles, rad.
         """
-        return np.asarray(kinematics.last_eye_link_poses(self._held(q), self.packed, self.head_eye))
+        return multiply_poses(self.camera_poses(q), inverse_pose(self.head_eye))
 
     def project(self, q: ArrayLike, points: ArrayLike, distorted: bool = True) -> FloatArray:
         """(..., 2, 2) pixels of points by eye, not clipped to the image.

@@ -60,13 +60,6 @@ def pose_at(row: FloatArray, i: int) -> Pose:
 
 
 @inlined
-def pose_of_matrix(matrix: FloatArray) -> Pose:
-    """The pose of a (4, 4) matrix."""
-    a, b, c = matrix[0], matrix[1], matrix[2]
-    return Pose(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3], c[0], c[1], c[2], c[3])
-
-
-@inlined
 def store_pose(out: FloatArray, m: Pose) -> None:
     """Write a pose to a (4, 4) matrix."""
     out[0, 0], out[0, 1], out[0, 2], out[0, 3] = m.xx, m.xy, m.xz, m.x
@@ -353,16 +346,6 @@ def camera_poses(
     """T_N_Cl and T_N_Cr of a packed head; `_two` and `_four` only set the size of the result."""
     for eye in range(2):
         store_pose(out[eye], eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera)
-
-
-@kernel(["(f8[:],f8[:],f8[:,:,:],f8[:,:,:])"], f"(7),({PACKED}),(2,4,4)->(2,4,4)")
-def last_eye_link_poses(
-    q: FloatArray, p: PackedHead, head_eye: FloatArray, out: FloatArray
-) -> None:
-    """Poses in N of the eyes' last links, of a packed head and its head-eye transforms."""
-    for eye in range(2):
-        camera = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera
-        store_pose(out[eye], compose(camera, inverse(pose_of_matrix(head_eye[eye]))))
 
 
 @inlined
