@@ -80,7 +80,10 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         mechanism.find_frame(name, f"{eye}-camera", ("camera", "site", "body"))
         for eye, name in zip(EYE_NAMES, source.cameras, strict=True)
     ]
-    _check_two(*source.cameras)
+    left, right = source.cameras
+    if left == right or ("depth" in left.lower()) != ("depth" in right.lower()):
+        why = "vergence needs two cameras, and a colour and a depth frame of one device are not two"
+        refuse("left-camera, right-camera", "frames of two cameras", f"{left} and {right}: {why}")
     chains = HeadChains(mechanism, base, frames, source.neck, source.lock)
     axes = _axes(frames, source.camera_axes)
     poses = chains.camera_poses @ axes
@@ -98,8 +101,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         for eye, mount in zip(EYE_NAMES, chains.mounts @ axes, strict=True)
     ]
     if not source.camera_axes:
-        angles = dict.fromkeys(chains.joints, 0.0) | dict(chains.fixed_values)
-        base_in_root = mechanism.pose_along(base.lineage(), angles)
+        base_in_root = mechanism.pose_along(base.lineage(), chains.fixed_values)
         _check_camera_axes(source.cameras, poses, chains, up=base_in_root[2, :3])
     limits, assumed = joint_motion_limits(
         [moving.joint for moving in chains.joints.values()], source.speed, source.acceleration
@@ -150,26 +152,20 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     )
 
 
-def _check_two(left: str, right: str) -> None:
-    """Refuse one camera given twice, and the colour and depth frames of one device."""
-    if left == right or ("depth" in left.lower()) != ("depth" in right.lower()):
-        why = "vergence needs two cameras, and a colour and a depth frame of one device are not two"
-        refuse("left-camera, right-camera", "frames of two cameras", f"{left} and {right}: {why}")
-
-
 _OPTICAL_AXES: Final = "x,y,z"  # axes of an optical frame: x right, y down, z forward
 _MUJOCO_AXES: Final = "x,-y,-z"
 """Axes of MuJoCo's cameras, which look along -z with y up, as in OpenGL."""
 _SIGNED: Final = {sign + name: s * np.eye(3)[i] for s, sign in ((1.0, ""), (-1.0, "-"))
                   for i, name in enumerate("xyz")}  # fmt: skip
 _ROTATIONS: Final = {
-    ",".join(triple): np.column_stack([_SIGNED[axis] for axis in triple])
+    ",".join(triple): rotation
     for names in permutations("xyz")
     for signs in product(("", "-"), repeat=3)
     for triple in [[sign + name for sign, name in zip(signs, names, strict=True)]]
+    for rotation in [np.column_stack([_SIGNED[axis] for axis in triple])]
+    if np.linalg.det(rotation) > 0.0
 }
-"""(3, 3) R_frame_camera by axes `right,down,forward`; half of them are left-handed."""
-_RIGHT_HANDED: Final = [axes for axes, R in _ROTATIONS.items() if np.linalg.det(R) > 0.0]
+"""(3, 3) R_frame_camera by axes `right,down,forward`."""
 
 _ALIGNED_COSINE: Final = np.cos(np.deg2rad(45.0))
 """Cosine of the angle below which an axis counts as aligned with a direction (chosen)."""
@@ -191,17 +187,16 @@ def _axes(frames: Sequence[Frame], triples: Sequence[str]) -> FloatArray:
 def _rotation(right_down_forward: str) -> FloatArray:
     """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`."""
     names = [name.strip().lower().removeprefix("+") for name in right_down_forward.split(",")]
-    axes, got = ",".join(names), repr(right_down_forward)
-    expected = (
+    axes, other = ",".join(names), ",".join([*names[:-1], f"-{names[-1]}".removeprefix("--")])
+    got, expected = repr(right_down_forward), (
         "the axes of the camera's frame that point right in the image, down in it and forward, "
         "such as x,-y,-z"
-    )
+    )  # fmt: skip
+    if other in _ROTATIONS:
+        expected += ", forward being right x down"
+        got += f", which is left-handed ({other} is not)"
     if axes not in _ROTATIONS:
         refuse("camera-axes", expected, got)
-    if axes not in _RIGHT_HANDED:
-        forward = f"-{names[2]}".removeprefix("--")
-        other = f"left-handed ({names[0]},{names[1]},{forward} is not)"
-        refuse("camera-axes", f"{expected}, forward being right x down", f"{got}, which is {other}")
     return _ROTATIONS[axes]
 
 
@@ -216,19 +211,23 @@ def _check_camera_axes(
         refuse("cameras", "two that are more than 1 mm apart", got)
     across = across / distance
     turning = chains.eye_joints().values()
-    eyes = [
-        (pose[:3, :3], [j.axis_in_base for j in turning if j.part in ("both", side)])
-        for side, pose in zip(EYE_NAMES, poses, strict=True)
+    joint_axes = [
+        np.reshape([j.axis_in_base for j in turning if j.part in ("both", side)], (-1, 3))
+        for side in EYE_NAMES
     ]
-    faults = [_fault(*_cosines(rotation, axes, across, up)) for rotation, axes in eyes]
+    eyes = list(zip(poses[:, :3, :3], joint_axes, strict=True))
+    faults = [_fault(*_cosines(*eye, across, up)) for eye in eyes]
     if not any(faults):
         return
     name, why = next(pair for pair in zip(names, faults, strict=True) if pair[1])
+    weights = (-2.0, 0.0, 1.0, 1.5)  # of the cosines, in how badly axes fit (chosen)
     fitting = [
-        min(_RIGHT_HANDED, key=lambda name: _misfit(rotation @ _ROTATIONS[name], axes, across, up))
-        for rotation, axes in eyes
+        min(
+            _ROTATIONS, key=lambda axes: _cosines(R @ _ROTATIONS[axes], about, across, up) @ weights
+        )
+        for R, about in eyes
     ]
-    swapped = all(rotation[:, 0] @ across < -_ALIGNED_COSINE for rotation, _ in eyes)
+    swapped = all(R[:, 0] @ across < -_ALIGNED_COSINE for R, _ in eyes)
     exchanged = "; or the left and the right camera are exchanged" if swapped else ""
     got = f"one whose {why}:"
     if set(fitting) == {_OPTICAL_AXES}:
@@ -241,12 +240,12 @@ def _check_camera_axes(
 
 
 def _cosines(
-    rotation: FloatArray, joint_axes: Sequence[FloatArray], across: FloatArray, up: FloatArray
-) -> tuple[float, float, float, float]:
-    """Cosines: x and z along the line between the cameras, y upwards, z along a joint's axis."""
+    rotation: FloatArray, joint_axes: FloatArray, across: FloatArray, up: FloatArray
+) -> FloatArray:
+    """(4,) cosines: x and z along the line between the cameras, y upwards, z along a joint."""
     right, down, forward = rotation.T
-    rolled = max((abs(float(forward @ axis)) for axis in joint_axes), default=0.0)
-    return float(right @ across), float(forward @ across), float(down @ up), rolled
+    rolled = np.abs(joint_axes @ forward).max(initial=0.0)
+    return np.array([right @ across, forward @ across, down @ up, rolled])
 
 
 def _fault(right: float, forward: float, upwards: float, rolled: float) -> str:
@@ -259,12 +258,6 @@ def _fault(right: float, forward: float, upwards: float, rolled: float) -> str:
     if upwards > _ALIGNED_COSINE:
         return "y points up"
     return "z lies along an axis that the eye turns about" if rolled > _ROLL_AXIS_COSINE else ""
-
-
-def _misfit(*camera: FloatArray) -> float:
-    """Measure of how badly the axes of a camera fit."""
-    right, _, upwards, rolled = _cosines(*camera)
-    return -2.0 * right + upwards + 1.5 * rolled
 
 
 _ASSUMED_SIZE_PX: Final = (640, 480)
@@ -333,7 +326,7 @@ def _image(eye: str, camera: Any) -> tuple[Camera, dict[str, str]]:
 
 def _decimals(values: Any) -> FloatArray:
     """Numbers as written in the file, from MuJoCo's single-precision values."""
-    return np.array([float(str(np.float32(value))) for value in values])
+    return np.array(values, np.float32).astype(str).astype(np.float64)
 
 
 def _of_motors(

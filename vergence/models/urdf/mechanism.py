@@ -58,7 +58,10 @@ class Frame:
 
     def lineage(self) -> "list[Frame]":
         """The frames from the root to this one, both included."""
-        return [*(self.parent.lineage() if self.parent else ()), self]
+        found = [self]
+        while found[-1].parent is not None:
+            found.append(found[-1].parent)
+        return found[::-1]
 
 
 @dataclass(frozen=True)
