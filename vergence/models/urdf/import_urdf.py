@@ -23,6 +23,7 @@ from vergence.models.head_file import (
     head_of_document,
 )
 from vergence.models.head_joints import LENGTH
+from vergence.models.mujoco import mujoco
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.stereo_files import ReadCameras, read_intrinsics
 from vergence.models.toml_table import toml_text
@@ -33,7 +34,7 @@ from vergence.models.urdf.joints import (
     find_eye_motors,
     joint_motion_limits,
 )
-from vergence.models.urdf.mechanism import Frame, Mechanism, mujoco, read_mechanism, refuse
+from vergence.models.urdf.mechanism import Frame, Mechanism, read_mechanism, refuse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +104,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     if not source.camera_axes:
         base_in_root = mechanism.pose_along(base.lineage(), chains.fixed_values)
         _check_camera_axes(source.cameras, poses, chains, up=base_in_root[2, :3])
-    limits, assumed = joint_motion_limits(
-        [moving.joint for moving in chains.joints.values()], source.speed, source.acceleration
-    )
+    limits, assumed = joint_motion_limits(chains, source.speed, source.acceleration)
     motors = find_eye_motors(chains, limits, source.couplings, poses)
     read, unsaid = _images([frame.camera for frame in frames], source)
     images = (read.left, read.right)
@@ -302,7 +301,8 @@ def _image(eye: str, camera: Any) -> tuple[Camera, dict[str, str]]:
         missing = f"not in the file: {width} x {height}"
         assumed = dict.fromkeys(("width_px", "height_px"), missing)
     size = np.array([width, height], dtype=np.float64)
-    focal, principal = None, (size - 1.0) / 2.0
+    focal: float | FloatArray | None = None
+    principal = (size - 1.0) / 2.0
     if camera is None:
         focal = width / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
         field = f"a field of view of {_ASSUMED_FOV_DEG:g} degrees horizontally"

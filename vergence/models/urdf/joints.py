@@ -1,7 +1,7 @@
 """Joints between a robot's base and its cameras: their roles, limits and motors."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple, NoReturn
 
@@ -83,20 +83,22 @@ class HeadChains:
         self, up: Sequence[Frame], down: Sequence[Frame], parts: Mapping[str, str]
     ) -> tuple[FloatArray, FloatArray]:
         """(4, 4) camera in the base at zero, and in the last link; adds the moving joints."""
-        at_zero, at_anchor = np.eye(4), np.eye(4)
-        pending = np.linalg.inv(self._mechanism.pose_along(up, self.fixed_values))
+        at_zero, in_base = np.eye(4), self._mechanism.pose_along(up, self.fixed_values)
+        pending = np.asarray(np.linalg.inv(in_base), dtype=np.float64)
         for frame in down:
             pending = pending @ frame.pose
             for joint in frame.joints:
                 if joint.name in self.fixed_values:
                     pending = pending @ joint.motion(self.fixed_values[joint.name])
                     continue
-                at_anchor[:3, 3] = joint.anchor
-                origin = pending @ joint.motion(0.0) @ at_anchor
+                to_axis, turned, from_axis = np.eye(4), np.eye(4), np.eye(4)
+                to_axis[:3, 3], from_axis[:3, 3] = joint.anchor, -joint.anchor
+                turned[:3, :3] = joint.rotation(-joint.reference)
+                origin = pending @ to_axis @ turned
                 at_zero = at_zero @ origin
                 axis, part = at_zero[:3, :3] @ joint.axis, parts[joint.name]
                 self.joints.setdefault(joint.name, ChainJoint(joint, part, origin, axis))
-                pending = np.linalg.inv(at_anchor)
+                pending = from_axis
         return at_zero @ pending, pending
 
     def _check_options(self) -> None:
@@ -464,12 +466,12 @@ saccade reaches 16, the fastest robot eyes known to us some 35)."""
 
 
 def joint_motion_limits(
-    joints: Sequence[Joint], speed: Sequence[str], acceleration: Sequence[str]
+    chains: HeadChains, speed: Sequence[str], acceleration: Sequence[str]
 ) -> tuple[dict[str, MotionLimits], dict[str, dict[str, str]]]:
     """Limits by moving joint, and the reason for each assumed one by joint and key."""
-    names = [joint.name for joint in joints]
-    speeds = _parse_per_joint("speed", speed, names, SPEED)
-    accelerations = _parse_per_joint("acceleration", acceleration, names, ACCELERATION)
+    joints = [moving.joint for moving in chains.joints.values()]
+    speeds = _parse_per_joint("speed", speed, chains.joints, SPEED)
+    accelerations = _parse_per_joint("acceleration", acceleration, chains.joints, ACCELERATION)
     unreal = {j.name: j.velocity for j in joints if not 0.0 < j.velocity < _PLACEHOLDER_RAD_S}
     lacking = [name for name in unreal if name not in speeds]
     if lacking and "" not in speeds:
@@ -497,7 +499,7 @@ def joint_motion_limits(
 
 
 def _parse_per_joint(
-    option: str, texts: Sequence[str], joints: Sequence[str], rule: Rule
+    option: str, texts: Sequence[str], joints: Collection[str], rule: Rule
 ) -> dict[str, float]:
     """Numbers by joint from `JOINT=NUMBER`, and by the empty name from `NUMBER`."""
     found: dict[str, float] = {}

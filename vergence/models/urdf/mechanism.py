@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from vergence.errors import ConfigurationError, HeadFileError, UnquotedText, UnreadableFileError
 from vergence.models.mujoco import mujoco
@@ -35,13 +34,20 @@ class Joint:
     def motion(self, value: float) -> FloatArray:
         """(4, 4) pose of the frame at a joint value, relative to its pose at the reference."""
         turned = np.eye(4)
-        change = (value - self.reference) * self.axis
         if self.kind == "slide":
-            turned[:3, 3] = change
+            turned[:3, 3] = (value - self.reference) * self.axis
         else:
-            turned[:3, :3] = Rotation.from_rotvec(change).as_matrix()
+            turned[:3, :3] = self.rotation(value - self.reference)
             turned[:3, 3] = self.anchor - turned[:3, :3] @ self.anchor
         return turned
+
+    def rotation(self, angle_rad: float) -> FloatArray:
+        """(3, 3) rotation about the axis, by Rodrigues' formula."""
+        x, y, z = self.axis
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        # 1 - cos without the loss of digits at small angles
+        versine = 2.0 * np.sin(angle_rad / 2.0) ** 2
+        return np.asarray(np.eye(3) + np.sin(angle_rad) * cross + versine * cross @ cross)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -309,12 +315,9 @@ def _of_urdf(spec: Any, root: ET.Element) -> Mechanism:
         factor, offset = number(mimic.get("multiplier", "1")), number(mimic.get("offset", "0"))
         ties[name] = MimicJoint(name, mimic.get("joint", ""), factor, offset)
     # by the link that it moves, of which MuJoCo refuses a second joint
-    joints = {
-        _attributes(joint, "child").get("link", ""): joint for joint in root.iterfind("joint")
-    }
-    return Mechanism(
-        name=root.get("name", ""), frames=_frames(spec, world, joints), mimic_joints=ties
-    )
+    moving = {_attributes(each, "child").get("link", ""): each for each in root.iterfind("joint")}
+    frames = _frames(spec, world, moving)
+    return Mechanism(name=root.get("name", ""), frames=frames, mimic_joints=ties)
 
 
 def _of_mjcf(spec: Any) -> Mechanism:
@@ -459,15 +462,20 @@ def _servo_speeds(spec: Any) -> dict[str, float]:
 
 def _pose(spec: Any, element: Any) -> FloatArray:
     """(4, 4) pose in the body, or the parent body, through the <frame> elements around it."""
-    pose, rotation = np.eye(4), np.empty(9)
-    while element is not None:
-        quat, alt, compiler, local = element.quat, element.alt, element.compiler, np.eye(4)
-        if alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
-            units = {"degree": compiler.degree, "sequence": compiler.eulerseq}
-            quat = spec.resolve_orientation(orientation=alt, **units)
-        with np.errstate(invalid="ignore"):  # an infinite one is refused later
-            mujoco.mju_quat2Mat(rotation, np.array(quat) / np.linalg.norm(quat))
-            local[:3, :3], local[:3, 3] = rotation.reshape(3, 3), element.pos
-            pose = local @ pose
-        element = element.frame
-    return pose
+    pose = np.eye(4)
+    if element is None:
+        return pose
+    quat, alt, compiler = element.quat, element.alt, element.compiler
+    if alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        units = {"degree": compiler.degree, "sequence": compiler.eulerseq}
+        quat = spec.resolve_orientation(orientation=alt, **units)
+    quat = np.array(quat, dtype=np.float64)
+    w, x, y, z = quat / np.linalg.norm(quat)
+    pose[:3, :3] = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = element.pos
+    with np.errstate(invalid="ignore"):  # an infinite one is refused later
+        return np.asarray(_pose(spec, element.frame) @ pose)
