@@ -129,11 +129,8 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
             for joint, limit in zip(joints, limits.values(), strict=True)
         ],
         "eyes": eyes,
-        **{
-            key: table
-            for key, table in (("actuators", actuators), ("joint_offsets_rad", offsets))
-            if table
-        },
+        **({"actuators": actuators} if actuators else {}),
+        **({"joint_offsets_rad": offsets} if offsets else {}),
         "assumptions": {**unsaid, **ROBOT_REASONS, **_of_motors(assumed, motors)},
     }
     try:
@@ -186,11 +183,12 @@ def _axes(frames: Sequence[Frame], triples: Sequence[str]) -> FloatArray:
 def _rotation(right_down_forward: str) -> FloatArray:
     """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`."""
     names = [name.strip().lower().removeprefix("+") for name in right_down_forward.split(",")]
-    axes, other = ",".join(names), ",".join([*names[:-1], f"-{names[-1]}".removeprefix("--")])
-    got, expected = repr(right_down_forward), (
+    axes, got = ",".join(names), repr(right_down_forward)
+    other = ",".join([*names[:-1], f"-{names[-1]}".removeprefix("--")])
+    expected = (
         "the axes of the camera's frame that point right in the image, down in it and forward, "
         "such as x,-y,-z"
-    )  # fmt: skip
+    )
     if other in _ROTATIONS:
         expected += ", forward being right x down"
         got += f", which is left-handed ({other} is not)"

@@ -53,10 +53,9 @@ class HeadChains:
         above, below = base.lineage(), [camera.lineage() for camera in cameras]
         # up to the base from the common ancestor with a camera, and down to the camera
         self._paths = [
-            ([frame for frame in above if frame not in line],
-             [frame for frame in line if frame not in above])
+            ([f for f in above if f not in line], [f for f in line if f not in above])
             for line in below
-        ]  # fmt: skip
+        ]
         own = [_joints(down) for _, down in self._paths]
         self._shared = [joint.name for joint in own[0] if joint in own[1]]
         self._on_way = list(dict.fromkeys(j.name for way in self._paths for j in _joints(*way)))

@@ -50,7 +50,7 @@ class Joint:
         return np.asarray(np.eye(3) + np.sin(angle_rad) * cross + versine * cross @ cross)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """A frame of the tree."""
 
@@ -103,14 +103,14 @@ class Mechanism:
         kind, colon, rest = name.partition(":")
         if colon and kind in prefer:
             prefer, name = (kind,), rest
-        for kind in prefer if name else ():
-            for frame in self.frames:
-                if frame.kind == kind and frame.name == name:
-                    return frame
-        names = [frame.name for frame in self.frames if frame.kind in prefer]
+        known = [frame for kind in prefer for frame in self.frames if frame.kind == kind]
+        for frame in known if name else ():
+            if frame.name == name:
+                return frame
         root = next((f.name for f in self.frames if f.kind == "body" and f.name), "")
         below = f" (the root of the file is {root})" if option == "base" and root else ""
-        refuse(option, known_names_hint("frame", name, names), f"{name!r}{below}")
+        hint = known_names_hint("frame", name, [frame.name for frame in known])
+        refuse(option, hint, f"{name!r}{below}")
 
     def pose_along(self, frames: Iterable[Frame], values: Mapping[str, float]) -> FloatArray:
         """(4, 4) product of the poses of frames; other joints are tied, or at references."""
@@ -394,17 +394,10 @@ def _frames(spec: Any, world: str, urdf: Mapping[str, ET.Element]) -> tuple[Fram
         joints = [_joint(spec, each, f"{name}#{i}", speeds) for i, each in enumerate(body.joints)]
         if name in urdf:
             joints, said = _urdf_joints(joints, urdf[name]), _fault(urdf[name])
-
-        def frame(kind: FrameKind, element: Any, parent: Frame | None, **more: Any) -> Frame:
-            fields = {"name": element.name, "pose": _pose(spec, element), **more}
-            frames.append(Frame(kind=kind, parent=parent, **fields))
-            return frames[-1]
-
-        link = frame("body", body, parent, name=name, joints=tuple(joints), fault=said)
-        for site in body.sites:
-            frame("site", site, link)
-        for camera in body.cameras:
-            frame("camera", camera, link, camera=camera)
+        link = Frame(name, "body", parent, _pose(spec, body), tuple(joints), fault=said)
+        sites = [Frame(each.name, "site", link, _pose(spec, each)) for each in body.sites]
+        cameras = [Frame(c.name, "camera", link, _pose(spec, c), camera=c) for c in body.cameras]
+        frames += [link, *sites, *cameras]
         bodies += [(child, link) for child in body.bodies]
     return tuple(frames)
 
