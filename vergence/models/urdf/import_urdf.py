@@ -189,7 +189,7 @@ def _rotation(right_down_forward: str) -> FloatArray:
         "the axes of the camera's frame that point right in the image, down in it and forward, "
         "such as x,-y,-z"
     )
-    if other in _ROTATIONS:
+    if other in _ROTATIONS and names[-1] in _SIGNED:
         expected += ", forward being right x down"
         got += f", which is left-handed ({other} is not)"
     if axes not in _ROTATIONS:
