@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import permutations, product
 from math import radians, tan
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,12 +23,18 @@ from vergence.models.head_file import (
     head_of_document,
 )
 from vergence.models.head_joints import LENGTH
+from vergence.models.mujoco import mujoco
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.stereo_files import ReadCameras, read_intrinsics
 from vergence.models.toml_table import toml_text
-from vergence.models.urdf.chains import ChainJoint, HeadChains, build_head_chains
-from vergence.models.urdf.mechanism import Frame, Mechanism, MjcfCamera, read_mechanism, refuse
-from vergence.models.urdf.motors import Coupling, EyeMotor, find_eye_motors, joint_motion_limits
+from vergence.models.urdf.joints import (
+    Coupling,
+    EyeMotor,
+    HeadChains,
+    find_eye_motors,
+    joint_motion_limits,
+)
+from vergence.models.urdf.mechanism import Frame, Mechanism, read_mechanism, refuse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,26 +77,34 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     """
     mechanism = read_mechanism(source.file)
     base = mechanism.find_frame(source.base, "base", ("body", "site", "camera"))
-    cameras = [
+    frames = [
         mechanism.find_frame(name, f"{eye}-camera", ("camera", "site", "body"))
         for eye, name in zip(EYE_NAMES, source.cameras, strict=True)
     ]
-    frames = [mechanism.frames[camera] for camera in cameras]
-    _check_two(*source.cameras)
-    chains = build_head_chains(mechanism, (base, *cameras), source.neck, source.lock)
+    left, right = source.cameras
+    if left == right or ("depth" in left.lower()) != ("depth" in right.lower()):
+        why = "vergence needs two cameras, and a colour and a depth frame of one device are not two"
+        refuse("left-camera, right-camera", "frames of two cameras", f"{left} and {right}: {why}")
+    chains = HeadChains(mechanism, base, frames, source.neck, source.lock)
     axes = _axes(frames, source.camera_axes)
     poses = chains.camera_poses @ axes
-    joints = [_joint_fields(name, joint) for name, joint in chains.joints.items()]
+    joints = [
+        {
+            "name": name,
+            "part": moving.part,
+            **_pose_fields("origin_m", moving.origin, f"joint {name}"),
+            "axis": (moving.joint.axis + 0.0).tolist(),
+        }
+        for name, moving in chains.joints.items()
+    ]
     mounts = [
         _pose_fields("position_m", mount, f"{eye} camera")
         for eye, mount in zip(EYE_NAMES, chains.mounts @ axes, strict=True)
     ]
     if not source.camera_axes:
-        angles = dict.fromkeys(chains.joints, 0.0) | dict(chains.fixed_values)
-        base_in_root = mechanism.pose_along(mechanism.ancestors(base), angles)
+        base_in_root = mechanism.pose_along(base.lineage(), chains.fixed_values)
         _check_camera_axes(source.cameras, poses, chains, up=base_in_root[2, :3])
-    moving = [joint.joint for joint in chains.joints.values()]
-    limits, assumed = joint_motion_limits(moving, source.speed, source.acceleration)
+    limits, assumed = joint_motion_limits(chains, source.speed, source.acceleration)
     motors = find_eye_motors(chains, limits, source.couplings, poses)
     read, unsaid = _images([frame.camera for frame in frames], source)
     images = (read.left, read.right)
@@ -100,6 +114,11 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     fields = [camera_fields(image) | mount for image, mount in zip(images, mounts, strict=True)]
     tables = eye_tables(images, fields)
     eyes = tables.pop("eyes")
+    actuators = [
+        {"name": motor.name, "joints": dict(motor.joint_factors), **motor.limits.fields()}
+        for motor in motors
+    ]
+    offsets = {joint: by for motor in motors for joint, by in motor.joint_offsets.items()}
     document = {
         "name": _name(source, mechanism),
         **tables,
@@ -110,7 +129,8 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
             for joint, limit in zip(joints, limits.values(), strict=True)
         ],
         "eyes": eyes,
-        **_actuator_fields(motors),
+        **({"actuators": actuators} if actuators else {}),
+        **({"joint_offsets_rad": offsets} if offsets else {}),
         "assumptions": {**unsaid, **ROBOT_REASONS, **_of_motors(assumed, motors)},
     }
     try:
@@ -128,26 +148,20 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     )
 
 
-def _check_two(left: str, right: str) -> None:
-    """Refuse one camera given twice, and the colour and depth frames of one device."""
-    if left == right or ("depth" in left.lower()) != ("depth" in right.lower()):
-        why = "vergence needs two cameras, and a colour and a depth frame of one device are not two"
-        refuse("left-camera, right-camera", "frames of two cameras", f"{left} and {right}: {why}")
-
-
 _OPTICAL_AXES: Final = "x,y,z"  # axes of an optical frame: x right, y down, z forward
 _MUJOCO_AXES: Final = "x,-y,-z"
 """Axes of MuJoCo's cameras, which look along -z with y up, as in OpenGL."""
 _SIGNED: Final = {sign + name: s * np.eye(3)[i] for s, sign in ((1.0, ""), (-1.0, "-"))
                   for i, name in enumerate("xyz")}  # fmt: skip
 _ROTATIONS: Final = {
-    ",".join(triple): np.column_stack([_SIGNED[axis] for axis in triple])
+    ",".join(triple): rotation
     for names in permutations("xyz")
     for signs in product(("", "-"), repeat=3)
     for triple in [[sign + name for sign, name in zip(signs, names, strict=True)]]
+    for rotation in [np.column_stack([_SIGNED[axis] for axis in triple])]
+    if np.linalg.det(rotation) > 0.0
 }
-"""(3, 3) R_frame_camera by axes `right,down,forward`; half of them are left-handed."""
-_RIGHT_HANDED: Final = [axes for axes, R in _ROTATIONS.items() if np.linalg.det(R) > 0.0]
+"""(3, 3) R_frame_camera by axes `right,down,forward`."""
 
 _ALIGNED_COSINE: Final = np.cos(np.deg2rad(45.0))
 """Cosine of the angle below which an axis counts as aligned with a direction (chosen)."""
@@ -170,24 +184,17 @@ def _rotation(right_down_forward: str) -> FloatArray:
     """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`."""
     names = [name.strip().lower().removeprefix("+") for name in right_down_forward.split(",")]
     axes, got = ",".join(names), repr(right_down_forward)
+    other = ",".join([*names[:-1], f"-{names[-1]}".removeprefix("--")])
     expected = (
         "the axes of the camera's frame that point right in the image, down in it and forward, "
         "such as x,-y,-z"
     )
+    if other in _ROTATIONS and names[-1] in _SIGNED:
+        expected += ", forward being right x down"
+        got += f", which is left-handed ({other} is not)"
     if axes not in _ROTATIONS:
         refuse("camera-axes", expected, got)
-    if axes not in _RIGHT_HANDED:
-        forward = f"-{names[2]}".removeprefix("--")
-        other = f"left-handed ({names[0]},{names[1]},{forward} is not)"
-        refuse("camera-axes", f"{expected}, forward being right x down", f"{got}, which is {other}")
     return _ROTATIONS[axes]
-
-
-class _Eye(NamedTuple):
-    """A camera at zero, in the base's frame."""
-
-    rotation: FloatArray  # (3, 3), its columns right, down and forward
-    joint_axes: Sequence[FloatArray]  # (3,) of the joints that move this eye
 
 
 def _check_camera_axes(
@@ -201,19 +208,23 @@ def _check_camera_axes(
         refuse("cameras", "two that are more than 1 mm apart", got)
     across = across / distance
     turning = chains.eye_joints().values()
-    eyes = [
-        _Eye(pose[:3, :3], [j.axis_in_base for j in turning if j.part in ("both", side)])
-        for side, pose in zip(EYE_NAMES, poses, strict=True)
+    joint_axes = [
+        np.reshape([j.axis_in_base for j in turning if j.part in ("both", side)], (-1, 3))
+        for side in EYE_NAMES
     ]
-    faults = [_fault(eye, across, up) for eye in eyes]
+    eyes = list(zip(poses[:, :3, :3], joint_axes, strict=True))
+    faults = [_fault(*_cosines(*eye, across, up)) for eye in eyes]
     if not any(faults):
         return
     name, why = next(pair for pair in zip(names, faults, strict=True) if pair[1])
+    weights = (-2.0, 0.0, 1.0, 1.5)  # of the cosines, in how badly axes fit (chosen)
     fitting = [
-        min(_RIGHT_HANDED, key=lambda axes: _misfit(eye, _ROTATIONS[axes], across, up))
-        for eye in eyes
+        min(
+            _ROTATIONS, key=lambda axes: _cosines(R @ _ROTATIONS[axes], about, across, up) @ weights
+        )
+        for R, about in eyes
     ]
-    swapped = all(eye.rotation[:, 0] @ across < -_ALIGNED_COSINE for eye in eyes)
+    swapped = all(R[:, 0] @ across < -_ALIGNED_COSINE for R, _ in eyes)
     exchanged = "; or the left and the right camera are exchanged" if swapped else ""
     got = f"one whose {why}:"
     if set(fitting) == {_OPTICAL_AXES}:
@@ -225,26 +236,25 @@ def _check_camera_axes(
     refuse(name, "a camera frame with x right, y down and z forward", f"{got} {way_on}")
 
 
-def _fault(eye: _Eye, across: FloatArray, up: FloatArray) -> str:
-    right, down, forward = eye.rotation.T
-    cosines = np.array([right @ across, forward @ across])
-    x, z = (f"{angle:.0f} degrees" for angle in np.rad2deg(np.arccos(np.clip(cosines, -1.0, 1.0))))
-    if cosines[0] < _ALIGNED_COSINE:
+def _cosines(
+    rotation: FloatArray, joint_axes: FloatArray, across: FloatArray, up: FloatArray
+) -> FloatArray:
+    """(4,) cosines: x and z along the line between the cameras, y upwards, z along a joint."""
+    right, down, forward = rotation.T
+    rolled = np.abs(joint_axes @ forward).max(initial=0.0)
+    return np.array([right @ across, forward @ across, down @ up, rolled])
+
+
+def _fault(right: float, forward: float, upwards: float, rolled: float) -> str:
+    """Why a camera frame of these cosines is not optical; empty if it is."""
+    x, z = (f"{np.rad2deg(np.arccos(np.clip(c, -1.0, 1.0))):.0f} degrees" for c in (right, forward))
+    if right < _ALIGNED_COSINE:
         return f"x is {x} from the line from the left camera to the right one"
-    if abs(cosines[1]) > _ALIGNED_COSINE:
+    if abs(forward) > _ALIGNED_COSINE:
         return f"z is {z} from the line between the cameras"
-    if down @ up > _ALIGNED_COSINE:
+    if upwards > _ALIGNED_COSINE:
         return "y points up"
-    if any(abs(forward @ axis) > _ROLL_AXIS_COSINE for axis in eye.joint_axes):
-        return "z lies along an axis that the eye turns about"
-    return ""
-
-
-def _misfit(eye: _Eye, rotation: FloatArray, across: FloatArray, up: FloatArray) -> float:
-    """Measure of how badly a rotation of the camera in its frame fits."""
-    right, down, forward = (eye.rotation @ rotation).T
-    rolled = max((abs(float(forward @ axis)) for axis in eye.joint_axes), default=0.0)
-    return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
+    return "z lies along an axis that the eye turns about" if rolled > _ROLL_AXIS_COSINE else ""
 
 
 _ASSUMED_SIZE_PX: Final = (640, 480)
@@ -253,14 +263,18 @@ _ASSUMED_FOV_DEG: Final = 60.0
 """Horizontal field of view of a camera without a given one, degrees (chosen)."""
 
 
-def _images(
-    cameras: Sequence[MjcfCamera | None], source: UrdfSource
-) -> tuple[ReadCameras, dict[str, str]]:
+def _images(cameras: Sequence[Any], source: UrdfSource) -> tuple[ReadCameras, dict[str, str]]:
     """Intrinsics of both eyes, files before cameras, and reasons of assumptions by dotted key."""
     for eye, camera in zip(EYE_NAMES, cameras, strict=True):
-        if camera is not None and camera.fault:
-            expected = "a camera that is fixed to its body and sees in perspective"
-            refuse(f"{eye}-camera", expected, f"one that {camera.fault}")
+        if camera is None:
+            continue
+        got, expected = "", "a camera that is fixed to its body and sees in perspective"
+        if camera.proj != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
+            got = "one that has a projection that is not perspective"
+        if camera.mode != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
+            got = "one that turns by itself after something (its mode is not fixed)"
+        if got:
+            refuse(f"{eye}-camera", expected, got)
     if source.intrinsics:
         read = read_intrinsics(source.intrinsics, size=source.size, lens=source.lens)
         lenses = zip(EYE_NAMES, read.lens_assumptions, strict=True)
@@ -275,34 +289,55 @@ def _images(
     return ReadCameras(left=images[0], right=images[1]), reasons[0] | reasons[1]
 
 
-def _image(eye: str, found: MjcfCamera | None) -> tuple[Camera, dict[str, str]]:
+def _image(eye: str, camera: Any) -> tuple[Camera, dict[str, str]]:
     """Camera without distortion, and reasons of assumptions by dotted key."""
-    given = found or MjcfCamera(None, None, None, np.nan, "")
-    size = given.size or _ASSUMED_SIZE_PX
-    missing = f"not in the file: {size[0]} x {size[1]}"
-    assumed = {} if given.size else dict.fromkeys(("width_px", "height_px"), missing)
-    focal: float | FloatArray | None = given.focal
-    if found is None:
-        focal = size[0] / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
+    assumed = {}
+    # one pixel, MuJoCo's default, is no given resolution
+    given = camera is not None and max(camera.resolution) > 1
+    width, height = map(int, camera.resolution) if given else _ASSUMED_SIZE_PX
+    if not given:
+        missing = f"not in the file: {width} x {height}"
+        assumed = dict.fromkeys(("width_px", "height_px"), missing)
+    size = np.array([width, height], dtype=np.float64)
+    focal: float | FloatArray | None = None
+    principal = (size - 1.0) / 2.0
+    if camera is None:
+        focal = width / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
         field = f"a field of view of {_ASSUMED_FOV_DEG:g} degrees horizontally"
         assumed["focal_px"] = f"not in the file: {field}"
-    elif focal is None:
-        focal = size[1] / 2.0 / tan(radians(given.fovy_deg) / 2.0)
-    principal = (np.array(size) - 1.0) / 2.0 if given.principal is None else given.principal
-    camera = Camera(size=size, matrix=camera_matrix(np.broadcast_to(focal, 2), principal))
+    elif given and (sensor := _decimals(camera.sensor_size)).min() > 0.0:
+        pixels, offset = _decimals(camera.focal_pixel), _decimals(camera.principal_pixel)
+        if not pixels.any():
+            pixels = _decimals(camera.focal_length) / sensor * size
+        if not offset.any():
+            offset = _decimals(camera.principal_length) / sensor * size
+        if pixels.min() > 0.0:
+            # the offset points from the image centre left and up; pixel edges are at integers
+            focal, principal = pixels, size / 2.0 - offset - 0.5
+    if focal is None:
+        focal = height / 2.0 / tan(radians(camera.fovy) / 2.0)
+    matrix = camera_matrix(np.broadcast_to(focal, 2), principal)
     assumed["distortion"] = "not in the file: no distortion"
-    return camera, {f"eyes.{eye}.{key}": why for key, why in assumed.items()}
+    reasons = {f"eyes.{eye}.{key}": why for key, why in assumed.items()}
+    return Camera(size=(width, height), matrix=matrix), reasons
 
 
-def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[str, str]:
-    """Assumption keys and reasons, moved from joints to the motors that drive them, if any."""
+def _decimals(values: Any) -> FloatArray:
+    """Numbers as written in the file, from MuJoCo's single-precision values."""
+    return np.array(values, np.float32).astype(str).astype(np.float64)
+
+
+def _of_motors(
+    assumed: Mapping[str, Mapping[str, str]], motors: Sequence[EyeMotor]
+) -> dict[str, str]:
+    """Reasons by dotted key, moved from joints to the motors that drive them, if any."""
     found: dict[str, str] = {}
-    for key, why in assumed.items():
-        joint, _, field = key.removeprefix("joints.").rpartition(".")
-        movers = [motor.name for motor in moved if joint in motor.joint_factors]
-        for moved_key in [f"actuators.{name}.{field}" for name in movers] or [key]:
-            found.setdefault(moved_key, why)
-    for motor in moved:
+    for joint, reasons in assumed.items():
+        movers = [f"actuators.{motor.name}" for motor in motors if joint in motor.joint_factors]
+        for key, why in reasons.items():
+            for table in movers or [f"joints.{joint}"]:
+                found.setdefault(f"{table}.{key}", why)
+    for motor in motors:
         found |= {f"actuators.{motor.name}.{key}": why for key, why in motor.assumed.items()}
     return found
 
@@ -358,20 +393,3 @@ def _pose_fields(position_key: str, pose: FloatArray, name: str) -> dict[str, An
         refuse(name, "to be less than 3 m from what carries it", far)
     turned = {"rotation": rotation.tolist()} if (rotation != np.eye(3)).any() else {}
     return {position_key: place.tolist(), **turned}
-
-
-def _joint_fields(name: str, joint: ChainJoint) -> dict[str, Any]:
-    """Fields of a joint's table in `[[joints]]`, without its limits."""
-    origin = _pose_fields("origin_m", joint.origin, f"joint {name}")
-    return {"name": name, "part": joint.part, **origin, "axis": (joint.joint.axis + 0.0).tolist()}
-
-
-def _actuator_fields(motors: Sequence[EyeMotor]) -> dict[str, Any]:
-    """Tables of actuators; empty if each joint has its own."""
-    tables = [
-        {"name": motor.name, "joints": dict(motor.joint_factors), **motor.limits.fields()}
-        for motor in motors
-    ]
-    offsets = {joint: offset for motor in motors for joint, offset in motor.joint_offsets.items()}
-    fields = {"actuators": tables, "joint_offsets_rad": offsets}
-    return {key: value for key, value in fields.items() if value}

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, NoReturn
+from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
 
@@ -34,11 +34,10 @@ class Joint:
     def motion(self, value: float) -> FloatArray:
         """(4, 4) pose of the frame at a joint value, relative to its pose at the reference."""
         turned = np.eye(4)
-        value = value - self.reference
         if self.kind == "slide":
-            turned[:3, 3] = value * self.axis
+            turned[:3, 3] = (value - self.reference) * self.axis
         else:
-            turned[:3, :3] = self.rotation(value)
+            turned[:3, :3] = self.rotation(value - self.reference)
             turned[:3, 3] = self.anchor - turned[:3, :3] @ self.anchor
         return turned
 
@@ -51,27 +50,24 @@ class Joint:
         return np.asarray(np.eye(3) + np.sin(angle_rad) * cross + versine * cross @ cross)
 
 
-class MjcfCamera(NamedTuple):
-    """Image parameters of a camera in an MJCF."""
-
-    size: tuple[int, int] | None  # width and height, px; None if not given
-    focal: FloatArray | None  # (2,) px; None if only `fovy_deg` is given
-    principal: FloatArray | None  # (2,) px, pixel centres at integers; None as `focal`
-    fovy_deg: float  # vertical field of view
-    fault: str  # reason why it cannot serve as an eye, or empty
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """A frame of the tree."""
 
     name: str
     kind: FrameKind  # body (link of a URDF), or a site or camera fixed to one
-    parent: int  # index; -1 for the root
+    parent: "Frame | None"  # None for the root
     pose: FloatArray  # (4, 4) in its parent, joints at their references
     joints: tuple[Joint, ...] = ()  # in the order in which they are applied
-    camera: MjcfCamera | None = None
+    camera: Any = None  # MuJoCo's, of an MJCF
     fault: str = ""  # why no path to a camera may pass, or empty
+
+    def lineage(self) -> "list[Frame]":
+        """The frames from the root to this one, both included."""
+        found = [self]
+        while found[-1].parent is not None:
+            found.append(found[-1].parent)
+        return found[::-1]
 
 
 @dataclass(frozen=True)
@@ -102,34 +98,26 @@ class Mechanism:
         """All joints by name."""
         return {joint.name: joint for frame in self.frames for joint in frame.joints}
 
-    def find_frame(self, name: str, option: str, prefer: tuple[FrameKind, ...]) -> int:
-        """Index of a frame by name, or by `site:NAME`; `prefer` orders the search among kinds."""
+    def find_frame(self, name: str, option: str, prefer: tuple[FrameKind, ...]) -> Frame:
+        """Frame by name, or by `site:NAME`; `prefer` orders the search among kinds."""
         kind, colon, rest = name.partition(":")
         if colon and kind in prefer:
             prefer, name = (kind,), rest
-        for kind in prefer if name else ():
-            for index, frame in enumerate(self.frames):
-                if frame.kind == kind and frame.name == name:
-                    return index
-        names = [frame.name for frame in self.frames if frame.kind in prefer]
+        known = [frame for kind in prefer for frame in self.frames if frame.kind == kind]
+        for frame in known if name else ():
+            if frame.name == name:
+                return frame
         root = next((f.name for f in self.frames if f.kind == "body" and f.name), "")
         below = f" (the root of the file is {root})" if option == "base" and root else ""
-        refuse(option, known_names_hint("frame", name, names), f"{name!r}{below}")
+        hint = known_names_hint("frame", name, [frame.name for frame in known])
+        refuse(option, hint, f"{name!r}{below}")
 
-    def ancestors(self, frame: int) -> list[int]:
-        """Indices of the frames from the root to this one, both included."""
-        found = []
-        while frame >= 0:
-            found.append(frame)
-            frame = self.frames[frame].parent
-        return found[::-1]
-
-    def pose_along(self, frames: Iterable[int], values: Mapping[str, float]) -> FloatArray:
+    def pose_along(self, frames: Iterable[Frame], values: Mapping[str, float]) -> FloatArray:
         """(4, 4) product of the poses of frames; other joints are tied, or at references."""
         pose = np.eye(4)
-        for index in frames:
-            pose = pose @ self.frames[index].pose
-            for joint in self.frames[index].joints:
+        for frame in frames:
+            pose = pose @ frame.pose
+            for joint in frame.joints:
                 value = values.get(joint.name)
                 if value is None:
                     tie = self.mimic_of(joint.name)
@@ -176,13 +164,10 @@ def refuse(owner: str, expected: str, got: object) -> NoReturn:
     raise ConfigurationError(f"{owner}: expected {expected}, got {got}")
 
 
-def refuse_unknown(
-    owner: str, kind: str, name: str, names: Collection[str], form: str = "{}", more: str = ""
-) -> None:
-    """Refuse a name that is none of those in the file; `form` is what both names stand in."""
+def refuse_unknown(owner: str, kind: str, name: str, names: Collection[str]) -> None:
+    """Refuse a name that is none of those in the file."""
     if name not in names:
-        hint = known_names_hint(kind, name, names)
-        refuse(owner, form.format(hint), form.format(repr(name)) + more)
+        refuse(owner, known_names_hint(kind, name, names), repr(name))
 
 
 _EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
@@ -226,31 +211,6 @@ def _check_urdf_names(path: str, root: ET.Element) -> None:
                 raise HeadFileError(f"joint {joint.get('name')}", name, hint, path)
 
 
-class _UrdfJoint(NamedTuple):
-    """Values of a URDF's joint that MuJoCo's parser drops or changes."""
-
-    name: str
-    kind: str
-    child: str  # link, of which MuJoCo refuses a second joint
-    limits: Mapping[str, Any]  # fields of `Joint`
-    tie: MimicJoint | None
-    fault: str  # why no path to a camera may pass its child, or empty
-
-
-def _urdf_joint(joint: ET.Element) -> _UrdfJoint:
-    name, kind, fault = joint.get("name", ""), joint.get("type", ""), _fault(joint)
-    limit, mimic = _attributes(joint, "limit"), _attributes(joint, "mimic")
-    given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
-    # a missing one of the two is 0
-    limits = {end: number(limit.get(end, "0") if given else None) for end in ("lower", "upper")}
-    limits["velocity"] = number(limit.get("velocity"))
-    factor, offset = number(mimic.get("multiplier", "1")), number(mimic.get("offset", "0"))
-    tie = MimicJoint(name, mimic.get("joint", ""), factor, offset)
-    tied = None if joint.find("mimic") is None else tie
-    child = _attributes(joint, "child").get("link", "")
-    return _UrdfJoint(name, kind, child, limits, tied, fault and f"joint {name}: {fault}")
-
-
 def _attributes(joint: ET.Element, tag: str) -> Mapping[str, str]:
     element = joint.find(tag)
     return {} if element is None else element.attrib
@@ -286,34 +246,35 @@ _MAX_ORIGIN_ANGLE_RAD: Final = 6.29
 
 def _fault(joint: ET.Element) -> str:
     """Part of a joint that every reader would drop, or angles in degrees; empty if none."""
+    expected = f"joint {joint.get('name', '')}: expected"
     for element in joint:
         tag, known, text = element.tag, _ATTRIBUTES.get(element.tag), (element.text or "").strip()
         if tag in _POSES:
-            return f"expected a pose as <origin xyz rpy>, got <{tag}>, which is not read"
+            return f"{expected} a pose as <origin xyz rpy>, got <{tag}>, which is not read"
         if known is None:
             if near := _meant(tag, (*_ATTRIBUTES, *_OTHER_ELEMENTS)):
-                return f"expected no element <{tag}>, which nothing reads (is <{near}> meant?)"
+                return f"{expected} no element <{tag}>, which nothing reads (is <{near}> meant?)"
             continue
-        expected, names = f"expected <{tag}> with", ", ".join(known)
+        element_with, names = f"{expected} <{tag}> with", ", ".join(known)
         if len(element):
-            return f"{expected} attributes, got <{element[0].tag}> in it"
+            return f"{element_with} attributes, got <{element[0].tag}> in it"
         if text:
             got = f"the text {text!r:.80}, which nothing reads"
-            return f"{expected} attributes ({names}), got {got}"
+            return f"{element_with} attributes ({names}), got {got}"
         for attribute, value in element.attrib.items():
             if "}" in attribute:  # of a namespace, such as Drake's
                 continue
             if attribute not in known:
                 got = f"the attribute {attribute!r} = {value!r:.80}, which is not read"
-                return f"{expected} {names}, got {got}"
+                return f"{element_with} {names}, got {got}"
             count, numbers = known[attribute], [number(word) for word in value.split()]
             bad = np.isnan(numbers) if tag == "limit" else ~np.isfinite(numbers)
             if count and (len(numbers) != count or bad.any()):
-                return f"expected {count} numbers in {attribute} of <{tag}>, got {value!r:.80}"
+                return f"{expected} {count} numbers in {attribute} of <{tag}>, got {value!r:.80}"
     angles = _attributes(joint, "origin").get("rpy", "")
     if any(abs(number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
-        expected = "expected an origin with rpy in radians within one turn"
-        return f"{expected}, got {angles!r:.80} (is it in degrees?)"
+        origin = "an origin with rpy in radians within one turn"
+        return f"{expected} {origin}, got {angles!r:.80} (is it in degrees?)"
     return ""
 
 
@@ -348,16 +309,23 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
 def _of_urdf(spec: Any, root: ET.Element) -> Mechanism:
     # MuJoCo adds a world body above the root link, which is not a frame of the file
     world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
-    joints = [_urdf_joint(joint) for joint in root.iterfind("joint")]
-    ties = {joint.name: joint.tie for joint in joints if joint.tie}
-    frames = _frames(spec, world, {joint.child: joint for joint in joints})
+    ties = {}
+    for joint in root.iterfind("joint[mimic]"):
+        name, mimic = joint.get("name", ""), _attributes(joint, "mimic")
+        factor, offset = number(mimic.get("multiplier", "1")), number(mimic.get("offset", "0"))
+        ties[name] = MimicJoint(name, mimic.get("joint", ""), factor, offset)
+    # by the link that it moves, of which MuJoCo refuses a second joint
+    moving = {_attributes(each, "child").get("link", ""): each for each in root.iterfind("joint")}
+    frames = _frames(spec, world, moving)
     return Mechanism(name=root.get("name", ""), frames=frames, mimic_joints=ties)
 
 
 def _of_mjcf(spec: Any) -> Mechanism:
     tendons = {tendon.name: _coefficients(tendon) for tendon in spec.tendons}
     active = [equality for equality in spec.equalities if equality.active]
-    ties, tied = _ties(spec, active, tendons)
+    frames = _frames(spec, "world", {})
+    references = {joint.name: joint.reference for frame in frames for joint in frame.joints}
+    ties, tied = _ties(active, tendons, references)
     left_out = [
         (f"tendon {name or 'without a name'}", tuple(joints))
         for name, joints in tendons.items()
@@ -365,7 +333,6 @@ def _of_mjcf(spec: Any) -> Mechanism:
     ]
     loops = [equality for equality in active if equality.type in _LOOPS]
     left_out += [(f"{each.type.name[5:].lower()} of {each.name1}", ()) for each in loops]
-    frames = _frames(spec, "world", {})
     return Mechanism(name=spec.modelname, frames=frames, mimic_joints=ties, left_out=left_out)
 
 
@@ -378,13 +345,14 @@ def _coefficients(tendon: Any) -> dict[str, float]:
 
 
 def _ties(
-    spec: Any, equalities: Sequence[Any], tendons: Mapping[str, Mapping[str, float]]
+    equalities: Sequence[Any],
+    tendons: Mapping[str, Mapping[str, float]],
+    references: Mapping[str, float],
 ) -> tuple[dict[str, MimicJoint], set[str]]:
     """Couplings by equalities of joints and of fixed tendons, and these tendons' names.
 
     For the changes x, y of two from the references: `y = a0 + a1 x`, or `y = a0` for one alone.
     """
-    references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
     found: dict[str, MimicJoint] = {}
     tied: set[str] = set()
     of_joints, of_tendons = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
@@ -416,37 +384,42 @@ def _ties(
     return found, tied
 
 
-def _frames(spec: Any, world: str, urdf: Mapping[str, _UrdfJoint]) -> tuple[Frame, ...]:
+def _frames(spec: Any, world: str, urdf: Mapping[str, ET.Element]) -> tuple[Frame, ...]:
+    """Frames, parents first; `urdf` has the joint's element of each link of a URDF."""
     frames: list[Frame] = []
-
-    def add(kind: FrameKind, element: Any, parent: int, **more: Any) -> None:
-        fields = {"name": element.name, "pose": _placed(spec, element), **more}
-        frames.append(Frame(kind=kind, parent=parent, **fields))
-
     speeds = _servo_speeds(spec)
-    bodies = [(spec.worldbody, -1)]
+    bodies: list[tuple[Any, Frame | None]] = [(spec.worldbody, None)]
     for body, parent in bodies:  # grows by the children of each
-        index = len(frames)
-        name = body.name if index else world
+        name, said = body.name if parent else world, ""
         joints = [_joint(spec, each, f"{name}#{i}", speeds) for i, each in enumerate(body.joints)]
-        given = urdf.get(name, _UrdfJoint("", "", "", {}, None, ""))
-        if given.kind in ("planar", "floating"):  # MuJoCo splits a planar joint into three
-            joints = [replace(joint, name=given.name, kind=given.kind) for joint in joints[:1]]
-        joints = [replace(j, **given.limits) if j.name == given.name else j for j in joints]
-        add("body", body, parent, name=name, joints=tuple(joints), fault=given.fault)
-        for site in body.sites:
-            add("site", site, index)
-        for camera in body.cameras:
-            add("camera", camera, index, camera=_camera(camera))
-        bodies += [(child, index) for child in body.bodies]
+        if name in urdf:
+            joints, said = _urdf_joints(joints, urdf[name]), _fault(urdf[name])
+        link = Frame(name, "body", parent, _pose(spec, body), tuple(joints), fault=said)
+        sites = [Frame(each.name, "site", link, _pose(spec, each)) for each in body.sites]
+        cameras = [Frame(c.name, "camera", link, _pose(spec, c), camera=c) for c in body.cameras]
+        frames += [link, *sites, *cameras]
+        bodies += [(child, link) for child in body.bodies]
     return tuple(frames)
 
 
+def _urdf_joints(joints: Sequence[Joint], element: ET.Element) -> list[Joint]:
+    """MuJoCo's joints of a link with what its parser drops or changes."""
+    kind, limit = element.get("type", ""), _attributes(element, "limit")
+    more: dict[str, Any] = {"velocity": number(limit.get("velocity"))}
+    given = kind != "continuous" and not limit.keys().isdisjoint(("lower", "upper"))
+    for end in ("lower", "upper"):  # a missing one of the two is 0
+        more[end] = number(limit.get(end, "0")) if given else np.nan
+    if kind in ("planar", "floating"):  # MuJoCo splits a planar joint into three
+        more |= {"name": element.get("name", ""), "kind": kind}
+    return [replace(joint, **more) for joint in joints[:1]]
+
+
 def _joint(spec: Any, joint: Any, unnamed: str, speeds: Mapping[str, float]) -> Joint:
-    around = _frames_around(spec, joint)
+    around = _pose(spec, joint.frame)
     axis = around[:3, :3] @ np.array(joint.axis, dtype=np.float64)
     length = float(np.linalg.norm(axis))
-    unit = _unit(joint)
+    turns = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL)
+    unit = np.pi / 180.0 if turns and joint.compiler.degree else 1.0
     lower, upper = (float(value) * unit for value in joint.range)
     auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO and spec.compiler.autolimits
     limited = joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE or (auto and lower != upper)
@@ -461,12 +434,6 @@ def _joint(spec: Any, joint: Any, unnamed: str, speeds: Mapping[str, float]) -> 
         upper=upper if limited else np.nan,
         velocity=speeds.get(name, np.nan),
     )
-
-
-def _unit(joint: Any) -> float:
-    """Radians or metres per unit of the file."""
-    hinge = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL)
-    return np.pi / 180.0 if hinge and joint.compiler.degree else 1.0
 
 
 _VELOCITY_SERVO: Final = ["mjTRN_JOINT", "mjGAIN_FIXED", "mjBIAS_AFFINE", "mjDYN_NONE"]
@@ -486,57 +453,22 @@ def _servo_speeds(spec: Any) -> dict[str, float]:
     return speeds
 
 
-def _placed(spec: Any, element: Any) -> FloatArray:
-    """(4, 4) pose of an element in its body or, for a body, in its parent."""
-    with np.errstate(invalid="ignore"):  # an infinite one is refused later
-        return np.asarray(_frames_around(spec, element) @ _pose(spec, element))
-
-
-def _frames_around(spec: Any, element: Any) -> FloatArray:
-    """(4, 4) product of the nested <frame> elements of an MJCF that contain an element."""
-    pose = np.eye(4)
-    while (element := element.frame) is not None:
-        pose = _pose(spec, element) @ pose
-    return pose
-
-
 def _pose(spec: Any, element: Any) -> FloatArray:
+    """(4, 4) pose in the body, or the parent body, through the <frame> elements around it."""
+    pose = np.eye(4)
+    if element is None:
+        return pose
     quat, alt, compiler = element.quat, element.alt, element.compiler
     if alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
         units = {"degree": compiler.degree, "sequence": compiler.eulerseq}
         quat = spec.resolve_orientation(orientation=alt, **units)
     quat = np.array(quat, dtype=np.float64)
     w, x, y, z = quat / np.linalg.norm(quat)
-    pose = np.eye(4)
     pose[:3, :3] = [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
         [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
         [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
     ]
     pose[:3, 3] = element.pos
-    return pose
-
-
-def _decimals(values: Any) -> FloatArray:
-    """Numbers as written in the file, from MuJoCo's single-precision values."""
-    return np.array([float(str(np.float32(value))) for value in values])
-
-
-def _camera(camera: Any) -> MjcfCamera:
-    """Image parameters of a camera; one pixel, MuJoCo's default, is no given resolution."""
-    flat = camera.proj != mujoco.mjtProjection.mjPROJ_PERSPECTIVE
-    fault = "has a projection that is not perspective" if flat else ""
-    if camera.mode != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
-        fault = "turns by itself after something (its mode is not fixed)"
-    size, sensor = np.array(camera.resolution, dtype=np.float64), _decimals(camera.sensor_size)
-    pixels = None if size.max() <= 1.0 else (int(size[0]), int(size[1]))
-    focal, offset = _decimals(camera.focal_pixel), _decimals(camera.principal_pixel)
-    if sensor.min() > 0.0:
-        if not focal.any():
-            focal = _decimals(camera.focal_length) / sensor * size
-        if not offset.any():
-            offset = _decimals(camera.principal_length) / sensor * size
-    if pixels is None or not (sensor.min() > 0.0 and focal.min() > 0.0):
-        return MjcfCamera(pixels, None, None, float(camera.fovy), fault)
-    # MuJoCo's offset points from the image centre left and up; its pixel edges are at integers
-    return MjcfCamera(pixels, focal, size / 2.0 - offset - 0.5, float(camera.fovy), fault)
+    with np.errstate(invalid="ignore"):  # an infinite one is refused later
+        return np.asarray(_pose(spec, element.frame) @ pose)
