@@ -126,11 +126,15 @@ def test_a_folder_that_can_be_saved_nowhere_fails_once(tmp_path, monkeypatch):
     assert names(tmp_path / "run") == ["theirs"]
 
 
-def test_an_error_without_a_name_gets_that_of_the_folder(tmp_path):
+def test_an_error_names_no_hidden_place_but_the_users_own(tmp_path):
     with pytest.raises(OSError, match="No space") as full, atomic_file(tmp_path / "file"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert full.value.filename == str(tmp_path)
     assert names(tmp_path) == []
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match="directory") as taken:
+        write_atomic(tmp_path / "folder", "text")
+    assert taken.value.filename == str(tmp_path / "folder")
 
 
 def test_what_a_kill_left_of_one_folder_is_removed_and_nothing_of_others(tmp_path):

@@ -109,15 +109,18 @@ def _prefix(name: str) -> str:
 def _hidden(folder: Path, name: str = "") -> Iterator[Path]:
     """Create a hidden folder within another, for a folder to be named `name` or for files."""
     # not `tempfile.TemporaryDirectory`, which would try for ever if permission has been lost
-    hidden = tempfile.mkdtemp(prefix=_prefix(name), dir=folder)
+    hidden = None
     try:
+        hidden = tempfile.mkdtemp(prefix=_prefix(name), dir=folder)
         yield Path(hidden)
     except OSError as error:
-        if error.filename is None:  # for example if the disk is full
-            error.filename = os.fspath(folder)
+        # name a place that the user knows; a full disk has none
+        if error.filename is None or PARTIAL_PREFIX in str(error.filename):
+            error.filename = error.filename2 or os.fspath(folder)
         raise
     finally:
-        shutil.rmtree(hidden, ignore_errors=True)
+        if hidden is not None:
+            shutil.rmtree(hidden, ignore_errors=True)
 
 
 @contextmanager

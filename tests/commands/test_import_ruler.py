@@ -1,6 +1,7 @@
 """`vergence import ruler`: what a person measures becomes a head file."""
 
 import builtins
+import errno
 import re
 import sys
 
@@ -40,6 +41,16 @@ def test_measures_in_other_units_or_missing_are_refused(tmp_path, capsys, words,
     path = tmp_path / "desk.toml"
     assert re.search(match, refused(capsys, "import", "ruler", *words, "--out", path))
     assert not path.exists()
+
+
+def test_a_drawing_that_cannot_be_written_leaves_no_head_either(tmp_path, capsys, monkeypatch):
+    def full(*_arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("vergence.eval.head_figure.draw_head", full)
+    words = ("--baseline", "120", "--view", "60", "--servo", "XL430", "--out", tmp_path / "a.toml")
+    assert "No space left" in refused(capsys, "import", "ruler", *words)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_terminal_is_asked_and_asked_again(tmp_path, monkeypatch, capsys):

@@ -29,6 +29,19 @@ def test_another_head_comes_back_from_its_vector_about_the_model(physical, error
             assert set(units) == {"m", "rad", "px", "1"}
 
 
+def test_heads_of_other_joints_have_no_common_vector_or_population(physical, rng):
+    other = head_of("tied")
+    pair = physical.perturbed(rng, ModelErrors(), 2)
+    for call, said in (
+        (lambda: physical.parameters(other), "about: expected a head with the joints"),
+        (lambda: physical.stack([physical, pair]), "batch shape of the first"),
+        (lambda: physical.stack([]), "one head or more, got none"),
+        (lambda: physical.perturbed(rng, ModelErrors(), -1), "counts of 1 or more, got -1"),
+    ):
+        with named(said), pytest.raises(ConfigurationError, match=said):
+            call()
+
+
 def test_a_name_says_which_number_it_is(head):
     names, units, values = head.parameters()
     for name, unit, of in [

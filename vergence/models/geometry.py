@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vergence.errors import ConfigurationError
 from vergence.models.camera import Cameras
 from vergence.models.parts import (
     EYE_NAMES,
@@ -405,6 +406,11 @@ def combine_geometries(
 def parameters_of(geometry: Geometry, reference: Geometry | None = None) -> Parameters:
     """Flatten a geometry; rotation vectors are relative to `reference`, by default to itself."""
     parameters = _parameters(geometry)
+    if reference is not None and reference.links.parameters != geometry.links.parameters:
+        raise ConfigurationError(
+            f"about: expected a head with the joints {geometry.links.joints} in the same parts, "
+            f"got one with {reference.links.joints}"
+        )
     fields = _fields(geometry, reference)
     batch = np.broadcast_shapes(*(field.shape[:-1] for field in fields.values()))
     values = np.empty((*batch, len(parameters)))

@@ -302,11 +302,14 @@ class HeadModel:
         """Stack heads to a population; everything except the geometry is taken from the first.
 
         Raises:
-            ConfigurationError: the heads have different lens models or different joints.
+            ConfigurationError: there is none, or they differ in lens models, joints or batch shape.
         """
+        if not heads:
+            raise ConfigurationError("stack: expected one head or more, got none")
         for name, own in (
             ("lenses", [head.cameras.lens for head in heads]),
             ("joints", [head.joints for head in heads]),
+            ("batch shape", [head.batch_shape for head in heads]),
         ):
             if any(each != own[0] for each in own):
                 raise ConfigurationError(
@@ -451,13 +454,15 @@ class HeadModel:
             size: the population's shape, the batch shape of its geometry; None for one head.
 
         Raises:
-            ConfigurationError: this head is a population already.
+            ConfigurationError: this head is a population already, or the size has a count below 1.
         """
         if self.batch_shape:
             raise ConfigurationError(
                 f"perturbed: expected one head, got a population of shape {self.batch_shape}"
             )
         shape = () if size is None else (size,) if isinstance(size, int) else tuple(size)
+        if min(shape, default=1) < 1:
+            raise ConfigurationError(f"size: expected counts of 1 or more, got {size!r:.80}")
         return self._with(perturb_geometry(self.geometry, rng, errors, shape))
 
     def least_error(self, points: ArrayLike) -> FloatArray:
@@ -502,6 +507,9 @@ class HeadModel:
 
         Args:
             about: the head that rotation vectors are relative to; None for this one: zeros.
+
+        Raises:
+            ConfigurationError: that head has other joints.
         """
         return parameters_of(self.geometry, None if about is None else about.geometry)
 

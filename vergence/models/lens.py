@@ -12,13 +12,14 @@ distorts by the angle t = atan(r) from the optical axis:
     (x_d, y_d) = (x, y) t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8) / r
 
 The Jacobian of each model is symmetric. A model is valid as long as a ray that turns outwards also
-moves outwards in the image, up to its fold (see `vergence.models.lens`), and while its Jacobian is
-positive definite. Beyond that `is_invertible_at` is False and projections are nan, as is
-`undistort_ray` for a pixel without a ray; `distort` does not check.
+moves outwards in the image, up to its fold, where the image turns back on itself, and while its
+Jacobian is positive definite. Beyond that `is_invertible_at` is False and projections are nan, as
+is `undistort_ray` for a pixel without a ray; `distort` does not check.
 
-A new model needs its coefficients in `CameraRow`, its names in `LENSES`, its fold in
-`vergence.models.lens`, a case in this module, and a case with derivatives by the coefficients in
-`vergence.calibration.projection`. No other module computes with coefficients.
+A new model needs here its coefficients in `CameraRow`, its names at the end of `LENSES` (heads'
+digests count their places), a case in `distort` and its fold in `pack_lens`; a case with
+derivatives by the coefficients in `vergence.calibration.projection`; and the names that calibration
+files have for it in `vergence.models.stereo_files`. No other module computes with coefficients.
 """
 
 from math import atan, inf, isfinite, nan, sqrt, tan

@@ -50,8 +50,9 @@ def _check(name: str, value: Any, now: Any) -> None:
             numbers = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise ConfigurationError(f"{name}: expected numbers, got {value!r:.80}") from error
-        if np.isnan(numbers).any() or (np.ndim(now) == 0) != (numbers.ndim == 0):
-            what = "a number" if np.ndim(now) == 0 else "an array of numbers"
+        last = np.shape(now)[-1:]  # the axes before may be those of a population
+        if np.isnan(numbers).any() or numbers.shape[-1:] != last:
+            what = f"numbers of shape (..., {last[0]})" if last else "a number"
             raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
     elif not isinstance(value, type(now)):
         raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")

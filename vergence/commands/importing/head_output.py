@@ -43,14 +43,15 @@ class HeadOutput:
 
     def write(self, text: str, head: "HeadModel") -> None:
         """Write head file and drawing atomically; before printing, as a closed pipe ends all."""
-        from vergence.files import write_atomic
+        from vergence.files import atomic_files
 
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(self.out, text)
-        if self.figure:
-            from vergence.eval.head_figure import draw_head
+        with atomic_files(self.out.parent, moved_last=self.out.name) as beside:
+            (beside / self.out.name).write_text(text, encoding="utf-8")
+            if self.figure:
+                from vergence.eval.head_figure import draw_head
 
-            draw_head(head, self._drawing)
+                draw_head(head, beside / self._drawing.name)
 
     def print_paths(self) -> None:
         """Print the paths of the written files."""

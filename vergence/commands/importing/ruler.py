@@ -1,5 +1,6 @@
 """`vergence import ruler`: make a head file from what a person measures."""
 
+import shlex
 import sys
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
@@ -94,11 +95,12 @@ class ImportRuler(HeadOutput):
         self.print_paths()
         servo = f" --servo {ruler.servo.name}" if ruler.servo.name in MODELS.values() else ""
         robot = "robot.toml" if self.out.name == "desk.toml" else "desk.toml"
+        head_option = f"--head {shlex.quote(str(self.out))}"
         print(
             "next: look at the drawing, then\n"
-            f"  vergence gaze --head {self.out}\n"
-            f"  vergence info --head {self.out}\n"
-            f"  vergence emulate --head {self.out}{servo} --out {robot}"
+            f"  vergence gaze {head_option}\n"
+            f"  vergence info {head_option}\n"
+            f"  vergence emulate {head_option}{servo} --out {robot}"
         )
         return 0
 

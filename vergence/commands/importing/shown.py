@@ -91,7 +91,7 @@ def _print_assumed(assumptions: Iterable[AssumedValue]) -> None:
 def _values(field: str, members: list[AssumedValue]) -> str:
     """Field with its distinct values; the field alone if the values are long."""
     values = " or ".join(dict.fromkeys(one.value for one in members))
-    return f"{field} {values}" if len(values) <= _MAX_VALUES_LENGTH else field
+    return f"{field} {values}".rstrip() if len(values) <= _MAX_VALUES_LENGTH else field
 
 
 _MAX_VALUES_LENGTH: Final = 40
