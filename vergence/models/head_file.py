@@ -24,22 +24,17 @@ from vergence.models.camera import (
     camera_matrix,
     parse_response,
 )
-from vergence.models.geometry import (
-    JointAxes,
-)
 from vergence.models.head import HeadModel
 from vergence.models.head_joints import (
     METRES,
     SECONDS,
     SIGMA,
     STEP,
-    pose_fields,
     read_dh_row,
     read_joints,
     read_numbered_links,
     read_pose,
     read_rotation,
-    written_actuators,
     written_joints,
 )
 from vergence.models.lens import BROWN_CONRADY, LENSES
@@ -47,7 +42,6 @@ from vergence.models.parts import (
     ENCODER_SIDES,
     EYE_NAMES,
     EYES,
-    Actuation,
     CalibrationRecord,
     FloatArray,
     LoopTiming,
@@ -94,48 +88,41 @@ def refuse_unusable_head(head: HeadModel) -> None:
             "both cameras turned by 180 degrees, or do they look back with all joints at zero?)",
         )
     if head.actuation.count:
-        _refuse_still_images(_image_jacobians(head, poses), head.actuation)
+        _refuse_still_images(head, poses)
 
 
-def _refuse_still_images(own: FloatArray, actuation: Actuation) -> None:
+def _refuse_still_images(head: HeadModel, poses: FloatArray) -> None:
     """Refuse actuators that at rest do not each move the images in a way of its own."""
-    names = actuation.names
-    if actuation.direct:
-        for eye, name in enumerate(EYE_NAMES):
-            condition = float(np.abs(np.linalg.det(own[eye][:, 2 * eye : 2 * eye + 2])))
-            if not condition > _LEAST_CONDITION:
-                first, second = names[2 * eye : 2 * eye + 2]
-                raise HeadFileError(
-                    f"joints of the {name} eye",
-                    f"an image Jacobian with determinant {condition:.3g} (by the focal lengths)",
-                    f"{first} and {second} to move the image along two directions at rest, above "
-                    f"{_LEAST_CONDITION} (does an axis point along the optical axis?)",
-                )
-        return
-    _left, values, ways = np.linalg.svd(own.reshape(4, len(names)))
-    if not values[-1] > _LEAST_CONDITION:
-        raise HeadFileError(
-            f"joints moved by {names[int(np.argmax(np.abs(ways[-1])))]}",
-            f"image Jacobians with a least singular value of {values[-1]:.3g} (by the focal "
-            "lengths)",
-            f"{', '.join(names)} each to move the images in a way of its own at rest, above "
-            f"{_LEAST_CONDITION} (does an axis point along the optical axis?)",
-        )
-
-
-def _image_jacobians(head: HeadModel, poses: FloatArray) -> FloatArray:
-    """(2, 2, m) Jacobians of a far point ahead, by eye, image axis, actuator; focal lengths/rad."""
-    count = head.actuation.count
+    names, count = head.actuation.names, head.actuation.count
     # central differences, since compiling `image_jacobian` would add a second to the first call
     turns = _ANGLE_STEP_RAD * np.array([[[1.0]], [[-1.0]]]) * np.eye(7)[3 : 3 + count]
     turned = head.actuation.joints_of(head.actuation.actuators_of(head.rest()) + turns)
     # far away, so that an eye that translates without turning hardly moves its image
     ahead = poses[:, :3, 3] + _TEST_POINT_DISTANCE_M * poses[:, :3, 2]
-    own = np.empty((2, 2, count))
-    for eye in range(2):
-        plus, minus = head.project(turned, ahead[eye], distorted=False)[..., eye, :]
-        own[eye] = ((plus - minus) / (2.0 * _ANGLE_STEP_RAD * head.cameras.focal[eye])).T
-    return own
+    seen = head.project(turned[..., None, :], ahead, distorted=False)  # by sign, actuator, point
+    plus, minus = seen[:, :, (0, 1), (0, 1)]
+    # by eye, image axis and actuator, in focal lengths per rad
+    jacobians = np.moveaxis((plus - minus) / (2.0 * _ANGLE_STEP_RAD * head.cameras.focal), 0, -1)
+    along = f"above {_LEAST_CONDITION} (does an axis point along the optical axis?)"
+    if not head.actuation.direct:
+        _left, values, ways = np.linalg.svd(jacobians.reshape(4, count))
+        if not values[-1] > _LEAST_CONDITION:
+            raise HeadFileError(
+                f"joints moved by {names[int(np.argmax(np.abs(ways[-1])))]}",
+                f"image Jacobians with a least singular value of {values[-1]:.3g} (by the focal "
+                "lengths)",
+                f"{', '.join(names)} each to move the images in a way of its own at rest, {along}",
+            )
+        return
+    for eye, moved in enumerate((slice(2), slice(2, 4))):
+        condition = float(np.abs(np.linalg.det(jacobians[eye][:, moved])))
+        if not condition > _LEAST_CONDITION:
+            raise HeadFileError(
+                f"joints of the {EYE_NAMES[eye]} eye",
+                f"an image Jacobian with determinant {condition:.3g} (by the focal lengths)",
+                f"{' and '.join(names[moved])} to move the image along two directions at rest, "
+                f"{along}",
+            )
 
 
 _Part = TypeVar("_Part", LoopTiming, SensorModel, Rendering)
@@ -158,39 +145,85 @@ NAME: Final[tuple[Callable[[str], bool], str]] = (
 # The values of numbers, by their unit.
 _PIXELS: Final[Rule] = (lambda x: abs(x) < 1e5, "pixels below 100000 in size")
 _FOCAL: Final[Rule] = (lambda x: 10.0 < x < 1e5, "a focal length in pixels, 10 to 100000")
-_COEFFICIENT: Final[Rule] = (lambda x: abs(x) < 10.0, "a distortion coefficient below 10 in size")
-_RATIO_COEFFICIENT: Final[Rule] = (
-    # one coefficient of a quotient, or of a narrow fisheye image, may be large and distort little
-    lambda x: abs(x) < 1e4,
-    "a distortion coefficient below 10000 in size",
-)
 _RATE: Final[Rule] = (lambda x: 1.0 <= x <= 10_000.0, "a rate in Hz, 1 to 10000")
 _LATENCY: Final[Rule] = (lambda x: 0.0 <= x < 10.0, "seconds, 0 to 10 (is it in milliseconds?)")
 _NOT_NEGATIVE: Final[Rule] = (lambda x: x >= 0.0, "a number of at least 0")
+_ABOVE_ZERO: Final[Rule] = (lambda x: x > 0.0, "a number above 0")
+_PROBABILITY: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "a probability from 0 to below 1")
 _GREY: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "a grey level, 0 to 255")
 _COUNT: Final[Rule] = (lambda x: 0 <= x <= 10_000, "a whole number, 0 to 10000")
 _SIZE: Final[Rule] = (lambda x: 16 <= x <= 20_000, "an image size in pixels, 16 to 20000")
 
-_FIELDS: Final[dict[str, Rule]] = {
-    **dict.fromkeys(("control_rate_hz", "frame_rate_hz"), _RATE),
-    "latency_s": _LATENCY,
-    **dict.fromkeys(("exposure_s", "lag_s", "command_latency_s", "feedback_latency_s"), SECONDS),
-    **dict.fromkeys(("encoder_resolution_rad", "backlash_rad"), STEP),
-    **dict.fromkeys(("velocity_resolution_rad_s", "command_resolution_rad_s"), SIGMA),
-    **dict.fromkeys(("detection_noise_px", "blur_px", "noise_grey"), SIGMA),
-    **dict.fromkeys(("black_grey", "white_grey", "background_grey"), _GREY),
-    "dropped_frame_probability": (lambda x: 0.0 <= x < 1.0, "a probability from 0 to below 1"),
-    "max_smear_px": (lambda x: x > 0.0, "a number above 0"),
-    "supersampling": (lambda x: 1 <= x <= 16, "1 to 16"),
+_FIELDS: Final[dict[str, dict[str, tuple[Any, ...]]]] = {
+    "timing": {
+        "control_rate_hz": (_RATE, 30.0, 120.0, 60.0),
+        "frame_rate_hz": (_RATE, 30.0, 60.0, 30.0),
+        "latency_s": (_LATENCY, 0.0, 8 / 120, 0.1),
+        "exposure_s": (SECONDS, 0.0, 0.0, 0.01),
+        "lag_s": (SECONDS, 0.0, 0.03, 0.03),
+        "command_latency_s": (SECONDS,),
+        "feedback_latency_s": (SECONDS,),
+    },
+    "sensor": {
+        "detection_noise_px": (SIGMA, 0.1, 0.05, 0.1),
+        "encoder_resolution_rad": (STEP, 0.0, 0.0, 0.0),
+        "velocity_resolution_rad_s": (SIGMA, 0.0, 0.0, 0.0),
+        "dropped_frame_probability": (_PROBABILITY, 0.0, 0.0, 0.0),
+        "max_smear_px": (_ABOVE_ZERO, 6.0, 6.0, 6.0),
+        "command_resolution_rad_s": (SIGMA,),
+        "backlash_rad": (STEP,),
+    },
+    "rendering": {
+        "blur_px": (SIGMA, 0.7, 0.5, 0.7),
+        "noise_grey": (SIGMA, 2.0, 2.0, 4.0),
+        "supersampling": ((lambda x: 1 <= x <= 16, "1 to 16"), 2, 1, 1),
+        "black_grey": (_GREY, 40.0, 40.0, 50.0),
+        "white_grey": (_GREY, 210.0, 210.0, 190.0),
+        "background_grey": (_GREY, 120.0, 120.0, 110.0),
+    },
 }
-"""Rule of each number of `LoopTiming`, `SensorModel`, `Rendering` and of an actuator's own."""
+"""Numbers of `LoopTiming`, `SensorModel` and `Rendering`, by table and key: the rule, and the
+values assumed of a calibrated pair, of a robot's description, and of a head measured by a ruler."""
+
+PAIR, ROBOT, RULER = (
+    {
+        table: {key: assumed[kind] for key, (_, *assumed) in fields.items() if assumed}
+        for table, fields in _FIELDS.items()
+    }
+    for kind in range(3)
+)
+
+# Reasons for the values by key of the head file.
+PAIR_REASONS: Final = {
+    "timing": "not in a calibration: 30 frames a second without delay",
+    "sensor.detection_noise_px": (
+        "not in a calibration: 0.1 px is what detectors of printed boards scatter by"
+    ),
+    "rendering": "not in a calibration: a webcam's blur, noise and contrast",
+}
+ROBOT_REASONS: Final = {
+    "timing.control_rate_hz": "not in such a file: what a servo bus of few joints reaches",
+    "timing.frame_rate_hz": "not in such a file: that of common USB cameras",
+    "timing.latency_s": "not in such a file: that of a USB camera with detection, 67 ms",
+    "timing.exposure_s": "not in such a file: a short one in good light",
+    "timing.lag_s": "not in such a file: that of common servos, 30 ms",
+    "sensor": "not in such a file: detection as in docs/vision.md, ideal encoders, no lost images",
+    "rendering": "not in such a file: how simulated images look, that of the simulated preset",
+}
+RULER_REASONS: Final = {
+    "timing.latency_s": "common for webcams over USB: measure-delay measures it",
+    "timing.lag_s": "common for such servos: measure-delay measures it",
+    "timing.exposure_s": "10 ms, a lit room",
+    "sensor.detection_noise_px": "0.1 px, of a board or tag in a sharp image",
+    "eyes.principal_px": "the middle of the image, until the cameras are calibrated",
+    "eyes.distortion": "none, until the cameras are calibrated",
+    "rendering": "a webcam's blur, noise and contrast",
+}
 
 _PRESETS: Final = resources.files("vergence.models") / "presets"
 _STEREO: Final = "vergence import stereo makes of a calibrated pair"
 _CONVERTERS: Final = {
-    ".yml": _STEREO,
-    ".yaml": _STEREO,
-    ".json": _STEREO,
+    **dict.fromkeys((".yml", ".yaml", ".json"), _STEREO),
     ".xml": f"{_STEREO}, vergence import urdf of a robot",
     ".urdf": "vergence import urdf makes of a robot",
 }
@@ -306,8 +339,8 @@ def head_of_document(document: Mapping[str, Any]) -> HeadModel:
     head = HeadModel(
         name=name,
         timing=_read_timing(root.table("timing")),
-        sensor=_read_part(root.table("sensor"), SensorModel),
-        rendering=_read_part(root.table("rendering"), Rendering),
+        sensor=_read_part(root.table("sensor"), SensorModel, "sensor"),
+        rendering=_read_part(root.table("rendering"), Rendering, "rendering"),
         assumptions=_read_assumptions(root),
         calibration=_read_calibration(root),
         **parts,
@@ -322,26 +355,20 @@ def document_of_head(head: HeadModel) -> dict[str, Any]:
     if head.batch_shape:
         raise HeadFileError("head", f"a population of shape {head.batch_shape}", "one head")
     check_head_name(head.name)
+    joints, last_rows = written_joints(head)
     eyes = [
         camera_fields(camera)
         | ({} if camera.response is None else {"response": camera.response})
         | {"rotation": camera.pose[:3, :3].tolist(), "position_m": camera.pose[:3, 3].tolist()}
-        for camera in head.cameras
+        | row
+        for camera, row in zip(head.cameras, last_rows, strict=True)
     ]
-    joints, last_rows = written_joints(head)
-    eyes = [eye | row for eye, row in zip(eyes, last_rows, strict=True)]
-    tables = eye_tables(head.cameras, eyes)
-    axes = isinstance(head.links, JointAxes)
-    written: dict[str, Any] = {
+    written = {
         "name": head.name,
-        "image": tables.get("image"),
-        "timing": _written_part(head.timing),
-        "sensor": _written_part(head.sensor),
-        "rendering": _written_part(head.rendering),
-        "eyes": tables["eyes"],
-        "frame": pose_fields("origin_m", head.links.frame_n_pose()) if axes else {},
-        "joints": joints,
-        **written_actuators(head),
+        "image": None,  # if both eyes have the same size
+        **{part: _written_part(getattr(head, part)) for part in ("timing", "sensor", "rendering")},
+        **eye_tables(head.cameras, eyes),
+        **joints,
         "assumptions": dict(head.assumptions),
         "calibration": dataclasses.asdict(head.calibration) if head.calibration else {},
     }
@@ -357,7 +384,7 @@ def check_head_name(name: object) -> None:
 # Parts: timing, sensor, rendering, assumptions, the record of a calibration.
 
 
-def _read_part(table: Table, part: type[_Part], **read: Any) -> _Part:
+def _read_part(table: Table, part: type[_Part], key: str, **read: Any) -> _Part:
     """Read the fields that have not been read before; those with a default are optional."""
     for field in dataclasses.fields(part):
         name = field.name
@@ -365,10 +392,9 @@ def _read_part(table: Table, part: type[_Part], **read: Any) -> _Part:
             continue
         if field.type is bool:
             read[name] = table.boolean(name)
-        elif field.type is int:
-            read[name] = table.integer(name, _FIELDS[name])
-        elif field.type is float:
-            read[name] = table.number(name, _FIELDS[name])
+        elif field.type in (int, float):
+            read_number = table.integer if field.type is int else table.number
+            read[name] = read_number(name, _FIELDS[key][name][0])
         else:
             read[name] = table.choice(name, ENCODER_SIDES)
     table.close()
@@ -388,16 +414,14 @@ def _read_timing(table: Table) -> LoopTiming:
     read: dict[str, Any] = {}
     if table.has("latency_frames"):  # older files count control periods
         if table.has("latency_s"):
-            raise HeadFileError(
-                "timing", "both", "one of latency_s and latency_frames, an older form of it"
-            )
+            expected = "one of latency_s and latency_frames, an older form of it"
+            raise HeadFileError("timing", "both", expected)
         read["control_rate_hz"] = table.number("control_rate_hz", _RATE)
         read["latency_s"] = table.integer("latency_frames", _COUNT) / read["control_rate_hz"]
-    timing = _read_part(table, LoopTiming, **read)
-    if timing.exposure_s > 1.0 / timing.frame_rate_hz:
-        raise HeadFileError(
-            "timing.exposure_s", timing.exposure_s, "no more than the time between two frames"
-        )
+    timing = _read_part(table, LoopTiming, "timing", **read)
+    expected = "no more than the time between two frames"
+    fits = timing.exposure_s <= 1.0 / timing.frame_rate_hz
+    table.expect(fits, "exposure_s", timing.exposure_s, expected)
     return timing
 
 
@@ -415,8 +439,8 @@ def _read_calibration(root: Table) -> CalibrationRecord | None:
     sigma = table.table("sigma")
     hexadecimal = "64 hexadecimal digits"
     digest = table.text("corners_sha256", hexadecimal)
-    if not re.fullmatch(r"[0-9a-f]{64}", digest):
-        raise table.error("corners_sha256", digest, hexadecimal)
+    fits = re.fullmatch(r"[0-9a-f]{64}", digest)
+    table.expect(fits, "corners_sha256", digest, hexadecimal)
     record = CalibrationRecord(
         target=table.text("target", "the board, such as 'checkerboard:9x6:24'"),
         views=table.integer("views", _COUNT),
@@ -443,15 +467,15 @@ def _read_eyes(root: Table) -> tuple[Cameras, list[dict[str, float] | None]]:
     cameras, rows = [], []
     for name, table in zip(EYE_NAMES, root.tables("eyes", 2), strict=True):
         table.require_equal("name", name, "the left eye comes first, then the right one")
-        width, height = _read_eye_size(table, image)
+        for key in ("width_px", "height_px"):
+            expected = "no size of the eye's own beside [image], which holds for both eyes"
+            table.expect(image is None or not table.has(key), key, table.peek(key), expected)
+        width, height = image or _read_size(table)
         focal = table.numbers("focal_px", (2,), _FOCAL)
         centre = table.numbers("principal_px", (2,), _PIXELS)
-        if not (0.0 < centre[0] < width and 0.0 < centre[1] < height):
-            raise table.error(
-                "principal_px",
-                centre.tolist(),
-                f"a point inside the image of {width} x {height} px",
-            )
+        inside = 0.0 < centre[0] < width and 0.0 < centre[1] < height
+        expected = f"a point inside the image of {width} x {height} px"
+        table.expect(inside, "principal_px", centre.tolist(), expected)
         camera = Camera(
             size=(width, height),
             matrix=camera_matrix(focal, centre),
@@ -460,7 +484,7 @@ def _read_eyes(root: Table) -> tuple[Cameras, list[dict[str, float] | None]]:
             pose=_read_mount(table),
         )
         cameras.append(camera)
-        rows.append(read_dh_row(table) if table.has("alpha_rad") else None)
+        rows.append(read_dh_row(table))
         table.close()
     return Cameras(*cameras), rows
 
@@ -469,40 +493,26 @@ def _read_size(table: Table) -> tuple[int, int]:
     return table.integer("width_px", _SIZE), table.integer("height_px", _SIZE)
 
 
-def _read_eye_size(table: Table, image: tuple[int, int] | None) -> tuple[int, int]:
-    if image is None:
-        return _read_size(table)
-    for key in ("width_px", "height_px"):
-        if table.has(key):
-            raise table.error(
-                key,
-                table.take(key, ""),
-                "no size of the eye's own beside [image], which holds for both eyes",
-            )
-    return image
-
-
 def _read_lens(table: Table) -> Lens:
     """Lens of a camera; a pinhole becomes Brown-Conrady with zeros."""
     said = table.has("lens")
     model = table.choice("lens", [PINHOLE, *LENSES]) if said else BROWN_CONRADY
-    given = table.peek("distortion") if table.has("distortion") else None
+    given = table.peek("distortion")
     if model == PINHOLE:
-        if given is not None and (not isinstance(given, list) or any(n != 0 for n in given)):
-            raise table.error("distortion", given, f"zeros, or no such key, for lens = '{PINHOLE}'")
-        if given is not None:
-            table.take("distortion", "")
+        if table.has("distortion"):
+            expected = f"zeros, or no such key, for lens = '{PINHOLE}'"
+            table.take("distortion", expected)
+            none = isinstance(given, list) and not any(n != 0 for n in given)
+            table.expect(none, "distortion", given, expected)
         return Lens()
     count = len(LENSES[model])
-    if not said and isinstance(given, list):  # as many as another model has
-        for other, names in LENSES.items():
-            if other != model and len(given) == len(names):
-                raise table.error(
-                    "distortion",
-                    given,
-                    f"{count} numbers, or lens = '{other}' beside them",
-                )
-    rule = _COEFFICIENT if model == BROWN_CONRADY else _RATIO_COEFFICIENT
+    for other, names in LENSES.items():  # as many as another model has
+        fits = said or other == model or not isinstance(given, list) or len(given) != len(names)
+        expected = f"{count} numbers, or lens = '{other}' beside them"
+        table.expect(fits, "distortion", given, expected)
+    # one coefficient of a quotient, or of a narrow fisheye image, may be large and distort little
+    most = 10 if model == BROWN_CONRADY else 10_000
+    rule = (lambda x: abs(x) < most), f"a distortion coefficient below {most} in size"
     return Lens(model, table.numbers("distortion", (count,), rule))
 
 
@@ -513,7 +523,7 @@ def _read_response(table: Table) -> CameraResponse | None:
     try:
         return parse_response(value)
     except ConfigurationError as error:
-        raise table.error("response", value, EXPECTED) from error
+        raise HeadFileError(table.key("response"), value, EXPECTED) from error
 
 
 def _read_mount(table: Table) -> FloatArray:

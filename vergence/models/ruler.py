@@ -1,12 +1,12 @@
 """A head file from what a ruler and a data sheet tell, and the data of common servos."""
 
 import re
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from math import hypot, pi, radians, tan, tau
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from vergence.errors import ConfigurationError, UnknownNameError
-from vergence.models.assumed import RULER, RULER_REASONS
+from vergence.models.head_file import RULER, RULER_REASONS
 from vergence.models.parts import EYE_NAMES
 
 _STEPS_4096_RAD: Final = tau / 4096
@@ -72,23 +72,10 @@ def find_servo_model(text: str) -> ServoModel:
     raise UnknownNameError("servo", text, list(SERVO_MODELS))
 
 
-_RANGES: Final = {
-    "baseline": (10.0, 2000.0, "mm"),
-    "axes_apart": (0.0, 2000.0, "mm"),
-    "height": (0.0, 2900.0, "mm"),
-    "axes_ahead": (-300.0, 300.0, "mm"),
-    "lens_ahead": (-300.0, 300.0, "mm"),
-    "lens_above": (-300.0, 300.0, "mm"),
-    "view": (5.0, 150.0, "degrees"),
-    "diagonal": (5.0, 160.0, "degrees"),
-    "focal": (50.0, 20_000.0, "px"),
-    "pan": (5.0, 180.0, "degrees"),
-    "tilt": (5.0, 90.0, "degrees"),
-    "fps": (1.0, 1000.0, "images a second"),
-    "speed": (0.1, 40.0, "rad/s"),
-    "acceleration": (1.0, 5000.0, "rad/s^2"),
-}
-"""Least and greatest value of each measure, and its unit."""
+def _measure(least: float, most: float, unit: str, default: Any = MISSING) -> Any:
+    return field(default=default, metadata={"range": (least, most, unit)})
+
+
 VIEWS: Final = ("view", "diagonal", "focal")
 """Measures of a camera's view, of which one is needed."""
 
@@ -99,29 +86,29 @@ class Ruler:
 
     name: str
     servo: ServoModel
-    baseline: float  # between the lenses, mm
+    baseline: float = _measure(10.0, 2000.0, "mm")  # between the lenses
     # the view, one of:
-    view: float | None = None  # horizontally, degrees
-    diagonal: float | None = None  # degrees
-    focal: float | None = None  # px
+    view: float | None = _measure(5.0, 150.0, "degrees", None)  # horizontally
+    diagonal: float | None = _measure(5.0, 160.0, "degrees", None)
+    focal: float | None = _measure(50.0, 20_000.0, "px", None)
     mount: Literal["turrets", "neck"] = "turrets"  # each eye has a pan and a tilt, or both together
     first: Literal["pan", "tilt"] = "pan"  # joint nearer to the base
-    axes_apart: float | None = None  # between the first axes of turrets, mm; None: as the lenses
-    height: float = 100.0  # of the lenses above the plate on which all stands, mm
-    axes_ahead: float = 0.0  # from the first axis to the second, mm
-    lens_ahead: float = 20.0  # from the second axis to the lenses, mm
-    lens_above: float = 40.0  # from the tilt axis to the lenses, mm
+    axes_apart: float | None = _measure(0.0, 2000.0, "mm", None)  # first axes; None: as the lenses
+    height: float = _measure(0.0, 2900.0, "mm", 100.0)  # of the lenses above the plate below all
+    axes_ahead: float = _measure(-300.0, 300.0, "mm", 0.0)  # from the first axis to the second
+    lens_ahead: float = _measure(-300.0, 300.0, "mm", 20.0)  # from the second axis to the lenses
+    lens_above: float = _measure(-300.0, 300.0, "mm", 40.0)  # from the tilt axis to the lenses
     size: tuple[int, int] = (640, 480)  # width and height of the images, px
-    pan: float = 80.0  # to either side, degrees
-    tilt: float = 45.0  # to either side, degrees
-    fps: float = RULER["timing"]["frame_rate_hz"]  # images a second
-    speed: float | None = None  # of the joints, rad/s; None for the servo's
-    acceleration: float | None = None  # of the joints, rad/s^2; None for the servo's
+    pan: float = _measure(5.0, 180.0, "degrees", 80.0)  # to either side
+    tilt: float = _measure(5.0, 90.0, "degrees", 45.0)  # to either side
+    fps: float = _measure(1.0, 1000.0, "images a second", RULER["timing"]["frame_rate_hz"])
+    speed: float | None = _measure(0.1, 40.0, "rad/s", None)  # of the joints; None: the servo's
+    acceleration: float | None = _measure(1.0, 5000.0, "rad/s^2", None)  # of the joints, as speed
     measured: frozenset[str] = frozenset()  # names of the values that are no defaults
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            check_measure(field.name, getattr(self, field.name))
+        for name, value in vars(self).items():
+            check_measure(name, value)
         views = [name for name in VIEWS if getattr(self, name) is not None]
         if len(views) != 1:
             raise ConfigurationError(
@@ -141,6 +128,10 @@ class Ruler:
             return self.focal
         across = float(self.size[0]) if self.diagonal is None else hypot(*self.size)
         return across / (2.0 * tan(radians(self.diagonal or self.view or 0.0) / 2.0))
+
+
+_RANGES: Final = {one.name: one.metadata["range"] for one in fields(Ruler) if one.metadata}
+"""Least and greatest value of each measure, and its unit."""
 
 
 def check_measure(name: str, value: object) -> None:
@@ -164,9 +155,8 @@ def ruler_to_toml(ruler: Ruler) -> str:
     """
     servo, (width, height) = ruler.servo, ruler.size
     parts = EYE_NAMES if ruler.mount == "turrets" else ("both",)
-    sides = {"left": -0.5, "right": 0.5, "both": 0.0}
-    joints = "".join(_joints(ruler, part, sides[part]) for part in parts)
-    eyes = "".join(_eye(ruler, eye, sides[eye]) for eye in EYE_NAMES)
+    joints = "".join(_joints(ruler, part) for part in parts)
+    eyes = "".join(_eye(ruler, eye) for eye in EYE_NAMES)
     reasons = {"joints.acceleration_rad_s2": servo.acceleration_source, **RULER_REASONS}
     lengths = [
         name.replace("_", "-")
@@ -217,24 +207,26 @@ max_smear_px = {sensor["max_smear_px"]}
 """
 
 
-def _joints(ruler: Ruler, part: str, side: float) -> str:
-    servo, up = ruler.servo, (ruler.height - ruler.lens_above) / 1000.0
-    first_up, second_up = (0.0, up) if ruler.first == "pan" else (up, 0.0)
+_SIDES: Final = {"left": -0.5, "right": 0.5, "both": 0.0}
+"""Place of what carries one eye or both, as a share of the distance between the eyes."""
+
+
+def _joints(ruler: Ruler, part: str) -> str:
+    servo = ruler.servo
     apart = ruler.baseline if ruler.axes_apart is None else ruler.axes_apart
-    origins = {
-        ruler.first: (side * apart / 1000.0, -first_up, 0.0),
-        "tilt" if ruler.first == "pan" else "pan": (0.0, -second_up, ruler.axes_ahead / 1000.0),
-    }
     note = f"{servo.name}: {servo.rev_min:g} rev/min without load at {servo.volts:g} V"
     speed, note = (ruler.speed, "stated") if ruler.speed else (servo.speed_rad_s, note)
-    text = ""
-    for joint, origin in origins.items():
-        reach, axis = (ruler.pan, [0, 1, 0]) if joint == "pan" else (ruler.tilt, [1, 0, 0])
+    text = ""  # the format z leaves no -0
+    for joint in ("pan", "tilt") if ruler.first == "pan" else ("tilt", "pan"):
+        x, z = (_SIDES[part] * apart, 0.0) if joint == ruler.first else (0.0, ruler.axes_ahead)
+        y, reach, axis = 0.0, ruler.pan, [0, 1, 0]
+        if joint == "tilt":
+            y, reach, axis = ruler.lens_above - ruler.height, ruler.tilt, [1, 0, 0]
         text += f"""
 [[joints]]
 name = "{joint if part == "both" else f"{part}_{joint}"}"
 part = "{part}"
-origin_m = {_listed(*origin)}
+origin_m = [{x / 1000.0:z.4f}, {y / 1000.0:z.4f}, {z / 1000.0:z.4f}]
 axis = {axis}
 lower_rad = {-radians(reach):.4f}               # {reach:g} degrees to either side
 upper_rad = {radians(reach):.4f}
@@ -244,23 +236,18 @@ acceleration_rad_s2 = {ruler.acceleration or servo.acceleration_rad_s2:g}
     return text
 
 
-def _eye(ruler: Ruler, eye: str, side: float) -> str:
+def _eye(ruler: Ruler, eye: str) -> str:
     """The camera of an eye, in its last joint's frame."""
     at_axes = 0.0 if ruler.mount == "neck" else ruler.axes_apart
     aside = 0.0 if at_axes is None else ruler.baseline - at_axes
     view = next(f"{name} {value:g}" for name in VIEWS if (value := getattr(ruler, name)))
     width, height = ruler.size
-    focal = _listed(ruler.focal_px, ruler.focal_px, digits=1)
+    x, y, z = _SIDES[eye] * aside, -ruler.lens_above, ruler.lens_ahead
     return f"""
 [[eyes]]
 name = "{eye}"
-focal_px = {focal}       # {view}
+focal_px = [{ruler.focal_px:.1f}, {ruler.focal_px:.1f}]       # {view}
 principal_px = [{(width - 1) / 2:g}, {(height - 1) / 2:g}]
 distortion = [0.0, 0.0, 0.0, 0.0, 0.0]
-position_m = {_listed(side * aside / 1000.0, -ruler.lens_above / 1000.0, ruler.lens_ahead / 1000.0)}
+position_m = [{x / 1000.0:z.4f}, {y / 1000.0:z.4f}, {z / 1000.0:z.4f}]
 """
-
-
-def _listed(*values: float, digits: int = 4) -> str:
-    """Numbers as TOML, none of them -0."""
-    return f"[{', '.join(f'{round(value, digits) + 0.0:.{digits}f}' for value in values)}]"

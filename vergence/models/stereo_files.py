@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.models.assumed import PAIR, PAIR_REASONS
 from vergence.models.calibration_files import (
     SPELLINGS,
     CalibrationValues,
@@ -19,7 +18,13 @@ from vergence.models.calibration_files import (
 )
 from vergence.models.camera import Camera, CameraResponse, Lens, camera_matrix
 from vergence.models.geometry import inverse_pose
-from vergence.models.head_file import camera_fields, check_head_name, eye_tables
+from vergence.models.head_file import (
+    PAIR,
+    PAIR_REASONS,
+    camera_fields,
+    check_head_name,
+    eye_tables,
+)
 from vergence.models.head_joints import pose_fields
 from vergence.models.lens import BROWN_CONRADY
 from vergence.models.parts import EYE_NAMES, CalibrationRecord, FloatArray

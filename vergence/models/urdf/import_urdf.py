@@ -12,11 +12,12 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.errors import HeadFileError
-from vergence.models.assumed import ROBOT, ROBOT_REASONS
 from vergence.models.camera import Camera, camera_matrix
 from vergence.models.head import HeadModel
 from vergence.models.head_file import (
     NAME,
+    ROBOT,
+    ROBOT_REASONS,
     camera_fields,
     check_head_name,
     eye_tables,
