@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from vergence.models.calibration_files import (
     parse_numbers,
     unexpected,
 )
-from vergence.models.camera import Camera, CameraResponse, Lens, camera_matrix
+from vergence.models.camera import Camera, CameraResponse, Cameras, Lens, camera_matrix
 from vergence.models.geometry import inverse_pose
 from vergence.models.head_file import camera_fields, check_head_name, eye_tables
 from vergence.models.head_joints import pose_fields
@@ -36,10 +37,7 @@ _LENSES: Final = {
     for name in names.split(" ")
 }
 """Lens model by the name that files use; empty if the number of coefficients must decide."""
-_NAMES_A_LENS: Final = {
-    "distortionmodel", "lensmodel", "projectionmodel", "distortiontype", "lensmodelname",
-    "distortionmodelname",
-}  # fmt: skip
+_NAMES_A_LENS: Final = re.compile("(distortion|lens|projection)model|distortiontype")
 """Keys whose value can be nothing but a lens model; of others, an unknown one may be a product."""
 _UNSUPPORTED: Final = re.compile(
     r"omni(?!vision)|^mei|ucm|unified|^ds$|doublesphere|catadioptric|ocam|scaramuzza|^fov|ftheta|thinprism"
@@ -52,6 +50,10 @@ _MAX_CENTRE_OFFSET: Final = 0.2  # doubted above: false doubts against missed wr
 _SWAPPED_OFFSET: Final = 0.1  # with half of it, swapped sides fit: a swapped 5:4 image has 0.125
 _UNITS: Final = {"mm": (0.001, "millimetres"), "cm": (0.01, "centimetres"), "m": (1.0, "metres")}
 """Metres per unit (physical), and its name."""
+_PLACE: Final = (
+    "ROTATION", "TRANSLATION", "CHAINED", "BODY_IN_CAMERA", "CAMERA_IN_BODY", "UNIT"
+)  # fmt: skip
+"""Meanings of a camera's place, of which intrinsics say nothing."""
 
 # Range of plausible baselines; others suggest a wrong unit (chosen).
 LEAST_BASELINE_M: Final = 0.01
@@ -62,38 +64,44 @@ _ROTATION_TOLERANCE: Final = 1e-3  # on singular values; files have as few as 4 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReadCameras:
-    """Left and right camera of calibration files; one object if one stands for both eyes.
+class ReadCameras(Cameras):
+    """Cameras of calibration files; left and right are one object if one stands for both eyes.
 
     Of a pair that does not move, the right one's pose is that in the left one's frame.
     """
 
-    left: Camera
-    right: Camera
     lens_assumptions: tuple[str, str] = ("", "")
     """Assumption about each lens that the files do not tell; empty for none."""
     notes: tuple[str, ...] = ()  # assumptions about the files, one phrase each
 
     @property
+    def assumed(self) -> dict[str, str]:
+        """Assumptions about the lenses by key of a head file."""
+        lenses = zip(EYE_NAMES, self.lens_assumptions, strict=True)
+        return {f"eyes.{eye}.distortion": said for eye, said in lenses if said}
+
+    @property
     def guesses(self) -> tuple[str, ...]:
         """Doubtful or assumed values that the user should check, one phrase each."""
-        left, right = (
-            [*([assumed] if assumed else []), *_principal_doubts(camera)]
-            for camera, assumed in zip((self.left, self.right), self.lens_assumptions, strict=True)
-        )
+        said = [
+            [phrase for phrase in (assumed, _principal_doubt(camera)) if phrase]
+            for camera, assumed in zip(self, self.lens_assumptions, strict=True)
+        ]
         if self.left is self.right:
-            return (*left, *self.notes)
-        said = [f"left camera: {one}" for one in left] + [f"right camera: {one}" for one in right]
-        return (*said, *self.notes, *_mounting_doubts(self.right.pose))
+            return (*said[0], *self.notes)
+        eyes = zip(EYE_NAMES, said, strict=True)
+        named = [f"{eye} camera: {phrase}" for eye, phrases in eyes for phrase in phrases]
+        return (*named, *self.notes, *_mounting_doubts(self.right.pose))
 
 
-def _principal_doubts(camera: Camera) -> Iterator[str]:
-    if _off_centre(camera.principal, *camera.size) > _MAX_CENTRE_OFFSET:
-        u, v = camera.principal
-        yield (
-            f"principal point ({u:.0f}, {v:.0f}) far from the middle of {camera.width} x "
-            f"{camera.height} px: was the camera calibrated at this size?"
-        )
+def _principal_doubt(camera: Camera) -> str:
+    if _off_centre(camera.principal, *camera.size) <= _MAX_CENTRE_OFFSET:
+        return ""
+    u, v = camera.principal
+    return (
+        f"principal point ({u:.0f}, {v:.0f}) far from the middle of {camera.width} x "
+        f"{camera.height} px: was the camera calibrated at this size?"
+    )
 
 
 def _mounting_doubts(pose: FloatArray) -> Iterator[str]:
@@ -117,14 +125,6 @@ def _off_centre(principal: FloatArray, *size: int) -> float:
     return float(np.max(np.abs((principal - (np.array(size) - 1.0) / 2.0) / size)))
 
 
-def _read(
-    cameras: Sequence[CalibrationValues], size: tuple[int, int] | None, lens: str | None
-) -> ReadCameras:
-    read = [_camera(keys, size, lens) for keys in cameras]
-    (left, said), (right, other) = read[0], read[-1]
-    return ReadCameras(left=left, right=right, lens_assumptions=(said, other))
-
-
 def read_intrinsics(
     paths: Sequence[str | os.PathLike[str]],
     *,
@@ -132,16 +132,15 @@ def read_intrinsics(
     lens: str | None = None,
 ) -> ReadCameras:
     """Read the left and the right camera: from one file, two (left first), or one for both eyes."""
-    values = CalibrationValues(paths)
+    values = CalibrationValues.read(paths)
     cameras, apart = values.cameras()
-    read = _read(cameras, size, lens)
+    read = [_camera(keys, size, lens) for keys in cameras]
     if apart is not values:
         _refuse_swapped(cameras)
-    for keys in cameras:  # their places are the robot's, and a head's own
-        for name in ("ROTATION", "TRANSLATION", "CHAINED", "BODY_IN_CAMERA", "CAMERA_IN_BODY"):
-            keys.find(name, shared=True)
-        keys.find("UNIT", shared=True)
-    return replace(read, notes=values.notes())
+    for keys, name in product(cameras, _PLACE):  # that of the robot, or a head's own
+        keys.find(name, shared=True)
+    (left, said), (right, other) = read[0], read[-1]
+    return ReadCameras(left, right, lens_assumptions=(said, other), notes=values.notes())
 
 
 def _refuse_swapped(cameras: Sequence[CalibrationValues]) -> None:
@@ -196,22 +195,20 @@ def _image_size(keys: CalibrationValues, given: tuple[int, int] | None) -> tuple
     elif found := keys.find("SHAPE", shared=True):
         sides = found.numbers((2, 3), "an image's shape, its rows and columns")[1::-1]
     else:
-        both = [one for name in ("WIDTH", "HEIGHT") if (one := keys.find(name, shared=True))]
-        if len(both) < 2:
+        found, other = (keys.find(name, shared=True) for name in ("WIDTH", "HEIGHT"))
+        if not found or not other:
             if given is None:
-                raise ConfigurationError(
-                    f"{keys.name}: expected the image size (image_width and image_height), got "
-                    "none: write these two into it, or give --size WIDTHxHEIGHT"
-                )
+                got = "none: write these two into it, or give --size WIDTHxHEIGHT"
+                raise unexpected(keys.name, "the image size (image_width and image_height)", got)
             return given
-        sides = np.array([one.numbers((1,), "an image's side in pixels")[0] for one in both])
-        found = both[0]
+        both = [one.numbers((1,), "an image's side in pixels") for one in (found, other)]
+        sides = np.concatenate(both)
     whole = (sides >= 16) & (sides <= 20_000) & (sides == np.round(sides))
     found.expect(whole.all(), "an image size in whole pixels, 16 to 20000", sides.tolist())
-    size = width, height = int(sides[0]), int(sides[1])
+    size = int(sides[0]), int(sides[1])
     if given is not None:
         expected = f"the size that was given, {given[0]} x {given[1]} px"
-        got = f"{width} x {height} (the calibration is of that size)"
+        got = f"{size[0]} x {size[1]} (the calibration is of that size)"
         found.expect(given == size, expected, got)
     return size
 
@@ -300,7 +297,7 @@ def _named_lens(keys: CalibrationValues) -> str | None:
             named[lens] = found.label
         elif lens is None:
             found.expect(
-                stem not in _NAMES_A_LENS and not _UNSUPPORTED.search(plain),
+                not (_NAMES_A_LENS.match(stem) or _UNSUPPORTED.search(plain)),
                 "a lens model such as plumb_bob, radtan, rational_polynomial, fisheye or "
                 "equidistant",
                 f"{found.value!r:.80}, which is not supported",
@@ -319,14 +316,11 @@ def read_stereo(
     lens: str | None = None,
     swap: bool = False,
 ) -> ReadCameras:
-    """Read a calibrated stereo pair.
+    """Read a calibrated stereo pair, or refuse an implausible one.
 
-    The files are OpenCV's (`cameraMatrix1`, `distCoeffs1`, ..., `R`, `T`, or `M1`, `D1`, ... in
-    one file and `R`, `T` in another), two camera_info files of ROS, left first, a camchain of
-    kalibr, two sensor.yaml files of EuRoC, or settings of ORB-SLAM2. For ROS and ORB-SLAM2,
-    rotation and baseline follow from the rectification and projection matrices:
-    `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`; for poses of
-    both cameras at a body they are those of `T_right_body T_left_body^-1`.
+    For ROS and ORB-SLAM2, rotation and baseline follow from the rectification and projection
+    matrices: `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`; for
+    poses of both cameras at a body they are those of `T_right_body T_left_body^-1`.
 
     Args:
         paths: the files, which together hold both cameras and their relative pose.
@@ -336,19 +330,12 @@ def read_stereo(
         size: (width, height) in pixels, for files that do not give it.
         lens: the lens model, for files that do not name it.
         swap: true if the first camera of the files is the right one.
-
-    Returns:
-        The pair; the right camera's pose is that in the left one's frame.
-
-    Raises:
-        ConfigurationError: a file cannot be read or is unused, a value is missing, or the pair
-            is implausible.
     """
     metres = None if unit is None else parse_unit(unit, "unit")
-    values = CalibrationValues(paths)
+    values = CalibrationValues.read(paths)
     cameras, apart = values.cameras()
-    pair = _read(cameras, size, lens)
-    if len(cameras) != 2:
+    read = [_camera(keys, size, lens) for keys in cameras]
+    if len(read) != 2:
         raise ConfigurationError(
             f"{values.name}: expected the camera matrices of a pair (such as cameraMatrix1 and "
             "cameraMatrix2, or camera_matrix in a file for each), got 1 of them"
@@ -359,10 +346,11 @@ def read_stereo(
     pose[:3, :3], pose[:3, 3] = rotation.T, -rotation.T @ (scale * shift)
     notes = (*doubts, *values.notes())
     if swap:
-        pose, lenses = inverse_pose(pose), pair.lens_assumptions[::-1]
-        pair = ReadCameras(left=pair.right, right=pair.left, lens_assumptions=lenses)
+        pose, read = inverse_pose(pose), read[::-1]
     _check(pose, found, scale, swap)
-    return replace(pair, right=replace(pair.right, pose=pose), notes=notes)
+    (left, said), (right, other) = read
+    right = replace(right, pose=pose)
+    return ReadCameras(left, right, lens_assumptions=(said, other), notes=notes)
 
 
 def parse_unit(text: str, owner: str) -> float:
@@ -390,14 +378,14 @@ def _scale(
     sizeless = sides is not None and (sides == 1.0).all() and length > _LEAST_SQUARES
     if square is None or not sizeless or given not in (None, 1.0, 0.01, 0.001):
         return given or 1.0, ()
-    square.expect(
-        given,
-        "the size of the board's squares",
-        f"1: the translation, {length:.4g} long, seems to be in squares: give the length of one as "
-        f"--unit, such as --unit 25mm ({0.025 * length:.4g} m), or --unit m, cm or mm if it is in "
-        "that",
-    )
-    return given or 1.0, (f"{square.label} is 1: is the translation in squares of the board?",)
+    if given is None:
+        got = (
+            f"1: the translation, {length:.4g} long, seems to be in squares: give the length of "
+            f"one as --unit, such as --unit 25mm ({0.025 * length:.4g} m), or --unit m, cm or mm "
+            "if it is in that"
+        )
+        raise unexpected(square.label, "the size of the board's squares", got)
+    return given, (f"{square.label} is 1: is the translation in squares of the board?",)
 
 
 def _place(
@@ -526,28 +514,22 @@ def document_of_pair(
 ) -> dict[str, Any]:
     """Tables of the head file of a pair; N is midway between the cameras, z along the mean axis."""
     check_head_name(name)
-    cameras = (pair.left, pair.right)
+    own = {} if response is None else {"response": response}
     fields = [
-        ({} if response is None else {"response": response})
-        | camera_fields(camera)
-        | pose_fields("position_m", camera.pose)
-        for camera in cameras
+        own | camera_fields(camera) | pose_fields("position_m", camera.pose) for camera in pair
     ]
-    tables = eye_tables(cameras, fields)
-    eyes = tables.pop("eyes")
-    guesses = {
-        f"eyes.{eye}.distortion": said
-        for eye, said in zip(EYE_NAMES, pair.lens_assumptions, strict=True)
-        if said
+    tables = eye_tables(pair, fields)
+    noise = {} if noise_px is None else {"detection_noise_px": noise_px}
+    reasons = {
+        key: why for key, why in PAIR_REASONS.items() if key.removeprefix("sensor.") not in noise
     }
-    sensor, reasons = dict(PAIR["sensor"]), dict(PAIR_REASONS)
-    if noise_px is not None:
-        sensor["detection_noise_px"] = noise_px
-        del reasons["sensor.detection_noise_px"]
-    return (
-        {"name": name}
-        | tables
-        | PAIR
-        | {"sensor": sensor, "eyes": eyes, "assumptions": {**reasons, **guesses}}
-        | ({"calibration": asdict(calibration)} if calibration else {})
-    )
+    document = {
+        "name": name,
+        "image": tables.get("image"),
+        **PAIR,
+        "sensor": PAIR["sensor"] | noise,
+        "eyes": tables["eyes"],
+        "assumptions": reasons | pair.assumed,
+        "calibration": asdict(calibration) if calibration else None,
+    }
+    return {key: value for key, value in document.items() if value}
