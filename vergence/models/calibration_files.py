@@ -312,9 +312,10 @@ class CalibrationValues:
                 if own := [one for one in found if one.file in self.files]:
                     yield own
 
-    def has(self, *names: str) -> bool:
-        """True if there are values of all of these keys."""
-        return all(any(self._spelled(name)) for name in names)
+    def find_all(self, *names: str) -> list[FoundValue]:
+        """Values of keys that say nothing without each other; empty if one is absent."""
+        complete = all(any(self._spelled(name)) for name in names)
+        return [found for name in names if complete and (found := self.find(name))]
 
     def find(self, name: str, *, shared: bool = False) -> FoundValue | None:
         """Find the value of a key of `SPELLINGS` or, plain, of another one; None if absent.
@@ -336,7 +337,8 @@ class CalibrationValues:
         Cameras are told apart by labels in the keys, or by their files.
         """
         for sides in _SIDES:
-            found = [one for side in sides if (one := replace(self, side=side)).has("MATRIX")]
+            each = [replace(self, side=side) for side in sides]
+            found = [one for one in each if any(one._spelled("MATRIX"))]
             if len(found) > 2:
                 raise ConfigurationError(
                     f"{self.name}: expected one or two cameras, got those of "
@@ -345,15 +347,15 @@ class CalibrationValues:
                 )
             if len(found) == 2:
                 return found, self
-        found = [one for name in self.files if (one := replace(self, files=(name,))).has("MATRIX")]
+        each = [replace(self, files=(name,)) for name in self.files]
+        found = [one for one in each if any(one._spelled("MATRIX"))]
         if len(found) not in (1, 2):
             raise ConfigurationError(
                 f"{self.name}: expected the camera matrices of one or two cameras (such as "
                 f"cameraMatrix1 and cameraMatrix2, or camera_matrix in a file for each), got "
                 f"{len(found)} of them; {READ_FORMATS}"
             )
-        own = [one.name for one in found]
-        others = tuple(name for name in self.files if name not in own)
+        others = tuple(one.name for one in each if one not in found)
         return found, self if len(found) == 1 else replace(self, files=others)
 
     def _refuse_other_meanings(self) -> None:

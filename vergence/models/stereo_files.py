@@ -161,9 +161,7 @@ def _camera(
 ) -> tuple[Camera, str]:
     """One camera, and the assumption about its lens."""
     named = _named_lens(keys)  # an unsupported one explains what else is odd
-    matrix = keys.find("MATRIX")
-    if matrix is None:
-        raise unexpected(keys.name, "a camera matrix", "none")
+    (matrix,) = keys.find_all("MATRIX")
     focal, principal = _pinhole(matrix)
     size = _image_size(keys, size)
     _check_principal(principal, matrix, *size)
@@ -396,18 +394,15 @@ def _place(
     if right.side and (chain := right.find("CHAINED")):
         pose = _transform(chain)
         return _rotation(pose[:3, :3], chain), pose[:3, 3], chain
-    if (
-        apart.has("ROTATION", "TRANSLATION")
-        and (turn := apart.find("ROTATION"))
-        and (found := apart.find("TRANSLATION"))
-    ):
+    if both := apart.find_all("ROTATION", "TRANSLATION"):
+        turn, found = both
         rotation = turn.numbers((3, 9), "a rotation of 3 x 3 numbers, or a rotation vector")
         shift = found.numbers((3,), "a translation of 3 numbers")
         if rotation.size == 3:
             from scipy.spatial.transform import Rotation
 
             return Rotation.from_rotvec(rotation).as_matrix(), shift, found
-        return _rotation(rotation.reshape(3, 3), turn), shift, found
+        return _rotation(rotation, turn), shift, found
     if (one := _from_body(left)) and (other := _from_body(right)):
         pose = other[0] @ inverse_pose(one[0])
         return pose[:3, :3], pose[:3, 3], other[1]
@@ -445,19 +440,20 @@ def _from_body(keys: CalibrationValues) -> tuple[FloatArray, FoundValue] | None:
 
 def _rectified(keys: CalibrationValues) -> tuple[FloatArray, FloatArray, FoundValue] | None:
     """Rotation to a camera's rectified frame, and its offset in that, if present."""
-    turn, found = keys.find("RECTIFICATION"), keys.find("PROJECTION")
-    if turn is None or found is None:
+    both = keys.find_all("RECTIFICATION", "PROJECTION")
+    if not both:
         return None
-    values = turn.numbers((9,), "a rectification of 3 x 3 numbers").reshape(3, 3)
-    rotation = _rotation(values, turn)
+    turn, found = both
+    rotation = _rotation(turn.numbers((9,), "a rectification of 3 x 3 numbers"), turn)
     matrix = found.numbers((12,), "a projection of 3 x 4 numbers").reshape(3, 4)
     focal = matrix[[0, 1], [0, 1]]
     found.expect((focal > 0.0).all(), "focal lengths above 0", focal.tolist())
     return rotation, matrix[:, 3] / [*focal, 1.0], found
 
 
-def _rotation(matrix: FloatArray, found: FoundValue) -> FloatArray:
-    """Orthonormal rotation nearest to a rounded one."""
+def _rotation(values: FloatArray, found: FoundValue) -> FloatArray:
+    """Orthonormal rotation nearest to a rounded one of 9 numbers."""
+    matrix = values.reshape(3, 3)
     u, scales, vt = np.linalg.svd(matrix)
     nearest: FloatArray = u @ vt
     found.expect(
