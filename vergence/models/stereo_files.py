@@ -50,10 +50,6 @@ _MAX_CENTRE_OFFSET: Final = 0.2  # doubted above: false doubts against missed wr
 _SWAPPED_OFFSET: Final = 0.1  # with half of it, swapped sides fit: a swapped 5:4 image has 0.125
 _UNITS: Final = {"mm": (0.001, "millimetres"), "cm": (0.01, "centimetres"), "m": (1.0, "metres")}
 """Metres per unit (physical), and its name."""
-_PLACE: Final = (
-    "ROTATION", "TRANSLATION", "CHAINED", "BODY_IN_CAMERA", "CAMERA_IN_BODY", "UNIT"
-)  # fmt: skip
-"""Meanings of a camera's place, of which intrinsics say nothing."""
 
 # Range of plausible baselines; others suggest a wrong unit (chosen).
 LEAST_BASELINE_M: Final = 0.01
@@ -137,7 +133,8 @@ def read_intrinsics(
     read = [_camera(keys, size, lens) for keys in cameras]
     if apart is not values:
         _refuse_swapped(cameras)
-    for keys, name in product(cameras, _PLACE):  # that of the robot, or a head's own
+    place = ("ROTATION", "TRANSLATION", "CHAINED", "BODY_IN_CAMERA", "CAMERA_IN_BODY", "UNIT")
+    for keys, name in product(cameras, place):  # that of the robot, or a head's own
         keys.find(name, shared=True)
     (left, said), (right, other) = read[0], read[-1]
     return ReadCameras(left, right, lens_assumptions=(said, other), notes=values.notes())
@@ -232,17 +229,15 @@ def _refuse_part(keys: CalibrationValues, size: tuple[int, int]) -> None:
     full = "a calibration of the full image, which is that of a head"
     advice = "if the images are full ones, else calibrate at the size that they have"
     found, factors = _counts(keys, "binningx", "binningy")
-    if found:
+    if found and not set(factors) <= {0.0, 1.0}:
         x, y = (max(factor, 1.0) for factor in factors)
-        got = f"binning {x:g} x {y:g}: set both to 1 {advice}"
-        found.expect(set(factors) <= {0.0, 1.0}, full, got)
-    found, (width, height, x, y) = _counts(
-        keys, "roiwidth", "roiheight", "roixoffset", "roiyoffset"
-    )
-    if found:
-        region = width or size[0], height or size[1], x, y
+        raise unexpected(found.label, full, f"binning {x:g} x {y:g}: set both to 1 {advice}")
+    names = ("roiwidth", "roiheight", "roixoffset", "roiyoffset")
+    found, (width, height, x, y) = _counts(keys, *names)
+    region = width or size[0], height or size[1], x, y
+    if found and region != (*size, 0.0, 0.0):
         got = "a region of {:g} x {:g} px at ({:g}, {:g})".format(*region)
-        found.expect(region == (*size, 0.0, 0.0), full, f"{got}: set all of it to 0 {advice}")
+        raise unexpected(found.label, full, f"{got}: set all of it to 0 {advice}")
 
 
 def _counts(keys: CalibrationValues, *names: str) -> tuple[FoundValue | None, list[float]]:
@@ -320,14 +315,8 @@ def read_stereo(
     matrices: `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`; for
     poses of both cameras at a body they are those of `T_right_body T_left_body^-1`.
 
-    Args:
-        paths: the files, which together hold both cameras and their relative pose.
-        unit: unit of the translation in the files, `m`, `cm` or `mm`, or a length such as `25mm`
-            for a translation in squares of the calibration board; None for that in the files, else
-            metres.
-        size: (width, height) in pixels, for files that do not give it.
-        lens: the lens model, for files that do not name it.
-        swap: true if the first camera of the files is the right one.
+    The unit is that of the translation, see `parse_unit`; None for that in the files, else metres.
+    `swap` says that the first camera is the right one.
     """
     metres = None if unit is None else parse_unit(unit, "unit")
     values = CalibrationValues.read(paths)
