@@ -4,11 +4,12 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from copy import copy
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from math import prod
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -50,9 +51,8 @@ def unexpected(label: str, expected: str, got: object) -> ConfigurationError:
     return ConfigurationError(f"{label}: expected {expected}, got {got}")
 
 
-def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """Read YAML, XML or JSON into nested mappings, with arrays for OpenCV's matrices."""
-    name = os.fspath(path)
+def _read_file(name: str) -> list[tuple[str, Any]]:
+    """Values of a YAML, XML or JSON file by dotted key, with arrays for OpenCV's matrices."""
     try:
         if os.path.getsize(name) > _MAX_FILE_BYTES:
             raise unexpected(name, "a calibration file", "one above 50 MB")
@@ -74,11 +74,9 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
             got = f"{program}, which is not read: {READ_FORMATS}"
             raise unexpected(name, "a calibration file", got)
     kind = {"<": "XML", "{": "JSON"}.get(text.lstrip()[:1], "YAML")
+    parsers: dict[str, Callable[[str], Any]] = {"XML": _parse_xml, "JSON": json.loads}
     try:
-        if kind == "JSON":
-            parsed = json.loads(text)
-        else:
-            parsed = _parse_xml(text) if kind == "XML" else _parse_yaml(text)
+        parsed = parsers.get(kind, _parse_yaml)(text)
     except (ValueError, RecursionError, ElementTree.ParseError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         if isinstance(error, RecursionError):
@@ -90,7 +88,7 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
         got = f"a {type(parsed).__name__}" if parsed else "nothing"
         raise unexpected(name, "keys with values", f"{got}; {READ_FORMATS}")
     try:
-        return {str(key): _with_matrices(value, f"{name}: {key}") for key, value in parsed.items()}
+        return list(_flattened(parsed, name))
     except RecursionError as error:  # a file that contains itself by aliases
         raise unexpected(name, "a few nested keys", "endless ones") from error
 
@@ -98,22 +96,17 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     """Loader that drops unknown tags, such as `!!opencv-matrix`, and keeps their values."""
 
+    # no entry for None, which would refuse them
+    yaml_constructors: ClassVar = {
+        tag: one for tag, one in yaml.SafeLoader.yaml_constructors.items() if tag
+    }
+
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         """Refuse a key that stands twice, as where two files were joined."""
         for key, count in Counter(str(key.value) for key, _ in node.value).items():
             if count > 1:
                 raise ValueError(f"the key {key!r:.80} twice")
         return super().construct_mapping(node, deep)
-
-    def untagged(self, _suffix: str, node: Any) -> Any:
-        """Value of a node with an unknown tag."""
-        if isinstance(node, yaml.ScalarNode):
-            return self.construct_scalar(node)
-        mapping = isinstance(node, yaml.MappingNode)
-        return (self.construct_mapping if mapping else self.construct_sequence)(node, deep=True)
-
-
-_Loader.add_multi_constructor("", _Loader.untagged)
 
 
 def _parse_yaml(text: str) -> Any:
@@ -139,10 +132,9 @@ def _parse_xml(text: str) -> Any:
 
 
 def _element(element: ElementTree.Element) -> Any:
-    if len(element) and all(child.tag == "_" for child in element):
-        return [_element(child) for child in element]
-    if len(element):
-        return {child.tag: _element(child) for child in element}
+    if inner := [(child.tag, _element(child)) for child in element]:
+        listed = all(tag == "_" for tag, _ in inner)
+        return [value for _, value in inner] if listed else dict(inner)
     text = element.text or ""
     try:
         values = [float(word) for word in text.split()]
@@ -151,24 +143,30 @@ def _element(element: ElementTree.Element) -> Any:
     return values[0] if len(values) == 1 else values
 
 
-def _with_matrices(value: Any, where: str) -> Any:
-    """Copy of a value with matrices that are written as mappings turned into arrays."""
-    if not isinstance(value, Mapping):
-        return value
-    if "data" in value and ("rows" in value or "sizes" in value):
-        return _matrix(value, where)
-    return {str(key): _with_matrices(inner, f"{where}: {key}") for key, inner in value.items()}
+def _flattened(
+    content: Mapping[str, Any], where: str, prefix: str = "", outer: bool = True
+) -> Iterator[tuple[str, Any]]:
+    """Values of nested mappings by dotted key, without outer keys alone on their level."""
+    outer = outer and len(content) == 1
+    for key, value in content.items():
+        inner = f"{where}: {key}"
+        if not isinstance(value, Mapping):
+            yield f"{prefix}{key}", value
+        elif "data" in value and ("rows" in value or "sizes" in value):
+            yield f"{prefix}{key}", _matrix(value, inner)
+        else:
+            yield from _flattened(value, inner, "" if outer else f"{prefix}{key}.", outer)
 
 
 def _matrix(value: Mapping[str, Any], where: str) -> FloatArray:
+    """Array of a matrix that is written as a mapping."""
     sizes = [value["rows"], value.get("cols", 1)] if "rows" in value else value["sizes"]
     shape = list(sizes) if isinstance(sizes, Sequence) else [sizes]
-    try:
-        sides = [int(side) for side in shape]
-    except (TypeError, ValueError, OverflowError):
-        sides = []
-    sides = sides if all(0 <= side <= 10**6 for side in sides) else []
-    data, count = parse_numbers(value["data"]), prod(sides)
+    numbers, data = parse_numbers(shape), parse_numbers(value["data"])
+    if numbers is None or numbers.ndim != 1 or not ((numbers >= 0) & (numbers <= 1e6)).all():
+        numbers = np.empty(0)
+    sides = [int(side) for side in numbers]
+    count = prod(sides)
     # an element may hold several numbers, such as the two of an image point
     if data is None or not sides or (data.size % count or not data.size if count else data.size):
         got = "no" if data is None else str(data.size)
@@ -218,12 +216,18 @@ SPELLINGS: Final = {
 }
 _SIDES: Final = (("left", "right"), ("l", "r"), "0123456789")
 """Labels by which keys distinguish the two cameras of a pair."""
+_SIDED: Final = (
+    *("{0}{1}", "{1}{0}", "cam{1}{0}", "{1}cam{0}", "{0}cam{1}", "cam{0}{1}"),
+    *("camera{1}{0}", "{1}camera{0}", "{0}camera{1}", "camera{0}{1}"),
+)
+"""Spellings of a key {0} with a side {1}, such as `cameramatrix1` and `leftk`."""
 _OTHER_MEANING: Final = {
     "xi": "an omnidirectional lens (cv2.omnidir, MEI)",
     "alpha": "skew, or a lens of another model, such as EUCM (or stereoRectify's alpha: leave it "
     "out)",
     "alphac": "skew (calibrate with it fixed)",
     "skew": "skew (calibrate with it fixed)",
+    "mirror": "mirrored images (calibrate with those that the camera delivers)",
     **dict.fromkeys(
         ("rotate", "rotated", "rotateimage", "imagerotation"),
         "turned images (calibrate with those that the camera delivers)",
@@ -266,75 +270,66 @@ class FoundValue(NamedTuple):
         return values.reshape(-1)
 
 
+@dataclass(frozen=True, eq=False)
 class CalibrationValues:
-    """Values of calibration files, found under any known spelling of their keys.
+    """Values of calibration files, or of one camera in them, under any spelling of their keys."""
 
-    Attributes:
-        name: the files, for messages.
-        side: label of the camera of a pair whose values are looked up, such as `left`; or empty.
-        used: name of the file by label of each value found.
-    """
+    files: tuple[str, ...]
+    by_key: dict[str, list[FoundValue]]
+    """Values by key in lower case without punctuation; those of other files are not found."""
+    side: str = ""
+    """Label of the camera of a pair whose values are found, such as `left`; or empty."""
+    used: dict[str, str] = field(default_factory=dict)
+    """Name of the file by label of each value found."""
 
-    def __init__(self, paths: Sequence[str | os.PathLike[str]]) -> None:
-        self._files = [os.fspath(path) for path in paths]
-        self.name = ", ".join(self._files)
-        self.side = ""
-        self.used: dict[str, str] = {}
-        self._found: dict[str, list[FoundValue]] = {}
-        contents = {name: _unwrapped(read_calibration(name)) for name in self._files}
+    @classmethod
+    def read(cls, paths: Sequence[str | os.PathLike[str]]) -> "CalibrationValues":
+        """Read files, and refuse values that are not supported."""
+        values = cls(tuple(os.fspath(path) for path in paths), {})
+        contents = {name: _read_file(name) for name in values.files}
         if len(contents) < len(paths):
-            raise unexpected(self.name, "different files", "one of them twice")
+            raise unexpected(values.name, "different files", "one of them twice")
         for name, content in contents.items():
-            for key, value in _flattened(content):
+            for key, value in content:
                 plain = re.sub(r"[^a-z0-9]", "", key.lower())
                 if re.search(r"k\d$", plain) and isinstance(value, int | float | str):
                     plain = f"coefficient{plain}"  # of a lens; K1 is a matrix
-                self._found.setdefault(plain, []).append(FoundValue(value, f"{name}: {key}", name))
-        self._refuse_other_meanings()
+                found = FoundValue(value, f"{name}: {key}", name)
+                values.by_key.setdefault(plain, []).append(found)
+        values._refuse_other_meanings()
+        return values
 
-    def _part(self, name: str, side: str, files: Collection[str]) -> "CalibrationValues":
-        """Values of a camera or of some files; what is found in them counts as found here."""
-        part = copy(self)
-        part.name, part.side, part._files = name, side, list(files)
-        if files != self._files:
-            part._found = {
-                key: kept
-                for key, found in self._found.items()
-                if (kept := [one for one in found if one.file in files])
-            }
-        return part
+    @property
+    def name(self) -> str:
+        """The files, for messages."""
+        return ", ".join(self.files)
 
-    def has(self, *names: str) -> bool:
-        """True if there are values of all of these keys."""
-        keys = ({key for stem in SPELLINGS[name] for key in self._keys(stem)} for name in names)
-        return all(each & self._found.keys() for each in keys)
+    def _spelled(self, name: str) -> Iterator[list[FoundValue]]:
+        """Values of each key that spells a meaning, in order of lookup."""
+        for stem in SPELLINGS.get(name, [name]):
+            for form in _SIDED if self.side else _SIDED[:1]:
+                found = self.by_key.get(form.format(stem, self.side), ())
+                if own := [one for one in found if one.file in self.files]:
+                    yield own
 
-    def _keys(self, stem: str) -> Iterator[str]:
-        """Spellings of a key, with a side those such as `cameramatrix1` and `leftk`."""
-        side = self.side
-        yield stem + side
-        if side:
-            yield side + stem
-            for camera in ("cam", "camera"):
-                yield camera + side + stem
-                yield side + camera + stem
-                yield stem + camera + side
-                yield camera + stem + side
+    def find_all(self, *names: str) -> list[FoundValue]:
+        """Values of keys that say nothing without each other; empty if one is absent."""
+        complete = all(any(self._spelled(name)) for name in names)
+        return [found for name in names if complete and (found := self.find(name))]
 
     def find(self, name: str, *, shared: bool = False) -> FoundValue | None:
         """Find the value of a key of `SPELLINGS` or, plain, of another one; None if absent.
 
         A `shared` one may stand without a side.
         """
-        for stem in SPELLINGS.get(name, [name]):
-            for key in self._keys(stem):
-                if found := self._found.get(key):
-                    for other in found[1:]:
-                        same = _same(found[0].value, other.value)
-                        other.expect(same, f"what {found[0].label} says", "something else")
-                    self.used.update((one.label, one.file) for one in found)
-                    return found[0]
-        return self._part(self.name, "", self._files).find(name) if shared and self.side else None
+        found = next(self._spelled(name), None)
+        if found is None:
+            return replace(self, side="").find(name) if shared and self.side else None
+        for other in found[1:]:
+            same = _same(found[0].value, other.value)
+            other.expect(same, f"what {found[0].label} says", "something else")
+        self.used.update((one.label, one.file) for one in found)
+        return found[0]
 
     def cameras(self) -> tuple[list["CalibrationValues"], "CalibrationValues"]:
         """Values of the left and right camera, or of one for both, and those of no camera alone.
@@ -342,8 +337,8 @@ class CalibrationValues:
         Cameras are told apart by labels in the keys, or by their files.
         """
         for sides in _SIDES:
-            named = [self._part(self.name, side, self._files) for side in sides]
-            found = [one for one in named if one.has("MATRIX")]
+            each = [replace(self, side=side) for side in sides]
+            found = [one for one in each if any(one._spelled("MATRIX"))]
             if len(found) > 2:
                 raise ConfigurationError(
                     f"{self.name}: expected one or two cameras, got those of "
@@ -352,70 +347,50 @@ class CalibrationValues:
                 )
             if len(found) == 2:
                 return found, self
-        each = [self._part(name, "", [name]) for name in self._files]
-        found = [one for one in each if one.has("MATRIX")]
+        each = [replace(self, files=(name,)) for name in self.files]
+        found = [one for one in each if any(one._spelled("MATRIX"))]
         if len(found) not in (1, 2):
             raise ConfigurationError(
                 f"{self.name}: expected the camera matrices of one or two cameras (such as "
                 f"cameraMatrix1 and cameraMatrix2, or camera_matrix in a file for each), got "
                 f"{len(found)} of them; {READ_FORMATS}"
             )
-        others = [one.name for one in each if one not in found]
-        return found, self if len(found) == 1 else self._part(", ".join(others), "", others)
+        others = tuple(one.name for one in each if one not in found)
+        return found, self if len(found) == 1 else replace(self, files=others)
 
     def _refuse_other_meanings(self) -> None:
         """Refuse a value that changes the meaning of others and that is not supported."""
-        for found in (one for same in self._found.values() for one in same):
-            *_, key = found.label.removeprefix(f"{found.file}: ").split(".")
+        for found in chain.from_iterable(self.by_key.values()):
+            key = found.label.removeprefix(f"{found.file}: ").rpartition(".")[2]
             spaced = re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", key).lower()
             words = [word for word in re.split(r"[^a-z]+", spaced) if word not in _SIDE_WORDS]
-            meaning = _OTHER_MEANING.get("".join(words))
-            if any(re.match(r"mirror|[hv]?flip", word) for word in words):
-                meaning = "mirrored images (calibrate with those that the camera delivers)"
-            if not meaning:
-                continue
-            numbers = parse_numbers(found.value)
-            off = str(found.value).lower() in ("false", "no", "none", "off", "")
-            if numbers is not None:  # -1 is stereoRectify's default
-                off = off or not numbers.any() or ("alpha" in words and (numbers == -1.0).all())
-            found.expect(
-                off,
-                "a calibration of a pinhole or fisheye camera as OpenCV has them",
-                f"{found.value!r:.60}: {meaning}; this is not supported",
-            )
-            self.used[found.label] = ""  # said, of no effect
+            mirrors = any(re.match(r"mirror|[hv]?flip", word) for word in words)
+            if meaning := _OTHER_MEANING.get("mirror" if mirrors else "".join(words)):
+                numbers = parse_numbers(found.value)
+                off = str(found.value).lower() in ("false", "no", "none", "off", "")
+                if numbers is not None:  # -1 is stereoRectify's default
+                    off = off or not numbers.any() or ("alpha" in words and (numbers == -1.0).all())
+                expected = "a calibration of a pinhole or fisheye camera as OpenCV has them"
+                got = f"{found.value!r:.60}: {meaning}; this is not supported"
+                found.expect(off, expected, got)
+                self.used[found.label] = ""  # said, of no effect
 
     def notes(self) -> tuple[str, ...]:
         """Refuse files that nothing was read of, and name keys that nothing asked for."""
         used = set(self.used.values())
-        if others := [name for name in self._files if name not in used]:
-            enough = ", ".join(name for name in self._files if name in used)
+        if others := [name for name in self.files if name not in used]:
+            enough = ", ".join(name for name in self.files if name in used)
             got = f"a calibration in {enough} that uses nothing else"
             raise unexpected(", ".join(others), "files that belong together", got)
         unread = [
             one.label
-            for key, found in self._found.items()
+            for key, found in self.by_key.items()
             for one in found
             if one.label not in self.used and not _NO_MATTER.search(key)
         ]
         more = f" and {len(unread) - _MAX_UNREAD} more" if len(unread) > _MAX_UNREAD else ""
         said = f"these keys are not read: {', '.join(unread[:_MAX_UNREAD])}{more}"
         return (said,) if unread else ()
-
-
-def _flattened(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Values of nested mappings, each with its path of keys joined by dots."""
-    for key, inner in value.items():
-        if isinstance(inner, Mapping):
-            yield from _flattened(inner, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", inner
-
-
-def _unwrapped(content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Content below outer keys that are alone on their level."""
-    inner = next(iter(content.values()), None)
-    return _unwrapped(inner) if len(content) == 1 and isinstance(inner, Mapping) else content
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -16,7 +17,7 @@ from vergence.models.calibration_files import (
     parse_numbers,
     unexpected,
 )
-from vergence.models.camera import Camera, CameraResponse, Lens, camera_matrix
+from vergence.models.camera import Camera, CameraResponse, Cameras, Lens, camera_matrix
 from vergence.models.geometry import inverse_pose
 from vergence.models.head_file import (
     PAIR,
@@ -41,10 +42,7 @@ _LENSES: Final = {
     for name in names.split(" ")
 }
 """Lens model by the name that files use; empty if the number of coefficients must decide."""
-_NAMES_A_LENS: Final = {
-    "distortionmodel", "lensmodel", "projectionmodel", "distortiontype", "lensmodelname",
-    "distortionmodelname",
-}  # fmt: skip
+_NAMES_A_LENS: Final = re.compile("(distortion|lens|projection)model|distortiontype")
 """Keys whose value can be nothing but a lens model; of others, an unknown one may be a product."""
 _UNSUPPORTED: Final = re.compile(
     r"omni(?!vision)|^mei|ucm|unified|^ds$|doublesphere|catadioptric|ocam|scaramuzza|^fov|ftheta|thinprism"
@@ -67,38 +65,44 @@ _ROTATION_TOLERANCE: Final = 1e-3  # on singular values; files have as few as 4 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReadCameras:
-    """Left and right camera of calibration files; one object if one stands for both eyes.
+class ReadCameras(Cameras):
+    """Cameras of calibration files; left and right are one object if one stands for both eyes.
 
     Of a pair that does not move, the right one's pose is that in the left one's frame.
     """
 
-    left: Camera
-    right: Camera
     lens_assumptions: tuple[str, str] = ("", "")
     """Assumption about each lens that the files do not tell; empty for none."""
     notes: tuple[str, ...] = ()  # assumptions about the files, one phrase each
 
     @property
+    def assumed(self) -> dict[str, str]:
+        """Assumptions about the lenses by key of a head file."""
+        lenses = zip(EYE_NAMES, self.lens_assumptions, strict=True)
+        return {f"eyes.{eye}.distortion": said for eye, said in lenses if said}
+
+    @property
     def guesses(self) -> tuple[str, ...]:
         """Doubtful or assumed values that the user should check, one phrase each."""
-        left, right = (
-            [*([assumed] if assumed else []), *_principal_doubts(camera)]
-            for camera, assumed in zip((self.left, self.right), self.lens_assumptions, strict=True)
-        )
+        said = [
+            [phrase for phrase in (assumed, _principal_doubt(camera)) if phrase]
+            for camera, assumed in zip(self, self.lens_assumptions, strict=True)
+        ]
         if self.left is self.right:
-            return (*left, *self.notes)
-        said = [f"left camera: {one}" for one in left] + [f"right camera: {one}" for one in right]
-        return (*said, *self.notes, *_mounting_doubts(self.right.pose))
+            return (*said[0], *self.notes)
+        eyes = zip(EYE_NAMES, said, strict=True)
+        named = [f"{eye} camera: {phrase}" for eye, phrases in eyes for phrase in phrases]
+        return (*named, *self.notes, *_mounting_doubts(self.right.pose))
 
 
-def _principal_doubts(camera: Camera) -> Iterator[str]:
-    if _off_centre(camera.principal, *camera.size) > _MAX_CENTRE_OFFSET:
-        u, v = camera.principal
-        yield (
-            f"principal point ({u:.0f}, {v:.0f}) far from the middle of {camera.width} x "
-            f"{camera.height} px: was the camera calibrated at this size?"
-        )
+def _principal_doubt(camera: Camera) -> str:
+    if _off_centre(camera.principal, *camera.size) <= _MAX_CENTRE_OFFSET:
+        return ""
+    u, v = camera.principal
+    return (
+        f"principal point ({u:.0f}, {v:.0f}) far from the middle of {camera.width} x "
+        f"{camera.height} px: was the camera calibrated at this size?"
+    )
 
 
 def _mounting_doubts(pose: FloatArray) -> Iterator[str]:
@@ -122,14 +126,6 @@ def _off_centre(principal: FloatArray, *size: int) -> float:
     return float(np.max(np.abs((principal - (np.array(size) - 1.0) / 2.0) / size)))
 
 
-def _read(
-    cameras: Sequence[CalibrationValues], size: tuple[int, int] | None, lens: str | None
-) -> ReadCameras:
-    read = [_camera(keys, size, lens) for keys in cameras]
-    (left, said), (right, other) = read[0], read[-1]
-    return ReadCameras(left=left, right=right, lens_assumptions=(said, other))
-
-
 def read_intrinsics(
     paths: Sequence[str | os.PathLike[str]],
     *,
@@ -137,16 +133,16 @@ def read_intrinsics(
     lens: str | None = None,
 ) -> ReadCameras:
     """Read the left and the right camera: from one file, two (left first), or one for both eyes."""
-    values = CalibrationValues(paths)
+    values = CalibrationValues.read(paths)
     cameras, apart = values.cameras()
-    read = _read(cameras, size, lens)
+    read = [_camera(keys, size, lens) for keys in cameras]
     if apart is not values:
         _refuse_swapped(cameras)
-    for keys in cameras:  # their places are the robot's, and a head's own
-        for name in ("ROTATION", "TRANSLATION", "CHAINED", "BODY_IN_CAMERA", "CAMERA_IN_BODY"):
-            keys.find(name, shared=True)
-        keys.find("UNIT", shared=True)
-    return replace(read, notes=values.notes())
+    place = ("ROTATION", "TRANSLATION", "CHAINED", "BODY_IN_CAMERA", "CAMERA_IN_BODY", "UNIT")
+    for keys, name in product(cameras, place):  # that of the robot, or a head's own
+        keys.find(name, shared=True)
+    (left, said), (right, other) = read[0], read[-1]
+    return ReadCameras(left, right, lens_assumptions=(said, other), notes=values.notes())
 
 
 def _refuse_swapped(cameras: Sequence[CalibrationValues]) -> None:
@@ -167,9 +163,7 @@ def _camera(
 ) -> tuple[Camera, str]:
     """One camera, and the assumption about its lens."""
     named = _named_lens(keys)  # an unsupported one explains what else is odd
-    matrix = keys.find("MATRIX")
-    if matrix is None:
-        raise unexpected(keys.name, "a camera matrix", "none")
+    (matrix,) = keys.find_all("MATRIX")
     focal, principal = _pinhole(matrix)
     size = _image_size(keys, size)
     _check_principal(principal, matrix, *size)
@@ -201,22 +195,20 @@ def _image_size(keys: CalibrationValues, given: tuple[int, int] | None) -> tuple
     elif found := keys.find("SHAPE", shared=True):
         sides = found.numbers((2, 3), "an image's shape, its rows and columns")[1::-1]
     else:
-        both = [one for name in ("WIDTH", "HEIGHT") if (one := keys.find(name, shared=True))]
-        if len(both) < 2:
+        found, other = (keys.find(name, shared=True) for name in ("WIDTH", "HEIGHT"))
+        if not found or not other:
             if given is None:
-                raise ConfigurationError(
-                    f"{keys.name}: expected the image size (image_width and image_height), got "
-                    "none: write these two into it, or give --size WIDTHxHEIGHT"
-                )
+                got = "none: write these two into it, or give --size WIDTHxHEIGHT"
+                raise unexpected(keys.name, "the image size (image_width and image_height)", got)
             return given
-        sides = np.array([one.numbers((1,), "an image's side in pixels")[0] for one in both])
-        found = both[0]
+        both = [one.numbers((1,), "an image's side in pixels") for one in (found, other)]
+        sides = np.concatenate(both)
     whole = (sides >= 16) & (sides <= 20_000) & (sides == np.round(sides))
     found.expect(whole.all(), "an image size in whole pixels, 16 to 20000", sides.tolist())
-    size = width, height = int(sides[0]), int(sides[1])
+    size = int(sides[0]), int(sides[1])
     if given is not None:
         expected = f"the size that was given, {given[0]} x {given[1]} px"
-        got = f"{width} x {height} (the calibration is of that size)"
+        got = f"{size[0]} x {size[1]} (the calibration is of that size)"
         found.expect(given == size, expected, got)
     return size
 
@@ -242,17 +234,15 @@ def _refuse_part(keys: CalibrationValues, size: tuple[int, int]) -> None:
     full = "a calibration of the full image, which is that of a head"
     advice = "if the images are full ones, else calibrate at the size that they have"
     found, factors = _counts(keys, "binningx", "binningy")
-    if found:
+    if found and not set(factors) <= {0.0, 1.0}:
         x, y = (max(factor, 1.0) for factor in factors)
-        got = f"binning {x:g} x {y:g}: set both to 1 {advice}"
-        found.expect(set(factors) <= {0.0, 1.0}, full, got)
-    found, (width, height, x, y) = _counts(
-        keys, "roiwidth", "roiheight", "roixoffset", "roiyoffset"
-    )
-    if found:
-        region = width or size[0], height or size[1], x, y
+        raise unexpected(found.label, full, f"binning {x:g} x {y:g}: set both to 1 {advice}")
+    names = ("roiwidth", "roiheight", "roixoffset", "roiyoffset")
+    found, (width, height, x, y) = _counts(keys, *names)
+    region = width or size[0], height or size[1], x, y
+    if found and region != (*size, 0.0, 0.0):
         got = "a region of {:g} x {:g} px at ({:g}, {:g})".format(*region)
-        found.expect(region == (*size, 0.0, 0.0), full, f"{got}: set all of it to 0 {advice}")
+        raise unexpected(found.label, full, f"{got}: set all of it to 0 {advice}")
 
 
 def _counts(keys: CalibrationValues, *names: str) -> tuple[FoundValue | None, list[float]]:
@@ -305,7 +295,7 @@ def _named_lens(keys: CalibrationValues) -> str | None:
             named[lens] = found.label
         elif lens is None:
             found.expect(
-                stem not in _NAMES_A_LENS and not _UNSUPPORTED.search(plain),
+                not (_NAMES_A_LENS.match(stem) or _UNSUPPORTED.search(plain)),
                 "a lens model such as plumb_bob, radtan, rational_polynomial, fisheye or "
                 "equidistant",
                 f"{found.value!r:.80}, which is not supported",
@@ -324,36 +314,20 @@ def read_stereo(
     lens: str | None = None,
     swap: bool = False,
 ) -> ReadCameras:
-    """Read a calibrated stereo pair.
+    """Read a calibrated stereo pair, or refuse an implausible one.
 
-    The files are OpenCV's (`cameraMatrix1`, `distCoeffs1`, ..., `R`, `T`, or `M1`, `D1`, ... in
-    one file and `R`, `T` in another), two camera_info files of ROS, left first, a camchain of
-    kalibr, two sensor.yaml files of EuRoC, or settings of ORB-SLAM2. For ROS and ORB-SLAM2,
-    rotation and baseline follow from the rectification and projection matrices:
-    `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`; for poses of
-    both cameras at a body they are those of `T_right_body T_left_body^-1`.
+    For ROS and ORB-SLAM2, rotation and baseline follow from the rectification and projection
+    matrices: `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`; for
+    poses of both cameras at a body they are those of `T_right_body T_left_body^-1`.
 
-    Args:
-        paths: the files, which together hold both cameras and their relative pose.
-        unit: unit of the translation in the files, `m`, `cm` or `mm`, or a length such as `25mm`
-            for a translation in squares of the calibration board; None for that in the files, else
-            metres.
-        size: (width, height) in pixels, for files that do not give it.
-        lens: the lens model, for files that do not name it.
-        swap: true if the first camera of the files is the right one.
-
-    Returns:
-        The pair; the right camera's pose is that in the left one's frame.
-
-    Raises:
-        ConfigurationError: a file cannot be read or is unused, a value is missing, or the pair
-            is implausible.
+    The unit is that of the translation, see `parse_unit`; None for that in the files, else metres.
+    `swap` says that the first camera is the right one.
     """
     metres = None if unit is None else parse_unit(unit, "unit")
-    values = CalibrationValues(paths)
+    values = CalibrationValues.read(paths)
     cameras, apart = values.cameras()
-    pair = _read(cameras, size, lens)
-    if len(cameras) != 2:
+    read = [_camera(keys, size, lens) for keys in cameras]
+    if len(read) != 2:
         raise ConfigurationError(
             f"{values.name}: expected the camera matrices of a pair (such as cameraMatrix1 and "
             "cameraMatrix2, or camera_matrix in a file for each), got 1 of them"
@@ -364,10 +338,11 @@ def read_stereo(
     pose[:3, :3], pose[:3, 3] = rotation.T, -rotation.T @ (scale * shift)
     notes = (*doubts, *values.notes())
     if swap:
-        pose, lenses = inverse_pose(pose), pair.lens_assumptions[::-1]
-        pair = ReadCameras(left=pair.right, right=pair.left, lens_assumptions=lenses)
+        pose, read = inverse_pose(pose), read[::-1]
     _check(pose, found, scale, swap)
-    return replace(pair, right=replace(pair.right, pose=pose), notes=notes)
+    (left, said), (right, other) = read
+    right = replace(right, pose=pose)
+    return ReadCameras(left, right, lens_assumptions=(said, other), notes=notes)
 
 
 def parse_unit(text: str, owner: str) -> float:
@@ -395,14 +370,14 @@ def _scale(
     sizeless = sides is not None and (sides == 1.0).all() and length > _LEAST_SQUARES
     if square is None or not sizeless or given not in (None, 1.0, 0.01, 0.001):
         return given or 1.0, ()
-    square.expect(
-        given,
-        "the size of the board's squares",
-        f"1: the translation, {length:.4g} long, seems to be in squares: give the length of one as "
-        f"--unit, such as --unit 25mm ({0.025 * length:.4g} m), or --unit m, cm or mm if it is in "
-        "that",
-    )
-    return given or 1.0, (f"{square.label} is 1: is the translation in squares of the board?",)
+    if given is None:
+        got = (
+            f"1: the translation, {length:.4g} long, seems to be in squares: give the length of "
+            f"one as --unit, such as --unit 25mm ({0.025 * length:.4g} m), or --unit m, cm or mm "
+            "if it is in that"
+        )
+        raise unexpected(square.label, "the size of the board's squares", got)
+    return given, (f"{square.label} is 1: is the translation in squares of the board?",)
 
 
 def _place(
@@ -413,18 +388,15 @@ def _place(
     if right.side and (chain := right.find("CHAINED")):
         pose = _transform(chain)
         return _rotation(pose[:3, :3], chain), pose[:3, 3], chain
-    if (
-        apart.has("ROTATION", "TRANSLATION")
-        and (turn := apart.find("ROTATION"))
-        and (found := apart.find("TRANSLATION"))
-    ):
+    if both := apart.find_all("ROTATION", "TRANSLATION"):
+        turn, found = both
         rotation = turn.numbers((3, 9), "a rotation of 3 x 3 numbers, or a rotation vector")
         shift = found.numbers((3,), "a translation of 3 numbers")
         if rotation.size == 3:
             from scipy.spatial.transform import Rotation
 
             return Rotation.from_rotvec(rotation).as_matrix(), shift, found
-        return _rotation(rotation.reshape(3, 3), turn), shift, found
+        return _rotation(rotation, turn), shift, found
     if (one := _from_body(left)) and (other := _from_body(right)):
         pose = other[0] @ inverse_pose(one[0])
         return pose[:3, :3], pose[:3, 3], other[1]
@@ -462,19 +434,20 @@ def _from_body(keys: CalibrationValues) -> tuple[FloatArray, FoundValue] | None:
 
 def _rectified(keys: CalibrationValues) -> tuple[FloatArray, FloatArray, FoundValue] | None:
     """Rotation to a camera's rectified frame, and its offset in that, if present."""
-    turn, found = keys.find("RECTIFICATION"), keys.find("PROJECTION")
-    if turn is None or found is None:
+    both = keys.find_all("RECTIFICATION", "PROJECTION")
+    if not both:
         return None
-    values = turn.numbers((9,), "a rectification of 3 x 3 numbers").reshape(3, 3)
-    rotation = _rotation(values, turn)
+    turn, found = both
+    rotation = _rotation(turn.numbers((9,), "a rectification of 3 x 3 numbers"), turn)
     matrix = found.numbers((12,), "a projection of 3 x 4 numbers").reshape(3, 4)
     focal = matrix[[0, 1], [0, 1]]
     found.expect((focal > 0.0).all(), "focal lengths above 0", focal.tolist())
     return rotation, matrix[:, 3] / [*focal, 1.0], found
 
 
-def _rotation(matrix: FloatArray, found: FoundValue) -> FloatArray:
-    """Orthonormal rotation nearest to a rounded one."""
+def _rotation(values: FloatArray, found: FoundValue) -> FloatArray:
+    """Orthonormal rotation nearest to a rounded one of 9 numbers."""
+    matrix = values.reshape(3, 3)
     u, scales, vt = np.linalg.svd(matrix)
     nearest: FloatArray = u @ vt
     found.expect(
@@ -531,28 +504,22 @@ def document_of_pair(
 ) -> dict[str, Any]:
     """Tables of the head file of a pair; N is midway between the cameras, z along the mean axis."""
     check_head_name(name)
-    cameras = (pair.left, pair.right)
+    own = {} if response is None else {"response": response}
     fields = [
-        ({} if response is None else {"response": response})
-        | camera_fields(camera)
-        | pose_fields("position_m", camera.pose)
-        for camera in cameras
+        own | camera_fields(camera) | pose_fields("position_m", camera.pose) for camera in pair
     ]
-    tables = eye_tables(cameras, fields)
-    eyes = tables.pop("eyes")
-    guesses = {
-        f"eyes.{eye}.distortion": said
-        for eye, said in zip(EYE_NAMES, pair.lens_assumptions, strict=True)
-        if said
+    tables = eye_tables(pair, fields)
+    noise = {} if noise_px is None else {"detection_noise_px": noise_px}
+    reasons = {
+        key: why for key, why in PAIR_REASONS.items() if key.removeprefix("sensor.") not in noise
     }
-    sensor, reasons = dict(PAIR["sensor"]), dict(PAIR_REASONS)
-    if noise_px is not None:
-        sensor["detection_noise_px"] = noise_px
-        del reasons["sensor.detection_noise_px"]
-    return (
-        {"name": name}
-        | tables
-        | PAIR
-        | {"sensor": sensor, "eyes": eyes, "assumptions": {**reasons, **guesses}}
-        | ({"calibration": asdict(calibration)} if calibration else {})
-    )
+    document = {
+        "name": name,
+        "image": tables.get("image"),
+        **PAIR,
+        "sensor": PAIR["sensor"] | noise,
+        "eyes": tables["eyes"],
+        "assumptions": reasons | pair.assumed,
+        "calibration": asdict(calibration) if calibration else None,
+    }
+    return {key: value for key, value in document.items() if value}

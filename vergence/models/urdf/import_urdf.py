@@ -108,12 +108,11 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     limits, assumed = joint_motion_limits(chains, source.speed, source.acceleration)
     motors = find_eye_motors(chains, limits, source.couplings, poses)
     read, unsaid = _images([frame.camera for frame in frames], source)
-    images = (read.left, read.right)
-    if images[0].size == images[1].size:
+    if read.left.size == read.right.size:
         size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
         unsaid = {size.sub("image.", key): reason for key, reason in unsaid.items()}
-    fields = [camera_fields(image) | mount for image, mount in zip(images, mounts, strict=True)]
-    tables = eye_tables(images, fields)
+    fields = [camera_fields(image) | mount for image, mount in zip(read, mounts, strict=True)]
+    tables = eye_tables(read, fields)
     eyes = tables.pop("eyes")
     actuators = [
         {"name": motor.name, "joints": dict(motor.joint_factors), **motor.limits.fields()}
@@ -278,8 +277,7 @@ def _images(cameras: Sequence[Any], source: UrdfSource) -> tuple[ReadCameras, di
             refuse(f"{eye}-camera", expected, got)
     if source.intrinsics:
         read = read_intrinsics(source.intrinsics, size=source.size, lens=source.lens)
-        lenses = zip(EYE_NAMES, read.lens_assumptions, strict=True)
-        assumed = {f"eyes.{eye}.distortion": said for eye, said in lenses if said}
+        assumed = read.assumed
         if read.left is read.right:
             assumed["eyes.right.focal_px"] = "one calibration was given for both cameras"
         return read, assumed
@@ -287,7 +285,7 @@ def _images(cameras: Sequence[Any], source: UrdfSource) -> tuple[ReadCameras, di
         if given is not None:
             refuse(option, "--intrinsics beside it", "none")
     images, reasons = zip(*map(_image, EYE_NAMES, cameras), strict=True)
-    return ReadCameras(left=images[0], right=images[1]), reasons[0] | reasons[1]
+    return ReadCameras(*images), reasons[0] | reasons[1]
 
 
 def _image(eye: str, camera: Any) -> tuple[Camera, dict[str, str]]:
