@@ -13,7 +13,7 @@ from vergence.eval.head_reach import (
     midpoint_between_cameras,
     off_axis_reach_points,
 )
-from vergence.models.camera import PINHOLE, Camera
+from vergence.models.camera import UNDISTORTED, Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, EYES, CalibrationRecord, FloatArray
 from vergence.triangulation.fix import triangulate_views
@@ -236,7 +236,7 @@ def _eye(camera: Camera, name: str) -> EyeSummary:
         height_px=camera.height,
         focal_px=tuple(camera.focal.tolist()),
         principal_px=tuple(camera.principal.tolist()),
-        lens=camera.lens.model if camera.distorts else PINHOLE,
+        lens=camera.lens.model if camera.distorts else UNDISTORTED,
         horizontal_deg=float(angles[1, 0] - angles[0, 0]),
         vertical_deg=float(angles[3, 1] - angles[2, 1]),
         folds=folds or bool(np.isnan(corners).any()),

@@ -1,7 +1,8 @@
-"""Compiled kernels on disk: never stale, and also where a wheel carries them.
+"""Compiled kernels on disk: as fresh as Python's byte code, and also where a wheel carries them.
 
 What names the folders, and why numba's own cache does not do, is in `vergence.kernels`. If no
-folder can be written, each process compiles for itself.
+folder can be written, each process compiles for itself. An edit that keeps a file's size and second
+of change is missed by Python's byte code, and so here.
 """
 
 import atexit

@@ -3,8 +3,7 @@
 import json
 import os
 import re
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from math import prod
@@ -18,7 +17,7 @@ import yaml
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
-_MAX_FILE_BYTES: Final = 50_000_000  # a file with every image point has a few million (chosen)
+_MAX_CHARACTERS: Final = 50_000_000  # a file with every image point has a few million (chosen)
 _LOOKED_AT: Final = 100_000  # characters, for the format of another program (chosen)
 _MAX_DEPTH: Final = 100  # of YAML; its parser would overflow the stack somewhere beyond (chosen)
 _MAX_UNREAD: Final = 6  # most keys that are named as not read (chosen)
@@ -54,9 +53,8 @@ def unexpected(label: str, expected: str, got: object) -> ConfigurationError:
 def _read_file(name: str) -> list[tuple[str, Any]]:
     """Values of a YAML, XML or JSON file by dotted key, with arrays for OpenCV's matrices."""
     try:
-        if os.path.getsize(name) > _MAX_FILE_BYTES:
-            raise unexpected(name, "a calibration file", "one above 50 MB")
-        text = Path(name).read_text(encoding="utf-8-sig")
+        with Path(name).open(encoding="utf-8-sig") as file:
+            text = file.read(_MAX_CHARACTERS + 1)
     except OSError as error:
         raise ConfigurationError(
             f"{name}: {error.strerror}; expected a calibration file"
@@ -65,6 +63,8 @@ def _read_file(name: str) -> list[tuple[str, Any]]:
         raise ConfigurationError(
             f"{name}: not text in UTF-8; expected a calibration file; {READ_FORMATS}"
         ) from error
+    if len(text) > _MAX_CHARACTERS:
+        raise unexpected(name, "a calibration file", "one above 50 MB")
     if name.lower().endswith(".toml"):
         raise unexpected(
             name, "a calibration (YAML, XML or JSON)", "a TOML file (a head file is none)"
@@ -74,9 +74,9 @@ def _read_file(name: str) -> list[tuple[str, Any]]:
             got = f"{program}, which is not read: {READ_FORMATS}"
             raise unexpected(name, "a calibration file", got)
     kind = {"<": "XML", "{": "JSON"}.get(text.lstrip()[:1], "YAML")
-    parsers: dict[str, Callable[[str], Any]] = {"XML": _parse_xml, "JSON": json.loads}
+    parse = {"XML": _parse_xml, "JSON": _parse_json, "YAML": _parse_yaml}[kind]
     try:
-        parsed = parsers.get(kind, _parse_yaml)(text)
+        parsed = parse(text)
     except (ValueError, RecursionError, ElementTree.ParseError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         if isinstance(error, RecursionError):
@@ -102,11 +102,23 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
     }
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        """Refuse a key that stands twice, as where two files were joined."""
-        for key, count in Counter(str(key.value) for key, _ in node.value).items():
-            if count > 1:
-                raise ValueError(f"the key {key!r:.80} twice")
+        """Refuse a key that stands twice."""
+        _unique((str(key.value), None) for key, _ in node.value)
         return super().construct_mapping(node, deep)
+
+
+def _unique(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Values by key; a key that stands twice, as where two files were joined, is refused."""
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"the key {key!r:.80} twice")
+        found[key] = value
+    return found
+
+
+def _parse_json(text: str) -> Any:
+    return json.loads(text, object_pairs_hook=_unique)
 
 
 def _parse_yaml(text: str) -> Any:
@@ -128,16 +140,16 @@ def _parse_xml(text: str) -> Any:
     root = ElementTree.fromstring(text)
     if root.tag != "opencv_storage":
         raise ValueError(f"the root <{root.tag}>, where OpenCV writes <opencv_storage>")
-    return {child.tag: _element(child) for child in root}
+    return _unique((child.tag, _element(child)) for child in root)
 
 
 def _element(element: ElementTree.Element) -> Any:
     if inner := [(child.tag, _element(child)) for child in element]:
         listed = all(tag == "_" for tag, _ in inner)
-        return [value for _, value in inner] if listed else dict(inner)
+        return [value for _, value in inner] if listed else _unique(inner)
     text = element.text or ""
     try:
-        values = [float(word) for word in text.split()]
+        values = [float(_NOT_FINITE.sub(r"\1\2", word)) for word in text.split()]
     except ValueError:
         return text.strip().strip('"')
     return values[0] if len(values) == 1 else values

@@ -114,7 +114,7 @@ def light_table(response: CameraResponse) -> FloatArray:
     return light
 
 
-PINHOLE: Final = "pinhole"
+UNDISTORTED: Final = "pinhole"
 """Name, in files and messages, of a Brown-Conrady lens without distortion."""
 
 

@@ -16,7 +16,7 @@ from vergence.errors import ConfigurationError, HeadFileError, UnknownNameError,
 from vergence.files import write_atomic
 from vergence.models.camera import (
     EXPECTED,
-    PINHOLE,
+    UNDISTORTED,
     Camera,
     CameraResponse,
     Cameras,
@@ -152,7 +152,7 @@ _ABOVE_ZERO: Final[Rule] = (lambda x: x > 0.0, "a number above 0")
 _PROBABILITY: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "a probability from 0 to below 1")
 _GREY: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "a grey level, 0 to 255")
 _COUNT: Final[Rule] = (lambda x: 0 <= x <= 10_000, "a whole number, 0 to 10000")
-_SIZE: Final[Rule] = (lambda x: 16 <= x <= 20_000, "an image size in pixels, 16 to 20000")
+_SIZE: Final[Rule] = (lambda x: 16 <= x <= 20_000, "an image size in whole pixels, 16 to 20000")
 
 _FIELDS: Final[dict[str, dict[str, tuple[Any, ...]]]] = {
     "timing": {
@@ -176,7 +176,7 @@ _FIELDS: Final[dict[str, dict[str, tuple[Any, ...]]]] = {
     "rendering": {
         "blur_px": (SIGMA, 0.7, 0.5, 0.7),
         "noise_grey": (SIGMA, 2.0, 2.0, 4.0),
-        "supersampling": ((lambda x: 1 <= x <= 16, "1 to 16"), 2, 1, 1),
+        "supersampling": ((lambda x: 1 <= x <= 16, "a whole number, 1 to 16"), 2, 1, 1),
         "black_grey": (_GREY, 40.0, 40.0, 50.0),
         "white_grey": (_GREY, 210.0, 210.0, 190.0),
         "background_grey": (_GREY, 120.0, 120.0, 110.0),
@@ -213,7 +213,7 @@ ROBOT_REASONS: Final = {
 RULER_REASONS: Final = {
     "timing.latency_s": "common for webcams over USB: measure-delay measures it",
     "timing.lag_s": "common for such servos: measure-delay measures it",
-    "timing.exposure_s": "10 ms, a lit room",
+    "timing.exposure_s": "10 ms, a lit room, or the time between two images",
     "sensor.detection_noise_px": "0.1 px, of a board or tag in a sharp image",
     "eyes.principal_px": "the middle of the image, until the cameras are calibrated",
     "eyes.distortion": "none, until the cameras are calibrated",
@@ -295,10 +295,12 @@ def save_head(head: HeadModel, path: str | os.PathLike[str]) -> None:
         path: file to write; an existing file is replaced.
 
     Raises:
-        HeadFileError: the head is a population, or has a name that is no valid file name.
+        HeadFileError: the head is a population, or has a name or a number that `load_head` refuses.
         OSError: the file cannot be written.
     """
-    write_atomic(path, head_to_toml(head))
+    text = head_to_toml(head)
+    parse_head(text)
+    write_atomic(path, text)
 
 
 def parse_head(text: str) -> HeadModel:
@@ -496,11 +498,11 @@ def _read_size(table: Table) -> tuple[int, int]:
 def _read_lens(table: Table) -> Lens:
     """Lens of a camera; a pinhole becomes Brown-Conrady with zeros."""
     said = table.has("lens")
-    model = table.choice("lens", [PINHOLE, *LENSES]) if said else BROWN_CONRADY
+    model = table.choice("lens", [UNDISTORTED, *LENSES]) if said else BROWN_CONRADY
     given = table.peek("distortion")
-    if model == PINHOLE:
+    if model == UNDISTORTED:
         if table.has("distortion"):
-            expected = f"zeros, or no such key, for lens = '{PINHOLE}'"
+            expected = f"zeros, or no such key, for lens = '{UNDISTORTED}'"
             table.take("distortion", expected)
             none = isinstance(given, list) and not any(n != 0 for n in given)
             table.expect(none, "distortion", given, expected)

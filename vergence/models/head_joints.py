@@ -29,7 +29,7 @@ METRES: Final[Rule] = (lambda x: abs(x) < 1.0, "metres below 1 in size (is it in
 LENGTH: Final[Rule] = (lambda x: abs(x) < 3.0, "metres below 3 in size (is it in millimetres?)")
 RADIANS: Final[Rule] = (lambda x: abs(x) < 6.3, "radians below 6.3 in size (is it in degrees?)")
 _FACTOR: Final[Rule] = (lambda x: abs(x) <= 1.0 + 1e-9, "an element of a rotation matrix, -1 to 1")
-SPEED: Final[Rule] = (lambda x: 0.0 < x < 100.0, "rad/s, 0 to 100 (is it in degrees?)")
+SPEED: Final[Rule] = (lambda x: 0.0 < x < 100.0, "rad/s above 0 and below 100 (is it in degrees?)")
 ACCELERATION: Final[Rule] = (lambda x: x > 0.0, "rad/s^2 above 0, or inf for no limit")
 SECONDS: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "seconds, 0 to 1 (is it in milliseconds?)")
 SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 100.0, "a number from 0 to 100")

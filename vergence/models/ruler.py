@@ -115,6 +115,10 @@ class Ruler:
                 "view: expected one of --view, --diagonal and --focal, got "
                 f"{' and '.join(views) or 'none'}"
             )
+        if self.axes_apart is not None and self.mount == "neck":
+            raise ConfigurationError(
+                f"axes-apart: expected none with --mount neck, got {self.axes_apart:g}"
+            )
         if self.height < self.lens_above:
             raise ConfigurationError(
                 f"height: expected at least the lenses' height above the tilt axis, "
@@ -187,7 +191,7 @@ height_px = {height}
 control_rate_hz = {max(ruler.fps, timing["control_rate_hz"]):g}
 frame_rate_hz = {ruler.fps:g}
 latency_s = {timing["latency_s"]}               # from exposure to image, until it is measured
-exposure_s = {timing["exposure_s"]}
+exposure_s = {min(timing["exposure_s"], int(1e4 / ruler.fps) / 1e4)}
 lag_s = {timing["lag_s"]}                  # of the servos' response, until it is measured
 
 # {servo.name}: {servo.source}

@@ -39,7 +39,8 @@ def test_lenses_turn_about_the_axes_that_were_measured_from_where_they_were_meas
 @pytest.mark.parametrize("mount", ["turrets", "neck"])
 @pytest.mark.parametrize("first", ["pan", "tilt"])
 def test_every_build_looks_at_a_point_ahead(mount, first):
-    ruler = dataclasses.replace(MEASURED, mount=mount, first=first)
+    apart = 100.0 if mount == "turrets" else None
+    ruler = dataclasses.replace(MEASURED, mount=mount, first=first, axes_apart=apart, fps=150.0)
     head = parse_head(ruler_to_toml(ruler))
     target = [0.05, -0.02, 0.8]
     off = head.project(head.fixate(target), target) - head.cameras.principal
@@ -55,6 +56,8 @@ def test_a_view_is_that_of_a_pinhole_and_a_tilt_axis_above_the_plate():
     assert diagonal.focal_px == pytest.approx(400 / tan(radians(30.0)))
     with pytest.raises(ConfigurationError, match="height: expected at least"):
         dataclasses.replace(MEASURED, height=30.0)
+    with pytest.raises(ConfigurationError, match="axes-apart: expected none with --mount neck"):
+        dataclasses.replace(MEASURED, mount="neck")
 
 
 def test_servos_are_found_by_the_beginning_of_their_names():

@@ -277,6 +277,10 @@ def test_files_that_are_missing_or_do_not_belong_together_are_refused(tmp_path, 
     refused("calibration of both cameras together", read_stereo, alone)
     text = camera_info(tmp_path / "both.yaml", 0).read_text("utf-8")
     refused("the key 'image_width' twice", read_intrinsics, one(text))
+    for name, again in (("a.json", '{"K": 1, "K": 2}'), ("a.xml", "<K>1</K><K>2</K>")):
+        text = f"<opencv_storage>{again}</opencv_storage>" if name == "a.xml" else again
+        (tmp_path / name).write_text(text, "utf-8")
+        refused("the key 'K' twice", read_intrinsics, [tmp_path / name])
     chain = camchain(tmp_path / "three.yaml")
     text = chain.read_text("utf-8")
     chain.write_text(text + text.partition("cam1:")[2].join(["cam2:", ""]), "utf-8")

@@ -265,7 +265,10 @@ def test_what_the_file_lacks_is_marked_as_assumed(head_of, tmp_path):
     # a joint without limits may turn once around
     free = eye("left", lower=None, upper=None)
     free = free.replace('pan" type="revolute', 'pan" type="continuous')
-    head = head_of(urdf(NECK, free, eye("right", upper="1000"))).head
+    imported = head_of(urdf(NECK, free, eye("right", upper="1000")))
+    assert [one for one in imported.guesses if "right" not in one] == []
+    assert "1000 rad in the file, no real limits (degrees?): one turn" in imported.guesses[0]
+    head = imported.head
     assert head.limits.lower[3:].tolist() == [-np.pi] * 4
     assert head.limits.upper[3:].tolist() == [np.pi] * 4
     for name in head.joints[3:]:

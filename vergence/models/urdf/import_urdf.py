@@ -66,7 +66,7 @@ class ImportedHead:
     chains: HeadChains
     motors: Sequence[EyeMotor]  # of the eyes; empty if each joint has its own
     ignored: Sequence[str]  # parts of the robot that the head leaves out, one phrase each
-    guesses: Sequence[str]  # doubts about the cameras' calibration, one phrase each
+    guesses: Sequence[str]  # doubts about calibration and limits, one phrase each
 
 
 def import_urdf(source: UrdfSource) -> ImportedHead:
@@ -106,6 +106,12 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         base_in_root = mechanism.pose_along(base.lineage(), chains.fixed_values)
         _check_camera_axes(source.cameras, poses, chains, up=base_in_root[2, :3])
     limits, assumed = joint_motion_limits(chains, source.speed, source.acceleration)
+    unreal = [
+        f"joint {joint}: {why}"
+        for joint, reasons in assumed.items()
+        for why in dict.fromkeys(reasons.values())
+        if "degrees?" in why
+    ]
     motors = find_eye_motors(chains, limits, source.couplings, poses)
     read, unsaid = _images([frame.camera for frame in frames], source)
     if read.left.size == read.right.size:
@@ -144,7 +150,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         chains=chains,
         motors=motors,
         ignored=_ignored(mechanism, chains),
-        guesses=read.guesses if source.intrinsics else (),
+        guesses=(*(read.guesses if source.intrinsics else ()), *unreal),
     )
 
 
