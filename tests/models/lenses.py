@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from vergence.models import HeadModel, load_head
+from vergence.models.camera import Camera
 
 COEFFICIENTS: Final = {
     "brown-conrady": (-0.3, 0.12, 1e-3, -1e-3, -0.02),
@@ -32,23 +33,16 @@ def wide(left: str, right: str | None = None) -> HeadModel:
     )  # fmt: skip
 
 
-def camera_matrix(head: HeadModel, eye: int) -> np.ndarray:
-    matrix = np.eye(3)
-    matrix[[0, 1], [0, 1]] = head.cameras.focal[eye]
-    matrix[:2, 2] = head.cameras.principal[eye]
-    return matrix
-
-
-def by_opencv(head: HeadModel, eye: int, in_camera: np.ndarray) -> np.ndarray:
+def by_opencv(camera: Camera, in_camera: np.ndarray) -> np.ndarray:
     """(n, 2) where OpenCV's own function sees points (n, 3) of the camera frame, px."""
-    lens, zero, K = head.cameras.lens[eye], np.zeros(3), camera_matrix(head, eye)
-    coefficients = head.cameras.distortion[eye, : len(COEFFICIENTS[lens])]
-    project = cv2.fisheye.projectPoints if lens == "fisheye" else cv2.projectPoints
-    pixels, _ = project(in_camera[:, None], zero, zero, K, coefficients)
+    model, coefficients = camera.lens
+    project = cv2.fisheye.projectPoints if model == "fisheye" else cv2.projectPoints
+    zero = np.zeros(3)
+    pixels, _ = project(in_camera[:, None], zero, zero, camera.matrix, np.array(coefficients))
     return pixels.reshape(-1, 2)
 
 
-def pixels_of_image(head: HeadModel, eye: int, count: int = 60) -> np.ndarray:
-    """(count^2, 2) pixels over all of one eye's image, its edge among them."""
-    u, v = (np.linspace(-0.5, length - 0.5, count) for length in head.cameras.size[eye])
+def pixels_of_image(camera: Camera, count: int = 60) -> np.ndarray:
+    """(count^2, 2) pixels over all of an image, its edge among them."""
+    u, v = (np.linspace(-0.5, length - 0.5, count) for length in camera.size)
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

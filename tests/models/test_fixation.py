@@ -1,12 +1,18 @@
-"""The eye angles that look at a point."""
+"""The eye angles that look at a point, and points that are hardly meant so."""
 
 import csv
+import warnings
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from tests.grids import some_of
 from tests.naming import named
+from vergence.errors import VergenceWarning
+from vergence.models import load_head
 
+HEADS = ["simulated", "physical", "icub", "turrets"]
 DATA = Path(__file__).resolve().parents[1] / "data"
 
 
@@ -51,3 +57,44 @@ def test_a_point_that_no_eye_can_look_at_has_no_angles_and_spares_the_others(sim
     assert np.isnan(q[:3, 3:]).all()
     assert np.isfinite(q[3]).all()
     assert np.isnan(simulated.fixate([0.0, 0.0, np.nan])[3:]).all()
+
+
+def test_a_point_in_millimetres_is_asked_about_and_answered():
+    for name in HEADS:
+        with named(name):
+            head, point = load_head(name), [100.0, -100.0, 800.0]
+            asked = r"points.*\(100, -100, 800\).*in millimetres\?"
+            with pytest.warns(VergenceWarning, match=asked) as said:
+                q = head.fixate(point)
+            assert len(said) == 1
+            assert said[0].filename == __file__, "the line of the caller"
+            np.testing.assert_array_equal(q, head.fixate([point])[0])
+
+
+def test_angles_beyond_the_limits_are_said_by_name():
+    points = [(0.1, 0.0, -1.0), (0.0, -2.0, 0.5), (0.0, 2.0, 0.5)]
+    for name, point in some_of(["simulated", "icub"], points):
+        with named(name, point):
+            head = load_head(name)
+            q = head.fixate([point])[0]
+            assert not head.reaches(q)
+            own = "|".join(head.actuation.names)
+            with pytest.warns(VergenceWarning, match=rf"({own}) would be at .* degrees, outside"):
+                head.fixate(point)
+
+
+def test_what_a_head_looks_at_or_a_program_judges_is_not_asked_about(simulated):
+    for name, distance in some_of(HEADS, [0.5, 20.0, 1e6, np.inf]):
+        with named(name, distance), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            load_head(name).fixate([0.0, 0.0, distance])
+    head = load_head("turrets")
+    assert head.reaches(head.fixate([0.1, 0.0, -1.0]))
+    # 0.15 m between the eyes times 6000 px by 800 m is a disparity of 1.1 px
+    head = head.replace(cameras={"focal": np.full((2, 2), 6000.0)})
+    assert head.reaches(head.fixate([0.0, 0.0, 800.0]))
+    # programs that judge the angles themselves
+    simulated.fixate([0.1, 0.0, -1.0], warn=False)
+    for head in (simulated, load_head("icub")):
+        head.least_error([0.1, 0.0, -1.0])
+    assert np.isfinite(simulated.fixate([[100.0, -100.0, 800.0], [0.1, 0.0, -1.0]])).all()

@@ -1,8 +1,11 @@
-"""Poses: the article's check values, and an implementation by others."""
+"""Poses and image Jacobians: the article's values, others' implementation, finite differences."""
+
+from functools import partial
 
 import numpy as np
 import pytest
 
+from tests.heads import MOVING, head_of
 from tests.naming import named
 from vergence.models import ModelErrors
 
@@ -10,15 +13,6 @@ from vergence.models import ModelErrors
 T_0_N_REST = np.array([[-1, 0, 0, -0.011], [0, 0, -1, -0.06427], [0, -1, 0, 0], [0, 0, 0, 1.0]])
 CAMERAS_REST = np.array([[-0.04480, -0.03033, 0.01380], [0.04720, -0.03033, 0.01380]])
 X, Y, Z = np.eye(3)
-
-
-def assert_same_poses(actual, expected):
-    """Within 1e-9 m and 1e-9 rad, which is far above rounding and far below any encoder."""
-    difference = np.swapaxes(actual[..., :3, :3], -1, -2) @ expected[..., :3, :3] - np.eye(3)
-    angle = np.linalg.norm(difference, axis=(-2, -1)) / np.sqrt(2.0)
-    distance = np.linalg.norm(actual[..., :3, 3] - expected[..., :3, 3], axis=-1)
-    assert angle.max() < 1e-9
-    assert distance.max() < 1e-9
 
 
 def test_at_rest_n_and_the_cameras_are_where_the_article_has_them(simulated, physical):
@@ -67,11 +61,12 @@ def test_poses_agree_with_the_robotics_toolbox(head, random_poses):
         robot = toolbox.DHRobot([links[frame - 1] for frame in frames])
         return np.array([pose.A for pose in robot.fkine(angles)])
 
-    assert_same_poses(head.base_pose(q), chain([1, 2, 3], q[:, :3]) @ T_3_N)
+    # 0.9e-9 m and rad: far above rounding and far below any encoder
+    close = partial(np.testing.assert_allclose, rtol=0.0, atol=4e-10)
+    close(head.base_pose(q), chain([1, 2, 3], q[:, :3]) @ T_3_N)
     for eye, frames in enumerate(([4, 5, 6], [7, 8, 9])):
         angles = np.hstack([q[:, 3 + 2 * eye : 5 + 2 * eye], fixed])
-        expected = T_3_N @ chain(frames, angles) @ head.head_eye[eye]
-        assert_same_poses(head.camera_poses(q)[:, eye], expected)
+        close(head.camera_poses(q)[:, eye], T_3_N @ chain(frames, angles) @ head.head_eye[eye])
 
 
 def test_populations_and_batches_equal_a_loop_bit_for_bit(physical, rng, errors, random_poses):
@@ -103,3 +98,39 @@ def test_head_eye_transforms_lead_from_links_to_cameras(head, physical, random_p
     np.testing.assert_allclose(seen, head.camera_poses(q), rtol=0, atol=1e-14)
     drawn = physical.perturbed(rng, ModelErrors(head_eye_rad=0.1, head_eye_m=0.01))
     np.testing.assert_allclose(drawn.link_poses(q), physical.link_poses(q), rtol=0, atol=1e-14)
+
+
+def depths(head, q, points):
+    """(..., 2) z of points of N in both cameras."""
+    to_camera = np.linalg.inv(head.camera_poses(q))
+    homogeneous = np.append(points, np.ones((*points.shape[:-1], 1)), axis=-1)
+    return (to_camera @ homogeneous[..., None, :, None])[..., 2, 0]
+
+
+def test_an_image_jacobian_equals_finite_differences_of_the_projection(head, random_poses, rng):
+    for own in (head, *map(head_of, MOVING)):
+        q = 0.6 * random_poses(own, 200)
+        towards = own.camera_poses(q)[:, :, :3, 2].mean(axis=1)
+        points = towards * rng.uniform(0.5, 2.5, (200, 1)) + rng.normal(0.0, 0.03, (200, 3))
+        visible = (depths(own, q, points) > 0.2).all(axis=-1)
+        assert visible.mean() > 0.5
+        q, points = q[visible], points[visible]
+        jacobian = own.image_jacobian(q, own.project(q, points, False), depths(own, q, points))
+        assert not jacobian[:, 0, :, 5:].any()  # an eye does not see the other's joints
+        assert not jacobian[:, 1, :, 3:5].any()
+        in_frame_0 = np.append(points, np.ones((len(q), 1)), axis=1)[..., None]
+        in_frame_0 = own.base_pose(q) @ in_frame_0
+
+        def project_resting(angles, own=own, in_frame_0=in_frame_0):
+            moved = np.linalg.inv(own.base_pose(angles)) @ in_frame_0
+            return own.project(angles, moved[:, :3, 0], distorted=False)
+
+        # central differences of fourth order: truncation and rounding stay below 1e-8 relative
+        step = 1e-3
+        for joint, turn in enumerate(step * np.eye(7)):
+            near = project_resting(q + turn) - project_resting(q - turn)
+            far = project_resting(q + 2 * turn) - project_resting(q - 2 * turn)
+            slope = (8.0 * near - far) / (12.0 * step)
+            scale = np.abs(jacobian).max(axis=(-3, -2, -1))[:, None, None]
+            with named(own.name, joint):
+                assert np.abs((slope - jacobian[..., joint]) / scale).max() < 1e-7

@@ -6,20 +6,24 @@ import itertools
 import pickle
 import re
 import tomllib
+from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 import pytest
 import tomli_w
 
-from tests.heads import text_of
+from tests.heads import CENTRE, IMAGE, LOOP, actuator, eyes, head_of, joint, text_of
 from tests.models.lenses import COEFFICIENTS, LENSES, wide
 from tests.naming import named
 from vergence.errors import HeadFileError, UnknownNameError, UnreadableFileError, VergenceError
 from vergence.models import load_head, parse_head, save_head
 from vergence.models.head_file import head_to_toml
-from vergence.models.parts import LINKS
+from vergence.models.parts import LINKS, CalibrationRecord
+from vergence.models.toml_table import toml_text
 
 DH = ("alpha_rad", "a_m", "d_m", "offset_rad")
+ZEROS = "[0.0, 0.0, 0.0, 0.0, 0.0]"
 
 
 @pytest.fixture
@@ -271,6 +275,51 @@ def test_geometry_that_no_head_can_have_is_refused(content, simulated):
         parse_head(text.replace('"x"', '"right"'))
 
 
+def desk(left: float, right: float) -> str:
+    """Two eyes that pan and tilt, at places along x."""
+    joints = "".join(
+        joint(f"{eye}_pan", eye, (x, 0, 0), (0, 1, 0))
+        + joint(f"{eye}_tilt", eye, CENTRE, (1, 0, 0))
+        for eye, x in (("left", left), ("right", right))
+    )
+    return 'name = "desk"\n' + joints + IMAGE + eyes() + LOOP
+
+
+def pair(left: Sequence[float], right: Sequence[float]) -> str:
+    return 'name = "pair"\n' + IMAGE + eyes(left, right) + LOOP
+
+
+def test_what_cannot_be_and_what_was_meant_is_told():
+    assert parse_head(desk(-0.04, 0.04)).camera_poses(np.zeros(7))[1, 0, 3] == pytest.approx(0.04)
+    panfirst, still = text_of("panfirst"), text_of("pair")
+    pan, rolls = "axis = [0.0, 1.0, 0.0]", "axis = [0.0, 0.0, 1.0]"
+    near, far = "lower_rad = -0.9\nupper_rad = 0.9", "lower_rad = 2.0\nupper_rad = 4.5"
+    for text, said in [
+        (desk(0.04, -0.04), r"are left and right exchanged.*got .*80\.0 mm"),
+        (pair((0.05, 0, 0), (-0.05, 0, 0)), "are left and right exchanged"),
+        (pair((0.05, 0, 0), (0.05, 0, 0)), "eyes: expected cameras at two places"),
+        (pair((0, 0, 0), (0, 0, 0.1)), r"side by side.*axes 0 degrees apart.* 0\.0 mm beside"),
+        # a joint that turns about the optical axis
+        (panfirst.replace(pan, rolls, 1), "left_pan and left_tilt to move the image"),
+        (text_of("common").replace(pan, rolls, 1), "joints moved by pan: expected pan, tilt each"),
+        # before what follows from it
+        (panfirst.replace(near, far, 1), r"limits of left_pan: expected .*of zero.*2\.0, 4\.5"),
+        (desk(-0.04, 0.04) + actuator("tilt", "left_tilt = 1.0"),
+         "none that moves left_pan, right_pan, right_tilt"),
+        (text_of("tied").replace("eyes_tilt = 1.0", "eye_tilt = 1.0"),
+         ": eyes_tilt, left_pan, right_pan, got 'eye_tilt'"),
+        (text_of("common").replace("[[joints]]", "[[joint]]"),
+         r"^joint: expected no such key \(is joints m"),
+        (still.replace("[timing]\n", "[timing]\nlatency = 0.1\n"), r"such key \(is timing.latency_s"),
+        (still.replace(ZEROS, str([0.01] * 4), 1), "expected 5 numbers, or lens = 'fisheye'"),
+        (still.replace(ZEROS, str([0.01] * 8), 1), "expected 5 numbers, or lens = 'rational'"),
+        (still.replace("r_resolution_rad = 0.0", "r_resolution_rad = 0.0879", 1),
+         "encoder_resolution_rad: .*is it in degrees"),
+    ]:  # fmt: skip
+        with named(said), pytest.raises(HeadFileError, match=said):
+            parse_head(text)
+
+
 class TestCameras:
     def test_lenses_and_sizes_of_each_eye_are_kept(self):
         for left, right in itertools.product(LENSES, LENSES):
@@ -295,8 +344,83 @@ class TestCameras:
         assert parse(content).cameras.distortion[0].tolist() == k
 
     def test_a_pinhole_is_a_lens_without_distortion(self):
-        text, zeros = text_of("pair"), "distortion = [0.0, 0.0, 0.0, 0.0, 0.0]"
+        text, zeros = text_of("pair"), f"distortion = {ZEROS}"
         assert zeros in text
         for lens in ('lens = "pinhole"', f'lens = "pinhole"\n{zeros}'):
             head = parse_head(text.replace(zeros, lens))
             assert head.digest == parse_head(head_to_toml(head)).digest == parse_head(text).digest
+
+
+RECORD = CalibrationRecord(
+    target="checkerboard:9x6:24", views=24, rms_px=0.15, rms_heldout_px=0.16,
+    corners_sha256="0123456789abcdef" * 4, versions="vergence 0.1.0, numpy 2.0.0",
+    sigma={"left.camera.f_u": 0.8, "right.head_eye.x": 0.0001},
+)  # fmt: skip
+
+
+@pytest.fixture
+def calibrated(physical):
+    return dataclasses.replace(physical, calibration=RECORD)
+
+
+def test_a_calibrations_record_is_kept_as_it_is_and_in_no_digest(calibrated, tmp_path):
+    for head in (calibrated, dataclasses.replace(head_of("pair"), calibration=RECORD)):
+        save_head(head, tmp_path / "head.toml")
+        again = load_head(tmp_path / "head.toml")
+        assert again == head
+        assert again.calibration == RECORD
+        assert head_to_toml(again) == head_to_toml(head)
+        assert dataclasses.replace(head, calibration=None).digest == head.digest
+
+
+def test_a_calibrations_record_is_of_one_geometry(calibrated, simulated, rng, errors):
+    assert simulated.calibration is None
+    assert "calibration" not in tomllib.loads(head_to_toml(simulated))
+    drawn = calibrated.perturbed(rng, errors, 3)
+    assert (drawn.calibration, drawn[1].calibration) == (None, None)
+    assert calibrated.with_parameters(calibrated.parameters().values).calibration is None
+    assert calibrated.calibration == RECORD
+    assert calibrated.replace(timing={"lag_s": 0.0}).calibration == RECORD
+    assert calibrated.replace(cameras={"focal": calibrated.cameras.focal + 1.0}).calibration is None
+
+
+def test_what_cannot_be_a_calibrations_record_is_refused_by_its_key(calibrated):
+    content = tomllib.loads(head_to_toml(calibrated))
+    for name, value, said in [
+        ("target", 9, "the board, such as 'checkerboard:9x6:24'"),
+        ("views", 24.5, r"a whole number, 0 to 10000, got 24\.5"),
+        ("rms_px", -0.1, r"a number of at least 0, got -0\.1"),
+        ("rms_heldout_px", np.nan, "a number"),
+        ("corners_sha256", "12ab", "64 hexadecimal digits"),
+        ("versions", "", "names and versions of programs"),
+        ("sigma", 1.0, r"a table, got 1\.0"),
+        ("rms", 0.1, r"no such key \(is calibration\.rms_px meant\?\)"),
+        ("views", ..., "a whole number.*the key is missing"),
+    ]:
+        key = f"calibration.{name}"
+        refuse(content, {key: value}, f"{re.escape(key)}: expected {said}", key)
+    changes = {"calibration.sigma": {"left.camera.f_u": -1.0}}
+    refuse(content, changes, "a number of at", "calibration.sigma.left.camera.f_u")
+
+
+def test_a_short_list_is_on_one_line_and_everything_is_read_back():
+    document = {
+        "axis": [0.0, -1.5e-9, float("inf")],
+        "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        "many": [0.123456789012345 + i for i in range(9)], "words": ["a, b", "[\n 1,\n]", "c"],
+        "text": "[\n    1,\n    2,\n]", "empty": [],
+        "tables": [{"values": [1, 2]}, {"values": [True]}],
+    }  # fmt: skip
+    text = toml_text(document)
+    assert tomllib.loads(text) == document
+    lines = text.splitlines()
+    assert "axis = [0.0, -1.5e-09, inf]" in lines
+    assert "    [1.0, 0.0, 0.0]," in lines
+    assert "values = [1, 2]" in lines
+    assert max(map(len, lines)) <= 100
+
+
+def test_values_nested_too_deep_to_be_written_out_are_called_so():
+    deep = reduce(lambda inner, _: {"a": inner}, range(5000), {})
+    error = HeadFileError("timing", deep, "a number")
+    assert str(error) == "timing: expected a number, got values nested too deep"

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.heads import head_of
 from tests.models.mujoco.test_model import ALL, any_head, mujoco_pixel, placed, postures
+from tests.models.urdf.descriptions import UrdfKinematics
 from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import JOINTS
@@ -23,31 +24,18 @@ TARGETS = {"tag": AprilTag()}
 FOLDER = Path(__file__).resolve().parents[3] / "models" / "bionic_eyes"
 
 
-def numbers(element, key):
-    return [float(value) for value in element.get(key).split()]
-
-
 class TestUrdf:
     def test_it_has_the_heads_frames(self, rng):
-        for kind, q in ((name, q) for name in ALL for q in postures(any_head(name), rng)):
+        for kind in ALL:
             head = any_head(kind)
-            angles = dict(zip(head.joints, q, strict=True))
-            poses = {"base": np.eye(4)}  # of all links in the root, by walking the XML
-            for joint in ET.fromstring(to_urdf(head)).iter("joint"):
-                origin, pose = joint.find("origin"), np.eye(4)
-                # URDF: fixed axes x, y, z in this order
-                rotation = Rotation.from_euler("xyz", numbers(origin, "rpy"))
-                if joint.get("type") == "revolute":
-                    axis = np.array(numbers(joint.find("axis"), "xyz"))
-                    rotation *= Rotation.from_rotvec(angles[joint.get("name")] * axis)
-                pose[:3, :3], pose[:3, 3] = rotation.as_matrix(), numbers(origin, "xyz")
-                parent, child = (joint.find(end).get("link") for end in ("parent", "child"))
-                poses[child] = poses[parent] @ pose
-            base = head.base_pose(q)
-            expected = [base, *(base @ head.camera_poses(q))]
-            found = [poses[name] for name in ("N", "left_camera", "right_camera")]
-            with named(kind):
-                np.testing.assert_allclose(found, expected, atol=1e-12)
+            kinematics = UrdfKinematics(to_urdf(head))
+            for q in postures(head, rng):
+                angles, base = dict(zip(head.joints, q, strict=True)), head.base_pose(q)
+                expected = [base, *(base @ head.camera_poses(q))]
+                links = ("N", "left_camera", "right_camera")
+                found = [kinematics.pose(link, "base", angles) for link in links]
+                with named(kind):
+                    np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_a_joint_that_follows_one_other_is_a_mimic_and_a_version_a_comment(self):
         joints = {j.get("name"): j for j in ET.fromstring(to_urdf(head_of("mis"))).iter("joint")}
