@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.models.lenses import LENSES, wide
+from tests.models.lenses import LENSES
 from tests.naming import named
 from vergence.errors import ConfigurationError
-from vergence.models import HeadModel
 from vergence.models.camera import Camera, Cameras, camera_matrix, light_table, parse_response
 
 CAMERA = Camera(size=(320, 240), matrix=camera_matrix((500.0, 500.0), (150.0, 120.0)))
@@ -52,18 +51,6 @@ def test_what_cannot_be_is_refused_with_what_came():
     ]:  # fmt: skip
         with named(fields, message), pytest.raises(ConfigurationError, match=message):
             cameras(**fields)
-
-
-def test_a_population_keeps_lenses_and_sizes_which_are_the_same(errors, rng):
-    head = wide("fisheye", "rational")
-    heads = HeadModel.stack([head.perturbed(rng, errors) for _ in range(3)])
-    assert heads[1].cameras.lens == head.cameras.lens
-    np.testing.assert_array_equal(heads[1].cameras.size, head.cameras.size)
-    pixels = heads.project(np.zeros(7), [0.05, -0.1, 0.8])
-    assert pixels.shape == (3, 2, 2)
-    np.testing.assert_array_equal(pixels[1], heads[1].project(np.zeros(7), [0.05, -0.1, 0.8]))
-    with pytest.raises(ConfigurationError, match="stack: expected heads with the lenses"):
-        HeadModel.stack([wide("fisheye", "rational"), wide("rational")])
 
 
 def test_without_distortion_the_projection_is_a_pinhole_before_the_camera(physical, head):

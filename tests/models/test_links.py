@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.heads import CENTRE, IMAGE, LOOP, TEXTS, eyes, head_of, joint
+from tests.models.lenses import wide
 from tests.naming import named
 from vergence.models import ModelErrors, load_head, parse_head
 
@@ -79,7 +80,7 @@ def test_a_row_of_dh_numbers_is_an_axis_like_any_other(rng):
 
 
 def test_a_joint_that_is_missing_turns_nothing_and_heads_of_a_population_are_stacked(rng):
-    for head in map(head_of, TEXTS):
+    for head in (*map(head_of, TEXTS), wide("fisheye", "rational")):
         missing = np.array([not joint for joint in head.joints])
         for poses in (head.camera_poses, head.base_pose):
             np.testing.assert_array_equal(poses(0.7 * missing), poses(np.zeros(7)))
@@ -88,6 +89,7 @@ def test_a_joint_that_is_missing_turns_nothing_and_heads_of_a_population_are_sta
         heads = head.perturbed(rng, ModelErrors(head_eye_rad=0.01, link_m=1e-3), size=3)
         stacked = type(head).stack([heads[i] for i in range(3)])
         np.testing.assert_array_equal(stacked.packed, heads.packed)
+        assert stacked.cameras.lens == head.cameras.lens
 
 
 def test_an_axis_that_both_eyes_share_is_perturbed_once_and_a_common_tilt_alike(rng):

@@ -310,7 +310,7 @@ def test_what_cannot_be_and_what_was_meant_is_told():
          ": eyes_tilt, left_pan, right_pan, got 'eye_tilt'"),
         (text_of("common").replace("[[joints]]", "[[joint]]"),
          r"^joint: expected no such key \(is joints m"),
-        (still.replace("[timing]\n", "[timing]\nlatency = 0.1\n"), r"such key \(is timing.latency_s"),
+        (still.replace("[timing]\n", "[timing]\nlatency = 0.1\n"), r"key \(is timing.latency_s"),
         (still.replace(ZEROS, str([0.01] * 4), 1), "expected 5 numbers, or lens = 'fisheye'"),
         (still.replace(ZEROS, str([0.01] * 8), 1), "expected 5 numbers, or lens = 'rational'"),
         (still.replace("r_resolution_rad = 0.0", "r_resolution_rad = 0.0879", 1),
@@ -349,6 +349,39 @@ class TestCameras:
         for lens in ('lens = "pinhole"', f'lens = "pinhole"\n{zeros}'):
             head = parse_head(text.replace(zeros, lens))
             assert head.digest == parse_head(head_to_toml(head)).digest == parse_head(text).digest
+
+
+def test_what_nobody_measured_of_a_preset_is_marked():
+    for head in map(load_head, ("icub", "turrets")):
+        with named(head.name):
+            assert any("acceleration" in key for key in head.assumptions)
+            assert {"timing.latency_s", "timing.lag_s"} <= set(head.assumptions)
+            assert parse_head(head_to_toml(head)) == head
+
+
+def test_the_icub_has_a_common_tilt_version_and_vergence():
+    head = load_head("icub")
+    assert head.actuation.names == ("eyes_tilt", "eyes_version", "eyes_vergence")
+    origins = head.camera_poses(np.zeros(7))[:, :3, 3]
+    np.testing.assert_allclose(origins, [[-0.034, 0, 0], [0.034, 0, 0]], atol=1e-9)
+    np.testing.assert_allclose(np.rad2deg(head.limits.upper[[4, 6]]), [55.0, 30.0])
+    # both eyes turn inwards under a positive vergence
+    q = head.actuation.joints_of([0, 0, 0, 0, 0, 0.2, 0])
+    axes = head.camera_poses(q)[:, :3, 2]
+    assert axes[0, 0] > 0.05
+    assert axes[1, 0] < -0.05
+
+
+def test_the_turrets_pan_before_they_tilt():
+    head = load_head("turrets")
+    assert head.actuation.direct
+    assert head.joints[3:] == ("left_pan", "left_tilt", "right_pan", "right_tilt")
+    origins = head.camera_poses(np.zeros(7))[:, :3, 3]
+    np.testing.assert_allclose(origins, [[-0.075, 0, 0], [0.075, 0, 0]], atol=1e-12)
+    # 42.25 mm from pan to tilt, 61.5 mm up and 31.2 mm ahead of it to the camera
+    up = head.camera_poses([0, 0, 0, 0, -np.pi / 2, 0, 0])[0, :3, 3]
+    np.testing.assert_allclose(up, [-0.075, 0.0615 - 0.0312, -0.0312 - 0.0615], atol=1e-12)
+    assert head.timing.frame_rate_hz == 30.0
 
 
 RECORD = CalibrationRecord(

@@ -20,7 +20,7 @@ from tests.models.urdf.descriptions import (
 )
 from tests.naming import named
 from vergence.errors import ConfigurationError, HeadFileError, VergenceError
-from vergence.models.head_file import load_head
+from vergence.models import HeadModel, load_head
 from vergence.models.urdf.import_urdf import ImportedHead, UrdfSource, import_urdf
 
 TURNS = ("yaw", "roll", "pitch")
@@ -60,25 +60,24 @@ def refused(head_of):
     return run
 
 
-def random_angles(imported: ImportedHead, count: int) -> np.ndarray:
+def random_angles(head: HeadModel, count: int) -> np.ndarray:
     """(count, 7) joint angles within limits, tied joints tied."""
-    rng, head = np.random.default_rng(0), imported.head
-    q = rng.uniform(head.limits.lower, head.limits.upper, (count, 7))
+    q = np.random.default_rng(0).uniform(head.limits.lower, head.limits.upper, (count, 7))
     for i, j in itertools.combinations(range(7), 2):
         if head.joints[i] and head.joints[i] == head.joints[j]:
             q[:, j] = q[:, i]
     return q
 
 
-def by_name(imported: ImportedHead, q: np.ndarray) -> dict[str, float]:
-    return {name: float(angle) for name, angle in zip(imported.head.joints, q, strict=True) if name}
+def by_name(head: HeadModel, q: np.ndarray) -> dict[str, float]:
+    return {name: float(angle) for name, angle in zip(head.joints, q, strict=True) if name}
 
 
-def assert_moves_as(imported, cameras, kinematics, base, held):
+def assert_moves_as(head, cameras, kinematics, base, held):
     """`base_pose` and `camera_poses` are those of other kinematics, N fixed to the last link."""
-    q = random_angles(imported, 100)
-    found = imported.head.base_pose(q)[:, None] @ imported.head.camera_poses(q)
-    angles = [by_name(imported, row) | held for row in q]
+    q = random_angles(head, 100)
+    found = head.base_pose(q)[:, None] @ head.camera_poses(q)
+    angles = [by_name(head, row) | held for row in q]
     wanted = [[kinematics.pose(name, base, each) for name in cameras] for each in angles]
     assert np.abs(found - np.array(wanted)).max() < 1e-9
 
@@ -118,18 +117,7 @@ def test_a_head_moves_as_its_urdf(head_of):
             assert imported.head.actuation.count == motors
             assert imported.chains.fixed_values == pytest.approx(held)
             base = options.get("base", "base")
-            assert_moves_as(imported, CAMERAS, UrdfKinematics(text), base, held)
-
-
-def test_n_is_fixed_to_what_the_last_neck_joint_carries_midway_between_the_cameras(head_of):
-    imported, kinematics = head_of(ROBOT), UrdfKinematics(ROBOT)
-    T_head_N = np.eye(4)
-    # x right, y down, z forward in a link with x forward, y left, z up
-    T_head_N[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
-    T_head_N[:3, 3] = np.mean([kinematics.pose(c, "head", {})[:3, 3] for c in CAMERAS], axis=0)
-    for q in random_angles(imported, 20):
-        T_base_N = kinematics.pose("head", "base", by_name(imported, q)) @ T_head_N
-        np.testing.assert_allclose(imported.head.base_pose(q), T_base_N, atol=1e-12)
+            assert_moves_as(imported.head, CAMERAS, UrdfKinematics(text), base, held)
 
 
 def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
@@ -147,7 +135,7 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
     low, high = head.actuation.lower, head.actuation.upper
     for slots in np.random.default_rng(1).uniform(low, high, (50, 7)):
         q = head.actuation.joints_of(slots)
-        angles = by_name(imported, q)
+        angles = by_name(imported.head, q)
         angles.pop("right_tilt")  # the other kinematics follow the mimic themselves
         found = head.base_pose(q) @ head.camera_poses(q)
         wanted = [kinematics.pose(name, "base", angles) for name in CAMERAS]
@@ -287,7 +275,7 @@ def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_o
         turned = ROBOT.replace(OPTICAL, rpy)
         refused(turned, f"--camera-axes={triple} would fit")
         imported = head_of(turned, camera_axes=(triple,))
-        q = random_angles(imported, 10)
+        q = random_angles(imported.head, 10)
         found, expected = (one.head.camera_poses(q) for one in (imported, optical))
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
@@ -404,9 +392,9 @@ def test_an_mjcf_moves_as_mujoco_moves_it(head_of):
     ]:
         with named(cameras, text):
             imported = head_of(text, cameras=cameras)
-            for q in random_angles(imported, 20):
+            for q in random_angles(imported.head, 20):
                 found = imported.head.base_pose(q) @ imported.head.camera_poses(q)
-                data = posed(text, by_name(imported, q))
+                data = posed(text, by_name(imported.head, q))
                 wanted = [pose_of(getattr(data, kind)(name)) @ turn for name in cameras]
                 base = np.linalg.inv(pose_of(data.body("base")))
                 np.testing.assert_allclose(found, base @ wanted, atol=1e-9)
@@ -440,7 +428,7 @@ def test_active_equalities_tie_joints_as_in_mujoco(head_of):
             text = with_tie(equality, tendons)
             imported = head_of(text)
             assert imported.head.actuation.count == 3
-            rest = by_name(imported, imported.head.rest()) | dict(imported.chains.fixed_values)
+            rest = by_name(imported.head, imported.head.rest()) | dict(imported.chains.fixed_values)
             for motors in np.random.default_rng(1).uniform(0.0, 0.2, (5, 3)):
                 angles = rest | {
                     name: factor * value + motor.joint_offsets.get(name, 0.0)
@@ -533,4 +521,9 @@ def test_a_real_head_moves_as_its_urdf(name, base, cameras, neck, lock):
         UrdfSource(file=path, base=base, cameras=cameras, neck=neck, lock=lock, speed=("6",))
     )
     kinematics = UrdfKinematics(path.read_text(encoding="utf-8"))
-    assert_moves_as(imported, cameras, kinematics, base, dict(imported.chains.fixed_values))
+    assert_moves_as(imported.head, cameras, kinematics, base, dict(imported.chains.fixed_values))
+
+
+def test_the_preset_of_the_icub_moves_as_its_urdf():
+    kinematics = UrdfKinematics(real_robot("icub_visuomanip.urdf").read_text(encoding="utf-8"))
+    assert_moves_as(load_head("icub"), ("l_eye", "r_eye"), kinematics, "chest", {})
