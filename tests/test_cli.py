@@ -1,8 +1,6 @@
 """The command line: what it prints, what it writes, and how it refuses."""
 
 import json
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -152,12 +150,3 @@ def test_reproduce_prints_the_articles_figures_beside_ours_and_keeps_results(tmp
     assert json.loads((folder / "summary.json").read_text())
     assert call(*words) == 0
     assert "kept from an earlier call" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_reading_the_command_line_loads_neither_kernels_nor_anything_heavy():
-    code = "import sys, vergence.cli; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    heavy = {"gymnasium", "importlib.metadata", "numba", "numpy", "vergence.models"}
-    assert not heavy.intersection(done.stdout.split())

@@ -10,7 +10,6 @@ import sys
 import sysconfig
 import tarfile
 import tomllib
-import venv
 import zipfile
 from importlib.metadata import version
 from pathlib import Path
@@ -165,38 +164,20 @@ def test_numba_is_a_release_that_the_kernels_are_tested_with():
         assert has == parameters, f"{place} has changed. {todo}"
 
 
-@pytest.fixture(scope="module")
-def installed(built, tmp_path_factory) -> Path:
-    """The scripts folder of a new environment with the wheel in it.
-
-    The dependencies come from the environment of the tests, which stands after the new one's own
-    packages on the path, so that they need not be fetched again.
-    """
-    folder = tmp_path_factory.mktemp("installed")
-    venv.create(folder, with_pip=False)
-    scheme = sysconfig.get_preferred_scheme("prefix")
-    variables = {"base": str(folder), "platbase": str(folder)}
-    packages = Path(sysconfig.get_path("purelib", scheme, variables))
-    scripts = Path(sysconfig.get_path("scripts", scheme, variables))
-    (packages / "dependencies.pth").write_text(
-        "\n".join({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
-    )
-    install = (sys.executable, "-m", "pip", f"--python={scripts / 'python'}", "install")
-    ran(*install, "--no-deps", "--no-index", "--ignore-installed", built / WHEEL)
-    return scripts
-
-
 @pytest.mark.nightly
-def test_the_installed_command_and_its_compiled_geometry_work(installed, tmp_path):
-    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
-    options = {"cwd": tmp_path, "env": environment}
-    assert PROJECT["version"] in ran(installed / "vergence", "info", **options)
+def test_the_installed_command_and_its_compiled_geometry_work(built, tmp_path):
+    """The wheel comes before the environment of the tests, which has the dependencies."""
+    folder = tmp_path / "installed"
+    install = (sys.executable, "-m", "pip", "install", "--no-deps", "--no-index", "--target")
+    ran(*install, folder, built / WHEEL)
+    options = {"cwd": tmp_path, "env": os.environ | {"PYTHONPATH": str(folder)}}
+    assert PROJECT["version"] in ran(folder / "bin" / "vergence", "info", **options)
     code = (
         "import vergence; print(vergence.__file__); head = vergence.load_head('simulated');"
         " print(*vergence.triangulate_gaze(head, head.fixate([0.0, -0.1, 1.0])).point)"
     )
-    module, point = ran(installed / "python", "-c", code, **options).splitlines()
-    assert Path(module).is_relative_to(installed.parent)
+    module, point = ran(sys.executable, "-c", code, **options).splitlines()
+    assert Path(module).is_relative_to(folder)
     assert [float(word) for word in point.split()] == pytest.approx([0.0, -0.1, 1.0])
 
 

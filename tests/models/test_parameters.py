@@ -35,10 +35,7 @@ def test_heads_of_other_joints_have_no_common_vector_or_population(physical, rng
     for call, said in (
         (lambda: physical.parameters(other), "about: expected a head with the joints"),
         (lambda: physical.stack([physical, pair]), "batch shape of the first"),
-        (
-            lambda: physical.stack([physical, wide("fisheye")]),
-            "stack: expected heads with the lenses",
-        ),
+        (lambda: physical.stack([physical, wide("fisheye")]), "with the lenses of the first"),
         (lambda: physical.stack([]), "one head or more, got none"),
         (lambda: physical.perturbed(rng, ModelErrors(), -1), "counts of 1 or more, got -1"),
     ):
