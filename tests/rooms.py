@@ -15,9 +15,8 @@ from importlib.util import resolve_name
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
-from vergence.errors import ConfigurationError
-
 ROOT: Final = Path(__file__).resolve().parents[1]
+PACKAGES: Final = ("vergence", "tests", "benchmarks")
 ALWAYS: Final = frozenset({"architecture", "words"})
 """Rooms whose tests are quick and look at all others."""
 EVERYTHING: Final = "conftest"
@@ -92,12 +91,11 @@ def named_by_tests(root: Path = ROOT) -> dict[str, set[str]]:
     What a helper of tests names does not count: nearly all tests make a head by one.
     """
     named: dict[str, set[str]] = {}
-    for package in ("vergence", "tests", "benchmarks"):
-        for importer, imported in imports_of(root / package):
-            named.setdefault(importer, set()).add(imported)
+    for package in PACKAGES:
         for module, path in sources_of(root / package).items():  # by name, as in registries
-            found = re.findall(r'"([\w.]+):\w+"', path.read_text(encoding="utf-8"))
-            named.setdefault(module, set()).update(found)
+            named[module] = {*re.findall(r'"([\w.]+):\w+"', path.read_text(encoding="utf-8"))}
+        for importer, imported in imports_of(root / package):
+            named[importer].add(imported)
     sources = sources_of(root / "vergence")
     folders = {name for name, path in sources.items() if path.stem == "__init__"}
     folders -= {"vergence"}  # many tests import it so that environments are registered
@@ -137,15 +135,10 @@ def changed(root: Path = ROOT) -> set[str]:
         result = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
         return result.stdout.splitlines()
 
-    try:
-        branches = git("for-each-ref", "--format=%(refname)")
-        trunk = "main" if "refs/heads/main" in branches else "origin/main"
-        (base,) = git("merge-base", "HEAD", trunk)
-        paths = git("diff", "--no-renames", "--relative", "--name-only", base)
-        paths += git("ls-files", "--others", "--exclude-standard")
-    except (OSError, subprocess.CalledProcessError) as error:
-        why = getattr(error, "stderr", None) or error
-        raise ConfigurationError(f"expected a branch main to compare with, got: {why}") from error
+    branches = git("for-each-ref", "--format=%(refname)")
+    trunk = "main" if "refs/heads/main" in branches else "origin/main"
+    paths = git("diff", "--no-renames", "--relative", "--name-only", "--merge-base", trunk)
+    paths += git("ls-files", "--others", "--exclude-standard")
     if not paths:
         print(f"nothing differs from {trunk}: name a room to test it", file=sys.stderr)
     return set(paths)
@@ -155,7 +148,7 @@ def main(words: list[str], root: Path = ROOT) -> int:
     """Print the tests of the named rooms, or of what changed, and those that name its modules."""
     modules = {
         name: rooms_of(path.relative_to(root).as_posix())
-        for package in ("vergence", "tests", "benchmarks")
+        for package in PACKAGES
         for name, path in sources_of(root / package).items()
     }
     known = set().union(*modules.values())
@@ -168,8 +161,10 @@ def main(words: list[str], root: Path = ROOT) -> int:
     if not rooms:
         try:
             paths = changed(root)
-        except ConfigurationError as error:
-            print(f"no room was named, {error}".strip(), file=sys.stderr)
+        except (OSError, subprocess.CalledProcessError) as error:
+            why = (getattr(error, "stderr", None) or str(error)).strip()
+            said = f"no room was named, expected a branch main to compare with, got: {why}"
+            print(said, file=sys.stderr)
             return 2
         rooms = set().union(*map(rooms_of, paths))
         for path in map(PurePosixPath, paths):

@@ -13,6 +13,7 @@ D_LEFT = np.array([-0.28, 0.07, 2e-4, 1.8e-5, 0.01])
 D_RIGHT = np.array([-0.27, 0.06, -3e-4, 5e-5, 0.02])
 R = cv2.Rodrigues(np.array([0.01, -0.03, 0.005]))[0]
 T = np.array([-0.09388, 0.0011, -0.0023])
+RIGHT_FROM_LEFT = np.vstack([np.column_stack([R, T]), [0.0, 0.0, 0.0, 1.0]])
 RECTIFIED = cv2.stereoRectify(
     K_LEFT, D_LEFT, K_RIGHT, D_RIGHT, SIZE, R, T.reshape(3, 1), flags=cv2.CALIB_ZERO_DISPARITY
 )
@@ -62,8 +63,7 @@ def camchain(path: Path, model: str = "radtan") -> Path:
     for eye, (k, d) in enumerate(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))):
         lines.append(f"cam{eye}:")
         if eye:
-            pose = np.vstack([np.column_stack([R, T]), [0.0, 0.0, 0.0, 1.0]])
-            lines += ["  T_cn_cnm1:", *(f"  - {row.tolist()}" for row in pose)]
+            lines += ["  T_cn_cnm1:", *(f"  - {row.tolist()}" for row in RIGHT_FROM_LEFT)]
         lines += [
             f"  cam_overlaps: [{1 - eye}]", "  camera_model: pinhole",
             f"  distortion_coeffs: {d[:4].tolist()}", f"  distortion_model: {model}",

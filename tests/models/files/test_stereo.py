@@ -17,6 +17,7 @@ from .pairs import (
     K_LEFT,
     K_RIGHT,
     RECTIFIED,
+    RIGHT_FROM_LEFT,
     SIZE,
     R,
     T,
@@ -40,12 +41,11 @@ def check(pair, atol=1e-12, coefficients=5):
         assert camera.lens.model == "brown-conrady"
         read = camera.lens.coefficients[:coefficients]
         np.testing.assert_allclose(read, d[:coefficients], atol=atol)
-    left_from_right = np.linalg.inv(np.vstack([np.column_stack([R, T]), [0.0, 0.0, 0.0, 1.0]]))
-    np.testing.assert_allclose(pair.right.pose, left_from_right, atol=atol)
+    np.testing.assert_allclose(pair.right.pose, np.linalg.inv(RIGHT_FROM_LEFT), atol=atol)
 
 
 def written(path, values):
-    path.write_text(json.dumps(values), encoding="utf-8")
+    path.write_text(json.dumps(values, default=np.ndarray.tolist), encoding="utf-8")
     return path
 
 
@@ -75,7 +75,7 @@ def one(tmp_path):
             path = camera_info(tmp_path / "one.yaml", 0)
             path.write_text(path.read_text("utf-8") + more, encoding="utf-8")
             return [path]
-        own = {"image_size": list(SIZE), "K": K_LEFT.tolist(), "D": D_LEFT.tolist()} | more
+        own = {"image_size": SIZE, "K": K_LEFT, "D": D_LEFT} | more
         kept = {key: value for key, value in own.items() if value is not None}
         return [written(tmp_path / "one.json", kept)]
 
@@ -100,16 +100,12 @@ def test_keys_may_be_spelled_as_people_spell_them(tmp_path):
         ("cameraMatrix{}", "distCoeffs{}", "LR"), ("Camera{}_Matrix", "Camera{}_Distortion", "01"),
     ]:  # fmt: skip
         with named(matrix, coefficients, sides):
-            values = {"image_size": list(SIZE), "R": R.tolist(), "T": T.tolist()}
-            for side, k, d in zip(sides, (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), strict=True):
-                values[matrix.format(side)] = k.tolist()
-                values[coefficients.format(side)] = d.tolist()
+            values = {"image_size": SIZE, "R": R, "T": T}
+            for side, (_, k, d) in zip(sides, EYES, strict=True):
+                values |= {matrix.format(side): k, coefficients.format(side): d}
             check(read_stereo([written(tmp_path / "pair.json", values)]))
-    eyes = {
-        eye: {"K": k.tolist(), "dist": d.tolist(), "width": SIZE[0], "height": SIZE[1]}
-        for eye, k, d in EYES
-    }
-    tables = {"calibration": {**eyes, "extrinsics": {"R": R.tolist(), "T": T.tolist()}}}
+    eyes = {eye: {"K": k, "dist": d, "width": SIZE[0], "height": SIZE[1]} for eye, k, d in EYES}
+    tables = {"calibration": {**eyes, "extrinsics": {"R": R, "T": T}}}
     check(read_stereo([written(tmp_path / "pair.json", tables)]))
 
 
@@ -128,8 +124,8 @@ def test_files_of_ros_and_orb_slam_hold_the_pair_in_rectification_and_projection
     check(read_stereo(paths), atol=1e-7)
     values = {"Camera.fx": 400.0, "Camera.bf": 40.0}
     for eye, (name, k, d) in enumerate(EYES):
-        each = {"width": SIZE[0], "height": SIZE[1], "K": k.tolist(), "D": d.tolist()}
-        each |= {"R": RECTIFIED[eye].tolist(), "P": RECTIFIED[2 + eye].tolist()}
+        each = {"width": SIZE[0], "height": SIZE[1], "K": k, "D": d}
+        each |= {"R": RECTIFIED[eye], "P": RECTIFIED[2 + eye]}
         values |= {f"{name.upper()}.{key}": value for key, value in each.items()}
     check(read_stereo([written(tmp_path / "orb.json", values)]), atol=1e-9)
 
@@ -146,10 +142,9 @@ def test_a_camchain_of_kalibr_is_read(tmp_path):
 def test_the_parts_of_a_pair_may_stand_in_files_of_their_own(tmp_path):
     values = {"M1": K_LEFT, "D1": D_LEFT, "M2": K_RIGHT, "D2": D_RIGHT}
     place = {"R": R, "T": T, "R1": np.eye(3), "R2": np.eye(3), "Q": np.eye(4)}
-    paths = [  # of OpenCV's stereo sample
-        write_opencv(tmp_path / "intrinsics.yml", values),
-        write_opencv(tmp_path / "extrinsics.yml", place),
-    ]
+    # of OpenCV's stereo sample
+    each = {"intrinsics": values, "extrinsics": place}
+    paths = [write_opencv(tmp_path / f"{name}.yml", part) for name, part in each.items()]
     check(read_stereo(paths, size=SIZE))
     check(read_stereo(paths[::-1], size=SIZE))
     size = {"image_width": SIZE[0], "image_height": SIZE[1]}
@@ -284,7 +279,7 @@ def test_files_that_are_missing_or_do_not_belong_together_are_refused(tmp_path, 
     chain = camchain(tmp_path / "three.yaml")
     text = chain.read_text("utf-8")
     chain.write_text(text + text.partition("cam1:")[2].join(["cam2:", ""]), "utf-8")
-    values = {f"K{i}": K_LEFT.tolist() for i in range(3)} | {"size": list(SIZE)}
+    values = {f"K{i}": K_LEFT for i in range(3)} | {"size": SIZE}
     for path in (chain, written(tmp_path / "three.json", values)):
         refused("0, 1, 2", read_intrinsics, [path])
         refused("0, 1, 2", read_stereo, [path])
@@ -348,7 +343,7 @@ def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(one):
             assert read_intrinsics(one(more)).guesses == ()
     # keys that nothing reads
     more = {"camera_model": "OmniVision OV2311", "image_scale": 2, "rms": 0.2, "k1": 0.1}
-    files = one(more | {"R1": np.eye(3).tolist()})
+    files = one(more | {"R1": np.eye(3)})
     unread = ", ".join(f"{files[0]}: {key}" for key in ("camera_model", "image_scale", "k1"))
     (guess,) = read_intrinsics(files).guesses
     assert guess.endswith(unread)
@@ -357,17 +352,14 @@ def test_a_value_that_changes_the_meaning_of_others_is_refused_by_name(one):
 def test_poses_of_both_cameras_at_a_body_place_them(tmp_path):
     body = np.eye(4)  # of the left camera, in the body
     body[:3, :3], body[:3, 3] = R.T @ R.T, [0.02, -0.3, 0.1]
-    pair = np.vstack([np.column_stack([R, T]), [0.0, 0.0, 0.0, 1.0]])
-    poses = [body, body @ np.linalg.inv(pair)]
+    poses = [body, body @ np.linalg.inv(RIGHT_FROM_LEFT)]
     for key, values in [
         ("T_BS", poses), ("T_cam_imu", [np.linalg.inv(pose) for pose in poses]),
         ("T_imu_cam", poses), ("body_T_cam", poses),
     ]:  # fmt: skip
         with named(key):
-            cameras = [
-                {"size": SIZE, "K": k.tolist(), "D": d.tolist(), key: pose.tolist()}
-                for (_, k, d), pose in zip(EYES, values, strict=True)
-            ]
+            eyes = zip(EYES, values, strict=True)
+            cameras = [{"size": SIZE, "K": k, "D": d, key: pose} for (_, k, d), pose in eyes]
             one = {f"cam{i}": camera for i, camera in enumerate(cameras)}
             if key == "body_T_cam":
                 one |= {f"{key}{i}": camera.pop(key) for i, camera in enumerate(cameras)}
