@@ -92,6 +92,11 @@ def test_imports_point_one_way_and_form_no_cycle():
     assert cycles(PACKAGE) == [None, None]
 
 
+def test_mujoco_is_imported_in_one_place():
+    edges = (edge for edge in imports_of(PACKAGE) if edge.imported.split(".")[0] == "mujoco")
+    assert {edge.importer for edge in edges} == {"vergence.models.mujoco"}
+
+
 @pytest.mark.slow
 def test_importing_vergence_or_its_command_line_stays_light():
     for module, heavy in HEAVY.items():

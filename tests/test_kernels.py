@@ -118,8 +118,8 @@ def test_a_kernel_broadcasts_and_takes_an_output():
     np.testing.assert_allclose(out, (a * b).sum(-1), rtol=1e-15)
 
 
-def make_kernels():
-    """A generalized ufunc and a compiled function that nothing has compiled yet."""
+def said_by_a_call() -> list[str]:
+    """Reports while a generalized ufunc and a function are called that nothing has compiled yet."""
 
     @jit.kernel(["void(float64[:], float64[:])"], "(n)->(n)")
     def doubled(x, out):
@@ -130,13 +130,8 @@ def make_kernels():
     def halved(x):
         return 0.5 * x
 
-    return doubled, halved
-
-
-def said_by_a_call() -> list[str]:
     said: list[str] = []
     cache.set_compile_reporter(said.append)
-    doubled, halved = make_kernels()
     try:
         assert doubled([1.0, 2.0]).tolist() == [2.0, 4.0]
         assert halved(1.0) == 0.5
@@ -322,7 +317,4 @@ def test_a_run_of_numbers_is_read_at_once_from_arrays_of_any_layout():
     assert _shifted(table.copy())[:, :3].tolist() == table[:, 3:].tolist()
     assert _shifted(table.T[:4].T)[:, :3].tolist() == table[:, 1:4].tolist()
     assert _shifted(table[:, ::-2].astype(np.float32))[2, :3].tolist() == [17.0, 15.0, 13.0]
-
-
-def test_a_run_of_numbers_is_read_in_python_as_in_a_kernel():
-    assert _three(np.arange(9.0), 4) == (4.0, 5.0, 6.0)
+    assert _three(np.arange(9.0), 4) == (4.0, 5.0, 6.0)  # in Python as in a kernel
