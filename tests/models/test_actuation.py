@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tests.heads import MOVING, head_of
+from tests.heads import MOVING, head_of, text_of
 from vergence.errors import ConfigurationError
-from vergence.models import Actuators, load_head
+from vergence.models import Actuators, load_head, parse_head
 
 POINTS = np.array([[0.1, -0.05, 0.6], [-0.2, 0.1, 1.2], [0.0, 0.0, 2.5], [0.05, 0.1, 0.35]])
 
@@ -44,6 +44,8 @@ def test_version_and_vergence_move_both_pans_within_their_limits():
     # the joints' own limits are all that the actuators reach
     np.testing.assert_allclose(head.limits.upper[4], 0.9 + 0.6)
     np.testing.assert_allclose(head.limits.lower[6], -0.9 - 0.6)
+    limits = parse_head(text_of("tied") + "[joint_offsets_rad]\nleft_pan = 0.1\n").limits
+    np.testing.assert_allclose([limits.lower[4], limits.upper[4]], [0.1 - 0.9, 0.1 + 0.9 + 0.6])
     inside = head.actuation.joints_of([0, 0, 0, 0, 0.8, 1.1, 0])
     beyond = head.actuation.joints_of([0, 0, 0, 0, 0.8, -0.1, 0])  # eyes that look apart
     assert head.reaches(inside)

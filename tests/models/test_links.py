@@ -8,6 +8,7 @@ from tests.heads import CENTRE, IMAGE, LOOP, TEXTS, eyes, head_of, joint
 from tests.models.lenses import wide
 from tests.naming import named
 from vergence.models import ModelErrors, load_head, parse_head
+from vergence.models.perturbation import DEVIATES, perturb_by_deviates
 
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera's axes in a robot's frame, x forward, y left, z up."""
@@ -111,3 +112,8 @@ def test_an_axis_that_both_eyes_share_is_perturbed_once_and_a_common_tilt_alike(
             y = (drawn.camera_poses(np.zeros(7)) - head.camera_poses(np.zeros(7)))[:, :, 1, 2]
             np.testing.assert_allclose(y[:, 0], y[:, 1], atol=1e-12)
             assert np.std(y[:, 0]) == pytest.approx(0.02, rel=0.5)
+            lowered = perturb_by_deviates(head.geometry, errors, np.eye(DEVIATES)[-1])
+            down = head.replace(**lowered._asdict()).camera_poses(np.zeros(7))[:, 1, 2]
+            np.testing.assert_allclose(
+                down - head.camera_poses(np.zeros(7))[:, 1, 2], 0.02, rtol=0.2
+            )

@@ -12,6 +12,7 @@ from functools import reduce
 import numpy as np
 import pytest
 import tomli_w
+from scipy.spatial.transform import Rotation
 
 from tests.heads import CENTRE, IMAGE, LOOP, actuator, eyes, head_of, joint, text_of
 from tests.models.lenses import COEFFICIENTS, LENSES, wide
@@ -342,6 +343,11 @@ class TestCameras:
         k = [22.4, 5.9, 0.001, -0.002, 0.21, 22.8, 14.2, 1.5]
         content["eyes"][0] |= {"lens": "rational", "distortion": k}
         assert parse(content).cameras.distortion[0].tolist() == k
+
+    def test_a_pose_may_be_given_by_the_angles_of_a_urdf(self, content):
+        changes = {"eyes[1].rotation": ..., "eyes[1].rpy_rad": [0.1, -0.2, 0.3]}
+        expected = Rotation.from_euler("xyz", [0.1, -0.2, 0.3]).as_matrix()  # about fixed axes
+        np.testing.assert_allclose(parse(content, changes).head_eye[1, :3, :3], expected)
 
     def test_a_pinhole_is_a_lens_without_distortion(self):
         text, zeros = text_of("pair"), f"distortion = {ZEROS}"

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.heads import head_of
+from tests.heads import head_of, text_of
 from tests.models.mujoco.test_model import ALL, any_head, mujoco_pixel, placed, postures
 from tests.models.urdf.descriptions import UrdfKinematics
 from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
-from vergence.models import JOINTS
+from vergence.models import JOINTS, parse_head
 from vergence.models.mujoco.export import FORMATS, export_files, roll_pitch_yaw, to_urdf
 from vergence.models.mujoco.model import compile_model
 from vergence.vision.targets import AprilTag, Checkerboard
@@ -38,9 +38,10 @@ class TestUrdf:
                     np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_a_joint_that_follows_one_other_is_a_mimic_and_a_version_a_comment(self):
-        joints = {j.get("name"): j for j in ET.fromstring(to_urdf(head_of("mis"))).iter("joint")}
+        head = parse_head(text_of("mis") + "[joint_offsets_rad]\nright_tilt = 0.1\n")
+        joints = {j.get("name"): j for j in ET.fromstring(to_urdf(head)).iter("joint")}
         mimic = joints["right_tilt"].find("mimic")
-        assert mimic.attrib == {"joint": "left_tilt", "multiplier": "1", "offset": "0"}
+        assert mimic.attrib == {"joint": "left_tilt", "multiplier": "1", "offset": "0.1"}
         assert sum(joint.find("mimic") is not None for joint in joints.values()) == 1
         text = to_urdf(head_of("tied"))
         assert "left_pan = 1 version +0.5 vergence" in text

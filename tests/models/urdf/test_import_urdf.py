@@ -91,6 +91,9 @@ def test_a_head_moves_as_its_urdf(head_of):
     )
     roll = joint("roll", "n1", "n2", xyz="0 0.01 0.05", axis="1 0 0")
     tied = roll.replace("</joint>", '<mimic joint="yaw" multiplier="0.5" offset="0.1"/></joint>')
+    pitch = joint("pitch", "n2", "head", xyz="0.01 0 0.02", axis="0 1 0")
+    mimic = '<mimic joint="roll" multiplier="-2" offset="0.05"/></joint>'
+    follower = pitch.replace("</joint>", mimic)
     off_the_way = [  # where a file may say anything
         joint("jaw", "head", "chin", lower="", velocity="").replace("<origin xyz", "<origin xzy"),
         joint("tail", "n1", "tip", rpy="0 0 180"),
@@ -109,6 +112,9 @@ def test_a_head_moves_as_its_urdf(head_of):
         (urdf(NECK, FIXED_EYES), {}, TURNS, 0, {}),
         (urdf(NECK.replace(roll, tied), LEFT, RIGHT), {"neck": ("pitch",), "lock": ("yaw=20",)},
          ("pitch", ""), 4, {"yaw": yaw, "roll": 0.5 * yaw + 0.1}),
+        (urdf(NECK.replace(roll, tied).replace(pitch, follower), LEFT, RIGHT),
+         {"neck": (), "lock": ("yaw=20",)}, ("", "", ""), 4,
+         {"yaw": yaw, "roll": 0.5 * yaw + 0.1, "pitch": 0.05 - 2.0 * (0.5 * yaw + 0.1)}),
         (urdf(turned, LEFT, RIGHT, *off_the_way), {}, TURNS, 4, {}),
     ]:  # fmt: skip
         with named(options, joints):
@@ -253,6 +259,7 @@ def test_what_the_file_lacks_is_marked_as_assumed(head_of, tmp_path):
     # a joint without limits may turn once around
     free = eye("left", lower=None, upper=None)
     free = free.replace('pan" type="revolute', 'pan" type="continuous')
+    free = free.replace("<limit ", '<limit lower="-1" upper="1" ', 1)  # of no meaning there
     imported = head_of(urdf(NECK, free, eye("right", upper="1000")))
     assert [one for one in imported.guesses if "right" not in one] == []
     assert "1000 rad in the file, no real limits (degrees?): one turn" in imported.guesses[0]
