@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
-from vergence.errors import ConfigurationError
+from tests.naming import refused
 from vergence.files import (
     PARTIAL_PREFIX,
     SUFFIX,
@@ -170,9 +170,7 @@ def test_a_second_lock_is_refused_told_who_writes_where_and_has_the_place_after_
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     assert holder.stdout.readline() == "held\n"
-    with pytest.raises(ConfigurationError, match=f"process {holder.pid}") as refused:
-        lock(tmp_path / "run")
-    assert str(tmp_path / "run") in str(refused.value)
+    refused(f"{tmp_path / 'run'}, to which process {holder.pid} is writing", lock, tmp_path / "run")
     holder.kill()
     holder.communicate()
     assert names(tmp_path) == [f".run{SUFFIX}"]  # what a kill leaves behind locks nothing
@@ -195,8 +193,7 @@ def test_two_names_of_one_place_have_one_lock_and_its_neighbour_another(tmp_path
     (tmp_path / "link").symlink_to(tmp_path / "run")
     with hold_lock(tmp_path / "run") as first, hold_lock(tmp_path / "two") as second:
         assert (first, second) == (True, True)
-        with pytest.raises(ConfigurationError, match="writing"):
-            lock(tmp_path / "link")
+        refused("writing", lock, tmp_path / "link")
 
 
 def test_the_next_one_never_holds_a_lock_whose_file_has_been_removed(tmp_path):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from tests.models.lenses import LENSES
-from tests.naming import named
-from vergence.errors import ConfigurationError
+from tests.naming import named, refused
 from vergence.models.camera import Camera, Cameras, camera_matrix, light_table, parse_response
 
 CAMERA = Camera(size=(320, 240), matrix=camera_matrix((500.0, 500.0), (150.0, 120.0)))
@@ -49,8 +48,7 @@ def test_what_cannot_be_is_refused_with_what_came():
         ({"focus": 3.0}, "cameras.focus: expected one of size, focal"),
         ({"distortion": np.ones((2, 8))}, "5 coefficients for the left eye's brown-conrady lens"),
     ]:  # fmt: skip
-        with named(fields, message), pytest.raises(ConfigurationError, match=message):
-            cameras(**fields)
+        refused(message, cameras, **fields)
 
 
 def test_without_distortion_the_projection_is_a_pinhole_before_the_camera(physical, head):
@@ -87,5 +85,4 @@ def test_what_names_a_response_and_what_is_none():
     for value in (
         "sRGB!", "0,x,1", 0.0, -2.2, np.nan, True, None, [0.0, 0.5], [0.0, 0.6, 0.5, 1.0], [1.0],
     ):  # fmt: skip
-        with named(value), pytest.raises(ConfigurationError, match=said):
-            parse_response(value)
+        refused(said, parse_response, value)

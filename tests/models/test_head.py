@@ -11,8 +11,7 @@ import pytest
 
 from tests.heads import text_of
 from tests.models.lenses import wide
-from tests.naming import named
-from vergence.errors import ConfigurationError
+from tests.naming import refused
 from vergence.models import ModelErrors, load_head, parse_head
 
 
@@ -133,8 +132,7 @@ class TestPerturbation:
         assert first != other
         same = physical.perturbed(np.random.default_rng(3), ModelErrors(), 2)
         np.testing.assert_allclose(same[1].packed, physical.packed, rtol=0, atol=1e-15)
-        with pytest.raises(ConfigurationError, match=r"one head.*\(2,\)"):
-            same.perturbed(np.random.default_rng(3), errors)
+        refused(r"one head.*\(2,\)", same.perturbed, np.random.default_rng(3), errors)
 
     def test_the_neck_and_all_but_the_geometry_stays(self, physical, errors, rng):
         drawn = physical.perturbed(rng, errors)
@@ -183,8 +181,7 @@ def test_an_error_in_degrees_or_millimetres_or_below_zero_is_refused():
         ("head_eye_m", 0.5, millimetres),
         *(("principal_px", value, ">= 0") for value in (-1.0, np.nan, np.inf)),
     ]:  # fmt: skip
-        with named(name, value), pytest.raises(ConfigurationError, match=f"{name}.*{said}"):
-            ModelErrors(**{name: value})
+        refused(f"{name}.*{said}", ModelErrors, **{name: value})
     # ten degrees, and a centimetre: what no calibration has seen
     ModelErrors(joint_offset_rad=0.17, head_eye_rad=0.17, link_m=0.01, head_eye_m=0.01)
 
@@ -201,5 +198,4 @@ def test_a_change_of_a_head_that_cannot_be_is_refused(simulated) -> None:
         ({"sensor": {"detection_noise_px": -1.0}}, "detection_noise_px: expected a number of at"),
         ({"limits": {"lower": [1.0, 2.0]}}, r"limits\.lower: expected numbers of shape \(..., 7\)"),
     ]:
-        with named(parts, message), pytest.raises(ConfigurationError, match=message):
-            simulated.replace(**parts)
+        refused(message, simulated.replace, **parts)

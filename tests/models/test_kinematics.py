@@ -102,9 +102,9 @@ def test_head_eye_transforms_lead_from_links_to_cameras(head, physical, random_p
 
 def depths(head, q, points):
     """(..., 2) z of points of N in both cameras."""
-    to_camera = np.linalg.inv(head.camera_poses(q))
-    homogeneous = np.append(points, np.ones((*points.shape[:-1], 1)), axis=-1)
-    return (to_camera @ homogeneous[..., None, :, None])[..., 2, 0]
+    poses = head.camera_poses(q)
+    from_cameras = points[..., None, :] - poses[..., :3, 3]
+    return (from_cameras * poses[..., :3, 2]).sum(axis=-1)
 
 
 def test_an_image_jacobian_equals_finite_differences_of_the_projection(head, random_poses, rng):

@@ -5,8 +5,7 @@ import pytest
 
 from tests.heads import TEXTS, head_of
 from tests.models.lenses import COEFFICIENTS, wide
-from tests.naming import named
-from vergence.errors import ConfigurationError
+from tests.naming import named, refused
 from vergence.models import ModelErrors
 
 
@@ -39,8 +38,7 @@ def test_heads_of_other_joints_have_no_common_vector_or_population(physical, rng
         (lambda: physical.stack([]), "one head or more, got none"),
         (lambda: physical.perturbed(rng, ModelErrors(), -1), "counts of 1 or more, got -1"),
     ):
-        with named(said), pytest.raises(ConfigurationError, match=said):
-            call()
+        refused(said, call)
 
 
 def test_a_name_says_which_number_it_is(head):
@@ -77,9 +75,7 @@ def test_every_parameter_moves_what_an_eye_sees(physical, random_poses):
     c, s = np.cos(angle), np.sin(angle)
     np.testing.assert_allclose(rest.T @ turned, [[1, 0, 0], [0, c, -s], [0, s, c]], atol=1e-12)
     for shape in [(51,), (3, 53), ()]:
-        said = r"expected shape \(\.\.\., 52\)"
-        with named(shape), pytest.raises(ConfigurationError, match=said):
-            physical.with_parameters(np.zeros(shape))
+        refused(r"expected shape \(\.\.\., 52\)", physical.with_parameters, np.zeros(shape))
 
 
 def test_a_lens_has_its_own_coefficients_by_name(rng):

@@ -5,6 +5,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 
 SIZE = (640, 480)
 K_LEFT = np.array([[461.6, 0.0, 322.5], [0.0, 460.1, 246.0], [0.0, 0.0, 1.0]])
@@ -38,37 +39,34 @@ def opencv_pair(**changes: Any) -> dict[str, Any]:
     return {key: value for key, value in values.items() if value is not None}
 
 
-def _rows(matrix: np.ndarray) -> str:
+def _table(matrix: np.ndarray) -> dict[str, Any]:
     rows, cols = np.atleast_2d(matrix).shape
-    data = ", ".join(f"{x:.8f}" for x in matrix.ravel())
-    return f"\n  rows: {rows}\n  cols: {cols}\n  data: [{data}]\n"
+    return {"rows": rows, "cols": cols, "data": matrix.round(8).ravel().tolist()}
+
+
+def _write_yaml(path: Path, values: dict[str, Any]) -> Path:
+    path.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+    return path
 
 
 def camera_info(path: Path, eye: int) -> Path:
     """Write the file of one camera as ROS's camera_calibration does."""
     k, d = ((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))[eye]
-    path.write_text(
-        f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: pair/{path.stem}\n"
-        f"camera_matrix:{_rows(k)}distortion_model: plumb_bob\n"
-        f"distortion_coefficients:{_rows(d)}"
-        f"rectification_matrix:{_rows(RECTIFIED[eye])}"
-        f"projection_matrix:{_rows(RECTIFIED[2 + eye])}",
-        encoding="utf-8",
-    )
-    return path
+    return _write_yaml(path, {
+        "image_width": SIZE[0], "image_height": SIZE[1], "camera_name": f"pair/{path.stem}",
+        "camera_matrix": _table(k), "distortion_model": "plumb_bob",
+        "distortion_coefficients": _table(d), "rectification_matrix": _table(RECTIFIED[eye]),
+        "projection_matrix": _table(RECTIFIED[2 + eye]),
+    })  # fmt: skip
 
 
 def camchain(path: Path, model: str = "radtan") -> Path:
-    lines = []
-    for eye, (k, d) in enumerate(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))):
-        lines.append(f"cam{eye}:")
-        if eye:
-            lines += ["  T_cn_cnm1:", *(f"  - {row.tolist()}" for row in RIGHT_FROM_LEFT)]
-        lines += [
-            f"  cam_overlaps: [{1 - eye}]", "  camera_model: pinhole",
-            f"  distortion_coeffs: {d[:4].tolist()}", f"  distortion_model: {model}",
-            f"  intrinsics: [{k[0, 0]}, {k[1, 1]}, {k[0, 2]}, {k[1, 2]}]",
-            f"  resolution: [{SIZE[0]}, {SIZE[1]}]", f"  rostopic: /cam{eye}/image_raw",
-        ]  # fmt: skip
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+    return _write_yaml(path, {
+        f"cam{eye}": ({"T_cn_cnm1": RIGHT_FROM_LEFT.tolist()} if eye else {}) | {
+            "cam_overlaps": [1 - eye], "camera_model": "pinhole",
+            "distortion_coeffs": d[:4].tolist(), "distortion_model": model,
+            "intrinsics": [float(k[0, 0]), float(k[1, 1]), *k[:2, 2].tolist()],
+            "resolution": list(SIZE), "rostopic": f"/cam{eye}/image_raw",
+        }
+        for eye, (k, d) in enumerate(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT)))
+    })  # fmt: skip

@@ -14,8 +14,8 @@ import pytest
 
 from tests.heads import TEXTS, actuator, head_of, text_of
 from tests.joint_motion import respond
-from tests.naming import named
-from vergence.errors import ConfigurationError, MujocoUnavailableError, VergenceError
+from tests.naming import named, refused
+from vergence.errors import MujocoUnavailableError
 from vergence.models import load_head, parse_head
 from vergence.models.mujoco.model import (
     build_spec,
@@ -263,11 +263,10 @@ def test_what_no_model_can_be_made_of_is_refused(simulated, physical, errors, rn
         (simulated, {"timestep_s": 0.0}, "timestep_s"),
         (simulated, {"timestep_s": np.nan}, "timestep_s"),
     ]:
-        with named(options, said), pytest.raises(VergenceError, match=said):
-            build_spec(head, **options)
+        refused(said, build_spec, head, **options)
     other = "<mujoco><worldbody><body><joint name='elbow'/><geom size='1'/></body></worldbody>"
-    with pytest.raises(ConfigurationError, match=r"neck_yaw.*elbow"):
-        find_model_indices(mujoco.MjModel.from_xml_string(f"{other}</mujoco>"), simulated)
+    model = mujoco.MjModel.from_xml_string(f"{other}</mujoco>")
+    refused(r"neck_yaw.*elbow", find_model_indices, model, simulated)
 
 
 WITHOUT = """
