@@ -39,8 +39,6 @@ white_grey = 190.0
 background_grey = 110.0
 """
 CENTRE: Final = (0.0, 0.0, 0.0)
-
-
 Vector = Sequence[float]
 
 

@@ -40,19 +40,16 @@ def built(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def wheel_files(built) -> set[str]:
-    with zipfile.ZipFile(built / WHEEL) as wheel:
-        return set(wheel.namelist())
-
-
-@pytest.fixture(scope="module")
-def sdist_files(built) -> set[str]:
-    with tarfile.open(built / f"{STEM}.tar.gz") as sdist:
-        return {name.removeprefix(f"{STEM}/") for name in sdist.getnames()}
+def files(built) -> tuple[set[str], set[str]]:
+    """Those of the wheel and of the sdist."""
+    with zipfile.ZipFile(built / WHEEL) as wheel, tarfile.open(built / f"{STEM}.tar.gz") as sdist:
+        names = {name.removeprefix(f"{STEM}/") for name in sdist.getnames()}
+        return set(wheel.namelist()), names
 
 
 @pytest.mark.nightly
-def test_the_wheel_carries_every_file_of_the_package_the_license_and_nothing_beside(wheel_files):
+def test_the_wheel_carries_every_file_of_the_package_the_license_and_nothing_beside(files):
+    wheel_files, _ = files
     package = {
         path.relative_to(ROOT).as_posix()
         for path in ROOT.glob("vergence/**/*")
@@ -70,13 +67,14 @@ def test_the_wheel_carries_every_file_of_the_package_the_license_and_nothing_bes
 
 
 @pytest.mark.nightly
-def test_built_files_carry_no_compiled_code(wheel_files, sdist_files):
+def test_built_files_carry_no_compiled_code(files):
     compiled = (".nbc", ".nbi", ".pyc", ".so")
-    assert [name for name in wheel_files | sdist_files if name.endswith(compiled)] == []
+    assert [name for name in set.union(*files) if name.endswith(compiled)] == []
 
 
 @pytest.mark.nightly
-def test_the_sdist_carries_the_model_folder_and_all_that_make_test_needs(sdist_files):
+def test_the_sdist_carries_the_model_folder_and_all_that_make_test_needs(files):
+    _, sdist_files = files
     models = (ROOT / "models" / "bionic_eyes").rglob("*")
     tracked_models = {path.relative_to(ROOT).as_posix() for path in models if path.is_file()}
     assert tracked_models

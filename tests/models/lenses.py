@@ -2,11 +2,9 @@
 
 from typing import Final
 
-import cv2
 import numpy as np
 
 from vergence.models import HeadModel, load_head
-from vergence.models.camera import Camera
 
 COEFFICIENTS: Final = {
     "brown-conrady": (-0.3, 0.12, 1e-3, -1e-3, -0.02),
@@ -31,18 +29,3 @@ def wide(left: str, right: str | None = None) -> HeadModel:
             "principal": [[402.5, 296.0], [318.0, 243.0]], "distortion": distortion, "lens": lens,
         }
     )  # fmt: skip
-
-
-def by_opencv(camera: Camera, in_camera: np.ndarray) -> np.ndarray:
-    """(n, 2) where OpenCV's own function sees points (n, 3) of the camera frame, px."""
-    model, coefficients = camera.lens
-    project = cv2.fisheye.projectPoints if model == "fisheye" else cv2.projectPoints
-    zero = np.zeros(3)
-    pixels, _ = project(in_camera[:, None], zero, zero, camera.matrix, np.array(coefficients))
-    return pixels.reshape(-1, 2)
-
-
-def pixels_of_image(camera: Camera, count: int = 60) -> np.ndarray:
-    """(count^2, 2) pixels over all of an image, its edge among them."""
-    u, v = (np.linspace(-0.5, length - 0.5, count) for length in camera.size)
-    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

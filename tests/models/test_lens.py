@@ -1,14 +1,15 @@
 """Lens models: OpenCV's numbers, there and back, derivatives, and nan where a model folds back."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.grids import some_of
-from tests.models.lenses import COEFFICIENTS, LENSES, by_opencv, pixels_of_image, wide
+from tests.models.lenses import COEFFICIENTS, LENSES, wide
 from tests.naming import named
-from vergence.models.camera import pack_camera, pixels_to_rays, rays_to_pixels
+from vergence.models.camera import Camera, pack_camera, pixels_to_rays, rays_to_pixels
 from vergence.models.lens import camera_at, distort
 
 FOLDS = {  # by the first radial coefficient, or those of a quotient, and r where it turns back
@@ -31,6 +32,21 @@ def spread_rays(rng, count, most_deg=89.0):
     angle = np.deg2rad(rng.uniform(0.0, most_deg, count))
     turn = rng.uniform(0.0, 2.0 * np.pi, count)
     return np.tan(angle)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+
+
+def by_opencv(camera: Camera, in_camera: np.ndarray) -> np.ndarray:
+    """(n, 2) where OpenCV's own function sees points (n, 3) of the camera frame, px."""
+    model, coefficients = camera.lens
+    project = cv2.fisheye.projectPoints if model == "fisheye" else cv2.projectPoints
+    zero = np.zeros(3)
+    pixels, _ = project(in_camera[:, None], zero, zero, camera.matrix, np.array(coefficients))
+    return pixels.reshape(-1, 2)
+
+
+def pixels_of_image(camera: Camera, count: int = 60) -> np.ndarray:
+    """(count^2, 2) pixels over all of an image, its edge among them."""
+    u, v = (np.linspace(-0.5, length - 0.5, count) for length in camera.size)
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
 
 def test_projection_is_opencvs_and_leads_there_and_back_over_the_whole_image(rng):

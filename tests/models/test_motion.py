@@ -12,7 +12,6 @@ from vergence.models.motion import (
     follow_torque_limited_joint,
     lag_decay,
     prepare_held_response,
-    time_to_reversal,
 )
 
 speeds = st.floats(-6.0, 6.0)
@@ -58,19 +57,6 @@ def test_a_lag_or_a_limit_alone_has_a_closed_form() -> None:
     ]:
         found = follow_one(q, v, u, tau=tau, a=a, period=period)
         assert found == pytest.approx(wanted, abs=1e-15)
-
-
-@given(
-    v=speeds, u=speeds, tau=st.sampled_from([0.0, 0.01, 0.03, 0.1]),
-    a=st.sampled_from([20.0, 120.0, np.inf]),
-)  # fmt: skip
-def test_a_joint_turns_round_when_it_stands_still(v, u, tau, a) -> None:
-    if not v * u < -1e-6 or (tau == 0.0 and a == np.inf):
-        return
-    turn = time_to_reversal(v, u, tau, a)
-    assert turn >= 0.0
-    _q, still = follow_one(0.0, v, u, tau=tau, a=a, period=turn)
-    assert still == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equation() -> None:
