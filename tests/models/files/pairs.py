@@ -45,8 +45,7 @@ def _table(matrix: np.ndarray) -> dict[str, Any]:
 
 
 def _write_yaml(path: Path, values: dict[str, Any]) -> Path:
-    text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(yaml.safe_dump(values, sort_keys=False, default_flow_style=None), "utf-8")
     return path
 
 
