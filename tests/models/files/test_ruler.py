@@ -61,6 +61,6 @@ def test_a_view_is_that_of_a_pinhole_and_a_tilt_axis_above_the_plate():
 def test_servos_are_found_by_the_beginning_of_their_names():
     for text, name in [
         ("xl330", "XL330-M288"), ("XL430-W250-T", "XL430-W250"), ("xm430w210", "XM430-W210"),
-        ("STS3215", "STS3215"), ("hobby", "hobby"),
+        ("STS3215", "STS3215"), ("hobby", "hobby"), ("XM430-W350-R", "XM430-W350"),
     ]:  # fmt: skip
         assert find_servo_model(text).name == name, text
