@@ -78,11 +78,9 @@ class Links(FrozenArrays, ABC):
     @property
     def joints(self) -> tuple[str, ...]:
         """Seven names in joint order; empty for a joint that the head does not have."""
-        names = [""] * len(JOINTS)
-        for name, places in zip(self.names, self.joint_indices, strict=True):
-            for place in places:
-                names[place] = name
-        return tuple(names)
+        pairs = zip(self.names, self.joint_indices, strict=True)
+        names = {place: name for name, places in pairs for place in places}
+        return tuple(names.get(place, "") for place in range(len(JOINTS)))
 
     def bodies(self) -> tuple[Body, ...]:
         """The bodies that the joints carry, parents first; for one head, not for a population."""

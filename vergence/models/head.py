@@ -45,6 +45,8 @@ from vergence.models.parts import (
 from vergence.models.perturbation import ModelErrors, perturb_geometry
 from vergence.operands import as_operand
 
+_TWO, _FOUR = np.zeros(2), np.zeros(4)
+"""Operands for the dimensions that a kernel has in its result alone (numerical)."""
 _MM_PER_M: Final = 1000.0  # millimetres per metre (physical: the unit)
 _ROUNDING_RAD: Final = 1e-9  # tolerance for angles at their limits, rad (numerical)
 
@@ -99,34 +101,6 @@ _ZERO_DISPARITY_PX: Final = 0.5
 """Disparity below which a point looks as if at infinity, px: it rounds to 0 (chosen)."""
 _COUPLING_TOLERANCE_RAD: Final = 1e-9
 """Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
-
-
-def _digest_of(head: "HeadModel") -> str:
-    sha = hashlib.sha256()
-    parts = {
-        "links": _numbers(head.links),
-        "head_eye": {"": head.head_eye},
-        "cameras": _camera_numbers(head.cameras),
-    }
-    for name in ("limits", "timing", "sensor", "rendering", "actuators"):
-        if part := getattr(head, name):
-            parts[name] = _numbers(part)
-    timing = head.timing
-    periods = timing.latency_s * timing.control_rate_hz
-    if abs(periods - timing.latency_frames) < _WHOLE_PERIODS_TOLERANCE:
-        parts["timing"]["latency_frames"] = timing.latency_frames
-        del parts["timing"]["latency_s"]
-    for part, numbers in parts.items():
-        rounds = part in ("links", "head_eye") and isinstance(head.links, JointAxes)
-        for field, value in sorted(numbers.items()):
-            if is_name_tuple(value) or isinstance(value, str):
-                sha.update(f"{part}.{field}{value}".encode())
-            else:
-                array = np.asarray(value, dtype="<f8")
-                if rounds:
-                    array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
-                sha.update(f"{part}.{field}{array.shape}".encode() + array.tobytes())
-    return sha.hexdigest()
 
 
 def _numbers(part: Any) -> dict[str, Any]:
@@ -248,7 +222,31 @@ class HeadModel:
     @cached_property
     def digest(self) -> str:
         """SHA-256 over the head's numbers, 64 hexadecimal digits; its form is `FORM_VERSION`."""
-        return _digest_of(self)
+        sha = hashlib.sha256()
+        parts = {
+            "links": _numbers(self.links),
+            "head_eye": {"": self.head_eye},
+            "cameras": _camera_numbers(self.cameras),
+        }
+        for name in ("limits", "timing", "sensor", "rendering", "actuators"):
+            if part := getattr(self, name):
+                parts[name] = _numbers(part)
+        timing = self.timing
+        periods = timing.latency_s * timing.control_rate_hz
+        if abs(periods - timing.latency_frames) < _WHOLE_PERIODS_TOLERANCE:
+            parts["timing"]["latency_frames"] = timing.latency_frames
+            del parts["timing"]["latency_s"]
+        for part, numbers in parts.items():
+            rounds = part in ("links", "head_eye") and isinstance(self.links, JointAxes)
+            for field, value in sorted(numbers.items()):
+                if is_name_tuple(value) or isinstance(value, str):
+                    sha.update(f"{part}.{field}{value}".encode())
+                else:
+                    array = np.asarray(value, dtype="<f8")
+                    if rounds:
+                        array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
+                    sha.update(f"{part}.{field}{array.shape}".encode() + array.tobytes())
+        return sha.hexdigest()
 
     def __eq__(self, other: object) -> bool:
         """True if two heads have the same name and the same digest."""
@@ -327,7 +325,7 @@ class HeadModel:
         Args:
             q: (..., 7) joint angles, rad.
         """
-        return np.asarray(kinematics.frame_n_in_base(self._held(q), self.packed, np.zeros(4)))
+        return np.asarray(kinematics.frame_n_in_base(self._held(q), self.packed, _FOUR))
 
     def camera_poses(self, q: ArrayLike) -> FloatArray:
         """(..., 2, 4, 4) poses of both cameras in N, T_N_Cl and T_N_Cr, metres (Eqs. 14 to 17).
@@ -335,8 +333,7 @@ class HeadModel:
         Args:
             q: (..., 7) joint angles, rad.
         """
-        two, four = np.zeros(2), np.zeros(4)
-        return np.asarray(kinematics.camera_poses(self._held(q), self.packed, two, four))
+        return np.asarray(kinematics.camera_poses(self._held(q), self.packed, _TWO, _FOUR))
 
     def link_poses(self, q: ArrayLike) -> FloatArray:
         """(..., 2, 4, 4) poses in N of the last links of both eyes, T_N_6 and T_N_9, metres.
@@ -359,7 +356,7 @@ class HeadModel:
             distorted: True for raw pixels, False for pixels of the ideal pinhole.
         """
         q, raw = self._held(q), np.bool_(distorted)
-        return np.asarray(kinematics.project(q, points, raw, self.packed, np.zeros(2)))
+        return np.asarray(kinematics.project(q, points, raw, self.packed, _TWO))
 
     def undistort(self, pixels: ArrayLike) -> FloatArray:
         """(..., 2, 2) pixels of the ideal pinhole; nan where the lens model has no inverse.
@@ -420,14 +417,11 @@ class HeadModel:
         left, right = self.camera_poses(self.rest())[:, :3, 3]
         baseline_m, focal_px = np.linalg.norm(right - left), self.cameras.focal.max()
         far_m = float(baseline_m) * float(focal_px) / _ZERO_DISPARITY_PX
-        own = (self.actuation.names, self.actuation), (self.joints[EYES], self.limits)
-        return far_m, [
-            one
-            for names, ends in own
-            for one in zip(
-                names, ends.lower[EYES].tolist(), ends.upper[EYES].tolist(), strict=False
-            )
-        ]
+        eyes: list[tuple[str, float, float]] = []
+        own = self.actuation
+        for names, ends in ((own.names, own), (self.joints[EYES], self.limits)):
+            eyes += zip(names, ends.lower[EYES].tolist(), ends.upper[EYES].tolist(), strict=False)
+        return far_m, eyes
 
     def perturbed(
         self,
