@@ -354,7 +354,12 @@ class Cameras:
         """
         refuse_unknown("cameras", values, STACKED)
         new: dict[str, Any] = {name: getattr(self, name) for name in STACKED} | values
-        lens, response = (_of_both(name, new[name]) for name in ("lens", "response"))
+        if not isinstance(new["lens"], str | tuple | list):
+            raise ConfigurationError(f"lens: expected a name for each eye, got {new['lens']!r:.80}")
+        lens, response = (  # one that is no pair applies to both
+            given if isinstance(given, tuple) and len(given) == 2 else (given, given)
+            for given in (new["lens"], new["response"])
+        )
         size = np.asarray(new["size"])
         if size.shape not in ((2,), (2, 2)):
             raise ConfigurationError(
@@ -385,14 +390,6 @@ STACKED: Final[dict[str, tuple[int | str, ...]]] = {
     "response": (), "pose": (2, 4, 4),
 }  # fmt: skip
 """Values of a pair of cameras; of those that may be a population's, the shape for one head."""
-
-
-def _of_both(name: str, given: Any) -> tuple[Any, Any]:
-    """A value for each eye; one that is no pair applies to both."""
-    if name == "lens" and not isinstance(given, str | tuple | list):
-        raise ConfigurationError(f"lens: expected a name for each eye, got {given!r:.80}")
-    left, right = given if isinstance(given, tuple) and len(given) == 2 else (given, given)
-    return left, right
 
 
 def _trimmed(model: str, coefficients: FloatArray, eye: str) -> Lens:

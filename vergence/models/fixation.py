@@ -142,7 +142,7 @@ def fixation_newton_step(
     """Changes of an eye's joint angles in one Newton step towards a point of N, rad, or nan."""
     a, b, at, ap, bt, bp = _aim(p, eye, first_angle, second_angle, x, y, z, True)
     det = at * bp - ap * bt
-    if det == 0.0:
+    if isnan(a) or det == 0.0:
         return nan, nan
     return -(bp * a - ap * b) / det, -(at * b - bt * a) / det
 
@@ -219,8 +219,7 @@ def fixate(
     for j in range(3):
         out[j] = neck[j]
     for eye in range(2):
-        q1, q2 = fixate_eye(p, eye, points[0], points[1], points[2])
-        out[3 + 2 * eye], out[4 + 2 * eye] = q1, q2
+        out[3 + 2 * eye], out[4 + 2 * eye] = fixate_eye(p, eye, points[0], points[1], points[2])
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], f"(3),(3),(7),({PACKED})->(7)")

@@ -137,7 +137,6 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
         return _search(camera, xd, yd, xd, yd)
     # for moderate angles, Newton's method from the distorted coordinates suffices
     x, y = xd, yd
-    converged = False
     for _ in range(_NEWTON_STEPS):
         distorted = _distort_by_polynomial(camera, x, y)
         fx, fy = distorted.x - xd, distorted.y - yd
@@ -147,13 +146,10 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
         x -= sx
         y -= sy
         if abs(sx) + abs(sy) < _NEWTON_TOLERANCE * (1.0 + abs(x) + abs(y)):
-            converged = True
-            break
-    if not converged:
-        return _search(camera, xd, yd, xd, yd)
-    if x * x + y * y < camera.safe_radius_squared:
-        return x, y
-    return _search(camera, xd, yd, x, y)
+            if x * x + y * y < camera.safe_radius_squared:
+                return x, y
+            return _search(camera, xd, yd, x, y)
+    return _search(camera, xd, yd, xd, yd)
 
 
 @inlined

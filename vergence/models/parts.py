@@ -32,27 +32,21 @@ def replace_fields(part: Any, part_name: str, fields: Mapping[str, Any]) -> Any:
     refuse_unknown(part_name, fields, part.__dataclass_fields__)
     new = dict(fields)
     for key, value in fields.items():
-        now = getattr(part, key)
+        now, name = getattr(part, key), f"{part_name}.{key}"
         if isinstance(value, Mapping) and dataclasses.is_dataclass(now):
             new[key] = replace_fields(now, key, value)
-        elif (part_name, key) != ("head", "calibration"):  # None for no record
-            _check(f"{part_name}.{key}", value, now)
+        elif isinstance(now, int | float | np.ndarray):
+            try:
+                numbers = np.asarray(value, dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise ConfigurationError(f"{name}: expected numbers, got {value!r:.80}") from error
+            last = np.shape(now)[-1:]  # the axes before may be those of a population
+            if np.isnan(numbers).any() or numbers.shape[-1:] != last:
+                what = f"numbers of shape (..., {last[0]})" if last else "a number"
+                raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
+        elif not isinstance(value, type(now)) and name != "head.calibration":  # None for no record
+            raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")
     return dataclasses.replace(part, **new)
-
-
-def _check(name: str, value: Any, now: Any) -> None:
-    """Check that a new value has the type of the current one."""
-    if isinstance(now, int | float | np.ndarray):
-        try:
-            numbers = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise ConfigurationError(f"{name}: expected numbers, got {value!r:.80}") from error
-        last = np.shape(now)[-1:]  # the axes before may be those of a population
-        if np.isnan(numbers).any() or numbers.shape[-1:] != last:
-            what = f"numbers of shape (..., {last[0]})" if last else "a number"
-            raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
-    elif not isinstance(value, type(now)):
-        raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")
 
 
 class FrozenArrays:
