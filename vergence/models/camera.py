@@ -358,7 +358,7 @@ class Cameras:
             raise ConfigurationError(f"lens: expected a name for each eye, got {new['lens']!r:.80}")
         lens, response = (  # one that is no pair applies to both
             given if isinstance(given, tuple) and len(given) == 2 else (given, given)
-            for given in (new["lens"], new["response"])
+            for given in map(new.get, ("lens", "response"))
         )
         size = np.asarray(new["size"])
         if size.shape not in ((2,), (2, 2)):
@@ -392,7 +392,7 @@ STACKED: Final[dict[str, tuple[int | str, ...]]] = {
 """Values of a pair of cameras; of those that may be a population's, the shape for one head."""
 
 
-def _trimmed(model: str, coefficients: FloatArray, eye: str) -> Lens:
+def _trimmed(model: Any, coefficients: FloatArray, eye: str) -> Lens:
     """Lens of coefficients that are padded with zeros or lack zeros at the end."""
     count = len(LENSES.get(model, ()))
     if coefficients[..., count:].any() and model in LENSES:
