@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from vergence.calibration.projection import project_with_jacobians
-from vergence.models.camera import pack_camera, rays_to_pixels
+from vergence.models.camera import rays_to_pixels
+from vergence.models.lens import pack_camera
 
 LENSES = {
     "brown-conrady": [0.1, -0.2, 0.001, -0.002, 0.05],

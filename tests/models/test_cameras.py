@@ -16,6 +16,7 @@ def cameras(**fields) -> Cameras:
 
 def test_one_size_lens_or_response_stands_for_both_eyes_and_coefficients_are_filled_up():
     made = cameras(lens="fisheye", distortion=np.full((2, 4), 0.1))
+    assert made == cameras(lens=["fisheye", "fisheye"], distortion=made.distortion)
     assert made.size.tolist() == [[640, 480], [640, 480]]
     assert made.size.dtype == np.int64
     assert made.lens == ("fisheye", "fisheye")
@@ -84,5 +85,6 @@ def test_what_names_a_response_and_what_is_none():
     said = "response: expected 'linear', 'srgb', a gamma"
     for value in (
         "sRGB!", "0,x,1", 0.0, -2.2, np.nan, True, None, [0.0, 0.5], [0.0, 0.6, 0.5, 1.0], [1.0],
+        object(), 1j,
     ):  # fmt: skip
         refused(said, parse_response, value)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from tests.grids import some_of
 from tests.models.lenses import COEFFICIENTS, LENSES, wide
 from tests.naming import named
-from vergence.models.camera import Camera, pack_camera, pixels_to_rays, rays_to_pixels
-from vergence.models.lens import camera_at, distort
+from vergence.models.camera import Camera, pixels_to_rays, rays_to_pixels
+from vergence.models.lens import camera_at, distort, pack_camera
 
 FOLDS = {  # by the first radial coefficient, or those of a quotient, and r where it turns back
     # r (1 - 0.3 r^2) at r^2 = 1 / 0.9

@@ -19,8 +19,8 @@ from vergence.calibration.adjustment import (
 )
 from vergence.calibration.observations import BoardObservations
 from vergence.errors import ConfigurationError
-from vergence.models.camera import pack_camera, pixels_to_rays
-from vergence.models.lens import BROWN_CONRADY, LENSES
+from vergence.models.camera import pixels_to_rays
+from vergence.models.lens import BROWN_CONRADY, LENSES, pack_camera
 from vergence.models.parts import FloatArray
 
 LEAST_VIEWS: Final = 5

@@ -30,7 +30,7 @@ from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.trials.goal import least_reachable_error
 from vergence.eval.trials.metrics import settle_time
 from vergence.hardware.config import load_hardware
-from vergence.models.head import HeadModel, describe_beyond_limits, limits_of_eyes
+from vergence.models.head import HeadModel, describe_beyond_limits
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.operands import null_nonfinite_elements
@@ -309,8 +309,7 @@ def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> s
     q = head.fixate(point, head.rest()[NECK], warn=False)
     if not np.isfinite(q).all():
         return f"{expected} the eyes have no angles"
-    eyes = limits_of_eyes(head.joints, head.limits, head.actuation)
-    beyond = describe_beyond_limits(eyes, head.actuation, q)
+    beyond = describe_beyond_limits(head, q)
     return f"{expected} {beyond}" if beyond else ""
 
 

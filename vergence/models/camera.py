@@ -5,9 +5,9 @@ each side of its centre, and u = u_0 + f_u x / z.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from math import isfinite
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from vergence.models.lens import (
     camera_at,
     distort,
     is_distorted,
-    pack_lens,
+    pack_camera,
     pinhole_ray,
     ray_to_pixel,
     undistort_ray,
@@ -63,26 +63,25 @@ def parse_response(value: Any, name: str = "response") -> CameraResponse:
     if isinstance(value, str):
         if value.lower() in (LINEAR, SRGB):
             return value.lower()
-        try:
+        with suppress(ValueError):
             numbers = [float(part) for part in value.split(",")]
-        except ValueError:
-            raise ConfigurationError(f"{name}: expected {EXPECTED}, got {value!r:.80}") from None
-        value = numbers if len(numbers) > 1 else numbers[0]
+            value = numbers if len(numbers) > 1 else numbers[0]
+    got = f"{value!r:.80}"
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
-        gamma = float(value)
-        if not (isfinite(gamma) and _GAMMA_RANGE[0] <= gamma <= _GAMMA_RANGE[1]):
-            raise ConfigurationError(f"{name}: expected {EXPECTED}, got {gamma:g}")
-        return LINEAR if gamma == 1.0 else gamma
-    try:
-        table = np.asarray(value, float)
-    except (TypeError, ValueError):
-        table = np.empty(0)
-    if table.ndim == 1 and any(isinstance(one, str | bool | np.bool_) for one in value):
-        table = np.empty(0)
-    rises = table.ndim == 1 and 2 <= len(table) <= _MOST_ENTRIES and (np.diff(table) > 0.0).all()
-    if not rises or table[0] != 0.0 or table[-1] != 1.0:
-        raise ConfigurationError(f"{name}: expected {EXPECTED}, got {value!r:.80}")
-    return tuple(table.tolist())
+        gamma, got = float(value), f"{float(value):g}"
+        if _GAMMA_RANGE[0] <= gamma <= _GAMMA_RANGE[1]:
+            return LINEAR if gamma == 1.0 else gamma
+    else:
+        try:
+            table = np.asarray(value, float)
+        except (TypeError, ValueError):
+            table = np.empty(0)
+        listed = table.ndim == 1 and len(table) > 1
+        plain = listed and not any(isinstance(x, str | bool | np.bool_) for x in value)
+        rises = plain and len(table) <= _MOST_ENTRIES and (np.diff(table) > 0.0).all()
+        if rises and table[0] == 0.0 and table[-1] == 1.0:
+            return tuple(table.tolist())
+    raise ConfigurationError(f"{name}: expected {EXPECTED}, got {got}")
 
 
 def default_response(*, colour: bool) -> CameraResponse:
@@ -161,15 +160,13 @@ class Camera:
             raise ConfigurationError(
                 f"focal: expected positive focal lengths, got {focal.tolist()!r:.80}"
             )
-        response = None if self.response is None else parse_response(self.response)
-        for name, value in {
-            "size": _whole_size(self.size),
-            "matrix": matrix,
-            "lens": _checked_lens(*self.lens),
-            "response": response,
-            "pose": readonly_array(self.pose),
-        }.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            response=None if self.response is None else parse_response(self.response),
+            size=_whole_size(self.size),
+            matrix=matrix,
+            lens=_checked_lens(*self.lens),
+            pose=readonly_array(self.pose),
+        )
 
     @classmethod
     def of(cls, head: Any, eye: int) -> "Camera":
@@ -312,7 +309,8 @@ class Cameras:
         """(..., 2, n) coefficients by eye, padded: n is 5 for two Brown-Conrady lenses, else 8."""
         own = [np.asarray(camera.lens.coefficients) for camera in self]
         batch = np.broadcast_shapes(*(coefficients.shape[:-1] for coefficients in own))
-        out = np.zeros((*batch, 2, _padded_count(self.lens)))
+        padded = 5 if self.lens == (BROWN_CONRADY, BROWN_CONRADY) else 8
+        out = np.zeros((*batch, 2, padded))
         for eye, coefficients in enumerate(own):
             out[..., eye, : coefficients.shape[-1]] = coefficients
         return readonly_array(out)
@@ -335,7 +333,17 @@ class Cameras:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of pinhole and lens of both eyes; 18 for two Brown-Conrady lenses."""
-        return _camera_parameters(self.lens)
+        padded = self.distortion.shape[-1]
+        return tuple(
+            Parameter(f"{eye}.camera.{name}", unit, field, slots * i + j)
+            for i, eye in enumerate(EYE_NAMES)
+            for field, slots, unit, names in (
+                ("focal", 2, "px", ("f_u", "f_v")),
+                ("principal", 2, "px", ("u_0", "v_0")),
+                ("distortion", padded, "1", LENSES[self.lens[i]]),
+            )
+            for j, name in enumerate(names)
+        )
 
     def replaced(self, **values: Any) -> "Cameras":
         """Copy with some values changed, each stacked by eye as the properties are.
@@ -345,46 +353,48 @@ class Cameras:
         Raises:
             ConfigurationError: a value is unknown or invalid.
         """
-        refuse_unknown("cameras", values, _STACKED)
-        stacked: dict[str, Any] = {name: getattr(self, name) for name in _STACKED} | values
-        lens, response = (_of_both(name, stacked[name]) for name in ("lens", "response"))
-        size = np.asarray(stacked["size"])
+        refuse_unknown("cameras", values, STACKED)
+        new: dict[str, Any] = {name: getattr(self, name) for name in STACKED} | values
+        if not isinstance(new["lens"], str | tuple | list):
+            raise ConfigurationError(f"lens: expected a name for each eye, got {new['lens']!r:.80}")
+        new["lens"] = new["lens"] if isinstance(new["lens"], str) else tuple(new["lens"])
+        lens, response = (  # one that is no pair applies to both
+            given if isinstance(given, tuple) and len(given) == 2 else (given, given)
+            for given in (new["lens"], new["response"])
+        )
+        size = np.asarray(new["size"])
         if size.shape not in ((2,), (2, 2)):
             raise ConfigurationError(
                 "size: expected the image's width and height in whole pixels, for both eyes or for "
-                f"each, got {stacked['size']!r:.80}"
+                f"each, got {new['size']!r:.80}"
             )
         size = np.broadcast_to(size, (2, 2))
-        numbers = {name: as_operand(f"cameras.{name}", stacked[name], 2, *own)
-                   for name, own in (("focal", (2,)), ("principal", (2,)), ("distortion", ("n",)),
-                                     ("pose", (4, 4)))}  # fmt: skip
-        matrix = camera_matrix(numbers["focal"], numbers["principal"])
+        focal, principal, distortion, pose = (
+            as_operand(f"cameras.{name}", new[name], *own) for name, own in STACKED.items() if own
+        )
+        matrix = camera_matrix(focal, principal)
         return Cameras(
             *(
                 Camera(
                     size=size[eye],
                     matrix=matrix[..., eye, :, :],
-                    lens=_trimmed(lens[eye], numbers["distortion"][..., eye, :], EYE_NAMES[eye]),
+                    lens=_trimmed(lens[eye], distortion[..., eye, :], name),
                     response=response[eye],
-                    pose=numbers["pose"][..., eye, :, :],
+                    pose=pose[..., eye, :, :],
                 )
-                for eye in range(2)
+                for eye, name in enumerate(EYE_NAMES)
             )
         )
 
 
-_STACKED: Final = ("size", "focal", "principal", "lens", "distortion", "response", "pose")
+STACKED: Final[dict[str, tuple[int | str, ...]]] = {
+    "size": (), "focal": (2, 2), "principal": (2, 2), "lens": (), "distortion": (2, "n"),
+    "response": (), "pose": (2, 4, 4),
+}  # fmt: skip
+"""Values of a pair of cameras; of those that may be a population's, the shape for one head."""
 
 
-def _of_both(name: str, given: Any) -> tuple[Any, Any]:
-    """A value for each eye; one that is no pair applies to both."""
-    if name == "lens" and not isinstance(given, str | tuple | list):
-        raise ConfigurationError(f"lens: expected a name for each eye, got {given!r:.80}")
-    left, right = given if isinstance(given, tuple) and len(given) == 2 else (given, given)
-    return left, right
-
-
-def _trimmed(model: str, coefficients: FloatArray, eye: str) -> Lens:
+def _trimmed(model: Any, coefficients: FloatArray, eye: str) -> Lens:
     """Lens of coefficients that are padded with zeros or lack zeros at the end."""
     count = len(LENSES.get(model, ()))
     if coefficients[..., count:].any() and model in LENSES:
@@ -396,26 +406,6 @@ def _trimmed(model: str, coefficients: FloatArray, eye: str) -> Lens:
         missing = np.zeros((*coefficients.shape[:-1], count - coefficients.shape[-1]))
         coefficients = np.concatenate([coefficients, missing], axis=-1)
     return Lens(model, coefficients[..., :count])
-
-
-def _padded_count(lens: tuple[str, str]) -> int:
-    """Distortion coefficients of both eyes, padded: 5 for Brown-Conrady, else 8."""
-    return 5 if lens == (BROWN_CONRADY, BROWN_CONRADY) else 8
-
-
-@lru_cache(maxsize=16)
-def _camera_parameters(lens: tuple[str, str]) -> tuple[Parameter, ...]:
-    slots = {"focal": 2, "principal": 2, "distortion": _padded_count(lens)}
-    return tuple(
-        Parameter(f"{eye}.camera.{name}", unit, field, slots[field] * i + j)
-        for i, eye in enumerate(EYE_NAMES)
-        for field, unit, names in (
-            ("focal", "px", ("f_u", "f_v")),
-            ("principal", "px", ("u_0", "v_0")),
-            ("distortion", "1", LENSES[lens[i]]),
-        )
-        for j, name in enumerate(names)
-    )
 
 
 def _checked_lens(model: str, coefficients: ArrayLike) -> Lens:
@@ -439,19 +429,6 @@ def _whole_size(size: Any) -> tuple[int, int]:
             f"size: expected the image's width and height in whole pixels, got {size!r:.80}"
         )
     return int(array[0]), int(array[1])
-
-
-def pack_camera(
-    size: ArrayLike, focal: FloatArray, principal: FloatArray, lens: str, distortion: ArrayLike
-) -> FloatArray:
-    """Pack cameras of one lens model into rows (..., 17) for `camera_at`; size and focal in px."""
-    distortion = np.asarray(distortion)
-    batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
-    rows = np.empty((*batch, CAMERA_LENGTH))
-    numbers = pack_lens(lens, distortion)
-    rows[..., 0:2], rows[..., 2:4], rows[..., 4:12] = focal, principal, numbers[..., :8]
-    rows[..., 12:14], rows[..., 14:] = size, numbers[..., 8:]
-    return rows
 
 
 @kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA_LENGTH})->(2)")

@@ -5,7 +5,7 @@ eye or of both, damped Gauss-Newton steps over the actuators minimise the sum of
 errors.
 """
 
-from math import atan2, hypot, isfinite, nan, sqrt
+from math import atan2, hypot, isfinite, isnan, nan, sqrt
 from typing import Final
 
 import numpy as np
@@ -14,7 +14,6 @@ from vergence.kernels import inlined, kernel, subroutine
 from vergence.models.kinematics import (
     PACKED,
     PackedHead,
-    Vector,
     camera_of,
     eye_frames,
     eye_joint_angle,
@@ -107,31 +106,43 @@ _ACCEPTED_STEP_RAD: Final = 1e-7
 
 
 @inlined
+def _aim(
+    p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float, bearings: bool
+) -> tuple[float, float, float, float, float, float]:
+    """Offset (a, b) of a point of N from an eye's axis, a and b by each of its joints; or nan.
+
+    With `bearings` it is (atan2(x, z), atan2(y, |x, z|)) in the camera, else (x / z, y / z). Unlike
+    the pixel, the bearing stays smooth for a point behind the camera, so limited steps converge
+    from any direction.
+    """
+    frames = eye_frames(p, eye, q1, q2)
+    cx, cy, cz = point_to_local(frames.camera, x, y, z)
+    r2 = cx * cx + cz * cz
+    if not (r2 > 0.0 if bearings else cz > 0.0):
+        return nan, nan, nan, nan, nan, nan
+    t = point_rate_in_camera(frames.after_first_joint, frames.camera, x, y, z)
+    s = point_rate_in_camera(frames.after_second_joint, frames.camera, x, y, z)
+    if bearings:
+        r, d2 = sqrt(r2), r2 + cy * cy
+        a, b = atan2(cx, cz), atan2(cy, r)
+        at, ap = (cz * t[0] - cx * t[2]) / r2, (cz * s[0] - cx * s[2]) / r2
+        bt = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
+        bp = (r * s[1] - cy * (cx * s[0] + cz * s[2]) / r) / d2
+    else:
+        a, b = cx / cz, cy / cz
+        at, ap = (t[0] - a * t[2]) / cz, (s[0] - a * s[2]) / cz
+        bt, bp = (t[1] - b * t[2]) / cz, (s[1] - b * s[2]) / cz
+    return a, b, at, ap, bt, bp
+
+
+@inlined
 def fixation_newton_step(
     p: PackedHead, eye: int, first_angle: float, second_angle: float, x: float, y: float, z: float
 ) -> tuple[float, float]:
-    """Changes of an eye's joint angles in one Newton step towards a point of N, rad.
-
-    They are nan if there is no step.
-
-    The step acts on the bearing (atan2(x, z), atan2(y, |x, z|)). Unlike the pixel, the bearing
-    stays smooth for a point behind the camera, so limited steps converge from any direction.
-    """
-    frames = eye_frames(p, eye, first_angle, second_angle)
-    cx, cy, cz = point_to_local(frames.camera, x, y, z)
-    r2 = cx * cx + cz * cz
-    if not r2 > 0.0:
-        return nan, nan
-    r = sqrt(r2)
-    d2 = r2 + cy * cy
-    a, b = atan2(cx, cz), atan2(cy, r)
-    t = point_rate_in_camera(frames.after_first_joint, frames.camera, x, y, z)
-    s = point_rate_in_camera(frames.after_second_joint, frames.camera, x, y, z)
-    at, ap = (cz * t[0] - cx * t[2]) / r2, (cz * s[0] - cx * s[2]) / r2
-    bt = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
-    bp = (r * s[1] - cy * (cx * s[0] + cz * s[2]) / r) / d2
+    """Changes of an eye's joint angles in one Newton step towards a point of N, rad, or nan."""
+    a, b, at, ap, bt, bp = _aim(p, eye, first_angle, second_angle, x, y, z, True)
     det = at * bp - ap * bt
-    if det == 0.0:
+    if isnan(a) or det == 0.0:
         return nan, nan
     return -(bp * a - ap * b) / det, -(at * b - bt * a) / det
 
@@ -158,43 +169,11 @@ def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[f
 
 
 @subroutine
-def _aim_error(
-    p: PackedHead,
-    eye: int,
-    joints: FloatArray,
-    point: Vector,
-    bearings: bool,
-    error: FloatArray,
-    rate: FloatArray,
-) -> bool:
-    """Principal point less image (2, 2), px, and its Jacobian (2, 2, 2) by an eye's joints, px/rad.
-
-    With `bearings` not pixels but bearings from the optical axis times the focal lengths, which
-    converge from any direction. False for a point that has none.
-    """
-    frames = eye_frames(p, eye, joints[2 * eye], joints[2 * eye + 1])
-    cx, cy, cz = point_to_local(frames.camera, point[0], point[1], point[2])
-    r2 = cx * cx + cz * cz
-    if not (r2 > 0.0 if bearings else cz > 0.0):
-        return False
-    camera, r, d2 = camera_of(p, eye), sqrt(r2), r2 + cy * cy
-    a, b = (atan2(cx, cz), atan2(cy, r)) if bearings else (cx / cz, cy / cz)
-    error[eye, 0], error[eye, 1] = -camera.focal_u * a, -camera.focal_v * b
-    for joint in range(2):
-        axis = frames.after_first_joint if joint == 0 else frames.after_second_joint
-        t = point_rate_in_camera(axis, frames.camera, point[0], point[1], point[2])
-        if bearings:
-            across = (cz * t[0] - cx * t[2]) / r2
-            along = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
-        else:
-            across, along = (t[0] - a * t[2]) / cz, (t[1] - b * t[2]) / cz
-        rate[eye, 0, joint], rate[eye, 1, joint] = camera.focal_u * across, camera.focal_v * along
-    return True
-
-
-@subroutine
 def fixate_coupled(p: PackedHead, x: float, y: float, z: float, joints: FloatArray) -> bool:
-    """Write (4,) angles, rad or nan, of least squared pixel errors; True if there is a solution."""
+    """Write (4,) angles, rad or nan, of least squared pixel errors; True if there is a solution.
+
+    The first steps take bearings times the focal lengths in place of pixels.
+    """
     own, step = np.zeros(SLOTS), np.zeros(SLOTS)
     error, rate = np.zeros((2, 2)), np.zeros((2, 2, 2))
     bearings, found, size = True, False, 0.0
@@ -203,7 +182,12 @@ def fixate_coupled(p: PackedHead, x: float, y: float, z: float, joints: FloatArr
             joints[joint] = eye_joint_angle(p, joint, own)
         sees = True
         for eye in range(2):
-            sees = sees and _aim_error(p, eye, joints, (x, y, z), bearings, error, rate)
+            q1, q2, camera = joints[2 * eye], joints[2 * eye + 1], camera_of(p, eye)
+            a, b, at, ap, bt, bp = _aim(p, eye, q1, q2, x, y, z, bearings)
+            sees = sees and not isnan(a)
+            error[eye, 0], error[eye, 1] = -camera.focal_u * a, -camera.focal_v * b
+            rate[eye, 0, 0], rate[eye, 0, 1] = camera.focal_u * at, camera.focal_u * ap
+            rate[eye, 1, 0], rate[eye, 1, 1] = camera.focal_v * bt, camera.focal_v * bp
         if not sees:
             break
         actuator_least_squares(p, rate, error, True, True, step)
@@ -235,8 +219,7 @@ def fixate(
     for j in range(3):
         out[j] = neck[j]
     for eye in range(2):
-        q1, q2 = fixate_eye(p, eye, points[0], points[1], points[2])
-        out[3 + 2 * eye], out[4 + 2 * eye] = q1, q2
+        out[3 + 2 * eye], out[4 + 2 * eye] = fixate_eye(p, eye, points[0], points[1], points[2])
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], f"(3),(3),(7),({PACKED})->(7)")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
-from vergence.models.camera import Cameras
+from vergence.models.camera import STACKED, Cameras
 from vergence.models.parts import (
     EYE_NAMES,
     JOINTS,
@@ -38,7 +38,7 @@ _FACTORS: Final = (
 _CONSTANT_OF_JOINT: Final = (0, 1, 2, 4, 5, 7, 8)
 """Index in `Links.constant_poses` of the pose before each of the seven joints (numerical)."""
 _PINHOLE: Final = ("focal", "principal", "distortion")
-_CAMERA_FIELDS: Final = (*((name, 2) for name in _PINHOLE), ("pose", 3))
+_CAMERA_FIELDS: Final = tuple((name, len(core)) for name, core in STACKED.items() if core)
 """Values of a pair of cameras that differ in a population, and their dimensions for one head."""
 
 
@@ -59,6 +59,7 @@ class Links(FrozenArrays, ABC):
     parts: tuple[str, ...]
     pose: FloatArray
     frame: FloatArray
+    """(4, 4) pose of frame N in the body that carries it: the neck's last body or the base."""
     parameters: tuple[Parameter, ...]
     """Numbers that a calibration may change; the neck's are excluded, as the neck moves N."""
     _dimensions: tuple[tuple[str, int], ...]
@@ -77,26 +78,17 @@ class Links(FrozenArrays, ABC):
     @property
     def joints(self) -> tuple[str, ...]:
         """Seven names in joint order; empty for a joint that the head does not have."""
-        names = [""] * len(JOINTS)
-        for name, places in zip(self.names, self.joint_indices, strict=True):
-            for place in places:
-                names[place] = name
-        return tuple(names)
-
-    def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
-        """The numeric fields by name, each with its number of dimensions for one head."""
-        return {name: (getattr(self, name), own) for name, own in self._dimensions}
+        pairs = zip(self.names, self.joint_indices, strict=True)
+        names = {place: name for name, places in pairs for place in places}
+        return tuple(names.get(place, "") for place in range(len(JOINTS)))
 
     def bodies(self) -> tuple[Body, ...]:
         """The bodies that the joints carry, parents first; for one head, not for a population."""
-        last = {"neck": -1, "left": -1, "right": -1}
         out: list[Body] = []
         for name, part, places, pose in zip(
             self.names, self.parts, self.joint_indices, self.pose, strict=True
         ):
-            parent = last["left" if part == "both" else part]
-            carried = {"neck": last, "both": EYE_NAMES}.get(part, (part,))
-            last |= dict.fromkeys(carried, len(out))
+            parent = chain_end(out, {"neck": None, "right": 1}.get(part, 0))
             out.append(Body(name, places, parent, pose))
         return tuple(out)
 
@@ -117,16 +109,12 @@ class Links(FrozenArrays, ABC):
     def twists(self, reference: Any) -> FloatArray:
         """(n, 6, 6) body twists `M^-1 dM` by parameter and by M_0-M_2, left then right."""
 
-    def frame_n_pose(self) -> FloatArray:
-        """(4, 4) pose of frame N in the body that carries it: the neck's last body or the base."""
-        return self.frame
-
     def camera_mount(self, eye: int) -> FloatArray:
         """(4, 4) pose of the head-eye transform's frame in the last body of an eye's chain."""
         return np.eye(4)
 
 
-def chain_end(bodies: tuple[Body, ...], eye: int | None) -> int:
+def chain_end(bodies: Sequence[Body], eye: int | None) -> int:
     """Index of the body that carries an eye's camera, or N if `eye` is None; -1 for the base."""
     carried = {0, 1, 2} if eye is None else {0, 1, 2, 3 + 2 * eye, 4 + 2 * eye}
     return max((i for i, body in enumerate(bodies) if carried & set(body.joints)), default=-1)
@@ -394,13 +382,11 @@ def combine_geometries(
 ) -> Geometry:
     """One geometry of `make(arrays of all, their number of dimensions for one head)` by field."""
     first: Any = geometries[0]
-    links, cameras = (
-        {name: make([getattr(part, name) for part in parts], own) for name, own in fields}
-        for parts, fields in zip(
-            zip(*geometries, strict=True), (first.links._dimensions, _CAMERA_FIELDS), strict=True
-        )
-    )
-    return Geometry(replace(first.links, **links), first.cameras.replaced(**cameras))
+    made = []
+    for part, arrays in enumerate((first.links._dimensions, _CAMERA_FIELDS)):
+        own = [geometry[part] for geometry in geometries]
+        made.append({name: make([getattr(one, name) for one in own], n) for name, n in arrays})
+    return Geometry(replace(first.links, **made[0]), first.cameras.replaced(**made[1]))
 
 
 def parameters_of(geometry: Geometry, reference: Geometry | None = None) -> Parameters:
@@ -445,11 +431,9 @@ def _fields(geometry: Geometry, reference: Geometry | None) -> dict[str, FloatAr
     """Every field that holds parameters, by name, with its own dimensions flattened."""
     links, cameras = geometry
     about = None if reference is None else reference.cameras.pose
-    pairs = {name: getattr(cameras, name) for name in _PINHOLE}
+    pairs = ((name, getattr(cameras, name)) for name in _PINHOLE)
     return {
         **links.fields(links if reference is None else reference.links),
-        **{
-            name: pair.reshape(*pair.shape[:-2], 2 * pair.shape[-1]) for name, pair in pairs.items()
-        },
+        **{name: pair.reshape(*pair.shape[:-2], 2 * pair.shape[-1]) for name, pair in pairs},
         **_pose_fields("", cameras.pose, about),
     }

@@ -45,56 +45,38 @@ from vergence.models.parts import (
 from vergence.models.perturbation import ModelErrors, perturb_geometry
 from vergence.operands import as_operand
 
+_TWO, _FOUR = np.zeros(2), np.zeros(4)
+"""Operands for the dimensions that a kernel has in its result alone (numerical)."""
 _MM_PER_M: Final = 1000.0  # millimetres per metre (physical: the unit)
 _ROUNDING_RAD: Final = 1e-9  # tolerance for angles at their limits, rad (numerical)
 
 
-def limits_of_eyes(
-    joints: tuple[str, ...], limits: JointLimits, actuation: Actuation
-) -> list[tuple[str, float, float]]:
-    """Names and least and greatest angles, rad, of the eyes' actuators, then of their joints."""
-    return [
-        (name, low, high)
-        for names, ends in ((actuation.names, actuation), (joints[EYES], limits))
-        for name, low, high in zip(
-            names, ends.lower[EYES].tolist(), ends.upper[EYES].tolist(), strict=False
-        )
-    ]
-
-
-def warn_of_point(
-    point: ArrayLike,
-    q: FloatArray,
-    far_m: float,
-    eyes: Sequence[tuple[str, float, float]],
-    actuation: Actuation,
-) -> None:
+def _warn_of_point(head: "HeadModel", point: ArrayLike, q: FloatArray) -> None:
     """Warn of a point in millimetres or out of reach.
 
     No disparity tells a point beyond `far_m` from one at infinity; beyond 1000 times that it is
     taken for a star, and not for a point in millimetres.
     """
     x, y, z = np.asarray(point, dtype=np.float64).tolist()
+    far_m, _eyes = head._bounds
     if far_m < hypot(x, y, z) < _MM_PER_M * far_m:
         said = (
             f"metres, got ({x:g}, {y:g}, {z:g}), which is {hypot(x, y, z):.3g} m away, where no "
             f"eye of this head tells how far (from {far_m:.0f} m on): is it in millimetres?"
         )
-    elif beyond := describe_beyond_limits(eyes, actuation, q):
+    elif beyond := describe_beyond_limits(head, q):
         said = f"a point that the eyes can turn to, got ({x:g}, {y:g}, {z:g}) m, for which {beyond}"
     else:
         return
     warnings.warn(f"fixate: points: expected {said}", VergenceWarning, stacklevel=3)
 
 
-def describe_beyond_limits(
-    eyes: Sequence[tuple[str, float, float]], actuation: Actuation, q: FloatArray
-) -> str:
-    """Phrase on the first of `limits_of_eyes` that is not kept at (7,) q; or empty."""
+def describe_beyond_limits(head: "HeadModel", q: FloatArray) -> str:
+    """Phrase on the first actuator or joint of the eyes whose limits (7,) q breaks; or empty."""
     angles = q.tolist()[EYES]  # floats, which are compared faster than arrays
-    if not actuation.direct:
-        angles = actuation.actuators_of(q).tolist()[EYES][: actuation.count] + angles
-    for (name, low, high), angle in zip(eyes, angles, strict=False):
+    if not head.actuation.direct:
+        angles = head.actuation.actuators_of(q).tolist()[EYES][: head.actuation.count] + angles
+    for (name, low, high), angle in zip(head._bounds[1], angles, strict=False):
         if angle < low - _ROUNDING_RAD or angle > high + _ROUNDING_RAD:
             low, angle, high = np.rad2deg([low, angle, high])
             return f"{name} would be at {angle:.1f} degrees, outside {low:.1f} to {high:.1f}"
@@ -119,36 +101,6 @@ _ZERO_DISPARITY_PX: Final = 0.5
 """Disparity below which a point looks as if at infinity, px: it rounds to 0 (chosen)."""
 _COUPLING_TOLERANCE_RAD: Final = 1e-9
 """Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
-
-
-def _digest_of(head: "HeadModel") -> str:
-    sha = hashlib.sha256()
-    parts = {
-        "links": _numbers(head.links),
-        "head_eye": {"": head.head_eye},
-        "cameras": _camera_numbers(head.cameras),
-        "limits": _numbers(head.limits),
-        "timing": _numbers(head.timing),
-        "sensor": _numbers(head.sensor),
-        "rendering": _numbers(head.rendering),
-        "actuators": {} if head.actuators is None else _numbers(head.actuators),
-    }
-    timing = head.timing
-    periods = timing.latency_s * timing.control_rate_hz
-    if abs(periods - timing.latency_frames) < _WHOLE_PERIODS_TOLERANCE:
-        parts["timing"]["latency_frames"] = timing.latency_frames
-        del parts["timing"]["latency_s"]
-    for part, numbers in parts.items():
-        rounds = part in ("links", "head_eye") and isinstance(head.links, JointAxes)
-        for field, value in sorted(numbers.items()):
-            if is_name_tuple(value) or isinstance(value, str):
-                sha.update(f"{part}.{field}{value}".encode())
-            else:
-                array = np.asarray(value, dtype="<f8")
-                if rounds:
-                    array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
-                sha.update(f"{part}.{field}{array.shape}".encode() + array.tobytes())
-    return sha.hexdigest()
 
 
 def _numbers(part: Any) -> dict[str, Any]:
@@ -224,14 +176,15 @@ class HeadModel:
     @cached_property
     def packed(self) -> FloatArray:
         """(..., PACKED): the geometry as one packed array per head, for compiled kernels."""
-        return kinematics.pack_head(self.links, self.cameras, self.actuation)
+        poses = self.links.constant_poses()
+        for eye, camera in enumerate(self.cameras):
+            poses[6 + 3 * eye] = poses[6 + 3 * eye] @ camera.pose
+        return kinematics.pack_constants(poses, self.cameras.rows, self.actuation)
 
     @cached_property
     def actuation(self) -> Actuation:
         """Actuators that take commands: the neck's joints and the actuators of the eyes."""
-        return assemble_actuation(
-            self.joints, self.limits, self.timing, self.sensor, self.actuators
-        )
+        return assemble_actuation(self)
 
     @cached_property
     def head_eye(self) -> FloatArray:
@@ -269,7 +222,31 @@ class HeadModel:
     @cached_property
     def digest(self) -> str:
         """SHA-256 over the head's numbers, 64 hexadecimal digits; its form is `FORM_VERSION`."""
-        return _digest_of(self)
+        sha = hashlib.sha256()
+        parts = {
+            "links": _numbers(self.links),
+            "head_eye": {"": self.head_eye},
+            "cameras": _camera_numbers(self.cameras),
+        }
+        for name in ("limits", "timing", "sensor", "rendering", "actuators"):
+            if part := getattr(self, name):
+                parts[name] = _numbers(part)
+        timing = self.timing
+        periods = timing.latency_s * timing.control_rate_hz
+        if abs(periods - timing.latency_frames) < _WHOLE_PERIODS_TOLERANCE:
+            parts["timing"]["latency_frames"] = timing.latency_frames
+            del parts["timing"]["latency_s"]
+        for part, numbers in parts.items():
+            rounds = part in ("links", "head_eye") and isinstance(self.links, JointAxes)
+            for field, value in sorted(numbers.items()):
+                if is_name_tuple(value) or isinstance(value, str):
+                    sha.update(f"{part}.{field}{value}".encode())
+                else:
+                    array = np.asarray(value, dtype="<f8")
+                    if rounds:
+                        array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
+                    sha.update(f"{part}.{field}{array.shape}".encode() + array.tobytes())
+        return sha.hexdigest()
 
     def __eq__(self, other: object) -> bool:
         """True if two heads have the same name and the same digest."""
@@ -339,7 +316,8 @@ class HeadModel:
             parts["cameras"] = parts.get("cameras", self.cameras).replaced(pose=pose)
         if {"links", "cameras"} & set(parts):
             parts.setdefault("calibration", None)  # the record does not apply to another geometry
-        return replace_fields(self, "head", parts)
+        copy: HeadModel = replace_fields(self, "head", parts)
+        return copy
 
     def base_pose(self, q: ArrayLike) -> FloatArray:
         """(..., 4, 4) pose of frame N in the base frame 0, T_0_N, metres.
@@ -347,8 +325,7 @@ class HeadModel:
         Args:
             q: (..., 7) joint angles, rad.
         """
-        q, extra = self._held(q), kinematics.FOUR_ELEMENTS
-        return np.asarray(kinematics.frame_n_in_base(q, self.packed, extra))
+        return np.asarray(kinematics.frame_n_in_base(self._held(q), self.packed, _FOUR))
 
     def camera_poses(self, q: ArrayLike) -> FloatArray:
         """(..., 2, 4, 4) poses of both cameras in N, T_N_Cl and T_N_Cr, metres (Eqs. 14 to 17).
@@ -356,8 +333,7 @@ class HeadModel:
         Args:
             q: (..., 7) joint angles, rad.
         """
-        extra = kinematics.TWO_ELEMENTS, kinematics.FOUR_ELEMENTS
-        return np.asarray(kinematics.camera_poses(self._held(q), self.packed, *extra))
+        return np.asarray(kinematics.camera_poses(self._held(q), self.packed, _TWO, _FOUR))
 
     def link_poses(self, q: ArrayLike) -> FloatArray:
         """(..., 2, 4, 4) poses in N of the last links of both eyes, T_N_6 and T_N_9, metres.
@@ -379,8 +355,8 @@ class HeadModel:
             points: (..., 3) in N, metres.
             distorted: True for raw pixels, False for pixels of the ideal pinhole.
         """
-        q, extra = self._held(q), kinematics.TWO_ELEMENTS
-        return np.asarray(kinematics.project(q, points, np.bool_(distorted), self.packed, extra))
+        q, raw = self._held(q), np.bool_(distorted)
+        return np.asarray(kinematics.project(q, points, raw, self.packed, _TWO))
 
     def undistort(self, pixels: ArrayLike) -> FloatArray:
         """(..., 2, 2) pixels of the ideal pinhole; nan where the lens model has no inverse.
@@ -429,16 +405,23 @@ class HeadModel:
             kernel = fixation.fixate if self.actuation.direct else fixation.fixate_least_squares
             q = np.asarray(kernel(points, neck, np.zeros(7), self.packed))
         if warn and q.ndim == 1:  # a program that asks for many points checks the angles itself
-            warn_of_point(points, q, *self._bounds, self.actuation)
+            _warn_of_point(self, points, q)
         return q
 
     @cached_property
     def _bounds(self) -> tuple[float, list[tuple[str, float, float]]]:
-        """Distance beyond which no disparity tells one, m, and `limits_of_eyes`."""
+        """Distance beyond which no disparity tells one, m, and names and least and greatest angles.
+
+        The angles, rad, are those of the eyes' actuators, then of their joints.
+        """
         left, right = self.camera_poses(self.rest())[:, :3, 3]
         baseline_m, focal_px = np.linalg.norm(right - left), self.cameras.focal.max()
         far_m = float(baseline_m) * float(focal_px) / _ZERO_DISPARITY_PX
-        return far_m, limits_of_eyes(self.joints, self.limits, self.actuation)
+        eyes: list[tuple[str, float, float]] = []
+        own = self.actuation
+        for names, ends in ((own.names, own), (self.joints[EYES], self.limits)):
+            eyes += zip(names, ends.lower[EYES].tolist(), ends.upper[EYES].tolist(), strict=False)
+        return far_m, eyes
 
     def perturbed(
         self,

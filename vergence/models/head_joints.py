@@ -341,7 +341,7 @@ def written_joints(head: HeadModel) -> tuple[dict[str, Any], list[dict[str, Any]
         rows = [_written_row(links, _DH_ROW, i) for i in range(len(LINKS))]
         last = [rows.pop(5), rows.pop()]
     else:
-        frame = pose_fields("origin_m", links.frame_n_pose())
+        frame = pose_fields("origin_m", links.frame)
         rows = [pose_fields("origin_m", pose) | {"axis": [0.0, 0.0, 1.0]} for pose in links.pose]
     joints = [
         {"name": name, "part": part, **row, **_written_row(head.limits, _LIMITS, places[0])}

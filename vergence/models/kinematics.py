@@ -15,8 +15,6 @@ from numpy import bool_
 from numpy.typing import NDArray
 
 from vergence.kernels import inlined, kernel, make_tuple_reader
-from vergence.models.camera import Cameras
-from vergence.models.geometry import Links
 from vergence.models.lens import (
     CAMERA_LENGTH,
     CameraRow,
@@ -81,25 +79,6 @@ def rotate_z(m: Pose, angle: float) -> Pose:
 
 
 @inlined
-def compose(m: Pose, k: Pose) -> Pose:
-    """The product of two poses: T_A_C from T_A_B and T_B_C."""
-    return Pose(
-        m.xx * k.xx + m.xy * k.yx + m.xz * k.zx,
-        m.xx * k.xy + m.xy * k.yy + m.xz * k.zy,
-        m.xx * k.xz + m.xy * k.yz + m.xz * k.zz,
-        m.xx * k.x + m.xy * k.y + m.xz * k.z + m.x,
-        m.yx * k.xx + m.yy * k.yx + m.yz * k.zx,
-        m.yx * k.xy + m.yy * k.yy + m.yz * k.zy,
-        m.yx * k.xz + m.yy * k.yz + m.yz * k.zz,
-        m.yx * k.x + m.yy * k.y + m.yz * k.z + m.y,
-        m.zx * k.xx + m.zy * k.yx + m.zz * k.zx,
-        m.zx * k.xy + m.zy * k.yy + m.zz * k.zy,
-        m.zx * k.xz + m.zy * k.yz + m.zz * k.zz,
-        m.zx * k.x + m.zy * k.y + m.zz * k.z + m.z,
-    )
-
-
-@inlined
 def inverse(m: Pose) -> Pose:
     """The inverse of a pose: T_B_A from T_A_B."""
     return Pose(
@@ -138,11 +117,20 @@ def point_to_local(m: Pose, x: float, y: float, z: float) -> Vector:
 @inlined
 def point_to_outer(m: Pose, x: float, y: float, z: float) -> Vector:
     """Transform a point from the pose's own frame to the outer frame."""
-    return (
-        m.xx * x + m.xy * y + m.xz * z + m.x,
-        m.yx * x + m.yy * y + m.yz * z + m.y,
-        m.zx * x + m.zy * y + m.zz * z + m.z,
-    )
+    x, y, z = direction_to_outer(m, x, y, z)
+    return x + m.x, y + m.y, z + m.z
+
+
+@inlined
+def compose(m: Pose, k: Pose) -> Pose:
+    """The product of two poses: T_A_C from T_A_B and T_B_C."""
+    x, y = direction_to_outer(m, k.xx, k.yx, k.zx), direction_to_outer(m, k.xy, k.yy, k.zy)
+    z, origin = direction_to_outer(m, k.xz, k.yz, k.zz), point_to_outer(m, k.x, k.y, k.z)
+    return Pose(
+        x[0], y[0], z[0], origin[0],
+        x[1], y[1], z[1], origin[1],
+        x[2], y[2], z[2], origin[2],
+    )  # fmt: skip
 
 
 @inlined
@@ -162,10 +150,7 @@ PackedHead = FloatArray
 
 # Lengths of the parts, and indices of their first elements, in the row of a head (numerical).
 _POSE_LENGTH: Final = 12
-_NECK_START: Final = 0
-_EYES_START: Final = 4 * _POSE_LENGTH
-_EYE_LENGTH: Final = 3 * _POSE_LENGTH
-_CAMERAS_START: Final = _EYES_START + 2 * _EYE_LENGTH
+_CAMERAS_START: Final = 10 * _POSE_LENGTH
 _DIRECT: Final = _CAMERAS_START + 2 * CAMERA_LENGTH
 _TO_JOINTS: Final = _DIRECT + 1
 _OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
@@ -175,18 +160,15 @@ PACKED: Final = _TO_ACTUATORS + SLOTS * SLOTS
 
 
 def pack_constants(
-    poses: Sequence[FloatArray],
-    cameras: FloatArray,
-    actuation: Actuation,
-    batch_shape: tuple[int, ...],
+    poses: Sequence[FloatArray], cameras: FloatArray, actuation: Actuation
 ) -> FloatArray:
-    """(*batch, PACKED) read-only rows; from ten (..., 4, 4) poses and (..., 2, 17) cameras."""
-    packed = np.zeros((*batch_shape, PACKED))
+    """(..., PACKED) read-only rows; from ten (..., 4, 4) poses and (..., 2, 17) cameras."""
+    batch = np.broadcast_shapes(*(pose.shape[:-2] for pose in poses), cameras.shape[:-2])
+    packed = np.zeros((*batch, PACKED))
     for i, pose in enumerate(poses):
-        rows = pose[..., :3, :]
-        packed[..., i * _POSE_LENGTH : (i + 1) * _POSE_LENGTH] = rows.reshape(
-            *rows.shape[:-2], _POSE_LENGTH
-        )
+        start = i * _POSE_LENGTH
+        rows = pose[..., :3, :].reshape(*pose.shape[:-2], _POSE_LENGTH)
+        packed[..., start : start + _POSE_LENGTH] = rows
     packed[..., _CAMERAS_START:_DIRECT] = cameras.reshape(*cameras.shape[:-2], 2 * CAMERA_LENGTH)
     packed[..., _DIRECT] = actuation.direct
     packed[..., _TO_JOINTS:_OFFSET] = actuation.to_joints.ravel()
@@ -205,47 +187,51 @@ def camera_of(p: PackedHead, eye: int) -> CameraRow:
 @inlined
 def neck_constant_pose(p: PackedHead, index: int) -> Pose:
     """One of the neck's four constants B_0 (before its first joint) to B_3 (after its third)."""
-    return pose_at(p, _NECK_START + index * _POSE_LENGTH)
+    return pose_at(p, index * _POSE_LENGTH)
 
 
 @inlined
 def eye_constant_pose(p: PackedHead, eye: int, index: int) -> Pose:
     """One of an eye's three constants M_0 (before its first joint) to M_2 (after its second)."""
-    return pose_at(p, _EYES_START + eye * _EYE_LENGTH + index * _POSE_LENGTH)
+    return pose_at(p, (4 + 3 * eye + index) * _POSE_LENGTH)
 
 
 @inlined
 def has_motor_per_joint(p: PackedHead) -> bool:
     """True if each of the four eye joints has its own motor, in joint order."""
-    direct: bool = p[_DIRECT] > 0.5
-    return direct
+    return bool(p[_DIRECT] > 0.5)
 
 
 @inlined
 def joint_per_actuator(p: PackedHead, joint: int, actuator: int) -> float:
     """Angle of an eye joint (0 to 3) per angle of an actuator of the eyes (0 to 3)."""
-    factor: float = p[_TO_JOINTS + SLOTS * joint + actuator]
-    return factor
+    return float(p[_TO_JOINTS + SLOTS * joint + actuator])
+
+
+@inlined
+def _add_product(total: float, p: PackedHead, i: int, motions: FloatArray) -> float:
+    """Add the product of the row of (4,) numbers that begins at index i, and (4,) motions."""
+    for k in range(SLOTS):
+        total += p[i + k] * motions[k]
+    return total
 
 
 @inlined
 def eye_joint_angle(p: PackedHead, joint: int, actuators: FloatArray) -> float:
     """Angle of an eye joint, rad, from the actuators' angles (4,)."""
-    i = _TO_JOINTS + SLOTS * joint
-    angle: float = p[_OFFSET + joint]
-    for k in range(SLOTS):
-        angle += p[i + k] * actuators[k]
-    return angle
+    return _add_product(p[_OFFSET + joint], p, _TO_JOINTS + SLOTS * joint, actuators)
 
 
 @inlined
 def eye_joint_velocity(p: PackedHead, joint: int, actuators: FloatArray) -> float:
     """Velocity of an eye joint, rad/s, from the actuators' velocities (4,)."""
-    i = _TO_JOINTS + SLOTS * joint
-    rate = 0.0
-    for k in range(SLOTS):
-        rate += p[i + k] * actuators[k]
-    return rate
+    return _add_product(0.0, p, _TO_JOINTS + SLOTS * joint, actuators)
+
+
+@inlined
+def eye_actuator_velocity(p: PackedHead, actuator: int, joints: FloatArray) -> float:
+    """Velocity of an actuator of the eyes, rad/s, from the eye joints' velocities (4,)."""
+    return _add_product(0.0, p, _TO_ACTUATORS + SLOTS * actuator, joints)
 
 
 @inlined
@@ -256,38 +242,6 @@ def eye_actuator_angle(p: PackedHead, actuator: int, joints: FloatArray) -> floa
     for j in range(SLOTS):
         angle += p[i + j] * (joints[j] - p[_OFFSET + j])
     return angle
-
-
-@inlined
-def eye_actuator_velocity(p: PackedHead, actuator: int, joints: FloatArray) -> float:
-    """Velocity of an actuator of the eyes, rad/s, from the eye joints' velocities (4,)."""
-    i = _TO_ACTUATORS + SLOTS * actuator
-    rate = 0.0
-    for j in range(SLOTS):
-        rate += p[i + j] * joints[j]
-    return rate
-
-
-TWO_ELEMENTS: Final = np.zeros(2)
-"""Operand of the dimension "two eyes" (or "u and v"), for kernels with this dimension only in a
-result (numerical)."""
-FOUR_ELEMENTS: Final = np.zeros(4)
-"""Operand of the dimension of a homogeneous vector, for kernels with it only in a result
-(numerical)."""
-
-
-def pack_head(links: Links, cameras: Cameras, actuation: Actuation) -> FloatArray:
-    """(..., PACKED) read-only rows of a head's constants, see `vergence.models.kinematics`."""
-    poses = links.constant_poses()
-    for eye in range(2):
-        poses[6 + 3 * eye] = poses[6 + 3 * eye] @ cameras[eye].pose
-    rows = cameras.rows
-    batch = np.broadcast_shapes(
-        *(value.shape[: value.ndim - own] for value, own in links.arrays().values()),
-        cameras.pose.shape[:-3],
-        rows.shape[:-2],
-    )
-    return pack_constants(poses, rows, actuation, batch)
 
 
 class EyeFrames(NamedTuple):

@@ -17,7 +17,7 @@ Jacobian is positive definite. Beyond that `is_invertible_at` is False and proje
 is `undistort_ray` for a pixel without a ray; `distort` does not check.
 
 A new model needs here its coefficients in `CameraRow`, its names at the end of `LENSES` (heads'
-digests count their places), a case in `distort` and its fold in `pack_lens`; a case with
+digests count their places), a case in `distort` and its fold in `pack_camera`; a case with
 derivatives by the coefficients in `vergence.calibration.projection`; and the names that calibration
 files have for it in `vergence.models.stereo_files`. No other module computes with coefficients.
 """
@@ -26,6 +26,7 @@ from math import atan, inf, isfinite, nan, sqrt, tan
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.kernels import inlined, make_tuple_reader, subroutine
 from vergence.models.parts import FloatArray
@@ -38,11 +39,9 @@ LENSES: Final[dict[str, tuple[str, ...]]] = {
 }
 """The lens models and their coefficients in OpenCV's order."""
 PINHOLE: Final = 0.0
-"""`CameraRow.lens` of a lens without distortion (numerical)."""
+"""`CameraRow.lens` of a lens without distortion; of others, their place in `LENSES` from 1 on."""
 POLYNOMIAL: Final = 1.0
 """`CameraRow.lens` of `brown-conrady` (numerical)."""
-RATIONAL: Final = 2.0
-"""`CameraRow.lens` of `rational` (numerical)."""
 FISHEYE: Final = 3.0
 """`CameraRow.lens` of `fisheye` (numerical)."""
 _NEWTON_STEPS: Final = 25  # iteration limit of Newton's method (numerical)
@@ -75,7 +74,7 @@ class CameraRow(NamedTuple):
     k6: float
     width: float
     height: float
-    lens: float  # `PINHOLE`, `POLYNOMIAL`, `RATIONAL` or `FISHEYE`
+    lens: float  # `PINHOLE`, `POLYNOMIAL`, 2 for `rational`, or `FISHEYE`
     fold_radius_squared: float
     """Squared ideal radius of the fold, at which the image turns back on itself; inf if there is
     none."""
@@ -138,7 +137,6 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
         return _search(camera, xd, yd, xd, yd)
     # for moderate angles, Newton's method from the distorted coordinates suffices
     x, y = xd, yd
-    converged = False
     for _ in range(_NEWTON_STEPS):
         distorted = _distort_by_polynomial(camera, x, y)
         fx, fy = distorted.x - xd, distorted.y - yd
@@ -148,13 +146,10 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
         x -= sx
         y -= sy
         if abs(sx) + abs(sy) < _NEWTON_TOLERANCE * (1.0 + abs(x) + abs(y)):
-            converged = True
-            break
-    if not converged:
-        return _search(camera, xd, yd, xd, yd)
-    if x * x + y * y < camera.safe_radius_squared:
-        return x, y
-    return _search(camera, xd, yd, x, y)
+            if x * x + y * y < camera.safe_radius_squared:
+                return x, y
+            return _search(camera, xd, yd, x, y)
+    return _search(camera, xd, yd, xd, yd)
 
 
 @inlined
@@ -279,8 +274,6 @@ def pinhole_ray(camera: CameraRow, u: float, v: float) -> tuple[float, float]:
     return (u - camera.centre_u) / camera.focal_u, (v - camera.centre_v) / camera.focal_v
 
 
-LENS_NUMBERS: Final = 11
-"""Length of the array that `pack_lens` returns (numerical)."""
 _POLE_MARGIN_FACTOR: Final = 1.0 - 1e-9
 """Factor on the squared radius of a pole: the model has no value at the pole, only before it
 (numerical)."""
@@ -292,41 +285,40 @@ _LEAST_RECIPROCAL: Final = 1e-12
 belong to rays within about 1e-6 of a right angle from the axis (numerical)."""
 
 
-def pack_lens(lens: str, distortion: FloatArray) -> FloatArray:
-    """(..., 11) k1, k2, p1, p2, k3-k6, model, squared radii: of the fold or inf, and safe."""
-    numbers = np.zeros((*distortion.shape[:-1], LENS_NUMBERS))
+def pack_camera(
+    size: ArrayLike, focal: FloatArray, principal: FloatArray, lens: str, distortion: ArrayLike
+) -> FloatArray:
+    """Pack cameras of one lens model into rows (..., 17) for `camera_at`; size and focal in px."""
+    k = np.asarray(distortion)
+    batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], k.shape[:-1])
+    rows = np.zeros((*batch, CAMERA_LENGTH))
+    rows[..., 0:2], rows[..., 2:4], rows[..., 12:14] = focal, principal, size
+    rows[..., [CameraRow._fields.index(name) for name in LENSES[lens]]] = k
+    bends = k.any(axis=-1) | (lens == "fisheye")
+    rows[..., 14] = np.where(bends, 1.0 + list(LENSES).index(lens), PINHOLE)
     if lens == "fisheye":
-        numbers[..., 0:2], numbers[..., 4:6] = distortion[..., 0:2], distortion[..., 2:4]
-        numbers[..., 8] = FISHEYE
-        angle = np.sqrt(_first_root(_odd_derivative(distortion[..., :4])))
+        angle = np.sqrt(_first_root(_odd_derivative(k)))
         # a ray (X / Z, Y / Z) is less than a right angle from the axis
-        numbers[..., 9] = np.tan(np.minimum(angle, _MAX_FOLD_ANGLE_RAD)) ** 2
-        numbers[..., 10] = numbers[..., 9]
-        return numbers
-    count = distortion.shape[-1]
-    numbers[..., :count] = distortion
-    number = POLYNOMIAL if lens == BROWN_CONRADY else RATIONAL
-    numbers[..., 8] = np.where(distortion.any(axis=-1), number, PINHOLE)
-    above = numbers[..., [0, 1, 4]]
-    if lens == BROWN_CONRADY:
-        numbers[..., 9] = _first_root(_odd_derivative(above))
+        fold = np.tan(np.minimum(angle, _MAX_FOLD_ANGLE_RAD)) ** 2
+    elif lens == BROWN_CONRADY:
+        fold = _first_root(_odd_derivative(k[..., [0, 1, 4]]))
     else:
-        numbers[..., 9] = _rational_fold(above, numbers[..., 5:8])
-    numbers[..., 10] = _safe_radius_squared(lens, numbers)
-    return numbers
+        fold = _rational_fold(k[..., [0, 1, 4]], k[..., 5:8])
+    rows[..., 15] = fold
+    rows[..., 16] = fold if lens == "fisheye" else _safe_radius_squared(lens, k, fold)
+    return rows
 
 
-def _safe_radius_squared(lens: str, numbers: FloatArray) -> FloatArray:
+def _safe_radius_squared(lens: str, k: FloatArray, fold: FloatArray) -> FloatArray:
     """Squared radius of a positive definite derivative; the fold's without tangential terms."""
-    fold = numbers[..., 9]
-    tangential = np.hypot(numbers[..., 2], numbers[..., 3])
+    tangential = np.hypot(k[..., 2], k[..., 3])
     if not tangential.any():
         return fold
     safe = np.zeros_like(fold)
     if lens == BROWN_CONRADY:
         # The least eigenvalue is at least 1 - sum of (2 i + 1) max(-k_i, 0) r^(2 i) - 6 |p| r:
         # above 0 where each of the four terms is below a quarter.
-        down = np.maximum(-numbers[..., [0, 1, 4]], 0.0) * [3.0, 5.0, 7.0]
+        down = np.maximum(-k[..., [0, 1, 4]], 0.0) * [3.0, 5.0, 7.0]
         terms = np.concatenate([down, 6.0 * tangential[..., None]], axis=-1)
         radii = np.full(terms.shape, np.inf)
         with np.errstate(over="ignore"):  # tiny terms overflow to inf: no limit
@@ -337,9 +329,8 @@ def _safe_radius_squared(lens: str, numbers: FloatArray) -> FloatArray:
 
 def _odd_derivative(k: FloatArray) -> FloatArray:
     """Derivative of r (1 + k1 r^2 + k2 r^4 + ...) by r, in powers of r^2, highest power first."""
-    powers = [np.ones_like(k[..., 0])]
-    powers += [(2.0 * i + 3.0) * k[..., i] for i in range(k.shape[-1])]
-    return np.stack(powers[::-1], axis=-1)
+    rising = (2.0 * np.arange(k.shape[-1]) + 3.0) * k
+    return np.concatenate([rising[..., ::-1], np.ones_like(k[..., :1])], axis=-1)
 
 
 def _rational_fold(above: FloatArray, below: FloatArray) -> FloatArray:

@@ -187,8 +187,8 @@ class HeldResponse(NamedTuple):
 
 
 @inlined
-def _transition(lag: float, square: float, t: float) -> tuple[float, float, float, float]:
-    """The four factors of a `HeldResponse`, in the order of its fields, for the time t."""
+def _part(lag: float, square: float, max_acceleration: float, t: float, count: int) -> HeldResponse:
+    """The response in parts of the time t, by a lag l and m l^2 above 0."""
     decay = 0.5 * lag / square
     gap = decay * decay - 1.0 / square
     if gap < 0.0:
@@ -198,7 +198,8 @@ def _transition(lag: float, square: float, t: float) -> tuple[float, float, floa
         turn = max(sqrt(gap), _MIN_RATE_DIFFERENCE * decay)
         slow, fast = exp(-t / (square * (decay + turn))), exp(-t * (decay + turn))
         even, odd = 0.5 * (slow + fast), 0.5 * (slow - fast) / turn
-    return even + decay * odd, odd, even - decay * odd, -odd / square
+    factors = even + decay * odd, odd, even - decay * odd, -odd / square
+    return HeldResponse(lag, square, max_acceleration, t, count, *factors)
 
 
 @inlined
@@ -207,28 +208,24 @@ def prepare_held_response(
 ) -> HeldResponse:
     """Coefficients for lag l above 0, s, build-up m, acceleration limit (or inf), rad/s^2."""
     if build_up_ratio < _MIN_BUILD_UP or hold_s <= 0.0:
-        return HeldResponse(
-            lag_s, 0.0, max_acceleration, hold_s, 1, lag_decay(hold_s, lag_s), 0.0, 0.0, 0.0
-        )
+        left = lag_decay(hold_s, lag_s)
+        return HeldResponse(lag_s, 0.0, max_acceleration, hold_s, 1, left, 0.0, 0.0, 0.0)
     square, parts = build_up_ratio * lag_s * lag_s, 1
     if max_acceleration < inf:
         parts = min(int(hold_s / (_MAX_PART_LENGTH * sqrt(square))) + 1, _MAX_PARTS)
-    gap_gap, gap_w, w_w, w_gap = _transition(lag_s, square, hold_s / parts)
-    return HeldResponse(
-        lag_s, square, max_acceleration, hold_s / parts, parts, gap_gap, gap_w, w_w, w_gap
-    )
+    return _part(lag_s, square, max_acceleration, hold_s / parts, parts)
 
 
 @inlined
 def _unlimited(
-    q: float, v: float, acceleration: float, u: float, response: HeldResponse, t: float
+    q: float, v: float, acceleration: float, u: float, part: HeldResponse
 ) -> tuple[float, float, float]:
-    """State after the time t, without a limit on the acceleration."""
-    gap_gap, gap_w, w_w, w_gap = _transition(response.lag_s, response.build_up_s2, t)
+    """State after one part, without a limit on the acceleration."""
     gap = v - u
-    after, then = gap * gap_gap + acceleration * gap_w, acceleration * w_w + gap * w_gap
+    after = gap * part.gap_factor + acceleration * part.gap_from_acceleration
+    then = acceleration * part.acceleration_factor + gap * part.acceleration_from_gap
     # integral of the equation of motion
-    q += u * t - response.build_up_s2 * (then - acceleration) - response.lag_s * (after - gap)
+    q += u * part.part_s - part.build_up_s2 * (then - acceleration) - part.lag_s * (after - gap)
     return q, u + after, then
 
 
@@ -241,43 +238,34 @@ def follow_held_command(
     Exact within the limit on acceleration, else within half a percent of the way for a hold time of
     up to 1.5 time constants.
     """
-    a = response.max_acceleration
-    if response.build_up_s2 == 0.0:
-        q, v = follow_joint(q, v, u, response.lag_s, a, response.part_s, response.gap_factor)
-        return q, v, min(max((u - v) / response.lag_s, -a), a)
+    lag, square, a = response.lag_s, response.build_up_s2, response.max_acceleration
+    if square == 0.0:
+        q, v = follow_joint(q, v, u, lag, a, response.part_s, response.gap_factor)
+        return q, v, min(max((u - v) / lag, -a), a)
     for _ in range(response.part_count):
         t = response.part_s
         acceleration = min(max(acceleration, -a), a)
         # at the limit until the equation demands a smaller |w|
         held = 0.0
         if abs(acceleration) == a:
-            held = min(max((u - v - response.lag_s * acceleration) / acceleration, 0.0), t)
+            held = min(max((u - v - lag * acceleration) / acceleration, 0.0), t)
             q, v, t = q + (v + 0.5 * acceleration * held) * held, v + acceleration * held, t - held
             if t <= 0.0:
                 continue
-        gap = v - u
-        after, then = (
-            gap * response.gap_factor + acceleration * response.gap_from_acceleration,
-            acceleration * response.acceleration_factor + gap * response.acceleration_from_gap,
-        )
-        if held > 0.0:
-            q, v, acceleration = _unlimited(q, v, acceleration, u, response, t)
-        elif abs(then) <= a:
-            q += (
-                u * t
-                - response.build_up_s2 * (then - acceleration)
-                - response.lag_s * (after - gap)
-            )
-            v, acceleration = u + after, then
+        part = _part(lag, square, a, t, 1) if held > 0.0 else response
+        end = _unlimited(q, v, acceleration, u, part)
+        if held > 0.0 or abs(end[2]) <= a:
+            q, v, acceleration = end
         else:
             # time until the limit: linear extrapolation, then one secant step
-            limit = a if then > 0.0 else -a
-            slope = -(gap + response.lag_s * acceleration) / response.build_up_s2
+            limit = a if end[2] > 0.0 else -a
+            slope = -(v - u + lag * acceleration) / square
             meets = min(max((limit - acceleration) / slope, 0.0), t) if slope != 0.0 else 0.0
-            came = _unlimited(q, v, acceleration, u, response, meets)[2]
+            came = _unlimited(q, v, acceleration, u, _part(lag, square, a, meets, 1))[2]
             if came != acceleration:
                 meets = min(max(meets * (limit - acceleration) / (came - acceleration), 0.0), t)
-            q, v, acceleration = _unlimited(q, v, acceleration, u, response, meets)
+            part = _part(lag, square, a, meets, 1)
+            q, v, acceleration = _unlimited(q, v, acceleration, u, part)
             acceleration, t = limit, t - meets
             q, v = q + (v + 0.5 * acceleration * t) * t, v + acceleration * t
     return q, v, acceleration

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.operands import as_operand
 
-T = TypeVar("T")
 FloatArray = NDArray[np.float64]
 ENCODER_SIDES: Final = ("motor", "output")
 
@@ -28,34 +27,26 @@ def is_name_tuple(value: object) -> bool:
     return isinstance(value, tuple) and all(isinstance(one, str) for one in value)
 
 
-def replace_fields(part: T, part_name: str, fields: Mapping[str, Any]) -> T:
+def replace_fields(part: Any, part_name: str, fields: Mapping[str, Any]) -> Any:
     """Copy a head or a part with some fields changed; a mapping changes fields of a part."""
-    known: Any = part
-    refuse_unknown(part_name, fields, known.__dataclass_fields__)
+    refuse_unknown(part_name, fields, part.__dataclass_fields__)
     new = dict(fields)
     for key, value in fields.items():
-        now = getattr(part, key)
+        now, name = getattr(part, key), f"{part_name}.{key}"
         if isinstance(value, Mapping) and dataclasses.is_dataclass(now):
             new[key] = replace_fields(now, key, value)
-        elif (part_name, key) != ("head", "calibration"):  # None for no record
-            _check(f"{part_name}.{key}", value, now)
-    made: T = dataclasses.replace(known, **new)
-    return made
-
-
-def _check(name: str, value: Any, now: Any) -> None:
-    """Check that a new value has the type of the current one."""
-    if isinstance(now, int | float | np.ndarray):
-        try:
-            numbers = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise ConfigurationError(f"{name}: expected numbers, got {value!r:.80}") from error
-        last = np.shape(now)[-1:]  # the axes before may be those of a population
-        if np.isnan(numbers).any() or numbers.shape[-1:] != last:
-            what = f"numbers of shape (..., {last[0]})" if last else "a number"
-            raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
-    elif not isinstance(value, type(now)):
-        raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")
+        elif isinstance(now, int | float | np.ndarray):
+            try:
+                numbers = np.asarray(value, dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise ConfigurationError(f"{name}: expected numbers, got {value!r:.80}") from error
+            last = np.shape(now)[-1:]  # the axes before may be those of a population
+            if np.isnan(numbers).any() or numbers.shape[-1:] != last:
+                what = f"numbers of shape (..., {last[0]})" if last else "a number"
+                raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
+        elif not isinstance(value, type(now)) and name != "head.calibration":  # None for no record
+            raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")
+    return dataclasses.replace(part, **new)
 
 
 class FrozenArrays:
@@ -253,10 +244,6 @@ _DEFAULTS: Final = {
 _LIMITS: Final = ("lower", "upper", "velocity", "acceleration")
 
 
-def _unset_array() -> FloatArray:
-    return np.empty(0)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Actuators(FrozenArrays):
     """Actuators of eyes with coupled joints: not every joint has a motor of its own.
@@ -278,13 +265,13 @@ class Actuators(FrozenArrays):
     """Greatest commanded speed, rad/s."""
     acceleration: FloatArray
     """Greatest acceleration, rad/s^2; inf for no limit."""
-    lag_s: FloatArray = field(default_factory=_unset_array)
+    lag_s: FloatArray = field(default_factory=lambda: np.empty(0))
     """Time constants, s; nan (or empty) for that of the head's `timing`."""
-    encoder_resolution_rad: FloatArray = field(default_factory=_unset_array)
+    encoder_resolution_rad: FloatArray = field(default_factory=lambda: np.empty(0))
     """Quantisation of the angle feedback, rad; nan (or empty) for that of the head's `sensor`."""
-    velocity_resolution_rad_s: FloatArray = field(default_factory=_unset_array)
+    velocity_resolution_rad_s: FloatArray = field(default_factory=lambda: np.empty(0))
     """Quantisation of the velocity feedback, rad/s; nan (or empty) for that of the `sensor`."""
-    backlash_rad: FloatArray = field(default_factory=_unset_array)
+    backlash_rad: FloatArray = field(default_factory=lambda: np.empty(0))
     """Backlash between motor and load, whole width, rad; 0 (or empty) for that of the `sensor`."""
 
     def __post_init__(self) -> None:
@@ -370,17 +357,12 @@ class Actuation(FrozenArrays):
         return out
 
 
-def assemble_actuation(
-    joints: Sequence[str],
-    limits: JointLimits,
-    timing: LoopTiming,
-    sensor: SensorModel,
-    actuators: Actuators | None,
-) -> Actuation:
-    """Assemble the actuation of (7,) joints; timing and sensor supply what actuators leave out."""
-    own = _own_motors(joints[EYES], limits) if actuators is None else actuators
+def assemble_actuation(head: Any) -> Actuation:
+    """Assemble a head's actuation; its timing and sensor supply what actuators leave out."""
+    limits, timing, sensor = head.limits, head.timing, head.sensor
+    own = head.actuators or _own_motors(head.joints[EYES], limits)
     count = len(own.names)
-    direct = actuators is None and count == SLOTS
+    direct = head.actuators is None and count == SLOTS
 
     def seven(neck: FloatArray, eyes: FloatArray, fill: float = 0.0) -> FloatArray:
         return np.concatenate([neck, eyes, np.full(SLOTS - len(eyes), fill)])

@@ -20,10 +20,9 @@ from vergence.models.camera import (
     CameraResponse,
     default_response,
     light_table,
-    pack_camera,
     parse_response,
 )
-from vergence.models.lens import BROWN_CONRADY
+from vergence.models.lens import BROWN_CONRADY, pack_camera
 from vergence.vision.image import has_colour_channels, measurement_channel
 from vergence.vision.optics import FlatView, IdentityView, flat_view_about, ray_table
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily, Target

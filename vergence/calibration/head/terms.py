@@ -239,7 +239,7 @@ def dh_to_joint_axes(head: HeadModel) -> HeadModel:
         names=tuple(body.name for body in bodies),
         parts=tuple(_part(body.joints) for body in bodies),
         pose=np.array([body.pose for body in bodies]),
-        frame=head.links.frame_n_pose(),
+        frame=head.links.frame,
     )
     mounts = np.array([head.links.camera_mount(eye) for eye in range(2)])
     record = head.calibration

@@ -50,7 +50,7 @@ def with_virtual_joints(head: HeadModel) -> FloatArray:
             )
             between, after = across, inverse_pose(across) @ camera
         poses[4 + 3 * eye : 7 + 3 * eye] = before, between, after
-    return pack_constants(poses, head.cameras.rows, head.actuation, ())
+    return pack_constants(poses, head.cameras.rows, head.actuation)
 
 
 def _about(camera: FloatArray, axis: Sequence[float] | FloatArray) -> FloatArray:

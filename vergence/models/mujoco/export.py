@@ -124,7 +124,7 @@ def to_urdf(head: HeadModel) -> str:
             else:
                 terms = [f"{factor:+.15g} {other}" for other, factor in follows]
                 _add_comment(joint, f"{body.name} = {' '.join([f'{offset:.15g}', *terms])}")
-    fixed = {"N": (chain_end(bodies, None), head.links.frame_n_pose())}
+    fixed = {"N": (chain_end(bodies, None), head.links.frame)}
     for eye, name in enumerate(EYE_NAMES):
         fixed[f"{name}_camera"] = chain_end(bodies, eye), head.camera_in_last_link(eye)
     for name, (place, pose) in fixed.items():

@@ -416,7 +416,7 @@ def _add_bodies(
             ends = limits.lower[link.joints[0]], limits.upper[link.joints[0]]
             _add_joint(spec, body, link.name, ends, inertia)
     site = bodies[chain_end(links, None)].add_site(name="N", group=4, size=[0.002] * 3)
-    site.pos, site.quat = pos_and_quat(head.links.frame_n_pose()).values()
+    site.pos, site.quat = pos_and_quat(head.links.frame).values()
     return bodies
 
 
