@@ -357,10 +357,11 @@ class Cameras:
         new: dict[str, Any] = {name: getattr(self, name) for name in STACKED} | values
         if not isinstance(new["lens"], str | tuple | list):
             raise ConfigurationError(f"lens: expected a name for each eye, got {new['lens']!r:.80}")
-        new["lens"] = new["lens"] if isinstance(new["lens"], str) else tuple(new["lens"])
+        if not isinstance(new["lens"], str):
+            new["lens"] = tuple(new["lens"])
         lens, response = (  # one that is no pair applies to both
             given if isinstance(given, tuple) and len(given) == 2 else (given, given)
-            for given in (new["lens"], new["response"])
+            for given in map(new.get, ("lens", "response"))
         )
         size = np.asarray(new["size"])
         if size.shape not in ((2,), (2, 2)):
