@@ -122,11 +122,8 @@ INNER = {
     "base:BaseContext.insert_user_function": "self func fndesc libs",
     "caching:Cache._index_key": "self sig codegen",
     "caching:IndexDataCacheFile": "cache_path filename_base source_stamp",
-    "codegen:CPUCodegen._create_empty_module": "self name",
-    "codegen:CPUCodegen._module_pass_manager": "self kwargs",
     "codegen:JITCodeLibrary._finalize_dynamic_globals": "self",
     "codegen:JITCodeLibrary._finalize_final_module": "self",
-    "codegen:JITCodeLibrary._get_compiled_object": "self",
     "codegen:JITCodeLibrary._optimize_final_module": "self",
     "codegen:JITCodeLibrary.serialize_using_object_code": "self",
     "compiler:CompileResult._rebuild": "target_context libdata fndesc env signature objectmode "

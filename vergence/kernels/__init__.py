@@ -4,31 +4,29 @@
 calls; `inlined` and `subroutine` a helper of these. Everything compiles when it is called.
 
 Each trick below may be taken out alone. Factors are CPU seconds of a first `vergence gaze`, nearly
-all of it compiling, without the trick over with it (numba 0.68.1, on two cores that others used,
-to 0.1); to measure one, take it out and run ``python -m benchmarks.start first --base HEAD``. Times
-are of a call. In brackets stand the inner names of numba and llvmlite that a trick needs, whose
-parameters `tests/test_packaging.py` checks.
+all of it compiling, without the trick over with it (numba 0.68.1, two idle cores); to measure one,
+take it out and run ``python -m benchmarks.start first --base HEAD``. Times are of a call. In
+brackets stand the inner names of numba that a trick needs, whose parameters
+`tests/test_packaging.py` checks.
 
 - Fixed core dimensions, and errors that name the argument (`_GufuncBuilder`, `GufuncKernel`)
   [GUFuncBuilder, _GufuncWrapper]: numba has neither. Out: return ``numba.guvectorize(signatures,
   layout)`` with a name for each number of a layout; loops must then check these sizes.
-- Helpers linked before they are optimised (`_HelperLibrary`, `_HelperLowering`): 1.4
+- Helpers linked before they are optimised (`_HelperLibrary`, `_HelperLowering`): 1.1
   [CPUDispatcher, NativeLowering, JITCodeLibrary, insert_user_function]. Out: drop
   ``pipeline_class`` of `_Helper`.
-- Helpers without wrappers for Python and C: 1.8 with the last one. Out: after that one, drop
+- Helpers without wrappers for Python and C: 1.5 with the last one. Out: after that one, drop
   ``no_cpython_wrapper`` and ``no_cfunc_wrapper``.
 - Numbers typed alike, constant or not (`_Helper.get_call_template`): 1.1. Out: delete it.
-- Kernels optimised once and stored as machine code alone (`_KernelLibrary`): 1.1 to 1.2, and 1.4
-  of the bytes on disk [_module_pass_manager, _create_empty_module, serialize_using_object_code;
-  GlobalVariable, parse_assembly]. Out: drop ``pipeline_class`` of `_Kernel`.
-- LLVM's level 1 of optimisation (`_OPTIMISATION`): 1.3; docs/performance.md has no case that a
+- LLVM's level 1 of optimisation (`_OPTIMISATION`): 1.1; docs/performance.md has no case that a
   higher one made faster [config.OPT]. Out: set 3.
-- No search for garbage while compiling (`_quicker_compiler`): 1.1 to 1.2. Out: no ``gc.disable()``.
+- No search for garbage while compiling (`_quicker_compiler`): 1.1. Out: no ``gc.disable()``.
 - An own cache (`vergence.kernels.cache`): numba's looks at a kernel's own file, and runs old code
   after an edit of a helper elsewhere. A folder is named by a digest of the module and of those
   that it imports, directly or not, and that name ``vergence.kernels``: constants and functions
-  must come from such modules [Cache, IndexDataCacheFile, CompileResult, rtsys]. Out: numba's
-  FunctionCache in place of `KernelCache`; clear it after each edit.
+  must come from such modules [Cache, IndexDataCacheFile, CompileResult,
+  serialize_using_object_code, rtsys]. Out: numba's FunctionCache in place of `KernelCache`; clear
+  it after each edit.
 - Kernels in a wheel (`shipped_folder`), for x86-64-v3 or any 64-bit ARM, and the same sources,
   Python and numba: a first gaze takes 4 s in place of 38 (docs/performance.md, ``--wheel``). Out:
   return None.
@@ -38,7 +36,7 @@ parameters `tests/test_packaging.py` checks.
   [populate_array, lower_builtin, type_callable]. Out: pass the tuple itself.
 - Tuple readers (`make_tuple_reader`) [load_item]: 1.0, so only shorter sources. Out: write
   ``(row[i], row[i + 1], ...)``.
-- `untyped_tuple`: a call with 36 numbers takes about half the time. Out: pass the named tuple.
+- `untyped_tuple`: a call with 36 numbers takes less than half the time. Out: pass the named tuple.
 """
 
 from vergence.kernels.jit import (

@@ -14,8 +14,6 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar, cast
 
-from llvmlite.binding import parse_assembly
-from llvmlite.ir import Constant, GlobalVariable, IntType
 from numba.core import config, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -170,24 +168,6 @@ def _quicker_compiler() -> Iterator[None]:
             gc.enable()
 
 
-class _KernelLibrary(JITCodeLibrary):
-    """Code of a kernel with that of all its helpers, optimised once and stored without its IR."""
-
-    def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager()
-        passes.run(self._final_module, builder)
-
-    def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, bytes]]:
-        code: bytes = self._get_compiled_object()  # type: ignore[no-untyped-call]
-        # numba reads there which symbols the machine code defines
-        names: Any = self._codegen._create_empty_module(self.name)
-        module, byte = self._final_module, IntType(8)
-        for symbol in (*module.functions, *module.global_variables):
-            if not symbol.is_declaration:
-                GlobalVariable(names, byte, symbol.name).initializer = Constant(byte, 0)
-        return self.name, "object", (code, parse_assembly(str(names)).as_bitcode())
-
-
 class _HelperLibrary(JITCodeLibrary):
     """Code of a helper, neither optimised nor made machine code before kernels link it."""
 
@@ -196,16 +176,6 @@ class _HelperLibrary(JITCodeLibrary):
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
         self._finalized = True
-
-
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _KernelLowering(NativeLowering):
-    _name = "kernel_lowering"
-
-    def run_pass(self, state: Any) -> bool:
-        state.library = _KernelLibrary(state.targetctx.codegen(), state.func_id.func_qualname)  # type: ignore[no-untyped-call]
-        state.library.enable_object_caching()
-        return super().run_pass(state)  # type: ignore[no-untyped-call, no-any-return]
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -223,28 +193,22 @@ class _HelperLowering(NativeLowering):
         return True
 
 
-class _KernelCompiler(CompilerBase):
-    lowering: type[NativeLowering] = _KernelLowering
-
+class _HelperCompiler(CompilerBase):
     def define_pipelines(self) -> list[PassManager]:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes = [
-            (self.lowering if each is NativeLowering else each, description)
+            (_HelperLowering if each is NativeLowering else each, description)
             for each, description in passes.passes
         ]
         passes.finalize()
         return [passes]
 
 
-class _HelperCompiler(_KernelCompiler):
-    lowering = _HelperLowering
-
-
 class _Kernel(CPUDispatcher):
     """A function that Python calls."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
-        super().__init__(function, targetoptions=options, pipeline_class=_KernelCompiler)
+        super().__init__(function, targetoptions=options)
         self._cache = KernelCache(function)
         self._part: Any = subroutine(function)
 
