@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.grids import some_of
-from tests.naming import named
+from tests.naming import named, refused
 from vergence.errors import VergenceWarning
 from vergence.models import load_head
 
@@ -67,6 +67,11 @@ def test_a_point_in_millimetres_is_asked_about_and_answered():
             assert len(said) == 1
             assert said[0].filename == __file__, "the line of the caller"
             np.testing.assert_array_equal(q, head.fixate([point])[0])
+
+
+def test_what_is_no_point_or_neck_is_refused_by_the_name_of_the_call(head):
+    refused(r"^fixate: points: expected shape \(..., 3\), got \(2,\)", head.fixate, [0.0, 1.0])
+    refused(r"^fixate: neck: expected shape", head.fixate, [0.0, 0.0, 1.0], neck=[0.0, 1.0])
 
 
 def test_angles_beyond_the_limits_are_said_by_name():

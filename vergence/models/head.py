@@ -399,8 +399,8 @@ class HeadModel:
             raise ConfigurationError(
                 f"fixate: expected a head whose eyes move, got {self.name!r}, a fixed pair"
             )
-        neck = as_operand("fixate: neck", neck)
-        neck = np.broadcast_to(neck, (3,)) if neck.ndim == 0 else neck
+        points, neck = as_operand("fixate: points", points, 3), as_operand("fixate: neck", neck)
+        neck = as_operand("fixate: neck", np.broadcast_to(neck, neck.shape or (3,)), 3)
         with np.errstate(invalid="ignore"):  # a point at infinity has no solution: not an error
             kernel = fixation.fixate if self.actuation.direct else fixation.fixate_least_squares
             q = np.asarray(kernel(points, neck, np.zeros(7), self.packed))
