@@ -196,6 +196,6 @@ def test_a_change_of_a_head_that_cannot_be_is_refused(simulated) -> None:
         ({"timming": {"lag_s": 0.0}}, r"head\.timming: expected one of name, links"),
         ({"cameras": {"focal": np.nan}}, r"cameras\.focal: expected shape \(..., 2, 2\)"),
         ({"sensor": {"detection_noise_px": -1.0}}, "detection_noise_px: expected a number of at"),
-        ({"limits": {"lower": [1.0, 2.0]}}, r"limits\.lower: expected numbers of shape \(..., 7\)"),
+        ({"limits": {"lower": [1.0, 2.0]}}, r"limits\.lower: expected shape \(7,\), got \(2,\)"),
     ]:
         refused(message, simulated.replace, **parts)

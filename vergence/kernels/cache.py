@@ -244,10 +244,10 @@ class _Reporter(event.Listener):
     """Reports once that kernels are being compiled, and once that they cannot be cached."""
 
     def __init__(self) -> None:
-        self.set(None)
+        self.report_to(None)
         event.register("numba:run_pass", self)
 
-    def set(self, report: Callable[[str], None] | None) -> None:
+    def report_to(self, report: Callable[[str], None] | None) -> None:
         """Set what is told, once each, that kernels are compiled and that they cannot be kept."""
         self._report, self._said = report, set[str]()
 
@@ -267,7 +267,7 @@ class _Reporter(event.Listener):
 
 
 _REPORTER: Final = _Reporter()
-set_compile_reporter: Final = _REPORTER.set
+set_compile_reporter: Final = _REPORTER.report_to
 
 
 def report_compiling_if_uncached() -> None:

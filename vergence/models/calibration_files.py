@@ -64,7 +64,7 @@ def _read_file(name: str) -> list[tuple[str, Any]]:
             f"{name}: not text in UTF-8; expected a calibration file; {READ_FORMATS}"
         ) from error
     if len(text) > _MAX_CHARACTERS:
-        raise unexpected(name, "a calibration file", "one above 50 MB")
+        raise unexpected(name, "a calibration file", "one of more than 50 million characters")
     if name.lower().endswith(".toml"):
         raise unexpected(
             name, "a calibration (YAML, XML or JSON)", "a TOML file (a head file is none)"

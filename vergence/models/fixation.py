@@ -109,11 +109,11 @@ _ACCEPTED_STEP_RAD: Final = 1e-7
 def _aim(
     p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float, bearings: bool
 ) -> tuple[float, float, float, float, float, float]:
-    """Offset (a, b) of a point of N from an eye's axis, a and b by each of its joints; or nan.
+    """Offset (a, b) of a point of N from an eye's axis, then a, and b, by each of its joints.
 
-    With `bearings` it is (atan2(x, z), atan2(y, |x, z|)) in the camera, else (x / z, y / z). Unlike
-    the pixel, the bearing stays smooth for a point behind the camera, so limited steps converge
-    from any direction.
+    With `bearings` it is (atan2(x, z), atan2(y, |x, z|)) in the camera, rad, else (x / z, y / z).
+    All are nan for a point that has none. Unlike the pixel, the bearing stays smooth for a point
+    behind the camera, so limited steps converge from any direction.
     """
     frames = eye_frames(p, eye, q1, q2)
     cx, cy, cz = point_to_local(frames.camera, x, y, z)

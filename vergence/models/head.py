@@ -325,7 +325,7 @@ class HeadModel:
         Args:
             q: (..., 7) joint angles, rad.
         """
-        return np.asarray(kinematics.frame_n_in_base(self._held(q), self.packed, _FOUR))
+        return np.asarray(kinematics.base_pose(self._held(q), self.packed, _FOUR))
 
     def camera_poses(self, q: ArrayLike) -> FloatArray:
         """(..., 2, 4, 4) poses of both cameras in N, T_N_Cl and T_N_Cr, metres (Eqs. 14 to 17).

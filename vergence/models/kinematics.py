@@ -288,7 +288,7 @@ def neck_frame(p: PackedHead, q1: float, q2: float, q3: float) -> Pose:
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:,:])"], f"(7),({PACKED}),(4)->(4,4)")
-def frame_n_in_base(q: FloatArray, p: PackedHead, _four: FloatArray, out: FloatArray) -> None:
+def base_pose(q: FloatArray, p: PackedHead, _four: FloatArray, out: FloatArray) -> None:
     """T_0_N of a packed head; `_four` only sets the result's dimension."""
     store_pose(out, neck_frame(p, q[0], q[1], q[2]))
 

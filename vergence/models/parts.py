@@ -40,9 +40,8 @@ def replace_fields(part: Any, part_name: str, fields: Mapping[str, Any]) -> Any:
                 numbers = np.asarray(value, dtype=np.float64)
             except (TypeError, ValueError) as error:
                 raise ConfigurationError(f"{name}: expected numbers, got {value!r:.80}") from error
-            last = np.shape(now)[-1:]  # the axes before may be those of a population
-            if np.isnan(numbers).any() or numbers.shape[-1:] != last:
-                what = f"numbers of shape (..., {last[0]})" if last else "a number"
+            if np.isnan(numbers).any() or (np.ndim(now) == 0) != (numbers.ndim == 0):
+                what = "a number" if np.ndim(now) == 0 else "an array of numbers"
                 raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
         elif not isinstance(value, type(now)) and name != "head.calibration":  # None for no record
             raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")
@@ -92,6 +91,12 @@ class JointLimits(FrozenArrays):
     """Greatest commanded speed, in rad/s."""
     acceleration: FloatArray
     """Greatest acceleration, in rad/s^2; inf for no limit."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, values in vars(self).items():
+            if values.shape != (len(JOINTS),):
+                raise ConfigurationError(f"limits.{name}: expected shape (7,), got {values.shape}")
 
     def contains(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
         """(...) True if all joints are at least `margin` rad inside their limits; False for nan.

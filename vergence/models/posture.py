@@ -76,6 +76,15 @@ def rest_poses(head: HeadModel) -> RestPoses:
     points = np.concatenate([frames[:-1, :3, 3], cameras[:, :3, 3]])
     floor_m = float(((points - upright[:3, 3]) @ upright[:3, 2]).min()) - _FLOOR_BELOW_M
     return RestPoses(
-        frames[:-1], base, cameras, upright, roots,
-        baseline_m, scale, eye_radius_m, bar_ends, stand_top, floor_m,
-    )  # fmt: skip
+        links=frames[:-1],
+        frame_n=base,
+        cameras=cameras,
+        upright_frame=upright,
+        eye_roots=roots,
+        baseline_m=baseline_m,
+        scale=scale,
+        eye_radius_m=eye_radius_m,
+        bar_ends=bar_ends,
+        stand_top=stand_top,
+        floor_m=floor_m,
+    )

@@ -314,14 +314,30 @@ def read_stereo(
     lens: str | None = None,
     swap: bool = False,
 ) -> ReadCameras:
-    """Read a calibrated stereo pair, or refuse an implausible one.
+    """Read a calibrated stereo pair.
 
-    For ROS and ORB-SLAM2, rotation and baseline follow from the rectification and projection
-    matrices: `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`; for
-    poses of both cameras at a body they are those of `T_right_body T_left_body^-1`.
+    The files are OpenCV's (`cameraMatrix1`, `distCoeffs1`, ..., `R`, `T`, or `M1`, `D1`, ... in
+    one file and `R`, `T` in another), two camera_info files of ROS, left first, a camchain of
+    kalibr, two sensor.yaml files of EuRoC, or settings of ORB-SLAM2. For ROS and ORB-SLAM2,
+    rotation and baseline follow from the rectification and projection matrices:
+    `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`; for poses of
+    both cameras at a body they are those of `T_right_body T_left_body^-1`.
 
-    The unit is that of the translation, see `parse_unit`; None for that in the files, else metres.
-    `swap` says that the first camera is the right one.
+    Args:
+        paths: the files, which together hold both cameras and their relative pose.
+        unit: unit of the translation in the files, `m`, `cm` or `mm`, or a length such as `25mm`
+            for a translation in squares of the calibration board; None for that in the files, else
+            metres.
+        size: (width, height) in pixels, for files that do not give it.
+        lens: the lens model, for files that do not name it.
+        swap: true if the first camera of the files is the right one.
+
+    Returns:
+        The pair; the right camera's pose is that in the left one's frame.
+
+    Raises:
+        ConfigurationError: a file cannot be read or is unused, a value is missing, or the pair
+            is implausible.
     """
     metres = None if unit is None else parse_unit(unit, "unit")
     values = CalibrationValues.read(paths)

@@ -121,7 +121,7 @@ class Table:
             if name not in known:
                 near = get_close_matches(name, {*self._asked, *known}, n=1)
                 meant = f" (is {self.key(near[0])} meant?)" if near else ""
-                self.expect(False, name, value, f"no such key{meant}")
+                raise HeadFileError(self.key(name), value, f"no such key{meant}")
 
 
 def _is_list(value: object) -> bool:

@@ -20,9 +20,10 @@ from vergence.files import (
     hold_lock,
     remove_partial,
     save_folder_at_free_path,
+    write_atomic,
 )
 from vergence.models.head import HeadModel
-from vergence.models.head_file import save_head
+from vergence.models.head_file import head_to_toml
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -174,7 +175,7 @@ def write_config_and_head(
         "versions": package_versions(_VERSIONED_PACKAGES + packages),
     }
     (folder / "config.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
-    save_head(head, folder / "head.toml")
+    write_atomic(folder / "head.toml", head_to_toml(head))
 
 
 def write_json(path: Path, content: Mapping[str, Any] | Sequence[Any]) -> None:

@@ -7,8 +7,9 @@ from typing import Any, Protocol
 import tomli_w
 
 from vergence.eval.comparison.config import EvaluateConfig
+from vergence.files import write_atomic
 from vergence.models.head import HeadModel
-from vergence.models.head_file import save_head
+from vergence.models.head_file import head_to_toml
 from vergence.reporting.runs import package_versions, toml_value
 
 
@@ -74,7 +75,7 @@ def write_config_and_heads(
     for one in outcomes:
         if one.scenario not in heads:
             file = f"head-{one.scenario}.toml"
-            save_head(one.head, folder / file)
+            write_atomic(folder / file, head_to_toml(one.head))
             heads[one.scenario] = {"name": one.head.name, "digest": one.head.digest, "file": file}
         ran.setdefault(one.controller, {})[one.scenario] = toml_value(one.options)
         if one.tuned is not None:

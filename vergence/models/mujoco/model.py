@@ -406,7 +406,7 @@ def _add_bodies(
     bodies: dict[int, Any] = {-1: spec.worldbody}
     links, inertias, limits = head.links.bodies(), link_inertias(head), head.limits
     order = sorted(range(len(links)), key=lambda i: links[i].joints[0])
-    for place, inertia in zip(order, armature, strict=False):
+    for place, inertia in zip(order, armature[: len(order)], strict=True):
         link = links[place]
         body = bodies[link.parent].add_body(name=f"{link.name}_link", **pos_and_quat(link.pose))
         body.explicitinertial, body.gravcomp = True, 1.0

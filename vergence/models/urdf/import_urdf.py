@@ -29,6 +29,7 @@ from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.stereo_files import ReadCameras, read_intrinsics
 from vergence.models.toml_table import toml_text
 from vergence.models.urdf.joints import (
+    UNREAL,
     Coupling,
     EyeMotor,
     HeadChains,
@@ -110,7 +111,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         f"joint {joint}: {why}"
         for joint, reasons in assumed.items()
         for why in dict.fromkeys(reasons.values())
-        if "degrees?" in why
+        if UNREAL in why
     ]
     motors = find_eye_motors(chains, limits, source.couplings, poses)
     read, unsaid = _images([frame.camera for frame in frames], source)

@@ -25,6 +25,7 @@ from vergence.models.urdf.mechanism import (
 # Most joints that a head file has for the neck and for the chain of an eye (numerical).
 _MAX_NECK_JOINTS: Final = 3
 _MAX_EYE_JOINTS: Final = 2
+UNREAL: Final = "no real limits (degrees?)"  # reason of limits that a file states wrongly
 _HELD: Final = ("hinge", "slide")  # kinds that `--lock` can hold at a value
 
 
@@ -522,7 +523,7 @@ def _angles(joint: Joint) -> tuple[float, float, str]:
         return -np.pi, np.pi, "no limits in the file: one turn"
     got = f"{lower:g} to {upper:g} rad in the file"
     if not (RADIANS[0](lower) and RADIANS[0](upper)):
-        return -np.pi, np.pi, f"{got}, no real limits (degrees?): one turn"
+        return -np.pi, np.pi, f"{got}, {UNREAL}: one turn"
     if not lower < upper:
         held = f" for both: hold it by --lock {joint.name}={np.rad2deg(lower):.6g}"
         wrong = held if lower == upper else f" and {upper:g} rad"

@@ -453,6 +453,7 @@ def _servo_speeds(spec: Any) -> dict[str, float]:
     return speeds
 
 
+@np.errstate(invalid="ignore")  # an infinite pose is refused later
 def _pose(spec: Any, element: Any) -> FloatArray:
     """(4, 4) pose in the body, or the parent body, through the <frame> elements around it."""
     pose = np.eye(4)
@@ -470,5 +471,4 @@ def _pose(spec: Any, element: Any) -> FloatArray:
         [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
     ]
     pose[:3, 3] = element.pos
-    with np.errstate(invalid="ignore"):  # an infinite one is refused later
-        return np.asarray(_pose(spec, element.frame) @ pose)
+    return np.asarray(_pose(spec, element.frame) @ pose)
