@@ -43,11 +43,20 @@ from numpy.typing import NDArray
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import BoardPoses, CameraRig, cross_matrices, rms_length
-from vergence.calibration.cameras import CameraFit, fit_camera, fit_consistent_views
+from vergence.calibration.adjustment import (
+    BoardPoses,
+    CameraRig,
+    cross_matrices,
+    project_with_jacobians,
+    rms_length,
+)
+from vergence.calibration.cameras import (
+    CameraFit,
+    fit_camera,
+    fit_camera_pair,
+    fit_consistent_views,
+)
 from vergence.calibration.observations import BoardObservations
-from vergence.calibration.projection import project_with_jacobians
-from vergence.calibration.stereo import fit_camera_pair
 from vergence.calibration.uncertainty import direction_sigma_px, rig_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.camera import Camera, Lens, camera_matrix

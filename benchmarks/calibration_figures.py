@@ -15,16 +15,15 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vergence.calibration.calibrate import Calibration, calibrate
-from vergence.calibration.depth import depth_sigma_at, depths_to_plot_m
-from vergence.calibration.figures import (
+from vergence.calibration.files import depth_sigma_at, depths_to_plot_m
+from vergence.calibration.observations import parse_board
+from vergence.calibration.report import (
     depth_sigma,
     direction_sigma,
     image_coverage,
     residual_field,
 )
-from vergence.calibration.observations import parse_board
-from vergence.perception.pairing import pair_images
-from vergence.perception.photographs import list_photographs
+from vergence.perception.photographs import list_photographs, pair_images
 from vergence.reporting.style import figure_style
 
 _DPI = 110

@@ -41,9 +41,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import BundleAdjustment, BundleSolution, CameraRig
-from vergence.calibration.cameras import estimate_board_poses, fit_camera, fit_consistent_views
+from vergence.calibration.cameras import (
+    estimate_board_poses,
+    fit_camera,
+    fit_camera_pair,
+    fit_consistent_views,
+)
 from vergence.calibration.observations import BoardObservations, detect_board_corners, parse_board
-from vergence.calibration.stereo import fit_camera_pair
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 from vergence.perception.photographs import photographs_in_folder

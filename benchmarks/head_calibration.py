@@ -46,7 +46,7 @@ from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.reporting.jobs import open_mapper
 from vergence.triangulation import Noise, triangulate_views
-from vergence.triangulation.several import triangulate_fixations
+from vergence.triangulation.fix import triangulate_fixations
 
 HEADS: Final = ("physical", "icub", "turrets")
 DISTANCES_M: Final = (0.5, 0.9, 1.5)

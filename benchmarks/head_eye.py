@@ -43,15 +43,15 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.hand_eye import (
+from vergence.calibration.head.recording import HeadFrames
+from vergence.calibration.head.simulated import simulate_recording
+from vergence.errors import ConfigurationError
+from vergence.eval.article.head_eye.hand_eye import (
     HeadEyeFit,
     refine_by_reprojection,
     solve_both_eyes,
     solve_each_eye,
 )
-from vergence.calibration.head.simulated import simulate_recording
-from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.head import HeadModel

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.cli import main
+from vergence.perception.finding import TargetFinder
+from vergence.perception.locate import neighbour_distances_m
 from vergence.perception.photographs import photographs_in_folder
-from vergence.perception.spacing import neighbour_distances_m
-from vergence.perception.target_finder import TargetFinder
 from vergence.vision import parse_target, read_image
 from vergence.vision.targets import Checkerboard
 

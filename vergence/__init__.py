@@ -18,8 +18,13 @@ if TYPE_CHECKING:
     __version__: str
     from vergence.controllers import make_controller
     from vergence.models import HeadModel, ModelErrors, load_head
-    from vergence.triangulation.fix import Fix, Noise, triangulate_gaze, triangulate_views
-    from vergence.triangulation.several import triangulate_fixations
+    from vergence.triangulation.fix import (
+        Fix,
+        Noise,
+        triangulate_fixations,
+        triangulate_gaze,
+        triangulate_views,
+    )
 
 __all__ = [
     "Fix",

@@ -32,7 +32,7 @@ from vergence.errors import VergenceError
 from vergence.vision import as_grey, parse_target
 from vergence.vision.image import read_pixels
 from vergence.vision.tags.detector import TagDetector
-from vergence.vision.tags.report import TagFit
+from vergence.vision.tags.fit import TagFit
 from vergence.vision.targets import TagFamily
 
 _LIBRARY = ("pyapriltags", "pyapriltags+sharpening")

@@ -11,8 +11,8 @@ from tests.calibration.rigs import BOARD, SIZE, look, make_poses, make_rig
 from tests.naming import named
 from vergence.calibration import cameras
 from vergence.calibration.adjustment import BoardPoses, CameraRig
+from vergence.calibration.advice import advise_next_photographs
 from vergence.calibration.calibrate import calibrate_views
-from vergence.calibration.coverage import advise_next_photographs
 from vergence.calibration.files import (
     head_file_text,
     right_camera_pose_covariance,

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.calibration.rigs import BOARD, as_calibrated, look, make_poses, make_rig
 from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.coverage import (
+from vergence.calibration.advice import (
     MOST_SENTENCES,
     advise_next_photographs,
     advise_on_bent_board,
@@ -23,7 +23,7 @@ from vergence.calibration.coverage import (
     board_tilts,
     views_per_cell,
 )
-from vergence.calibration.depth import depth_sigma_at
+from vergence.calibration.files import depth_sigma_at
 
 MIDDLE = np.append(BOARD.corners_m.mean(axis=0), 0.0)
 VIEWS = 60

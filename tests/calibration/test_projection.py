@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.calibration.projection import project_with_jacobians
+from vergence.calibration.adjustment import project_with_jacobians
 from vergence.models.camera import rays_to_pixels
 from vergence.models.lens import pack_camera
 

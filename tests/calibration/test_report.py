@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.calibration.rigs import as_calibrated, look, make_poses, make_rig
-from vergence.calibration.coverage import advise_next_photographs
+from vergence.calibration.advice import advise_next_photographs
 from vergence.calibration.report import write_run
 from vergence.reporting.runs import run_folder_command
 

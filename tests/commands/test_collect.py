@@ -10,7 +10,7 @@ import vergence
 from tests.commands.called import call, refused
 from tests.naming import named
 from vergence.calibration.head.recording import read_recording
-from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
+from vergence.calibration.head.simulated import SimulatedLooker, board_ahead
 
 pytest.importorskip("mcap")
 BOARD = ("--target", "checkerboard:9x6:24")

@@ -13,7 +13,7 @@ from tests.heads import text_of
 from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at, save_pair
 from vergence.models import load_head
-from vergence.perception.edges import MeanEdge, describe_wrong_edges
+from vergence.perception.locate import MeanEdge, describe_wrong_edges
 from vergence.vision.targets import AprilTag
 
 TARGET = "tag:36h11:5:120"

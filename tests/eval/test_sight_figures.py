@@ -10,10 +10,9 @@ from tests.perception.drawn import pose_at
 from tests.perception.test_located import exact
 from vergence.eval.detections_figure import compose_detections, shorten_to_width
 from vergence.eval.locate_figure import compose_located
-from vergence.perception.locate import LocateResult, ShownPair
+from vergence.perception.finding import Photograph
+from vergence.perception.locate import LocateResult, ShownPair, locate_target
 from vergence.perception.locate_config import LocateConfig
-from vergence.perception.located import locate_target
-from vergence.perception.target_finder import Photograph
 from vergence.vision.targets import AprilTag
 
 HEAD = head_of("pair")

@@ -23,7 +23,7 @@ from vergence.hardware.checks.servos import check_servos
 from vergence.hardware.config import BusConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.vision import video
+from vergence.vision import image
 
 PORT = "/dev/ttyUSB0"
 FACTORY_RATE = table.BAUD_RATES.index(57_600)
@@ -151,7 +151,7 @@ def test_the_line_of_a_port_without_permission(monkeypatch, tmp_path):
 
 def test_the_line_of_a_camera_without_permission(monkeypatch):
     shut = SimpleNamespace(set=lambda *_: False, isOpened=lambda: False, release=lambda: None)
-    monkeypatch.setattr(video, "_open", lambda *_: shut)
+    monkeypatch.setattr(image, "_open", lambda *_: shut)
     monkeypatch.setattr(os, "access", lambda *_: False)
     size = tuple(HEAD.cameras.size[0].tolist())
     request = CameraRequest(name="cameras.left", source="/dev/video0", size=size)

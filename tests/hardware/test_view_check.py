@@ -14,7 +14,7 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.world import MotorOptions
 from vergence.hardware.view_check import Posture, Turn, ViewCheck, range_by_size
 from vergence.models.camera import Camera
-from vergence.vision.detectors import make_detector
+from vergence.vision.tracking import make_detector
 
 ICUB = load_head("icub")
 SLOTS = {name: 3 + i for i, name in enumerate(HEAD.actuation.names)}

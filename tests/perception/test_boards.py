@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.perception.board_centre import centre_weights, target_centre_px, weighted_sum
-from vergence.perception.spacing import measure_spacing, neighbour_distances_m, neighbour_pairs
+from vergence.perception.finding import centre_weights, target_centre_px, weighted_sum
+from vergence.perception.locate import measure_spacing, neighbour_distances_m
 from vergence.vision import Camera, Detection
-from vergence.vision.targets import AprilTag, Checkerboard
+from vergence.vision.targets import AprilTag, Checkerboard, neighbour_pairs
 
 BOARD = Checkerboard(columns=5, rows=4, square_m=0.03)
 

@@ -9,7 +9,7 @@ from tests.eval.refusals import not_refused
 from tests.heads import head_of
 from vergence import load_head
 from vergence.errors import ConfigurationError, UnreadableFileError
-from vergence.perception.joint_angles import read_joint_angles
+from vergence.perception.photographs import read_joint_angles
 
 Q = [0.0, 0.0, 0.0, 0.1, -0.2, 0.12, 0.3]
 NAMES = ("left_tilt", "left_pan", "right_tilt", "right_pan")

@@ -9,8 +9,7 @@ import pytest
 from tests.vision.poses import pose
 from tests.vision.scenes import levels, rig, scene
 from vergence.models.camera import light_table
-from vergence.perception.light import LinearResponseCheck
-from vergence.perception.target_finder import TargetFinder
+from vergence.perception.finding import LinearResponseCheck, TargetFinder
 from vergence.vision import make_planar_target
 
 

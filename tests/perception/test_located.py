@@ -7,8 +7,8 @@ from tests.heads import head_of
 from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
-from vergence.perception.located import locate_target
-from vergence.perception.target_finder import TargetFinder
+from vergence.perception.finding import TargetFinder
+from vergence.perception.locate import locate_target
 from vergence.triangulation import Noise
 from vergence.vision import Camera, Detection
 from vergence.vision.targets import AprilTag, Checkerboard

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from vergence.errors import ConfigurationError
-from vergence.perception.pairing import pair_up
-from vergence.perception.photographs import list_photographs
+from vergence.perception.photographs import list_photographs, pair_up
 
 
 def folder_of(path: Path, *names: str) -> Path:

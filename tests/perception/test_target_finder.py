@@ -6,8 +6,8 @@ import pytest
 from tests.eval.refusals import not_refused
 from tests.perception.drawn import Studio, pose_at
 from vergence import load_head
+from vergence.perception.finding import TargetFinder, parse_targets, tag_number
 from vergence.perception.locate import _match
-from vergence.perception.target_finder import TargetFinder, parse_targets, tag_number
 from vergence.vision import Camera
 from vergence.vision.targets import AprilTag, CharucoBoard
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.perception.unseen_rows import UnseenRowCheck
+from vergence.perception.finding import UnseenRowCheck
 from vergence.vision import make_detector, parse_target
 from vergence.vision.targets import CharucoBoard, texture
 

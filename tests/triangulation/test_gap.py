@@ -5,7 +5,7 @@ import pytest
 
 from vergence import Noise, load_head, triangulate_views
 from vergence.models.parts import EYES
-from vergence.triangulation.gap import gap_sigma
+from vergence.triangulation.fix import gap_sigma
 
 POINTS = np.array([[0.0, -0.1, 1.0], [0.2, 0.05, 0.6], [-0.3, 0.1, 2.0]])
 

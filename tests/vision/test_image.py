@@ -15,8 +15,7 @@ from tests.vision.scenes import rig, scene
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.camera import light_table
 from vergence.vision import AprilTag, Checkerboard, as_grey, make_detector, read_image
-from vergence.vision.image import grey_if_channels_equal, has_orientation_tag
-from vergence.vision.video import open_video
+from vergence.vision.image import grey_if_channels_equal, has_orientation_tag, open_video
 
 GREY = np.arange(48, dtype=np.uint8).reshape(6, 8) * 5
 """0 to 235 in steps of 5."""

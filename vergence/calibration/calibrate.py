@@ -9,7 +9,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import BundleSolution, CameraRig, rms_length
+from vergence.calibration.adjustment import (
+    BundleSolution,
+    CameraRig,
+    rms_length,
+)
 from vergence.calibration.cameras import (
     FOLDS,
     CameraFit,
@@ -18,17 +22,17 @@ from vergence.calibration.cameras import (
     cross_validation_mean_squares,
     cross_validation_residuals,
     fit_camera,
+    fit_camera_pair,
     fit_consistent_views,
     mistaken_corners_px,
 )
 from vergence.calibration.observations import BoardObservations, detect_board_corners
-from vergence.calibration.stereo import fit_camera_pair
 from vergence.calibration.uncertainty import rig_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.camera import CameraResponse
 from vergence.models.lens import LENSES
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.perception.spacing import MM
+from vergence.perception.locate import MM
 from vergence.vision.targets import PlanarTarget
 
 _DETECTION_PROGRESS: Final = 0.5

@@ -15,10 +15,12 @@ from vergence.calibration.adjustment import BundleAdjustment
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.camera import CameraResponse
 from vergence.models.parts import FloatArray
-from vergence.perception.light import LinearResponseCheck
+from vergence.perception.finding import (
+    LinearResponseCheck,
+    UnseenRowCheck,
+    describe_similar_targets,
+)
 from vergence.perception.photographs import join_first_names, remark_on_orientation_tags
-from vergence.perception.similar_targets import describe_similar_targets
-from vergence.perception.unseen_rows import UnseenRowCheck
 from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily

@@ -23,8 +23,8 @@ from vergence.calibration.adjustment import (
     BundleAdjustment,
     BundleSolution,
     cross_matrices,
+    project_with_jacobians,
 )
-from vergence.calibration.projection import project_with_jacobians
 from vergence.models.parts import FloatArray
 
 _LEAST_EIGENVALUE: Final = 1e-15

@@ -17,8 +17,7 @@ from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.calibration.head.collect import CollectedRecording
-    from vergence.calibration.head.preview import CalibrationPreview
+    from vergence.calibration.head.collect import CalibrationPreview, CollectedRecording
     from vergence.models.head import HeadModel
     from vergence.recording.looking import Looker
     from vergence.vision.targets import PlanarTarget
@@ -78,7 +77,7 @@ class Collect:
         """Run the command."""
         require_modules("robot", "mcap")
         from vergence.calibration.head.collect import CollectOptions, collect
-        from vergence.calibration.head.logged import HEAD_IDENTITY
+        from vergence.calibration.head.recording import HEAD_IDENTITY
         from vergence.calibration.observations import parse_board
 
         options = CollectOptions(
@@ -137,7 +136,7 @@ class Collect:
             raise ConfigurationError(f"errors: expected 0 to {_MOST_ERROR_SCALE:g}, got {errors:g}")
         import numpy as np
 
-        from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
+        from vergence.calibration.head.simulated import SimulatedLooker, board_ahead
         from vergence.eval.trials.twin_errors import TWIN_SPREADS
         from vergence.models.head_file import load_head
 
@@ -158,8 +157,8 @@ class Collect:
 
     def _conclude(self, recording: "CollectedRecording", head: "HeadModel") -> None:
         """Print a summary of the recording, advice, and the next command."""
-        from vergence.calibration.head.advice import advise_recording
-        from vergence.calibration.head.checks import refuse_few_poses
+        from vergence.calibration.head.collect import advise_recording
+        from vergence.calibration.head.judge import refuse_few_poses
 
         frames = recording.frames()
         placements = int(frames.placement.max()) + 1
@@ -187,7 +186,7 @@ class Collect:
 
 def _evaluated(recording: "CollectedRecording", head: "HeadModel") -> str:
     """Line on the accuracy of depth and the coverage of the images so far."""
-    from vergence.calibration.head.advice import image_coverage_percent
+    from vergence.calibration.head.collect import image_coverage_percent
 
     known = "not enough for a head yet"
     if recording.preview is not None:
@@ -197,7 +196,7 @@ def _evaluated(recording: "CollectedRecording", head: "HeadModel") -> str:
 
 
 def _depth(preview: "CalibrationPreview") -> str:
-    from vergence.calibration.head.preview import DEPTHS_M
+    from vergence.calibration.head.collect import DEPTHS_M
 
     return " and ".join(
         f"{percent:.2g} % at {depth_m:g} m"

@@ -24,7 +24,7 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.models.camera import CameraResponse
-    from vergence.perception.detect import DetectResult
+    from vergence.perception.finding import DetectResult
     from vergence.vision import Camera
     from vergence.vision.targets import Target
 
@@ -80,8 +80,7 @@ class Detect:
         """Run the command."""
         self._check()
         from vergence.models.camera import parse_response
-        from vergence.perception.camera_options import load_camera
-        from vergence.perception.target_finder import parse_targets
+        from vergence.perception.finding import load_camera, parse_targets
 
         targets = parse_targets(self.target)
         camera, guesses = load_camera(
@@ -122,9 +121,12 @@ class Detect:
     def _photographs(
         self, targets: "list[Target]", camera: "Camera | None", response: "CameraResponse | None"
     ) -> int:
-        from vergence.perception.detect import detect_in_photographs
-        from vergence.perception.similar_targets import describe_similar_targets
-        from vergence.perception.target_finder import Photograph, TargetFinder
+        from vergence.perception.finding import (
+            Photograph,
+            TargetFinder,
+            describe_similar_targets,
+            detect_in_photographs,
+        )
         from vergence.vision import read_image
 
         shown: list[Photograph] = []

@@ -31,8 +31,12 @@ class Locate:
         self.tables.check()
         from vergence.commands.located import print_located_targets
         from vergence.eval.locate_figure import draw_located
-        from vergence.perception.locate import LocateResult, locate
-        from vergence.perception.tables import write_corner_table, write_target_table
+        from vergence.perception.locate import (
+            LocateResult,
+            locate,
+            write_corner_table,
+            write_target_table,
+        )
         from vergence.reporting.runs import write_config_and_head, write_json
 
         def write(folder: Path) -> None:
@@ -65,8 +69,7 @@ def _nothing(result: "LocateResult") -> str:
         return f"no point of {names} has an answer: the lines of sight do not cross"
     count = len(result.pairs)
     pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
-    from vergence.perception.similar_targets import describe_similar_targets
-    from vergence.perception.target_finder import parse_targets
+    from vergence.perception.finding import describe_similar_targets, parse_targets
     from vergence.vision import Camera
 
     left = result.shown.left
@@ -84,7 +87,7 @@ def _say_rest(head: "HeadModel") -> None:
     import numpy as np
 
     from vergence.models.parts import EYES
-    from vergence.perception.joint_angles import eyes_move
+    from vergence.perception.photographs import eyes_move
 
     if not eyes_move(head):
         return

@@ -3,10 +3,8 @@
 import numpy as np
 
 from vergence.commands.tables import print_table
-from vergence.perception.locate import LocateResult
-from vergence.perception.located import LocatedTarget
-from vergence.perception.spacing import MM, measure_spacing
-from vergence.perception.target_finder import tag_number
+from vergence.perception.finding import tag_number
+from vergence.perception.locate import MM, LocatedTarget, LocateResult, measure_spacing
 from vergence.reporting.text import format_fixed
 from vergence.vision.targets import AprilTag
 

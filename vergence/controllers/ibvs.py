@@ -27,7 +27,7 @@ from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED, PackedHead, camera_of, eye_frames, eye_jacobian
 from vergence.models.parts import FloatArray, LoopTiming
-from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
+from vergence.triangulation.rays import depths_on_rays, rays_from_pixel_errors
 
 _ARTICLE_GAIN: Final = 4.0
 """The article's gain, 1/s."""

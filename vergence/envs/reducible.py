@@ -14,7 +14,7 @@ from vergence.kernels import inlined, subroutine
 from vergence.models.fixation import actuator_least_squares, image_rate
 from vergence.models.kinematics import PackedHead, camera_of, eye_frames, eye_jacobian
 from vergence.models.parts import SLOTS, FloatArray
-from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
+from vergence.triangulation.rays import depths_on_rays, rays_from_pixel_errors
 
 
 @subroutine

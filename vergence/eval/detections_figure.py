@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vergence.files import atomic_file
 from vergence.models.parts import FloatArray
-from vergence.perception.target_finder import Photograph, tag_number
+from vergence.perception.finding import Photograph, tag_number
 from vergence.reporting.style import as_float_pair, figure_style, new_figure
 from vergence.vision import Detection
 from vergence.vision.targets import PlanarTarget

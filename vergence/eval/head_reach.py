@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.head import HeadModel
-from vergence.models.parts import NECK, FloatArray
+from vergence.models.parts import FloatArray
+from vergence.models.posture import fixation_angles_and_visibility, midpoint_between_cameras
 
 NEAREST_M: Final = 0.01
 """Least depth of the search, m (chosen)."""
@@ -42,38 +43,6 @@ class Reach:
     right_deg: float
     up_deg: float
     down_deg: float
-
-
-def midpoint_between_cameras(head: HeadModel) -> FloatArray:
-    """Midway between the cameras at rest, (3,) in N, m."""
-    return np.asarray(head.camera_poses(head.rest())[:, :3, 3].mean(axis=0), np.float64)
-
-
-def fixation_angles_and_visibility(
-    head: HeadModel, points: FloatArray
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Joint angles at which both eyes look at points of N, and a mask of the visible points.
-
-    Fixed eyes keep their pose; eyes that cannot fixate exactly take the angles of the least error.
-
-    Args:
-        head: one head, not a population.
-        points: (n, 3) in N, m.
-
-    Returns:
-        (n, 7) joint angles with the neck at rest, rad; (n,) True if the angles are within limits
-        and both eyes see the point.
-    """
-    rest = head.rest()
-    if head.actuation.count:
-        q = head.fixate(points, rest[NECK])
-        can = head.reaches(q, -1e-9)
-    else:
-        q = np.broadcast_to(rest, (len(points), len(rest)))
-        can = np.ones(len(points), np.bool_)
-    pixels = head.project(q, points)  # nan behind a camera
-    inside = (pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)
-    return q, np.asarray(can & inside.all(axis=(-1, -2)), np.bool_)
 
 
 def find_reach(head: HeadModel) -> Reach:

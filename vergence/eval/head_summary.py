@@ -6,16 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.eval.head_reach import (
-    Reach,
-    find_reach,
-    fixation_angles_and_visibility,
-    midpoint_between_cameras,
-    off_axis_reach_points,
-)
+from vergence.eval.head_reach import Reach, find_reach, off_axis_reach_points
 from vergence.models.camera import UNDISTORTED, Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, EYES, CalibrationRecord, FloatArray
+from vergence.models.posture import fixation_angles_and_visibility, midpoint_between_cameras
 from vergence.triangulation.fix import triangulate_views
 
 DEPTHS_M: Final = (0.5, 1.0, 2.0)

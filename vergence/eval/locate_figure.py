@@ -19,9 +19,7 @@ from vergence.eval.detections_figure import (
 )
 from vergence.files import atomic_file
 from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.perception.locate import LocateResult
-from vergence.perception.located import LocatedTarget
-from vergence.perception.spacing import MM
+from vergence.perception.locate import MM, LocatedTarget, LocateResult
 from vergence.reporting.style import BLUE, GREY, ORANGE, figure_style, legend_below, new_figure
 
 _VIEWS: Final = (

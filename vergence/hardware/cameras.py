@@ -26,11 +26,9 @@ from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import SearchedImage
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
-from vergence.vision.detectors import make_detector
-from vergence.vision.image import as_grey, grey_if_channels_equal
+from vergence.vision.image import as_grey, grey_if_channels_equal, is_local_camera, open_capture
 from vergence.vision.targets import Target
-from vergence.vision.tracking import Tracker
-from vergence.vision.video import is_local_camera, open_capture
+from vergence.vision.tracking import Tracker, make_detector
 
 _LOG: Final = logging.getLogger(__name__)
 _STEADY_INTERVALS: Final = 5

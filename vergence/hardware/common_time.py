@@ -22,7 +22,7 @@ from vergence.hardware.pairing import SearchedPair
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.triangulation.lines_of_sight import DEPTH_RANGE_M
+from vergence.triangulation.rays import DEPTH_RANGE_M
 
 _PARALLEL_SINE_SQUARED: Final = 1e-8
 """Squared sine of the angle below which two lines count as parallel: 0.1 mrad (numerical)."""

@@ -8,9 +8,8 @@ from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.hardware.common_time import pixels_at_common_time
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
-from vergence.vision.detectors import make_detector
 from vergence.vision.targets import TagFamily, Target
-from vergence.vision.tracking import Tracker
+from vergence.vision.tracking import Tracker, make_detector
 
 _CELL_PX: Final = 8.0
 """Cell size of the board that is drawn for the compilation, px (chosen)."""

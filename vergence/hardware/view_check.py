@@ -28,8 +28,8 @@ from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.vision.detection import Detection
-from vergence.vision.detectors import make_detector
 from vergence.vision.targets import AprilTag, TagFamily, Target
+from vergence.vision.tracking import make_detector
 
 _DISTANCES_M: Final = (0.2, 0.35, 0.6, 1.0, 2.0, 4.0)
 """Distances of the target that are tried, m: they hardly change how its pixel moves (chosen)."""

@@ -18,7 +18,7 @@ is `undistort_ray` for a pixel without a ray; `distort` does not check.
 
 A new model needs here its coefficients in `CameraRow`, its names at the end of `LENSES` (heads'
 digests count their places), a case in `distort` and its fold in `pack_camera`; a case with
-derivatives by the coefficients in `vergence.calibration.projection`; and the names that calibration
+derivatives by the coefficients in `vergence.calibration.adjustment`; and the names that calibration
 files have for it in `vergence.models.stereo_files`. No other module computes with coefficients.
 """
 

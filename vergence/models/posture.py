@@ -7,10 +7,11 @@ head at rest looks along -y.
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence.models.geometry import chain_end, rot_z
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
+from vergence.models.parts import NECK, FloatArray
 
 EYE_RADIUS_M: Final = 0.018
 """Radius of the drawn eyeball, m (chosen: about the housing of a small camera module)."""
@@ -88,3 +89,35 @@ def rest_poses(head: HeadModel) -> RestPoses:
         stand_top=stand_top,
         floor_m=floor_m,
     )
+
+
+def midpoint_between_cameras(head: HeadModel) -> FloatArray:
+    """Midway between the cameras at rest, (3,) in N, m."""
+    return np.asarray(head.camera_poses(head.rest())[:, :3, 3].mean(axis=0), np.float64)
+
+
+def fixation_angles_and_visibility(
+    head: HeadModel, points: FloatArray
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Joint angles at which both eyes look at points of N, and a mask of the visible points.
+
+    Fixed eyes keep their pose; eyes that cannot fixate exactly take the angles of the least error.
+
+    Args:
+        head: one head, not a population.
+        points: (n, 3) in N, m.
+
+    Returns:
+        (n, 7) joint angles with the neck at rest, rad; (n,) True if the angles are within limits
+        and both eyes see the point.
+    """
+    rest = head.rest()
+    if head.actuation.count:
+        q = head.fixate(points, rest[NECK])
+        can = head.reaches(q, -1e-9)
+    else:
+        q = np.broadcast_to(rest, (len(points), len(rest)))
+        can = np.ones(len(points), np.bool_)
+    pixels = head.project(q, points)  # nan behind a camera
+    inside = (pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)
+    return q, np.asarray(can & inside.all(axis=(-1, -2)), np.bool_)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from vergence.models.parts import FloatArray
 from vergence.operands import null_nonfinite_rows
-from vergence.perception.finders import LiveFinder
-from vergence.perception.target_finder import tag_number
-from vergence.vision import Detection
+from vergence.perception.finding import LiveFinder, tag_number
+from vergence.vision.detection import Detection
 from vergence.vision.targets import PlanarTarget, TagFamily, Target
 
 WINDOW_S: Final = 3.0

@@ -11,7 +11,7 @@ from vergence.errors import VergenceWarning
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES
 from vergence.triangulation import triangulate_views
-from vergence.triangulation.gap import gap_sigma
+from vergence.triangulation.fix import gap_sigma
 
 MAX_GAP_RATIO: Final = 3.0
 """Root mean square of gaps over their predicted standard deviation above which they are reported

@@ -1,8 +1,13 @@
 """Triangulation of a 3-D point and its covariance from joint angles and pixels."""
 
-from vergence.triangulation.fix import Fix, Noise, triangulate_gaze, triangulate_views
-from vergence.triangulation.gap import gap_sigma
-from vergence.triangulation.several import triangulate_fixations
+from vergence.triangulation.fix import (
+    Fix,
+    Noise,
+    gap_sigma,
+    triangulate_fixations,
+    triangulate_gaze,
+    triangulate_views,
+)
 
 __all__ = [
     "Fix",

@@ -1,15 +1,15 @@
-"""Triangulation by gaze (the article's method) and by two views (ITPC-style, reconstructed)."""
+"""Position of a target from two or more lines of sight, its covariance, and the lines' gap."""
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, FloatArray
 from vergence.operands import as_operand
 from vergence.triangulation.rays import triangulate
 
@@ -175,3 +175,227 @@ def triangulate_views(
     noise = Noise.of(head) if noise is None else noise
     results: Any = triangulate(q, pixels, noise.pixel_px, noise.joint_rad, head.packed, _SHAPE_ONLY)
     return Fix(*results)
+
+
+# steps of the central differences (numerical: far above rounding, far below curvature)
+_STEP_RAD: Final = 1e-5
+_STEP_PX: Final = 1e-2
+
+
+def gap_sigma(
+    head: HeadModel, q: ArrayLike, pixels: ArrayLike, noise: Noise | None = None
+) -> FloatArray:
+    """Standard deviation of the signed gap of `triangulate_views`.
+
+    Args:
+        head: one head, not a population.
+        q: (..., 7) joint angles at the exposure, rad.
+        pixels: (..., 2, 2) raw pixels of the target; nan for an eye in which it is not visible.
+        noise: standard deviations of pixels and of the actuators' angles; None for
+            `Noise.of(head)`.
+
+    Returns:
+        (...) metres; nan where a pixel is nan.
+
+    Examples:
+        Half a pixel of noise at 1 m, in metres:
+
+        >>> import numpy as np, vergence
+        >>> from vergence.triangulation import gap_sigma
+        >>> head = vergence.load_head("simulated")
+        >>> q = head.fixate([0.0, -0.1, 1.0])
+        >>> noise = vergence.Noise(pixel_px=0.5)
+        >>> gap_sigma(head, q, head.project(q, [0.0, -0.1, 1.0]), noise).round(5)
+        np.float64(0.00113)
+    """
+    noise = Noise.of(head) if noise is None else noise
+    angles = head.actuation.actuators_of(as_operand("q", q, 7))
+    points = as_operand("pixels", pixels, 2, 2)
+    shape = np.broadcast_shapes(angles.shape[:-1], points.shape[:-2])
+    variance = np.zeros(shape)
+    joint_rad = np.broadcast_to(noise.joint_rad, (*shape, 7))
+    for k in range(EYES.start, EYES.start + head.actuation.count):
+        step = _STEP_RAD * np.eye(7)[k]
+        rate = _difference(head, angles + step, angles - step, points, points) / _STEP_RAD
+        variance = variance + (rate * joint_rad[..., k]) ** 2
+    pixel_px = np.broadcast_to(noise.pixel_px, (*shape, 2, 2))
+    for eye, axis in np.ndindex(2, 2):
+        offset = np.zeros((2, 2))
+        offset[eye, axis] = _STEP_PX
+        rate = _difference(head, angles, angles, points + offset, points - offset) / _STEP_PX
+        variance = variance + (rate * pixel_px[..., eye, axis]) ** 2
+    return np.sqrt(variance)
+
+
+def _difference(
+    head: HeadModel, above: FloatArray, below: FloatArray, to: FloatArray, since: FloatArray
+) -> FloatArray:
+    """Half the change of the signed gap from one set of actuator angles and pixels to another."""
+    return np.asarray(0.5 * (_signed_gap(head, above, to) - _signed_gap(head, below, since)))
+
+
+def _signed_gap(head: HeadModel, actuators: FloatArray, pixels: FloatArray) -> FloatArray:
+    """(...) signed gap of the rays through raw pixels, m."""
+    poses = head.camera_poses(head.actuation.joints_of(actuators))
+    slopes = (head.undistort(pixels) - head.cameras.principal) / head.cameras.focal
+    rays = np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1)
+    rays = np.einsum("...eij,...ej->...ei", poses[..., :3, :3], rays)
+    normal = np.cross(rays[..., 0, :], rays[..., 1, :])
+    normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    apart = poses[..., 1, :3, 3] - poses[..., 0, :3, 3]
+    return np.asarray((normal * apart).sum(axis=-1))
+
+
+_AXIS_STEP_RAD: Final = 1e-6
+"""Step of central differences by angles, rad (numerical)."""
+_STEP_M: Final = 1e-6
+"""Step of central differences by the point, m: far above rounding, far below a head's size
+(numerical)."""
+_SOFTENING: Final = (8.0, 4.0, 2.0, 1.0, 1.0)
+"""Factors on s in successive solutions: a first fix may lie outside many intervals, so their ends
+start soft (numerical)."""
+_NEWTON_STEPS: Final = 20
+"""Iteration limit of Newton's method (numerical)."""
+_SMALL_M: Final = 1e-9
+"""Convergence tolerance of a Newton step, m (numerical)."""
+_LEAST_SHARE: Final = 1e-3
+"""Least s as a fraction of the half width h, for exact pixels (numerical)."""
+
+
+def triangulate_fixations(
+    head: HeadModel, q: ArrayLike, pixels: ArrayLike, noise: Noise | None = None
+) -> Fix:
+    """Triangulate a point at rest from several fixations (see this module).
+
+    The neck must be at rest too, as the point is in N.
+
+    Args:
+        head: one head.
+        q: (k, 7) joint angles as read by the encoders, rad.
+        pixels: (k, 2, 2) raw pixels of the point at the same instants; nan if not visible.
+        noise: standard deviations of pixels; None for the head's detection noise. Its angles are
+            not used: the intervals follow from the head's encoder quantisation and backlash.
+
+    Returns:
+        The fix. Its covariance is the inverse of the information in the likelihood; its gap is the
+        mean gap of the fixations.
+
+    Raises:
+        ConfigurationError: the head is a population, or the point is not visible to both eyes in
+            any fixation.
+
+    Examples:
+        Twenty fixations near a point, joint angles rounded to 4,096 steps a turn. The depth error
+        of a single one is up to 5.7 mm; all together know it to 0.6 mm (1 sigma):
+
+        >>> import numpy as np, vergence
+        >>> head = vergence.load_head("turrets")
+        >>> point, rng = np.array([0.05, 0.02, 0.8]), np.random.default_rng(0)
+        >>> q = head.fixate(point + 0.02 * rng.standard_normal((20, 3)))
+        >>> read = np.round(q / (2 * np.pi / 4096)) * (2 * np.pi / 4096)
+        >>> pixels = head.project(q, point)
+        >>> errors = vergence.triangulate_views(head, read, pixels).point - point
+        >>> (1000 * np.abs(errors[:, 2]).max()).round(1)
+        np.float64(5.7)
+        >>> fix = vergence.triangulate_fixations(head, read, pixels)
+        >>> (1000 * fix.sigma[2]).round(1), bool(abs(fix.point - point)[2] < 2 * fix.sigma[2])
+        (np.float64(0.6), True)
+    """
+    if head.batch_shape:
+        raise ConfigurationError(
+            f"triangulate_fixations: expected one head, got a population of {head.batch_shape}"
+        )
+    q, pixels = as_operand("q", q, 7), as_operand("pixels", pixels, 2, 2)
+    each = triangulate_views(head, q, pixels, noise)
+    seen = np.isfinite(pixels).all(axis=(-2, -1)) & np.asarray(each.valid)
+    if not seen.any():
+        raise ConfigurationError(
+            "triangulate_fixations: expected fixations in which both eyes see the point, got none "
+            f"in {len(q)}"
+        )
+    q, pixels = q[seen], pixels[seen]
+    own = head.actuation
+    half_width = 0.5 * (own.angle_step + own.backlash)[EYES]
+    used = half_width > 0.0
+    point = np.median(each.point[seen], axis=0)
+    pixel_px = np.broadcast_to((Noise.of(head) if noise is None else noise).pixel_px, (2, 2))
+    information = np.zeros((3, 3))
+    for softening in _SOFTENING:
+        by_angle, by_point, residual = _linearised(head, q, pixels, point)
+        scale = 1.0 / np.maximum(pixel_px.reshape(4), 1e-6)
+        A = by_angle[..., used] * scale[:, None]
+        B, r = by_point * scale[:, None], residual * scale
+        inner = np.linalg.inv(A.transpose(0, 2, 1) @ A) if used.any() else np.zeros((len(q), 0, 0))
+        back = inner @ A.transpose(0, 2, 1)
+        # errors of the readings as functions of the point, and residuals that they do not explain
+        error, slope = (back @ r[..., None])[..., 0], -back @ B
+        residual_null, residual_null_slope = r - (A @ error[..., None])[..., 0], -B - A @ slope
+        deviation = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
+        sd = softening * np.maximum(deviation, _LEAST_SHARE * half_width[used])
+        step = np.zeros(3)
+        for _ in range(_NEWTON_STEPS):
+            first, second = _log_interval(error + slope @ step, half_width[used], sd)
+            gradient = np.einsum("kj,kji->i", first, slope)
+            gradient -= np.einsum(
+                "kr,kri->i", residual_null + residual_null_slope @ step, residual_null_slope
+            )
+            information = np.einsum("kji,kj,kjl->il", slope, -second, slope)
+            information += np.einsum("kri,krl->il", residual_null_slope, residual_null_slope)
+            change = np.linalg.solve(information, gradient)
+            step = step + change
+            if np.abs(change).max() < _SMALL_M:
+                break
+        point = point + step
+    return Fix(
+        point,
+        np.asarray(np.mean(np.asarray(each.gap)[seen])),
+        np.asarray(np.linalg.inv(information), np.float64),
+        np.ones((), dtype=np.bool_),
+    )
+
+
+def _linearised(
+    head: HeadModel, q: FloatArray, pixels: FloatArray, point: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pixel derivatives by actuators (k, 4, 4) and by the point (k, 4, 3); residuals (k, 4), px."""
+    actuators = head.actuation.actuators_of(q)
+
+    def seen(step: FloatArray, moved: FloatArray) -> FloatArray:
+        joints = head.actuation.joints_of(actuators + step)
+        return head.project(joints, point + moved).reshape(len(q), 4)
+
+    def slopes(size: int, length: float, of_point: bool) -> FloatArray:
+        columns = []
+        for row in length * np.eye(size):
+            step = np.zeros(7) if of_point else np.concatenate([np.zeros(3), row])
+            moved = row if of_point else np.zeros(3)
+            columns.append((seen(step, moved) - seen(-step, -moved)) / (2.0 * length))
+        return np.stack(columns, axis=-1)
+
+    residual = pixels.reshape(len(q), 4) - seen(np.zeros(7), np.zeros(3))
+    return slopes(4, _AXIS_STEP_RAD, False), slopes(3, _STEP_M, True), residual
+
+
+def _log_interval(
+    error: FloatArray, half_width: FloatArray, sd: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """First and second derivatives by e of log(Phi((h - e) / s) - Phi((-h - e) / s)).
+
+    Args:
+        error: (k, j) errors of the readings e, rad.
+        half_width: (j,) half widths of the intervals h, rad.
+        sd: (k, j) standard deviations s, rad.
+    """
+    from scipy.special import log_ndtr
+
+    # the function is even in e, and the difference is exact in the lower tail
+    sign, e = np.sign(error), np.abs(error)
+    upper, lower = (half_width - e) / sd, (-half_width - e) / sd
+    log_upper, log_lower = log_ndtr(upper), log_ndtr(lower)
+    log_mass = log_upper + np.log1p(-np.exp(log_lower - log_upper))
+    at_upper, at_lower = (
+        np.exp(-0.5 * x**2 - 0.5 * np.log(2.0 * np.pi) - log_mass) for x in (upper, lower)
+    )
+    first = -(at_upper - at_lower) / sd
+    second = -(upper * at_upper - lower * at_lower) / sd**2 - first**2
+    return sign * first, second

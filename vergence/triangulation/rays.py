@@ -1,4 +1,4 @@
-r"""Point nearest to two lines of sight, and its derivatives by pixels and joints.
+"""Point nearest to two lines of sight, and its derivatives by pixels and joints.
 
 The rays `o_l + s d_l` and `o_r + t d_r` in N are closest at the ends of their common perpendicular
 (Eqs. 18 to 23):
@@ -30,6 +30,7 @@ from vergence.models.kinematics import (
     eye_frames,
     has_motor_per_joint,
     joint_per_actuator,
+    point_to_outer,
     undistort_pixel,
 )
 from vergence.models.lens import distort, is_distorted, pinhole_ray
@@ -230,3 +231,74 @@ def triangulate(
     _add_pixel_noise(covariance, p, 0, left_eye.camera, pixels[0], pixel_sigma[0], crossing)
     _add_pixel_noise(covariance, p, 1, right_eye.camera, pixels[1], pixel_sigma[1], crossing)
     _add_joint_noise(covariance, p, left_eye, right_eye, joint_sigma, crossing)
+
+
+DEFAULT_DEPTH_M: Final = 1.0
+"""Depth if triangulation fails, m (chosen: the geometric mean of `DEPTH_RANGE_M`)."""
+DEPTH_RANGE_M: Final = (0.1, 10.0)
+"""Least and greatest triangulated depth, m (chosen: the depth scales only the small translational
+part of the image Jacobian)."""
+
+
+class RayDepths(NamedTuple):
+    """Depths of a target along both rays, metres; `valid` is True if they are triangulated."""
+
+    left: float
+    right: float
+    valid: bool
+
+
+@inlined
+def ray_from_pixel_error(
+    p: PackedHead, eye: int, camera: Pose, error_u_px: float, error_v_px: float
+) -> Ray:
+    """Compute the ray in N of an image's pixel error.
+
+    Args:
+        p: a packed head.
+        eye: 0 for left, 1 for right.
+        camera: pose of that eye's camera in N at the exposure.
+        error_u_px: undistorted pixel less principal point along u, px; nan if not visible.
+        error_v_px: undistorted pixel less principal point along v, px; nan if not visible.
+
+    Returns:
+        The ray. Its direction has unit z in the camera, so the distance along it is the depth.
+    """
+    lens = camera_of(p, eye)
+    tip = point_to_outer(camera, error_u_px / lens.focal_u, error_v_px / lens.focal_v, 1.0)
+    origin = (camera.x, camera.y, camera.z)
+    return Ray(origin, (tip[0] - camera.x, tip[1] - camera.y, tip[2] - camera.z))
+
+
+@inlined
+def rays_from_pixel_errors(
+    p: PackedHead, left: Pose, right: Pose, error: FloatArray
+) -> tuple[Ray, Ray]:
+    """Compute the rays in N of both images' pixel errors.
+
+    Args:
+        p: a packed head.
+        left: pose of the left camera in N at the exposure.
+        right: pose of the right camera in N at the exposure.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
+
+    Returns:
+        The left and the right ray, see `ray_from_pixel_error`.
+    """
+    return (
+        ray_from_pixel_error(p, 0, left, error[0, 0], error[0, 1]),
+        ray_from_pixel_error(p, 1, right, error[1, 0], error[1, 1]),
+    )
+
+
+@inlined
+def depths_on_rays(left: Ray, right: Ray) -> RayDepths:
+    """Triangulate the depths along both rays, clipped to `DEPTH_RANGE_M`; else the default."""
+    s, t, found = distances_to_perpendicular(left, right)
+    if not found:
+        return RayDepths(DEFAULT_DEPTH_M, DEFAULT_DEPTH_M, False)
+    return RayDepths(
+        min(max(s, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1]),
+        min(max(t, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1]),
+        True,
+    )

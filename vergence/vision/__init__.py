@@ -2,7 +2,6 @@
 
 from vergence.models.camera import Camera
 from vergence.vision.detection import Detection, Detector
-from vergence.vision.detectors import make_detector
 from vergence.vision.drawing import TargetRenderer
 from vergence.vision.image import as_grey, read_image
 from vergence.vision.tag_families import AprilGrid
@@ -17,7 +16,7 @@ from vergence.vision.targets import (
     make_planar_target,
     parse_target,
 )
-from vergence.vision.tracking import Tracker
+from vergence.vision.tracking import Tracker, make_detector
 
 EyeCamera = Camera
 """Former name of `Camera`."""

@@ -30,10 +30,84 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.camera import LINEAR, Camera, light_table
 from vergence.models.parts import Rendering
-from vergence.vision.blur import gaussian_radius_and_sigma, motion_blur_kernel
-from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import ray_table
 from vergence.vision.targets import PlanarTarget, outline_m, texture
+
+
+def gaussian_radius_and_sigma(wanted_sigma: float) -> tuple[int, float]:
+    """Radius of a Gaussian kernel and the sigma that gives its taps the wanted standard deviation.
+
+    A kernel of three taps costs half as much as one of five and reaches a variance of 2/3.
+    """
+    share = 0.5 * wanted_sigma**2
+    if share < 0.01:
+        return 0, 0.0
+    if share < 0.36:
+        share = min(share, 0.333)
+        return 1, math.sqrt(-0.5 / math.log(share / (1 - 2 * share)))
+    return round(2.5 * wanted_sigma), wanted_sigma
+
+
+def motion_blur_kernel(displacement: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Kernel of a uniform motion: a line through its centre with a displacement in samples."""
+    count = max(math.ceil(4 * math.hypot(displacement[0], displacement[1])), 2)
+    fraction = (np.arange(count) + 0.5) / count - 0.5
+    half_x, half_y = (math.ceil(0.5 * abs(value)) + 1 for value in displacement.tolist())
+    x, y = fraction * displacement[0] + half_x, fraction * displacement[1] + half_y
+    kernel = np.zeros((2 * half_y + 1, 2 * half_x + 1), np.float32)
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    for column, row, weight in (
+        (left, top, (left + 1 - x) * (top + 1 - y)),
+        (left + 1, top, (x - left) * (top + 1 - y)),
+        (left, top + 1, (left + 1 - x) * (y - top)),
+        (left + 1, top + 1, (x - left) * (y - top)),
+    ):
+        np.add.at(kernel, (row, column), weight / count)
+    return kernel
+
+
+NOISE_MEAN: Final = 128
+"""Stored level of noise 0 (numerical: middle of 8 bits)."""
+NOISE_UNIT: Final = 24.0
+"""Stored levels per standard deviation; 127 levels cover five of them (chosen: resolution
+against clipping)."""
+
+
+def noise_window(
+    rng: np.random.Generator, shape: tuple[int, int], longest_side_px: int
+) -> NDArray[np.uint8]:
+    """Independent normal numbers for the pixels of a region.
+
+    Sampling normal numbers for each frame would cost as much as rendering the board. Instead they
+    come from a bank, a fixed table of normal numbers that is equal in every process; the frame's
+    generator picks the region's start in it among more than a million positions. The noise of a
+    pixel is then independent from frame to frame, except if two windows start within a few pixels
+    of each other, about once in 10,000 pairs of frames.
+
+    Args:
+        rng: generator that picks the start; one number is drawn.
+        shape: (height, width) of the region.
+        longest_side_px: longest side of the frame, which determines the size of the bank.
+
+    Returns:
+        Numbers stored as ``NOISE_MEAN + NOISE_UNIT * n``, n standard normal; a read-only view of
+        the given shape.
+    """
+    bank = _bank(max(2048, 1 << (longest_side_px + longest_side_px // 2 - 1).bit_length()))
+    height, width = shape
+    columns = bank.shape[1] - width
+    y, x = divmod(int(rng.integers((bank.shape[0] - height) * columns)), columns)
+    return bank[y : y + height, x : x + width]
+
+
+@lru_cache(maxsize=2)
+def _bank(side: int) -> NDArray[np.uint8]:
+    numbers = np.random.default_rng(side).standard_normal((side, side), np.float32)
+    bank = np.rint(NOISE_MEAN + NOISE_UNIT * numbers).clip(0, 255)
+    levels: NDArray[np.uint8] = bank.astype(np.uint8)
+    levels.setflags(write=False)
+    return levels
+
 
 _LEAST_DEPTH_M: Final = 0.02
 """Smallest depth of a board's corner at which it is drawn, m (chosen: near views against

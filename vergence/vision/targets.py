@@ -9,12 +9,13 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Final, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.vision.tag_families import UNPRINTED, AprilGrid, TagFamilyCode, tag_family
@@ -515,3 +516,22 @@ def _positive(text: str) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise _FormError
     return value
+
+
+def stated_edge_m(target: PlanarTarget) -> float:
+    """Stated edge of a board's squares, of a grid's tags, or of a tag."""
+    if isinstance(target, AprilGrid):
+        return target.tag_m
+    return target.edge_m if isinstance(target, AprilTag) else target.square_m
+
+
+@lru_cache(maxsize=64)
+def neighbour_pairs(target: PlanarTarget) -> NDArray[np.intp]:
+    """(k, 2) pairs of corners that are one edge apart on the board."""
+    if isinstance(target, AprilGrid):  # gaps between tags are not edges
+        first = np.arange(len(target.corners_m))
+        return np.column_stack([first, first - first % 4 + (first + 1) % 4])
+    pairs = cKDTree(target.corners_m).query_pairs(
+        1.01 * stated_edge_m(target), output_type="ndarray"
+    )
+    return np.asarray(pairs[np.lexsort(pairs.T[::-1])])

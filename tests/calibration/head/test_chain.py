@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import vergence
 from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.chain import ParametricHead, board_points_and_offsets
+from vergence.calibration.head.adjust import ParametricHead, board_points_and_offsets
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
 FRAMES = 4

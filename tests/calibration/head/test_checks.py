@@ -7,7 +7,7 @@ import pytest
 
 import vergence
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.checks import remark_on_few_views
+from vergence.calibration.head.judge import remark_on_few_views
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS

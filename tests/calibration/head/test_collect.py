@@ -7,14 +7,19 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head.advice import advise_recording, image_coverage_percent
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.collect import CollectOptions, collect
-from vergence.calibration.head.preview import DEPTHS_M, depth_sigma_m, preview_calibration
-from vergence.calibration.head.prior import parameter_prior_sigma
+from vergence.calibration.head.collect import (
+    DEPTHS_M,
+    CollectOptions,
+    advise_recording,
+    collect,
+    depth_sigma_m,
+    image_coverage_percent,
+    preview_calibration,
+)
+from vergence.calibration.head.fit import parameter_prior_sigma
 from vergence.calibration.head.recording import read_recording
-from vergence.calibration.head.simulated import simulate_recording
-from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
+from vergence.calibration.head.simulated import SimulatedLooker, board_ahead, simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.recording.log import read_log

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights
-from vergence.calibration.head.chain import ParametricHead
+from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights, ParametricHead
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.parts import EYE_NAMES

@@ -11,10 +11,8 @@ import pytest
 import vergence
 from tests.calibration.head.recordings import log_frames, log_view
 from tests.naming import named
-from vergence.calibration.head.calibrate_head import sort_and_clean_frames
-from vergence.calibration.head.recording import read_recording
-from vergence.calibration.head.simulated import simulate_recording
-from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
+from vergence.calibration.head.recording import read_recording, sort_and_clean_frames
+from vergence.calibration.head.simulated import SimulatedLooker, board_ahead, simulate_recording
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter

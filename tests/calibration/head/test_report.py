@@ -12,11 +12,11 @@ from tests.calibration.test_report import Page
 from vergence.calibration.head import report
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.depth import points_ahead, points_at_angles, predict_depth_errors
-from vergence.calibration.head.observability import UnobservableDirection
+from vergence.calibration.head.judge import UnobservableDirection
 from vergence.calibration.head.report import left_out_views, result_document, write_run
 from vergence.calibration.head.simulated import simulate_recording
-from vergence.eval.head_reach import midpoint_between_cameras
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
+from vergence.models.posture import midpoint_between_cameras
 from vergence.reporting.runs import run_folder_command
 from vergence.reporting.text import format_number
 from vergence.triangulation import triangulate_gaze, triangulate_views

@@ -28,7 +28,7 @@ from tests.vision.scenes import (
 from vergence.models.camera import camera_matrix
 from vergence.models.parts import Rendering
 from vergence.vision import Camera, Checkerboard, Detection, make_detector
-from vergence.vision.boards.corners import crossing_asymmetries
+from vergence.vision.corners import crossing_asymmetries
 
 
 def board(columns: int, rows: int, *, rim: bool = True) -> Checkerboard:

@@ -9,7 +9,7 @@ from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import Image, Scene, defocus, rig, scene
 from vergence.vision import Checkerboard, make_detector
-from vergence.vision.boards.clusters import find_corner_clusters
+from vergence.vision.checkerboards import find_corner_clusters
 
 SIZES = [(3, 3), (5, 4), (9, 6), (12, 9)]
 

@@ -7,8 +7,7 @@ import pytest
 from benchmarks.real_light import Scene, in_space, on_sheet
 from tests.vision.scenes import rms
 from vergence.vision import TagFamily, make_detector
-from vergence.vision.tag_families import tag_family
-from vergence.vision.tags.library import find_squares
+from vergence.vision.tag_families import find_squares, tag_family
 
 SIZE_M, HALF_M = 0.15, 0.075
 IMAGE = (640, 480)

@@ -10,8 +10,16 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import rms_length
 from vergence.calibration.head.adjust import HeadAdjustment
-from vergence.calibration.head.backlash import with_backlash
-from vergence.calibration.head.checks import (
+from vergence.calibration.head.fit import (
+    HeadSolution,
+    estimate_consensus_board_poses,
+    fit_robustly,
+    parameter_prior_sigma,
+)
+from vergence.calibration.head.judge import (
+    find_new_placement,
+    find_small_board_motion,
+    head_and_term_covariance,
     refuse_few_poses,
     refuse_fixed_eyes,
     refuse_implausible_solution,
@@ -19,17 +27,15 @@ from vergence.calibration.head.checks import (
     remark_on_changed_baseline,
     remark_on_few_views,
 )
-from vergence.calibration.head.fit import fit_robustly
-from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.held_out import cross_validate_by_pose
-from vergence.calibration.head.moved import find_new_placement, find_small_board_motion
-from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.reading_terms import ReadingErrorTerms
-from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, estimate_consensus_board_poses
-from vergence.calibration.head.terms import AUTO, choose_terms, convert_for_terms
-from vergence.calibration.head.uncertainty import head_and_term_covariance
-from vergence.calibration.observations import alike_views
+from vergence.calibration.head.recording import HeadFrames, sort_and_clean_frames
+from vergence.calibration.head.terms import (
+    AUTO,
+    choose_terms,
+    convert_for_terms,
+    cross_validate_by_pose,
+    with_backlash,
+)
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import NECK, FloatArray
@@ -215,19 +221,6 @@ def calibrate_head(
         held_out_mean_squares=views,
         recording_remarks=(*remarks, *remark_on_few_views(start.frames, fit.kept_corners)),
     )
-
-
-def sort_and_clean_frames(frames: HeadFrames) -> HeadFrames:
-    """Sort frames by time; leave out those without the board, and all but one of a head at rest."""
-    order = np.argsort(frames.time_s, kind="stable")
-    frames = frames.select(order)
-    shown = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).any(axis=0)
-    fresh = np.ones(len(shown), bool)
-    same = np.unique(frames.joint_positions, axis=0, return_inverse=True)[1].ravel()
-    for group in np.flatnonzero(np.bincount(same) > 1):
-        here = np.flatnonzero(same == group)
-        fresh[here[list(alike_views(frames.pixels[:, here], frames.sigma[:, here]))]] = False
-    return frames.select(shown & fresh)
 
 
 def _noisy(solution: HeadSolution) -> list[str]:

@@ -1,36 +1,230 @@
-"""Recording for a head calibration: the head looks at a board in many postures."""
+"""Collect the poses of a head calibration: plan, look, judge, and preview what they determine."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.gathered import RawRecording
-from vergence.calibration.head.logged import (
+from vergence.calibration.adjustment import BoardPoses
+from vergence.calibration.head.adjust import HeadAdjustment
+from vergence.calibration.head.fit import (
+    board_in_cameras,
+    estimate_consensus_board_poses,
+    fit_robustly,
+    parameter_prior_sigma,
+)
+from vergence.calibration.head.judge import head_and_term_covariance
+from vergence.calibration.head.recording import (
     AT_REST,
     HEAD_IDENTITY,
     PLACEMENT,
     SUFFIX,
     TARGET,
+    HeadFrames,
+    RawRecording,
+    clean_and_renumber_frames,
     list_logs,
     read_logs,
 )
-from vergence.calibration.head.plan import EstimatedBoard, PosePlanner, estimate_board_by_last_views
-from vergence.calibration.head.preview import CalibrationPreview, preview_calibration
-from vergence.calibration.head.recording import clean_and_renumber_frames
 from vergence.errors import ConfigurationError
 from vergence.files import hold_lock
 from vergence.models.head import HeadModel
-from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.perception.located import equivalent_corner_orders
+from vergence.models.parts import EYE_NAMES, EYES, NECK, FloatArray
+from vergence.perception.locate import equivalent_corner_orders
 from vergence.recording.looking import BoardView, Looker
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
+from vergence.triangulation import triangulate_views
 from vergence.vision.targets import PlanarTarget
+
+_CANDIDATES: Final = 400
+"""Random postures from which the next one is chosen (chosen: more take longer)."""
+_MARGINS: Final = (0.1, 0.05, 0.02)
+"""Margins around the board in the image, in image widths, tried in this order (chosen: a head that
+is not yet calibrated may look some degrees beside, each about 9 px of 640)."""
+_KNOWN_MARGINS: Final = (0.025, 0.015)
+"""Margins once the head is known well, in image widths (chosen: room for the detector)."""
+_FARTHEST_NECK_RAD: Final = 0.6
+"""Largest angle of a neck joint from rest, rad (chosen: the eyes can compensate for it, and it is
+moderate for a resting body)."""
+_EYE_OFFSET_RAD: Final = 0.1
+"""Largest random offset of an eye actuator from the fixation of one point, rad (chosen)."""
+_LIMIT_DISTANCE_RAD: Final = 1e-3
+"""Distance of actuators to their limits, beyond the dither, rad (chosen)."""
+_NECK_WEIGHT: Final = 0.5
+"""Weight of the neck's whole range relative to the board crossing the whole image (chosen)."""
+
+
+class EstimatedBoard(NamedTuple):
+    """A head model, and the corners of the board in frame 0 as each eye of that head sees them."""
+
+    head: HeadModel
+    """The estimated head."""
+    corners_by_eye: FloatArray
+    """(2, n, 3) the board's corners in frame 0, m, as seen by each eye of that head."""
+    is_fitted: bool
+    """True if head and corners come from a fit to many views."""
+
+    def pixels(self, q: FloatArray) -> FloatArray:
+        """(..., 2, n, 2) predicted corners in both eyes at joint angles (..., 7), px."""
+        T_0_N = self.head.base_pose(q)[..., None, :, :]
+        found = []
+        for eye in range(2):
+            inside = (self.corners_by_eye[eye] - T_0_N[..., :3, 3]) @ T_0_N[..., 0, :3, :3]
+            found.append(self.head.project(q[..., None, :], inside)[..., eye, :])
+        return np.stack(found, axis=-3)
+
+
+def estimate_board_by_last_views(head: HeadModel, frames: HeadFrames) -> EstimatedBoard:
+    """Board by the last view of each eye, whose error recurs in its next; else the other's."""
+    enough = frames.seen.sum(axis=-1) >= 4
+    T_0_N = head.base_pose(frames.joint_positions)
+    T_0_C = T_0_N[:, None] @ head.camera_poses(frames.joint_positions)
+    corners: list[FloatArray | None] = [None, None]
+    for eye, poses in enumerate(board_in_cameras(head, frames)):
+        if enough[eye].any():
+            last = int(np.flatnonzero(enough[eye])[-1])
+            inside = frames.corners @ poses.rotation[last].T + poses.translation[last]
+            corners[eye] = inside @ T_0_C[last, eye, :3, :3].T + T_0_C[last, eye, :3, 3]
+    there = [
+        one if one is not None else other for one, other in zip(corners, corners[::-1], strict=True)
+    ]
+    return EstimatedBoard(head, np.array(there, dtype=np.float64), False)
+
+
+class PosePlanner:
+    """Chooser of postures unlike (k, 7) earlier ones, with a dither of each actuator, rad."""
+
+    def __init__(self, rng: np.random.Generator, dither_rad: float, used: FloatArray) -> None:
+        self._rng, self._keep = rng, dither_rad + _LIMIT_DISTANCE_RAD
+        self._used = list(used)
+
+    def next_pose(self, scene: EstimatedBoard) -> FloatArray:
+        """(7,) rad, most different from earlier postures, the board inside both images."""
+        size = scene.head.cameras.size
+        q = self._candidates(scene)
+        pixels = scene.pixels(q)
+        for margin in _KNOWN_MARGINS if scene.is_fitted else _MARGINS:
+            room = margin * size[:, None, :1]
+            high = size[:, None] - 1.0 - room
+            inside = ((pixels > room) & (pixels < high)).all(axis=(1, 2, 3))
+            if inside.any():
+                chosen = self._farthest(scene, q[inside])
+                self._used.append(chosen)
+                return chosen
+        raise ConfigurationError(
+            "expected a board that fits into both images at once, got one that does not, however "
+            "the head turns: put it farther away, or before the middle of the head"
+        )
+
+    def _candidates(self, scene: EstimatedBoard) -> FloatArray:
+        """(k, 7) random joint angles with the board somewhere near both images."""
+        rng, head = self._rng, scene.head
+        own, rest = head.actuation, head.rest()
+        neck = np.clip(
+            rest[NECK] + rng.uniform(-1.0, 1.0, (_CANDIDATES, 3)) * _FARTHEST_NECK_RAD,
+            own.lower[NECK],
+            own.upper[NECK],
+        )
+        stretched = np.zeros((_CANDIDATES, 7))
+        stretched[:, NECK] = neck
+        T_0_N = head.base_pose(stretched)
+        middle = scene.corners_by_eye.mean(axis=(0, 1))
+        there = np.einsum("kji,kj->ki", T_0_N[:, :3, :3], middle - T_0_N[:, :3, 3])
+        half_view = 0.5 * head.cameras.size.min(axis=0) / head.cameras.focal.max(axis=0)
+        aside = rng.uniform(-1.0, 1.0, (_CANDIDATES, 2)) * half_view
+        there[:, :2] += aside * np.linalg.norm(there, axis=-1, keepdims=True)
+        q = own.actuators_of(np.nan_to_num(head.fixate(there, neck)))
+        q[:, EYES] += rng.uniform(-_EYE_OFFSET_RAD, _EYE_OFFSET_RAD, (_CANDIDATES, 4))
+        return self._held(head, q)
+
+    def _held(self, head: HeadModel, actuators: FloatArray) -> FloatArray:
+        """Clip actuators off their limits, and return joint angles."""
+        own = head.actuation
+        keep = np.minimum(self._keep, 0.5 * (own.upper - own.lower))
+        return own.joints_of(np.clip(actuators, own.lower + keep, own.upper - keep))
+
+    def _farthest(self, scene: EstimatedBoard, q: FloatArray) -> FloatArray:
+        """Choose the posture farthest from the nearest used one, by `_features`."""
+        if not self._used:
+            return np.asarray(q[0])
+        away = _features(scene, q)[:, None] - _features(scene, np.array(self._used))
+        nearest = np.linalg.norm(away, axis=-1).min(axis=1)
+        return np.asarray(q[int(nearest.argmax())])
+
+
+def _features(scene: EstimatedBoard, q: FloatArray) -> FloatArray:
+    """(k, 7) features to compare postures: the board's position in both images, and the neck."""
+    places = np.nan_to_num(scene.pixels(q).mean(axis=-2) / scene.head.cameras.size)
+    neck = _NECK_WEIGHT / (2.0 * _FARTHEST_NECK_RAD) * q[:, NECK]
+    return np.concatenate([places.reshape(len(q), -1), neck], axis=-1)
+
+
+DEPTHS_M: Final = (1.0, 2.5)
+"""Distances straight ahead at which depth is judged, m (chosen: the range of use)."""
+_STEP_SIGMAS: Final = 1e-3
+"""Step of finite differences, in standard deviations of each parameter (numerical)."""
+
+
+class CalibrationPreview(NamedTuple):
+    """Preliminary calibration from the recording so far."""
+
+    head: HeadModel
+    """The fitted head."""
+    values: FloatArray
+    """(p,) its parameters, see `HeadModel.parameters`."""
+    boards: BoardPoses
+    """(b) poses of the board in frame 0."""
+    depth_percent: FloatArray
+    """(2,) standard deviation of depth at `DEPTHS_M` ahead that comes from the head's parameters,
+    in per cent of the depth."""
+
+
+def preview_calibration(
+    head: HeadModel, frames: HeadFrames, previous: CalibrationPreview | None = None
+) -> CalibrationPreview | None:
+    """Fit a head to frames so far, from `previous`; None if they do not determine a head yet."""
+    try:
+        begin = estimate_consensus_board_poses(head, frames)
+        problem = HeadAdjustment(head, parameter_prior_sigma(head), begin.frames)
+        near = problem.start(begin.boards)
+        if previous is not None:
+            near = near._replace(head_parameters=previous.values)
+        found = fit_robustly(problem, begin.boards, begin.inlier_views, near).solution
+        covariance = head_and_term_covariance(found)
+    except np.linalg.LinAlgError:
+        return None
+    sigma = depth_sigma_m(head, found.state.head_parameters, covariance)
+    values = found.state.head_parameters
+    if not np.isfinite(sigma).all():
+        return None
+    return CalibrationPreview(
+        found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M)
+    )
+
+
+def depth_sigma_m(
+    nominal_head: HeadModel, values: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """(2,) sigma, m, along N's z of points `DEPTHS_M` ahead, from (p, p) covariance alone."""
+    head = nominal_head.with_parameters(values)
+    ahead = np.array([[0.0, 0.0, depth_m] for depth_m in DEPTHS_M])
+    points = ahead + head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+    q = head.fixate(points, head.rest()[NECK])
+    pixels = head.project(q, points)
+    steps = np.diag(_STEP_SIGMAS * np.sqrt(np.diagonal(covariance)))
+    changed = nominal_head.with_parameters((values + np.stack([steps, -steps]))[:, :, None])
+    depth = triangulate_views(changed, q, pixels).point[..., 2]
+    by_step = (depth[0] - depth[1]) / 2.0  # (p, 2)
+    # in units of the steps
+    scale = 1.0 / np.diagonal(steps)
+    correlation = covariance * scale[:, None] * scale
+    squares: FloatArray = np.einsum("id,ij,jd->d", by_step, correlation, by_step)
+    return np.sqrt(squares)
+
 
 _DITHER_RAD: Final = np.deg2rad(0.3).item()
 """Largest dither of an actuator about a pose, rad (chosen: several quantisation steps of a 12-bit
@@ -382,3 +576,53 @@ def _directions(head: HeadModel) -> Iterator[FloatArray]:
         if all(np.abs(q - one).max() > _SAME_POSTURE_RAD for one in taken):
             taken.append(q)
             yield q
+
+
+_CELLS: Final = 4
+"""Cells along each side of an image in which coverage is counted (chosen)."""
+_ENOUGH_COVERAGE_PERCENT: Final = 80.0
+"""Percentage of cells that is enough coverage (chosen)."""
+_UNMOVED_RANGE_RAD: Final = 0.1
+"""Range of angles up to which a joint counts as unmoved, rad (chosen: 6 degrees)."""
+_FAR_M: Final = 1.5
+"""Distance of a board that is far enough to calibrate depth far away, m (chosen)."""
+
+
+def image_coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
+    """(2,) by eye, percentage of the cells of the image that have had a corner."""
+    found = []
+    for eye in range(2):
+        seen = frames.pixels[eye][frames.seen[eye]]
+        cell = np.clip(_CELLS * (seen + 0.5) / head.cameras.size[eye], 0, _CELLS - 1).astype(int)
+        found.append(100.0 * len(np.unique(cell, axis=0)) / _CELLS**2)
+    return np.array(found)
+
+
+def advise_recording(
+    head: HeadModel, recording: CollectedRecording, frames: HeadFrames
+) -> list[str]:
+    """Advise how to make the recording more informative, a line each."""
+    lines = []
+    there = np.array([bool(name) for name in head.joints[NECK]])
+    ranges = np.ptp(frames.joint_positions[:, NECK], axis=0)
+    if there.any() and not (ranges[there] > _UNMOVED_RANGE_RAD).any():
+        lines.append(
+            "the neck has not moved: where the eyes sit in the neck stays as it was believed"
+        )
+    if not frames.placement.any():
+        lines.append(
+            "the board stood in one place: put it at another distance, and run this again with "
+            "--moved"
+        )
+    if recording.preview is not None:
+        eyes = (head.base_pose(head.rest()) @ head.camera_poses(head.rest()))[:, :3, 3].mean(axis=0)
+        away = np.linalg.norm(recording.preview.boards.translation - eyes, axis=-1)
+        if away.max() < _FAR_M:
+            lines.append(
+                f"the board was never farther than {away.max():.2g} m: one beyond {_FAR_M:g} m "
+                "determines depth far away better"
+            )
+    for eye, percent in zip(EYE_NAMES, image_coverage_percent(head, frames), strict=True):
+        if percent < _ENOUGH_COVERAGE_PERCENT:
+            lines.append(f"the board was seen in {percent:.0f} % of the {eye} image alone")
+    return lines

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from vergence.calibration.head.calibrate_head import HeadCalibration
-from vergence.eval.head_reach import fixation_angles_and_visibility, midpoint_between_cameras
 from vergence.models.parts import FloatArray
+from vergence.models.posture import fixation_angles_and_visibility, midpoint_between_cameras
 from vergence.triangulation import triangulate_views
 
 _STEP_SIGMAS: Final = 1e-3

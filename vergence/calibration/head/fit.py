@@ -1,16 +1,302 @@
-"""Robust fit of a head to frames of a board: outlier corners, views and readings are left out."""
+"""Fit a head to its frames: start values, priors, the bundle adjustment and what it drops."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
-from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, MeasurementWeights
-from vergence.calibration.head.solution import FIRST_CAUCHY_SCALE, HeadSolution, solve
-from vergence.calibration.head.start import LEAST_CORNERS
+from vergence.calibration.adjustment import (
+    BoardPoses,
+    BundleAdjustment,
+    CameraRig,
+    camera_parameter_names,
+)
+from vergence.calibration.cameras import estimate_board_poses
+from vergence.calibration.head.adjust import (
+    HeadAdjustment,
+    HeadUnknowns,
+    MeasurementWeights,
+    ReducedNormalEquations,
+)
+from vergence.calibration.head.recording import LEAST_CORNERS, HeadFrames
+from vergence.models.head import HeadModel
 from vergence.models.parts import NECK, FloatArray
+from vergence.models.perturbation import ModelErrors, standard_deviations
+from vergence.perception.locate import equivalent_corner_orders
+
+PRIOR: Final = ModelErrors(
+    # errors of lengths from a ruler and a drawing
+    link_m=0.003,
+    head_eye_m=0.005,
+    # bent or printed brackets
+    coaxiality_rad=np.deg2rad(1.0).item(),
+    # a servo horn fits its spline in steps of 15 degrees; the error after it was set by eye
+    joint_offset_rad=np.deg2rad(3.0).item(),
+    head_eye_rad=np.deg2rad(3.0).item(),
+    focal_relative=0.05,
+    principal_px=20.0,
+    distortion=0.1,
+)
+"""Prior standard deviations (chosen: they matter only for directions that the recording does not
+determine)."""
+_COEFFICIENT_SIGMA: Final = {"p1": 0.005, "p2": 0.005}
+"""Prior standard deviations of lens coefficients, by name (chosen)."""
+_OTHER_COEFFICIENT_SIGMA: Final = 0.1
+"""Prior standard deviation of other lens coefficients (chosen)."""
+
+
+def parameter_prior_sigma(head: HeadModel, estimate_cameras: bool = True) -> FloatArray:
+    """(p,) prior sigmas of parameters; cameras' from the head's record if any, or 0: fixed."""
+    names = head.parameters().names
+    spreads = standard_deviations(head.geometry, PRIOR)
+    record = head.calibration
+    for place, name in enumerate(names):
+        own = name.rpartition(".")[2]
+        if ".camera." not in name:
+            continue
+        if spreads[place] == 0.0:
+            spreads[place] = _COEFFICIENT_SIGMA.get(own, _OTHER_COEFFICIENT_SIGMA)
+        if record is not None and name in record.sigma:
+            spreads[place] = record.sigma[name]
+        if not estimate_cameras:
+            spreads[place] = 0.0
+    return spreads
+
+
+_MOST_CANDIDATES: Final = 300
+"""Most views of one placement that are compared pairwise (numerical)."""
+
+
+def single_camera_rig(head: HeadModel, eye: int) -> CameraRig:
+    """Make a rig of one eye's camera."""
+    cameras = head.cameras
+    lens = cameras.lens[eye]
+    count = len(camera_parameter_names(lens)) - 4
+    values = [cameras.focal[eye], cameras.principal[eye], cameras.distortion[eye][:count]]
+    return CameraRig.single(lens, np.concatenate(values))
+
+
+def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[BoardPoses]:
+    """Find the board's pose in each camera, frame by frame; a placeholder without the board."""
+    found = []
+    for eye in range(2):
+        only = slice(eye, eye + 1)
+        problem = BundleAdjustment(frames.corners, frames.pixels[only], frames.sigma[only])
+        width, height = head.cameras.size[eye].tolist()
+        found.append(estimate_board_poses(problem, single_camera_rig(head, eye), (width, height)))
+    return found
+
+
+class InitialBoardPoses(NamedTuple):
+    """Initial poses of the board, on which most views agree."""
+
+    frames: HeadFrames
+    """Frames with the corners of rotationally symmetric boards in one order."""
+    boards: BoardPoses
+    """(b) poses of the board in frame 0."""
+    inlier_views: NDArray[np.bool_]
+    """(2, f) True for views that agree with these poses."""
+    spread_m: float
+    """Median rms distance of these views' corners from the poses' corners; median over
+    placements."""
+
+
+def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> InitialBoardPoses:
+    """Find the poses of the board on which most views agree, through a given head."""
+    places, turns, shifts = board_corners_and_poses_in_base(head, frames)
+    orders = equivalent_corner_orders(frames.target)
+    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
+    enough &= np.isfinite(places).all(axis=(-2, -1))  # pixels outside the lens's range
+    rotations, translations, spreads = [], [], []
+    pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
+    inlier_views = np.zeros(enough.shape, dtype=bool)
+    for place in range(int(frames.placement.max()) + 1):
+        here = np.argwhere(enough & (frames.placement == place))
+        if not len(here):
+            raise np.linalg.LinAlgError(
+                "expected views that determine where the board is, got none"
+            )
+        best, away, order = _medoid(places, here, orders)
+        rotations.append(turns[best])
+        translations.append(shifts[best])
+        near = away <= 4.0 * np.quantile(away, 0.25) + 0.25 * _size(frames)
+        spreads.append(float(np.median(away[near])))
+        for (eye, frame), its, close in zip(here.tolist(), order.tolist(), near, strict=True):
+            inlier_views[eye, frame] = close
+            pixels[eye, frame] = frames.pixels[eye, frame][orders[its]]
+            sigma[eye, frame] = frames.sigma[eye, frame][orders[its]]
+    return InitialBoardPoses(
+        replace(frames, pixels=pixels, sigma=sigma),
+        BoardPoses(np.array(rotations), np.array(translations)),
+        inlier_views,
+        float(np.median(spreads)),
+    )
+
+
+def board_corners_and_poses_in_base(
+    head: HeadModel, frames: HeadFrames
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(2, f, n, 3) corners, m, and pose (2, f, 3, 3), (2, f, 3) in frame 0, or placeholders."""
+    T_0_C = head.base_pose(frames.joint_positions)[:, None] @ head.camera_poses(
+        frames.joint_positions
+    )
+    places, turns, shifts = [], [], []
+    for eye, seen in enumerate(board_in_cameras(head, frames)):
+        T = T_0_C[:, eye]
+        turn = T[:, :3, :3] @ seen.rotation
+        shift = (T[:, :3, :3] @ seen.translation[..., None])[..., 0] + T[:, :3, 3]
+        turns.append(turn)
+        shifts.append(shift)
+        places.append(frames.corners @ turn.transpose(0, 2, 1) + shift[:, None])
+    return np.stack(places), np.stack(turns), np.stack(shifts)
+
+
+def _medoid(
+    places: FloatArray, here: NDArray[np.intp], orders: Sequence[NDArray[np.intp]]
+) -> tuple[tuple[int, int], FloatArray, NDArray[np.intp]]:
+    """Find the medoid view, the views' distances to it, and their corner orders."""
+    some = here[:: -(-len(here) // _MOST_CANDIDATES)]
+    sets = places[some[:, 0], some[:, 1]]
+    most = np.ptp(sets[0], axis=0).max()
+    away = np.min([_distance(sets[:, None], sets[None][:, :, order]) for order in orders], axis=0)
+    eye, frame = some[int(np.minimum(away, most).mean(axis=1).argmin())].tolist()
+    every = places[here[:, 0], here[:, 1]]
+    by_order = np.array([_distance(every[:, order], places[eye, frame]) for order in orders])
+    return (eye, frame), by_order.min(axis=0), by_order.argmin(axis=0)
+
+
+def _size(frames: HeadFrames) -> float:
+    return float(np.ptp(frames.corners, axis=0).max())
+
+
+def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(...) root mean square distance between corners (..., n, 3), m."""
+    return np.asarray(np.sqrt(((one - other) ** 2).sum(axis=-1).mean(axis=-1)))
+
+
+_MOST_STEPS: Final = 60
+"""Largest number of Levenberg-Marquardt steps (numerical)."""
+_COST_TOLERANCE: Final = 1e-3
+"""Change of the cost below which the adjustment ends; an error of one standard deviation in one
+parameter changes the cost by 1 (numerical)."""
+_COST_ROUNDING: Final = 1e-9
+"""Relative change of the cost that counts as rounding (numerical)."""
+_ROBUST_TOLERANCE: Final = 1e-3
+"""Relative change of the cost below which a robust fit ends, as a fit to the inliers follows
+(numerical)."""
+FIRST_CAUCHY_SCALE: Final = 1e4
+"""Typical mean square of a corner's residuals with the nominal head, in units of sigma^2 (chosen:
+it corresponds to errors of degrees)."""
+_SCALE_UPDATE_RATIO: Final = 0.7
+"""Ratio to its old value below which the typical mean square replaces it (chosen)."""
+_MOST_DAMPING: Final = 1e9
+"""Damping above which the adjustment ends (numerical)."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeadSolution:
+    """Unknowns with the least cost, the normal equations there, and the weights used."""
+
+    problem: HeadAdjustment
+    state: HeadUnknowns
+    normal: ReducedNormalEquations
+    weights: MeasurementWeights
+
+    @cached_property
+    def head(self) -> HeadModel:
+        """The fitted head."""
+        return self.problem.nominal_head.with_parameters(self.state.head_parameters)
+
+    @cached_property
+    def squares(self) -> FloatArray:
+        """(2, f, n) mean square of each corner's residuals, in sigma^2; nan if not found."""
+        seen = self.problem.frames.seen
+        return np.where(seen, 0.5 * (self.normal.residuals**2).sum(axis=-1), np.nan)
+
+    @cached_property
+    def normalised_reading_errors(self) -> FloatArray:
+        """(f, 7) reading errors of single frames over their prior sigma; 0 for shared ones."""
+        own = self.problem.reading_error_unknowns
+        sigma = np.where(own.reading_sigma > 0.0, own.reading_sigma, 1.0)
+        return np.where(own.has_frame_error, self.state.frame_errors / sigma, 0.0)
+
+    @cached_property
+    def reduced_chi(self) -> float:
+        """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
+        counted: NDArray[np.bool_] = self.problem.frames.seen & (self.weights.corners > 0.0)
+        own = (
+            self.problem.reading_error_unknowns.has_frame_error
+            & np.asarray(counted.any(axis=(0, 2)))[:, None]
+        )
+        # effective number of parameters: a reading error counts by its reduction of variance
+        taken = float((own * (1.0 - self.reading_variance_ratio)).sum()) + self.problem.shared_count
+        measured = 2.0 * float(counted.sum())
+        return float(np.sqrt(2.0 * self.squares[counted].sum() / max(measured - taken, 1.0)))
+
+    @cached_property
+    def reading_variance_ratio(self) -> FloatArray:
+        """(f, 7) ratio of posterior to prior variance of the reading errors, shared ones fixed."""
+        sigma = self.problem.reading_error_unknowns.reading_sigma
+        inner = np.diagonal(np.linalg.inv(self.normal.frame_normal_matrices), axis1=1, axis2=2)
+        return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
+
+
+def solve(
+    problem: HeadAdjustment,
+    start: HeadUnknowns,
+    weights: MeasurementWeights,
+    *,
+    cauchy_scale: float = np.inf,
+    tolerance: float = _COST_TOLERANCE,
+) -> HeadSolution:
+    """Least squares by Levenberg and Marquardt; `cauchy_scale`, sigma^2, damps misfits."""
+    robust = np.isfinite(cauchy_scale)
+    weights = weights._replace(cauchy_scale=cauchy_scale)
+    state, now = start, problem.linearised(start, weights)
+    if not np.isfinite(now.cost):
+        raise np.linalg.LinAlgError("expected a start before the cameras")
+    damping = 0.0
+    for _ in range(_MOST_STEPS):
+        larger = now.matrix.copy()
+        # damping in units of the prior: it does not hold back steps along directions that the
+        # frames hardly determine because they determine others well
+        larger[np.diag_indices(problem.shared_count)] += damping * problem.prior_information
+        step = -cho_solve(cho_factor(larger), now.gradient)
+        moved = problem.moved(state, now, step)
+        try:
+            then = problem.linearised(moved, weights)
+        except np.linalg.LinAlgError:  # a step behind a camera
+            then = now._replace(cost=np.inf)
+        change = now.cost - then.cost
+        if change >= 0.0:
+            state, now = moved, then
+            damping *= 0.1
+            cauchy_scale = _typical_weighted_square(problem, now, weights)
+            if robust and cauchy_scale < _SCALE_UPDATE_RATIO * weights.cauchy_scale:
+                weights = weights._replace(cauchy_scale=cauchy_scale)
+                now = problem.linearised(state, weights)
+            elif change < max(
+                tolerance, (_ROBUST_TOLERANCE if robust else _COST_ROUNDING) * now.cost
+            ):
+                break
+        else:
+            damping = max(10.0 * damping, 1.0)
+            if damping > _MOST_DAMPING:
+                break
+    return HeadSolution(problem, state, now, weights)
+
+
+def _typical_weighted_square(
+    problem: HeadAdjustment, now: ReducedNormalEquations, weights: MeasurementWeights
+) -> float:
+    """Typical (median) mean square of a corner's residuals, in units of sigma^2; at least 1."""
+    counted = problem.frames.seen & (weights.corners > 0.0)
+    return max(0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1))), 1.0)
+
 
 _INLIER_GATE: Final = 5.0
 """Gate on a corner's residual or a reading's error, in standard deviations (chosen)."""

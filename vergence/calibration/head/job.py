@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from vergence.calibration.head.calibrate_head import HeadCalibration, calibrate_head
-from vergence.calibration.head.observability import UnobservableDirection, unobservable_directions
+from vergence.calibration.head.judge import UnobservableDirection, unobservable_directions
 from vergence.calibration.head.recording import HeadRecording
 from vergence.calibration.head.report import result_document, write_run
 from vergence.errors import ConfigurationError

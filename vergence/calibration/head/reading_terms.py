@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.head.frames import SAME_POSE_RAD, HeadFrames
+from vergence.calibration.head.recording import SAME_POSE_RAD, HeadFrames
 from vergence.models.head import HeadModel
 from vergence.models.parts import NECK, FloatArray
 

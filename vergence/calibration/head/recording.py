@@ -1,19 +1,563 @@
-"""Recordings of a head in front of a board: logs of a robot, or photographs with joint angles."""
+"""What a head calibration works on: frames at joint angles, from photographs or a robot's log."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vergence.calibration.head.calibrate_head import sort_and_clean_frames
-from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.logged import list_logs, read_logs
-from vergence.calibration.head.photographed import holds_photographs, read_photographs
-from vergence.errors import ConfigurationError
+from vergence.calibration.observations import (
+    BoardObservations,
+    alike_views,
+    detect_board_corners,
+    parse_board,
+)
+from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.head import HeadModel
+from vergence.models.parts import EYE_NAMES, NECK, FloatArray
+from vergence.perception.photographs import (
+    Row,
+    join_first_names,
+    natural_sort_key,
+    pair_up,
+    parse_finite_number,
+    parse_joint_angles,
+    read_pair_rows,
+)
+from vergence.recording.log import Log, read_log
+from vergence.recording.looking import BoardView
+from vergence.recording.schema import LoggedDetection
+from vergence.triangulation import Noise
 from vergence.vision.targets import PlanarTarget
+
+IntArray = NDArray[np.intp]
+SAME_POSE_RAD: Final = 0.026
+"""Bound on the difference of frames of one pose in every joint, rad (chosen: 1.5 degrees, between
+the dither of some tenths of a degree and the distance of poses of some degrees)."""
+_STILL_POSE_FRACTION: Final = 0.8
+"""Fraction of the poses in which a joint's reading must not change for the joint to count as one
+without dither (chosen)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeadFrames:
+    """Frames of a head in front of a board, in the order of time."""
+
+    target: PlanarTarget
+    time_s: FloatArray
+    """(f,) times of the exposures, s."""
+    joint_positions: FloatArray
+    """(f, 7) joint angles that were read, rad."""
+    pixels: FloatArray
+    """(2, f, n, 2) raw pixels of the board's corners by eye; nan for those that were not found."""
+    sigma: FloatArray
+    """(2, f, n, 2) their standard deviations, px."""
+    placement: IntArray
+    """(f,) number of the board's placement in frame 0, from 0 on: a change means that the board was
+    moved."""
+
+    def select(self, frames: NDArray[np.bool_] | IntArray) -> "HeadFrames":
+        """Select some of the frames."""
+        return HeadFrames(
+            target=self.target, time_s=self.time_s[frames],
+            joint_positions=self.joint_positions[frames],
+            pixels=self.pixels[:, frames], sigma=self.sigma[:, frames],
+            placement=self.placement[frames],
+        )  # fmt: skip
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """(n, 3) the board's corners relative to their middle, metres."""
+        flat = np.column_stack([self.target.corners_m, np.zeros(len(self.target.corners_m))])
+        return np.asarray(flat - flat.mean(axis=0))
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """(2, f, n) True for corners that were found."""
+        return np.asarray(np.isfinite(self.pixels).all(axis=-1))
+
+    @cached_property
+    def pose(self) -> IntArray:
+        """(f,) number of the pose that each frame belongs to, see `SAME_POSE_RAD`."""
+        numbers = np.zeros(len(self.time_s), dtype=np.intp)
+        first = 0
+        for frame in range(1, len(numbers)):
+            near = (
+                np.abs(self.joint_positions[frame] - self.joint_positions[first]).max()
+                < SAME_POSE_RAD
+            )
+            same = near and self.placement[frame] == self.placement[first]
+            numbers[frame] = numbers[frame - 1] + (not same)
+            if not same:
+                first = frame
+        return numbers
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingErrorUnknowns:
+    """Layout of errors: each angle of each frame has its own, shares one, or has none."""
+
+    actuator_readings: FloatArray
+    """(f, 7) actuator angles that were read, rad; the mean reading for resting joints."""
+    reading_sigma: FloatArray
+    """(7,) standard deviation of a reading, rad."""
+    has_frame_error: NDArray[np.bool_]
+    """(f, 7) True for angles with an error of the single frame."""
+    shared_error_index: IntArray
+    """(f, 7) index of the error that frames share; -1 for none."""
+    shared_error_actuator: IntArray
+    """(r,) actuator of each shared error."""
+
+    @classmethod
+    def of(cls, head: HeadModel, frames: HeadFrames) -> "ReadingErrorUnknowns":
+        """Unknown reading errors of frames in time, by the head's quantisation and backlash."""
+        own = head.actuation
+        angles = own.actuators_of(frames.joint_positions)
+        sigma = np.asarray(Noise.of(head).joint_rad)
+        step = np.maximum(own.angle_step, own.backlash)
+        moves = np.asarray(own.upper > own.lower) & (sigma > 0.0)
+        free = np.broadcast_to(moves, angles.shape).copy()
+        shared_index = np.full(angles.shape, -1, dtype=np.intp)
+        shared_actuator: list[int] = []
+        resting: list[int] = []
+        for joint in np.flatnonzero(moves).tolist():
+            places = [frames.placement == place for place in np.unique(frames.placement)]
+            if joint < NECK.stop and all(
+                np.ptp(angles[place, joint]) <= step[joint] for place in places
+            ):
+                free[:, joint] = False  # its error only shifts the board's unknown pose
+            elif _rests(angles[:, joint], frames.pose, step[joint]):
+                resting.append(joint)
+        # a joint whose reading stays while others change may have moved within its step
+        stretches = _stretches(angles[:, resting], step[resting], frames.placement)
+        for joint in resting:
+            free[:, joint] = False
+            for begin, end in stretches:
+                shared_index[begin:end, joint] = len(shared_actuator)
+                shared_actuator.append(joint)
+                angles[begin:end, joint] = angles[begin:end, joint].mean()
+        return cls(angles, sigma, free, shared_index, np.array(shared_actuator, dtype=np.intp))
+
+
+def _rests(angles: FloatArray, pose: IntArray, step: float) -> bool:
+    """Return True if a joint's reading stays within a step in most poses."""
+    spans = [
+        np.ptp(angles[pose == each])
+        for each, count in zip(*np.unique(pose, return_counts=True), strict=True)
+        if count > 1
+    ]
+    return (
+        bool(len(spans))
+        and float(np.mean(np.array(spans) <= _SAME_READING_STEPS * step)) >= _STILL_POSE_FRACTION
+    )
+
+
+def _stretches(angles: FloatArray, step: FloatArray, placement: IntArray) -> list[tuple[int, int]]:
+    """Split the frames into runs in which all readings stay within a step."""
+    found, begin = [], 0
+    for frame in range(1, len(angles) + 1):
+        if frame < len(angles) and placement[frame] == placement[begin]:
+            stretch = angles[begin : frame + 1]
+            if (np.ptp(stretch, axis=0) <= _SAME_READING_STEPS * step).all():
+                continue
+        found.append((begin, frame))
+        begin = frame
+    return found
+
+
+_SAME_READING_STEPS: Final = 1.01
+"""Steps (quantisation or backlash) within which readings count as equal: one, for an angle at the
+edge of a step, and rounding (numerical)."""
+
+
+MOST_PLACES: Final = 1000
+"""Bound on the numbers of the board's placements (chosen: larger ones are times or names)."""
+
+
+class RawRecording(NamedTuple):
+    """Content of a recording as read."""
+
+    target: PlanarTarget
+    """The board."""
+    board_views: Sequence[BoardView]
+    """(f) views in any order."""
+    placement: Sequence[int]
+    """(f) number of the board's placement for each view."""
+    files: tuple[str, ...]
+    """Names of the files that were read."""
+    remarks: tuple[str, ...] = ()
+    read_errors: tuple[str, ...] = ()
+    head_identity: str = ""
+    """Identity of the head that looked, if the logs distinguish heads with the same file."""
+
+    def frames(self) -> HeadFrames:
+        """Pack the views into arrays; corners without a pixel or a sigma count as not found."""
+        count, corners = len(self.board_views), len(self.target.corners_m)
+        pixels = np.full((2, count, corners, 2), np.nan)
+        sigma = np.full((2, count, corners, 2), np.nan)
+        for frame, board_view in enumerate(self.board_views):
+            for eye in range(2):
+                found, deviation = board_view.corners_px[eye], board_view.sigma_px[eye]
+                if found is not None and deviation is not None:
+                    pixels[eye, frame], sigma[eye, frame] = found, deviation
+        known = (np.isfinite(pixels) & np.isfinite(sigma) & (sigma > 0.0)).all(axis=-1)
+        pixels[~known] = sigma[~known] = np.nan
+        return HeadFrames(
+            target=self.target,
+            time_s=np.array(
+                [board_view.time_s for board_view in self.board_views], dtype=np.float64
+            ),
+            joint_positions=np.array(
+                [board_view.positions for board_view in self.board_views]
+            ).reshape(count, 7),
+            pixels=pixels,
+            sigma=sigma,
+            placement=np.array(self.placement, dtype=np.intp),
+        )
+
+
+AT_REST: Final = "at_rest"
+"""Name of a log's fact that is `True` if every image was taken at rest."""
+HEAD_IDENTITY: Final = "looks"
+"""Name of a log's fact that distinguishes heads with the same file."""
+PLACEMENT: Final = "placement"
+"""Name of a log's fact with the number of the board's placement."""
+TARGET: Final = "target"
+"""Name of a log's fact with the board, in the form of `parse_target`."""
+SUFFIX: Final = ".mcap"
+"""File suffix of a log."""
+_LOG_GAP_S: Final = 1.0
+"""Time from the last frame of a log to the first of the next one, s (chosen: clocks may have been
+set between them, so that their own times cannot be used)."""
+_REST_WINDOW_S: Final = 0.15
+"""Time before and after an exposure in which a joint at rest must not move, s (chosen: backlash and
+brackets have settled then)."""
+_STILL_RAD_S: Final = 0.02
+"""Speed of a joint up to which it counts as at rest, rad/s (chosen: with 5 ms between an image and
+its angles it causes 0.1 mrad, a fifteenth of a 12-bit encoder's step)."""
+
+
+def list_logs(path: Path) -> list[Path]:
+    """List a log, or the logs directly in a folder, in the order of their names."""
+    if not path.is_dir():
+        return [path]
+    found = sorted((one for one in path.iterdir() if one.suffix == SUFFIX), key=natural_sort_key)
+    if not found:
+        raise ConfigurationError(
+            f"{path}: expected logs of a robot (*{SUFFIX}) in it, or the folders left and right "
+            "with photographs, got neither"
+        )
+    return found
+
+
+def read_logs(
+    paths: Sequence[Path],
+    head: HeadModel,
+    target: PlanarTarget | None,
+    progress: Callable[[float], None] | None = None,
+) -> RawRecording:
+    """Read the board views of logs, one after the other; by default of the board they name."""
+    board_views: list[BoardView] = []
+    placement: list[int] = []
+    files, remarks, failures = [], [], []
+    looked: dict[str, str] = {}
+    begins_s, moving, unlike, cut = 0.0, 0, 0, 0
+    for number, path in enumerate(paths, 1):
+        try:
+            log = read_log(path)
+        except UnreadableFileError as error:
+            if len(paths) == 1:
+                raise
+            failures.append(str(error))
+            continue
+        target = _target_of(log, target)
+        _refuse_other_joints(log, head)
+        looked.setdefault(log.facts.get(HEAD_IDENTITY, ""), path.name)
+        if len(looked) > 1:
+            first, second = looked.values()
+            raise ConfigurationError(
+                f"{path.parent}: expected logs of one head, got {first} and {second} of different "
+                "ones: other --plant, --errors or --seed"
+            )
+        files.append(path.name)
+        found, moved = _board_views(log, head, target)
+        board_views += [one._replace(time_s=one.time_s + begins_s) for one in found]
+        placement += [_placement_of(log)] * len(found)
+        if found:
+            begins_s = board_views[-1].time_s + _LOG_GAP_S
+        moving += moved
+        unlike += log.head.digest != head.digest
+        cut += bool(log.truncation_reason)
+        if progress is not None:
+            progress(number / len(paths))
+    if target is None or not files:
+        raise ConfigurationError(f"expected logs that can be read, got none; {failures[0]}")
+    if moving:
+        remarks.append(f"{moving} images left out, as joints were moving")
+    if unlike:
+        remarks.append(
+            f"{unlike} of {len(files)} logs: the head had other numbers than {head.name}"
+        )
+    if cut:
+        remarks.append(f"{cut} of {len(files)} logs are cut off: read up to there")
+    return RawRecording(
+        target, board_views, placement, tuple(files), tuple(remarks), tuple(failures), *looked
+    )
+
+
+def _target_of(log: Log, target: PlanarTarget | None) -> PlanarTarget:
+    """Get the board of a log; refuse one that differs from the expected board."""
+    text = log.facts.get(TARGET, "")
+    if not text and target is None:
+        raise ConfigurationError(
+            f"{log.path}: expected the board among the log's facts, or as --target, got neither"
+        )
+    if not text:
+        assert target is not None
+        return target
+    try:
+        own = parse_board(text, accept_single_tag=True)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{log.path}: {error}") from error
+    if target is not None and str(own) != str(target):
+        raise ConfigurationError(f"{log.path}: target: expected {target}, got a log of {own}")
+    return own
+
+
+def _placement_of(log: Log) -> int:
+    text = log.facts.get(PLACEMENT, "0")
+    if not (text.isdecimal() and int(text) < MOST_PLACES):
+        raise ConfigurationError(
+            f"{log.path}: {PLACEMENT}: expected a whole number below {MOST_PLACES}, got "
+            f"{text!r:.40}"
+        )
+    return int(text)
+
+
+def _refuse_other_joints(log: Log, head: HeadModel) -> None:
+    if log.head.joints != head.joints:
+        own, theirs = (
+            ", ".join(dict.fromkeys(name for name in each.joints if name)) or "none"
+            for each in (head, log.head)
+        )
+        raise ConfigurationError(
+            f"{log.path}: expected a log of the head {head.name} with the joints {own}, got one of "
+            f"{log.head.name} with {theirs}"
+        )
+
+
+def _board_views(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[BoardView], int]:
+    """Read a log's board views in the order of time, from zero on, and count images in motion."""
+    count = len(target.corners_m)
+    eyes: list[list[LoggedDetection]] = [[], []]
+    moving = 0
+    still = _Still(log, head)
+    for one in log.detections:
+        if not len(one.corners_px):
+            continue
+        if len(one.corners_px) != count or len(one.corners_sigma_px) != count:
+            raise ConfigurationError(
+                f"{log.path}: /detection: expected the {count} corners of {target}, got "
+                f"{len(one.corners_px)}"
+            )
+        if not (np.isfinite(one.exposed_s) and np.isfinite(one.positions).all()):
+            continue
+        if still.at(one.exposed_s, one.positions):
+            eyes[EYE_NAMES.index(one.eye)].append(one)
+        else:
+            moving += 1
+    found = [_board_view(pair) for pair in _paired(eyes, 0.5 * head.timing.frame_s)]
+    found.sort(key=lambda one: one.time_s)
+    zero_s = found[0].time_s if found else 0.0
+    return [one._replace(time_s=one.time_s - zero_s) for one in found], moving
+
+
+class _Still:
+    """Test for rest by the measured joint angles of a log."""
+
+    def __init__(self, log: Log, head: HeadModel) -> None:
+        self._trusted = log.facts.get(AT_REST) == str(True)
+        self._own = head.actuation
+        seen = [(one.exposed_s, one.positions) for one in log.detections]
+        seen += [(one.clock_s, one.positions) for one in log.joints]
+        times = np.array([time_s for time_s, _ in seen])
+        angles = np.array([positions for _, positions in seen]).reshape(-1, 7)
+        known = np.isfinite(times) & np.isfinite(angles).all(axis=-1)
+        order = np.argsort(times[known], kind="stable")
+        self._times = times[known][order]
+        self._angles = self._own.actuators_of(angles[known][order])
+
+    def at(self, time_s: float, positions: FloatArray) -> bool:
+        """True if joints rest around a time at positions; one quantisation step is no motion."""
+        if self._trusted:
+            return True
+        first, last = np.searchsorted(
+            self._times, (time_s - _REST_WINDOW_S, time_s + _REST_WINDOW_S)
+        )
+        away = np.abs(self._angles[first:last] - self._own.actuators_of(positions))
+        after_s = np.abs(self._times[first:last] - time_s)[:, None]
+        return bool((away - self._own.angle_step <= _STILL_RAD_S * after_s + 1e-9).all())
+
+
+def _paired(
+    eyes: Sequence[Sequence[LoggedDetection]], tolerance_s: float
+) -> list[tuple[LoggedDetection | None, LoggedDetection | None]]:
+    """Pair detections of both eyes that are mutually nearest in time; keep unpaired ones too."""
+    left, right = (_once(each) for each in eyes)
+    partner: dict[int, int] = {}
+    if left and right:
+        gaps = np.abs(np.subtract.outer(_times(left), _times(right)))
+        nearest, theirs = gaps.argmin(axis=1).tolist(), gaps.argmin(axis=0).tolist()
+        partner = {
+            i: j for i, j in enumerate(nearest) if theirs[j] == i and gaps[i, j] <= tolerance_s
+        }
+    pairs: list[tuple[LoggedDetection | None, LoggedDetection | None]] = []
+    pairs += [(one, right[partner[i]] if i in partner else None) for i, one in enumerate(left)]
+    taken = set(partner.values())
+    pairs += [(None, one) for j, one in enumerate(right) if j not in taken]
+    return pairs
+
+
+def _once(detections: Sequence[LoggedDetection]) -> list[LoggedDetection]:
+    """Remove detections logged twice, which are equal to the last bit; refuse unequal ones."""
+    by_time: dict[float, LoggedDetection] = {}
+    for one in detections:
+        other = by_time.setdefault(one.exposed_s, one)
+        if not np.array_equal(one.corners_px, other.corners_px, equal_nan=True):
+            raise ConfigurationError(
+                f"expected times that tell images apart, got two of the {one.eye} eye at "
+                f"{one.exposed_s:g} s"
+            )
+    return list(by_time.values())
+
+
+def _times(detections: Sequence[LoggedDetection]) -> FloatArray:
+    return np.array([one.exposed_s for one in detections])
+
+
+def _board_view(pair: tuple[LoggedDetection | None, LoggedDetection | None]) -> BoardView:
+    there = [one for one in pair if one is not None]
+    left, right = pair
+    return BoardView(
+        float(np.mean([one.exposed_s for one in there])),
+        np.mean([one.positions for one in there], axis=0),
+        (None if left is None else left.corners_px, None if right is None else right.corners_px),
+        (
+            None if left is None else left.corners_sigma_px,
+            None if right is None else right.corners_sigma_px,
+        ),
+    )
+
+
+TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
+"""File names of the table of joint angles."""
+_TIME_COLUMN: Final = "time_s"
+_PLACEMENT_COLUMN: Final = "placement"
+
+
+def holds_photographs(path: Path) -> bool:
+    """Return True if a folder holds photographs, not logs."""
+    return path.is_dir() and any((path / eye).is_dir() for eye in EYE_NAMES)
+
+
+def read_photographs(
+    path: Path,
+    head: HeadModel,
+    target: PlanarTarget | None,
+    progress: Callable[[float], None] | None = None,
+) -> RawRecording:
+    """Read views of a folder with `left` and `right`, images named alike, and one of `TABLES`."""
+    if target is None:
+        raise ConfigurationError(
+            f"{path}: expected the board of these photographs as --target, got none"
+        )
+    tables = [path / name for name in TABLES if (path / name).exists()]
+    if len(tables) != 1:
+        raise ConfigurationError(
+            f"{path}: expected one of {', '.join(TABLES)} with the angles of each pair of images, "
+            f"got {join_first_names(table.name for table in tables) or 'none'}"
+        )
+    found = pair_up(*(path / eye for eye in EYE_NAMES))
+    names = [pair.name for pair in found.pairs]
+    rows = read_pair_rows(tables[0], names)
+    taken = [_read(head, rows[name], f"{tables[0]}: {name}") for name in names]
+    untimed = [name for name, one in zip(names, taken, strict=True) if one.time_s is None]
+    if 0 < len(untimed) < len(names):
+        raise ConfigurationError(
+            f"{tables[0]}: expected {_TIME_COLUMN} of all pairs or of none, got none of "
+            f"{join_first_names(untimed)}"
+        )
+    seen, failures = detect_board_corners(
+        target,
+        [list(each) for each in zip(*found.pairs, strict=True)],
+        progress,
+        head.cameras.response,
+    )
+    _refuse_other_sizes(path, head, seen)
+    board_views = [
+        BoardView(
+            float(view) if one.time_s is None else one.time_s,
+            one.positions,
+            (seen.pixels[0, view], seen.pixels[1, view]),
+            (seen.sigma[0, view], seen.sigma[1, view]),
+        )
+        for view, one in enumerate(taken)
+    ]
+    remarks: tuple[str, ...] = ()
+    if found.unpaired:
+        names_alone = join_first_names(one.name for one in found.unpaired)
+        remarks = (f"{len(found.unpaired)} images without a partner left out: {names_alone}",)
+    files = [str(one.relative_to(path)) for pair in found.pairs for one in pair]
+    return RawRecording(
+        target,
+        board_views,
+        [one.placement for one in taken],
+        (*files, tables[0].name),
+        remarks,
+        tuple(failures),
+    )
+
+
+class _Taken(NamedTuple):
+    """A row of the table."""
+
+    positions: FloatArray
+    """(7,) joint angles, rad."""
+    placement: int
+    """Number of the board's placement."""
+    time_s: float | None
+
+
+def _read(head: HeadModel, row: Row, where: str) -> _Taken:
+    angles = {
+        name: value for name, value in row.items() if name not in (_TIME_COLUMN, _PLACEMENT_COLUMN)
+    }
+    time_s = (
+        parse_finite_number(row[_TIME_COLUMN], f"{where}: {_TIME_COLUMN}")
+        if _TIME_COLUMN in row
+        else None
+    )
+    placement = parse_finite_number(row.get(_PLACEMENT_COLUMN, 0), f"{where}: {_PLACEMENT_COLUMN}")
+    if not (placement.is_integer() and 0 <= placement < MOST_PLACES):
+        raise ConfigurationError(
+            f"{where}: {_PLACEMENT_COLUMN}: expected a whole number below {MOST_PLACES}, got "
+            f"{row[_PLACEMENT_COLUMN]!r:.40}"
+        )
+    return _Taken(parse_joint_angles(head, angles, where), int(placement), time_s)
+
+
+def _refuse_other_sizes(path: Path, head: HeadModel, observations: BoardObservations) -> None:
+    for eye, size in zip(EYE_NAMES, observations.image_sizes, strict=True):
+        own = tuple(head.cameras.size[EYE_NAMES.index(eye)].tolist())
+        if own != size:
+            raise ConfigurationError(
+                f"{path / eye}: expected images of {own[0]} x {own[1]} px, as the head "
+                f"{head.name} has, got {size[0]} x {size[1]}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,3 +640,20 @@ def clean_and_renumber_frames(frames: HeadFrames) -> HeadFrames:
     frames = sort_and_clean_frames(frames)
     places = np.unique(frames.placement, return_inverse=True)[1]
     return replace(frames, placement=places.astype(np.intp))
+
+
+def sort_and_clean_frames(frames: HeadFrames) -> HeadFrames:
+    """Sort frames by time; leave out those without the board, and all but one of a head at rest."""
+    order = np.argsort(frames.time_s, kind="stable")
+    frames = frames.select(order)
+    shown = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).any(axis=0)
+    fresh = np.ones(len(shown), bool)
+    same = np.unique(frames.joint_positions, axis=0, return_inverse=True)[1].ravel()
+    for group in np.flatnonzero(np.bincount(same) > 1):
+        here = np.flatnonzero(same == group)
+        fresh[here[list(alike_views(frames.pixels[:, here], frames.sigma[:, here]))]] = False
+    return frames.select(shown & fresh)
+
+
+LEAST_CORNERS: Final = 4
+"""Fewest corners of a view (physical: geometry, fewer do not determine the board's pose)."""

@@ -75,8 +75,8 @@ class CalibrationOptions:
         text: Callable[["Calibration"], str],
     ) -> int:
         """Calibrate, write the result and its run folder, and print the result."""
+        from vergence.calibration.advice import advise_next_photographs
         from vergence.calibration.calibrate import calibrate
-        from vergence.calibration.coverage import advise_next_photographs
         from vergence.calibration.observations import parse_board
         from vergence.calibration.report import write_run
         from vergence.files import write_atomic
@@ -106,8 +106,7 @@ class CalibrationOptions:
 
 def print_calibration(calibration: "Calibration", out: Path) -> None:
     """Print a calibration: values, residuals, views left out, and the path of its file."""
-    from vergence.calibration.adjustment import rms_length
-    from vergence.calibration.projection import camera_parameter_names
+    from vergence.calibration.adjustment import camera_parameter_names, rms_length
     from vergence.models.parts import EYE_NAMES
 
     several = len(calibration.single_fits) > 1

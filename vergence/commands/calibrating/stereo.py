@@ -33,8 +33,7 @@ class CalibrateStereo(CalibrationOptions):
         """Run the command."""
         self.check(self.out)
         from vergence.models.head_file import check_head_name
-        from vergence.perception.pairing import pair_images
-        from vergence.perception.photographs import join_first_names, list_photographs
+        from vergence.perception.photographs import join_first_names, list_photographs, pair_images
 
         name = self.name or self.out.stem
         check_head_name(name)

@@ -10,7 +10,7 @@ from vergence.kernels import inlined
 from vergence.models.fixation import fixation_newton_step
 from vergence.models.kinematics import PackedHead, eye_frames, point_to_local
 from vergence.models.parts import FloatArray
-from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
+from vergence.triangulation.rays import depths_on_rays, rays_from_pixel_errors
 
 _RELATIVE_MODEL_SD: Final = 0.004
 """Model error of the head, standard deviation as a fraction of the angle to turn (chosen)."""

@@ -52,7 +52,7 @@ from vergence.models.kinematics import (
     has_motor_per_joint,
 )
 from vergence.models.parts import FloatArray
-from vergence.triangulation.lines_of_sight import DEFAULT_DEPTH_M
+from vergence.triangulation.rays import DEFAULT_DEPTH_M
 
 _MAX_REST_SPEED: Final = 0.005
 """Actuator speed below which no delay in question moves the image by a pixel, rad/s (chosen)."""

@@ -39,9 +39,8 @@ from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import direction_to_local, eye_frames, point_to_local
 from vergence.models.parts import FloatArray
-from vergence.vision.detectors import make_detector
 from vergence.vision.targets import make_planar_target
-from vergence.vision.tracking import Tracker
+from vergence.vision.tracking import Tracker, make_detector
 
 
 class RenderedPlant(MujocoPlant):

@@ -11,7 +11,6 @@ EXPERIMENTS: Final[dict[str, str]] = {
     "gain-sweep": "vergence.eval.article.gain_sweep.experiment:EXPERIMENT",
     "time-response": "vergence.eval.article.time_response.experiment:EXPERIMENT",
     "uncertainty": "vergence.eval.article.uncertainty.experiment:EXPERIMENT",
-    # lies in calibration, a higher layer, which imports eval
-    "head-eye": "vergence.calibration.head.article.experiment:EXPERIMENT",
+    "head-eye": "vergence.eval.article.head_eye.experiment:EXPERIMENT",
 }
 """Entry points, `module:attribute`, of the experiments by name, in the article's order."""

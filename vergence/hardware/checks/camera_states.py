@@ -16,8 +16,13 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.hardware.config import HardwareConfig
-from vergence.vision.image import suppress_opencv_log
-from vergence.vision.video import EXPOSURE_STEP_S, MANUAL_EXPOSURE, is_local_camera, open_capture
+from vergence.vision.image import (
+    EXPOSURE_STEP_S,
+    MANUAL_EXPOSURE,
+    is_local_camera,
+    open_capture,
+    suppress_opencv_log,
+)
 
 FIRST_IMAGE_TIMEOUT_S: Final = 5.0
 """Longest wait for the first image, s (chosen)."""
@@ -122,7 +127,7 @@ def measure_cameras(
 
     Args:
         requests: the cameras.
-        open: opens a camera, as `vergence.vision.video.open_capture` does.
+        open: opens a camera, as `vergence.vision.image.open_capture` does.
         clock: a monotonic clock, s; called by a thread for each camera.
         seconds: duration of the measurement of the rates, s.
 

@@ -16,7 +16,7 @@ from vergence.hardware.checks.camera_states import (
     measure_cameras,
 )
 from vergence.hardware.config import HardwareConfig
-from vergence.vision.video import is_local_camera, open_capture
+from vergence.vision.image import is_local_camera, open_capture
 
 __all__ = [
     "CameraRequest",

@@ -1,5 +1,6 @@
-"""Detect AprilTags: the AprilTag library finds squares, a fit to all edges gives their corners."""
+"""Detection of AprilTags: decoding, fit of all edges, and acceptance."""
 
+import math
 from functools import lru_cache
 from typing import Any, Final
 
@@ -11,19 +12,198 @@ from vergence import interrupts
 from vergence.models.camera import Camera, CameraResponse
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.image import smooth_for_square_search
-from vergence.vision.tag_families import UNPRINTED, TagFamilyCode, tag_family
-from vergence.vision.tags.acceptance import (
-    LEAST_EDGE_PX,
-    library_corner_sigma_px,
-    reads_as_tag,
-    refused_tag_may_be_bent,
-    shortest_edge,
+from vergence.vision.tag_families import (
+    CORRECTED_BITS,
+    UNPRINTED,
+    FoundSquare,
+    TagFamilyCode,
+    find_squares,
+    tag_family,
 )
-from vergence.vision.tags.decoding import decode_tag
-from vergence.vision.tags.fit import fit_tag
-from vergence.vision.tags.library import FoundSquare, find_squares
-from vergence.vision.tags.report import TagFit
+from vergence.vision.tags.fit import TagFit, fit_tag
 from vergence.vision.targets import AprilTag, TagFamily
+
+_THRESHOLD_WINDOW_CELLS: Final = 5
+"""Side, in cells, of the window around a cell whose lightest and darkest cell give its threshold
+(chosen: both colours in the window against shadows within it)."""
+_LEAST_DECODED_CONTRAST_GREY: Final = 8.0
+"""Smallest median contrast within these windows, grey levels (chosen: dim tags against clutter)."""
+_LEAST_BORDER_FRACTION: Final = 0.8
+"""Smallest fraction of the border's cells that have its colour (chosen: covered tags against
+clutter)."""
+
+
+def decode_tag(
+    image: NDArray[np.uint8], corners: NDArray[np.float64], code: TagFamilyCode
+) -> FoundSquare | None:
+    """Decode a square that may be a tag of a family.
+
+    The libraries fit one plane of grey levels to the whole square; the local thresholds used here
+    also read a square in which a shadow ends.
+
+    Args:
+        image: grey levels, shape (height, width).
+        corners: corners of the square, in order around it, px, shape (4, 2).
+        code: the family.
+
+    Returns:
+        The tag with the fewest wrong bits, its corners from its upper left one; None if it has more
+        wrong bits than the family corrects, or if the contrast or the border is not a tag's.
+    """
+    start = (code.total_width - code.width_at_border) // 2
+    size = code.width_at_border + 2
+    square = code.width_at_border * np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    transform = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
+    reach = code.total_width if not code.dark_inside else size
+    origin = -start if not code.dark_inside else -1
+    middles = np.arange(reach) + origin + 0.5
+    probes = np.array([[0.0, 0.0], [0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2], [0.2, -0.2]])
+    cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 1, 2) + probes
+    where = cv2.perspectiveTransform(cells.reshape(1, -1, 2), transform)
+    remap: Any = cv2.remap
+    grey = remap(
+        image, where.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    grey = grey.reshape(reach, reach, len(probes)).astype(np.float32).mean(axis=-1)
+    kernel = np.ones((_THRESHOLD_WINDOW_CELLS, _THRESHOLD_WINDOW_CELLS), np.uint8)
+    light, dark = cv2.dilate(grey, kernel), cv2.erode(grey, kernel)
+    if float(np.median(light - dark)) < _LEAST_DECODED_CONTRAST_GREY:
+        return None
+    # shadow scales levels: the geometric mean lies below white in shadow and above black in sun
+    white = grey > np.sqrt((light + 1.0) * (dark + 1.0))
+    # the border's ring has one colour in every orientation of the square
+    inner = slice(-origin, -origin + code.width_at_border)
+    ring = white[inner, inner].copy()
+    ring[1:-1, 1:-1] = not code.dark_inside
+    border_fraction = float((ring != code.dark_inside).mean())
+    if border_fraction < _LEAST_BORDER_FRACTION:
+        return None
+    x, y = code.bit_cells.T - origin
+    best: tuple[int, int, int] | None = None
+    for turn in range(4):
+        bits = np.rot90(white, turn)[y, x]
+        word = int("".join("1" if bit else "0" for bit in bits), 2)
+        wrong = np.bitwise_count(code.code_words ^ np.uint64(word))
+        number = int(np.argmin(wrong))
+        if best is None or int(wrong[number]) < best[0]:
+            best = (int(wrong[number]), number, turn)
+    assert best is not None
+    if best[0] > CORRECTED_BITS[code.name]:
+        return None
+    # after `turn` quarter turns anticlockwise, corner number `turn` is the upper left one
+    return FoundSquare(best[1], best[0], np.roll(corners, -best[2], axis=0), border_fraction)
+
+
+LEAST_EDGE_PX: Final = 8.0
+"""Shortest edge of a tag that is read, px (chosen: smaller tags against clutter)."""
+_LEAST_EXPLAINED_FRACTION: Final = 0.5
+"""Smallest fraction of the variance near the edges that the print explains (chosen: tags in bad
+light against false tags)."""
+_LEAST_CONTRAST_GREY: Final = 5.0
+"""Smallest mean contrast of a tag, grey levels of light (chosen: dim tags against noise)."""
+_LEAST_BORDER_STEP: Final = 0.1
+"""Smallest mean step of the light across the square's sides, as a fraction of the contrast. It
+rejects the inside of a border two cells wide, as in kalibr's grids, which reads like a tag
+(chosen: blurred tags against such insides)."""
+_MAX_WRONG_RIM_CELLS: Final = 1
+"""Most wrong cells in the frame around the code (chosen: dirty tags against false ones)."""
+_MAX_UNCLEAR_FRACTION: Final = 0.2
+"""Largest fraction of wrong or unclear cells in any quarter of the tag (measured: none of 789 tags
+in public photographs has more)."""
+_LIBRARY_CORNER_SIGMA: Final = (0.3, 0.015)
+"""Standard deviation of the library's own corners of a bent tag: the larger of 0.3 px in the image
+that was searched, and 0.015 of the shortest edge. Drawn tags bent by up to 8 mm in 150 had their
+worst corner 0.6 to 2.5 % of the edge off (measured: tests/vision/tags/test_bent.py)."""
+_LEAST_BENT_EXPLAINED: Final = 0.9
+"""Smallest fraction of the variance that a plane print explains of a tag on bent paper (chosen:
+bent tags against tags with a covered side)."""
+_MAX_BENT_WRONG_CELLS: Final = 5
+"""Most cells of a bent tag that a plane print reads wrong (chosen: as above)."""
+_MAX_BENT_UNCLEAR: Final = 0.25
+"""Largest fraction of unclear cells in a quarter of a bent tag (chosen: looser bounds would accept
+as many tags with a covered side)."""
+
+
+def reads_as_tag(fit: TagFit, code: TagFamilyCode) -> bool:
+    """Check that a fit is the tag that was asked for.
+
+    Args:
+        fit: fit of the tag's edges.
+        code: the tag's family.
+
+    Returns:
+        True if the print explains the light, the cells read as printed and the border is one
+        cell wide.
+    """
+    if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained_fraction < _LEAST_EXPLAINED_FRACTION:
+        return False
+    wrong, frame, unclear = fit.reading
+    if (
+        wrong > CORRECTED_BITS[code.name]
+        or frame > _MAX_WRONG_RIM_CELLS
+        or unclear > _MAX_UNCLEAR_FRACTION
+    ):
+        return False
+    return fit.relative_border_step >= _LEAST_BORDER_STEP
+
+
+def refused_tag_may_be_bent(refused_fit: TagFit) -> bool:
+    """Check if a refused fit may be of a tag on bent paper.
+
+    Args:
+        refused_fit: a fit that `reads_as_tag` refuses.
+
+    Returns:
+        True if there is no fit, or one that is nearly good: on bent paper a fit may fail to
+        converge, and a converged fit reads cells near the corners wrong.
+    """
+    wrong, frame, unclear = refused_fit.reading
+    near = (
+        wrong <= _MAX_BENT_WRONG_CELLS
+        and frame <= _MAX_WRONG_RIM_CELLS
+        and unclear <= _MAX_BENT_UNCLEAR
+    )
+    return refused_fit.contrast == 0.0 or (
+        near and refused_fit.explained_fraction >= _LEAST_BENT_EXPLAINED
+    )
+
+
+def library_corner_sigma_px(
+    image: NDArray[np.uint8], square: FoundSquare, upscaling: float, code: TagFamilyCode
+) -> float | None:
+    """Standard deviation of the library's own corners of a tag that may be bent.
+
+    Args:
+        image: grey levels, shape (height, width).
+        square: the tag as the library found it, in the pixels of `image`.
+        upscaling: pixels of `image` per pixel of the image that the library searched.
+        code: the family.
+
+    Returns:
+        Standard deviation, px; None if this is no tag. A tag has no wrong bit, `decode_tag` reads
+        the same number, and its family corrects bits: in other families clutter often reads as
+        a tag.
+    """
+    corners, edge = square.corners, shortest_edge(square.corners)
+    height, width = image.shape
+    # if the image's side cuts a tag, the library moves its corner into the image
+    cell = edge / code.width_at_border
+    inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
+    if not inside or edge < LEAST_EDGE_PX or not CORRECTED_BITS[code.name]:
+        return None
+    read = decode_tag(image, corners, code)
+    if square.wrong_bits or read is None or read.id != square.id:
+        return None
+    sigma = max(_LIBRARY_CORNER_SIGMA[0] * upscaling, _LIBRARY_CORNER_SIGMA[1] * edge)
+    # an object that covers part of a side would move its corners
+    return sigma if read.border_fraction == 1.0 else max(sigma, 0.5 * cell)
+
+
+def shortest_edge(corners: NDArray[np.float64]) -> float:
+    """Length of the shortest edge between four corners, shape (4, 2), in their unit."""
+    a, b, c, d = corners.tolist()
+    return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a))
+
 
 _OPENCV_DICTIONARIES: Final = {
     "36h11": cv2.aruco.DICT_APRILTAG_36h11,

@@ -1,4 +1,4 @@
-r"""A tag's corners, by fitting all edges of its cells to the light of the pixels at once.
+"""A tag's corners, by fitting all edges of its cells to the light of the pixels at once.
 
 A homography with eight unknowns maps the image to the tag's plane; each edge is a step blurred by a
 Gaussian. Only pixels near the edges take part (`stages`). T is the blurred print (`sample_print`)
@@ -24,8 +24,8 @@ Corners come from the edges because blur moves the corner of a print inwards, bu
 meet there.
 """
 
-from math import hypot, inf, sqrt
-from typing import Final
+from math import hypot, inf, nan, sqrt
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,32 +33,478 @@ from numpy.typing import NDArray
 from vergence.kernels import compiled, subroutine
 from vergence.models.lens import CameraRow, camera_at
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import (
+from vergence.vision.optics import (
     UndistortedView,
+    distorted_pixel,
+    grey_at,
     interpolate_ray,
     set_view_along,
+    transform_point,
     undistorted_point,
 )
-from vergence.vision.tags.bend import estimate_bend_prior_sigmas, rms_bend_coefficients
-from vergence.vision.tags.normal import block_squares_and_dof
-from vergence.vision.tags.report import NO_FIT, TagFit, report_fit
-from vergence.vision.tags.stages import ALL, BEND, NARROW, WIDE, FitStage, begin_stage, tag_scale
-from vergence.vision.tags.steps import (
-    PrintResiduals,
-    compare_print,
-    gauss_newton_step,
-    reset_line_search,
-)
-from vergence.vision.tags.workspace import (
+from vergence.vision.tags.samples import (
+    ALL,
+    BEND,
     BEND_START,
     MAX_UNKNOWNS,
+    NARROW,
     WHITE_SPREAD_INDEX,
+    WIDE,
+    Blocks,
+    FitBuffers,
+    FitStage,
     FitState,
     SearchRegion,
     TagPrint,
+    TagScale,
     allocate_buffers,
+    begin_stage,
+    point_in_half_edges,
     side_lengths,
+    tag_scale,
 )
+from vergence.vision.tags.steps import (
+    PrintResiduals,
+    bend_by_coefficient,
+    bend_displacement,
+    block_squares_and_dof,
+    cholesky_solve,
+    compare_print,
+    estimate_bend_prior_sigmas,
+    gauss_newton_step,
+    reset_line_search,
+    rms_bend_coefficients,
+)
+
+_LEAST_CONTRAST_GREY: Final = 5.0
+"""Smallest contrast between light and dark around a cell that is read, grey levels (chosen: dim
+boards against noise)."""
+_LEAST_CELL_CONTRAST: Final = 0.1
+"""Smallest distance of a correct cell from the middle between light and dark, as a fraction of
+their difference (chosen: bad light against wrong cells)."""
+_CLEAR_CELL_CONTRAST: Final = 0.25
+"""Smallest such distance of a clear cell (chosen: bad light against covered cells)."""
+_MAX_LEVEL_RADIUS_CELLS: Final = 2
+"""Cells to each side, at most, that give the levels for a cell (chosen: both colours present
+against shadows)."""
+_PROBE_CELLS: Final = (0.22, 0.36)
+"""Smallest and largest distance of a cell's samples from its centre, along both axes, cells. If a
+square was found beside its true edges, the samples far from the centre show it (chosen: this
+against blur)."""
+_EDGE_BLURS: Final = 1.4
+"""Distance of the samples from the edge of their cell, standard deviations of the blur (chosen: as
+above)."""
+
+
+class CellReading(NamedTuple):
+    """Counts of a print's cells that are read wrong or not clearly."""
+
+    wrong_cells: int
+    """Cells that do not have the colour that is printed there."""
+    wrong_rim_cells: int
+    """Wrong cells on the rectangle's rim, which is common to all tags of a family."""
+    worst_quarter_unclear: float
+    """Fraction of the cells in the worst quarter that are wrong or near the middle between light
+    and dark. It is large if a square was found beside its true edges, because something covers one
+    of its sides."""
+
+
+@subroutine
+def compare_cells(
+    image: NDArray[np.uint8],
+    light_by_grey: FloatArray,
+    H: FloatArray,
+    white_spread_and_bend: FloatArray,
+    camera: CameraRow,
+    view: UndistortedView,
+    cells: FloatArray,
+    blur_cells: float,
+    left_cells: float,
+    top_cells: float,
+    width_cells: float,
+    height_cells: float,
+    ignored_ring_cells: int,
+    ring_gives_levels: bool,
+    greys: FloatArray,
+) -> CellReading:
+    """Compare the cells in the image with the print.
+
+    Args:
+        image: grey levels.
+        light_by_grey: (256,) light of each grey level, or that level to compare these.
+        H: (3, 3) homography to the image, see `square_to_image_homography`, from the
+            rectangle that `left_cells`, `top_cells`, `width_cells` and `height_cells` define.
+        white_spread_and_bend: (13,) the sheet's spread and bend, see `bend_displacement`.
+        camera: the eye's camera.
+        view: the undistorted plane.
+        cells: (rows, columns) 0 black to 1 white, nan not compared.
+        blur_cells: standard deviation of the blur, cells.
+        left_cells: cells from the print's left edge to the rectangle.
+        top_cells: cells from the print's upper edge to the rectangle.
+        width_cells: the rectangle's width, cells.
+        height_cells: the rectangle's height, cells.
+        ignored_ring_cells: width of the print's outer ring that is not compared, cells: a quiet
+            zone may be cut.
+        ring_gives_levels: True if that ring still gives levels that other cells are compared with.
+        greys: (rows, columns) scratch array.
+
+    Returns:
+        Counts over the cells that are compared and lie in the image.
+    """
+    rows, columns = cells.shape
+    far = min(max(0.5 - _EDGE_BLURS * blur_cells, _PROBE_CELLS[0]), _PROBE_CELLS[1])
+    for j in range(rows):
+        for i in range(columns):
+            greys[j, i] = 0.0
+            if cells[j, i] != cells[j, i]:
+                continue
+            if (
+                not ring_gives_levels
+                and min(i, j, columns - 1 - i, rows - 1 - j) < ignored_ring_cells
+            ):
+                greys[j, i] = nan
+                continue
+            for probe in range(5):
+                dx = 0.0 if probe == 0 else (far if probe < 3 else -far)
+                dy = 0.0 if probe == 0 else (far if probe % 2 else -far)
+                x = 2.0 * (i + 0.5 + dx - left_cells) / width_cells - 1.0
+                y = 2.0 * (j + 0.5 + dy - top_cells) / height_cells - 1.0
+                dx, dy = bend_displacement(white_spread_and_bend, x, y)
+                u, v = transform_point(H, x - dx, y - dy)
+                u, v = distorted_pixel(camera, view, u, v)
+                grey = grey_at(image, u, v)
+                level = int(grey) if grey < 255.0 else 254
+                light, next_light = light_by_grey[level], light_by_grey[level + 1]
+                greys[j, i] += 0.2 * (light + (grey - level) * (next_light - light))
+    wrong = frame = 0
+    unclear, compared = np.zeros(4), np.zeros(4)
+    sharp = 0.5 - _EDGE_BLURS * blur_cells >= _PROBE_CELLS[0]
+    for j in range(rows):
+        for i in range(columns):
+            if min(i, j, columns - 1 - i, rows - 1 - j) < ignored_ring_cells:
+                continue
+            if not (cells[j, i] == cells[j, i] and greys[j, i] == greys[j, i]):
+                continue
+            light = dark = lights = darks = 0.0
+            # the smallest neighbourhood with both colours: a shadow may end anywhere
+            for around in range(1, _MAX_LEVEL_RADIUS_CELLS + 1):
+                light = dark = lights = darks = 0.0
+                for row in range(max(j - around, 0), min(j + around + 1, rows)):
+                    for column in range(max(i - around, 0), min(i + around + 1, columns)):
+                        if greys[row, column] != greys[row, column]:
+                            continue
+                        if cells[row, column] > 0.5:
+                            light += greys[row, column]
+                            lights += 1.0
+                        elif cells[row, column] <= 0.5:
+                            dark += greys[row, column]
+                            darks += 1.0
+                if lights > 0.0 and darks > 0.0:
+                    break
+            if lights == 0.0 or darks == 0.0:
+                continue
+            light, dark = light / lights, dark / darks
+            beyond = greys[j, i] - 0.5 * (light + dark)
+            if cells[j, i] <= 0.5:
+                beyond = -beyond
+            contrast = light - dark
+            quarter = (2 if 2 * j >= rows else 0) + (1 if 2 * i >= columns else 0)
+            compared[quarter] += 1.0
+            if contrast < _LEAST_CONTRAST_GREY or beyond <= _LEAST_CELL_CONTRAST * contrast:
+                wrong += 1
+                unclear[quarter] += 1.0
+                x, y = i - left_cells, j - top_cells
+                on_side = (x == 0.0 or x == width_cells - 1.0) and 0.0 <= y <= height_cells - 1.0
+                if on_side or (
+                    (y == 0.0 or y == height_cells - 1.0) and 0.0 <= x <= width_cells - 1.0
+                ):
+                    frame += 1
+            elif sharp and beyond <= _CLEAR_CELL_CONTRAST * contrast:
+                unclear[quarter] += 1.0
+    most = 0.0
+    for k in range(4):
+        most = max(most, unclear[k] / max(compared[k], 1.0))
+    return CellReading(wrong, frame, most)
+
+
+class TagFit(NamedTuple):
+    """Quality of a fit."""
+
+    contrast: float
+    """Mean contrast of all blocks, grey levels of light; 0 if nothing was fitted."""
+    explained_fraction: float
+    """Fraction of the variance near the edges that the print explains."""
+    reading: CellReading
+    max_corner_move_px: float
+    """Largest distance, along u or v, of a corner from its expected position."""
+    max_sigma_px: float
+    """Largest standard deviation of a point."""
+    relative_border_step: float
+    """Mean step of the light across the square's sides, as a fraction of the contrast: 1 for a
+    sharp print, 0 if the border is wider than the square."""
+
+
+NO_FIT: Final = TagFit(0.0, 0.0, CellReading(0, 0, 0.0), 0.0, 0.0, 0.0)
+"""Result of a fit that failed (numerical)."""
+_BEND_STEPS: Final = 4
+"""Steps of a fixed-point iteration that inverts a bend (numerical)."""
+_SHARPENED_RESIDUAL: Final = 0.03
+"""Residual, as a fraction of the contrast, at which the variance of a bent tag's centre is doubled:
+sharpening and compression, which leave large residuals, look like small bends (measured: flat
+sheets of tags in public photographs against drawn ones)."""
+_MAX_CENTRE_BEND: Final = 0.09
+"""Largest distance from the crossing of the diagonals to the middle of a bent tag, half edges;
+beyond it the print is not as assumed, and the centre is the crossing, with this distance in its
+sigma. Tags bent by 7 mm in 150 have up to 0.086 (measured: tests/vision/tags/test_bent.py)."""
+_MAX_OUTSIDE_CELLS: Final = 0.4
+"""Largest distance of a corner beyond the image's side, cells: the middle of the border's cells is
+still in the image, and the edges' lines give the corner (chosen: tags at the side against cut
+ones)."""
+_INSIDE_OFFSET_CELLS: Final = 0.5
+"""Distance inside a side at which light is sampled, cells (chosen: the middle of the border)."""
+_OUTSIDE_OFFSET_CELLS: Final = 0.3
+"""Distance outside a side at which light is sampled, cells: a quiet zone that is narrower than a
+cell is still white there (chosen: such zones against blur)."""
+
+
+@subroutine
+def report_fit(
+    region: SearchRegion,
+    camera: CameraRow,
+    tag: TagPrint,
+    scale: TagScale,
+    state: FitState,
+    buffers: FitBuffers,
+    residuals: PrintResiduals,
+    block_count: int,
+    unknown_count: int,
+    pixel_variance: float,
+    extra_corner_variance: float,
+    start_corners: FloatArray,
+    points: FloatArray,
+    sigmas: FloatArray,
+) -> TagFit:
+    """Report a fit that has converged.
+
+    Args:
+        region: the image.
+        camera: the eye's camera.
+        tag: the print.
+        scale: size of the tag in the image.
+        state: the tag's pose, blurs and bend.
+        buffers: working arrays after the last step.
+        residuals: residuals before that step.
+        block_count: number of blocks.
+        unknown_count: number of unknowns that were sought.
+        pixel_variance: variance of a pixel.
+        extra_corner_variance: variance of a corner that no unknown models, px^2.
+        start_corners: (4, 2) expected corners, px.
+        points: (5, 2) result: the corners and the centre, px.
+        sigmas: (5, 2) result: their standard deviations, px.
+
+    Returns:
+        Quality of the fit; `NO_FIT` if a point is too far outside of the image or undetermined.
+    """
+    height, width = region.image.shape
+    moved = largest = 0.0
+    reach = 0.5 + _MAX_OUTSIDE_CELLS * scale.cell_px
+    for k in range(5):
+        x, y = _before_bend(state.white_spread_and_bend, *point_in_half_edges(k))
+        variance, more = pixel_variance, extra_corner_variance
+        if k == 4:
+            more *= 0.25  # the centre lies between four corners
+            if unknown_count == MAX_UNKNOWNS:
+                variance *= (
+                    1.0 + residuals.pixel_variance / (_SHARPENED_RESIDUAL * residuals.contrast) ** 2
+                )
+            if hypot(x, y) > _MAX_CENTRE_BEND:
+                more += (x * x + y * y) * (0.5 * scale.shortest_edge_px) ** 2
+                x = y = 0.0
+        u, v = transform_point(state.H, x, y)
+        a, b, c = _covariance_of(buffers.normal_matrix, unknown_count, state.G, u, v, x, y)
+        a, b, c = variance * a + more, variance * b, variance * c + more
+        u, v, sigma_u, sigma_v = _to_image(camera, region.undistorted_view, u, v, a, b, c)
+        points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
+        if not (-reach < u < width - 1.0 + reach and -reach < v < height - 1.0 + reach):
+            return NO_FIT
+        if not sigma_u + sigma_v < inf:
+            return NO_FIT
+        largest = max(largest, max(sigma_u, sigma_v))
+        if k < 4:
+            moved = max(moved, max(abs(u - start_corners[k, 0]), abs(v - start_corners[k, 1])))
+    explained = _explained(buffers.blocks, block_count)
+    reading = _read(region, camera, tag, scale, state)
+    share = explained / (explained + residuals.unexplained_squares)
+    border_step = _step_across_sides(region, camera, tag, state) / residuals.contrast
+    return TagFit(residuals.contrast, share, reading, moved, largest, border_step)
+
+
+@subroutine
+def _before_bend(white_spread_and_bend: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """Point of the plane that the bend moves to a point of the print, half edges."""
+    flat_x, flat_y = x, y
+    for _ in range(_BEND_STEPS):
+        dx, dy = bend_displacement(white_spread_and_bend, flat_x, flat_y)
+        flat_x, flat_y = x - dx, y - dy
+    return flat_x, flat_y
+
+
+@subroutine
+def _step_across_sides(
+    region: SearchRegion, camera: CameraRow, tag: TagPrint, state: FitState
+) -> float:
+    """Mean step of the light across the square's sides, positive if its sign is as printed."""
+    first, cell = (len(tag.cells) - tag.side_cells) // 2, 2.0 / tag.side_cells
+    before, beyond = 1.0 - _INSIDE_OFFSET_CELLS * cell, 1.0 + _OUTSIDE_OFFSET_CELLS * cell
+    total = 0.0
+    for k in range(tag.side_cells):
+        along = (k + 0.5) * cell - 1.0
+        for side in (-1.0, 1.0):
+            total += _light_at(region, camera, state, side * beyond, along)
+            total -= _light_at(region, camera, state, side * before, along)
+            total += _light_at(region, camera, state, along, side * beyond)
+            total -= _light_at(region, camera, state, along, side * before)
+    printed = tag.cells[first - 1, first - 1] - tag.cells[first, first]
+    return float(printed * total / (4.0 * tag.side_cells))
+
+
+@subroutine
+def _light_at(
+    region: SearchRegion, camera: CameraRow, state: FitState, x: float, y: float
+) -> float:
+    """Light at a point of the tag's plane, half edges; 0 outside of the image."""
+    dx, dy = bend_displacement(state.white_spread_and_bend, x, y)
+    u, v = transform_point(state.H, x - dx, y - dy)
+    u, v = distorted_pixel(camera, region.undistorted_view, u, v)
+    grey = grey_at(region.image, u, v)
+    return float(region.light_by_grey[int(grey + 0.5)]) if grey >= 0.0 else 0.0
+
+
+@subroutine
+def _explained(blocks: Blocks, block_count: int) -> float:
+    """Weighted sum of squares over all pixels that the print explains."""
+    sums, levels, weights, total = blocks.moments, blocks.levels, blocks.weights, 0.0
+    for k in range(block_count):
+        contrast = levels[k, 1]
+        if contrast > 0.0:
+            n, t, tt = sums[k, 0], sums[k, 1], sums[k, 2]
+            total += weights[k] * contrast * contrast * (tt - t * t / n)
+    return total
+
+
+@subroutine
+def _read(
+    region: SearchRegion, camera: CameraRow, tag: TagPrint, scale: TagScale, state: FitState
+) -> CellReading:
+    """Read a tag's cells; without the quiet zone's levels, or by light, if fewer are wrong so.
+
+    Blur averages light: between white cells, black is lighter in grey levels than midway.
+    """
+    cells, border = tag.cells, float(tag.side_cells)
+    offset = 0.5 * (len(cells) - tag.side_cells)
+    ring, greys = 1 if len(cells) == tag.side_cells + 2 else 0, np.empty(cells.shape)
+    blur = max(state.blurs_px[0], state.blurs_px[1]) / scale.cell_px
+    reading = CellReading(0, 0, 0.0)
+    levels = np.arange(256.0)
+    for way in range(3):
+        if way == 1 and ring == 0:
+            continue
+        if way == 2:
+            levels[:] = region.light_by_grey
+        other = compare_cells(
+            region.image, levels, state.H, state.white_spread_and_bend, camera,
+            region.undistorted_view, cells, blur,
+            offset,
+            offset, border, border, ring, way != 1, greys,
+        )  # fmt: skip
+        if way == 0 or other.wrong_cells < reading.wrong_cells:
+            reading = other
+        if reading.wrong_cells == 0:
+            break
+    return reading
+
+
+@subroutine
+def _to_image(
+    camera: CameraRow, view: UndistortedView, u: float, v: float, a: float, b: float, c: float
+) -> tuple[float, float, float, float]:
+    """Map a point and its standard deviations from the undistorted plane to the image.
+
+    Args:
+        camera: the eye's camera.
+        view: the undistorted plane.
+        u: u of the point, undistorted.
+        v: v of the point, undistorted.
+        a: variance of u, undistorted.
+        b: covariance.
+        c: variance of v.
+
+    Returns:
+        The pixel, and the standard deviations.
+    """
+    if view.has_lens:
+        left_u, left_v = distorted_pixel(camera, view, u - 0.5, v)
+        right_u, right_v = distorted_pixel(camera, view, u + 0.5, v)
+        above_u, above_v = distorted_pixel(camera, view, u, v - 0.5)
+        below_u, below_v = distorted_pixel(camera, view, u, v + 0.5)
+        p, q, r, s = right_u - left_u, below_u - above_u, right_v - left_v, below_v - above_v
+        a, c = (
+            p * p * a + 2.0 * p * q * b + q * q * c,
+            r * r * a + 2.0 * r * s * b + s * s * c,
+        )
+    u, v = distorted_pixel(camera, view, u, v)
+    return u, v, sqrt(a), sqrt(c)
+
+
+@subroutine
+def _covariance_of(
+    factor: FloatArray, used: int, G: FloatArray, u: float, v: float, x: float, y: float
+) -> tuple[float, float, float]:
+    """Covariance J N^-1 J^T of the image of a point of the plane, for pixels of variance 1.
+
+    Args:
+        factor: lower Cholesky factor of N.
+        used: number of unknowns that were sought.
+        G: (3, 3) homography to the tag's plane.
+        u: u of the point, undistorted.
+        v: v of the point, undistorted.
+        x: x of the point in the tag's plane.
+        y: y of the point in the tag's plane.
+
+    Returns:
+        The variance of u, the covariance, the variance of v.
+    """
+    J, column = np.empty((2, MAX_UNKNOWNS)), np.empty(MAX_UNKNOWNS)
+    g, h = G[2, 0], G[2, 1]
+    w = g * u + h * v + G[2, 2]
+    # derivatives of the plane's coordinates with respect to pixels
+    a, b = (G[0, 0] - x * g) / w, (G[0, 1] - x * h) / w
+    c, d = (G[1, 0] - y * g) / w, (G[1, 1] - y * h) / w
+    det = a * d - b * c
+    for j in range(MAX_UNKNOWNS):
+        by_x = x if j == 0 else y if j == 1 else 1.0 if j == 2 else 0.0
+        by_y = x if j == 3 else y if j == 4 else 1.0 if j == 5 else 0.0
+        if j == 6:
+            by_x, by_y = -x * x, -x * y
+        if j == 7:
+            by_x, by_y = -x * y, -y * y
+        if j >= BEND_START:
+            by_x, by_y = bend_by_coefficient(j - BEND_START, x, y)
+        J[0, j] = -(d * by_x - b * by_y) / det
+        J[1, j] = -(a * by_y - c * by_x) / det
+    first = across = second = 0.0
+    for r in range(2):
+        for j in range(MAX_UNKNOWNS):
+            column[j] = J[r, j]
+        cholesky_solve(factor, column, used)
+        for j in range(used):
+            if r == 0:
+                first += J[0, j] * column[j]
+                across += J[1, j] * column[j]
+            else:
+                second += J[1, j] * column[j]
+    return first, across, second
+
 
 _LATER_END_STEP_PX: Final = 0.02
 """Corner step, px, below which a later stage ends: the next full step would be a tenth of it

@@ -8,10 +8,9 @@ from numpy.typing import ArrayLike
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.vision.detectors import make_detector
 from vergence.vision.drawing import TargetRenderer
 from vergence.vision.targets import board_pose, make_planar_target
-from vergence.vision.tracking import Tracker
+from vergence.vision.tracking import Tracker, make_detector
 
 
 def board_poses_in_eyes(head: HeadModel, q: ArrayLike, point: ArrayLike) -> FloatArray:

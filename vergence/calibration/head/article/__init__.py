@@ -1,1 +1,0 @@
-"""The experiment of `vergence reproduce` that calibrates the article's head, above `eval`."""

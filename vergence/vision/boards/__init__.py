@@ -1,1 +1,0 @@
-"""Detection of checkerboards, ChArUco boards and AprilGrids by corners where four squares meet."""

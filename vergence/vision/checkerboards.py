@@ -1,0 +1,614 @@
+"""Detection of checkerboards: OpenCV's search, in clusters of corners first, and refinement."""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.vision.corners import (
+    Grid,
+    board_continues_beyond,
+    corner_sigmas,
+    crossing_asymmetries,
+    estimate_corner_scatter_px,
+    estimate_noise_grey,
+    is_even_unmirrored_grid,
+    loo_residuals_and_scales,
+    refine_corners,
+    refine_corners_robustly,
+    remaining_move_px,
+    shortest_square_edge_px,
+    square_centres,
+    squares_alternate,
+)
+from vergence.vision.detection import Detection, Detector
+from vergence.vision.image import smooth_for_square_search
+from vergence.vision.optics import FlatView, IdentityView
+from vergence.vision.targets import Checkerboard
+
+_BLUR_PX: Final = 1.2
+"""Standard deviation of the smoothing before derivatives, px (chosen: noise against small
+squares)."""
+_SADDLE_WINDOW_PX: Final = 5
+"""Side of the square in which only the strongest saddle is kept, px (chosen)."""
+_LEAST_SADDLE_STRENGTH: Final = 1.5
+"""Least strength of a saddle: minus the determinant of the Hessian, (grey levels / px^2)^2
+(chosen)."""
+_MOST_SADDLES: Final = 4000
+"""Most saddles that are kept, the strongest (chosen: time)."""
+_CIRCLE_RADIUS_PX: Final = 4.0
+"""Radius of the circle of samples around a saddle, px (chosen: inside the smallest squares)."""
+_CIRCLE_SAMPLES: Final = 16
+"""Samples on the circle (numerical)."""
+_LEAST_RANGE_GREY: Final = 6
+"""Least range of the samples on the circle, grey levels (chosen: above noise)."""
+_LEAST_CROSS_RATIO: Final = 1.5
+"""Least ratio of the contrast between crossed pairs of quadrants to that between opposite sides,
+which is 0 at an ideal corner (chosen)."""
+_NEIGHBOUR_COUNT: Final = 8
+"""Number of nearest saddles that are considered as neighbours (chosen)."""
+_MAX_AXIS_COSINE: Final = -0.5
+"""Largest cosine of twice the angle between the light axes of neighbours; -1 if perpendicular
+(chosen)."""
+_MAX_EDGE_AXIS_COSINE: Final = 0.8
+"""Largest absolute cosine of twice the angle between a light axis and the edge; 0 at 45 degrees
+(chosen)."""
+_EDGE_SAMPLE_FRACTIONS: Final = (0.3, 0.5, 0.7)
+"""Positions of the samples along an edge, as fractions of its length (chosen)."""
+_EDGE_SAMPLE_OFFSET: Final = 0.2
+"""Distance of the samples from an edge, as a fraction of its length (chosen)."""
+_LEAST_SAMPLE_OFFSET_PX: Final = 1.5
+"""Least distance of the samples from an edge, px (chosen)."""
+_LEAST_EDGE_CONTRAST: Final = 0.25
+"""Least contrast across an edge, as a fraction of the range on the circles at its ends (chosen)."""
+_LEAST_RANGE_RATIO: Final = 0.4
+"""Least ratio of the smaller to the larger range on the circles of neighbours (chosen)."""
+_LEAST_SIZE_RATIO: Final = 0.7
+"""Least size of a cluster, as a fraction of the board's corners (chosen)."""
+_MAX_SIZE_RATIO: Final = 4.0
+"""Largest size of a cluster, as a ratio to the board's corners (chosen: tiled floors have more)."""
+_MOST_CLUSTERS: Final = 3
+"""Most clusters that are returned (chosen: search time)."""
+_MARGIN_EDGES: Final = 2.0
+"""Margin around a cluster in lengths of its edges, for the outermost squares and the light rim
+(chosen)."""
+_MARGIN_PX: Final = 6.0
+"""Additional margin around a cluster, px (chosen)."""
+
+Region = tuple[int, int, int, int]
+"""Region of the pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""
+
+
+class _Saddles(NamedTuple):
+    """Saddle points of the grey levels."""
+
+    places: NDArray[np.int64]
+    """(n, 2) u and v, px."""
+    hessians: NDArray[np.float64]
+    """(n, 3) second derivatives d2/du2, d2/dudv, d2/dv2."""
+    ranges: NDArray[np.int16]
+    """(n,) range of grey levels on the circle around each; 0 if not sampled yet."""
+
+
+class CornerCluster(NamedTuple):
+    """A connected cluster of corners."""
+
+    region: Region
+    """Region of the board that the corners may belong to."""
+    corners_px: NDArray[np.float64]
+    """(n, 2) the corners, to one pixel, px."""
+
+
+def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> list[CornerCluster]:
+    """Find a few clusters with about as many corners as a board.
+
+    Args:
+        image: grey levels, shape (height, width), without much noise.
+        board_corner_count: number of corners of the board; clusters nearest to it in size come
+            first.
+    """
+    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
+    saddles = _crossed(smooth, _saddles(smooth))
+    count = len(saddles.places)
+    if count < _LEAST_SIZE_RATIO * board_corner_count:
+        return []
+    first, second = _of_squares(count, *_edges(smooth, saddles))
+    # imported here so that commands that seek no board start sooner
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
+    _number, cluster = connected_components(links, directed=False)
+    sizes = np.bincount(cluster)
+    alike = np.flatnonzero(
+        (sizes >= _LEAST_SIZE_RATIO * board_corner_count)
+        & (sizes <= _MAX_SIZE_RATIO * board_corner_count)
+    )
+    lengths = np.linalg.norm(saddles.places[first] - saddles.places[second], axis=1)
+    height, width = image.shape
+    out = []
+    for k in alike[np.argsort(np.abs(sizes[alike] - board_corner_count), kind="stable")][
+        :_MOST_CLUSTERS
+    ]:
+        places = saddles.places[cluster == k]
+        margin = _MARGIN_EDGES * float(np.median(lengths[cluster[first] == k])) + _MARGIN_PX
+        x0, y0 = np.floor(np.maximum(places.min(axis=0) - margin, 0)).astype(int).tolist()
+        x1, y1 = np.ceil(np.minimum(places.max(axis=0) + margin + 1, (width, height))).tolist()
+        out.append(CornerCluster((x0, y0, int(x1), int(y1)), places.astype(float)))
+    return out
+
+
+def _saddles(smooth: NDArray[np.uint8]) -> _Saddles:
+    """Find the strongest saddles, one per neighbourhood."""
+    second: Any = [
+        cv2.Sobel(smooth, cv2.CV_32F, *orders, ksize=3, scale=0.25)
+        for orders in ((2, 0), (1, 1), (0, 2))
+    ]
+    uu, uv, vv = second
+    strength = uv * uv - uu * vv
+    around = cv2.dilate(strength, np.ones((_SADDLE_WINDOW_PX, _SADDLE_WINDOW_PX), np.uint8))
+    v, u = np.nonzero((strength >= around) & (strength > _LEAST_SADDLE_STRENGTH))
+    if len(u) > _MOST_SADDLES:
+        strongest = np.argpartition(strength[v, u], -_MOST_SADDLES)[-_MOST_SADDLES:]
+        u, v = u[strongest], v[strongest]
+    hessians = np.stack([uu[v, u], uv[v, u], vv[v, u]], axis=1).astype(float)
+    return _Saddles(np.stack([u, v], axis=1), hessians, np.zeros(len(u), np.int16))
+
+
+def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
+    """Select saddles with four changes between light and dark around them."""
+    angles = 2.0 * np.pi * np.arange(_CIRCLE_SAMPLES) / _CIRCLE_SAMPLES
+    circle = np.rint(_CIRCLE_RADIUS_PX * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(
+        int
+    )
+    greys = _greys_at(smooth, saddles.places[:, None] + circle)
+    high, low = greys.max(axis=1), greys.min(axis=1)
+    light = 2 * greys > (high + low)[:, None]
+    changes = (light != np.roll(light, 1, axis=1)).sum(axis=1)
+    quarter = _CIRCLE_SAMPLES // 4
+    both = greys[:, : 2 * quarter] + greys[:, 2 * quarter :]
+    crossed = np.abs(both[:, :quarter] - both[:, quarter:]).sum(axis=1)
+    opposite = np.abs(greys[:, : 2 * quarter] - greys[:, 2 * quarter :]).sum(axis=1)
+    ranges = high - low
+    kept = (changes == 4) & (ranges > _LEAST_RANGE_GREY) & (crossed > _LEAST_CROSS_RATIO * opposite)
+    numbers = np.flatnonzero(kept)
+    from scipy.spatial import cKDTree
+
+    # a corner midway between pixels is equally strong in all of them
+    same = cKDTree(saddles.places[numbers]).query_pairs(
+        0.5 * _SADDLE_WINDOW_PX, output_type="ndarray"
+    )
+    numbers = np.delete(numbers, same[:, 1])
+    return _Saddles(saddles.places[numbers], saddles.hessians[numbers], ranges[numbers])
+
+
+def _edges(
+    smooth: NDArray[np.uint8], saddles: _Saddles
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of saddles with an edge between them, as (m,) indices of the first and the second."""
+    from scipy.spatial import cKDTree
+
+    places, (uu, uv, vv) = saddles.places.astype(float), saddles.hessians.T
+    near = min(_NEIGHBOUR_COUNT + 1, len(places))
+    _distances, found = cKDTree(places).query(places, k=near)
+    first = np.repeat(np.arange(len(places)), near - 1)
+    second = np.reshape(found, (len(places), near))[:, 1:].ravel()
+    axis = np.arctan2(2.0 * uv, uu - vv)  # twice the angle of the light axis
+    along = places[second] - places[first]
+    edge = 2.0 * np.arctan2(along[:, 1], along[:, 0])
+    kept = np.cos(axis[first] - axis[second]) < _MAX_AXIS_COSINE
+    kept &= np.abs(np.cos(edge - axis[first])) < _MAX_EDGE_AXIS_COSINE
+    ranges = saddles.ranges[first], saddles.ranges[second]
+    kept &= np.minimum(*ranges) > _LEAST_RANGE_RATIO * np.maximum(*ranges)
+    first, second, along = first[kept], second[kept], along[kept]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / length
+    # the sign of the mixed derivative along and across the edge gives its light side
+    bend = along[:, 0] * (uu[first] * across[:, 0] + uv[first] * across[:, 1])
+    bend += along[:, 1] * (uv[first] * across[:, 0] + vv[first] * across[:, 1])
+    aside = (
+        np.sign(bend)[:, None]
+        * across
+        * np.maximum(_EDGE_SAMPLE_OFFSET * length, _LEAST_SAMPLE_OFFSET_PX)
+    )
+    least = _LEAST_EDGE_CONTRAST * np.maximum(saddles.ranges[first], saddles.ranges[second])
+    kept = np.ones(len(first), np.bool_)
+    for share in _EDGE_SAMPLE_FRACTIONS:
+        middle = places[first] + share * along
+        step = _greys_at(smooth, middle + aside) - _greys_at(smooth, middle - aside)
+        kept &= step > least
+    return first[kept], second[kept]
+
+
+def _of_squares(
+    count: int, first: NDArray[np.int64], second: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Select edges, see `_edges`, that close to a square by three more edges."""
+    either = np.concatenate([first, second]), np.concatenate([second, first])
+    from scipy.sparse import csr_array
+
+    edges = csr_array((np.ones(2 * len(first), np.int32), either), shape=(count, count))
+    edges.data[:] = 1
+    # two corners with two common neighbours are opposite in a square
+    opposite = edges @ edges
+    opposite.setdiag(0)
+    opposite.data = (opposite.data > 1).astype(np.int32)
+    sides = edges.multiply(opposite @ edges).tocoo()
+    kept = sides.data > 0
+    return sides.row[kept].astype(np.int64), sides.col[kept].astype(np.int64)
+
+
+def _greys_at(image: NDArray[np.uint8], places: NDArray[Any]) -> NDArray[np.int16]:
+    """Grey levels of the nearest pixels, shape (...) for (..., 2)."""
+    height, width = image.shape
+    u, v = np.moveaxis(np.rint(places).astype(int), -1, 0)
+    inside = image[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
+    return np.asarray(inside, np.int16)
+
+
+_WINDOW_SQUARES: Final = 0.6
+"""Half side of the refinement window, in squares (chosen: a full square would contain the next
+edge)."""
+_WINDOW_PX: Final = (2, 5)
+"""Least half side of that window, and largest except for large squares, px (chosen)."""
+_LARGE_WINDOW_SQUARES: Final = 0.25
+"""Largest half side of that window for large squares, in squares (chosen: out of focus their edges
+are wider than 11 px, and in such a window corners would be off by a pixel)."""
+_LARGE_WINDOW_PX: Final = 24
+"""Largest half side of that window for large squares, px (chosen)."""
+_LEAST_SQUARE_PX: Final = 2.5
+"""Shortest edge of a square that is read, px (chosen)."""
+_MAX_TRACKED_MOVE: Final = 0.35
+"""Largest move of a tracked corner, in squares, before its region is searched again (chosen)."""
+
+# Largest standard deviation of corners about a smooth grid; above both, the image is smeared beyond
+# use or shows no board (chosen).
+_MAX_SCATTER_SQUARES: Final = 0.1  # in squares
+_MAX_SCATTER_PX: Final = 1.0
+
+# Residual of a corner from the prediction by all others above which it is a stray; it exceeds both
+# (chosen: more than noise).
+_STRAY_PX: Final = 0.15
+_STRAY_RATIO: Final = 4.0  # ratio to the median residual
+
+_MAX_REMAINING_MOVE_PX: Final = 0.5
+"""Largest remaining move of a corner that counts as refined, px (chosen)."""
+_MAX_STRAY_FRACTION: Final = 0.25
+"""Largest fraction of corners not refined, such as those at the edge of a shadow (chosen)."""
+_MAX_STRAY_ROUNDS: Final = 3
+"""Most rounds of refining stray corners again (numerical)."""
+
+# Half side of the window in which a stray corner is refined by the edges that meet at it (chosen).
+_STRAY_WINDOW_SQUARES: Final = 0.45  # in squares
+_STRAY_WINDOW_PX: Final = (2, 12)  # its range
+
+# Residual of a corner that is not where squares meet, so that the board is refused; it exceeds all
+# three (chosen).
+_FATAL_RESIDUAL_PX: Final = 0.5
+_FATAL_RESIDUAL_SQUARES: Final = 0.07  # in squares
+_FATAL_RESIDUAL_RATIO: Final = 7.0  # ratio to the median residual
+
+_CROSSING_SQUARES: Final = 0.4
+"""Half side of the window in which edges have to cross, in squares (chosen)."""
+_CROSSING_PX: Final = (2, 10)
+"""Range of that half side, px (chosen)."""
+_MAX_ASYMMETRY: Final = 1.0
+"""Asymmetry of a corner from which on it is mistaken, see `crossing_asymmetries` (chosen: wrong
+ones have 1.3 or more, and those of public photographs up to 0.4)."""
+_CLEAR_ASYMMETRY: Final = 0.1
+"""Asymmetry up to which edges clearly cross at a corner, so that it is no stray even if a strongly
+distorting lens puts it far from its prediction (measured: 99 % in public photographs)."""
+
+_PREDICTION_ERROR_SQUARES: Final = 0.4
+"""Prediction error of a tracked target that the second attempt allows for, in squares (chosen)."""
+_CORRECTED_ERROR_SQUARES: Final = (0.2, 0.7)
+"""Range of the errors of OpenCV's corners that are corrected where squares run together, in squares
+(chosen)."""
+_SQUARE_SEARCH_SIDE_PX: Final = 1600
+"""Longer side to which larger images are reduced for the search for squares, px (chosen: time
+against small squares)."""
+_CLUSTER_SEARCH_SIDES_PX: Final = (640, 320, _SQUARE_SEARCH_SIDE_PX)
+"""Longer sides to which larger images are reduced for the search for clusters of corners: most
+boards are found at the first, blurred ones at the second, small squares at the last (chosen)."""
+_SIDES_IN_TURN_PX: Final = (640, _SQUARE_SEARCH_SIDE_PX, 640, 320)
+"""Longer sides in turn, one per image, if a single search method is asked for (chosen)."""
+
+
+class CheckerboardDetector(Detector[Checkerboard]):
+    """Detects a checkerboard; the measured point is its upper right corner, or its centre.
+
+    The centre is measured on boards that look equal after a rotation by 180 degrees. The corners of
+    such a board, or of one equal after 90 degrees, come in the possible order whose first row
+    points most to the right.
+    """
+
+    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
+        """Search clusters of corners in the image at one size after another."""
+        sizes = (
+            _CLUSTER_SEARCH_SIDES_PX
+            if way is None
+            else (_SIDES_IN_TURN_PX[way % len(_SIDES_IN_TURN_PX)],)
+        )
+        for most_px in sizes:
+            found = self._in_clusters(image, most_px)
+            if found:
+                return found
+        return []
+
+    def _in_clusters(self, image: NDArray[np.uint8], most_px: int) -> list[Detection]:
+        """Search clusters of corners in the image reduced to a longer side of `most_px`."""
+        scale = min(most_px / max(image.shape), 1.0)
+        small = image
+        if scale < 1.0:
+            area = cv2.INTER_AREA
+            small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=area))
+        calm = smooth_for_square_search(small)
+        if calm is None:
+            return []
+        for cluster in find_corner_clusters(calm, self.target.columns * self.target.rows):
+            x0, y0 = (math.floor(value / scale) for value in cluster.region[:2])
+            x1, y1 = (math.ceil(value / scale) for value in cluster.region[2:])
+            part = np.ascontiguousarray(image[y0:y1, x0:x1])
+            near = (cluster.corners_px + 0.5) / scale - 0.5
+            found = self._first_of(image, (_by_squares,), part, np.array([x0, y0], float), near)
+            if found:
+                return found
+        return []
+
+    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
+        return self._first_of(image, (_by_squares, _by_equalised_squares, _by_sectors))
+
+    def _detect_in(
+        self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
+    ) -> list[Detection]:
+        x0, y0, x1, y1 = region
+        part = np.ascontiguousarray(image[y0:y1, x0:x1])
+        return self._first_of(image, (_by_squares,), part, np.array([x0, y0], float))
+
+    def _first_of(
+        self,
+        image: NDArray[np.uint8],
+        methods: tuple[Any, ...],
+        part: NDArray[np.uint8] | None = None,
+        shift: NDArray[np.float64] | float = 0.0,
+        near: NDArray[np.float64] | None = None,
+    ) -> list[Detection]:
+        """Search an image, or a part of it at a shift, by some methods until one finds the board.
+
+        If squares run into each other in the image, OpenCV's corners are displaced. `near`,
+        (n, 2) px, are corners of squares found otherwise, to correct them.
+        """
+        part = image if part is None else part
+        scale = min(_SQUARE_SEARCH_SIDE_PX / max(part.shape), 1.0)
+        small = part
+        if scale < 1.0:
+            area = cv2.INTER_AREA
+            small = np.asarray(cv2.resize(part, None, fx=scale, fy=scale, interpolation=area))
+        calm = smooth_for_square_search(small)
+        if calm is None:
+            return []
+        size = (self.target.columns, self.target.rows)
+        for method in methods:
+            # smoothing makes the search by sectors miss corners beside a dark background
+            found = method(small if method is _by_sectors else calm, size)
+            if found is None:
+                continue
+            corners = (np.asarray(found, float).reshape(-1, 2) + 0.5) / scale - 0.5 + shift
+            grid = corners.reshape(size[1], size[0], 2)
+            if near is not None:
+                grid = _correct_displaced(grid, near)
+            detection = self._ordered(image, grid, 1.0 / scale)
+            if detection is not None:
+                return [detection]
+        return []
+
+    def _ordered(
+        self, image: NDArray[np.uint8], grid: Grid, initial_error_px: float
+    ) -> Detection | None:
+        """Detection for corners that OpenCV found, in the first order that reads correctly."""
+        orders = [grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]]
+        if self.target.columns == self.target.rows:
+            orders += [np.swapaxes(order, 0, 1) for order in orders]
+        orders = [order for order in orders if is_even_unmirrored_grid(order)]
+        orders.sort(key=_to_the_right)
+        # a symmetric board keeps its colours after 180 degrees, and its first square may be light
+        for dark in (True, False) if self.target.symmetric else (True,):
+            for order in orders:
+                detection = self._at(image, order, max(initial_error_px, 1.0), first_dark=dark)
+                if detection is not None:
+                    return detection
+        return None
+
+    def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
+        size = (self.target.rows, self.target.columns, 2)
+        height, width = image.shape
+        corners = predicted.corners_px
+        if not ((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all():
+            return None
+        grid = corners.reshape(size)
+        # a narrow window first: one wide enough for a moved target is less exact
+        for initial_error_px in (0.0, _PREDICTION_ERROR_SQUARES * shortest_square_edge_px(grid)):
+            for dark in (True, False) if self.target.symmetric else (True,):
+                found = self._at(image, grid, initial_error_px, _MAX_TRACKED_MOVE, first_dark=dark)
+                if found is not None:
+                    return found
+        return None
+
+    def _at(
+        self,
+        image: NDArray[np.uint8],
+        grid: Grid,
+        initial_error_px: float,
+        step_squares: float = math.inf,
+        *,
+        first_dark: bool = True,
+    ) -> Detection | None:
+        """Refine corners and read the board; None if a corner is out of place.
+
+        `initial_error_px` is the error of the given corners, `step_squares` the largest move in
+        squares.
+        """
+        square = shortest_square_edge_px(grid)
+        if not square >= _LEAST_SQUARE_PX:
+            return None
+        most = min(max(_LARGE_WINDOW_SQUARES * square, _WINDOW_PX[1]), _LARGE_WINDOW_PX)
+        half_side_px = int(min(max(round(_WINDOW_SQUARES * square), _WINDOW_PX[0]), round(most)))
+        corners = grid.reshape(-1, 2)
+        # corners of a reduced image, for example, are too inexact for the small window
+        if initial_error_px > 1.0:
+            wide = int(min(max(round(0.4 * square), half_side_px), 4 * initial_error_px))
+            corners = refine_corners(image, corners, wide)
+        refined = refine_corners(image, corners, half_side_px)
+        if np.abs(refined - corners).max() > min(step_squares * square, half_side_px + 1.0):
+            return None
+        stray = remaining_move_px(image, refined, half_side_px) > _MAX_REMAINING_MOVE_PX
+        if stray.mean() > _MAX_STRAY_FRACTION:
+            return None
+        grid = refined.reshape(grid.shape)
+        mistaken = _asymmetries(image, refined, square) >= _MAX_ASYMMETRY
+        if mistaken.any():
+            again = _refine_stray(image, _by_neighbours(grid)[mistaken], square)
+            if not np.isfinite(again).all():
+                return None
+            refined[mistaken] = again
+        if not is_even_unmirrored_grid(grid):
+            return None
+        if not squares_alternate(image, grid, upper_left_dark=first_dark):
+            return None
+        if board_continues_beyond(image, grid, upper_left_dark=first_dark):
+            return None
+        flat = self._flat(refined)
+        settled = _refine_strays(image, grid, square, flat)
+        if settled is None:
+            return None
+        refined, beside = settled
+        grid_sigma_px = estimate_corner_scatter_px(flat.to_plane(refined).reshape(grid.shape))
+        if grid_sigma_px > max(_MAX_SCATTER_SQUARES * square, _MAX_SCATTER_PX):
+            return None
+        noise = estimate_noise_grey(image, square_centres(grid))
+        sigmas = np.maximum(corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px)
+        sigmas = np.maximum(sigmas, beside[:, None])
+        if not self.target.symmetric:
+            first = self.target.columns - 1
+            return Detection(self.target, refined[first], refined, sigmas[first], sigmas)
+        # the diagonals cross in the centre; each of four corners moves it by about a quarter
+        outer = [0, self.target.columns - 1, len(refined) - 1, len(refined) - self.target.columns]
+        point = diagonal_crossing(flat.to_plane(refined[outer]))
+        sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
+        return Detection(self.target, flat.to_pixels(point[None])[0], refined, sigma, sigmas)
+
+
+def _by_squares(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
+    # Not OpenCV's other two defaults: equalising the histogram of a board before a plain
+    # background raises the noise, and the fast check misses boards of 100 px.
+    complete, found = cv2.findChessboardCorners(image, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH)
+    return found if complete else None
+
+
+def _by_equalised_squares(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    complete, found = cv2.findChessboardCorners(image, size, flags=flags)
+    return found if complete else None
+
+
+def _by_sectors(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
+    complete, found = cv2.findChessboardCornersSB(
+        image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+    )
+    return found if complete else None
+
+
+def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
+    """Replace displaced corners by those of `near` that match them."""
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial.distance import cdist
+
+    corners = grid.reshape(-1, 2)
+    square = float(np.median(np.linalg.norm(np.diff(grid, axis=1), axis=-1)))
+    least, most = (share * square for share in _CORRECTED_ERROR_SQUARES)
+    away = np.minimum(cdist(corners, near), most)
+    which, place = linear_sum_assignment(away**2)
+    astray = (away[which, place] > least) & (away[which, place] < most)
+    out = corners.copy()
+    out[which[astray]] = near[place[astray]]
+    return out.reshape(grid.shape)
+
+
+def _refine_strays(
+    image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView | IdentityView
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Refine stray corners again; None if one does not agree with the others in the end.
+
+    The edge of a shadow, a spot or an error of the search moves a single corner and leaves its
+    squares readable. Such a corner is refined again, starting from the prediction by the others.
+
+    Returns:
+        (n, 2) corners, px. (n,) residuals of those that were or are strays, px; 0 for the others,
+        and for those at which edges clearly cross.
+    """
+    corners, strays = grid.reshape(-1, 2).copy(), np.zeros(grid[..., 0].size, bool)
+    for last in range(_MAX_STRAY_ROUNDS + 1):
+        ideal = flat.to_plane(corners)
+        left, spread = loo_residuals_and_scales(ideal.reshape(grid.shape))
+        beside = np.linalg.norm(left, axis=1) / spread
+        usual = float(np.median(beside))
+        now = beside > max(_STRAY_PX, _STRAY_RATIO * usual)
+        if last == _MAX_STRAY_ROUNDS or not now.any():
+            break
+        strays |= now
+        start = flat.to_pixels((ideal - left)[strays])
+        again = _refine_stray(image, start, square)
+        corners[strays] = np.where(np.isfinite(again), again, corners[strays])
+    if beside.max() > max(
+        _FATAL_RESIDUAL_PX, _FATAL_RESIDUAL_SQUARES * square, _FATAL_RESIDUAL_RATIO * usual
+    ):
+        return None
+    doubtful = (strays | now) & (_asymmetries(image, corners, square) > _CLEAR_ASYMMETRY)
+    return corners, np.where(doubtful, beside * spread, 0.0)
+
+
+def _refine_stray(
+    image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
+) -> NDArray[np.float64]:
+    """Refine corners from predictions; nan where no edges cross nearby."""
+    least, most = _STRAY_WINDOW_PX
+    half_side_px = int(min(max(round(_STRAY_WINDOW_SQUARES * square), least), most))
+    again = refine_corners_robustly(image, corners, half_side_px)
+    asymmetry = _asymmetries(image, np.where(np.isfinite(again), again, corners), square)
+    return np.where((asymmetry < _MAX_ASYMMETRY)[:, None], again, np.nan)
+
+
+def _asymmetries(
+    image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
+) -> NDArray[np.float64]:
+    """(n,) asymmetries of corners of squares with edges of a length."""
+    half_side_px = int(
+        min(max(round(_CROSSING_SQUARES * square), _CROSSING_PX[0]), _CROSSING_PX[1])
+    )
+    return crossing_asymmetries(image, np.ascontiguousarray(corners), half_side_px)
+
+
+def _by_neighbours(grid: Grid) -> NDArray[np.float64]:
+    """(n, 2) prediction of each corner as the fourth one of the parallelograms beside it."""
+    around = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    places = [
+        np.roll(around, (i, 0), (0, 1)) + np.roll(around, (0, j), (0, 1))
+        - np.roll(around, (i, j), (0, 1)) for i in (-1, 1) for j in (-1, 1)
+    ]  # fmt: skip
+    return np.asarray(np.nanmedian(np.stack(places)[:, 1:-1, 1:-1], axis=0).reshape(-1, 2))
+
+
+def _to_the_right(grid: Grid) -> float:
+    """Minus the cosine of the direction of the first row."""
+    along = grid[0, -1] - grid[0, 0]
+    return -float(along[0] / np.linalg.norm(along))
+
+
+def diagonal_crossing(quad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Crossing of a quadrilateral's diagonals, shape (2,); its corners in cyclic order, (4, 2)."""
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = quad.tolist()
+    ux, uy, vx, vy = cx - ax, cy - ay, dx - bx, dy - by
+    share = ((bx - ax) * vy - (by - ay) * vx) / (ux * vy - uy * vx)
+    return np.array([ax + share * ux, ay + share * uy])
