@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from glob import glob
 from pathlib import Path
-from typing import Any, Final, NamedTuple, overload
+from typing import Any, Final, overload
 
 import cv2
 import numpy as np
@@ -89,16 +89,14 @@ def as_grey(
     """
     try:
         array = np.asarray(image)
-    except (
-        TypeError,
-        ValueError,
-    ) as error:  # a tensor on a GPU, rows of different lengths
+    except (TypeError, ValueError) as error:  # a tensor on a GPU, rows of different lengths
         raise ConfigurationError(f"image: {_EXPECTED_IMAGE}; got {type(image).__name__}") from error
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     colour = has_colour_channels(array)
     if array.dtype.kind not in "buif" or not (colour or array.ndim == 2):
-        what = f"shape {array.shape} of {array.dtype}" if array.shape else _in_a_line(image)
+        in_a_line = " ".join(repr(image).split())[:80]
+        what = f"shape {array.shape} of {array.dtype}" if array.shape else in_a_line
         raise ConfigurationError(f"image: {_EXPECTED_IMAGE}; got {what}")
     if array.size == 0:
         raise ConfigurationError(f"image: expected pixels, got an empty array of {array.shape}")
@@ -110,7 +108,7 @@ def as_grey(
     if response is not None:
         array = _light(array, parse_response(response))
     elif array.dtype != np.uint8:
-        array = _eight_bits(array)
+        array = np.rint(_levels(array)).astype(np.uint8)
     if colour:
         code = cv2.COLOR_BGRA2GRAY if array.shape[2] == 4 else cv2.COLOR_BGR2GRAY
         array = np.asarray(cv2.cvtColor(np.ascontiguousarray(array), code))
@@ -156,10 +154,6 @@ def grey_if_channels_equal(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return frame if np.ptp(some, axis=2).max() > _MAX_CHANNEL_DIFFERENCE else as_grey(frame)
 
 
-def _in_a_line(image: object) -> str:
-    return " ".join(repr(image).split())[:80]
-
-
 def _light(array: NDArray[Any], response: CameraResponse) -> NDArray[np.float32]:
     """Convert levels of any depth to light, 0 to 255."""
     if array.dtype == np.uint8:
@@ -167,11 +161,6 @@ def _light(array: NDArray[Any], response: CameraResponse) -> NDArray[np.float32]
     else:
         light = 255.0 * to_light(_levels(array) / 255.0, response)
     return np.asarray(light, np.float32)
-
-
-def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
-    """Convert levels of any depth to 8 bits."""
-    return np.rint(_levels(array)).astype(np.uint8)
 
 
 def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
@@ -276,10 +265,10 @@ def read_pixels(path: str | Path) -> NDArray[Any]:
     if not content:
         raise UnreadableFileError(str(path), "empty", expected)
     levels = np.frombuffer(content, np.uint8)
-    tag = _find_orientation(content)
-    if tag is not None and _TIFF_HEADER.match(content):  # which OpenCV turns whatever the flags
+    _, start = _find_orientation(content)
+    if start and _TIFF_HEADER.match(content):  # which OpenCV turns whatever the flags
         levels = levels.copy()
-        levels[tag.start : tag.start + 2] = [1, 0] if content[:1] == b"I" else [0, 1]
+        levels[start : start + 2] = [1, 0] if content[:1] == b"I" else [0, 1]
     flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         with suppress_opencv_log():
@@ -294,27 +283,17 @@ def read_pixels(path: str | Path) -> NDArray[Any]:
 def has_orientation_tag(path: str | Path) -> bool:
     """True if a file asks to be shown turned or mirrored, by its EXIF or TIFF orientation."""
     try:
-        tag = _find_orientation(Path(path).read_bytes())
+        return _find_orientation(Path(path).read_bytes())[0] != 1
     except (OSError, ValueError):
         return False
-    return tag is not None and tag.value != 1
 
 
-class _Orientation(NamedTuple):
-    """Orientation in a file."""
-
-    value: int
-    """1 for pixels as stored; 2 to 8 for others."""
-    start: int
-    """Place of its two bytes in the file."""
-
-
-def _find_orientation(content: bytes) -> _Orientation | None:
-    """Find the orientation of a JPEG, PNG, WebP or TIFF file; None if it has none."""
+def _find_orientation(content: bytes) -> tuple[int, int]:
+    """Orientation of an image file, 1 (as stored) to 8, and its place; 1 and 0 without one."""
     mark = content.find(_EXIF_MARKS.get(content[:2], b""))
     header = _TIFF_HEADER.search(content, mark, mark + _MARK_TO_HEADER_BYTES) if mark >= 0 else None
     if header is None:
-        return None
+        return 1, 0
     order = "<" if header[0][:1] == b"I" else ">"
     try:
         first = header.start() + struct.unpack_from(f"{order}I", content, header.end())[0]
@@ -322,10 +301,10 @@ def _find_orientation(content: bytes) -> _Orientation | None:
         for start in range(first + 2, first + 2 + 12 * count, 12):
             tag, _, _, value = struct.unpack_from(f"{order}HHIH", content, start)
             if tag == _ORIENTATION_TAG:
-                return _Orientation(value, start + 8)
+                return value, start + 8
     except struct.error:  # it ends before its tags
         pass
-    return None
+    return 1, 0
 
 
 MANUAL_EXPOSURE: Final = 1

@@ -7,7 +7,6 @@ the viewer. For an upright board that faces a camera squarely, ``T_C_T`` has no 
 
 import math
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Final, Literal
@@ -413,108 +412,84 @@ def parse_target(text: str) -> Target:
         ConfigurationError: the text has none of these forms, or a value is invalid.
     """
     text = str(text).strip()
-    kind, *parts = text.split(":")
-    read = _READERS.get(kind.strip().lower())
-    if read is None and text.isprintable():
+    kind, *parts = [part.strip() for part in text.split(":")]
+    form = _FORMS.get(kind.lower())
+    if form is None and text.isprintable():
         raise ConfigurationError(
             "target: expected a printed board, such as checkerboard:9x6:24, "
             "charuco:7x5:40:30:4X4_50, aprilgrid:6x6:88:0.3 or tag:36h11:0:120 (lengths in mm; "
             "`vergence print-target` prints it); nothing else can be looked at, such as a face or "
             f"a ball; got {text!r:.100}"
         )
-    if read is None or len(text) > _LONGEST or not text.isprintable():
+    if form is None or len(text) > _LONGEST or not text.isprintable():
         raise ConfigurationError(
             f"target: expected {'; or '.join(_FORMS.values())}; got {text!r:.100}"
         )
     try:
-        return read([part.strip() for part in parts])
-    except _FormError:
-        form = _FORMS[kind.strip().lower()]
+        return _target([kind.lower(), *parts])
+    except ValueError:
         raise ConfigurationError(f"target: expected {form}; got {text!r:.100}") from None
     except (ConfigurationError, UnknownNameError) as error:
         raise ConfigurationError(f"target {text[:100]}: {error}") from error
 
 
-class _FormError(Exception):
-    """Raised if a part of the text does not have the expected form."""
-
-
-def _tag(parts: list[str]) -> Target:
-    if not 1 <= len(parts) <= 3:
-        raise _FormError
-    known = len(parts) == 3
-    edge_m = _length(parts[2]) if known else AprilTag.edge_m
-    if len(parts) == 1 or parts[1] in ("", "*"):
-        return TagFamily(family=parts[0], edge_m=edge_m, size_known=known)
-    return AprilTag(family=parts[0], id=_count(parts[1]), edge_m=edge_m, size_known=known)
-
-
-def _checkerboard(parts: list[str]) -> Target:
-    if not 1 <= len(parts) <= 2:
-        raise _FormError
-    columns, rows = _counts(parts[0])
-    if len(parts) == 1:
-        return Checkerboard(columns=columns, rows=rows, size_known=False)
-    return Checkerboard(columns=columns, rows=rows, square_m=_length(parts[1]))
-
-
-def _charuco(parts: list[str]) -> Target:
-    legacy = len(parts) == 5 and parts[4].lower() == "legacy"
-    if len(parts) != 4 + legacy:
-        raise _FormError
-    columns, rows = _counts(parts[0])
-    return CharucoBoard(
-        columns=columns,
-        rows=rows,
-        square_m=_length(parts[1]),
-        marker_m=_length(parts[2]),
-        dictionary=parts[3],
-        legacy=legacy,
-    )
-
-
-def _april_grid(parts: list[str]) -> Target:
-    if len(parts) != 3:
-        raise _FormError
-    columns, rows = _counts(parts[0])
-    return AprilGrid(
-        columns=columns, rows=rows, tag_m=_length(parts[1]), spacing=_positive(parts[2])
-    )
-
-
-_READERS: Final[dict[str, Callable[[list[str]], Target]]] = {
-    "tag": _tag,
-    "checkerboard": _checkerboard,
-    "charuco": _charuco,
-    "aprilgrid": _april_grid,
-}
+def _target(parts: list[str]) -> Target:
+    """Target of the parts of its text; ValueError if they do not have its form."""
+    match parts:
+        case ["tag", family] | ["tag", family, "" | "*"]:
+            return TagFamily(family=family, size_known=False)
+        case ["tag", family, "" | "*", edge]:
+            return TagFamily(family=family, edge_m=_length_m(edge))
+        case ["tag", family, number]:
+            return AprilTag(family=family, id=_count(number), size_known=False)
+        case ["tag", family, number, edge]:
+            edge_m = _length_m(edge)
+            return AprilTag(family=family, id=_count(number), edge_m=edge_m)
+        case ["checkerboard", counts]:
+            columns, rows = _counts(counts)
+            return Checkerboard(columns=columns, rows=rows, size_known=False)
+        case ["checkerboard", counts, square]:
+            columns, rows = _counts(counts)
+            return Checkerboard(columns=columns, rows=rows, square_m=_length_m(square))
+        case ["charuco", counts, square, marker, dictionary, *legacy] if not legacy or [
+            each.lower() for each in legacy
+        ] == ["legacy"]:
+            columns, rows = _counts(counts)
+            return CharucoBoard(
+                columns=columns,
+                rows=rows,
+                square_m=_length_m(square),
+                marker_m=_length_m(marker),
+                dictionary=dictionary,
+                legacy=bool(legacy),
+            )
+        case ["aprilgrid", counts, tag, spacing]:
+            columns, rows = _counts(counts)
+            tag_m = _length_m(tag)
+            return AprilGrid(columns=columns, rows=rows, tag_m=tag_m, spacing=_positive(spacing))
+    raise ValueError
 
 
 def _counts(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,4})\s*[xX×]\s*(\d{1,4})", text)
-    if match is None:
-        raise _FormError
-    return int(match[1]), int(match[2])
+    columns, rows = re.split(r"\s*[xX×]\s*", text)
+    return _count(columns, 4), _count(rows, 4)
 
 
-def _count(text: str) -> int:
-    if re.fullmatch(r"\d{1,9}", text) is None:
-        raise _FormError
+def _count(text: str, most_digits: int = 9) -> int:
+    if not 1 <= len(text) <= most_digits or not text.isdecimal():
+        raise ValueError
     return int(text)
 
 
-def _length(text: str) -> float:
-    """Parse a length in millimetres; returns metres."""
+def _length_m(text: str) -> float:
+    """Metres of a length in millimetres."""
     return _positive(text) / 1000.0
 
 
 def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise _FormError from None
+    value = float(text)
     if not (math.isfinite(value) and value > 0.0):
-        raise _FormError
+        raise ValueError
     return value
 
 
