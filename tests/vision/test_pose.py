@@ -1,0 +1,293 @@
+"""Poses of flat targets: exact, with the covariance of their errors, and both where two fit."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.models.lenses import wide
+from tests.vision.poses import pose
+from tests.vision.scenes import rig, scene
+from vergence import load_head
+from vergence.errors import ConfigurationError
+from vergence.models.camera import camera_matrix
+from vergence.vision import AprilTag, Camera, Checkerboard, make_detector
+from vergence.vision import pose as module
+from vergence.vision.pose import Pose, View, estimate_pose, eye_views
+from vergence.vision.targets import PlanarTarget
+
+TAG = AprilTag()
+BOARD = Checkerboard(columns=9, rows=6, square_m=0.02)
+
+
+def in_space(target: PlanarTarget, matrix: np.ndarray, size: float = 1.0) -> np.ndarray:
+    flat = np.column_stack([size * target.corners_m, np.zeros(len(target.corners_m))])
+    return flat @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def drawn(
+    rng: np.random.Generator,
+    depth_m: tuple[float, float] = (0.3, 0.6),
+    aside: float = 0.3,
+    tilt_rad: tuple[float, float] = (0.35, 0.9),
+) -> np.ndarray:
+    """A pose with a tilt of random direction, and any roll."""
+    z, angle = rng.uniform(*depth_m), rng.uniform(0.0, 2.0 * np.pi)
+    tilt = rng.uniform(*tilt_rad) * np.array([np.cos(angle), np.sin(angle), 0.0])
+    x, y = rng.uniform(-aside, aside, 2) * z
+    return pose(x, y, z, tuple(tilt)) @ pose(0, 0, 0, (0, 0, rng.uniform(-3.0, 3.0)))
+
+
+def turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return cv2.Rodrigues(a[:3, :3] @ b[:3, :3].T)[0].ravel()
+
+
+def normalised(truth: np.ndarray, found: Pose) -> float:
+    """Squared error by the covariance, over 6; of the nearer solution where there are two."""
+    each = [one for one in (found, found.other) if one is not None]
+    best = min(each, key=lambda one: np.linalg.norm(turn(truth, one.matrix)))
+    error = np.concatenate([truth[:3, 3] - best.matrix[:3, 3], turn(truth, best.matrix)])
+    return float(error @ np.linalg.solve(best.covariance, error)) / 6.0
+
+
+@pytest.mark.parametrize("lens", ["brown-conrady", "rational", "fisheye"])
+@pytest.mark.parametrize("target", [TAG, BOARD], ids=str)
+def test_exact_corners_give_the_exact_pose(lens, target):
+    head, rng = wide(lens), np.random.default_rng(1)
+    sigma = np.full(target.corners_m.shape, 0.1)
+    for _ in range(5):
+        T = drawn(rng)
+        q = head.fixate(T[:3, 3], warn=False)
+        pixels = np.moveaxis(head.project(q, in_space(target, T)), -2, 0)
+        both = eye_views(head, q, pixels, (sigma, sigma), 1e-3)
+        assert estimate_pose(target.corners_m, both).matrix == pytest.approx(T, abs=1e-8)
+        T_C_T = np.linalg.inv(both[0].pose) @ T
+        one = estimate_pose(target.corners_m, [View(head.cameras[0], pixels[0], sigma)])
+        assert one.matrix == pytest.approx(T_C_T, abs=1e-8)
+        assert one.chi_square == pytest.approx(0.0, abs=1e-8)
+        assert one.degrees == 2 * len(target.corners_m) - 6
+        assert cv2.Rodrigues(one.rotation_vector)[0] == pytest.approx(T_C_T[:3, :3], abs=1e-8)
+
+
+@pytest.mark.parametrize("target", [TAG, BOARD], ids=str)
+def test_with_equal_sigmas_it_is_the_pose_of_opencv(pinhole, target):
+    rng = np.random.default_rng(2)
+    board = np.column_stack([target.corners_m, np.zeros(len(target.corners_m))])
+    for _ in range(10):
+        seen = pinhole.project(in_space(target, drawn(rng)))
+        seen += rng.normal(scale=0.1, size=seen.shape)
+        found = estimate_pose(target.corners_m, [View(pinhole, seen, np.full(seen.shape, 0.1))])
+        _, turned, place, _ = cv2.solvePnPGeneric(
+            board, seen, pinhole.matrix, None, flags=cv2.SOLVEPNP_IPPE
+        )
+        ends = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 200, 1e-14)
+        w, t = cv2.solvePnPRefineLM(
+            board, seen, pinhole.matrix, None, turned[0], place[0], criteria=ends
+        )
+        assert found.matrix[:3, 3] == pytest.approx(t.ravel(), abs=1e-6)
+        assert found.matrix[:3, :3] == pytest.approx(cv2.Rodrigues(w)[0], abs=1e-6)
+
+
+def monte_carlo(
+    lens: str, target: PlanarTarget, eyes: int, correlated: bool = False, size: float = 1.0
+) -> float:
+    """Mean normalised squared error over 500 poses in N, with errors of the joints."""
+    head, rng, errors = wide(lens), np.random.default_rng(3), []
+    count = 2 * len(target.corners_m)
+    poses = [drawn(rng, aside=0.2) for _ in range(500)]
+    angles = head.fixate([T[:3, 3] for T in poses], warn=False)
+    off = np.pad(rng.normal(scale=5e-4, size=(500, 4)), ((0, 0), (3, 0)))
+    true_angles = head.actuation.joints_of(head.actuation.actuators_of(angles) + off)
+    points = np.array([in_space(target, T, size) for T in poses])
+    seen = np.moveaxis(head.project(true_angles[:, None], points), -2, 1)
+    for T, q, pixels in zip(poses, angles, seen, strict=True):
+        sigma = rng.uniform(0.02, 0.08, pixels.shape)
+        error, noise = sigma * rng.normal(size=pixels.shape), sigma
+        if correlated:
+            mixed = 0.05 * (np.eye(count) + 0.5 * rng.normal(size=(2, count, count)))
+            noise = mixed @ mixed.swapaxes(1, 2)
+            error = (mixed @ rng.normal(size=(2, count, 1))).reshape(pixels.shape)
+        views = eye_views(head, q, pixels + error, noise, 5e-4)[:eyes]
+        found = estimate_pose(target.corners_m, views, size_known=size == 1.0)
+        errors.append(normalised(T, found))
+    return float(np.mean(errors))
+
+
+def test_errors_are_as_large_as_the_covariance_says():
+    assert 0.9 < monte_carlo("fisheye", TAG, 1) < 1.1
+    assert 0.9 < monte_carlo("rational", TAG, 2) < 1.1
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("lens", ["brown-conrady", "rational", "fisheye"])
+@pytest.mark.parametrize("eyes", [1, 2])
+def test_errors_are_as_large_as_the_covariance_says_with_any_lens_and_noise(lens, eyes):
+    for target in (TAG, BOARD):
+        assert 0.9 < monte_carlo(lens, target, eyes) < 1.1
+    assert 0.9 < monte_carlo(lens, TAG, eyes, correlated=True) < 1.1
+    if eyes == 2:
+        assert 0.9 < monte_carlo(lens, TAG, eyes, size=1.4) < 1.1
+
+
+def test_two_eyes_measure_the_size_and_one_scales_with_it():
+    head, rng = load_head("simulated"), np.random.default_rng(4)
+    T, sigma = drawn(rng), np.full((4, 2), 0.05)
+    q = head.fixate(T[:3, 3])
+    pixels = np.moveaxis(head.project(q, in_space(TAG, T, 1.5)), -2, 0)
+    views = eye_views(head, q, pixels, (sigma, sigma))
+    found = estimate_pose(TAG.corners_m, views, size_known=False)
+    assert found.size_ratio == pytest.approx(1.5)
+    assert found.matrix == pytest.approx(T, abs=1e-6)
+    alone = View(head.cameras[0], pixels[0], sigma)
+    small, large = (
+        estimate_pose(size * TAG.corners_m, [alone], size_known=False) for size in (1.0, 1.5)
+    )
+    assert small.size_ratio == 1.0
+    assert 1.5 * small.matrix[:3, 3] == pytest.approx(large.matrix[:3, 3])
+    assert small.matrix[:3, :3] == pytest.approx(large.matrix[:3, :3])
+    assert 1.5 * small.sigma[:3] == pytest.approx(large.sigma[:3])
+
+
+def test_corners_that_were_not_found_are_left_out(pinhole):
+    T, sigma = drawn(np.random.default_rng(5)), np.full(BOARD.corners_m.shape, 0.1)
+    seen = pinhole.project(in_space(BOARD, T))
+    seen[7:20] = np.nan
+    sigma[30] = np.nan
+    found = estimate_pose(BOARD.corners_m, [View(pinhole, seen, sigma)])
+    assert found.matrix == pytest.approx(T, abs=1e-8)
+    assert found.degrees == 2 * (54 - 14) - 6
+    full = np.diag(sigma.ravel() ** 2)
+    same = estimate_pose(BOARD.corners_m, [View(pinhole, seen, full)])
+    assert same.covariance == pytest.approx(found.covariance)
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [[], [0, 1, 9], range(9), [0, 1, 2, 3, 4, 9], [0, 10, 20, 30, 3]],
+    ids=["none", "three", "a line", "a line and one", "a slanting line and one"],
+)
+def test_corners_that_leave_the_pose_open_give_none(pinhole, kept):
+    seen = pinhole.project(in_space(BOARD, drawn(np.random.default_rng(6))))
+    some = np.full(seen.shape, np.nan)
+    some[list(kept)] = seen[list(kept)]
+    assert estimate_pose(BOARD.corners_m, [View(pinhole, some, np.full(seen.shape, 0.1))]) is None
+    # one eye that sees enough is enough, and more corners in the other help
+    T, sigma = np.eye(4), np.full(seen.shape, 0.1)
+    whole, part = View(pinhole, seen, sigma, T), View(pinhole, some, sigma, T)
+    one, both = (estimate_pose(BOARD.corners_m, views) for views in ([whole], [part, whole]))
+    assert both.matrix == pytest.approx(one.matrix, abs=1e-8)
+    assert (both.sigma <= 1.000001 * one.sigma).all()
+
+
+def test_a_wrong_argument_is_named(pinhole):
+    seen, sigma = np.zeros((4, 2)), np.full((4, 2), 0.1)
+    for view, named in (
+        (View(pinhole, seen[:3], sigma), "corners_px"),
+        (View(pinhole, seen, sigma[:3]), "noise"),
+        (View(pinhole, seen, -sigma), "positive"),
+        (View(pinhole, TAG.corners_m, np.ones((8, 8))), "positive definite"),
+        (View(pinhole, seen, sigma, np.eye(3)), "pose"),
+        (View(pinhole, seen, sigma, np.eye(4), np.zeros(6)), "pose_errors"),
+    ):
+        with pytest.raises(ConfigurationError, match=named):
+            estimate_pose(TAG.corners_m, [view])
+
+
+def mirrored_rates(
+    views: Callable[[np.ndarray, float], Callable[[np.ndarray], list[View]]],
+    depth_m: tuple[float, float],
+    factor: float,
+    count: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> tuple[float, float, float]:
+    """Shares of named second solutions: where the best is wrong, where both fit, where one does.
+
+    Whether both fit is known from corners without noise, by the true noise: the chi-square of the
+    second minimum is D there, and the chance that noise makes it the lower one Phi(-sqrt(D) / 2).
+    """
+    rng, odds = np.random.default_rng(7), module._LEAST_ODDS
+    told, wrong, distances = [], [], []
+    for _ in range(count):
+        T = drawn(rng, depth_m, 0.2, (0.1, 0.8))
+        sigma = np.exp(rng.uniform(np.log(0.03), np.log(0.3)))
+        seen = views(T, sigma)
+        monkeypatch.setattr(module, "_LEAST_ODDS", 1e300)
+        exact = estimate_pose(TAG.corners_m, seen(np.zeros((2, 4, 2))))
+        monkeypatch.setattr(module, "_LEAST_ODDS", odds)
+        found = estimate_pose(TAG.corners_m, seen(factor * sigma * rng.normal(size=(2, 4, 2))))
+        if exact.other is None:
+            continue
+        near, far = (np.linalg.norm(turn(found.matrix, e.matrix)) for e in (exact, exact.other))
+        told.append(found.other is not None)
+        wrong.append(far < near)
+        distances.append((exact.other.chi_square - exact.chi_square) / factor**2)
+    named, D = np.array(told), np.array(distances)
+    assert sum(wrong) > 10 < (D > 60.0).sum()
+    return named[np.array(wrong)].mean(), named[D < 4.0].mean(), named[D > 60.0].mean()
+
+
+@pytest.mark.parametrize("factor", [1.0, pytest.param(2.0, marks=pytest.mark.nightly)])
+def test_two_solutions_are_named_where_noise_decides_between_them(pinhole, monkeypatch, factor):
+    """Also if the noise is twice what it is said to be."""
+
+    def views(T: np.ndarray, sigma: float) -> Callable[[np.ndarray], list[View]]:
+        seen, noise = pinhole.project(in_space(TAG, T)), np.full((4, 2), sigma)
+        return lambda error: [View(pinhole, seen + error[0], noise)]
+
+    wrong, both, one = mirrored_rates(views, (0.9, 5.0), factor, 600, monkeypatch)
+    assert wrong > 0.95
+    assert both > 0.95
+    assert one < 0.02
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_two_eyes_name_two_solutions_as_well(monkeypatch, factor):
+    head = load_head("simulated")
+
+    def views(T: np.ndarray, sigma: float) -> Callable[[np.ndarray], list[View]]:
+        q = head.fixate(T[:3, 3], warn=False)
+        seen, noise = head.project(q, in_space(TAG, T)), np.full((2, 4, 2), sigma)
+        return lambda error: list(eye_views(head, q, np.moveaxis(seen, -2, 0) + error, noise))
+
+    wrong, both, one = mirrored_rates(views, (2.5, 9.0), factor, 1500, monkeypatch)
+    assert wrong > 0.95
+    assert both > 0.95
+    assert one < 0.02
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("name", "low", "high"), [("simulated", 0.3, 1.1), ("physical", 0.7, 1.8)])
+@pytest.mark.parametrize("target", [TAG, BOARD], ids=str)
+def test_in_drawn_images_errors_are_those_that_the_detector_says(name, low, high, target):
+    """As far as its sigmas hold: of a tag they are too large on one rig, and too small by a fifth
+    for small tags on the other."""
+    camera, rendering = rig(name)
+    detector, rng, errors = make_detector(target, camera), np.random.default_rng(8), []
+    extent_m = np.ptp(target.corners_m, axis=0).max()
+    for edge_px in (30.0, 60.0, 120.0):
+        depth_m = extent_m * camera.focal[0] / edge_px / (1.0 if target is TAG else 2.0)
+        for _ in range(25):
+            T = drawn(rng, (0.9 * depth_m, 1.1 * depth_m), 0.12, (0.26, 0.87))
+            found = detector.detect(scene(camera, target, T, rendering, rng).image)
+            if found is not None:
+                view = View(camera, found.corners_px, found.corners_sigma_px)
+                errors.append(normalised(T, estimate_pose(target.corners_m, [view])))
+    assert len(errors) > 55
+    assert low < np.mean(errors) < high
+
+
+def test_the_pose_of_an_eye_and_that_of_both_agree_in_size_of_sigma():
+    """Joints known to a milliradian turn what one eye sees by as much."""
+    camera = Camera(size=(1040, 860), matrix=camera_matrix((620, 620), (520, 430)))
+    T = pose(0.05, 0.02, 0.8, (0.4, 0.3, 0.2))
+    seen, sigma = camera.project(in_space(BOARD, T)), np.full((54, 2), 0.01)
+    turned = np.zeros((6, 1))
+    turned[4] = 1e-3  # about y of the camera
+    sure, unsure = (
+        estimate_pose(BOARD.corners_m, [View(camera, seen, sigma, np.eye(4), errors)])
+        for errors in (np.zeros((6, 0)), turned)
+    )
+    motion = np.concatenate([np.cross([0, 1e-3, 0], T[:3, 3]), [0, 1e-3, 0]])
+    assert unsure.covariance == pytest.approx(sure.covariance + np.outer(motion, motion), rel=1e-6)
