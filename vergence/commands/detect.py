@@ -146,7 +146,7 @@ class Detect:
                 self.images, finder, report, keep if self.figure else None
             )
         if self.figure is not None:
-            from vergence.eval.detections_figure import draw_photographs
+            from vergence.perception.pictures import draw_photographs
 
             draw_photographs(shown, self.figure)
             left = len(result.images) - len(shown)

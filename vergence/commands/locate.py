@@ -30,13 +30,13 @@ class Locate:
         """Run the command."""
         self.tables.check()
         from vergence.commands.located import print_located_targets
-        from vergence.eval.locate_figure import draw_located
         from vergence.perception.locate import (
             LocateResult,
             locate,
             write_corner_table,
             write_target_table,
         )
+        from vergence.perception.pictures import draw_located
         from vergence.reporting.runs import write_config_and_head, write_json
 
         def write(folder: Path) -> None:

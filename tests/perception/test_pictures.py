@@ -8,11 +8,10 @@ import pytest
 from tests.heads import head_of
 from tests.perception.drawn import pose_at
 from tests.perception.test_located import exact
-from vergence.eval.detections_figure import compose_detections, shorten_to_width
-from vergence.eval.locate_figure import compose_located
 from vergence.perception.finding import Photograph
 from vergence.perception.locate import LocateResult, ShownPair, locate_target
 from vergence.perception.locate_config import LocateConfig
+from vergence.perception.pictures import compose_detections, compose_located, shorten_to_width
 from vergence.vision.targets import AprilTag
 
 HEAD = head_of("pair")
