@@ -5,8 +5,9 @@ import pytest
 
 from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
-from vergence.perception.finding import TargetFinder, describe_similar_targets, parse_targets
+from vergence.perception.finding import TargetFinder, parse_targets
 from vergence.perception.locate import _match
+from vergence.perception.notes import describe_similar_targets
 from vergence.vision import AprilGrid, Camera
 from vergence.vision.targets import AprilTag, TagFamily
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.perception.test_target_finder import HEAD, side_by_side
-from vergence.perception.finding import FamilyTracker, make_live_finders
+from vergence.perception.live import FamilyTracker, make_live_finders
 from vergence.vision import make_detector
 from vergence.vision.targets import TagFamily
 

@@ -9,7 +9,8 @@ import pytest
 from tests.vision.poses import pose
 from tests.vision.scenes import levels, rig, scene
 from vergence.models.camera import light_table
-from vergence.perception.finding import LinearResponseCheck, TargetFinder
+from vergence.perception.finding import TargetFinder
+from vergence.perception.notes import LinearResponseCheck
 from vergence.vision import make_planar_target
 
 
@@ -27,7 +28,7 @@ def image_of(name: str, response: str) -> np.ndarray:
 def test_encoded_levels_that_are_taken_for_light_are_noticed():
     finder = TargetFinder([make_planar_target("checkerboard")], response="linear")
     assert finder.find(image_of("checkerboard", "srgb"))
-    (line,) = finder.response_check.notes()
+    (line,) = finder.response_check.lines()
     assert "were srgb, not linear" in line
 
 
@@ -45,14 +46,14 @@ def test_a_lens_out_of_focus_is_no_response(radius_px):
     image = levels(cv2.filter2D(drawn.image.astype(np.float32), -1, disk / disk.sum()))
     finder = TargetFinder([target], response="linear")
     assert finder.find(image)
-    assert finder.response_check.notes() == []
+    assert finder.response_check.lines() == []
 
 
 @pytest.mark.parametrize("response", ["srgb", "linear"])
 def test_nothing_is_said_of_a_response_that_is_stated_rightly(response):
     finder = TargetFinder([make_planar_target("checkerboard")], response=response)
     assert finder.find(image_of("checkerboard", response))
-    assert finder.response_check.notes() == []
+    assert finder.response_check.lines() == []
 
 
 def test_few_edges_tell_nothing():
@@ -60,4 +61,4 @@ def test_few_edges_tell_nothing():
     finder = TargetFinder([make_planar_target("tag")])
     image = image_of("tag", "srgb")
     check.add(image, finder.find(image), "linear")
-    assert check.notes() == []
+    assert check.lines() == []

@@ -9,7 +9,8 @@ import pytest
 from tests.naming import named
 from vergence.models.camera import Camera
 from vergence.models.head_file import load_head
-from vergence.perception.finding import _reduced, describe_similar_targets, parse_targets
+from vergence.perception.finding import parse_targets
+from vergence.perception.notes import _reduced, describe_similar_targets
 from vergence.vision import make_detector
 from vergence.vision.targets import CharucoBoard, texture
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.perception.finding import UnseenRowCheck
+from vergence.perception.notes import PhotographNotes
 from vergence.vision import make_detector, parse_target
 from vergence.vision.targets import CharucoBoard, texture
 
@@ -15,10 +15,11 @@ def drawn(name):
 
 
 def notes(asked, images):
-    check, detector = UnseenRowCheck(), make_detector(parse_target(asked))
+    target = parse_target(asked)
+    check, detector = PhotographNotes([target]), make_detector(target)
     for image in images:
-        check.add(detector.detect(image), image.shape)
-    return check.notes()
+        check.add(image, [detector.detect(image)], check_white=False)
+    return list(check.lines())
 
 
 @pytest.mark.parametrize(

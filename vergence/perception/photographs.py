@@ -16,7 +16,6 @@ import numpy as np
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, NECK, FloatArray
-from vergence.vision.image import has_orientation_tag
 
 SUFFIXES: Final = (
     ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm", ".jp2",
@@ -82,17 +81,6 @@ def join_first_names(names: Iterable[str]) -> str:
     every = list(names)
     said = ", ".join(every[:_MAX_NAMES])
     return said if len(every) <= _MAX_NAMES else f"{said} and {len(every) - _MAX_NAMES} more"
-
-
-def remark_on_orientation_tags(paths: Iterable[Path]) -> list[str]:
-    """One line if files ask to be shown turned, else none."""
-    turned = [path.name for path in paths if has_orientation_tag(path)]
-    if not turned:
-        return []
-    return [
-        "pixels are those of the sensor, not turned as the orientation tag asks, in "
-        f"{len(turned)} images: {join_first_names(turned)}"
-    ]
 
 
 _SIDE_WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
