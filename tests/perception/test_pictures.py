@@ -9,7 +9,7 @@ from tests.heads import head_of
 from tests.perception.drawn import pose_at
 from tests.perception.test_located import exact
 from vergence.perception.finding import Photograph
-from vergence.perception.locate import LocateResult, ShownPair, locate_target
+from vergence.perception.locate import LocateResult, locate_target
 from vergence.perception.pictures import compose_detections, compose_located, shorten_to_width
 from vergence.vision.targets import AprilTag
 
@@ -29,7 +29,7 @@ def result_of(*places: tuple[str, AprilTag, tuple[float, float, float]], swap: b
     return LocateResult(
         head=HEAD,
         angles=dict.fromkeys(names, HEAD.rest()), pairs=names, located=tuple(located), missed=(),
-        remarks=(), unpaired=(), failures=(), shown=ShownPair(*(photographs or [nothing])[0]),
+        remarks=(), unpaired=(), failures=(), shown=tuple((photographs or [nothing])[0]),
     )  # fmt: skip
 
 

@@ -59,11 +59,7 @@ class Locate:
         options = self.options
         self.tables.check()
         from vergence.commands.located import print_located_targets
-        from vergence.perception.locate import (
-            locate,
-            write_corner_table,
-            write_target_table,
-        )
+        from vergence.perception.locate import locate, write_corner_table, write_target_table
         from vergence.perception.pictures import draw_located
         from vergence.reporting.runs import write_config_and_head, write_json
 
@@ -77,15 +73,7 @@ class Locate:
 
         with claimed_run_folder(self.out or dated_run_folder("locate")) as run:
             with progress_bar("locate") as report:
-                result = locate(
-                    options.left,
-                    options.right,
-                    options.head,
-                    options.target,
-                    options.response,
-                    options.joints,
-                    report,
-                )
+                result = locate(**vars(options), progress=report)
             if options.joints is None:
                 _say_rest(result.head)
             run.finish(write, result.rows, lambda: print_located_targets(result), as_json=self.json)
@@ -109,7 +97,7 @@ def _nothing(targets: tuple[str, ...], result: "LocateResult") -> str:
     from vergence.perception.notes import describe_similar_targets
     from vergence.vision import Camera
 
-    left = result.shown.left
+    left = result.shown[0]
     there = ""
     if not left.detections:
         camera = Camera.of(result.head, 0)

@@ -325,13 +325,6 @@ class MissedTarget(NamedTuple):
     """`left` or `right` if only that image has the target; `twice` if one has it more than once."""
 
 
-class ShownPair(NamedTuple):
-    """The pair that is drawn in the picture."""
-
-    left: Photograph
-    right: Photograph
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LocateResult:
     """Targets located in all pairs."""
@@ -349,9 +342,9 @@ class LocateResult:
     """Images without a partner."""
     failures: tuple[str, ...]
     """Images that could not be read, one line each."""
-    shown: ShownPair
-    """First pair in which a target was located, else the first with a detection in either image,
-    else the first."""
+    shown: tuple[Photograph, Photograph]
+    """The pair to draw: the first in which a target was located, else the first with a detection
+    in either image, else the first."""
 
     @property
     def any_triangulated(self) -> bool:
@@ -453,36 +446,35 @@ class LocateResult:
 def locate(
     left: Path,
     right: Path,
-    head_name: str,
-    targets: Sequence[str],
+    head: str,
+    target: Sequence[str],
     response: str | None = None,
     joints: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> LocateResult:
     """Find targets in pairs of photographs and triangulate them, see `vergence locate --help`."""
-    wanted = parse_targets(targets)
+    targets = parse_targets(target)
     curve = None if response is None else parse_response(response)
-    head = load_head(head_name)
+    model = load_head(head)
     pairs, unpaired, is_single = pair_up(left, right)
-    angles = read_joint_angles(head, joints, [pair.name for pair in pairs])
-    search = PhotographSearch(wanted, [Camera.of(head, eye) for eye in range(2)], curve)
+    angles = read_joint_angles(model, joints, [pair.name for pair in pairs])
+    search = PhotographSearch(targets, [Camera.of(model, eye) for eye in range(2)], curve)
     read: dict[str, FloatArray] = {}
     located: list[LocatedTarget] = []
     missed: list[MissedTarget] = []
     shown, rank = None, -1
-    for photographs in search.search(pairs, progress, is_single=is_single, kind=" pairs"):
-        name = photographs[0].path.name
+    for left_one, right_one in search.search(pairs, progress, is_single=is_single, kind=" pairs"):
+        name, sides = left_one.path.name, (left_one.detections, right_one.detections)
         read[name] = angles[name]
-        sides = (one.detections for one in photographs)
-        here, not_here = _match(head, angles[name], name, *sides)
+        here, not_here = _match(model, angles[name], name, *sides)
         located += here
         missed += not_here
-        worth = 2 * bool(here) + any(each.detections for each in photographs)
+        worth = 2 * bool(here) + any(sides)
         if worth > rank:
-            shown, rank = ShownPair(*photographs), worth
+            shown, rank = (left_one, right_one), worth
     assert shown is not None  # else the search has raised an error
     return LocateResult(
-        head=head,
+        head=model,
         angles=read,
         pairs=tuple(read),
         located=tuple(located),

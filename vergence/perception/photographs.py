@@ -7,6 +7,7 @@ import json
 import math
 import re
 import tomllib
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -134,26 +135,21 @@ def pair_images(
     lefts: Sequence[Path], rights: Sequence[Path], *, one_folder: bool = False
 ) -> PairedImages:
     """Pair the images of two lists; with `one_folder`, names need a word for the side."""
-    by_key: dict[str, list[Path]] = {}
+    by_key: dict[str, list[Path]] = defaultdict(list)
     for path in rights:
         for key in _keys(path, 1, one_folder):
-            by_key.setdefault(key, []).append(path)
-    pairs: list[ImagePair] = []
+            by_key[key].append(path)
     taken: dict[Path, Path] = {}
     for path in lefts:
         found = next((by_key[key] for key in _keys(path, 0, one_folder) if key in by_key), [])
-        if len(found) > 1:
+        rivals = [(path, found)] if len(found) > 1 else []
+        rivals += [(one, [taken[one], path]) for one in found if one in taken]
+        for image, (first, second, *_) in rivals:
             raise ConfigurationError(
-                f"{path}: expected one image that belongs to it, got {found[0]} and {found[1]}"
+                f"{image}: expected one image that belongs to it, got {first} and {second}"
             )
-        for partner in found:
-            if partner in taken:
-                raise ConfigurationError(
-                    f"{partner}: expected one image that belongs to it, got {taken[partner]} "
-                    f"and {path}"
-                )
-            taken[partner] = path
-            pairs.append(ImagePair(path, partner))
+        taken |= dict.fromkeys(found, path)
+    pairs = [ImagePair(left, right) for right, left in taken.items()]
     swapped = (
         {key for path in side for key in _keys(path, eye, True)}
         for eye, side in enumerate((rights, lefts))
@@ -246,10 +242,8 @@ def _of_csv(text: str) -> list[Row]:
 
 
 def _of_tables(content: Any) -> list[Any]:
-    if isinstance(content, list):
-        return content
     if not isinstance(content, dict):
-        return []
+        return content if isinstance(content, list) else []
     values = list(content.values())
     if len(values) == 1 and isinstance(values[0], list):
         return values[0]
@@ -326,15 +320,12 @@ def parse_joint_angles(head: HeadModel, row: Row, where: str) -> FloatArray:
         actuators[NECK] = q[NECK]
         actuators[EYES][: own.count] = [given[name] for name in own.names]
         q = own.joints_of(actuators)
-    for place, name in enumerate(head.joints):
-        low, high = (
-            head.limits.lower[place] - _LIMIT_TOLERANCE_RAD,
-            head.limits.upper[place] + _LIMIT_TOLERANCE_RAD,
-        )
-        if name and not low <= q[place] <= high:
+    lowest, highest = head.limits.lower, head.limits.upper
+    allowed = (lowest - _LIMIT_TOLERANCE_RAD <= q) & (q <= highest + _LIMIT_TOLERANCE_RAD)
+    for name, good, angle, low, high in zip(head.joints, allowed, q, lowest, highest, strict=True):
+        if name and not good:
             raise ConfigurationError(
-                f"{where}: {name}: expected {head.limits.lower[place]:.4g} to "
-                f"{head.limits.upper[place]:.4g} rad, got {q[place]:.4g} "
+                f"{where}: {name}: expected {low:.4g} to {high:.4g} rad, got {angle:.4g} "
                 f"(an angle in degrees is named {name}_deg)"
             )
     return q

@@ -51,15 +51,7 @@ class TargetColours:
 
 
 def target_outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
-    """The outermost corners of a target in order around it, without missing ones.
-
-    Args:
-        target: the board.
-        corners: (n, k) its corners, in an image or in space; nan for a missing one.
-
-    Returns:
-        (m, k) a closed line, from the upper left corner clockwise.
-    """
+    """(m, k) closed line of the outermost of a target's (n, k) corners, without missing ones."""
     x, y = target.corners_m.T
     close = 1e-6 * np.ptp(target.corners_m)
     sides = (
@@ -77,14 +69,7 @@ def target_outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
 def draw_detections(
     panel: Axes, image: NDArray[np.uint8], found: Sequence[Detection], colours: TargetColours
 ) -> None:
-    """Draw an image with its targets: corners, outline, upper left corner, and numbers of tags.
-
-    Args:
-        panel: axes to draw on.
-        image: (height, width) grey levels.
-        found: detections in the image.
-        colours: colours of targets.
-    """
+    """Draw an image with its targets: corners, outline, upper left corner, and numbers of tags."""
     height, width = image.shape
     pt_per_px = 72.0 / panel.figure.dpi * panel.bbox.width / width
     panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
@@ -143,27 +128,22 @@ def _what(found: Sequence[Detection]) -> str:
 
 
 def draw_photographs(photographs: Sequence[Photograph], path: Path) -> None:
-    """Draw photographs next to each other into a PNG file.
+    """Draw photographs next to each other into a PNG file, replaced if it exists."""
+    _save(compose_detections(photographs), path)
 
-    Args:
-        photographs: one photograph or a few.
-        path: the file, replaced if it exists; its folder must exist.
 
-    Raises:
-        OSError: the file cannot be written.
-    """
-    with figure_style():
-        figure = compose_detections(photographs)
-        with atomic_file(path) as partial:
-            figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
+def draw_located(result: LocateResult, path: Path) -> None:
+    """Draw located targets into a PNG file, replaced if it exists."""
+    _save(compose_located(result), path)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with figure_style(), atomic_file(path) as partial:
+        figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
 
 def compose_detections(photographs: Sequence[Photograph]) -> Figure:
-    """Compose the figure.
-
-    Args:
-        photographs: see `draw_photographs`.
-    """
+    """Compose the figure of `draw_photographs`."""
     columns = 1 if len(photographs) == 1 else 2 if len(photographs) <= 4 else 3
     across = {1: 9.0, 2: 6.2, 3: 4.6}[columns]
     tall = [image.shape[0] / image.shape[1] for _, image, _ in photographs]
@@ -208,28 +188,8 @@ _FAR_DISTANCE_RATIO: Final = 5.0
 would shrink all others to a dot (chosen)."""
 
 
-def draw_located(result: LocateResult, path: Path) -> None:
-    """Draw located targets into a PNG file.
-
-    Args:
-        result: the result of `locate`.
-        path: the file, replaced if it exists; its folder must exist.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    with figure_style():
-        figure = compose_located(result)
-        with atomic_file(path) as partial:
-            figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
-
-
 def compose_located(result: LocateResult) -> Figure:
-    """Compose the figure.
-
-    Args:
-        result: the result of `locate`.
-    """
+    """Compose the figure: the images of both eyes, and the targets in space."""
     shown, colours = result.shown, TargetColours()
     tall = max(each.image.shape[0] / each.image.shape[1] for each in shown)
     top = 0.5 * _FIGURE_WIDTH_IN * tall + 0.4
@@ -267,7 +227,7 @@ def _draw_space(
     )
     near = _near(seen)
     outside = int(sum(one.valid.sum() for one in seen) - sum(each.sum() for each in near))
-    shown = result.shown.left.path.name
+    shown = result.shown[0].path.name
     panels = [figure.add_subplot(grid[1, column]) for column in range(len(_VIEWS))]
     for panel, (title, across, up, xlabel, ylabel) in zip(panels, _VIEWS, strict=True):
         _draw_view(panel, seen, near, eyes, (across, up), colours, shown)

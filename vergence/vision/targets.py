@@ -534,6 +534,6 @@ def neighbour_pairs(target: PlanarTarget) -> NDArray[np.intp]:
         return np.array([[0, 1], [0, 3], [1, 2], [2, 3]])
     columns = target.columns - isinstance(target, CharucoBoard)  # whose columns are squares
     grid = np.arange(len(target.corners_m)).reshape(-1, columns)
-    across, down = np.stack([grid[:, :-1], grid[:, 1:]]), np.stack([grid[:-1], grid[1:]])
-    pairs = np.concatenate([across.reshape(2, -1), down.reshape(2, -1)], axis=1).T
-    return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
+    first = np.concatenate([grid[:, :-1].ravel(), grid[:-1].ravel()])
+    second = np.concatenate([grid[:, 1:].ravel(), grid[1:].ravel()])
+    return np.column_stack([first, second])[np.lexsort([second, first])]
