@@ -56,7 +56,6 @@ class TargetFinder:
         camera: Camera | None = None,
         response: CameraResponse | None = None,
     ) -> None:
-        self.camera = camera
         self.response_check = LinearResponseCheck()
         self._detectors = [make_detector(target, camera, response) for target in targets]
 
