@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from vergence.errors import VergenceError
-from vergence.perception.finding import srgb_fit_log_ratios
+from vergence.perception.notes import srgb_fit_log_ratios
 from vergence.perception.photographs import SUFFIXES
 from vergence.vision import make_detector, parse_target
 from vergence.vision.image import (

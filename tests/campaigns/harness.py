@@ -29,8 +29,8 @@ from vergence.controllers.controller import CONTROLLERS
 
 MODULES: Final = (
     "cli", "eval.gaze_figure", "eval.article.reproduce", "eval.comparison.evaluate",
-    "eval.comparison.folder", "eval.comparison.tables", "perception.detect",
-    "eval.locate_figure", "eval.tuning.tune", "models.mujoco.export", "training.choices",
+    "eval.comparison.folder", "eval.comparison.tables", "perception.finding",
+    "perception.pictures", "eval.tuning.tune", "models.mujoco.export", "training.choices",
     "training.export", "training.run",
 )  # fmt: skip
 MEMORY: Final = 6 * 2**30

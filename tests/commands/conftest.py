@@ -7,4 +7,4 @@ import pytest
 def brief_search(monkeypatch):
     """Tags without OpenCV's search of hard cases, see tests/vision; light by fewer edges."""
     monkeypatch.setattr("vergence.vision.tags.detector.TagDetector._search_opencv", lambda *_: [])
-    monkeypatch.setattr("vergence.perception.finding._MAX_EDGES_PER_TARGET", 4)
+    monkeypatch.setattr("vergence.perception.notes._MAX_EDGES_PER_TARGET", 4)

@@ -13,7 +13,7 @@ from tests.heads import text_of
 from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at, save_pair
 from vergence.models import load_head
-from vergence.perception.locate import MeanEdge, describe_wrong_edges
+from vergence.perception.locate import EdgeSpacing, describe_wrong_edges
 from vergence.vision.targets import AprilTag
 
 TARGET = "tag:36h11:5:120"
@@ -203,8 +203,8 @@ def test_edges_that_are_not_as_stated_are_explained_by_the_likeliest_unit():
         (4.724, "was the size given in inches"), (120000.0, "was the size given in micrometres"),
     ):  # fmt: skip
         with named(size_mm):
-            tag = AprilTag(id=5, edge_m=1e-3 * size_mm)
-            pairs = [MeanEdge(pair, tag, 0.12, 1e-4) for pair in ("2.png", "10.png")]
+            edges = EdgeSpacing(0.12, 0.0, 4, 1e-3 * size_mm, 1e-4)
+            pairs = [(pair, edges) for pair in ("2.png", "10.png")]
             said = describe_wrong_edges("tag", pairs)
             assert bool(said) == (hint is not None)
             if hint is not None:

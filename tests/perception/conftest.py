@@ -7,5 +7,5 @@ import pytest
 def brief_search(request, monkeypatch):
     """Tags without OpenCV's search of hard cases, see tests/vision; light by fewer edges."""
     monkeypatch.setattr("vergence.vision.tags.detector.TagDetector._search_opencv", lambda *_: [])
-    if "test_light" not in request.node.nodeid:
-        monkeypatch.setattr("vergence.perception.finding._MAX_EDGES_PER_TARGET", 4)
+    if "test_notes" not in request.node.nodeid:
+        monkeypatch.setattr("vergence.perception.notes._MAX_EDGES_PER_TARGET", 4)

@@ -126,7 +126,7 @@ def test_the_mean_edge_errs_as_much_as_it_says(name, target):
             for d in sides
         ]
         one = locate_target(head, turned, "a", *noisy)
-        means.append(one.mean_edge.mean_m)
-        said.append(one.mean_edge.sigma_m)
+        means.append(one.spacing.mean_m)
+        said.append(one.spacing.sigma_m)
     # 200 draws: a standard deviation is known to 5 %; it is of first order
     assert np.std(means) == pytest.approx(np.mean(said), rel=0.16)

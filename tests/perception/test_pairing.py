@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.naming import refused
 from vergence.errors import ConfigurationError
 from vergence.perception.photographs import list_photographs, pair_up
 
@@ -37,16 +38,11 @@ def test_names_that_differ_by_the_side_or_not_at_all_are_a_pair(tmp_path):
 
 
 def test_other_names_are_none(tmp_path):
-    for number, (left, right) in enumerate(
-        (
-            ("left12.jpg", "right13.jpg"),
-            ("left12.jpg", "r12.jpg"),
-            ("cleft12.jpg", "cright12.jpg"),
-            ("lamp.png", "ramp.png"),
-            ("cam01.png", "cam11.png"),
-            ("a.png", "b.png"),
-        )
-    ):
+    names = [
+        ("left12.jpg", "right13.jpg"), ("left12.jpg", "r12.jpg"), ("cleft12.jpg", "cright12.jpg"),
+        ("lamp.png", "ramp.png"), ("cam01.png", "cam11.png"), ("a.png", "b.png"),
+    ]  # fmt: skip
+    for number, (left, right) in enumerate(names):
         (tmp_path / str(number)).mkdir()
         with pytest.raises(ConfigurationError, match=f"whose names differ by left and.*{left}"):
             paired(tmp_path / str(number), left, right)
@@ -61,63 +57,38 @@ def test_numbers_are_in_their_order_and_what_has_no_partner_is_named(tmp_path):
     assert not single
 
 
-def test_one_folder_may_hold_both_sides(tmp_path):
+def test_one_folder_may_hold_both_sides_and_two_images_are_a_pair_whatever_their_names(tmp_path):
     both = folder_of(
         tmp_path / "both", "left1.jpg", "right1.jpg", "left2.jpg", "right2.jpg", "x.png"
     )
     pairs, alone, _ = pair_up(both, both)
-    assert [(p.left.name, p.right.name) for p in pairs] == [
-        ("left1.jpg", "right1.jpg"),
-        ("left2.jpg", "right2.jpg"),
-    ]
+    names = [(pair.left.name, pair.right.name) for pair in pairs]
+    assert names == [("left1.jpg", "right1.jpg"), ("left2.jpg", "right2.jpg")]
     assert [path.name for path in alone] == ["x.png"]
+    pairs, alone, single = pair_up(both / "x.png", both / "left1.jpg")
+    assert (pairs[0].name, alone, single) == ("x.png", [], True)
 
 
-def test_two_images_are_a_pair_whatever_they_are_called(tmp_path):
-    folder_of(tmp_path, "one.png", "other.png")
-    pairs, alone, single = pair_up(tmp_path / "one.png", tmp_path / "other.png")
-    assert (pairs[0].name, alone, single) == ("one.png", [], True)
-
-
-def test_what_is_ambiguous_or_empty_is_refused(tmp_path):
-    cases = [
-        (("a.png",), ("a.png", "a.jpg"), "a.png: expected one image that belongs to it, got"),
-        (("a.png", "a.jpg"), ("a.png",), "a.png: expected one image that belongs to it, got"),
-        ((), ("a.png",), "expected a folder with images"),
-        (("a.txt",), ("a.png",), "expected a folder with images"),
-    ]
-    for number, (left, right, said) in enumerate(cases):
-        folders = [
-            folder_of(tmp_path / f"{number}{side}", *names)
-            for side, names in (("a", left), ("b", right))
-        ]
-        with pytest.raises(ConfigurationError, match=said):
-            pair_up(*folders)
-
-
-def test_an_image_and_a_folder_are_refused(tmp_path):
-    folder_of(tmp_path, "a.png")
-    with pytest.raises(ConfigurationError, match="two images or two folders"):
-        pair_up(tmp_path / "a.png", tmp_path)
-
-
-def test_folders_the_other_way_round_are_told(tmp_path):
-    for side in ("left", "right"):
-        (tmp_path / side).mkdir()
-        for number in range(3):
-            (tmp_path / side / f"{side}{number}.png").touch()
-    with pytest.raises(ConfigurationError, match="by their names they are the other way round"):
-        pair_up(tmp_path / "right", tmp_path / "left")
-
-
-def test_what_is_not_there_is_said_with_what_was_expected(tmp_path):
-    (tmp_path / "empty").mkdir()
-    there = tmp_path / "a.png"
-    there.touch()
-    for left, right in ((tmp_path / "none", tmp_path), (there, tmp_path / "none")):
-        with pytest.raises(ConfigurationError, match=r"none: no such file or folder; expected"):
-            pair_up(left, right)
-    with pytest.raises(ConfigurationError, match=r"right in it, got an empty one$"):
-        pair_up(tmp_path / "empty", tmp_path)
-    with pytest.raises(ConfigurationError, match=r"b\.png: no such file or folder"):
-        list_photographs([there, tmp_path / "b.png"])
+def test_what_is_ambiguous_empty_swapped_or_not_there_is_refused(tmp_path):
+    one = folder_of(tmp_path, "a.png") / "a.png"
+    lefts, rights = (
+        folder_of(tmp_path / side, *(f"{side}{number}.png" for number in range(3)))
+        for side in ("left", "right")
+    )
+    both, text, empty = (
+        folder_of(tmp_path / name, *files)
+        for name, files in (("both", ("a.png", "a.jpg")), ("text", ("a.txt",)), ("empty", ()))
+    )
+    single = folder_of(tmp_path / "single", "a.png")
+    for left, right, said in (
+        (single, both, "a.png: expected one image that belongs to it, got"),
+        (both, single, "a.png: expected one image that belongs to it, got"),
+        (text, single, "expected a folder with images .* right in it, got none among 1 files"),
+        (empty, single, "right in it, got an empty one$"),
+        (one, tmp_path, "two images or two folders"),
+        (rights, lefts, "by their names they are the other way round"),
+        (tmp_path / "none", tmp_path, "none: no such file or folder; expected"),
+        (one, tmp_path / "none", "none: no such file or folder; expected"),
+    ):
+        refused(said, pair_up, left, right)
+    refused(r"b\.png: no such file or folder", list_photographs, [one, tmp_path / "b.png"])

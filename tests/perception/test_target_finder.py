@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tests.eval.refusals import not_refused
-from tests.perception.drawn import Studio, pose_at
+from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
 from vergence.perception.finding import TargetFinder, parse_targets, tag_number
 from vergence.perception.locate import _match
 from vergence.vision import Camera
-from vergence.vision.targets import AprilTag, CharucoBoard
+from vergence.vision.targets import AprilTag
 
 HEAD = load_head("physical")
 
@@ -57,17 +57,26 @@ def test_tags_are_matched_by_number_and_one_that_is_there_twice_is_not():
 
 
 @pytest.mark.slow
-def test_a_charuco_board_is_one_target():
-    board = CharucoBoard(columns=6, rows=5, square_m=0.03, marker_m=0.022)
-    studio = Studio(HEAD, board)
-    images = studio.take(pose_at([0.0, -0.05, 0.6]), np.random.default_rng(0))
-    targets = parse_targets(["charuco:6x5:30:22:4X4_50"])
-    found = [TargetFinder(targets, Camera.of(HEAD, e)).find(images[e]) for e in range(2)]
+@pytest.mark.parametrize(
+    ("head", "name", "place", "turn", "least"),
+    [
+        ("physical", "charuco:6x5:30:22:4X4_50", [0.0, -0.05, 0.6], [0.0, 0.0, 0.0], 16),
+        ("simulated", "aprilgrid:5x4:30:0.3", [0.0, -0.02, 0.4], [0.2, 0.1, 0.1], 4 * 20),
+    ],
+)
+def test_a_board_of_markers_is_one_target_whose_edges_are_as_stated(head, name, place, turn, least):
+    head, targets, pose = load_head(head), parse_targets([name]), pose_at(place, turn)
+    images = Studio(head, targets[0]).take(pose, np.random.default_rng(0))
+    found = [TargetFinder(targets, Camera.of(head, e)).find(images[e]) for e in range(2)]
     assert [len(each) for each in found] == [1, 1]
-    (one,), _ = _match(HEAD, HEAD.rest(), "a", *found)
-    assert one.valid.sum() >= 16
+    (one,), _ = _match(head, head.rest(), "a", *found)
+    assert one.valid.sum() >= least
     assert one.spacing.mean_m == pytest.approx(0.03, rel=0.005)
-    assert (np.abs(one.centre.point - [0.0, -0.05, 0.6]) < 4.0 * one.centre.sigma).all()
+    assert (np.abs(one.centre.point - place) < 4.0 * one.centre.sigma).all()
+    if name.startswith("aprilgrid"):
+        errors = one.fix.point - corners_in_space(targets[0], pose)
+        assert np.sqrt(np.mean((errors / one.fix.sigma) ** 2)) < 1.5
+        assert one.spacing.edge_count == 4 * 20  # edges of tags; the gaps between them are no edges
 
 
 def test_no_target_and_texts_that_are_none_are_refused():

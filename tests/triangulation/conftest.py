@@ -29,3 +29,23 @@ def errors() -> ModelErrors:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20)
+
+
+def settled_angles(
+    true: HeadModel, nominal: HeadModel, points: np.ndarray, noise: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Angles at which a true head's noisy detections of points sit on nominal principal points.
+
+    That is what a loop does with detections that are off by a constant: Newton's method.
+    """
+    q = nominal.fixate(points)
+    for _ in range(8):
+        error = nominal.undistort(true.project(q, points) + noise) - nominal.cameras.principal
+        seen = true.project(q, points, distorted=False)
+        inverse = np.linalg.inv(true.camera_poses(q))
+        depth = (inverse[..., 2, :3] * points[..., None, :]).sum(axis=-1) + inverse[..., 2, 3]
+        J = true.image_jacobian(q, seen, depth)
+        for eye in range(2):
+            part = slice(3 + 2 * eye, 5 + 2 * eye)
+            q[..., part] -= np.linalg.solve(J[..., eye, :, part], error[..., eye, :, None])[..., 0]
+    return q

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tests.models.lenses import LENSES, wide
 from tests.naming import named
+from tests.triangulation.conftest import settled_angles
 from vergence import HeadModel, Noise, triangulate_gaze, triangulate_views
 
 DRAWS = 20_000
@@ -31,24 +32,6 @@ def eigenvalues(propagated: Array, sample: Array) -> Array:
 def agree(propagated: Array, draws: Array) -> bool:
     low, _, high = eigenvalues(propagated, np.cov(draws.T))
     return low > 0.94 and high < 1.06
-
-
-def settled(head: HeadModel, q: Array, point: Array, noise: Array) -> Array:
-    """Eye angles at which the noisy detection of a point sits on the principal point.
-
-    That is what a loop does with a detection that is off by a constant: Newton's method from
-    the true angles, in two steps far beyond the accuracy needed.
-    """
-    out = np.broadcast_to(q, (len(noise), 7)).copy()
-    inverse = np.linalg.inv(head.camera_poses(q))
-    depth = inverse[:, 2, :3] @ point + inverse[:, 2, 3]
-    for _ in range(2):
-        error = head.undistort(head.project(out, point) + noise) - head.cameras.principal
-        J = head.image_jacobian(out, head.cameras.principal, depth)
-        for eye in range(2):
-            part = slice(3 + 2 * eye, 5 + 2 * eye)
-            out[:, part] -= np.linalg.solve(J[:, eye, :, part], error[:, eye, :, None])[..., 0]
-    return out
 
 
 @pytest.fixture(params=[(0.5, 25.0), (2.5, 0.0)], ids=["near and aside", "far and ahead"])
@@ -80,7 +63,12 @@ def test_pixel_noise_of_gaze_reaches_the_point_through_the_settled_loop(
     head: HeadModel, point, rng
 ) -> None:
     q = head.fixate(point)
-    draws = settled(head, q, point, PIXEL_PX * rng.standard_normal((DRAWS, 2, 2)))
+    draws = settled_angles(
+        head,
+        head,
+        np.broadcast_to(point, (DRAWS, 3)),
+        PIXEL_PX * rng.standard_normal((DRAWS, 2, 2)),
+    )
     fix = triangulate_gaze(head, q, Noise(pixel_px=PIXEL_PX))
     assert agree(fix.covariance, triangulate_gaze(head, draws, Noise()).point)
 

@@ -15,12 +15,12 @@ from vergence.calibration.adjustment import BundleAdjustment
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.camera import CameraResponse
 from vergence.models.parts import FloatArray
-from vergence.perception.finding import (
+from vergence.perception.notes import (
     LinearResponseCheck,
-    UnseenRowCheck,
+    PhotographNotes,
     describe_similar_targets,
 )
-from vergence.perception.photographs import join_first_names, remark_on_orientation_tags
+from vergence.perception.photographs import join_first_names
 from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily
@@ -178,9 +178,9 @@ def detect_board_corners(
     ]
     views = len(photographs[0])
     seen: list[_Seen | str] = []
-    check, rows = LinearResponseCheck(), UnseenRowCheck()
+    check, notes = LinearResponseCheck(), PhotographNotes([target])
     for number, path in enumerate(every, 1):
-        seen.append(_look(path, detectors[(number - 1) // views], check, rows))
+        seen.append(_look(path, detectors[(number - 1) // views], check, notes))
         if number == _MISSES_BEFORE_CHECK:
             _refuse_another(target, every[:number], seen)
         if progress is not None:
@@ -211,7 +211,7 @@ def detect_board_corners(
         pixels=pixels,
         sigma=sigma,
         excluded=excluded,
-        remarks=(*rows.notes(), *check.notes(), *remark_on_orientation_tags(every)),
+        remarks=notes.lines(every, [check]),
     )
     seen = np.isfinite(pixels).any()
     if len(by_camera) > 1 and seen and np.array_equal(pixels[0], pixels[1], equal_nan=True):
@@ -226,7 +226,7 @@ def detect_board_corners(
 
 
 def _look(
-    path: Path, detector: Detector[Any], check: LinearResponseCheck, row_check: UnseenRowCheck
+    path: Path, detector: Detector[Any], check: LinearResponseCheck, notes: PhotographNotes
 ) -> _Seen | str:
     """Detect the board, also at half sizes, as large images are soft; a text if unreadable."""
     try:
@@ -245,7 +245,7 @@ def _look(
     if found is None:
         return _Seen((width, height), None, None)
     check.add(image, [found], detector.response_of(image))
-    row_check.add(found, image.shape)
+    notes.add(image, [found], check_white=False)
     # pixel centres are at integers
     corners = scale * (found.corners_px + 0.5) - 0.5
     return _Seen((width, height), corners, scale * found.corners_sigma_px)

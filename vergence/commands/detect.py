@@ -121,12 +121,8 @@ class Detect:
     def _photographs(
         self, targets: "list[Target]", camera: "Camera | None", response: "CameraResponse | None"
     ) -> int:
-        from vergence.perception.finding import (
-            Photograph,
-            TargetFinder,
-            describe_similar_targets,
-            detect_in_photographs,
-        )
+        from vergence.perception.finding import Photograph, detect_in_photographs
+        from vergence.perception.notes import describe_similar_targets
         from vergence.vision import read_image
 
         shown: list[Photograph] = []
@@ -141,19 +137,20 @@ class Detect:
                 shown.append(photograph)
 
         with progress_bar("detect") as report:
-            finder = TargetFinder(targets, camera, response)
+            on_photograph = keep if self.figure else None
             result = detect_in_photographs(
-                self.images, finder, report, keep if self.figure else None
+                self.images, targets, camera, response, report, on_photograph
             )
         if self.figure is not None:
-            from vergence.eval.detections_figure import draw_photographs
+            from vergence.perception.pictures import draw_photographs
 
             draw_photographs(shown, self.figure)
             left = len(result.images) - len(shown)
             more = f", without {left} of the images" if left else ""
             print_to_stderr(f"{self.figure} is written{more}")
         if self.json:
-            print(json.dumps(result.rows(), indent=2, allow_nan=False))
+            rows = [sighting.document() for sighting in result.sightings]
+            print(json.dumps(rows, indent=2, allow_nan=False))
         elif result.sightings:
             _print(result)
         for text in result.remarks:

@@ -33,8 +33,7 @@ def watch_camera(
     as_json: bool,
 ) -> int:
     """Watch until Ctrl-C, the end of a video or a time, s; exit code 1 if no target was found."""
-    from vergence.perception.finding import make_live_finders
-    from vergence.perception.live import LiveStatistics, watch_targets
+    from vergence.perception.live import LiveStatistics, make_live_finders, watch_targets
     from vergence.vision.image import is_local_camera, open_video
 
     statistics = LiveStatistics(targets)

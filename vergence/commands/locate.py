@@ -8,7 +8,6 @@ import tyro
 
 from vergence.commands.console import print_read_errors, print_to_stderr, progress_bar
 from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_run_folder
-from vergence.perception.locate_config import LocateConfig
 
 if TYPE_CHECKING:
     from vergence.models.head import HeadModel
@@ -16,10 +15,39 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LocateOptions:
+    """Images, head and targets of a location run."""
+
+    left: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
+    """Image of the left eye, or a folder of such images."""
+    right: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
+    """Image of the right eye taken at the same moment, or a folder of them."""
+    head: Annotated[str, tyro.conf.arg(metavar="HEAD")]
+    """Head that took them: the path of a TOML file, or a preset's name."""
+    target: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="TARGET"),
+    ] = ()
+    """Target to find; repeatable. tag:FAMILY[:ID[:EDGE]] such as
+    tag:36h11:5:120, checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6:24.23 (inner
+    corners), charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: as OpenCV before
+    4.6 laid it out), aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:88:0.3 (kalibr's
+    tagCols, tagRows, tagSize, tagSpacing); lengths in mm."""
+    response: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TEXT")] = None
+    """Light as a function of grey level: srgb, linear, a gamma such as 2.2, or a table such as
+    0,0.2,1."""
+    joints: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
+    """Joint angles at the exposure, JSON, CSV or TOML, for a head whose eyes move; one row, or one
+    for each pair with the left image's name as pair. Columns are named after the head's joints, in
+    rad, or in degrees with the suffix _deg. At rest by default."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Locate:
     """Find tags and boards in photographs of both eyes, triangulate them, write a run folder."""
 
-    config: Flat[LocateConfig]
+    options: Flat[LocateOptions]
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/locate-DATE-TIME by default."""
     tables: Flat[TableOptions] = field(default_factory=TableOptions)
@@ -28,15 +56,11 @@ class Locate:
 
     def run(self) -> int:
         """Run the command."""
+        options = self.options
         self.tables.check()
         from vergence.commands.located import print_located_targets
-        from vergence.eval.locate_figure import draw_located
-        from vergence.perception.locate import (
-            LocateResult,
-            locate,
-            write_corner_table,
-            write_target_table,
-        )
+        from vergence.perception.locate import locate, write_corner_table, write_target_table
+        from vergence.perception.pictures import draw_located
         from vergence.reporting.runs import write_config_and_head, write_json
 
         def write(folder: Path) -> None:
@@ -44,39 +68,40 @@ class Locate:
             write_corner_table(folder / "points.csv", result.located)
             write_target_table(folder / "targets.csv", result.located)
             self.tables.convert(folder / "points.csv", folder / "targets.csv")
-            write_config_and_head(folder, result.config, result.head)
+            write_config_and_head(folder, options, result.head)
             draw_located(result, folder / "locate.png")
 
         with claimed_run_folder(self.out or dated_run_folder("locate")) as run:
             with progress_bar("locate") as report:
-                result: LocateResult = locate(self.config, report)
-            if self.config.joints is None:
+                result = locate(**vars(options), progress=report)
+            if options.joints is None:
                 _say_rest(result.head)
             run.finish(write, result.rows, lambda: print_located_targets(result), as_json=self.json)
         for text in result.notes():  # below the table: some explain its rows
             print_to_stderr(text)
         print_read_errors(result.failures)
         if not result.any_triangulated:
-            print_to_stderr(f"error: {_nothing(result)}")
+            print_to_stderr(f"error: {_nothing(options.target, result)}")
         if not run.saved or result.failures:
             return 2
         return 0 if result.any_triangulated else 1
 
 
-def _nothing(result: "LocateResult") -> str:
-    names = ", ".join(result.config.target)
+def _nothing(targets: tuple[str, ...], result: "LocateResult") -> str:
+    names = ", ".join(targets)
     if result.located:
         return f"no point of {names} has an answer: the lines of sight do not cross"
     count = len(result.pairs)
     pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
-    from vergence.perception.finding import describe_similar_targets, parse_targets
+    from vergence.perception.finding import parse_targets
+    from vergence.perception.notes import describe_similar_targets
     from vergence.vision import Camera
 
-    left = result.shown.left
+    left = result.shown[0]
     there = ""
     if not left.detections:
-        targets = parse_targets(result.config.target)
-        there = describe_similar_targets(left.image, targets, Camera.of(result.head, 0))
+        camera = Camera.of(result.head, 0)
+        there = describe_similar_targets(left.image, parse_targets(targets), camera)
     return f"expected {names} {pairs}, found none" + (
         f"; in {left.path.name} {there}" if there else ""
     )

@@ -31,23 +31,24 @@ def print_located_targets(result: LocateResult) -> None:
 def _together(result: LocateResult, every: list[LocatedTarget]) -> str:
     """Summary line on targets of one kind in all pairs."""
     target = every[0].target
-    mean, spread, count, stated = measure_spacing(target, [one.fix.point for one in every])
+    edges = measure_spacing(target, [one.fix.point for one in every])
     found = f"{len({one.pair for one in every if one.valid.any()})} of {len(result.pairs)} pairs"
-    if not count:
+    if not edges.edge_count:
         return found
     of_tags = tag_number(target) is not None
     text = (
         f"{found}; {'edges of tags' if of_tags else 'neighbouring corners'} "
-        f"{format_fixed(MM * mean, 3)} mm in the mean, spread {format_fixed(MM * spread, 3)} mm"
+        f"{format_fixed(MM * edges.mean_m, 3)} mm in the mean, "
+        f"spread {format_fixed(MM * edges.spread_m, 3)} mm"
     )
-    if np.isfinite(stated):
-        off = format_fixed(100.0 * (mean / stated - 1.0), 2, signed=True)
-        text += f"; stated {MM * stated:g} mm ({off} %)"
+    if np.isfinite(edges.stated_m):
+        off = format_fixed(100.0 * (edges.mean_m / edges.stated_m - 1.0), 2, signed=True)
+        text += f"; stated {MM * edges.stated_m:g} mm ({off} %)"
     return text
 
 
 def _row(located: LocatedTarget) -> list[str]:
-    number = tag_number(located.target)
+    number, edges = tag_number(located.target), located.spacing
     what = f"{int(located.valid.sum())}/{len(located.valid)}"
     return [
         located.pair,
@@ -55,6 +56,5 @@ def _row(located: LocatedTarget) -> list[str]:
         *(format_fixed(MM * value, 2) for value in located.centre.point),
         " ".join(format_fixed(MM * value, 2) for value in located.centre.sigma),
         format_fixed(MM * located.gap_m, 2),
-        format_fixed(MM * located.spacing.mean_m, 2)
-        + ("!" if located.mean_edge.differs_from_stated else ""),
+        format_fixed(MM * edges.mean_m, 2) + ("!" if edges.differs_from_stated else ""),
     ]

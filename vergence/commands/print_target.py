@@ -48,7 +48,7 @@ class PrintTarget:
         paper = parse_paper(self.paper)
         sheet = lay_out_sheet(require_printable(parse_target(self.target)), paper)
         dpi = self._resolution(sheet.width_mm * sheet.height_mm)
-        from vergence.eval.printed_sheet import draw_sheet
+        from vergence.vision.printed_sheet import draw_sheet
 
         self.out.parent.mkdir(parents=True, exist_ok=True)
         draw_sheet(sheet, self.out, dpi)

@@ -1,17 +1,19 @@
-"""Statistics of targets in live images: detection rate, position, noise and frame rate."""
+"""Targets in live images: found, followed, and their detection rate, position and noise."""
 
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.models.camera import CameraResponse
 from vergence.models.parts import FloatArray
 from vergence.operands import null_nonfinite_rows
-from vergence.perception.finding import LiveFinder, tag_number
+from vergence.perception.finding import tag_number
+from vergence.perception.notes import target_key
+from vergence.vision import Camera, Detector, Tracker, make_detector
 from vergence.vision.detection import Detection
 from vergence.vision.targets import PlanarTarget, TagFamily, Target
 
@@ -19,6 +21,69 @@ WINDOW_S: Final = 3.0
 """Time window of rates and noise, s (chosen: steady values against fast changes)."""
 UPDATE_INTERVAL_S: Final = 1.0
 """Interval between reports, s (chosen: up to date against readable)."""
+
+
+_SEARCH_INTERVAL_IMAGES: Final = 15
+"""Images between searches for new tags of a family, and for which a lost tag is searched for
+(chosen: new tags found early against time)."""
+
+
+LiveFinder = Callable[[NDArray[np.uint8]], Sequence[Detection]]
+"""Finds targets in the next image of a sequence."""
+
+
+def make_live_finders(
+    targets: Sequence[Target],
+    camera: Camera | None = None,
+    response: CameraResponse | None = None,
+) -> list[LiveFinder]:
+    """Make a finder for each target in live images."""
+    return [_finder(make_detector(target, camera, response)) for target in targets]
+
+
+def _finder(detector: Detector[Any]) -> LiveFinder:
+    if isinstance(detector.target, TagFamily):
+        return FamilyTracker(detector)
+    tracker = Tracker(detector)
+    return lambda image: [found] if (found := tracker.find(image)) is not None else []
+
+
+class FamilyTracker:
+    """Tracks a family's tags; searches in full every 15th image and for 15 after a loss."""
+
+    def __init__(self, detector: Detector[Any]) -> None:
+        self._detector = detector
+        self._tracks: list[tuple[Detection, FloatArray]] = []
+        """Last detection of each tag, and its (2,) motion since the previous image, px."""
+        self._awaited: dict[Hashable, int] = {}
+        self._images = 0
+
+    def __call__(self, image: NDArray[np.uint8]) -> Sequence[Detection]:
+        """Find the tags in the next image; of several with one number, only the first."""
+        tracks, self._tracks = self._tracks, []
+        for last, motion in tracks:
+            corners, point = last.corners_px + motion, last.point_px + motion
+            found = self._detector.track(image, last._replace(corners_px=corners, point_px=point))
+            if found is not None:
+                self._tracks.append((found, found.point_px - last.point_px))
+        if self._is_search_due(image):
+            for new in self._detector.detect_all(image):
+                if target_key(new.target) not in self._known():
+                    self._tracks.append((new, np.zeros(2)))
+        self._images += 1
+        self._awaited.update(dict.fromkeys(self._known(), self._images + _SEARCH_INTERVAL_IMAGES))
+        return [last for last, _ in self._tracks]
+
+    def _known(self) -> list[Hashable]:
+        return [target_key(last.target) for last, _ in self._tracks]
+
+    def _is_search_due(self, image: NDArray[np.uint8]) -> bool:
+        self._awaited = {tag: until for tag, until in self._awaited.items() if until > self._images}
+        if self._images % _SEARCH_INTERVAL_IMAGES == 0 or not self._awaited.keys() <= {
+            *self._known()
+        }:
+            return True
+        return not self._tracks and self._detector.search(image) is not None
 
 
 class TargetStatistics(NamedTuple):
@@ -69,17 +134,14 @@ class LiveSummary(NamedTuple):
 
     def document(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            "images": self.images,
-            "seconds": self.seconds,
+        return self._asdict() | {
             "frame_rate_hz": null_nonfinite_rows(self.frame_rate_hz),
             "detection_ms": null_nonfinite_rows(self.detection_ms),
             "targets": [target.document() for target in self.targets],
         }
 
 
-@dataclass(frozen=True, eq=False)
-class _Frame:
+class _Frame(NamedTuple):
     time_s: float
     took_s: float
     found: Mapping[PlanarTarget, Detection]

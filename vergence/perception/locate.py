@@ -1,17 +1,17 @@
 """Find targets in pairs of photographs, triangulate them, and judge the result."""
 
 import csv
+import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.camera import parse_response
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
@@ -19,21 +19,18 @@ from vergence.models.parts import EYE_NAMES, EYES, FloatArray
 from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
 from vergence.perception.finding import (
     Photograph,
-    PhotographNotes,
-    TargetFinder,
+    PhotographSearch,
     centre_weights,
     parse_targets,
     tag_number,
-    target_key,
     weighted_sum,
 )
-from vergence.perception.locate_config import LocateConfig
+from vergence.perception.notes import target_key
 from vergence.perception.photographs import (
     eyes_move,
     join_first_names,
     pair_up,
     read_joint_angles,
-    remark_on_orientation_tags,
 )
 from vergence.triangulation import Fix, Noise, triangulate_views
 from vergence.vision import Camera
@@ -50,6 +47,14 @@ MM: Final = 1000.0
 """Millimetres per metre (physical)."""
 
 
+_SIGNIFICANT_SIGMAS: Final = 3.0
+"""Standard deviations above which a difference is significant (chosen: false against missed
+remarks)."""
+_MIN_RELATIVE_DIFFERENCE: Final = 0.01
+"""Smallest difference that is remarked on, as a fraction of the stated edge; good calibrations and
+printers err by less (chosen: as above)."""
+
+
 class EdgeSpacing(NamedTuple):
     """Distances between neighbouring corners: edges of squares, or of a tag."""
 
@@ -61,15 +66,21 @@ class EdgeSpacing(NamedTuple):
     """Number of distances."""
     stated_m: float
     """Stated distance; nan if no size was stated."""
+    sigma_m: float = np.nan
+    """Standard deviation of the mean from the noise of pixels and joints; nan if not known."""
+
+    @property
+    def differs_from_stated(self) -> bool:
+        """True if the mean differs beyond noise and small calibration errors."""
+        return abs(self.mean_m - self.stated_m) > max(
+            _SIGNIFICANT_SIGMAS * self.sigma_m, _MIN_RELATIVE_DIFFERENCE * self.stated_m
+        )
 
     def document(self) -> dict[str, Any]:
         """Plain values, millimetres."""
-        return {
-            "mean": None if np.isnan(self.mean_m) else MM * self.mean_m,
-            "spread": None if np.isnan(self.spread_m) else MM * self.spread_m,
-            "count": self.edge_count,
-            "stated": None if np.isnan(self.stated_m) else MM * self.stated_m,
-        }
+        lengths = MM * np.array([self.mean_m, self.spread_m, self.stated_m])
+        mean, spread, stated = null_nonfinite_elements(lengths)
+        return {"mean": mean, "spread": spread, "count": self.edge_count, "stated": stated}
 
 
 def neighbour_distances_m(target: PlanarTarget, points: FloatArray) -> FloatArray:
@@ -79,21 +90,16 @@ def neighbour_distances_m(target: PlanarTarget, points: FloatArray) -> FloatArra
     return np.asarray(apart[np.isfinite(apart)])
 
 
-def measure_spacing(target: PlanarTarget, points: Iterable[FloatArray]) -> EdgeSpacing:
+def measure_spacing(
+    target: PlanarTarget, points: Iterable[FloatArray], sigma_m: float = np.nan
+) -> EdgeSpacing:
     """Mean and standard deviation of the distances over views, (n, 3) points each, m."""
     apart = np.concatenate([np.empty(0), *(neighbour_distances_m(target, each) for each in points)])
+    mean, spread = (apart.mean(), apart.std()) if len(apart) else (np.nan, np.nan)
     stated = stated_edge_m(target) if target.size_known else np.nan
-    if not len(apart):
-        return EdgeSpacing(np.nan, np.nan, 0, stated)
-    return EdgeSpacing(float(apart.mean()), float(apart.std()), len(apart), stated)
+    return EdgeSpacing(float(mean), float(spread), len(apart), stated, sigma_m)
 
 
-_SIGNIFICANT_SIGMAS: Final = 3.0
-"""Standard deviations above which a difference is significant (chosen: false against missed
-remarks)."""
-_MIN_RELATIVE_DIFFERENCE: Final = 0.01
-"""Smallest difference that is remarked on, as a fraction of the stated edge; good calibrations and
-printers err by less (chosen: as above)."""
 _UNIT_RATIO_TOLERANCE: Final = 0.05
 """Relative tolerance within which a ratio of lengths suggests a mistaken unit (chosen: mistakes
 recognised against coincidence)."""
@@ -108,29 +114,7 @@ _UNIT_MISTAKE_HINTS: Final = {
 """Likely mistake for each ratio of the measured to the stated length."""
 
 
-class MeanEdge(NamedTuple):
-    """The mean edge of a target in one pair of images."""
-
-    pair: str
-    """Name of the left image."""
-    target: PlanarTarget
-    mean_m: float
-    """Mean edge; nan if none was measured."""
-    sigma_m: float
-    """Standard deviation of that mean from the noise of pixels and joints."""
-
-    @property
-    def differs_from_stated(self) -> bool:
-        """True if it differs from the stated edge beyond noise and small calibration errors."""
-        if not self.target.size_known:
-            return False
-        stated = stated_edge_m(self.target)
-        return abs(self.mean_m - stated) > max(
-            _SIGNIFICANT_SIGMAS * self.sigma_m, _MIN_RELATIVE_DIFFERENCE * stated
-        )
-
-
-def mean_edge_sigma(
+def _mean_edge_sigma(
     head: HeadModel,
     q: FloatArray,
     target: PlanarTarget,
@@ -165,31 +149,27 @@ def mean_edge_sigma(
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def describe_wrong_edges(name: str, mean_edges: Sequence[MeanEdge]) -> str:
-    """Message about targets whose edges differ from the stated size; empty if none do."""
-    mean_edges = [each for each in mean_edges if np.isfinite(each.mean_m)]
-    off = [each for each in mean_edges if each.differs_from_stated]
+def describe_wrong_edges(name: str, edges: Sequence[tuple[str, EdgeSpacing]]) -> str:
+    """Message about a target's edges by pair that differ from the stated size; empty if none do."""
+    off = [(pair, each) for pair, each in edges if each.differs_from_stated]
     if not off:
         return ""
-    lengths, stated = [MM * each.mean_m for each in off], MM * stated_edge_m(off[0].target)
+    lengths, stated = [MM * each.mean_m for _, each in off], MM * off[0][1].stated_m
     low, high = f"{min(lengths):.2f}", f"{max(lengths):.2f}"
     found = low if low == high else f"{low} to {high}"
-    sigma = MM * float(np.median([each.sigma_m for each in off]))
+    sigma = MM * float(np.median([each.sigma_m for _, each in off]))
     ratio = float(np.median(lengths)) / stated
-    hint = next(
-        (
-            f"; {why}"
-            for k, why in _UNIT_MISTAKE_HINTS.items()
-            if abs(ratio / k - 1.0) < _UNIT_RATIO_TOLERANCE
-        ),
-        "",
-    )
-    where = join_first_names(dict.fromkeys(each.pair for each in off))
-    if len(mean_edges) > 1:
-        where = f"{len(off)} of {len(mean_edges)} places ({where})"
+    hints = [
+        f"; {why}"
+        for k, why in _UNIT_MISTAKE_HINTS.items()
+        if abs(ratio / k - 1.0) < _UNIT_RATIO_TOLERANCE
+    ]
+    where = join_first_names(dict.fromkeys(pair for pair, _ in off))
+    if len(edges) > 1:
+        where = f"{len(off)} of {len(edges)} places ({where})"
     return (
         f"{name}: edges are {found} mm in {where}, expected {stated:g} ± {sigma:.2g} mm: joint "
-        f"angles, the head's calibration or the size do not fit{hint}"
+        f"angles, the head's calibration or the size do not fit{''.join(hints[:1])}"
     )
 
 
@@ -222,7 +202,7 @@ class LocatedTarget:
     """Triangulation of its n corners."""
     centre: TargetCentre
     edge_sigma_m: float
-    """Standard deviation of the mean distance between neighbouring corners, see `mean_edge`."""
+    """Standard deviation of the mean distance between neighbouring corners."""
     focal_px: float
     """Mean focal length of the head's cameras, which converts a point's gap to pixels."""
 
@@ -234,25 +214,18 @@ class LocatedTarget:
     @property
     def spacing(self) -> EdgeSpacing:
         """Distances between its neighbouring corners."""
-        return measure_spacing(self.target, [self.fix.point])
-
-    @property
-    def mean_edge(self) -> MeanEdge:
-        """Mean distance between its neighbouring corners, with its standard deviation."""
-        return MeanEdge(self.pair, self.target, self.spacing.mean_m, self.edge_sigma_m)
+        return measure_spacing(self.target, [self.fix.point], self.edge_sigma_m)
 
     @property
     def gap_m(self) -> float:
         """Root mean square of the corners' gaps, metres; nan without a solution."""
-        gaps = self.fix.gap[self.valid]
-        return float(np.sqrt(np.mean(gaps**2))) if len(gaps) else np.nan
+        return _rms(self.fix.gap[self.valid])
 
     @property
     def gap_px(self) -> float:
         """Root mean square distance between the lines of sight, as a distance in the image, px."""
         depth = np.linalg.norm(self.fix.point[self.valid], axis=-1)
-        gaps = self.focal_px * self.fix.gap[self.valid] / depth
-        return float(np.sqrt(np.mean(gaps**2))) if len(gaps) else np.nan
+        return _rms(self.focal_px * self.fix.gap[self.valid] / depth)
 
     def document(self) -> dict[str, Any]:
         """Plain values, millimetres and pixels; None for values without a solution."""
@@ -274,34 +247,49 @@ class LocatedTarget:
         }
 
 
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
+
+
 def locate_target(
     head: HeadModel, q: FloatArray, pair: str, left: Detection, right: Detection
 ) -> LocatedTarget:
     """Triangulate a target that both eyes see, at (7,) angles, rad."""
-    target = left.target
-    own = Noise.of(head)
-    turned = [_turned(right, order) for order in equivalent_corner_orders(target)]
-    fixes = [_corner_fix(head, q, left, each, own) for each in turned]
-    best = int(np.argmin([_mismatch(fix) for fix in fixes])) if len(fixes) > 1 else 0
-    right, fix = turned[best], fixes[best]
-    sure = [d._replace(corners_sigma_px=np.zeros_like(d.corners_px)) for d in (left, right)]
-    of_joints = _corner_fix(head, q, sure[0], sure[1], own).covariance
-    centre = (
-        _measured_point(head, q, left, right, own)
-        if isinstance(target, AprilTag)
-        else _board_centre(target, fix, of_joints)
-    )
-    corners = np.stack([left.corners_px, right.corners_px], axis=1)
+    target, joint_rad = left.target, Noise.of(head).joint_rad
+
+    def fix_of(pixels: FloatArray, sigma: FloatArray) -> Fix:
+        # the detector's noise, or the head file's if the detector has none
+        known = np.where(np.isfinite(sigma), sigma, head.sensor.detection_noise_px)
+        return triangulate_views(head, q, pixels, Noise(pixel_px=known, joint_rad=joint_rad))
+
+    def candidate(order: NDArray[np.intp]) -> tuple[Fix, FloatArray, FloatArray]:
+        pixels = np.stack([left.corners_px, right.corners_px[order]], axis=1)
+        sigma = np.stack([left.corners_sigma_px, right.corners_sigma_px[order]], axis=1)
+        return fix_of(pixels, sigma), pixels, sigma
+
+    candidates = [candidate(order) for order in equivalent_corner_orders(target)]
+    fix, pixels, sigma = min(candidates, key=lambda each: _mismatch(each[0]))
+    of_joints = fix_of(pixels, np.zeros_like(pixels)).covariance
+    of_pixels = fix.covariance - of_joints
+    if isinstance(target, AprilTag):
+        middle = fix_of(
+            np.stack([left.point_px, right.point_px]), np.stack([left.sigma_px, right.sigma_px])
+        )
+        centre = TargetCentre(middle.point, middle.covariance)
+    else:  # pixel errors average out over a board's corners, joint errors do not
+        weights = centre_weights(target.corners_m, np.asarray(fix.valid, bool))
+        centre = TargetCentre(
+            weighted_sum(fix.point, weights),
+            weighted_sum(of_pixels, weights**2) + of_joints[weights != 0.0].mean(axis=0),
+        )
     return LocatedTarget(
         pair=pair,
         target=target,
-        pixels=np.stack([left.corners_px, right.corners_px]),
-        sigma_px=np.stack([left.corners_sigma_px, right.corners_sigma_px]),
+        pixels=pixels.swapaxes(0, 1),
+        sigma_px=sigma.swapaxes(0, 1),
         fix=fix,
         centre=centre,
-        edge_sigma_m=mean_edge_sigma(
-            head, q, target, corners, fix.point, fix.covariance - of_joints
-        ),
+        edge_sigma_m=_mean_edge_sigma(head, q, target, pixels, fix.point, of_pixels),
         focal_px=float(head.cameras.focal.mean()),
     )
 
@@ -317,57 +305,10 @@ def equivalent_corner_orders(target: PlanarTarget) -> list[NDArray[np.intp]]:
     return [np.rot90(grid, turns).ravel() for turns in (range(4) if quarters else (0, 2))]
 
 
-def _turned(found: Detection, order: NDArray[np.intp]) -> Detection:
-    return found._replace(
-        corners_px=found.corners_px[order], corners_sigma_px=found.corners_sigma_px[order]
-    )
-
-
 def _mismatch(fix: Fix) -> float:
     """Cost of matching two views of a board: rms gap, plus a penalty for corners not solved."""
     valid = np.asarray(fix.valid, bool)
-    if not valid.any():
-        return np.inf
-    return float(np.sqrt(np.mean(fix.gap[valid] ** 2)) + 1e3 * (~valid).mean())
-
-
-def _corner_fix(
-    head: HeadModel, q: FloatArray, left: Detection, right: Detection, own: Noise
-) -> Fix:
-    pixels = np.stack([left.corners_px, right.corners_px], axis=1)
-    sigma = np.stack([left.corners_sigma_px, right.corners_sigma_px], axis=1)
-    return _fix(head, q, pixels, sigma, own)
-
-
-def _fix(head: HeadModel, q: FloatArray, pixels: FloatArray, sigma: FloatArray, own: Noise) -> Fix:
-    """Triangulate with the detector's pixel noise, or the head file's if the detector has none."""
-    known = np.where(np.isfinite(sigma), sigma, head.sensor.detection_noise_px)
-    return triangulate_views(head, q, pixels, Noise(pixel_px=known, joint_rad=own.joint_rad))
-
-
-def _measured_point(
-    head: HeadModel, q: FloatArray, left: Detection, right: Detection, own: Noise
-) -> TargetCentre:
-    pixels = np.stack([left.point_px, right.point_px])
-    fix = _fix(head, q, pixels, np.stack([left.sigma_px, right.sigma_px]), own)
-    return TargetCentre(fix.point, fix.covariance)
-
-
-_NAN_CENTRE: Final = TargetCentre(np.full(3, np.nan), np.full((3, 3), np.nan))
-"""Centre of a board that cannot be located (numerical)."""
-
-
-def _board_centre(target: PlanarTarget, fix: Fix, of_joints: FloatArray) -> TargetCentre:
-    """Centre of a board: pixel errors average out over its corners, joint errors do not."""
-    weights = centre_weights(target.corners_m, np.asarray(fix.valid, bool))
-    if not np.isfinite(weights).all():
-        return _NAN_CENTRE
-    of_pixels = fix.covariance - of_joints
-    used = weights != 0.0
-    return TargetCentre(
-        weighted_sum(fix.point, weights),
-        weighted_sum(of_pixels, weights**2) + of_joints[used].mean(axis=0),
-    )
+    return _rms(fix.gap[valid]) + 1e3 * float((~valid).mean()) if valid.any() else np.inf
 
 
 MAX_GAP_PX: Final = 2.0
@@ -384,18 +325,10 @@ class MissedTarget(NamedTuple):
     """`left` or `right` if only that image has the target; `twice` if one has it more than once."""
 
 
-class ShownPair(NamedTuple):
-    """The pair that is drawn in the picture."""
-
-    left: Photograph
-    right: Photograph
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LocateResult:
     """Targets located in all pairs."""
 
-    config: LocateConfig
     head: HeadModel
     angles: dict[str, FloatArray]
     """(7,) joint angles by pair, rad."""
@@ -404,15 +337,14 @@ class LocateResult:
     located: tuple[LocatedTarget, ...]
     missed: tuple[MissedTarget, ...]
     remarks: tuple[str, ...]
-    """Notes for the user, one line each: targets that are in no image although others are, clipped
-    white, a response that seems wrong."""
+    """Notes for the user on the images, one line each."""
     unpaired: tuple[Path, ...]
     """Images without a partner."""
     failures: tuple[str, ...]
     """Images that could not be read, one line each."""
-    shown: ShownPair
-    """First pair in which a target was located, else the first with a detection in either image,
-    else the first."""
+    shown: tuple[Photograph, Photograph]
+    """The pair to draw: the first in which a target was located, else the first with a detection
+    in either image, else the first."""
 
     @property
     def any_triangulated(self) -> bool:
@@ -421,11 +353,11 @@ class LocateResult:
 
     def located_by_target(self) -> list[list[LocatedTarget]]:
         """Located targets, grouped: each board by itself, tags of one family and size together."""
-        kinds: dict[PlanarTarget, list[LocatedTarget]] = {}
+        kinds: dict[PlanarTarget, list[LocatedTarget]] = defaultdict(list)
         for one in self.located:
             target = one.target
             kind = replace(target, id=0) if isinstance(target, AprilTag) else target
-            kinds.setdefault(kind, []).append(one)
+            kinds[kind].append(one)
         return list(kinds.values())
 
     def spacings(self) -> dict[str, EdgeSpacing]:
@@ -471,13 +403,13 @@ class LocateResult:
                 f"{len(self.unpaired)} of the images have no partner: "
                 f"{join_first_names(path.name for path in self.unpaired)}"
             )
-        for key, group in groupby(
-            sorted(self.missed, key=lambda one: (str(one.target), one.seen_in)),
-            key=lambda one: (str(one.target), one.seen_in),
-        ):
-            name, why = key
-            names = [one.pair for one in group]
-            where = "more than once in an image" if why == "twice" else f"in the {why} image only"
+        missed: dict[tuple[str, str], list[str]] = defaultdict(list)
+        for pair, target, seen_in in self.missed:
+            missed[str(target), seen_in].append(pair)
+        for (name, seen_in), names in sorted(missed.items()):
+            where = f"in the {seen_in} image only"
+            if seen_in == "twice":
+                where = "more than once in an image"
             pairs = "pair" if len(names) == 1 else "pairs"
             said.append(f"{name} found {where} of {len(names)} {pairs}: {join_first_names(names)}")
         return said + self._doubts()
@@ -504,81 +436,58 @@ class LocateResult:
                 "file of these cameras as they stand, and joint angles of that moment"
             )
         for every in self.located_by_target():
-            edges = [one.mean_edge for one in every if one.spacing.edge_count]
-            names = list(dict.fromkeys(str(one.target) for one in edges))
-            said.append(describe_wrong_edges(join_first_names(names), edges))
+            measured = [one for one in every if one.spacing.edge_count]
+            names = join_first_names(dict.fromkeys(str(one.target) for one in measured))
+            edges = [(one.pair, one.spacing) for one in measured]
+            said.append(describe_wrong_edges(names, edges))
         return [text for text in said if text]
 
 
-def locate(config: LocateConfig, progress: Callable[[float], None] | None = None) -> LocateResult:
-    """Find targets in pairs of photographs and triangulate them."""
-    targets = parse_targets(config.target)
-    response = None if config.response is None else parse_response(config.response)
-    head = load_head(config.head)
-    pairs, unpaired, single = pair_up(config.left, config.right)
-    angles = read_joint_angles(head, config.joints, [pair.name for pair in pairs])
-    finders = [
-        TargetFinder(targets, Camera.of(head, eye), response) for eye in range(len(EYE_NAMES))
-    ]
-    read: list[str] = []
+def locate(
+    left: Path,
+    right: Path,
+    head: str,
+    target: Sequence[str],
+    response: str | None = None,
+    joints: Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> LocateResult:
+    """Find targets in pairs of photographs and triangulate them, see `vergence locate --help`."""
+    targets = parse_targets(target)
+    curve = None if response is None else parse_response(response)
+    model = load_head(head)
+    pairs, unpaired, is_single = pair_up(left, right)
+    angles = read_joint_angles(model, joints, [pair.name for pair in pairs])
+    search = PhotographSearch(targets, [Camera.of(model, eye) for eye in range(2)], curve)
+    read: dict[str, FloatArray] = {}
     located: list[LocatedTarget] = []
     missed: list[MissedTarget] = []
-    failures: list[str] = []
-    unseen = PhotographNotes(targets)
-    shown: ShownPair | None = None
-    rank = -1
-    for number, pair in enumerate(pairs, 1):
-        try:
-            left, right = (
-                finder.find_in_file(path) for finder, path in zip(finders, pair, strict=True)
-            )
-        except VergenceError as error:
-            if single:
-                raise
-            failures.append(str(error))
-            continue
-        read.append(pair.name)
-        for photograph in (left, right):
-            unseen.add(photograph)
-        here, not_here = _match(
-            head, angles[pair.name], pair.name, left.detections, right.detections
-        )
+    shown, rank = None, -1
+    for left_one, right_one in search.search(pairs, progress, is_single=is_single, kind=" pairs"):
+        name, sides = left_one.path.name, (left_one.detections, right_one.detections)
+        read[name] = angles[name]
+        here, not_here = _match(model, angles[name], name, *sides)
         located += here
         missed += not_here
-        worth = 2 * bool(here) + bool(left.detections or right.detections)
+        worth = 2 * bool(here) + any(sides)
         if worth > rank:
-            shown, rank = ShownPair(left, right), worth
-        if progress is not None:
-            progress(number / len(pairs))
-    if shown is None:
-        raise ConfigurationError(
-            f"expected images that can be read, got none in {len(pairs)} pairs; the first: "
-            f"{failures[0]}"
-        )
+            shown, rank = (left_one, right_one), worth
+    assert shown is not None  # else the search has raised an error
     return LocateResult(
-        config=config,
-        head=head,
-        angles={name: angles[name] for name in read},
+        head=model,
+        angles=read,
         pairs=tuple(read),
         located=tuple(located),
         missed=tuple(missed),
-        remarks=(
-            *unseen.notes(),
-            *dict.fromkeys(line for finder in finders for line in finder.response_check.notes()),
-            *remark_on_orientation_tags(path for pair in pairs for path in pair),
-        ),
+        remarks=search.remarks([path for pair in pairs for path in pair]),
         unpaired=tuple(unpaired),
-        failures=tuple(failures),
+        failures=tuple(search.failures),
         shown=shown,
     )
 
 
 def _match(
-    head: HeadModel,
-    q: FloatArray,
-    pair: str,
-    left: Sequence[Detection],
-    right: Sequence[Detection],
+    head: HeadModel, q: FloatArray, pair: str, left: Sequence[Detection], right: Sequence[Detection]
 ) -> tuple[list[LocatedTarget], list[MissedTarget]]:
     """Triangulate the targets that both images have exactly once; list the others as missed."""
     located, missed = [], []
@@ -595,52 +504,41 @@ def _match(
     return located, missed
 
 
-_AXES = ("x", "y", "z")
+_POINT_COLUMNS: Final = [f"{what}{axis}_mm" for what in ("", "sigma_") for axis in "xyz"]
 
 
 def write_corner_table(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per corner of each target; cells without a solution are empty."""
-    head = ["pair", "target", "id", "point"]
-    head += [f"{axis}_mm" for axis in _AXES] + [f"sigma_{axis}_mm" for axis in _AXES] + ["gap_mm"]
+    columns = ["pair", "target", "id", "point", *_POINT_COLUMNS, "gap_mm"]
     for what in ("", "sigma_"):
-        head += [f"{what}{eye}_{axis}_px" for eye in EYE_NAMES for axis in "uv"]
-    _write(path, head, (row for one in located for row in _points(one)))
-
-
-def _points(one: LocatedTarget) -> Iterable[list[object]]:
-    numbers = np.column_stack(
-        [
-            MM * one.fix.point,
-            MM * one.fix.sigma,
-            MM * one.fix.gap,
-            *one.pixels,
-            *one.sigma_px,
-        ]
-    )
-    for point, row in enumerate(numbers):
-        yield [one.pair, one.target, tag_number(one.target), point, *map(_cell, row.tolist())]
+        columns += [f"{what}{eye}_{axis}_px" for eye in EYE_NAMES for axis in "uv"]
+    rows = []
+    for one in located:
+        point, sigma, gap = MM * one.fix.point, MM * one.fix.sigma, MM * one.fix.gap
+        numbers = np.column_stack([point, sigma, gap, *one.pixels, *one.sigma_px])
+        for number, row in enumerate(numbers):
+            rows.append([one.pair, one.target, tag_number(one.target), number, *row.tolist()])
+    _write(path, columns, rows)
 
 
 def write_target_table(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per target of each pair."""
-    head = ["pair", "target", "id", "points"]
-    head += [f"{axis}_mm" for axis in _AXES] + [f"sigma_{axis}_mm" for axis in _AXES]
-    head += ["gap_rms_mm", "spacing_mean_mm", "spacing_spread_mm", "spacing_stated_mm"]
+    columns = ["pair", "target", "id", "points", *_POINT_COLUMNS, "gap_rms_mm"]
+    columns += ["spacing_mean_mm", "spacing_spread_mm", "spacing_stated_mm"]
     rows: list[list[object]] = []
     for one in located:
-        mean, spread, _, stated = one.spacing
-        numbers = [*one.centre.point, *one.centre.sigma, one.gap_m, mean, spread, stated]
-        cells = [_cell(MM * float(number)) for number in numbers]
-        rows.append([one.pair, one.target, tag_number(one.target), int(one.valid.sum()), *cells])
-    _write(path, head, rows)
+        edges, centre = one.spacing, one.centre
+        numbers = [*centre.point, *centre.sigma, one.gap_m, edges.mean_m, edges.spread_m]
+        values = [MM * float(number) for number in (*numbers, edges.stated_m)]
+        rows.append([one.pair, one.target, tag_number(one.target), int(one.valid.sum()), *values])
+    _write(path, columns, rows)
 
 
-def _cell(value: float) -> float | str:
-    return value if np.isfinite(value) else ""
-
-
-def _write(path: Path, head: list[str], rows: Iterable[list[object]]) -> None:
+def _write(path: Path, columns: list[str], rows: Iterable[list[object]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(head)
-        writer.writerows(rows)
+        writer.writerow(columns)
+        for row in rows:
+            writer.writerow(
+                ["" if isinstance(v, float) and not math.isfinite(v) else v for v in row]
+            )

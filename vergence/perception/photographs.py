@@ -7,6 +7,7 @@ import json
 import math
 import re
 import tomllib
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,7 +17,6 @@ import numpy as np
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, NECK, FloatArray
-from vergence.vision.image import has_orientation_tag
 
 SUFFIXES: Final = (
     ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm", ".jp2",
@@ -84,17 +84,6 @@ def join_first_names(names: Iterable[str]) -> str:
     return said if len(every) <= _MAX_NAMES else f"{said} and {len(every) - _MAX_NAMES} more"
 
 
-def remark_on_orientation_tags(paths: Iterable[Path]) -> list[str]:
-    """One line if files ask to be shown turned, else none."""
-    turned = [path.name for path in paths if has_orientation_tag(path)]
-    if not turned:
-        return []
-    return [
-        "pixels are those of the sensor, not turned as the orientation tag asks, in "
-        f"{len(turned)} images: {join_first_names(turned)}"
-    ]
-
-
 _SIDE_WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
 """Words for the sides of a pair, left first."""
 _SIDE_PLACEHOLDER: Final = "\0"
@@ -146,26 +135,21 @@ def pair_images(
     lefts: Sequence[Path], rights: Sequence[Path], *, one_folder: bool = False
 ) -> PairedImages:
     """Pair the images of two lists; with `one_folder`, names need a word for the side."""
-    by_key: dict[str, list[Path]] = {}
+    by_key: dict[str, list[Path]] = defaultdict(list)
     for path in rights:
         for key in _keys(path, 1, one_folder):
-            by_key.setdefault(key, []).append(path)
-    pairs: list[ImagePair] = []
+            by_key[key].append(path)
     taken: dict[Path, Path] = {}
     for path in lefts:
         found = next((by_key[key] for key in _keys(path, 0, one_folder) if key in by_key), [])
-        if len(found) > 1:
+        rivals = [(path, found)] if len(found) > 1 else []
+        rivals += [(one, [taken[one], path]) for one in found if one in taken]
+        for image, (first, second, *_) in rivals:
             raise ConfigurationError(
-                f"{path}: expected one image that belongs to it, got {found[0]} and {found[1]}"
+                f"{image}: expected one image that belongs to it, got {first} and {second}"
             )
-        for partner in found:
-            if partner in taken:
-                raise ConfigurationError(
-                    f"{partner}: expected one image that belongs to it, got {taken[partner]} "
-                    f"and {path}"
-                )
-            taken[partner] = path
-            pairs.append(ImagePair(path, partner))
+        taken |= dict.fromkeys(found, path)
+    pairs = [ImagePair(left, right) for right, left in taken.items()]
     swapped = (
         {key for path in side for key in _keys(path, eye, True)}
         for eye, side in enumerate((rights, lefts))
@@ -258,10 +242,8 @@ def _of_csv(text: str) -> list[Row]:
 
 
 def _of_tables(content: Any) -> list[Any]:
-    if isinstance(content, list):
-        return content
     if not isinstance(content, dict):
-        return []
+        return content if isinstance(content, list) else []
     values = list(content.values())
     if len(values) == 1 and isinstance(values[0], list):
         return values[0]
@@ -338,15 +320,12 @@ def parse_joint_angles(head: HeadModel, row: Row, where: str) -> FloatArray:
         actuators[NECK] = q[NECK]
         actuators[EYES][: own.count] = [given[name] for name in own.names]
         q = own.joints_of(actuators)
-    for place, name in enumerate(head.joints):
-        low, high = (
-            head.limits.lower[place] - _LIMIT_TOLERANCE_RAD,
-            head.limits.upper[place] + _LIMIT_TOLERANCE_RAD,
-        )
-        if name and not low <= q[place] <= high:
+    lowest, highest = head.limits.lower, head.limits.upper
+    allowed = (lowest - _LIMIT_TOLERANCE_RAD <= q) & (q <= highest + _LIMIT_TOLERANCE_RAD)
+    for name, good, angle, low, high in zip(head.joints, allowed, q, lowest, highest, strict=True):
+        if name and not good:
             raise ConfigurationError(
-                f"{where}: {name}: expected {head.limits.lower[place]:.4g} to "
-                f"{head.limits.upper[place]:.4g} rad, got {q[place]:.4g} "
+                f"{where}: {name}: expected {low:.4g} to {high:.4g} rad, got {angle:.4g} "
                 f"(an angle in degrees is named {name}_deg)"
             )
     return q

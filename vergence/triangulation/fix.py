@@ -1,5 +1,6 @@
 """Position of a target from two or more lines of sight, its covariance, and the lines' gap."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
@@ -172,7 +173,7 @@ def triangulate_views(
         >>> vergence.triangulate_views(head, q, pixels).point.round(3)
         array([0.1 , 0.05, 1.2 ])
     """
-    noise = Noise.of(head) if noise is None else noise
+    noise = noise or Noise.of(head)
     results: Any = triangulate(q, pixels, noise.pixel_px, noise.joint_rad, head.packed, _SHAPE_ONLY)
     return Fix(*results)
 
@@ -208,30 +209,28 @@ def gap_sigma(
         >>> gap_sigma(head, q, head.project(q, [0.0, -0.1, 1.0]), noise).round(5)
         np.float64(0.00113)
     """
-    noise = Noise.of(head) if noise is None else noise
-    angles = head.actuation.actuators_of(as_operand("q", q, 7))
-    points = as_operand("pixels", pixels, 2, 2)
-    shape = np.broadcast_shapes(angles.shape[:-1], points.shape[:-2])
-    variance = np.zeros(shape)
-    joint_rad = np.broadcast_to(noise.joint_rad, (*shape, 7))
-    for k in range(EYES.start, EYES.start + head.actuation.count):
-        step = _STEP_RAD * np.eye(7)[k]
-        rate = _difference(head, angles + step, angles - step, points, points) / _STEP_RAD
-        variance = variance + (rate * joint_rad[..., k]) ** 2
-    pixel_px = np.broadcast_to(noise.pixel_px, (*shape, 2, 2))
-    for eye, axis in np.ndindex(2, 2):
-        offset = np.zeros((2, 2))
-        offset[eye, axis] = _STEP_PX
-        rate = _difference(head, angles, angles, points + offset, points - offset) / _STEP_PX
-        variance = variance + (rate * pixel_px[..., eye, axis]) ** 2
-    return np.sqrt(variance)
+    noise = noise or Noise.of(head)
+    actuators = head.actuation.actuators_of(as_operand("q", q, 7))
+    pixels = as_operand("pixels", pixels, 2, 2)
+    shape = np.broadcast_shapes(actuators.shape[:-1], pixels.shape[:-2])
+    sigma = np.concatenate(
+        [
+            np.broadcast_to(noise.joint_rad, (*shape, 7)),
+            np.broadcast_to(noise.pixel_px, (*shape, 2, 2)).reshape(*shape, 4),
+        ],
+        axis=-1,
+    )
+    used = [*range(EYES.start, EYES.start + head.actuation.count), *range(7, 11)]
+    rates = _slopes(
+        lambda by: _signed_gap(head, actuators + by[:7], pixels + by[7:].reshape(2, 2)),
+        np.diag([_STEP_RAD] * 7 + [_STEP_PX] * 4)[used],
+    )
+    return np.sqrt(sum(np.moveaxis((rates * sigma[..., used]) ** 2, -1, 0), np.zeros(shape)))
 
 
-def _difference(
-    head: HeadModel, above: FloatArray, below: FloatArray, to: FloatArray, since: FloatArray
-) -> FloatArray:
-    """Half the change of the signed gap from one set of actuator angles and pixels to another."""
-    return np.asarray(0.5 * (_signed_gap(head, above, to) - _signed_gap(head, below, since)))
+def _slopes(function: Callable[[FloatArray], FloatArray], steps: FloatArray) -> FloatArray:
+    """(..., k) derivatives of a function of an offset, by central differences of (k, n) steps."""
+    return np.stack([(function(by) - function(-by)) / (2.0 * by.max()) for by in steps], axis=-1)
 
 
 def _signed_gap(head: HeadModel, actuators: FloatArray, pixels: FloatArray) -> FloatArray:
@@ -305,6 +304,7 @@ def triangulate_fixations(
         raise ConfigurationError(
             f"triangulate_fixations: expected one head, got a population of {head.batch_shape}"
         )
+    noise = noise or Noise.of(head)
     q, pixels = as_operand("q", q, 7), as_operand("pixels", pixels, 2, 2)
     each = triangulate_views(head, q, pixels, noise)
     seen = np.isfinite(pixels).all(axis=(-2, -1)) & np.asarray(each.valid)
@@ -318,7 +318,7 @@ def triangulate_fixations(
     half_width = 0.5 * (own.angle_step + own.backlash)[EYES]
     used = half_width > 0.0
     point = np.median(each.point[seen], axis=0)
-    pixel_px = np.broadcast_to((Noise.of(head) if noise is None else noise).pixel_px, (2, 2))
+    pixel_px = np.broadcast_to(noise.pixel_px, (2, 2))
     information = np.zeros((3, 3))
     for softening in _SOFTENING:
         by_angle, by_point, residual = _linearised(head, q, pixels, point)
@@ -335,10 +335,9 @@ def triangulate_fixations(
         step = np.zeros(3)
         for _ in range(_NEWTON_STEPS):
             first, second = _log_interval(error + slope @ step, half_width[used], sd)
+            null = residual_null + residual_null_slope @ step
             gradient = np.einsum("kj,kji->i", first, slope)
-            gradient -= np.einsum(
-                "kr,kri->i", residual_null + residual_null_slope @ step, residual_null_slope
-            )
+            gradient -= np.einsum("kr,kri->i", null, residual_null_slope)
             information = np.einsum("kji,kj,kjl->il", slope, -second, slope)
             information += np.einsum("kri,krl->il", residual_null_slope, residual_null_slope)
             change = np.linalg.solve(information, gradient)
@@ -360,32 +359,18 @@ def _linearised(
     """Pixel derivatives by actuators (k, 4, 4) and by the point (k, 4, 3); residuals (k, 4), px."""
     actuators = head.actuation.actuators_of(q)
 
-    def seen(step: FloatArray, moved: FloatArray) -> FloatArray:
-        joints = head.actuation.joints_of(actuators + step)
-        return head.project(joints, point + moved).reshape(len(q), 4)
+    def seen(by: FloatArray) -> FloatArray:
+        joints = head.actuation.joints_of(actuators + [0.0, 0.0, 0.0, *by[:4]])
+        return head.project(joints, point + by[4:]).reshape(len(q), 4)
 
-    def slopes(size: int, length: float, of_point: bool) -> FloatArray:
-        columns = []
-        for row in length * np.eye(size):
-            step = np.zeros(7) if of_point else np.concatenate([np.zeros(3), row])
-            moved = row if of_point else np.zeros(3)
-            columns.append((seen(step, moved) - seen(-step, -moved)) / (2.0 * length))
-        return np.stack(columns, axis=-1)
-
-    residual = pixels.reshape(len(q), 4) - seen(np.zeros(7), np.zeros(3))
-    return slopes(4, _AXIS_STEP_RAD, False), slopes(3, _STEP_M, True), residual
+    slopes = _slopes(seen, np.diag([_AXIS_STEP_RAD] * 4 + [_STEP_M] * 3))
+    return slopes[..., :4], slopes[..., 4:], pixels.reshape(len(q), 4) - seen(np.zeros(7))
 
 
 def _log_interval(
     error: FloatArray, half_width: FloatArray, sd: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """First and second derivatives by e of log(Phi((h - e) / s) - Phi((-h - e) / s)).
-
-    Args:
-        error: (k, j) errors of the readings e, rad.
-        half_width: (j,) half widths of the intervals h, rad.
-        sd: (k, j) standard deviations s, rad.
-    """
+    """Derivatives by e of log(Phi((h - e) / s) - Phi((-h - e) / s)) of (k, j) errors e, rad."""
     from scipy.special import log_ndtr
 
     # the function is even in e, and the difference is exact in the lower tail

@@ -63,11 +63,6 @@ def _dot(a: Vector, b: Vector) -> float:
 
 
 @inlined
-def _minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@inlined
 def _cross(a: Vector, b: Vector) -> Vector:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
@@ -76,7 +71,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
 def _midpoint_rate(crossing: Crossing, eye: int, do: Vector, dd: Vector) -> Vector:
     """Derivative of the midpoint for changes do and dd of one eye's ray origin and direction."""
     (ol, dl), (orr, dr), s, t = crossing
-    w = _minus(ol, orr)
+    w = (ol[0] - orr[0], ol[1] - orr[1], ol[2] - orr[2])
     a, b, c = _dot(dl, dl), _dot(dl, dr), _dot(dr, dr)
     if eye == 0:
         da, db, dc = 2.0 * _dot(dl, dd), _dot(dd, dr), 0.0
@@ -88,10 +83,8 @@ def _midpoint_rate(crossing: Crossing, eye: int, do: Vector, dd: Vector) -> Vect
         r2 = _dot(dd, w) - _dot(dr, do) + db * s - dc * t
     det = a * c - b * b
     ds, dt = (c * r1 + b * r2) / det, (b * r1 + a * r2) / det
-    if eye == 0:
-        e = (do[0] + s * dd[0], do[1] + s * dd[1], do[2] + s * dd[2])
-    else:
-        e = (do[0] + t * dd[0], do[1] + t * dd[1], do[2] + t * dd[2])
+    r = s if eye == 0 else t
+    e = (do[0] + r * dd[0], do[1] + r * dd[1], do[2] + r * dd[2])
     return (
         0.5 * (e[0] + ds * dl[0] + dt * dr[0]),
         0.5 * (e[1] + ds * dl[1] + dt * dr[1]),
@@ -111,7 +104,7 @@ def ray_of_pixel(p: PackedHead, eye: int, camera: Pose, u: float, v: float) -> R
 def distances_to_perpendicular(left: Ray, right: Ray) -> tuple[float, float, bool]:
     """Distances along two rays to their common perpendicular, and True if there is a fix."""
     (ol, dl), (orr, dr) = left, right
-    w = _minus(ol, orr)
+    w = (ol[0] - orr[0], ol[1] - orr[1], ol[2] - orr[2])
     a, b, c = _dot(dl, dl), _dot(dl, dr), _dot(dr, dr)
     det = a * c - b * b
     if not (isfinite(det) and det > MIN_ANGLE_RAD * MIN_ANGLE_RAD * a * c):
@@ -213,12 +206,9 @@ def triangulate(
     right = ray_of_pixel(p, 1, right_eye.camera, pixels[1, 0], pixels[1, 1])
     s, t, found = distances_to_perpendicular(left, right)
     valid[0] = found
-    fill = 0.0 if found else nan
-    for row in range(3):
-        for column in range(3):
-            covariance[row, column] = fill
+    covariance[:, :] = 0.0 if found else nan
     if not found:
-        point[0] = point[1] = point[2] = gap[0] = nan
+        point[:] = gap[0] = nan
         return
     square = 0.0
     for k in range(3):
@@ -249,23 +239,9 @@ class RayDepths(NamedTuple):
 
 
 @inlined
-def ray_from_pixel_error(
-    p: PackedHead, eye: int, camera: Pose, error_u_px: float, error_v_px: float
-) -> Ray:
-    """Compute the ray in N of an image's pixel error.
-
-    Args:
-        p: a packed head.
-        eye: 0 for left, 1 for right.
-        camera: pose of that eye's camera in N at the exposure.
-        error_u_px: undistorted pixel less principal point along u, px; nan if not visible.
-        error_v_px: undistorted pixel less principal point along v, px; nan if not visible.
-
-    Returns:
-        The ray. Its direction has unit z in the camera, so the distance along it is the depth.
-    """
+def _ray_of_error(p: PackedHead, eye: int, camera: Pose, error: FloatArray) -> Ray:
     lens = camera_of(p, eye)
-    tip = point_to_outer(camera, error_u_px / lens.focal_u, error_v_px / lens.focal_v, 1.0)
+    tip = point_to_outer(camera, error[0] / lens.focal_u, error[1] / lens.focal_v, 1.0)
     origin = (camera.x, camera.y, camera.z)
     return Ray(origin, (tip[0] - camera.x, tip[1] - camera.y, tip[2] - camera.z))
 
@@ -274,21 +250,8 @@ def ray_from_pixel_error(
 def rays_from_pixel_errors(
     p: PackedHead, left: Pose, right: Pose, error: FloatArray
 ) -> tuple[Ray, Ray]:
-    """Compute the rays in N of both images' pixel errors.
-
-    Args:
-        p: a packed head.
-        left: pose of the left camera in N at the exposure.
-        right: pose of the right camera in N at the exposure.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-
-    Returns:
-        The left and the right ray, see `ray_from_pixel_error`.
-    """
-    return (
-        ray_from_pixel_error(p, 0, left, error[0, 0], error[0, 1]),
-        ray_from_pixel_error(p, 1, right, error[1, 0], error[1, 1]),
-    )
+    """Rays in N of (2, 2) undistorted pixels less principal points, px, with unit z in cameras."""
+    return _ray_of_error(p, 0, left, error[0]), _ray_of_error(p, 1, right, error[1])
 
 
 @inlined

@@ -14,7 +14,6 @@ from typing import Any, ClassVar, Final, Literal
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.vision.tag_families import UNPRINTED, AprilGrid, TagFamilyCode, tag_family
@@ -506,7 +505,10 @@ def neighbour_pairs(target: PlanarTarget) -> NDArray[np.intp]:
     if isinstance(target, AprilGrid):  # gaps between tags are not edges
         first = np.arange(len(target.corners_m))
         return np.column_stack([first, first - first % 4 + (first + 1) % 4])
-    pairs = cKDTree(target.corners_m).query_pairs(
-        1.01 * stated_edge_m(target), output_type="ndarray"
-    )
-    return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
+    if isinstance(target, AprilTag):
+        return np.array([[0, 1], [0, 3], [1, 2], [2, 3]])
+    columns = target.columns - isinstance(target, CharucoBoard)  # whose columns are squares
+    grid = np.arange(len(target.corners_m)).reshape(-1, columns)
+    first = np.concatenate([grid[:, :-1].ravel(), grid[:-1].ravel()])
+    second = np.concatenate([grid[:, 1:].ravel(), grid[1:].ravel()])
+    return np.column_stack([first, second])[np.lexsort([second, first])]

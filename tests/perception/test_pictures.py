@@ -8,11 +8,9 @@ import pytest
 from tests.heads import head_of
 from tests.perception.drawn import pose_at
 from tests.perception.test_located import exact
-from vergence.eval.detections_figure import compose_detections, shorten_to_width
-from vergence.eval.locate_figure import compose_located
 from vergence.perception.finding import Photograph
-from vergence.perception.locate import LocateResult, ShownPair, locate_target
-from vergence.perception.locate_config import LocateConfig
+from vergence.perception.locate import LocateResult, locate_target
+from vergence.perception.pictures import compose_detections, compose_located, shorten_to_width
 from vergence.vision.targets import AprilTag
 
 HEAD = head_of("pair")
@@ -29,9 +27,9 @@ def result_of(*places: tuple[str, AprilTag, tuple[float, float, float]], swap: b
     names = tuple(dict.fromkeys(pair for pair, _, _ in places)) or ("a.png",)
     nothing = [Photograph(Path("a.png"), IMAGE, [])] * 2
     return LocateResult(
-        config=LocateConfig(left=Path("l"), right=Path("r"), head="pair"), head=HEAD,
+        head=HEAD,
         angles=dict.fromkeys(names, HEAD.rest()), pairs=names, located=tuple(located), missed=(),
-        remarks=(), unpaired=(), failures=(), shown=ShownPair(*(photographs or [nothing])[0]),
+        remarks=(), unpaired=(), failures=(), shown=tuple((photographs or [nothing])[0]),
     )  # fmt: skip
 
 
