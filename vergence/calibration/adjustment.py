@@ -67,6 +67,8 @@ def project_with_jacobians(
     matrix, still = np.array([[f_u, 0.0, u_0], [0.0, f_v, v_0], [0.0, 0.0, 1.0]]), np.zeros(3)
     places = points.reshape(-1, 1, 3).copy()
     places[~(places[..., 2] > 0.0)] = np.nan
+    pixels: Any
+    by: Any
     # OpenCV's columns: at rest, those by the translation are those by the point
     if lens == "fisheye":
         pixels, by = cv2.fisheye.projectPoints(places, still, still, matrix, coefficients)
@@ -180,10 +182,14 @@ def _choose(better: NDArray[np.bool_], new: _State, old: _State) -> _State:
     """Select the new values of the problems that are better."""
     if better.ndim == 0:
         return new if better else old
-    pairs: Any = zip(new, old, strict=True)  # type: ignore[call-overload]
-    return type(new)(
-        *(np.where(np.expand_dims(better, tuple(range(1, a.ndim))), a, b) for a, b in pairs)
+    both: Any = (new, old)
+    chosen: _State = type(both[0])(
+        *(
+            np.where(better.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+            for one, other in zip(*both, strict=True)
+        )
     )
+    return chosen
 
 
 def _solve_damped(matrix: FloatArray, more: FloatArray, right: FloatArray) -> FloatArray:
