@@ -3,15 +3,41 @@
 import numpy as np
 import pytest
 
+from tests.calibration.rigs import COEFFICIENTS, SIZE, make_poses, make_rig
 from tests.calibration.rigs import look as look_at
-from tests.calibration.rigs import make_poses, make_rig
-from vergence.calibration.adjustment import BoardPoses, BundleAdjustment
+from vergence.calibration.adjustment import BoardPoses, BundleAdjustment, project_with_jacobians
 from vergence.calibration.uncertainty import rig_covariance
+from vergence.models.camera import rays_to_pixels
+from vergence.models.lens import pack_camera
 
 
 @pytest.fixture
 def rng():
     return np.random.default_rng(7)
+
+
+def differences(value, count, step=1e-6):
+    """Derivative of a function of (count,) steps by central differences, along the last axis."""
+    return np.stack(
+        [(value(one) - value(-one)) / (2.0 * step) for one in step * np.eye(count)], axis=-1
+    )
+
+
+@pytest.mark.parametrize("lens", COEFFICIENTS)
+def test_pixels_are_those_of_the_kernels_and_derivatives_those_of_small_steps(lens, rng):
+    points = np.column_stack([rng.uniform(-0.4, 0.4, (30, 2)), rng.uniform(0.6, 1.0, 30)])
+    values = make_rig(lens).camera_parameters[0]
+    found = project_with_jacobians(lens, values, points)
+    row = pack_camera(SIZE, values[:2], values[2:4], lens, values[4:])
+    expected = rays_to_pixels(points[:, :2] / points[:, 2:], row)
+    np.testing.assert_allclose(found.pixels, expected, atol=1e-10)
+    by_point = differences(lambda d: project_with_jacobians(lens, values, points + d).pixels, 3)
+    by_camera = differences(
+        lambda d: project_with_jacobians(lens, values + d, points).pixels, len(values)
+    )
+    np.testing.assert_allclose(found.point_jacobian, by_point, atol=1e-5)
+    np.testing.assert_allclose(found.camera_jacobian, by_camera, atol=1e-5)
+    assert np.isnan(project_with_jacobians(lens, values, np.array([0.0, 0.0, -1.0])).pixels).all()
 
 
 @pytest.mark.parametrize("lens", ["rational", "fisheye"])

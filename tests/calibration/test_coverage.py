@@ -66,21 +66,17 @@ def test_good_views_lack_nothing(good):
     assert advise_next_photographs(good) == []
 
 
-def test_a_board_whose_lower_edge_is_nearer_has_a_positive_tilt_in_y():
+def test_tilts_are_positive_if_the_lower_edge_is_nearer_and_cells_count_views():
     poses = held([[-30.0, 0.0, 0.0]] * 5, [0.05, 0.0, 0.5])
     lower = BOARD.corners_m[:, 1].argmax()
     depth = (poses.rotation[0] @ np.append(BOARD.corners_m[lower], 0.0) + poses.translation[0])[2]
     assert depth < 0.5
-    before = board_tilts(calibrated(poses, np.random.default_rng(0)), 0)
+    found = calibrated(poses, np.random.default_rng(0))
+    before = board_tilts(found, 0)
     np.testing.assert_allclose(before.tilt_deg, [[0.0, 30.0]] * 5, atol=1e-9)
     np.testing.assert_allclose(before.distance_m, np.hypot(0.05, 0.5))
-
-
-def test_cells_count_views_and_not_corners():
-    poses = held(np.zeros((5, 3)), [0.0, 0.0, 0.4])
-    cells = views_per_cell(calibrated(poses, np.random.default_rng(0)), 0)
-    assert cells[1, 1] == 5
-    assert cells.max() == 5
+    cells = views_per_cell(found, 0)  # views count, not corners
+    assert cells[1, 1] == cells.max() == 5
 
 
 def test_an_empty_part_of_an_image_is_named():
@@ -93,10 +89,11 @@ def test_an_empty_part_of_an_image_is_named():
     assert advise_on_empty_cells(found) in advise_next_photographs(found)
 
 
-def test_boards_that_all_face_the_camera_are_to_be_tilted():
+def test_boards_that_all_face_the_camera_at_one_distance_are_to_be_tilted_and_moved():
     found = calibrated(facing(np.random.default_rng(0)), np.random.default_rng(1))
     assert advise_on_tilts(found).startswith("None of")
     assert advise_on_tilts(found) in advise_next_photographs(found)
+    assert advise_on_distances(found)
 
 
 def test_boards_tilted_to_one_side_only_are_to_be_tilted_to_the_other():
@@ -106,11 +103,6 @@ def test_boards_tilted_to_one_side_only_are_to_be_tilted_to_the_other():
     # a turn about y, which points down, brings the right side nearer
     assert "with its left side nearer" in advise_on_tilts(found)
     assert "edge" not in advise_on_tilts(found)
-
-
-def test_boards_at_one_distance_are_to_be_moved():
-    found = calibrated(facing(np.random.default_rng(0)), np.random.default_rng(1))
-    assert advise_on_distances(found)
 
 
 def test_few_views_and_lost_views_are_said(good):

@@ -9,39 +9,43 @@ of the cameras, R and t, every R_v and t_v, and the curvatures of the board, as 
 
     z = (b_xx x^2 + b_yy y^2) / 2 + b_xy x y    from the middle of the board.
 
-The poses of the board are eliminated (variable projection, Golub and Pereyra 1973): for given
-cameras each pose is a separate problem of six unknowns. About thirty unknowns remain, which
-`scipy.optimize.least_squares` solves. With the Jacobians J by the camera parameters and P by a
-board's pose, this reduced problem has
+The poses of the board are eliminated, as each belongs to one view (Schur complement). About thirty
+unknowns remain. With the Jacobians J by the camera parameters and P by a board's pose, this reduced
+problem has
 
     J' = J - P (P^T P)^-1 P^T J,    covariance = (J'^T J')^-1,
 
 and its covariance is the camera block of the full problem's covariance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from vergence.models.head import HeadModel
 from vergence.models.lens import LENSES
 from vergence.models.parts import FloatArray
 
 PINHOLE_VALUES = ("f_u", "f_v", "u_0", "v_0")
 """First parameters of a camera, px; the lens's coefficients follow in OpenCV's order."""
-_SMALL_RADIUS: Final = 1e-9
-"""Least normalised radius, which avoids a division by zero on the axis (numerical)."""
 
 
 def camera_parameter_names(lens: str) -> tuple[str, ...]:
     """Name a camera's parameters: the pinhole's, then the lens's coefficients."""
     return (*PINHOLE_VALUES, *LENSES[lens])
+
+
+def camera_parameters(head: HeadModel, eye: int) -> tuple[str, FloatArray]:
+    """Lens and parameters of an eye's camera, see `camera_parameter_names`."""
+    cameras, lens = head.cameras, head.cameras.lens[eye]
+    own = cameras.distortion[eye][: len(camera_parameter_names(lens)) - 4]
+    return lens, np.concatenate([cameras.focal[eye], cameras.principal[eye], own])
 
 
 class ProjectedPoints(NamedTuple):
@@ -55,111 +59,147 @@ class ProjectedPoints(NamedTuple):
     """(..., 2, k) Jacobian by the camera's parameters."""
 
 
-class _Bent(NamedTuple):
-    """Distorted normalised coordinates and their Jacobians."""
-
-    xy: FloatArray
-    """(..., 2) distorted normalised coordinates."""
-    by_ideal: FloatArray
-    """(..., 2, 2) Jacobian by the undistorted coordinates."""
-    by_coefficients: FloatArray
-    """(..., 2, n) Jacobian by the lens's coefficients."""
-
-
 def project_with_jacobians(
     lens: str, camera_parameters: FloatArray, points: FloatArray
 ) -> ProjectedPoints:
     """Project (..., 3) points, m, also beyond the lens's fold; nan behind the camera."""
-    z = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
-    ideal = points[..., :2] / z
-    bend = _bend_by_angle if lens == "fisheye" else _bend_by_radius
-    bent = bend(camera_parameters[4:], ideal)
-    focal = camera_parameters[:2]
-    pixels = camera_parameters[2:4] + focal * bent.xy
-    scaled = focal[:, None] * bent.by_ideal
-    by_point = np.concatenate(
-        [scaled / z[..., None], -(scaled @ ideal[..., None]) / z[..., None]], axis=-1
+    (f_u, f_v, u_0, v_0), coefficients = camera_parameters[:4], camera_parameters[4:]
+    matrix, still = np.array([[f_u, 0.0, u_0], [0.0, f_v, v_0], [0.0, 0.0, 1.0]]), np.zeros(3)
+    places = points.reshape(-1, 1, 3).copy()
+    places[~(places[..., 2] > 0.0)] = np.nan
+    pixels: Any
+    by: Any
+    # OpenCV's columns: at rest, those by the translation are those by the point
+    if lens == "fisheye":
+        pixels, by = cv2.fisheye.projectPoints(places, still, still, matrix, coefficients)
+        by_point, by_camera = by[:, 11:14], by[:, :8]
+    else:
+        pixels, by = cv2.projectPoints(places, still, still, matrix, coefficients)
+        by_point, by_camera = by[:, 3:6], by[:, 6 : 6 + len(camera_parameters)]
+    batch = points.shape[:-1]
+    return ProjectedPoints(
+        pixels.reshape(*batch, 2),
+        by_point.reshape(*batch, 2, 3),
+        by_camera.reshape(*batch, 2, len(camera_parameters)),
     )
-    by_camera = np.zeros((*pixels.shape, len(camera_parameters)))
-    by_camera[..., 0, 0], by_camera[..., 1, 1] = bent.xy[..., 0], bent.xy[..., 1]
-    by_camera[..., 0, 2] = by_camera[..., 1, 3] = 1.0
-    by_camera[..., 4:] = focal[:, None] * bent.by_coefficients
-    return ProjectedPoints(pixels, by_point, by_camera)
 
 
-def _bend_by_radius(coefficients: FloatArray, ideal: FloatArray) -> _Bent:
-    """Distort by the Brown-Conrady lens, or the rational lens if there are 8 coefficients."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(coefficients, (0, 8 - len(coefficients))).tolist()
-    x, y = ideal[..., 0], ideal[..., 1]
-    r2 = x * x + y * y
-    r4, r6 = r2 * r2, r2 * r2 * r2
-    below = 1.0 / (1.0 + k4 * r2 + k5 * r4 + k6 * r6)
-    radial = (1.0 + k1 * r2 + k2 * r4 + k3 * r6) * below
-    slope = (k1 + 2.0 * k2 * r2 + 3.0 * k3 * r4) * below
-    slope -= radial * below * (k4 + 2.0 * k5 * r2 + 3.0 * k6 * r4)
-    along_x, along_y = r2 + 2.0 * x * x, r2 + 2.0 * y * y
-    xy = np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * along_x,
-            y * radial + p1 * along_y + 2.0 * p2 * x * y,
-        ],
-        axis=-1,
-    )
-    by_ideal = np.empty((*ideal.shape, 2))
-    by_ideal[..., 0, 0] = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-    by_ideal[..., 1, 1] = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-    by_ideal[..., 0, 1] = by_ideal[..., 1, 0] = 2.0 * (x * y * slope + p1 * x + p2 * y)
-    radii = np.stack([r2, r4, r6], axis=-1) * below[..., None]
-    by = np.empty((*ideal.shape, 8))
-    for axis, ray in ((0, x), (1, y)):
-        by[..., axis, [0, 1, 4]] = ray[..., None] * radii
-        by[..., axis, 5:] = -(ray * radial)[..., None] * radii
-    by[..., 0, 2] = by[..., 1, 3] = 2.0 * x * y
-    by[..., 0, 3], by[..., 1, 2] = along_x, along_y
-    return _Bent(xy, by_ideal, by[..., : len(coefficients)])
-
-
-def _bend_by_angle(coefficients: FloatArray, ideal: FloatArray) -> _Bent:
-    """Distort by the Kannala-Brandt fisheye lens."""
-    r = np.maximum(np.linalg.norm(ideal, axis=-1), _SMALL_RADIUS)
-    t = np.arctan(r)
-    powers = np.stack([t ** (2 * n) for n in range(5)], axis=-1)
-    bent = np.concatenate([[1.0], coefficients])
-    scale = t / r * (powers @ bent)
-    # along the radius: d(t (1 + k1 t^2 + ...)) / dr
-    along = powers @ (bent * (2.0 * np.arange(5) + 1.0)) / (1.0 + r * r)
-    unit = ideal / r[..., None]
-    outer = unit[..., :, None] * unit[..., None, :]
-    by_ideal = scale[..., None, None] * np.eye(2) + (along - scale)[..., None, None] * outer
-    by_coefficients = (unit * t[..., None])[..., None] * powers[..., None, 1:]
-    return _Bent(ideal * scale[..., None], by_ideal, by_coefficients)
-
-
-_POSE_STEPS: Final = 50
-"""Largest number of Levenberg-Marquardt steps for the board poses (numerical)."""
-_POSE_TOLERANCE: Final = 1e-7
-"""Convergence tolerance of a pose step, rad and in units of the board's size; the next step is
-about 1e-4 of it (numerical)."""
-_RELATIVE_RIDGE: Final = 1e-13
-"""Relative ridge on the diagonal of a view's normal matrix; it matters only if the matrix is
-singular (numerical)."""
+_MOST_STEPS: Final = 60
+"""Largest number of steps; ten are usual, more only if a lens has more coefficients than the views
+determine and these wander along a valley (numerical)."""
+_LEAST_DAMPING: Final = 1e-13
+"""Damping of the first step; it matters only if the matrix is singular (numerical)."""
+_MOST_DAMPING: Final = 1e9
+"""Damping above which the iteration ends (numerical)."""
 _ABSOLUTE_RIDGE: Final = 1e-200
-"""Absolute ridge, which lets a view without corners have an inverse (numerical)."""
-_COST_ROUNDING: Final = 1e-13
-"""Relative change of a sum of squares that counts as rounding (numerical)."""
-_FIRST_DAMPING: Final = 1e-6
-"""Initial damping of the pose steps, relative to the diagonal (numerical)."""
-_MOST_DAMPING: Final = 1e6
-"""Damping above which the iteration of a view's pose ends (numerical)."""
-_MOST_EVALUATIONS: Final = 60
-"""Largest number of evaluations of the sum of squares. Cameras take about 10, more only if a lens
-has more coefficients than the views determine and these wander along a valley (numerical)."""
+"""Ridge that lets a view without corners have an inverse (numerical)."""
+_POSE_TOLERANCE: Final = 1e-12
+"""Change of a view's sum of squares, absolute and relative, below which its pose is found; an error
+of one standard deviation changes the sum by 1 (numerical)."""
 _RATIONAL_PRIOR_SIGMA: Final = 1.0
 """Prior standard deviation of the coefficients k1 to k6 of the rational lens (chosen: real lenses
 have coefficients of this size or less)."""
-_TOLERANCE: Final = 1e-8
-"""Relative convergence tolerance of the sum of squares. With 10,000 residuals, a change of one
-parameter by one standard deviation changes the sum by 1e-4 (numerical)."""
+_TOLERANCE: Final = 1e-12
+"""Relative change of the sum of squares below which cameras are found (numerical)."""
+
+
+class NormalEquations(Protocol):
+    """Linearised problem, or a batch (...) of problems; also a NamedTuple of arrays if a batch."""
+
+    @property
+    def cost(self) -> Any:
+        """(...) sum of squares."""
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(..., s, s) normal matrix."""
+
+    @property
+    def gradient(self) -> FloatArray:
+        """(..., s) gradient, half of the cost's."""
+
+
+_State = TypeVar("_State")
+_Normal = TypeVar("_Normal", bound=NormalEquations)
+
+
+def damped_least_squares(
+    linearised: Callable[[_State], _Normal],
+    moved: Callable[[_State, _Normal, FloatArray], _State],
+    state: _State,
+    *,
+    tolerance: float,
+    relative_tolerance: float,
+    damping_unit: FloatArray | None = None,
+    reweighted: Callable[[_State, _Normal], _Normal | None] | None = None,
+) -> tuple[_State, _Normal]:
+    """Levenberg and Marquardt's method for one problem or a batch of independent ones.
+
+    Args:
+        linearised: normal equations at a state; may raise `LinAlgError`.
+        moved: the state after a step (..., s).
+        state: the start; of a batch a NamedTuple of arrays (..., ...).
+        tolerance: change of the cost below which the iteration ends.
+        relative_tolerance: the same, as a fraction of the cost.
+        damping_unit: (s,) what damping multiplies; None for the normal matrix's diagonal.
+        reweighted: after a step, the normal equations with other weights, or None for the same.
+
+    Raises:
+        numpy.linalg.LinAlgError: the start has no finite cost.
+    """
+    now = linearised(state)
+    if np.ndim(now.cost) == 0 and not np.isfinite(now.cost):
+        raise np.linalg.LinAlgError("expected a start before the cameras")
+    damping = np.full(np.shape(now.cost), _LEAST_DAMPING)
+    for _ in range(_MOST_STEPS):
+        unit = np.diagonal(now.matrix, axis1=-2, axis2=-1)
+        unit = unit if damping_unit is None else damping_unit
+        step = -_solve_damped(now.matrix, damping[..., None] * unit, now.gradient[..., None])[
+            ..., 0
+        ]
+        there = moved(state, now, step)
+        try:
+            then = linearised(there)
+            change = now.cost - then.cost
+        except np.linalg.LinAlgError:  # a step behind a camera
+            then, change = now, np.full_like(damping, -np.inf)
+        better = np.asarray(change >= 0.0)
+        state, now = _choose(better, there, state), _choose(better, then, now)
+        damping = np.where(
+            better, np.maximum(0.1 * damping, _LEAST_DAMPING), np.maximum(10.0 * damping, 1.0)
+        )
+        other = reweighted(state, now) if reweighted is not None and better.all() else None
+        if other is not None:
+            now = other
+            continue
+        done = np.abs(change) <= np.maximum(tolerance, relative_tolerance * np.asarray(now.cost))
+        if (done | (damping > _MOST_DAMPING)).all():
+            break
+    return state, now
+
+
+def _choose(better: NDArray[np.bool_], new: _State, old: _State) -> _State:
+    """Select the new values of the problems that are better."""
+    if better.ndim == 0:
+        return new if better else old
+    both: Any = (new, old)
+    chosen: _State = type(both[0])(
+        *(
+            np.where(better.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+            for one, other in zip(*both, strict=True)
+        )
+    )
+    return chosen
+
+
+def _solve_damped(matrix: FloatArray, more: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve (..., s, s) equations with a larger diagonal, by (..., s), scaled to ones."""
+    size = range(matrix.shape[-1])
+    larger = matrix.copy()
+    larger[..., size, size] += more + _ABSOLUTE_RIDGE
+    scale = 1.0 / np.sqrt(larger[..., size, size])[..., None]
+    scaled = larger * scale * scale.swapaxes(-1, -2)
+    return np.asarray(scale * np.linalg.solve(scaled, scale * right))
 
 
 class BoardPoses(NamedTuple):
@@ -220,6 +260,10 @@ class CameraRig(NamedTuple):
             ]
         )
 
+    def in_camera(self, camera: int, points: FloatArray) -> FloatArray:
+        """(..., 3) points of the left camera's frame in a camera's frame, m."""
+        return points @ self.rotation.T + self.translation if camera else points
+
     def unpacked(self, row: FloatArray) -> "CameraRig":
         """Make a rig from a packed array."""
         *cameras, between, bend = (row[block] for block in self.blocks)
@@ -271,6 +315,44 @@ class LinearisedResiduals(NamedTuple):
     rig_jacobian: FloatArray
     """(v, m, p) Jacobian by the parameters of `CameraRig.packed`."""
 
+    @property
+    def cost(self) -> FloatArray:
+        """(v) sum of squares of each view."""
+        return np.asarray((self.residuals**2).sum(axis=1))
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(v, 6, 6) normal matrix of each view's pose."""
+        return np.asarray(self.pose_jacobian.transpose(0, 2, 1) @ self.pose_jacobian)
+
+    @property
+    def gradient(self) -> FloatArray:
+        """(v, 6) gradient of each view's pose."""
+        return np.asarray(np.einsum("vmk,vm->vk", self.pose_jacobian, self.residuals))
+
+    def eliminated(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Reduced Jacobian J', (v, m, p), and minus the poses' derivative and their own step."""
+        right = np.concatenate(
+            [self.pose_jacobian.transpose(0, 2, 1) @ self.rig_jacobian, self.gradient[..., None]],
+            axis=-1,
+        )
+        diagonal = np.einsum("vii->vi", self.matrix)
+        solved = _solve_damped(self.matrix, _LEAST_DAMPING * diagonal, right)
+        by_rig, step = solved[..., :-1], solved[..., -1]
+        return self.rig_jacobian - self.pose_jacobian @ by_rig, by_rig, step
+
+
+class _RigEquations(NamedTuple):
+    """Normal equations of the rig's parameters, each view's pose eliminated."""
+
+    cost: float
+    matrix: FloatArray
+    gradient: FloatArray
+    linear: LinearisedResiduals
+    by_rig: FloatArray
+    """(v, 6, p) and `own_step` (v, 6): see `LinearisedResiduals.eliminated`."""
+    own_step: FloatArray
+
 
 @dataclass(frozen=True, eq=False)
 class BundleAdjustment:
@@ -298,19 +380,19 @@ class BundleAdjustment:
         return BundleAdjustment(self.board_corners, self.pixels[only], self.sigma[only])
 
     @cached_property
-    def _bending(self) -> FloatArray:
+    def heights(self) -> FloatArray:
         """(n, 3) derivative of each corner's height above the flat board by curvature, m^2."""
-        x, y = (self.board_corners[:, :2] - self.board_corners[:, :2].mean(axis=0)).T
-        return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
+        return heights_by_curvature(
+            self.board_corners[:, :2] - self.board_corners[:, :2].mean(axis=0)
+        )
 
     def points(self, rig: CameraRig, poses: BoardPoses) -> FloatArray:
         """(v, n, 3) the board's corners in the left camera's frame, metres."""
         return self._turned(rig, poses) + poses.translation[:, None]
 
     def _turned(self, rig: CameraRig, poses: BoardPoses) -> FloatArray:
-        bent = self.board_corners + (self._bending @ rig.board_curvatures)[:, None] * np.array(
-            [0.0, 0.0, 1.0]
-        )
+        bent = self.board_corners.copy()
+        bent[:, 2] += self.heights @ rig.board_curvatures
         return np.asarray(bent @ poses.rotation.transpose(0, 2, 1))
 
     def linearised(
@@ -320,21 +402,15 @@ class BundleAdjustment:
         turned = self._turned(rig, poses)
         points = turned + poses.translation[:, None]
         views, corners = points.shape[:2]
-        by_bend = poses.rotation[:, None, :, 2, None] * self._bending[:, None]
+        by_bend = poses.rotation[:, None, :, 2, None] * self.heights[:, None]
         *cameras, between, bend = rig.blocks
         parts: list[list[FloatArray]] = [[], [], []]
         for camera, (lens, values) in enumerate(
             zip(rig.lenses, rig.camera_parameters, strict=True)
         ):
             jacobian = np.zeros((views, corners, 2, bend.stop if by_rig else 0))
-            if camera == 0:
-                seen = project_with_jacobians(lens, values, points)
-                by_left = seen.point_jacobian
-            else:
-                seen = project_with_jacobians(
-                    lens, values, points @ rig.rotation.T + rig.translation
-                )
-                by_left = seen.point_jacobian @ rig.rotation
+            seen = project_with_jacobians(lens, values, rig.in_camera(camera, points))
+            by_left = seen.point_jacobian @ rig.rotation if camera else seen.point_jacobian
             if by_rig:
                 jacobian[..., cameras[camera]] = seen.camera_jacobian
                 jacobian[..., bend] = by_left @ by_bend
@@ -358,104 +434,57 @@ class BundleAdjustment:
     def fit_poses(
         self, rig: CameraRig, start: BoardPoses
     ) -> tuple[BoardPoses, LinearisedResiduals]:
-        """Fit the poses to given cameras (Levenberg and Marquardt); with residuals there."""
-        size = np.ptp(self.board_corners, axis=0).max()
-        damping = np.full(len(start.translation), _FIRST_DAMPING)
-        poses, now = start, self.linearised(rig, start, by_rig=False)
-        cost = (now.residuals**2).sum(axis=1)
-        for _ in range(_POSE_STEPS):
-            normal = now.pose_jacobian.transpose(0, 2, 1) @ now.pose_jacobian
-            slope = now.pose_jacobian.transpose(0, 2, 1) @ now.residuals[..., None]
-            steps = -np.linalg.solve(_damped(normal, damping), slope)[..., 0]
-            moved = poses.moved(np.asarray(steps))
-            then = self.linearised(rig, moved, by_rig=False)
-            costs = (then.residuals**2).sum(axis=1)
-            better = costs <= cost
-            pick = [np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b)
-                    for a, b in zip((*moved, *then), (*poses, *now), strict=True)]  # fmt: skip
-            poses, now = BoardPoses(*pick[:2]), LinearisedResiduals(*pick[2:])
-            small = np.abs(steps / np.array([1, 1, 1, size, size, size])).max(axis=1)
-            done = (
-                (small < _POSE_TOLERANCE)
-                | (np.abs(cost - costs) <= _COST_ROUNDING * cost)
-                | (damping > _MOST_DAMPING)
-            )
-            cost = np.where(better, costs, cost)
-            damping = np.where(better, np.maximum(0.1 * damping, 1e-12), 100.0 * damping)
-            if done.all():
-                break
-        return poses, now
+        """Fit the poses to given cameras; with residuals there."""
+        return damped_least_squares(
+            lambda poses: self.linearised(rig, poses, by_rig=False),
+            lambda poses, _, steps: poses.moved(steps),
+            start,
+            tolerance=_POSE_TOLERANCE,
+            relative_tolerance=_POSE_TOLERANCE,
+        )
 
     def solve(
         self, start: CameraRig, poses: BoardPoses, tolerance: float = _TOLERANCE
     ) -> "BundleSolution":
         """Cameras and poses with the least squares; `LinAlgError` if they are not determined."""
-        near = _Near(start.packed(), poses, None)
-        last: dict[bytes, tuple[BoardPoses, LinearisedResiduals]] = {}
+        prior = start.prior_information
 
-        def poses_for(row: FloatArray) -> tuple[BoardPoses, LinearisedResiduals]:
-            key = row.tobytes()
-            if key not in last:
-                last.clear()
-                last[key] = self.fit_poses(start.unpacked(row), near.poses_at(row))
-            return last[key]
+        def linearised(state: tuple[CameraRig, BoardPoses]) -> _RigEquations:
+            row, linear = state[0].packed(), self.linearised(*state)
+            reduced, by_rig, own_step = linear.eliminated()
+            flat = reduced.reshape(-1, len(row))
+            return _RigEquations(
+                float(linear.cost.sum() + prior @ row**2),
+                flat.T @ flat + np.diag(prior),
+                flat.T @ linear.residuals.ravel() + prior * row,
+                linear,
+                by_rig,
+                own_step,
+            )
 
-        prior_weights = np.sqrt(start.prior_information)
+        def moved(
+            state: tuple[CameraRig, BoardPoses], now: _RigEquations, step: FloatArray
+        ) -> tuple[CameraRig, BoardPoses]:
+            rig, poses = state
+            return (
+                rig.unpacked(rig.packed() + step),
+                poses.moved(-now.own_step - now.by_rig @ step),
+            )
 
-        def residuals(row: FloatArray) -> FloatArray:
-            return np.concatenate([poses_for(row)[1].residuals.ravel(), prior_weights * row])
-
-        def jacobian(row: FloatArray) -> FloatArray:
-            nonlocal near
-            fitted_poses = poses_for(row)[0]
-            linear = self.linearised(start.unpacked(row), fitted_poses)
-            pose_sensitivity = _pose_sensitivity(linear)
-            near = _Near(row.copy(), fitted_poses, pose_sensitivity)
-            eliminated = np.asarray(linear.rig_jacobian - linear.pose_jacobian @ pose_sensitivity)
-            return np.vstack([eliminated.reshape(-1, len(row)), np.diag(prior_weights)])
-
-        if not np.isfinite(residuals(start.packed())).all():
-            raise np.linalg.LinAlgError("expected a start before the cameras")
-        result: Any = least_squares(
-            residuals, start.packed(), jacobian, method="lm", x_scale="jac", ftol=tolerance,
-            xtol=tolerance, gtol=tolerance, max_nfev=_MOST_EVALUATIONS,
-        )  # fmt: skip
-        found, fitted_poses = start.unpacked(result.x), poses_for(result.x)[0]
-        return BundleSolution(self, found, fitted_poses, self.linearised(found, fitted_poses))
-
-
-class _Near(NamedTuple):
-    """The last linearisation, from which the poses at other cameras are predicted."""
-
-    row: FloatArray
-    """(p) see `CameraRig.packed`."""
-    poses: BoardPoses
-    pose_sensitivity: FloatArray | None
-    """(v, 6, p) see `_pose_sensitivity`; None before the first linearisation."""
-
-    def poses_at(self, row: FloatArray) -> BoardPoses:
-        """Predict the poses at other cameras, to first order."""
-        if self.pose_sensitivity is None:
-            return self.poses
-        return self.poses.moved(-self.pose_sensitivity @ (row - self.row))
+        (rig, found), now = damped_least_squares(
+            linearised,
+            moved,
+            (start, self.fit_poses(start, poses)[0]),
+            tolerance=0.0,
+            relative_tolerance=tolerance,
+        )
+        return BundleSolution(self, rig, found, now.linear)
 
 
-def _eliminated(linear: LinearisedResiduals) -> FloatArray:
-    """(v, m, p) Jacobian J' by the rig's parameters with the poses eliminated."""
-    return np.asarray(linear.rig_jacobian - linear.pose_jacobian @ _pose_sensitivity(linear))
-
-
-def _pose_sensitivity(linear: LinearisedResiduals) -> FloatArray:
-    """(v, 6, p) negative derivative of the best poses by the rig's parameters."""
-    transposed = linear.pose_jacobian.transpose(0, 2, 1)
-    normal = _damped(transposed @ linear.pose_jacobian, np.full(len(transposed), _RELATIVE_RIDGE))
-    return np.asarray(np.linalg.solve(normal, transposed @ linear.rig_jacobian))
-
-
-def _damped(normal: FloatArray, damping: FloatArray) -> FloatArray:
-    """(v, 6, 6) normal matrices with larger diagonals, so that each has an inverse."""
-    larger = damping[:, None] * np.einsum("vii->vi", normal) + _ABSOLUTE_RIDGE
-    return np.asarray(normal + larger[..., None] * np.eye(6))
+def heights_by_curvature(corners: FloatArray) -> FloatArray:
+    """(n, 3) derivative of a board's height at (n, 2) corners, m, by its curvatures, m^2."""
+    x, y = corners.T
+    return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
 
 
 def cross_matrices(vectors: FloatArray) -> FloatArray:
@@ -484,7 +513,7 @@ class BundleSolution:
     @cached_property
     def reduced_rig_jacobian(self) -> FloatArray:
         """(v, m, p) Jacobian of the residuals by the rig's parameters, poses eliminated."""
-        return _eliminated(self.linearisation)
+        return self.linearisation.eliminated()[0]
 
     @property
     def degrees_of_freedom(self) -> int:

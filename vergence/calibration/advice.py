@@ -128,17 +128,16 @@ def direction_sigma_px_at(calibration: Calibration, camera: int, pixels: FloatAr
     rays = np.asarray(pixels_to_rays(pixels, row))
     sigma = np.full(len(pixels), np.nan)
     there = np.isfinite(rays).all(axis=-1)
-    sigma[there] = direction_sigma_px(
-        calibration.fit.solution, calibration.covariance, camera, rays[there]
-    )
+    if there.any():
+        sigma[there] = direction_sigma_px(
+            calibration.fit.solution, calibration.covariance, camera, rays[there]
+        )
     return sigma
 
 
 def board_sag(calibration: Calibration) -> BoardSag:
     """Compute the sag of the board, the spread of its corners' heights, and its uncertainty."""
-    corners = calibration.observations.target.corners_m
-    x, y = (corners - corners.mean(axis=0)).T
-    heights = np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
+    heights = calibration.fit.solution.problem.heights
     height = heights @ calibration.rig.board_curvatures
     between = heights[height.argmax()] - heights[height.argmin()]
     block = calibration.rig.blocks[-1]
@@ -262,22 +261,15 @@ def advise_on_distances(calibration: Calibration) -> str:
     near, far = np.quantile(board_tilts(calibration, 0).distance_m, [0.1, 0.9])
     if far > _LEAST_DISTANCE_RATIO * near:
         return ""
-    away = (
-        f"{near:.2f} to {far:.2f} m away"
-        if calibration.observations.target.size_known
-        else "equally far away"
-    )
+    known = calibration.observations.target.size_known
+    away = f"{near:.2f} to {far:.2f} m away" if known else "equally far away"
     return f"Most boards are {away}: take some nearer and some farther away."
 
 
 def median_and_corner_sigma_px(calibration: Calibration, camera: int) -> tuple[float, float]:
     """Sigma of directions, px: the image's median and worst corner; inf without an inverse."""
-    grid = pixel_grid(calibration.observations.image_sizes[camera], _SIGMA_GRID_COUNT).reshape(
-        -1, 2
-    )
-    sigma = direction_sigma_px_at(calibration, camera, grid).reshape(
-        _SIGMA_GRID_COUNT, _SIGMA_GRID_COUNT
-    )
+    grid = pixel_grid(calibration.observations.image_sizes[camera], _SIGMA_GRID_COUNT)
+    sigma = direction_sigma_px_at(calibration, camera, grid.reshape(-1, 2)).reshape(grid.shape[:2])
     sigma = np.where(np.isfinite(sigma), sigma, np.inf)
     return float(np.median(sigma)), float(sigma[[0, 0, -1, -1], [0, -1, 0, -1]].max())
 
@@ -339,10 +331,8 @@ def advise_on_board_size_unit(calibration: Calibration) -> str:
 
 def advise_on_bent_board(calibration: Calibration) -> str:
     """Advise on a board that is far from flat."""
-    sag, size = (
-        board_sag(calibration),
-        MM * float(np.linalg.norm(np.ptp(calibration.observations.target.corners_m, 0))),
-    )
+    sag = board_sag(calibration)
+    size = MM * float(np.linalg.norm(np.ptp(calibration.observations.target.corners_m, 0)))
     if sag.mm - 2.0 * sag.sigma_mm < _BENT_SAG_RATIO * size:
         return ""
     return f"The board is bent by {sag.mm:.1f} mm: mount it on something flat and stiff."

@@ -185,7 +185,7 @@ def calibrate(
     Raises:
         ConfigurationError: the photographs give no calibration; the message says why.
     """
-    report = progress or _ignore
+    report = progress or (lambda fraction: None)
     seen, failures = detect_board_corners(
         target,
         photographs,
@@ -204,7 +204,7 @@ def calibrate_views(
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
     """Calibrate from the detected corners of one camera or two, see `calibrate`."""
-    report = progress or _ignore
+    report = progress or (lambda fraction: None)
     cameras = len(observations.file_names)
     lenses = tuple(LENSES) if lens is None else (lens,)
     ticks = 1 + 2 * cameras * len(lenses) + FOLDS
@@ -276,16 +276,24 @@ def _trials(
     """Fit each camera alone with each lens model; leave out models that do not fit at all."""
     cameras = len(observations.file_names)
     every = [observations.select_camera(camera) for camera in range(cameras)]
-    firsts = [_first(every[camera], camera, cameras) for camera in range(cameras)]
+    firsts = []
+    for camera, one in enumerate(every):
+        try:
+            firsts.append(fit_consistent_views(one))
+        except np.linalg.LinAlgError:
+            raise _unsure(camera, cameras, "none at all") from None
     tick()
     trials: dict[str, list[_Trial]] = {}
     refused: ConfigurationError | None = None
     for lens in lenses:
+        found = []
         try:
-            trials[lens] = [
-                _try_lens(lens, each, first, tick)
-                for each, first in zip(every, firsts, strict=True)
-            ]
+            for one, first in zip(every, firsts, strict=True):
+                fit = fit_camera(one, lens, first)
+                tick()
+                found.append(_Trial(fit, cross_validation_mean_squares(fit, one.problem)))
+                tick()
+            trials[lens] = found
         except np.linalg.LinAlgError:
             refused = _unsure(0, cameras, "none at all")
         except ConfigurationError as error:
@@ -302,28 +310,6 @@ def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
     return {
         lens: np.concatenate([one.errors for one in each])[agreed] for lens, each in trials.items()
     }
-
-
-def _first(observations: BoardObservations, camera: int, cameras: int) -> CameraFit:
-    """Make the first fit of a camera; report parameters that no view determines."""
-    try:
-        return fit_consistent_views(observations)
-    except np.linalg.LinAlgError:
-        raise _unsure(camera, cameras, "none at all") from None
-
-
-def _try_lens(
-    lens: str, observations: BoardObservations, first: CameraFit, tick: Callable[[], None]
-) -> _Trial:
-    fit = fit_camera(observations, lens, first)
-    tick()
-    errors = cross_validation_mean_squares(fit, observations.problem)
-    tick()
-    return _Trial(fit, errors)
-
-
-def _ignore(fraction: float) -> None:
-    """Ignore the progress."""
 
 
 def _refuse_unsure(solution: BundleSolution, camera: int, cameras: int) -> None:

@@ -83,13 +83,9 @@ class ViewResiduals:
 
     def outliers(self, trusted_views: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(v) True for outliers with respect to the trusted views."""
-        reduced_chi, rms_px = (
-            np.median(self.reduced_chi[trusted_views]),
-            np.median(self.rms_px[trusted_views]),
-        )
-        worse = (self.reduced_chi > _OUTLIER_CHI_RATIO * reduced_chi) & (
-            self.rms_px > _OUTLIER_RMS_RATIO * rms_px
-        )
+        chi, px = (np.median(each[trusted_views]) for each in (self.reduced_chi, self.rms_px))
+        worse = self.reduced_chi > _OUTLIER_CHI_RATIO * chi
+        worse &= self.rms_px > _OUTLIER_RMS_RATIO * px
         return np.asarray(worse | ~np.isfinite(self.reduced_chi))
 
 
@@ -354,12 +350,6 @@ def drop_and_reweight_views(
 
     A view whose residuals, in units of sigma, are r > 1.2 times the median has too small a sigma,
     as its board was not quite still. Its sigma is multiplied by (r / 1.2)^2.
-
-    Args:
-        problem: problem of all views.
-        solution: solution of the kept views.
-        kept_views: (v) True for the kept views.
-        poses: initial poses of the board in all views.
     """
     weighted = problem
     for _ in range(_MOST_FITS):
@@ -450,9 +440,6 @@ def choose_lens(mean_squares_by_lens: Mapping[str, FloatArray]) -> str:
     It is the first model in `_LENS_PREFERENCE` that meets two conditions. The logarithm of the
     ratio of its errors to the best model's, averaged over the views, is at most 2 % or two of its
     standard errors, whichever is larger. And no single view has a ratio that refutes the model.
-
-    Args:
-        mean_squares_by_lens: by lens, (v) see `cross_validation_mean_squares`.
     """
     logs = {lens: np.log(each) for lens, each in mean_squares_by_lens.items()}
     best = min(logs, key=lambda lens: float(np.mean(logs[lens])))
@@ -589,8 +576,6 @@ def _missed_px(problem: BundleAdjustment, rig: CameraRig, poses: BoardPoses) -> 
         rig.rotation @ poses.rotation, poses.translation @ rig.rotation.T + rig.translation
     )
     one = problem.select_camera(1)
-    linear = one.linearised(right, moved)
-    shape = one.pixels.shape[1:]
-    squares = ((linear.residuals.reshape(shape) * one.sigma[0]) ** 2).sum(axis=-1)
+    squares = pixel_residuals(one, one.linearised(right, moved, by_rig=False))[0] ** 2
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.sqrt(np.nansum(squares, axis=1) / one.seen[0].sum(axis=1)))
+        return np.asarray(np.sqrt(np.nansum(squares, axis=(1, 2)) / one.seen[0].sum(axis=1)))

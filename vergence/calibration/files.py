@@ -81,10 +81,8 @@ def _in_both(calibration: Calibration, points: FloatArray) -> FloatArray:
     rig = calibration.rig
     inside = np.ones(len(points), bool)
     for camera, size in enumerate(calibration.observations.image_sizes):
-        mine = points @ rig.rotation.T + rig.translation if camera else points
-        pixels = project_with_jacobians(
-            rig.lenses[camera], rig.camera_parameters[camera], mine
-        ).pixels
+        lens, values = rig.lenses[camera], rig.camera_parameters[camera]
+        pixels = project_with_jacobians(lens, values, rig.in_camera(camera, points)).pixels
         inside &= ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all(axis=-1)
     return inside
 

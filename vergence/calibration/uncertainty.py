@@ -77,20 +77,9 @@ def clustered_covariance(
 def direction_sigma_px(
     solution: BundleSolution, covariance: FloatArray, camera: int, rays: FloatArray
 ) -> FloatArray:
-    """Compute the uncertainty of a camera's directions, in pixels of its image.
-
-    A rotation of the camera's frame is no error of its directions. It is removed by the rotation
-    that moves the measured corners least (as "fit" in the projection uncertainty of mrcal, Kogan).
-
-    Args:
-        solution: the solution of the bundle adjustment.
-        covariance: (p, p) see `rig_covariance`.
-        camera: index of the camera.
-        rays: (n, 2) X / Z, Y / Z in that camera.
-
-    Returns:
-        (n) standard deviation, px: the root mean square of the deviations along u and v.
-    """
+    """(n,) sigma, px, rms along u and v, of directions (n, 2), X / Z and Y / Z, in a camera."""
+    # A rotation of the camera's frame is no error of its directions. The one that moves the
+    # measured corners least is removed (as "fit" in the projection uncertainty of mrcal, Kogan).
     lens, values = solution.rig.lenses[camera], solution.rig.camera_parameters[camera]
     block = solution.rig.blocks[camera]
     points = board_points_in_camera(solution, camera)[solution.problem.seen[camera]]
@@ -113,9 +102,8 @@ def _by_turn_and_values(
 
 def board_points_in_camera(solution: BundleSolution, camera: int) -> FloatArray:
     """(v, n, 3) the board's corners in a camera's frame, metres."""
-    rig = solution.rig
-    points = solution.problem.points(rig, solution.poses)
-    return points @ rig.rotation.T + rig.translation if camera else points
+    points = solution.problem.points(solution.rig, solution.poses)
+    return solution.rig.in_camera(camera, points)
 
 
 def triangulation_covariances(

@@ -6,12 +6,21 @@ The adjustment minimises the sum of squares of
     e / sigma_e                                          the reading error of each angle,
     (x - x_0) / sigma_0                                  the prior of each parameter of the head
 
-over the head's parameters x, the parameters of the reading-error terms (see `reading_terms`), the
-board's poses in frame 0 and its bend, and the reading errors e. Errors of a single frame are
-eliminated frame by frame (Schur complement). About a hundred shared unknowns remain, and their
-normal matrix is assembled from small blocks.
+over the head's parameters x, the parameters y of the reading-error terms, the board's poses in
+frame 0 and its bend, and the reading errors e. Errors of a single frame are eliminated frame by
+frame (Schur complement). About a hundred shared unknowns remain, and their normal matrix is
+assembled from small blocks. The reading-error terms are systematic errors of joint readings:
+
+    true angle = reading + error + sum_k term_k(readings; y_k)
+
+Each term belongs to an actuator and has one parameter y, in rad. With backlash (play), the joint
+lags behind the motor, whose angle is read, until the motor has crossed the gap: y is its whole
+width. An eccentric encoder disc causes harmonics of the angle q: y cos(q), y sin(q), y cos(2q) and
+y sin(2q). The eyes' harmonics have zero mean over the recording, as a mean is a joint's offset.
+(The neck's joints have no offset among the parameters.)
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -22,14 +31,15 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import (
     BoardPoses,
     camera_parameter_names,
+    camera_parameters,
     cross_matrices,
+    heights_by_curvature,
     project_with_jacobians,
 )
-from vergence.calibration.head.reading_terms import NO_TERMS, ReadingErrorTerms
-from vergence.calibration.head.recording import HeadFrames, ReadingErrorUnknowns
-from vergence.models.geometry import inverse_pose, pose_parameter_twists
+from vergence.calibration.head.recording import SAME_POSE_RAD, HeadFrames, ReadingErrorUnknowns
+from vergence.models.geometry import inverse_pose, pose_parameter_twists, rot_z
 from vergence.models.head import HeadModel
-from vergence.models.parts import EYE_NAMES, EYES, FloatArray
+from vergence.models.parts import EYE_NAMES, EYES, NECK, FloatArray
 
 IntArray = NDArray[np.intp]
 
@@ -40,13 +50,11 @@ class ProjectedBoard(NamedTuple):
     pixels: FloatArray
     """(f, n, 2) px; nan behind the camera."""
     head_jacobian: FloatArray
-    """(f, n, 2, p_eye) Jacobian by the head parameters that the eye depends on, see
-    `ParametricHead.eye_parameter_indices`."""
+    """(f, n, 2, p_eye) Jacobian by the head's `ParametricHead.eye_parameter_indices`."""
     joint_jacobian: FloatArray
     """(f, n, 2, 7) Jacobian by the joint angles, px/rad."""
     board_jacobian: FloatArray
-    """(f, n, 2, 6) Jacobian by a small rotation of the board in frame 0 and a translation, px/rad
-    and px/m."""
+    """(f, n, 2, 6) Jacobian by a small rotation, in frame 0, and a translation of the board."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,12 +103,10 @@ class ParametricHead:
         found = []
         for eye, name in enumerate(EYE_NAMES):
             moved = self.twists[:, 3 * eye : 3 * eye + 3].any(axis=(1, 2))
-            own = [names.index(f"{name}.camera.{each}") for each in self._camera(eye)]
+            camera = camera_parameter_names(self.nominal_head.cameras.lens[eye])
+            own = [names.index(f"{name}.camera.{each}") for each in camera]
             found.append(np.concatenate([np.flatnonzero(moved), own]).astype(np.intp))
         return found[0], found[1]
-
-    def _camera(self, eye: int) -> tuple[str, ...]:
-        return camera_parameter_names(self.nominal_head.cameras.lens[eye])
 
     def project_board(
         self, eye: int, q: FloatArray, points: FloatArray, offsets: FloatArray
@@ -116,18 +122,12 @@ class ParametricHead:
             inside = (inside - constant[:3, 3]) @ constant[:3, :3]
             rotation = rotation @ constant[:3, :3]
             if angle is not None:
-                turn = rotations_about_z(angle)
+                turn = rot_z(angle)[:, :3, :3]
                 inside = inside @ turn
                 rotation = rotation @ turn
             places.append(inside)
             rotations.append(rotation)
-        lens = self.head.cameras.lens[eye]
-        cameras = self.head.cameras
-        own = self._camera(eye)
-        values = np.concatenate(
-            [cameras.focal[eye], cameras.principal[eye], cameras.distortion[eye][: len(own) - 4]]
-        )
-        image = project_with_jacobians(lens, values, inside)
+        image = project_with_jacobians(*camera_parameters(self.head, eye), inside)
         in_base = image.point_jacobian @ rotation.transpose(0, 2, 1)[:, None]
 
         def wrench(place: int) -> FloatArray:
@@ -141,9 +141,9 @@ class ParametricHead:
             used = np.flatnonzero(twists[:, k].any(axis=1))
             rows = wrench(place)
             if k < 2:  # the constant comes before its joint's rotation
-                rows = _turned(rows, rotations_about_z(-q[:, 3 + 2 * eye + k]))
+                rows = _turned(rows, rot_z(-q[:, 3 + 2 * eye + k])[:, :3, :3])
             by_head[..., used] -= rows @ twists[used, k].T
-        by_head[..., -len(own) :] = image.camera_jacobian
+        by_head[..., -image.camera_jacobian.shape[-1] :] = image.camera_jacobian
         by_joints = np.zeros((*image.pixels.shape, 7))
         for joint, place in ((0, 1), (1, 2), (2, 3), (3 + 2 * eye, 5), (4 + 2 * eye, 6)):
             gradient = in_base @ rotations[place][:, None]
@@ -153,13 +153,6 @@ class ParametricHead:
             )
         by_board = np.concatenate([_cross(offsets, in_base), in_base], axis=-1)
         return ProjectedBoard(image.pixels, by_head, by_joints, by_board)
-
-
-def rotations_about_z(angle: FloatArray) -> FloatArray:
-    """(f, 3, 3) rotations about z."""
-    c, s = np.cos(angle), np.sin(angle)
-    zero, one = np.zeros_like(c), np.ones_like(c)
-    return np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(-1, 3, 3)
 
 
 def adjoint(pose: FloatArray) -> FloatArray:
@@ -187,6 +180,124 @@ def _turned(wrench: FloatArray, turn: FloatArray) -> FloatArray:
     """Express both halves of rows (f, n, 2, 6) in a frame rotated by (f, 3, 3)."""
     halves = wrench.reshape(*wrench.shape[:-1], 2, 3) @ turn[:, None, None]
     return halves.reshape(wrench.shape)
+
+
+_PRIOR_SIGMA: Final = {"play": np.deg2rad(0.5), "harmonics": np.deg2rad(0.3)}
+"""Prior standard deviations of the parameters, rad (chosen: gears of hobby servos, and a disc of
+20 mm that is 0.05 mm off its axis)."""
+TERM_KINDS: Final = tuple(_PRIOR_SIGMA)
+_HARMONICS: Final = {"cos1": (1, np.cos), "sin1": (1, np.sin), "cos2": (2, np.cos),
+                     "sin2": (2, np.sin)}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReadingErrorTerms:
+    """Terms that model systematic reading errors: backlash, and harmonics of the encoders."""
+
+    names: tuple[str, ...] = ()
+    """(t,) names such as `left_pan.play` and `left_pan.cos1`."""
+    actuator_index: IntArray
+    """(t,) actuator of each term, of the neck's three joints and the eyes' four actuators."""
+    prior_mean: FloatArray
+    """(t,) prior means of the parameters, rad."""
+    prior_sigma: FloatArray
+    """(t,) prior standard deviations of the parameters, rad; 0 for fixed ones."""
+    actuator_readings: FloatArray
+    """(F, 7) the actuators' angles, rad, in all frames in the order of time."""
+    frame_index: IntArray
+    """(f,) indices of the selected frames."""
+    harmonic_mean: FloatArray
+    """(t,) mean of each harmonic of the eyes over all frames; 0 for other terms."""
+
+    @classmethod
+    def of_frames(
+        cls, head: HeadModel, frames: HeadFrames, kinds: Collection[str]
+    ) -> "ReadingErrorTerms":
+        """Make terms of some `TERM_KINDS` for all actuators that move, frames in time."""
+        readings = head.actuation.actuators_of(frames.joint_positions)
+        every = np.arange(len(readings))
+        return replace(NO_TERMS, actuator_readings=readings, frame_index=every).with_terms(
+            head, kinds
+        )
+
+    def with_terms(self, head: HeadModel, kinds: Collection[str]) -> "ReadingErrorTerms":
+        """Make other terms for the same readings, see `of_frames`."""
+        own, readings = head.actuation, self.actuator_readings
+        moves = (own.upper > own.lower) & (np.ptp(readings, axis=0) > SAME_POSE_RAD)
+        names, joint, sigma = [], [], []
+        for kind in TERM_KINDS:
+            for each in np.flatnonzero(moves).tolist() if kind in kinds else ():
+                parts = ["play"] if kind == "play" else list(_HARMONICS)
+                names += [f"{[*head.joints[:3], *own.names][each]}.{part}" for part in parts]
+                joint += [each] * len(parts)
+                sigma += [_PRIOR_SIGMA[kind]] * len(parts)
+        waves = [_harmonic(name, readings[:, k]) for name, k in zip(names, joint, strict=True)]
+        return replace(
+            self,
+            names=tuple(names),
+            actuator_index=np.array(joint, dtype=np.intp),
+            prior_mean=np.zeros(len(names)),
+            prior_sigma=np.array(sigma, dtype=np.float64),
+            harmonic_mean=np.array([wave.mean() for wave in waves])
+            * (np.array(joint) >= NECK.stop),
+        )
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """(t,) kind of each term, one of `TERM_KINDS`."""
+        return tuple("play" if name.endswith(".play") else "harmonics" for name in self.names)
+
+    @property
+    def is_backlash(self) -> NDArray[np.bool_]:
+        """(t,) True for backlash."""
+        return np.array([kind == "play" for kind in self.kinds], dtype=np.bool_)
+
+    def select(self, frames: NDArray[np.bool_]) -> "ReadingErrorTerms":
+        """Select some of the frames."""
+        return self if self is NO_TERMS else replace(self, frame_index=self.frame_index[frames])
+
+    def fixed_at(self, values: FloatArray) -> "ReadingErrorTerms":
+        """Fix the parameters at values (t,)."""
+        return replace(self, prior_mean=values, prior_sigma=np.zeros(len(values)))
+
+    def evaluate(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(f, 7) sum of the terms by actuator, rad, and (f, t) derivative by each parameter."""
+        angles = self.actuator_readings[:, self.actuator_index]
+        by = np.zeros_like(angles)
+        for column, name in enumerate(self.names):
+            by[:, column] = _harmonic(name, angles[:, column]) - self.harmonic_mean[column]
+        added, play = by * values, self.is_backlash
+        added[:, play], by[:, play] = _backlash_offset(angles[:, play], values[play])
+        return added[self.frame_index] @ np.eye(7)[self.actuator_index], by[self.frame_index]
+
+    def linearised_sum(self, values: FloatArray, other_values: FloatArray) -> FloatArray:
+        """(f, 7) sum of the terms with other parameters, linearised at given ones."""
+        added, by = self.evaluate(values)
+        return added + (by * (other_values - values)) @ np.eye(7)[self.actuator_index]
+
+
+NO_TERMS: Final = ReadingErrorTerms(
+    actuator_index=np.zeros(0, dtype=np.intp), prior_mean=np.zeros(0), prior_sigma=np.zeros(0),
+    actuator_readings=np.zeros((1, 7)), frame_index=np.zeros(1, dtype=np.intp),
+    harmonic_mean=np.zeros(0),
+)  # fmt: skip
+
+
+def _harmonic(name: str, angles: FloatArray) -> FloatArray:
+    """(F,) harmonic of angles (F,) that a parameter multiplies; 0 for backlash."""
+    order, function = _HARMONICS.get(name.rpartition(".")[2], (0, np.sin))
+    return np.asarray(function(order * angles))
+
+
+def _backlash_offset(angles: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(F, k) offsets of joints from motors, and by width (k,); the first frame is in the middle."""
+    half = 0.5 * np.abs(width)
+    away, by = np.zeros_like(angles), np.zeros_like(angles)
+    for frame in range(1, len(angles)):
+        free = away[frame - 1] - (angles[frame] - angles[frame - 1])
+        away[frame] = np.clip(free, -half, half)
+        by[frame] = np.where(np.abs(free) > half, 0.5 * np.sign(free), by[frame - 1])
+    return np.where(width < 0.0, -away, away), by
 
 
 CURVATURE_COUNT: Final = 3
@@ -300,11 +411,7 @@ class HeadAdjustment:
     @property
     def shared_count(self) -> int:
         """Number s of shared unknowns."""
-        return (
-            self.common_count
-            + 6 * self.placement_count
-            + len(self.reading_error_unknowns.shared_error_actuator)
-        )
+        return len(self.prior_information)
 
     @property
     def common_count(self) -> int:
@@ -313,29 +420,24 @@ class HeadAdjustment:
 
     @cached_property
     def _heights(self) -> FloatArray:
-        """(n, 3) derivative of each corner's height by curvature, m^2, see `BundleAdjustment`."""
-        x, y = self.frames.corners[:, :2].T
-        return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
+        """(n, 3) derivative of each corner's height by curvature, m^2."""
+        return heights_by_curvature(self.frames.corners[:, :2])
 
     @cached_property
     def prior_information(self) -> FloatArray:
         """(s,) prior information of each shared unknown, 1 / sigma^2."""
-        flat = len(self.frames.corners) <= 4
-        bend = 1e-6 if flat else _CURVATURE_SIGMA
-        # placements of the board that no frame shows need a solvable pose too
-        known = np.full(self.shared_count, _WEAK_PRIOR_INFORMATION)
-        sigma = np.maximum(self.prior_sigma, 1e-9)
-        known[: len(sigma)] = 1.0 / sigma**2
-        known[len(sigma) : len(sigma) + CURVATURE_COUNT] = 1.0 / bend**2
-        known[len(sigma) + CURVATURE_COUNT : self.common_count] = (
-            1.0 / np.maximum(self.terms.prior_sigma, 1e-9) ** 2
-        )
-        if len(self.reading_error_unknowns.shared_error_actuator):
-            shared_sigma = self.reading_error_unknowns.reading_sigma[
-                self.reading_error_unknowns.shared_error_actuator
+        own = self.reading_error_unknowns
+        # four corners tell no bend
+        bend = 1e-6 if len(self.frames.corners) <= 4 else _CURVATURE_SIGMA
+        common = [self.prior_sigma, np.full(CURVATURE_COUNT, bend), self.terms.prior_sigma]
+        return np.concatenate(
+            [
+                1.0 / np.maximum(np.concatenate(common), 1e-9) ** 2,
+                # placements of the board that no frame shows need a solvable pose too
+                np.full(6 * self.placement_count, _WEAK_PRIOR_INFORMATION),
+                1.0 / own.reading_sigma[own.shared_error_actuator] ** 2,
             ]
-            known[-len(shared_sigma) :] = 1.0 / shared_sigma**2
-        return known
+        )
 
     @cached_property
     def frame_columns(self) -> NDArray[np.intp]:
@@ -350,11 +452,9 @@ class HeadAdjustment:
     def joint_angles(self, state: HeadUnknowns) -> FloatArray:
         """(f, 7) true joint angles, rad."""
         own = self.reading_error_unknowns
-        errors = np.where(own.has_frame_error, state.frame_errors, 0.0)
-        if len(own.shared_error_actuator):
-            errors = errors + np.where(
-                own.shared_error_index >= 0, state.shared_errors[own.shared_error_index], 0.0
-            )
+        # frames without a shared error, of index -1, take the zero at the end
+        shared = np.append(state.shared_errors, 0.0)[own.shared_error_index]
+        errors = np.where(own.has_frame_error, state.frame_errors, 0.0) + shared
         return self.nominal_head.actuation.joints_of(
             own.actuator_readings + errors + self.terms.evaluate(state.term_parameters)[0]
         )
@@ -369,10 +469,8 @@ class HeadAdjustment:
         self, state: HeadUnknowns, weights: MeasurementWeights, *, keep_frame_parts: bool = False
     ) -> ReducedNormalEquations:
         """Assemble the normal equations at a state, maybe with each frame's contributions."""
-        chain, q = (
-            ParametricHead(self.nominal_head, state.head_parameters),
-            self.joint_angles(state),
-        )
+        chain = ParametricHead(self.nominal_head, state.head_parameters)
+        q = self.joint_angles(state)
         points, turned = board_points_and_offsets(
             self.corners(state), state.boards, self.frames.placement
         )
@@ -420,9 +518,8 @@ class HeadAdjustment:
             columns = np.concatenate([chain.eye_parameter_indices[eye], np.arange(p, width)])
             # all frames share the head's own block: sum it at once
             numbers = len(chain.eye_parameter_indices[eye]) + head - p
-            matrix[np.ix_(columns[:numbers], columns[:numbers])] += product[
-                :, :numbers, :numbers
-            ].sum(axis=0)
+            common = columns[:numbers]
+            matrix[np.ix_(common, common)] += product[:, :numbers, :numbers].sum(axis=0)
             blocks[:, columns] += product[:, :-7, numbers:-7]
             if keep_frame_parts:
                 whole[:, columns[:, None], columns] += product[:, :-7, :-7]
@@ -444,30 +541,21 @@ class HeadAdjustment:
         np.add.at(gradient, self.frame_columns, frame_gradients)
         matrix[head:, :head] = matrix[:head, head:].T
         matrix, gradient = matrix[:-1, :-1], gradient[:-1]
-        deviation = self._prior_deviation(state)
+        deviation = np.concatenate(
+            [
+                state.head_parameters - self.prior_mean,
+                state.board_curvatures,
+                state.term_parameters - self.terms.prior_mean,
+                np.zeros(6 * self.placement_count),
+                state.shared_errors,
+            ]
+        )
         matrix[np.diag_indices(self.shared_count)] += self.prior_information
         gradient = gradient + self.prior_information * deviation
         cost += float((self.prior_information * deviation**2).sum())
         return ReducedNormalEquations(
             cost, matrix, gradient, own_by_shared, own_step, inner, residuals, parts
         )
-
-    def _prior_deviation(self, state: HeadUnknowns) -> FloatArray:
-        """(s,) deviation of the shared unknowns from the prior's mean."""
-        deviation = np.zeros(self.shared_count)
-        p = len(self.prior_mean)
-        deviation[:p], deviation[p : p + CURVATURE_COUNT] = (
-            state.head_parameters - self.prior_mean,
-            state.board_curvatures,
-        )
-        deviation[p + CURVATURE_COUNT : self.common_count] = (
-            state.term_parameters - self.terms.prior_mean
-        )
-        if len(self.reading_error_unknowns.shared_error_actuator):
-            deviation[-len(self.reading_error_unknowns.shared_error_actuator) :] = (
-                state.shared_errors
-            )
-        return deviation
 
     def moved(
         self, state: HeadUnknowns, normal: ReducedNormalEquations, step: FloatArray

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import rms_length
-from vergence.calibration.head.adjust import HeadAdjustment
+from vergence.calibration.head.adjust import HeadAdjustment, ReadingErrorTerms
 from vergence.calibration.head.fit import (
     HeadSolution,
     estimate_consensus_board_poses,
@@ -27,7 +27,6 @@ from vergence.calibration.head.judge import (
     remark_on_changed_baseline,
     remark_on_few_views,
 )
-from vergence.calibration.head.reading_terms import ReadingErrorTerms
 from vergence.calibration.head.recording import HeadFrames, sort_and_clean_frames
 from vergence.calibration.head.terms import (
     AUTO,

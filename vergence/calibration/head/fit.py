@@ -7,13 +7,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from vergence.calibration.adjustment import (
     BoardPoses,
     BundleAdjustment,
     CameraRig,
-    camera_parameter_names,
+    camera_parameters,
+    damped_least_squares,
 )
 from vergence.calibration.cameras import estimate_board_poses
 from vergence.calibration.head.adjust import (
@@ -73,11 +73,7 @@ _MOST_CANDIDATES: Final = 300
 
 def single_camera_rig(head: HeadModel, eye: int) -> CameraRig:
     """Make a rig of one eye's camera."""
-    cameras = head.cameras
-    lens = cameras.lens[eye]
-    count = len(camera_parameter_names(lens)) - 4
-    values = [cameras.focal[eye], cameras.principal[eye], cameras.distortion[eye][:count]]
-    return CameraRig.single(lens, np.concatenate(values))
+    return CameraRig.single(*camera_parameters(head, eye))
 
 
 def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[BoardPoses]:
@@ -178,8 +174,6 @@ def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(((one - other) ** 2).sum(axis=-1).mean(axis=-1)))
 
 
-_MOST_STEPS: Final = 60
-"""Largest number of Levenberg-Marquardt steps (numerical)."""
 _COST_TOLERANCE: Final = 1e-3
 """Change of the cost below which the adjustment ends; an error of one standard deviation in one
 parameter changes the cost by 1 (numerical)."""
@@ -193,8 +187,6 @@ FIRST_CAUCHY_SCALE: Final = 1e4
 it corresponds to errors of degrees)."""
 _SCALE_UPDATE_RATIO: Final = 0.7
 """Ratio to its old value below which the typical mean square replaces it (chosen)."""
-_MOST_DAMPING: Final = 1e9
-"""Damping above which the adjustment ends (numerical)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,37 +248,28 @@ def solve(
     """Least squares by Levenberg and Marquardt; `cauchy_scale`, sigma^2, damps misfits."""
     robust = np.isfinite(cauchy_scale)
     weights = weights._replace(cauchy_scale=cauchy_scale)
-    state, now = start, problem.linearised(start, weights)
-    if not np.isfinite(now.cost):
-        raise np.linalg.LinAlgError("expected a start before the cameras")
-    damping = 0.0
-    for _ in range(_MOST_STEPS):
-        larger = now.matrix.copy()
+
+    def reweighted(
+        state: HeadUnknowns, now: ReducedNormalEquations
+    ) -> ReducedNormalEquations | None:
+        nonlocal weights
+        cauchy_scale = _typical_weighted_square(problem, now, weights)
+        if not (robust and cauchy_scale < _SCALE_UPDATE_RATIO * weights.cauchy_scale):
+            return None
+        weights = weights._replace(cauchy_scale=cauchy_scale)
+        return problem.linearised(state, weights)
+
+    state, now = damped_least_squares(
+        lambda state: problem.linearised(state, weights),
+        problem.moved,
+        start,
+        tolerance=tolerance,
+        relative_tolerance=_ROBUST_TOLERANCE if robust else _COST_ROUNDING,
         # damping in units of the prior: it does not hold back steps along directions that the
         # frames hardly determine because they determine others well
-        larger[np.diag_indices(problem.shared_count)] += damping * problem.prior_information
-        step = -cho_solve(cho_factor(larger), now.gradient)
-        moved = problem.moved(state, now, step)
-        try:
-            then = problem.linearised(moved, weights)
-        except np.linalg.LinAlgError:  # a step behind a camera
-            then = now._replace(cost=np.inf)
-        change = now.cost - then.cost
-        if change >= 0.0:
-            state, now = moved, then
-            damping *= 0.1
-            cauchy_scale = _typical_weighted_square(problem, now, weights)
-            if robust and cauchy_scale < _SCALE_UPDATE_RATIO * weights.cauchy_scale:
-                weights = weights._replace(cauchy_scale=cauchy_scale)
-                now = problem.linearised(state, weights)
-            elif change < max(
-                tolerance, (_ROBUST_TOLERANCE if robust else _COST_ROUNDING) * now.cost
-            ):
-                break
-        else:
-            damping = max(10.0 * damping, 1.0)
-            if damping > _MOST_DAMPING:
-                break
+        damping_unit=problem.prior_information,
+        reweighted=reweighted,
+    )
     return HeadSolution(problem, state, now, weights)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from vergence.calibration.head.adjust import (
+    TERM_KINDS,
     HeadAdjustment,
     HeadUnknowns,
     MeasurementWeights,
@@ -22,7 +23,6 @@ from vergence.calibration.head.fit import (
     refit_inliers_and_scatter,
     solve,
 )
-from vergence.calibration.head.reading_terms import TERM_KINDS
 from vergence.errors import ConfigurationError
 from vergence.models.geometry import JointAxes, multiply_poses
 from vergence.models.head import HeadModel
