@@ -349,8 +349,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if not np.isfinite(corners).all():
             return None
         most = max(_TRACKED.pixels, int(_PIXELS_PER_EDGE_PX * _shortest_edge(corners)))
-        first = _TRACKED._replace(pixels=min(most, _SEARCH.pixels))
-        found, fit = self._fit_once(image, corners, number, first._replace(first_stage=ALL))
+        effort = _TRACKED._replace(first_stage=ALL, pixels=min(most, _SEARCH.pixels))
+        found, fit = self._fit_once(image, corners, number, effort)
         if found is not None:
             if (
                 fit.max_corner_move_px < _MAX_PREDICTION_ERROR_PX
@@ -358,9 +358,10 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             ):
                 return found
         else:  # the target is not exactly at its prediction
-            found, _ = self._fit_several_ways(image, corners, number, (first,))
+            effort = effort._replace(first_stage=WIDE)
+            found, _ = self._fit_several_ways(image, corners, number, (effort,))
         # few pixels may have led the fit astray, or the edge of a shadow lies on the tag
-        second = _SECOND._replace(pixels=max(_SECOND.pixels, first.pixels))
+        second = _SECOND._replace(pixels=max(_SECOND.pixels, effort.pixels))
         if found is None:
             return self._fit_once(image, corners, number, second)[0]
         second = second._replace(first_stage=ALL)

@@ -1,9 +1,9 @@
 """A tag's corners, by fitting all edges of its cells to the light of the pixels at once.
 
 A homography with eight unknowns maps the image to the tag's plane; each edge is a step blurred by a
-Gaussian. Only pixels near the edges take part. T is the blurred print (`_sample_print`)
-at the point of the tag's plane that a pixel shows, p the pixel, I its light by the camera's
-response. The fit solves
+Gaussian. Only pixels near the edges take part. T is the blurred print (`_sample_print`) at the
+point of the tag's plane that a pixel shows, p the pixel, I its light by the camera's response. The
+fit solves
 
     I = a_k + b_k (T(G p + d(p)) + e |dT|),    minimise  sum w_k (I - a_k - b_k ...)^2
 
@@ -284,7 +284,8 @@ def _report_fit(
                 more += (x * x + y * y) * (0.5 * scale.shortest_edge_px) ** 2
                 x = y = 0.0
         u, v = transform_point(state.H, x, y)
-        a, b, c = _covariance_of(stage, MAX_UNKNOWNS if bent else BEND_START, state.G, u, v, x, y)
+        unknown_count = MAX_UNKNOWNS if bent else BEND_START
+        a, b, c = _covariance_of(stage.normal_matrix, unknown_count, state.G, u, v, x, y)
         a, b, c = variance * a + more, variance * b, variance * c + more
         u, v, sigma_u, sigma_v = _to_image(region.camera, region.undistorted_view, u, v, a, b, c)
         points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
@@ -400,7 +401,7 @@ def _to_image(
 
 @subroutine
 def _covariance_of(
-    stage: FitStage, unknown_count: int, G: FloatArray, u: float, v: float, x: float, y: float
+    factor: FloatArray, unknown_count: int, G: FloatArray, u: float, v: float, x: float, y: float
 ) -> tuple[float, float, float]:
     """Variance of u, covariance, variance of v of a point of the plane, for pixels of variance 1.
 
@@ -425,8 +426,8 @@ def _covariance_of(
             by_x, by_y = bend_by_coefficient(j - BEND_START, x, y)
         J[0, j] = -(d * by_x - b * by_y) / det
         J[1, j] = -(a * by_y - c * by_x) / det
-    forward_substitute(stage.normal_matrix, J[0], unknown_count)
-    forward_substitute(stage.normal_matrix, J[1], unknown_count)
+    forward_substitute(factor, J[0], unknown_count)
+    forward_substitute(factor, J[1], unknown_count)
     first = across = second = 0.0
     for j in range(unknown_count):
         first += J[0, j] * J[0, j]

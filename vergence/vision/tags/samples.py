@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.kernels import subroutine
+from vergence.kernels import inlined, subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
 from vergence.vision.optics import UndistortedView, image_to_square_homography, transform_point
@@ -483,7 +483,7 @@ def begin_stage(
     )  # fmt: skip
 
 
-@subroutine
+@inlined
 def _evaluate_print(tag: TagPrint, state: FitState, stage: FitStage) -> None:
     """Evaluate the print and its derivatives at all pixels, and their sums by block."""
     G, blurs, spread_and_bend = state.G, state.blurs_px, state.white_spread_and_bend
@@ -551,7 +551,7 @@ _OUTLIER_VARIANCE_RATIO: Final = 4.0
 """Residual variance, by the usual one, above which a block's weight falls (chosen: robustness)."""
 
 
-@subroutine
+@inlined
 def _estimate_levels(stage: FitStage) -> float:
     """Estimate the dark level and contrast of each block; return the mean contrast.
 
@@ -575,7 +575,7 @@ def _estimate_levels(stage: FitStage) -> float:
     return total / pixels if pixels > 0.0 else 0.0
 
 
-@subroutine
+@inlined
 def _reweight_and_sum_squares(stage: FitStage) -> float:
     """Weight each block, less if its residuals are unusually large; sum of all weighted squares."""
     sums, levels, weights, pixel_rows = (

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence.kernels import subroutine
+from vergence.kernels import inlined, subroutine
 from vergence.models.fixation import cholesky_factorise, cholesky_solve, forward_substitute
 from vergence.models.parts import FloatArray
 from vergence.vision.optics import square_to_image_homography, transform_point
@@ -29,8 +29,15 @@ def _build_normal_equations(
         stage.pixel_rows, stage.levels, stage.weights, stage.moments, stage.derivative_sums
     )  # fmt: skip
     every_score, every_normal = stage.scores, stage.normal_matrices
-    every_score[:] = 0.0
-    every_normal[:] = 0.0
+    right_side[:] = 0.0
+    for j in range(unknown_count):
+        for i in range(unknown_count):
+            matrix[j, i] = 0.0
+    for k in range(len(levels)):
+        for j in range(unknown_count):
+            every_score[k, j] = 0.0
+            for i in range(unknown_count):
+                every_normal[k, j, i] = 0.0
     for n in range(len(pixel_rows)):
         k = int(pixel_rows[n, 1])
         if k < 0 or levels[k, 1] <= 0.0:
@@ -46,8 +53,6 @@ def _build_normal_equations(
             # full rows, not only a triangle: loops of equal length are vectorised
             for i in range(unknown_count):
                 normal[j, i] += slope * pixel_rows[n, 3 + i]
-    matrix[:] = 0.0
-    right_side[:] = 0.0
     for k in range(len(levels)):
         if levels[k, 1] <= 0.0:
             continue
@@ -202,7 +207,7 @@ _FRACTION_GROWTH: Final = 1.5
 """Factor by which this fraction grows again after a step without overshoot (numerical)."""
 
 
-@subroutine
+@inlined
 def gauss_newton_step(
     state: FitState, stage: FitStage, unknown_count: int,
     prior_weights: tuple[float, float, float, float], max_blur_px: float,
