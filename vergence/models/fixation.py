@@ -27,6 +27,42 @@ _DAMPING: Final = 1e-11  # damping of the normal equations, as a fraction of the
 
 
 @subroutine
+def cholesky_factorise(matrix: FloatArray, size: int, least_pivot: float) -> bool:
+    """Replace a matrix by its lower Cholesky factor; False if a pivot is not above the least."""
+    definite = True
+    for j in range(size):
+        for i in range(j, size):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                definite &= total > least_pivot
+                matrix[j, j] = sqrt(max(total, 1e-300))
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    return definite
+
+
+@subroutine
+def forward_substitute(factor: FloatArray, right_side: FloatArray, size: int) -> None:
+    """Solve a lower triangular system, in place."""
+    for i in range(size):
+        for k in range(i):
+            right_side[i] -= factor[i, k] * right_side[k]
+        right_side[i] /= factor[i, i]
+
+
+@subroutine
+def cholesky_solve(factor: FloatArray, right_side: FloatArray, size: int) -> None:
+    """Solve a system given the lower Cholesky factor of its matrix, in place."""
+    forward_substitute(factor, right_side, size)
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            right_side[i] -= factor[k, i] * right_side[k]
+        right_side[i] /= factor[i, i]
+
+
+@subroutine
 def actuator_least_squares(
     p: PackedHead,
     jacobian: FloatArray,
@@ -61,25 +97,8 @@ def actuator_least_squares(
         return
     for k in range(SLOTS):
         normal[k, k] += _DAMPING * trace
-    # Cholesky factor in place, then forward and back substitution
-    for k in range(SLOTS):
-        for i in range(k):
-            total = normal[k, i]
-            for r in range(i):
-                total -= normal[k, r] * normal[i, r]
-            normal[k, i] = total / normal[i, i]
-        total = normal[k, k]
-        for r in range(k):
-            total -= normal[k, r] * normal[k, r]
-        normal[k, k] = sqrt(max(total, 1e-300))
-    for k in range(SLOTS):
-        for r in range(k):
-            out[k] -= normal[k, r] * out[r]
-        out[k] /= normal[k, k]
-    for k in range(SLOTS - 1, -1, -1):
-        for r in range(k + 1, SLOTS):
-            out[k] -= normal[r, k] * out[r]
-        out[k] /= normal[k, k]
+    cholesky_factorise(normal, SLOTS, 0.0)
+    cholesky_solve(normal, out, SLOTS)
 
 
 @inlined

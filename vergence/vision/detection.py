@@ -36,7 +36,6 @@ _LEAST_REGION_PX: Final = 24
 """Smallest side of a search region, px (chosen: time against targets at the image's edge)."""
 _NO_RAYS = np.zeros((0, 0, 2), np.float32)
 _NO_RAYS.setflags(write=False)  # read-only like tables of rays, so that kernels compile only once
-_NO_LENS = IdentityView()
 _NO_CAMERA = pack_camera((1, 1), np.ones(2), np.zeros(2), BROWN_CONRADY, np.zeros(5))
 
 TargetT = TypeVar("TargetT", bound=Target)
@@ -82,8 +81,7 @@ class Detector(ABC, Generic[TargetT]):
             response = camera.response
         self.response = None if response is None else parse_response(response)
         self._light = light_table(self.response or default_response(colour=False))
-        lens = camera if camera is not None and camera.distorts else None
-        self._lens = lens
+        self._lens = lens = camera if camera is not None and camera.distorts else None
         self._rays = _NO_RAYS if lens is None else ray_table(lens, 1, 0)
         self._row = _NO_CAMERA if lens is None else lens.row
         self._size = None if camera is None else (camera.width, camera.height)
@@ -210,7 +208,7 @@ class Detector(ABC, Generic[TargetT]):
 
     def _flat(self, pixels: NDArray[np.float64]) -> FlatView | IdentityView:
         """Undistorted plane around some pixels."""
-        return _NO_LENS if self._lens is None else flat_view_about(self._lens, pixels)
+        return IdentityView() if self._lens is None else flat_view_about(self._lens, pixels)
 
     @abstractmethod
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
@@ -236,15 +234,7 @@ class Detector(ABC, Generic[TargetT]):
 
 
 def as_pixel(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """Convert a value to a pixel (u, v).
-
-    Args:
-        name: name of the value, for the message.
-        value: (2,) u and v.
-
-    Raises:
-        ConfigurationError: the value is not a finite pixel.
-    """
+    """Pixel (u, v) from a value of a name; `ConfigurationError` if it is none, or not finite."""
     try:
         pixel = np.asarray(value, float)
     except (TypeError, ValueError):

@@ -60,21 +60,6 @@ class TagFamilyCode:
     total_width: int
     dark_inside: bool
 
-    @cached_property
-    def _blank(self) -> NDArray[np.uint8]:
-        """The tag without bits: both rings of the border; all other cells are `UNPRINTED`."""
-        cells = np.full((self.total_width, self.total_width), UNPRINTED, np.uint8)
-        start = (self.total_width - self.width_at_border) // 2
-        inner, outer = (0, 255) if self.dark_inside else (255, 0)
-        cells[
-            start - 1 : start + self.width_at_border + 1,
-            start - 1 : start + self.width_at_border + 1,
-        ] = outer
-        cells[start : start + self.width_at_border, start : start + self.width_at_border] = inner
-        core = slice(start + 1, start + self.width_at_border - 1)
-        cells[core, core] = UNPRINTED
-        return cells
-
     def cells(self, identity: int) -> NDArray[np.uint8]:
         """Cells of a tag, (total, total): 0 black, 255 white, `UNPRINTED` outside bits, borders."""
         if not 0 <= identity < len(self.code_words):
@@ -82,8 +67,12 @@ class TagFamilyCode:
                 f"AprilTag id: expected 0 to {len(self.code_words) - 1} in the family {self.name}, "
                 f"got {identity}"
             )
-        cells = self._blank.copy()
+        cells = np.full((self.total_width, self.total_width), UNPRINTED, np.uint8)
         start = (self.total_width - self.width_at_border) // 2
+        end = start + self.width_at_border
+        inner, outer = (0, 255) if self.dark_inside else (255, 0)
+        for more, value in ((1, outer), (0, inner), (-1, UNPRINTED)):
+            cells[start - more : end + more, start - more : end + more] = value
         bits = len(self.bit_cells)
         word = int(self.code_words[identity])
         for i, (x, y) in enumerate(self.bit_cells.tolist()):
@@ -101,15 +90,11 @@ def tag_family(name: str) -> TagFamilyCode:
     library = load_library()
     family = library_family(library, proper)
     code = family.contents
-    bits = int(code.nbits)
-    x, y = (
-        np.ctypeslib.as_array(each, shape=(bits,)).astype(int) for each in (code.bit_x, code.bit_y)
-    )
-    words = np.ctypeslib.as_array(code.codes, shape=(int(code.ncodes),)).copy()
+    bits = [np.ctypeslib.as_array(each, (int(code.nbits),)) for each in (code.bit_x, code.bit_y)]
     made = TagFamilyCode(
         name=proper,
-        code_words=words,
-        bit_cells=np.stack([x, y], axis=-1),
+        code_words=np.ctypeslib.as_array(code.codes, (int(code.ncodes),)).copy(),
+        bit_cells=np.stack(bits, axis=-1).astype(int),
         width_at_border=int(code.width_at_border),
         total_width=int(code.total_width),
         dark_inside=not code.reversed_border,
@@ -141,6 +126,8 @@ GRID_BORDER_BITS: Final = 2
 Kalibr's boards)."""
 _CODE_BITS: Final = 6
 """Bits along a side of the family's code (physical: the AprilTag family 36h11)."""
+_TAG_BITS: Final = _CODE_BITS + 2 * GRID_BORDER_BITS
+"""Bits along a side of a tag (physical: as above)."""
 _MOST_CELLS_PER_BIT: Final = 16
 """Most cells along a bit. Kalibr's vector drawing has no cells; cells reproduce it to 1 / 320 of a
 tag, mostly exactly (chosen: accuracy against image size)."""
@@ -202,7 +189,7 @@ class AprilGrid:
     @property
     def bit_m(self) -> float:
         """Edge of one bit of a tag in metres."""
-        return self.tag_m / (_CODE_BITS + 2 * GRID_BORDER_BITS)
+        return self.tag_m / _TAG_BITS
 
     @property
     def cell_m(self) -> float:
@@ -221,8 +208,7 @@ class AprilGrid:
 
         If no number up to the limit does, the one with the least error.
         """
-        bits = _CODE_BITS + 2 * GRID_BORDER_BITS
-        gaps = [self.spacing * bits * cells for cells in range(1, _MOST_CELLS_PER_BIT + 1)]
+        gaps = [self.spacing * _TAG_BITS * cells for cells in range(1, _MOST_CELLS_PER_BIT + 1)]
         off = [abs(max(round(gap), 1) - gap) / cells for cells, gap in enumerate(gaps, 1)]
         best = next((i for i, each in enumerate(off) if each < _ROUNDING_BITS), int(np.argmin(off)))
         return best + 1, max(round(gaps[best]), 1)
@@ -237,17 +223,16 @@ class AprilGrid:
     def cells(self) -> NDArray[np.uint8]:
         """The board with a white margin as wide as a gap; one byte a cell, 0 black, 255 white."""
         fine, gap = self._cells_per_bit
-        size = fine * (_CODE_BITS + 2 * GRID_BORDER_BITS)
+        size = fine * _TAG_BITS
         pitch = size + gap
         out = np.full((self.rows * pitch + 3 * gap, self.columns * pitch + 3 * gap), 255, np.uint8)
         for identity, (row, column) in enumerate(self.tag_cells.tolist()):
             y, x = row * pitch + 2 * gap, column * pitch + 2 * gap
             tag = self.tag_bits(identity).repeat(fine, axis=0).repeat(fine, axis=1)
             out[y : y + size, x : x + size] = tag
-        for row in range(self.rows + 1):
-            for column in range(self.columns + 1):
-                y, x = row * pitch + gap, column * pitch + gap
-                out[y : y + gap, x : x + gap] = 0
+        for row, column in np.ndindex(self.rows + 1, self.columns + 1):
+            y, x = row * pitch + gap, column * pitch + gap
+            out[y : y + gap, x : x + gap] = 0
         return out
 
     @cached_property
@@ -288,68 +273,44 @@ class FoundSquare(NamedTuple):
     """Fraction of the border's cells that have its colour; 1 if the cells were not read."""
 
 
-class _Detectors(threading.local):
-    """The library's detectors of this thread; they keep state during a search."""
-
-    def __init__(self) -> None:
-        self.of_family: dict[str, Any] = {}
-        self.of_all: Any = None
-
-
-_DETECTORS: Final = _Detectors()
+_DETECTORS: Final = threading.local()
+"""The library's detectors of this thread by name; they keep state during a search."""
 
 
 def find_squares(image: NDArray[np.uint8], family: str) -> list[FoundSquare]:
-    """Search an image for all tags of a family.
-
-    Args:
-        image: grey levels, shape (height, width).
-        family: see `vergence.vision.tag_families`.
-
-    Returns:
-        Squares that read as tags, sorted by number and wrong bits.
-    """
-    if min(image.shape) < _LEAST_SIDE_PX:
-        return []
-    detector = _DETECTORS.of_family.get(family)
-    if detector is None:
-        detector = _make({family: CORRECTED_BITS[family]})
-        _DETECTORS.of_family[family] = detector
+    """All squares of grey levels (height, width) that read as tags, by number and wrong bits."""
     # the library's origin is the corner of the first pixel; its corners begin at the lower left
     found = [
         FoundSquare(each.tag_id, each.hamming, np.asarray(each.corners, float)[::-1] - 0.5)
-        for each in detector.detect(image)
+        for each in _detect(image, family, {family: CORRECTED_BITS[family]})
     ]
     return sorted(found, key=lambda each: (each.id, each.wrong_bits))
 
 
 def families_in(image: NDArray[np.uint8]) -> list[str]:
-    """Families that seem to have tags in an image, from one search for all families.
+    """Families that seem to have tags in grey levels (height, width), from one search for all.
 
-    Args:
-        image: grey levels, shape (height, width).
-
-    Returns:
-        Families with at least one square that reads as a tag without a wrong bit, the most
-        frequent first.
+    They have at least one square that reads as a tag without a wrong bit, the most frequent first.
     """
-    if min(image.shape) < _LEAST_SIDE_PX:
-        return []
-    if _DETECTORS.of_all is None:
-        _DETECTORS.of_all = _make(dict.fromkeys(CORRECTED_BITS, 0))
-    names = (each.tag_family.decode() for each in _DETECTORS.of_all.detect(image))
+    found = _detect(image, "all", dict.fromkeys(CORRECTED_BITS, 0))
+    names = (each.tag_family.decode() for each in found)
     return [name.removeprefix("tag") for name, _ in Counter(names).most_common()]
 
 
-def _make(corrected: Mapping[str, int]) -> Any:
-    """Make a detector of the library, given the number of corrected bits of each family.
+def _detect(image: NDArray[np.uint8], name: str, corrected: Mapping[str, int]) -> list[Any]:
+    """Squares found by this thread's detector of a name, given each family's corrected bits.
 
     The binding itself lacks some families, and adds the others with two corrected bits each,
     regardless of the cost.
     """
-    detector: Any = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
-    for family, bits in corrected.items():
-        made = library_family(detector.libc, family)
-        detector.libc.apriltag_detector_add_family_bits(detector.tag_detector_ptr, made, bits)
-    detector.tag_detector_ptr.contents.decode_sharpening = _SHARPENING
-    return detector
+    if min(image.shape) < _LEAST_SIDE_PX:
+        return []
+    detector: Any = vars(_DETECTORS).get(name)
+    if detector is None:
+        detector = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
+        for family, bits in corrected.items():
+            made = library_family(detector.libc, family)
+            detector.libc.apriltag_detector_add_family_bits(detector.tag_detector_ptr, made, bits)
+        detector.tag_detector_ptr.contents.decode_sharpening = _SHARPENING
+        vars(_DETECTORS)[name] = detector
+    return list(detector.detect(image))

@@ -30,7 +30,7 @@ _ROTATION_TOLERANCE: Final = 1e-3
 
 
 @compiled
-def is_rigid_transform(pose: FloatArray) -> bool:
+def _is_rigid_transform(pose: FloatArray) -> bool:
     """True if a (4, 4) matrix has a rotation at its upper left and a finite translation."""
     for i in range(3):
         for j in range(3):
@@ -47,27 +47,14 @@ def is_rigid_transform(pose: FloatArray) -> bool:
 
 
 @compiled
-def predict_target_pixels(
-    pixels: FloatArray,
-    packed_camera: FloatArray,
-    T_0_C_before: FloatArray,
-    T_0_C_now: FloatArray,
-    corners_m: FloatArray,
-    out: FloatArray,
-) -> bool:
-    """Predict the pixels of a target at rest at another camera pose.
+def _predict_target_pixels(
+    pixels: FloatArray, packed_camera: FloatArray, T_0_C_before: FloatArray, T_0_C_now: FloatArray,
+    corners_m: FloatArray, out: FloatArray,
+) -> bool:  # fmt: skip
+    """Predict the (n + 1, 2) pixels, px, of a target's corners and point at rest at another pose.
 
-    Args:
-        pixels: (n + 1, 2) the target's corners, nan where not detected, and its point, px.
-        packed_camera: the packed camera, see `pack_camera`.
-        T_0_C_before: (4, 4) T_0_C at the exposure of `pixels`, m.
-        T_0_C_now: (4, 4) T_0_C to predict for, m.
-        corners_m: (n, 2) the corners on the board, m; (0, 2) if its size is unknown.
-        out: (n + 1, 2) result: the predicted pixels, px.
-
-    Returns:
-        True if the point is predicted inside the lens model and every corner is in front of the
-        camera.
+    Corners that were not detected are nan. `corners_m` is (0, 2) if the size is unknown. True if
+    the point is predicted inside the lens model and every corner is in front of the camera.
     """
     camera = camera_at(packed_camera, 0)
     count = len(pixels)
@@ -178,22 +165,15 @@ class Tracker:
     def _predict_rest(
         self, last: Detection, pose: NDArray[np.float64] | None
     ) -> NDArray[np.float64]:
-        """Corners and point of the last detection, corrected for the camera's own motion.
-
-        Returns:
-            (n + 1, 2) pixels of a target at rest, px; uncorrected if this is not possible.
-        """
+        """Corners and point, (n + 1, 2) px, corrected for the camera's own motion if possible."""
         camera = self.detector.camera
         pixels = np.concatenate([last.corners_px, last.point_px[None]])
         if camera is None or pose is None or self._pose is None:
             return pixels
         corners_m = last.target.corners_m if last.target.size_known else _NO_CORNERS_M
         out = np.empty(pixels.shape)
-        return (
-            out
-            if predict_target_pixels(pixels, camera.row, self._pose, pose, corners_m, out)
-            else pixels
-        )
+        known = _predict_target_pixels(pixels, camera.row, self._pose, pose, corners_m, out)
+        return out if known else pixels
 
 
 def _pose(value: ArrayLike) -> NDArray[np.float64]:
@@ -201,15 +181,10 @@ def _pose(value: ArrayLike) -> NDArray[np.float64]:
         pose = np.array(value, float, order="C")
     except (TypeError, ValueError):
         pose = np.empty(0)
-    if pose.shape != (4, 4) or not is_rigid_transform(pose):
-        raise ConfigurationError(
-            f"T_0_C: expected a pose (4, 4) with a rotation, got {_in_a_line(value)}"
-        )
+    if pose.shape != (4, 4) or not _is_rigid_transform(pose):
+        got = " ".join(repr(value).split())[:120]
+        raise ConfigurationError(f"T_0_C: expected a pose (4, 4) with a rotation, got {got}")
     return pose
-
-
-def _in_a_line(value: object) -> str:
-    return " ".join(repr(value).split())[:120]
 
 
 def make_detector(

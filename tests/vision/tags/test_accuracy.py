@@ -12,6 +12,8 @@ from tests.vision.scenes import defocus, jpeg, levels, ramp, rig, rms, scene, sh
 from vergence.models.camera import light_table
 from vergence.vision import AprilTag, Camera, Detection, make_detector
 from vergence.vision.tag_families import tag_family
+from vergence.vision.tags.fit import FitEffort
+from vergence.vision.tags.samples import WIDE
 from vergence.vision.targets import board_pose
 
 TAG = AprilTag()
@@ -67,30 +69,6 @@ def test_small_tags_are_found_at_every_place_in_the_pixel_grid_and_every_roll(na
     assert rms(errors) < 0.15
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("angle", "light", "depth_m"), [(0.0, shadow, 1.0), (0.8, ramp, 0.5), (2.5, shadow, 2.0)]
-)
-def test_light_that_changes_within_the_tag_moves_no_corner(light, angle, depth_m):
-    """Half a tag in half of the light: 0.1 px rms, twice what it is in even light."""
-    camera, rendering = rig("simulated")
-    detector, rng = make_detector(TAG, camera), np.random.default_rng(6)
-    change = (
-        shadow(0.5, angle)
-        if light is shadow
-        else ramp(0.2, angle, 1.5 * TAG.edge_m * camera.focal[0] / depth_m)
-    )
-    errors = []
-    for T_C_T in poses(depth_m, 5, seed=1):
-        one = scene(camera, TAG, T_C_T, rendering, rng)
-        image = change(one.image, one.point)
-        found = detector.detect(image)
-        assert found is not None
-        assert detector.track(image, found) is not None
-        errors.append(found.corners_px - one.corners)
-    assert rms(errors) < 0.1
-
-
 @pytest.mark.parametrize("left", [0.2, 0.4])
 def test_a_shadow_too_deep_blinds_and_does_not_mislead(left):
     """White in the shadow is as dark as black in the sun: what is found all the same is right."""
@@ -103,25 +81,30 @@ def test_a_shadow_too_deep_blinds_and_does_not_mislead(left):
             assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
-CHANGES = {
-    "JPEG of quality 30": (jpeg(30), 0.15),
-    "out of focus": (defocus(1.5), 0.15),
-    "a tenth of the light": (ramp(0.1, 0.0, 1e-6), 0.25),
-    "half shadow and JPEG": (lambda i, m: jpeg(50)(shadow(0.5, 1.1)(i, m), m), 0.2),
+POOR = {
+    "half in shadow near": ("simulated", 1.0, shadow(0.5, 0.0), 0.1),
+    "half in shadow far": ("simulated", 2.0, shadow(0.5, 2.5), 0.1),
+    "light that falls off": ("simulated", 0.5, ramp(0.2, 0.8, 186.0), 0.1),
+    "JPEG of quality 30": ("simulated", 0.8, jpeg(30), 0.15),
+    "out of focus": ("physical", 0.8, defocus(1.5), 0.15),
+    "a tenth of the light": ("simulated", 0.8, lambda i, m: levels(0.1 * i), 0.25),
+    "half shadow and JPEG": ("simulated", 0.8, lambda i, m: jpeg(50)(shadow()(i, m), m), 0.2),
 }
+"""Rig, depth, change, and the largest rms error; in even light it is 0.05 px."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", CHANGES)
-def test_a_poor_image_is_read_and_its_corners_are_right(what):
-    change, most_px = CHANGES[what]
-    camera, rendering = rig("physical" if "focus" in what else "simulated")
+@pytest.mark.parametrize("what", POOR)
+def test_a_poor_image_is_read_and_tracked_and_its_corners_are_right(what):
+    name, depth_m, change, most_px = POOR[what]
+    camera, rendering = rig(name)
     detector, rng = make_detector(TAG, camera), np.random.default_rng(8)
     errors = []
-    for T_C_T in poses(0.8, 5, seed=2):
+    for T_C_T in poses(depth_m, 5, seed=2):
         one = scene(camera, TAG, T_C_T, rendering, rng)
-        place = one.point - (1000.0, 0.0) if "tenth" in what else one.point
-        found = detector.detect(change(one.image, place))
+        image = change(one.image, one.point)
+        found = detector.detect(image)
+        assert detector.track(image, found) is not None
         errors.append(found.corners_px - one.corners)
     assert rms(errors) < most_px
 
@@ -327,7 +310,9 @@ def test_sigma_is_that_of_the_error_whatever_pixels_take_part(edge_px):
         drawn = scene(camera, TAG, T_C_T, rendering, rng)
         image = jpeg(70)(drawn.image, drawn.point)
         for most, share in shares.items():
-            found, _ = detector._fit_once(image, drawn.corners, TAG.id, (3, 8, 8), (200, most))
+            found, _ = detector._fit_once(
+                image, drawn.corners, TAG.id, FitEffort(WIDE, 3, 8, 200, most)
+            )
             share.append((found.corners_px - drawn.corners) / found.corners_sigma_px)
     for share in shares.values():
         assert 0.6 < rms(share) < 1.6

@@ -71,32 +71,17 @@ def test_a_drawing_is_found_with_a_sigma_as_small_as_its_error():
 
 
 @pytest.mark.slow
-def test_a_tag_of_another_family_is_none():
+def test_a_tag_of_another_family_or_number_is_none_nor_a_mirrored_or_inverted_one():
     for family, other in zip(FAMILIES, FAMILIES[1:] + FAMILIES[:1], strict=True):
         with named(family, other):
-            one = cropped(drawn(tag(other, 3)))
-            assert make_detector(TagFamily(family=family)).detect_all(one.image) == []
-
-
-@pytest.mark.slow
-def test_a_tag_of_another_number_is_none():
-    for family in FAMILIES:
-        with named(family):
-            one = cropped(drawn(tag(family, 4)))
-            assert make_detector(tag(family, 5)).detect(one.image) is None
+            one, five = cropped(drawn(tag(family, 4))), make_detector(tag(family, 5))
+            assert five.detect(one.image) is None
             seen = make_detector(tag(family, 4)).detect(one.image)
-            tracker = make_detector(tag(family, 5))
-            assert tracker.track(one.image, seen._replace(target=tag(family, 5))) is None
-
-
-@pytest.mark.slow
-def test_a_mirrored_tag_is_none_nor_an_inverted_one():
-    for family in FAMILIES:
-        image = cropped(drawn(tag(family, 2))).image
-        for changed in (image[:, ::-1], 255 - image):
-            with named(family, changed[0, 0]):
+            assert five.track(one.image, seen._replace(target=tag(family, 5))) is None
+            others = cropped(drawn(tag(other, 3))).image
+            for image in (others, one.image[:, ::-1], 255 - one.image):
                 detector = make_detector(TagFamily(family=family))
-                assert detector.detect_all(np.ascontiguousarray(changed)) == []
+                assert detector.detect_all(np.ascontiguousarray(image)) == []
 
 
 @pytest.mark.parametrize("family", ["36h11", "16h5", "Standard41h12"])
@@ -122,16 +107,12 @@ def tags_around(*identities: int):
     return camera, *several(camera, placed, rendering)
 
 
-def test_all_tags_in_an_image_are_found_by_their_numbers():
+def test_of_several_tags_all_are_found_by_their_numbers_or_the_one_asked_for():
     camera, image, scenes = tags_around(586, 3, 44, 0)
     found = make_detector(TagFamily(), camera).detect_all(image)
     assert [each.target.id for each in found] == [0, 3, 44, 586]
     for each, k in zip(found, (3, 1, 2, 0), strict=True):
         assert each.corners_px == pytest.approx(scenes[k].corners, abs=0.1)
-
-
-def test_of_several_tags_the_one_asked_for_is_found():
-    camera, image, scenes = tags_around(586, 3, 44, 0)
     detector = make_detector(AprilTag(id=44), camera)
     (alone,) = detector.detect_all(image)
     for found in (alone, detector.detect(image), detector.search(image, scenes[0].point)):
@@ -139,27 +120,19 @@ def test_of_several_tags_the_one_asked_for_is_found():
         assert found.point_px == pytest.approx(scenes[2].point, abs=0.1)
 
 
-@pytest.mark.slow
-def test_of_prints_of_one_number_the_nearest_is_taken_or_the_largest():
+def test_of_prints_of_one_number_the_nearest_or_largest_is_taken_the_predicted_tracked():
     camera, image, scenes = tags_around(7, 7, 7, 7)
     detector = make_detector(AprilTag(id=7), camera)
-    assert len(detector.detect_all(image)) == 4
-    for one in scenes:
+    found = sorted(detector.detect_all(image), key=lambda each: each.point_px[0])
+    for before, one in zip(found, sorted(scenes, key=lambda s: s.point[0]), strict=True):
         for find in (detector.detect, detector.search):
             assert find(image, one.point + (30, -20)).point_px == pytest.approx(one.point, abs=0.1)
-    largest = max(scenes, key=lambda one: np.ptp(one.corners, axis=0).mean())
-    assert detector.detect(image).point_px == pytest.approx(largest.point, abs=0.1)
-
-
-def test_of_prints_of_one_number_the_one_predicted_is_tracked():
-    camera, image, scenes = tags_around(7, 7, 7, 7)
-    detector = make_detector(AprilTag(id=7), camera)
-    for before, one in zip(sorted(detector.detect_all(image), key=lambda d: d.point_px[0]),
-                           sorted(scenes, key=lambda s: s.point[0]), strict=True):  # fmt: skip
         moved = before._replace(
             point_px=before.point_px + (8, 8), corners_px=before.corners_px + (8, 8)
         )
         assert detector.track(image, moved).point_px == pytest.approx(one.point, abs=0.1)
+    largest = max(scenes, key=lambda one: np.ptp(one.corners, axis=0).mean())
+    assert detector.detect(image).point_px == pytest.approx(largest.point, abs=0.1)
 
 
 @pytest.mark.parametrize(("family", "edge_px"), [("16h5", 120.0), ("Standard41h12", 60.0)])

@@ -1,6 +1,7 @@
 """Detection of AprilTags: decoding, fit of all edges, and acceptance."""
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, Final
 
@@ -20,7 +21,8 @@ from vergence.vision.tag_families import (
     find_squares,
     tag_family,
 )
-from vergence.vision.tags.fit import TagFit, fit_tag
+from vergence.vision.tags.fit import LEAST_EDGE_PX, FitEffort, TagFit, fit_tag
+from vergence.vision.tags.samples import ALL, NARROW, WIDE
 from vergence.vision.targets import AprilTag, TagFamily
 
 _THRESHOLD_WINDOW_CELLS: Final = 5
@@ -33,30 +35,21 @@ _LEAST_BORDER_FRACTION: Final = 0.8
 clutter)."""
 
 
-def decode_tag(
+def _decode_tag(
     image: NDArray[np.uint8], corners: NDArray[np.float64], code: TagFamilyCode
 ) -> FoundSquare | None:
-    """Decode a square that may be a tag of a family.
+    """Decode a square with corners in order around it, (4, 2) px, that may be a tag of a family.
 
     The libraries fit one plane of grey levels to the whole square; the local thresholds used here
-    also read a square in which a shadow ends.
-
-    Args:
-        image: grey levels, shape (height, width).
-        corners: corners of the square, in order around it, px, shape (4, 2).
-        code: the family.
-
-    Returns:
-        The tag with the fewest wrong bits, its corners from its upper left one; None if it has more
-        wrong bits than the family corrects, or if the contrast or the border is not a tag's.
+    also read a square in which a shadow ends. The tag with the fewest wrong bits is returned, its
+    corners from its upper left one; None if it has more wrong bits than the family corrects, or if
+    the contrast or the border is not a tag's.
     """
-    start = (code.total_width - code.width_at_border) // 2
-    size = code.width_at_border + 2
+    margin = 1 if code.dark_inside else (code.total_width - code.width_at_border) // 2
+    reach = code.width_at_border + 2 * margin
     square = code.width_at_border * np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
     transform = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
-    reach = code.total_width if not code.dark_inside else size
-    origin = -start if not code.dark_inside else -1
-    middles = np.arange(reach) + origin + 0.5
+    middles = np.arange(reach) - margin + 0.5
     probes = np.array([[0.0, 0.0], [0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2], [0.2, -0.2]])
     cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 1, 2) + probes
     where = cv2.perspectiveTransform(cells.reshape(1, -1, 2), transform)
@@ -72,34 +65,31 @@ def decode_tag(
     # shadow scales levels: the geometric mean lies below white in shadow and above black in sun
     white = grey > np.sqrt((light + 1.0) * (dark + 1.0))
     # the border's ring has one colour in every orientation of the square
-    inner = slice(-origin, -origin + code.width_at_border)
+    inner = slice(margin, margin + code.width_at_border)
     ring = white[inner, inner].copy()
     ring[1:-1, 1:-1] = not code.dark_inside
     border_fraction = float((ring != code.dark_inside).mean())
     if border_fraction < _LEAST_BORDER_FRACTION:
         return None
-    x, y = code.bit_cells.T - origin
-    best: tuple[int, int, int] | None = None
+    x, y = code.bit_cells.T + margin
+    readings: list[tuple[int, int, int]] = []
     for turn in range(4):
         bits = np.rot90(white, turn)[y, x]
         word = int("".join("1" if bit else "0" for bit in bits), 2)
         wrong = np.bitwise_count(code.code_words ^ np.uint64(word))
         number = int(np.argmin(wrong))
-        if best is None or int(wrong[number]) < best[0]:
-            best = (int(wrong[number]), number, turn)
-    assert best is not None
-    if best[0] > CORRECTED_BITS[code.name]:
+        readings.append((int(wrong[number]), turn, number))
+    wrong_bits, turn, number = min(readings)
+    if wrong_bits > CORRECTED_BITS[code.name]:
         return None
     # after `turn` quarter turns anticlockwise, corner number `turn` is the upper left one
-    return FoundSquare(best[1], best[0], np.roll(corners, -best[2], axis=0), border_fraction)
+    return FoundSquare(number, wrong_bits, np.roll(corners, -turn, axis=0), border_fraction)
 
 
-LEAST_EDGE_PX: Final = 8.0
-"""Shortest edge of a tag that is read, px (chosen: smaller tags against clutter)."""
 _LEAST_EXPLAINED_FRACTION: Final = 0.5
 """Smallest fraction of the variance near the edges that the print explains (chosen: tags in bad
 light against false tags)."""
-_LEAST_CONTRAST_GREY: Final = 5.0
+_LEAST_MEAN_CONTRAST: Final = 5.0
 """Smallest mean contrast of a tag, grey levels of light (chosen: dim tags against noise)."""
 _LEAST_BORDER_STEP: Final = 0.1
 """Smallest mean step of the light across the square's sides, as a fraction of the contrast. It
@@ -124,82 +114,59 @@ _MAX_BENT_UNCLEAR: Final = 0.25
 as many tags with a covered side)."""
 
 
-def reads_as_tag(fit: TagFit, code: TagFamilyCode) -> bool:
-    """Check that a fit is the tag that was asked for.
-
-    Args:
-        fit: fit of the tag's edges.
-        code: the tag's family.
-
-    Returns:
-        True if the print explains the light, the cells read as printed and the border is one
-        cell wide.
-    """
-    if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained_fraction < _LEAST_EXPLAINED_FRACTION:
-        return False
+def _reads_as_tag(fit: TagFit, code: TagFamilyCode) -> bool:
+    """True if the print explains the light, cells read as printed, the border is a cell wide."""
     wrong, frame, unclear = fit.reading
-    if (
-        wrong > CORRECTED_BITS[code.name]
-        or frame > _MAX_WRONG_RIM_CELLS
-        or unclear > _MAX_UNCLEAR_FRACTION
-    ):
-        return False
-    return fit.relative_border_step >= _LEAST_BORDER_STEP
+    return (
+        fit.contrast >= _LEAST_MEAN_CONTRAST
+        and fit.explained_fraction >= _LEAST_EXPLAINED_FRACTION
+        and wrong <= CORRECTED_BITS[code.name]
+        and frame <= _MAX_WRONG_RIM_CELLS
+        and unclear <= _MAX_UNCLEAR_FRACTION
+        and fit.relative_border_step >= _LEAST_BORDER_STEP
+    )
 
 
-def refused_tag_may_be_bent(refused_fit: TagFit) -> bool:
-    """Check if a refused fit may be of a tag on bent paper.
+def _refused_tag_may_be_bent(refused_fit: TagFit) -> bool:
+    """True if there is no fit, or one that is nearly good.
 
-    Args:
-        refused_fit: a fit that `reads_as_tag` refuses.
-
-    Returns:
-        True if there is no fit, or one that is nearly good: on bent paper a fit may fail to
-        converge, and a converged fit reads cells near the corners wrong.
+    On bent paper a fit may fail to converge, and a converged fit reads cells near the corners
+    wrong.
     """
     wrong, frame, unclear = refused_fit.reading
-    near = (
+    return refused_fit.contrast == 0.0 or (
         wrong <= _MAX_BENT_WRONG_CELLS
         and frame <= _MAX_WRONG_RIM_CELLS
         and unclear <= _MAX_BENT_UNCLEAR
-    )
-    return refused_fit.contrast == 0.0 or (
-        near and refused_fit.explained_fraction >= _LEAST_BENT_EXPLAINED
+        and refused_fit.explained_fraction >= _LEAST_BENT_EXPLAINED
     )
 
 
-def library_corner_sigma_px(
+def _library_corner_sigma_px(
     image: NDArray[np.uint8], square: FoundSquare, upscaling: float, code: TagFamilyCode
 ) -> float | None:
-    """Standard deviation of the library's own corners of a tag that may be bent.
+    """Standard deviation, px, of the library's own corners of a tag that may be bent; None if none.
 
-    Args:
-        image: grey levels, shape (height, width).
-        square: the tag as the library found it, in the pixels of `image`.
-        upscaling: pixels of `image` per pixel of the image that the library searched.
-        code: the family.
-
-    Returns:
-        Standard deviation, px; None if this is no tag. A tag has no wrong bit, `decode_tag` reads
-        the same number, and its family corrects bits: in other families clutter often reads as
-        a tag.
+    A tag has no wrong bit, `_decode_tag` reads the same number, and its family corrects bits: in
+    other families clutter often reads as a tag. An image pixel is `upscaling` of those that the
+    library searched.
     """
-    corners, edge = square.corners, shortest_edge(square.corners)
+    corners, edge = square.corners, _shortest_edge(square.corners)
     height, width = image.shape
     # if the image's side cuts a tag, the library moves its corner into the image
     cell = edge / code.width_at_border
     inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
-    if not inside or edge < LEAST_EDGE_PX or not CORRECTED_BITS[code.name]:
+    if not inside or edge < LEAST_EDGE_PX or square.wrong_bits or not CORRECTED_BITS[code.name]:
         return None
-    read = decode_tag(image, corners, code)
-    if square.wrong_bits or read is None or read.id != square.id:
+    read = _decode_tag(image, corners, code)
+    if read is None or read.id != square.id:
         return None
     sigma = max(_LIBRARY_CORNER_SIGMA[0] * upscaling, _LIBRARY_CORNER_SIGMA[1] * edge)
     # an object that covers part of a side would move its corners
     return sigma if read.border_fraction == 1.0 else max(sigma, 0.5 * cell)
 
 
-def shortest_edge(corners: NDArray[np.float64]) -> float:
+def _shortest_edge(corners: NDArray[np.float64]) -> float:
     """Length of the shortest edge between four corners, shape (4, 2), in their unit."""
     a, b, c, d = corners.tolist()
     return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a))
@@ -212,22 +179,17 @@ _OPENCV_DICTIONARIES: Final = {
     "16h5": cv2.aruco.DICT_APRILTAG_16h5,
 }
 """Families that OpenCV searches for as well; its adaptive threshold finds other tags."""
-_SEARCH_STEPS: Final = (8, 8, 8)
-"""Most Gauss-Newton steps in each of the three stages of a fit in a search. More steps do not help
-fits that do not converge: of 59 drawn tags bent by 4 to 7 mm in 150, 55 converge with these, and
-56 with 30 in each stage (measured: tests/vision/tags/test_bent.py)."""
-_SEARCH_PIXELS: Final = (400, 4000)
-"""Most pixels of a fit in a search: in the first stage, and in each later one (chosen: accuracy
-against time)."""
-_TRACKED_STEPS: Final = (3, 5, 5)
-"""Most steps in each stage of a tracked tag's fit, at camera rate (chosen: convergence against
-time)."""
-_TRACKED_PIXELS: Final = (120, 240)
-"""Most pixels of a tracked tag's fit, as in `_SEARCH_PIXELS` (chosen: accuracy against time)."""
-_SECOND_FIT_STEPS: Final = (3, 8, 8)
-"""Most steps of the second fit of a tracked tag, after a doubtful first one (chosen: as above)."""
-_SECOND_FIT_PIXELS: Final = (200, 800)
-"""Most pixels of this second fit, at least, as in `_SEARCH_PIXELS` (chosen: as above)."""
+_SEARCH: Final = FitEffort(WIDE, wide_steps=8, steps=8, wide_pixels=400, pixels=4000)
+"""Fit in a search (chosen: accuracy against time). More steps do not help fits that do not
+converge: of 59 drawn tags bent by 4 to 7 mm in 150, 55 converge with these, and 56 with 30 in each
+stage (measured: tests/vision/tags/test_bent.py)."""
+_SEARCHES: Final = (_SEARCH, _SEARCH._replace(first_stage=NARROW))
+"""Fits in a search, by turns: the first stage sometimes leads good corners astray."""
+_TRACKED: Final = FitEffort(WIDE, wide_steps=3, steps=5, wide_pixels=120, pixels=240)
+"""Fit of a tracked tag, at camera rate (chosen: convergence and accuracy against time)."""
+_SECOND: Final = FitEffort(WIDE, wide_steps=3, steps=8, wide_pixels=200, pixels=800)
+"""Second fit of a tracked tag, after a doubtful first one; these are its fewest pixels (chosen: as
+above)."""
 _MAX_PREDICTION_ERROR_PX: Final = 1.0
 """Largest distance of a corner from its prediction, px, at which the first fit of a tracked tag is
 accepted; beyond it a second fit follows, with more pixels (chosen: reliability against time)."""
@@ -276,76 +238,64 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if calm is None:
             return []
         small = cv2.resize(calm, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        squares = find_squares(np.asarray(small, np.uint8), self.target.family)
-        return self._read(image, squares, 2.0, 0.5)
+        return self._read(image, find_squares(np.asarray(small), self.target.family), 2.0, 0.5)
 
-    def _search_full(
-        self, image: NDArray[np.uint8], rows: tuple[int, int] | None = None
-    ) -> list[Detection]:
-        """Tags that the library finds in the image at full size, or in the given rows of it."""
+    def _search_full(self, image: NDArray[np.uint8], first: int, end: int) -> list[Detection]:
+        """Tags that the library finds at full size in the given rows of the image."""
         if smooth_for_square_search(image) is None:
             return []
-        first, end = rows or (0, len(image))
-        squares = find_squares(image[first:end], self.target.family)
-        return self._read(image, squares, 1.0, (0.0, first))
+        return self._read(
+            image, find_squares(image[first:end], self.target.family), 1.0, (0, first)
+        )
 
     def _read(
         self,
         image: NDArray[np.uint8],
         squares: list[FoundSquare],
         scale: float,
-        shift: float | tuple[float, float],
+        shift: float | tuple[int, int],
     ) -> list[Detection]:
         """Fit the squares, scaled and shifted into the image, and keep those that are tags."""
         found: list[Detection] = []
         for square in self._wanted(squares):
             placed = square._replace(corners=scale * square.corners + shift)
-            each, bent = self._fit_several_ways(
-                image, placed.corners, placed.id, _SEARCH_STEPS, _SEARCH_PIXELS
-            )
+            each, bent = self._fit_several_ways(image, placed.corners, placed.id)
             if each is None and bent:
-                sigma = library_corner_sigma_px(image, placed, scale, self._code)
+                sigma = _library_corner_sigma_px(image, placed, scale, self._code)
                 if sigma is not None:
-                    each = self._with_library_corners(placed, sigma)
+                    each = Detection(
+                        self._tag(placed.id),
+                        _crossing(placed.corners),
+                        placed.corners,
+                        np.full(2, sigma / 2.0),  # the mean of four corners
+                        np.full((4, 2), sigma),
+                    )
             if each is not None:
                 found.append(each)
         return found
-
-    def _with_library_corners(self, square: FoundSquare, sigma: float) -> Detection:
-        """Detection with the library's own corners."""
-        return Detection(
-            self._tag(square.id),
-            _crossing(square.corners),
-            square.corners,
-            np.full(2, sigma / 2.0),  # the mean of four corners
-            np.full((4, 2), sigma),
-        )
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
         """Search at half and at full size; given `way`, only one of these, by turns.
 
         Even ways search at half size, odd ones the upper and the lower half at full size.
         """
+        height, middle = len(image), len(image) // 2
         if way is None:
-            return self._search_half(image) or self._search_full(image)
+            return self._search_half(image) or self._search_full(image, 0, height)
         if way % 2 == 0:
             return self._search_half(image)
-        middle, height = len(image) // 2, len(image)
-        rows = (
-            (0, middle + _HALVES_OVERLAP_PX)
-            if way % 4 == 1
-            else (middle - _HALVES_OVERLAP_PX, height)
-        )
-        return self._search_full(image, (max(rows[0], 0), min(rows[1], height)))
+        if way % 4 == 1:
+            return self._search_full(image, 0, min(middle + _HALVES_OVERLAP_PX, height))
+        return self._search_full(image, max(middle - _HALVES_OVERLAP_PX, 0), height)
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        found = self._search_full(image) + self._search_half(image)
+        found = self._search_full(image, 0, len(image)) + self._search_half(image)
         found += self._search_opencv(image, found)
         apart: list[Detection] = []
         for each in found:
-            if not any(_same(each, other) for other in apart):
+            if not any(each.target == a.target and _covers(a, each.point_px) for a in apart):
                 apart.append(each)
-        return sorted(apart, key=_by_number)
+        return sorted(apart, key=lambda each: (_number(each), *each.point_px.tolist()))
 
     def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
         return self._search_opencv(image, [])
@@ -369,17 +319,17 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         out: list[Detection] = []
         for i, quad in enumerate((*marked, *rejected)):
             corners = np.asarray(quad, float).reshape(4, 2)
-            if shortest_edge(corners) < LEAST_EDGE_PX:
+            if _shortest_edge(corners) < LEAST_EDGE_PX:
                 continue
             middle = corners.mean(axis=0)
             if any(_covers(each, middle) for each in (*known, *out)):
                 continue
-            read = decode_tag(image, corners, self._code)
+            read = _decode_tag(image, corners, self._code)
             squares = [] if read is None else [read]
             if i < len(named):  # which corner is the upper left one depends on OpenCV's version
                 squares += [FoundSquare(named[i], 0, np.roll(corners, k, axis=0)) for k in (0, 2)]
             for square in self._wanted(squares):
-                detection = self._fit_near(image, square.corners, square.id)
+                detection, _ = self._fit_several_ways(image, square.corners, square.id)
                 if detection is not None:
                     out.append(detection)
                     break
@@ -398,12 +348,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         corners, number = predicted.corners_px, _number(predicted)
         if not np.isfinite(corners).all():
             return None
-        first, second = _TRACKED_PIXELS
-        most = (
-            first,
-            min(max(second, int(_PIXELS_PER_EDGE_PX * shortest_edge(corners))), _SEARCH_PIXELS[1]),
-        )
-        found, fit = self._fit_once(image, corners, number, (0, 0, _TRACKED_STEPS[2]), most)
+        most = max(_TRACKED.pixels, int(_PIXELS_PER_EDGE_PX * _shortest_edge(corners)))
+        effort = _TRACKED._replace(first_stage=ALL, pixels=min(most, _SEARCH.pixels))
+        found, fit = self._fit_once(image, corners, number, effort)
         if found is not None:
             if (
                 fit.max_corner_move_px < _MAX_PREDICTION_ERROR_PX
@@ -411,50 +358,35 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             ):
                 return found
         else:  # the target is not exactly at its prediction
-            found = self._fit_near(image, corners, number, _TRACKED_STEPS, most)
+            effort = effort._replace(first_stage=WIDE)
+            found, _ = self._fit_several_ways(image, corners, number, (effort,))
         # few pixels may have led the fit astray, or the edge of a shadow lies on the tag
-        most = _SECOND_FIT_PIXELS[0], max(_SECOND_FIT_PIXELS[1], most[1])
+        second = _SECOND._replace(pixels=max(_SECOND.pixels, effort.pixels))
         if found is None:
-            return self._fit_once(image, corners, number, _SECOND_FIT_STEPS, most)[0]
-        steps = 0, 0, _SECOND_FIT_STEPS[2]
-        surer, _ = self._fit_once(image, found.corners_px, number, steps, most)
-        return found if surer is None else surer
-
-    def _fit_near(
-        self,
-        image: NDArray[np.uint8],
-        corners: NDArray[np.float64],
-        identity: int,
-        steps: tuple[int, int, int] = _SEARCH_STEPS,
-        most: tuple[int, int] = _SEARCH_PIXELS,
-    ) -> Detection | None:
-        """Fit the tag near the given corners; None if it does not read as that tag."""
-        return self._fit_several_ways(image, corners, identity, steps, most)[0]
+            return self._fit_once(image, corners, number, second)[0]
+        second = second._replace(first_stage=ALL)
+        return self._fit_once(image, found.corners_px, number, second)[0] or found
 
     def _fit_several_ways(
         self,
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
         identity: int,
-        steps: tuple[int, int, int],
-        most: tuple[int, int],
+        efforts: Sequence[FitEffort] = _SEARCHES,
     ) -> tuple[Detection | None, bool]:
         """Fit the tag near the given corners in several ways; also True if it may be a bent tag.
 
-        Besides the plain way, the fit is tried without the first stage, which sometimes leads good
-        corners astray, and with a narrow quiet zone, for tags cut out closer than a cell.
+        The last way assumes a narrow quiet zone, for tags cut out closer than a cell.
         """
-        ways = [(steps, 1.0)]
-        if steps == _SEARCH_STEPS:
-            ways.append(((0, *steps[1:]), 1.0))
+        ways = [(effort, 1.0) for effort in efforts]
         if self._code.dark_inside:
-            ways.append((steps, _CUT_MARGIN_CELLS))
+            ways.append((efforts[0], _CUT_MARGIN_CELLS))
         bent = True
-        for taken, quiet in ways:
-            found, fit = self._fit_once(image, corners, identity, taken, most, quiet)
+        for effort, quiet in ways:
+            found, fit = self._fit_once(image, corners, identity, effort, quiet)
             if found is not None:
                 return found, False
-            bent = bent and refused_tag_may_be_bent(fit)
+            bent = bent and _refused_tag_may_be_bent(fit)
         return None, bent
 
     def _fit_once(
@@ -462,8 +394,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
         identity: int,
-        steps: tuple[int, int, int],
-        most: tuple[int, int],
+        effort: FitEffort,
         quiet: float = 1.0,
     ) -> tuple[Detection | None, TagFit]:
         """Fit a tag once; the tag if it reads as one, and the fit."""
@@ -472,10 +403,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         with interrupts.postponed():  # numba crashes if it cannot build the named tuple
             fit = fit_tag(
                 image, self._light, self._rays, self._row, _cells_of(code, identity),
-                code.width_at_border,
-                quiet, steps, most, corners, points, sigmas,
+                code.width_at_border, quiet, *effort, corners, points, sigmas,
             )  # fmt: skip
-        if not reads_as_tag(fit, code):
+        if not _reads_as_tag(fit, code):
             return None, fit
         found = Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
         return found, fit
@@ -498,16 +428,6 @@ def _crossing(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 def _number(detection: Detection) -> int:
     assert isinstance(detection.target, AprilTag)
     return detection.target.id
-
-
-def _by_number(detection: Detection) -> tuple[int, float, float]:
-    u, v = detection.point_px.tolist()
-    return _number(detection), u, v
-
-
-def _same(a: Detection, b: Detection) -> bool:
-    """True if two detections are of one tag."""
-    return a.target == b.target and _covers(b, a.point_px)
 
 
 def _covers(detection: Detection, point: NDArray[np.float64]) -> bool:

@@ -1,9 +1,9 @@
 """A tag's corners, by fitting all edges of its cells to the light of the pixels at once.
 
 A homography with eight unknowns maps the image to the tag's plane; each edge is a step blurred by a
-Gaussian. Only pixels near the edges take part (`stages`). T is the blurred print (`sample_print`)
-at the point of the tag's plane that a pixel shows, p the pixel, I its light by the camera's
-response. The fit solves
+Gaussian. Only pixels near the edges take part. T is the blurred print (`_sample_print`) at the
+point of the tag's plane that a pixel shows, p the pixel, I its light by the camera's response. The
+fit solves
 
     I = a_k + b_k (T(G p + d(p)) + e |dT|),    minimise  sum w_k (I - a_k - b_k ...)^2
 
@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.kernels import compiled, subroutine
+from vergence.models.fixation import forward_substitute
 from vergence.models.lens import CameraRow, camera_at
 from vergence.models.parts import FloatArray
 from vergence.vision.optics import (
@@ -47,32 +48,26 @@ from vergence.vision.tags.samples import (
     BEND,
     BEND_START,
     MAX_UNKNOWNS,
-    NARROW,
     WHITE_SPREAD_INDEX,
     WIDE,
-    Blocks,
-    FitBuffers,
     FitStage,
     FitState,
+    PrintResiduals,
     SearchRegion,
     TagPrint,
     TagScale,
-    allocate_buffers,
     begin_stage,
+    bend_by_coefficient,
+    bend_displacement,
+    compare_print,
     point_in_half_edges,
     side_lengths,
     tag_scale,
 )
 from vergence.vision.tags.steps import (
-    PrintResiduals,
-    bend_by_coefficient,
-    bend_displacement,
     block_squares_and_dof,
-    cholesky_solve,
-    compare_print,
     estimate_bend_prior_sigmas,
     gauss_newton_step,
-    reset_line_search,
     rms_bend_coefficients,
 )
 
@@ -257,9 +252,8 @@ _MAX_CENTRE_BEND: Final = 0.09
 beyond it the print is not as assumed, and the centre is the crossing, with this distance in its
 sigma. Tags bent by 7 mm in 150 have up to 0.086 (measured: tests/vision/tags/test_bent.py)."""
 _MAX_OUTSIDE_CELLS: Final = 0.4
-"""Largest distance of a corner beyond the image's side, cells: the middle of the border's cells is
-still in the image, and the edges' lines give the corner (chosen: tags at the side against cut
-ones)."""
+"""Largest distance of a corner beyond the image, cells: the border's middle is still in it, and the
+edges' lines give the corner (chosen: tags at the side against cut ones)."""
 _INSIDE_OFFSET_CELLS: Final = 0.5
 """Distance inside a side at which light is sampled, cells (chosen: the middle of the border)."""
 _OUTSIDE_OFFSET_CELLS: Final = 0.3
@@ -268,43 +262,12 @@ cell is still white there (chosen: such zones against blur)."""
 
 
 @subroutine
-def report_fit(
-    region: SearchRegion,
-    camera: CameraRow,
-    tag: TagPrint,
-    scale: TagScale,
-    state: FitState,
-    buffers: FitBuffers,
-    residuals: PrintResiduals,
-    block_count: int,
-    unknown_count: int,
-    pixel_variance: float,
-    extra_corner_variance: float,
-    start_corners: FloatArray,
-    points: FloatArray,
-    sigmas: FloatArray,
-) -> TagFit:
-    """Report a fit that has converged.
-
-    Args:
-        region: the image.
-        camera: the eye's camera.
-        tag: the print.
-        scale: size of the tag in the image.
-        state: the tag's pose, blurs and bend.
-        buffers: working arrays after the last step.
-        residuals: residuals before that step.
-        block_count: number of blocks.
-        unknown_count: number of unknowns that were sought.
-        pixel_variance: variance of a pixel.
-        extra_corner_variance: variance of a corner that no unknown models, px^2.
-        start_corners: (4, 2) expected corners, px.
-        points: (5, 2) result: the corners and the centre, px.
-        sigmas: (5, 2) result: their standard deviations, px.
-
-    Returns:
-        Quality of the fit; `NO_FIT` if a point is too far outside of the image or undetermined.
-    """
+def _report_fit(
+    region: SearchRegion, tag: TagPrint, scale: TagScale, state: FitState, stage: FitStage,
+    residuals: PrintResiduals, bent: bool, pixel_variance: float, extra_corner_variance: float,
+    start_corners: FloatArray, points: FloatArray, sigmas: FloatArray,
+) -> TagFit:  # fmt: skip
+    """Report a fit that has converged; no fit if a point is undetermined or too far outside."""
     height, width = region.image.shape
     moved = largest = 0.0
     reach = 0.5 + _MAX_OUTSIDE_CELLS * scale.cell_px
@@ -313,7 +276,7 @@ def report_fit(
         variance, more = pixel_variance, extra_corner_variance
         if k == 4:
             more *= 0.25  # the centre lies between four corners
-            if unknown_count == MAX_UNKNOWNS:
+            if bent:
                 variance *= (
                     1.0 + residuals.pixel_variance / (_SHARPENED_RESIDUAL * residuals.contrast) ** 2
                 )
@@ -321,9 +284,10 @@ def report_fit(
                 more += (x * x + y * y) * (0.5 * scale.shortest_edge_px) ** 2
                 x = y = 0.0
         u, v = transform_point(state.H, x, y)
-        a, b, c = _covariance_of(buffers.normal_matrix, unknown_count, state.G, u, v, x, y)
+        unknown_count = MAX_UNKNOWNS if bent else BEND_START
+        a, b, c = _covariance_of(stage.normal_matrix, unknown_count, state.G, u, v, x, y)
         a, b, c = variance * a + more, variance * b, variance * c + more
-        u, v, sigma_u, sigma_v = _to_image(camera, region.undistorted_view, u, v, a, b, c)
+        u, v, sigma_u, sigma_v = _to_image(region.camera, region.undistorted_view, u, v, a, b, c)
         points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
         if not (-reach < u < width - 1.0 + reach and -reach < v < height - 1.0 + reach):
             return NO_FIT
@@ -332,10 +296,10 @@ def report_fit(
         largest = max(largest, max(sigma_u, sigma_v))
         if k < 4:
             moved = max(moved, max(abs(u - start_corners[k, 0]), abs(v - start_corners[k, 1])))
-    explained = _explained(buffers.blocks, block_count)
-    reading = _read(region, camera, tag, scale, state)
+    explained = _explained(stage)
+    reading = _read(region, tag, scale, state)
     share = explained / (explained + residuals.unexplained_squares)
-    border_step = _step_across_sides(region, camera, tag, state) / residuals.contrast
+    border_step = _step_across_sides(region, tag, state) / residuals.contrast
     return TagFit(residuals.contrast, share, reading, moved, largest, border_step)
 
 
@@ -350,9 +314,7 @@ def _before_bend(white_spread_and_bend: FloatArray, x: float, y: float) -> tuple
 
 
 @subroutine
-def _step_across_sides(
-    region: SearchRegion, camera: CameraRow, tag: TagPrint, state: FitState
-) -> float:
+def _step_across_sides(region: SearchRegion, tag: TagPrint, state: FitState) -> float:
     """Mean step of the light across the square's sides, positive if its sign is as printed."""
     first, cell = (len(tag.cells) - tag.side_cells) // 2, 2.0 / tag.side_cells
     before, beyond = 1.0 - _INSIDE_OFFSET_CELLS * cell, 1.0 + _OUTSIDE_OFFSET_CELLS * cell
@@ -360,31 +322,29 @@ def _step_across_sides(
     for k in range(tag.side_cells):
         along = (k + 0.5) * cell - 1.0
         for side in (-1.0, 1.0):
-            total += _light_at(region, camera, state, side * beyond, along)
-            total -= _light_at(region, camera, state, side * before, along)
-            total += _light_at(region, camera, state, along, side * beyond)
-            total -= _light_at(region, camera, state, along, side * before)
+            total += _light_at(region, state, side * beyond, along)
+            total -= _light_at(region, state, side * before, along)
+            total += _light_at(region, state, along, side * beyond)
+            total -= _light_at(region, state, along, side * before)
     printed = tag.cells[first - 1, first - 1] - tag.cells[first, first]
     return float(printed * total / (4.0 * tag.side_cells))
 
 
 @subroutine
-def _light_at(
-    region: SearchRegion, camera: CameraRow, state: FitState, x: float, y: float
-) -> float:
+def _light_at(region: SearchRegion, state: FitState, x: float, y: float) -> float:
     """Light at a point of the tag's plane, half edges; 0 outside of the image."""
     dx, dy = bend_displacement(state.white_spread_and_bend, x, y)
     u, v = transform_point(state.H, x - dx, y - dy)
-    u, v = distorted_pixel(camera, region.undistorted_view, u, v)
+    u, v = distorted_pixel(region.camera, region.undistorted_view, u, v)
     grey = grey_at(region.image, u, v)
     return float(region.light_by_grey[int(grey + 0.5)]) if grey >= 0.0 else 0.0
 
 
 @subroutine
-def _explained(blocks: Blocks, block_count: int) -> float:
+def _explained(stage: FitStage) -> float:
     """Weighted sum of squares over all pixels that the print explains."""
-    sums, levels, weights, total = blocks.moments, blocks.levels, blocks.weights, 0.0
-    for k in range(block_count):
+    sums, levels, weights, total = stage.moments, stage.levels, stage.weights, 0.0
+    for k in range(len(levels)):
         contrast = levels[k, 1]
         if contrast > 0.0:
             n, t, tt = sums[k, 0], sums[k, 1], sums[k, 2]
@@ -393,9 +353,7 @@ def _explained(blocks: Blocks, block_count: int) -> float:
 
 
 @subroutine
-def _read(
-    region: SearchRegion, camera: CameraRow, tag: TagPrint, scale: TagScale, state: FitState
-) -> CellReading:
+def _read(region: SearchRegion, tag: TagPrint, scale: TagScale, state: FitState) -> CellReading:
     """Read a tag's cells; without the quiet zone's levels, or by light, if fewer are wrong so.
 
     Blur averages light: between white cells, black is lighter in grey levels than midway.
@@ -412,7 +370,7 @@ def _read(
         if way == 2:
             levels[:] = region.light_by_grey
         other = compare_cells(
-            region.image, levels, state.H, state.white_spread_and_bend, camera,
+            region.image, levels, state.H, state.white_spread_and_bend, region.camera,
             region.undistorted_view, cells, blur,
             offset,
             offset, border, border, ring, way != 1, greys,
@@ -428,60 +386,36 @@ def _read(
 def _to_image(
     camera: CameraRow, view: UndistortedView, u: float, v: float, a: float, b: float, c: float
 ) -> tuple[float, float, float, float]:
-    """Map a point and its standard deviations from the undistorted plane to the image.
-
-    Args:
-        camera: the eye's camera.
-        view: the undistorted plane.
-        u: u of the point, undistorted.
-        v: v of the point, undistorted.
-        a: variance of u, undistorted.
-        b: covariance.
-        c: variance of v.
-
-    Returns:
-        The pixel, and the standard deviations.
-    """
+    """Pixel of a point of the undistorted plane, and its sigmas from the covariance a, b, c."""
     if view.has_lens:
         left_u, left_v = distorted_pixel(camera, view, u - 0.5, v)
         right_u, right_v = distorted_pixel(camera, view, u + 0.5, v)
         above_u, above_v = distorted_pixel(camera, view, u, v - 0.5)
         below_u, below_v = distorted_pixel(camera, view, u, v + 0.5)
         p, q, r, s = right_u - left_u, below_u - above_u, right_v - left_v, below_v - above_v
-        a, c = (
-            p * p * a + 2.0 * p * q * b + q * q * c,
-            r * r * a + 2.0 * r * s * b + s * s * c,
-        )
+        along_u = p * p * a + 2.0 * p * q * b + q * q * c
+        a, c = along_u, r * r * a + 2.0 * r * s * b + s * s * c
     u, v = distorted_pixel(camera, view, u, v)
     return u, v, sqrt(a), sqrt(c)
 
 
 @subroutine
 def _covariance_of(
-    factor: FloatArray, used: int, G: FloatArray, u: float, v: float, x: float, y: float
+    factor: FloatArray, unknown_count: int, G: FloatArray, u: float, v: float, x: float, y: float
 ) -> tuple[float, float, float]:
-    """Covariance J N^-1 J^T of the image of a point of the plane, for pixels of variance 1.
+    """Variance of u, covariance, variance of v of a point of the plane, for pixels of variance 1.
 
-    Args:
-        factor: lower Cholesky factor of N.
-        used: number of unknowns that were sought.
-        G: (3, 3) homography to the tag's plane.
-        u: u of the point, undistorted.
-        v: v of the point, undistorted.
-        x: x of the point in the tag's plane.
-        y: y of the point in the tag's plane.
-
-    Returns:
-        The variance of u, the covariance, the variance of v.
+    With J the derivatives of (u, v) by the unknowns and N = L L^T, J N^-1 J^T is the product of
+    L^-1 J^T with itself.
     """
-    J, column = np.empty((2, MAX_UNKNOWNS)), np.empty(MAX_UNKNOWNS)
+    J = np.empty((2, MAX_UNKNOWNS))
     g, h = G[2, 0], G[2, 1]
     w = g * u + h * v + G[2, 2]
     # derivatives of the plane's coordinates with respect to pixels
     a, b = (G[0, 0] - x * g) / w, (G[0, 1] - x * h) / w
     c, d = (G[1, 0] - y * g) / w, (G[1, 1] - y * h) / w
     det = a * d - b * c
-    for j in range(MAX_UNKNOWNS):
+    for j in range(unknown_count):
         by_x = x if j == 0 else y if j == 1 else 1.0 if j == 2 else 0.0
         by_y = x if j == 3 else y if j == 4 else 1.0 if j == 5 else 0.0
         if j == 6:
@@ -492,47 +426,37 @@ def _covariance_of(
             by_x, by_y = bend_by_coefficient(j - BEND_START, x, y)
         J[0, j] = -(d * by_x - b * by_y) / det
         J[1, j] = -(a * by_y - c * by_x) / det
+    forward_substitute(factor, J[0], unknown_count)
+    forward_substitute(factor, J[1], unknown_count)
     first = across = second = 0.0
-    for r in range(2):
-        for j in range(MAX_UNKNOWNS):
-            column[j] = J[r, j]
-        cholesky_solve(factor, column, used)
-        for j in range(used):
-            if r == 0:
-                first += J[0, j] * column[j]
-                across += J[1, j] * column[j]
-            else:
-                second += J[1, j] * column[j]
+    for j in range(unknown_count):
+        first += J[0, j] * J[0, j]
+        across += J[0, j] * J[1, j]
+        second += J[1, j] * J[1, j]
     return first, across, second
 
 
 _LATER_END_STEP_PX: Final = 0.02
-"""Corner step, px, below which a later stage ends: the next full step would be a tenth of it
-(numerical)."""
+"""Corner step, px, that ends a later stage: a next one would be a tenth of it (numerical)."""
 _LATER_END_BLUR_STEP: Final = 0.1
-"""Step of a blur's logarithm below which a later stage may end: residuals of a wrong blur would
-count as noise (numerical)."""
+"""Step of a log blur that lets it end: residuals of a wrong blur are no noise (numerical)."""
 _FIRST_END_STEP_PX: Final = 0.15
 """Corner step, px, below which the first stage ends (numerical)."""
 _LATER_BLUR_WEIGHT: Final = 1e-5
-"""Weight that holds blurs near their last values in later stages, relative to the first stage
-(numerical)."""
+"""Weight of the last blurs in later stages, by that in the first (numerical)."""
 _REGION_MARGIN_PX: Final = 8.0
-"""Margin of the searched region around the corners, px, in addition to a cell (chosen: errors of
-the prediction against time)."""
+"""Margin of the region around the corners, px, besides a cell (chosen: prediction errors, time)."""
 _CONVERGED_STEP_PX: Final = 0.05
 """Largest last corner step of a converged fit, px (numerical)."""
 _SPREAD_SIGMA_PX: Final = 0.1
 """Prior standard deviation of the spread, px (measured: benchmarks.real_light)."""
 _NO_SPREAD_SIGMA_PX: Final = 1e-6
-"""Prior standard deviation of the spread, px, in stages with outer edges only: these cannot
-distinguish spread from a smaller tag (numerical)."""
+"""The same in stages with outer edges alone: spread looks like a smaller tag there (numerical)."""
 _BENT_VARIANCE_RATIO: Final = 2.5
-"""Ratio of the residual variance of all edges to the one before, of the outer edges, above which
-the sheet is taken to be bent (chosen: bent tags against flat ones with a poor start)."""
+"""Residual variance of all edges, by that of the outer ones before, above which the sheet is bent
+(chosen: bent tags against flat ones with a poor start)."""
 _LARGE_BEND_SIGMA: Final = 0.03
-"""Prior standard deviation of such a bend's coefficients, half edges (chosen: wide enough for
-bends of this size)."""
+"""Prior standard deviation of such a bend's coefficients, half edges (chosen: wide enough)."""
 _MAX_INNER_SCALING: Final = 0.06
 """Largest size of both coefficients that scale the tag's inside along x and along y, half edges;
 no bend has more. A tag with a border of two cells, taken for one with a border of one, has 0.2
@@ -542,19 +466,32 @@ _MAX_QUADRATIC_AND_CROSS: Final = 0.016
 sheets bent by 4 mm in 150 have 0.010, flat tags with a covered corner mostly 0.017 and more
 (measured: drawn cylinders against tests/vision/tags/test_accuracy.py)."""
 _LEAST_CROSS_PX: Final = 0.8
-"""Size of the last four coefficients, px, below which noise may be their cause (chosen: small bent
-tags against covered ones)."""
+"""Least such last coefficients, px, that are no noise (chosen: small bent tags, covered ones)."""
 _UNMODELLED_BEND_RATIO: Final = 0.35
-"""Standard deviation of the corner error that the bend's polynomials do not model, as a ratio to
-the expected size of the next order's coefficients (measured: drawn cylinders and waves)."""
+"""Sigma of the corners that the polynomials leave, by the expected size of the next order's
+coefficients (measured: drawn cylinders and waves)."""
 _PRIOR_SQUARES: Final = 4.0
-"""Number of squared residuals of single pixels that are added to those of the blocks, which are
-few, in the estimate of the variance (chosen: steadiness against correlated residuals)."""
+"""Squared residuals of single pixels that join those of the few blocks in the variance (chosen:
+steadiness against correlated residuals)."""
 _DIVERGED_STEP_PX: Final = 3.0
-"""Corner step, px, beyond which, plus half a cell, a fit is given up (chosen: poor starts against
-fits that diverge)."""
-_LEAST_EDGE_PX: Final = 8.0
-"""Shortest edge of a tag that is fitted, px (chosen: as `acceptance.LEAST_EDGE_PX`)."""
+"""Corner step, px, besides half a cell, that ends a fit (chosen: poor starts, divergence)."""
+LEAST_EDGE_PX: Final = 8.0
+"""Shortest edge of a tag that is fitted, px (chosen: smaller tags against clutter)."""
+
+
+class FitEffort(NamedTuple):
+    """Stages of a fit, and most of its steps and pixels."""
+
+    first_stage: int
+    """`WIDE`, `NARROW` or `ALL`; the later ones follow."""
+    wide_steps: int
+    """Most steps in the first stage, with a wide band along the outer edges."""
+    steps: int
+    """Most steps in each other stage."""
+    wide_pixels: int
+    """Most pixels in the first stage."""
+    pixels: int
+    """Most pixels in each other stage."""
 
 
 @compiled
@@ -566,73 +503,58 @@ def fit_tag(
     cells: FloatArray,
     side_cells: int,
     quiet_zone_cells: float,
-    max_steps: tuple[int, int, int],
-    max_pixels: tuple[int, int],
+    first_stage: int,
+    max_wide_steps: int,
+    max_steps: int,
+    max_wide_pixels: int,
+    max_pixels: int,
     start_corners: FloatArray,
     points: FloatArray,
     sigmas: FloatArray,
 ) -> TagFit:
     """Fit a tag's edges, and read its cells.
 
-    Args:
-        image: grey levels, shape (height, width).
-        light_by_grey: (256,) light of each grey level, see `light_table`.
-        rays: (height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole.
-        packed_camera: the camera, see `pack_camera`.
-        cells: (n, n) the print, 0 black to 1 white, nan unknown.
-        side_cells: side of the square whose corners are sought, cells; centred in the print.
-        quiet_zone_cells: assumed width of the quiet zone around the print's border, cells.
-        max_steps: most steps in each of the three stages: with a wide band along the outer edges,
-            with a narrow band, and with the edges of the cells as well.
-        max_pixels: most pixels in the first stage, and in each of the others.
-        start_corners: (4, 2) approximate corners, px, from the upper left clockwise.
-        points: (5, 2) result: the corners and the centre, px.
-        sigmas: (5, 2) result: their standard deviations, px.
-
-    Returns:
-        Quality of the fit; `NO_FIT`, with a contrast of 0, if the square is too small or too
-        far outside of the image, or if the fit fails.
+    `packed_camera` is that of `pack_camera`, `rays` as in `SearchRegion`, the print as in
+    `TagPrint`, the stages as in `FitEffort`. From (4, 2) approximate corners, px, clockwise from
+    the upper left, follow (5, 2) `points`, the corners and the centre, px, and their `sigmas`.
+    `NO_FIT`, with a contrast of 0, is returned if the square is too small or too far outside of the
+    image, or if the fit fails.
     """
     shortest, longest, _ = side_lengths(start_corners)
-    if not (shortest >= _LEAST_EDGE_PX and longest < inf):
+    if not (shortest >= LEAST_EDGE_PX and longest < inf):
         return NO_FIT
-    camera, tag = camera_at(packed_camera, 0), TagPrint(cells, side_cells, quiet_zone_cells)
-    region = _look(image, light_by_grey, rays, camera, side_cells, start_corners)
+    tag = TagPrint(cells, side_cells, quiet_zone_cells)
+    region = _look(image, light_by_grey, rays, packed_camera, side_cells, start_corners)
     state = FitState(
         np.empty((4, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(2),
         np.zeros(MAX_UNKNOWNS - WHITE_SPREAD_INDEX),
     )  # fmt: skip
     for k in range(4):
-        u, v = undistorted_point(
-            rays, region.undistorted_view, start_corners[k, 0], start_corners[k, 1]
-        )
+        u, v = start_corners[k]
+        u, v = undistorted_point(rays, region.undistorted_view, u, v)
         state.corners[k, 0], state.corners[k, 1] = u, v
-    scale = tag_scale(state.corners, side_cells, max_pixels[1])
-    buffers = allocate_buffers(
-        max(max_pixels[0], max_pixels[1]), scale.max_blocks_per_edge * scale.max_blocks_per_edge
-    )
-    stage, residuals = FitStage(0, 0, False), PrintResiduals(0.0, 0.0, 0.0)
+    scale = tag_scale(state.corners, side_cells, max_pixels)
+    residuals = PrintResiduals(0.0, 0.0, 0.0)
     corner_step_px = variance = 0.0
-    bend_sigmas = 0.0, 0.0
-    used = BEND_START
-    for which in range(4):
+    bend_sigmas, bent = (0.0, 0.0), False
+    for which in range(first_stage, BEND + 1):
+        fine = which != WIDE
         if which == BEND:
             if max(bend_sigmas[0], bend_sigmas[1]) == 0.0:
                 break
-            used = MAX_UNKNOWNS
-        elif max_steps[which] == 0:
-            continue
+            bent = True
         else:
-            blurred = which == ALL and max_steps[NARROW] > 0
-            few = max_pixels[0] if which == WIDE else max_pixels[1]
-            stage = begin_stage(which, blurred, region, tag, scale, state, buffers, few)
-            if stage.pixel_count < 4 * MAX_UNKNOWNS:
+            blurs_known = which == ALL and first_stage != ALL
+            most = max_pixels if fine else max_wide_pixels
+            stage = begin_stage(which, blurs_known, region, tag, scale, state, most)
+            if len(stage.samples) < 4 * MAX_UNKNOWNS:
                 return NO_FIT
-        fine, block_count = which != WIDE, stage.blocks_per_edge * stage.blocks_per_edge
-        reset_line_search(buffers)
-        for _ in range(max_steps[min(which, ALL)]):
+        # the first step is taken in full
+        stage.step_fraction_and_slope[0], stage.step_fraction_and_slope[1] = 1.0, 0.0
+        stage.previous_step[:] = 0.0
+        for _ in range(max_steps if fine else max_wide_steps):
             before = residuals.pixel_variance
-            residuals = compare_print(state, tag, buffers, stage.pixel_count, stage.blocks_per_edge)
+            residuals = compare_print(tag, state, stage)
             if residuals.contrast <= 0.0:
                 return NO_FIT
             worse = (
@@ -640,38 +562,37 @@ def fit_tag(
                 and not stage.dropped_clipped
                 and residuals.pixel_variance > _BENT_VARIANCE_RATIO * before > 0.0
             )
-            if worse and used == BEND_START:
+            if worse and not bent:
                 # inner edges do not lie where the outer ones predict: the sheet is bent
-                bend_sigmas, used = (_LARGE_BEND_SIGMA, _LARGE_BEND_SIGMA), MAX_UNKNOWNS
+                bend_sigmas, bent = (_LARGE_BEND_SIGMA, _LARGE_BEND_SIGMA), True
             # a weak prior holds blurs near their last values
             hold = _LATER_BLUR_WEIGHT if fine else 1.0
-            blur_weight = hold * residuals.contrast * residuals.contrast * stage.pixel_count
             spread_sigma_px = _SPREAD_SIGMA_PX if which >= ALL else _NO_SPREAD_SIGMA_PX
-            spread_weight = residuals.pixel_variance / spread_sigma_px**2
-            quadratic_weight = residuals.pixel_variance / max(bend_sigmas[0], 1e-9) ** 2
-            cubic_weight = residuals.pixel_variance / max(bend_sigmas[1], 1e-9) ** 2
+            prior_weights = (
+                hold * residuals.contrast * residuals.contrast * len(stage.samples),
+                residuals.pixel_variance / spread_sigma_px**2,
+                residuals.pixel_variance / max(bend_sigmas[0], 1e-9) ** 2,
+                residuals.pixel_variance / max(bend_sigmas[1], 1e-9) ** 2,
+            )
+            unknown_count = MAX_UNKNOWNS if bent else BEND_START
             corner_step_px, blur_step = gauss_newton_step(
-                state, buffers, stage.pixel_count, block_count, used, blur_weight, spread_weight,
-                quadratic_weight, cubic_weight, scale.max_blur_px,
-            )  # fmt: skip
+                state, stage, unknown_count, prior_weights, scale.max_blur_px
+            )
             if not corner_step_px < _DIVERGED_STEP_PX + 0.5 * scale.cell_px:
                 return NO_FIT
             settled = not fine or blur_step < _LATER_END_BLUR_STEP
             if settled and corner_step_px < (_LATER_END_STEP_PX if fine else _FIRST_END_STEP_PX):
                 break
         if which >= ALL:
-            squares, independent = block_squares_and_dof(
-                buffers.normal_matrix, buffers.step, buffers.blocks, block_count, used
-            )
+            unknown_count = MAX_UNKNOWNS if bent else BEND_START
+            squares, independent = block_squares_and_dof(stage, unknown_count)
             variance = (squares + _PRIOR_SQUARES * residuals.pixel_variance) / (
                 independent + _PRIOR_SQUARES
             )
-        if which == ALL and used == MAX_UNKNOWNS:
+        if which == ALL and bent:
             bend_sigmas = rms_bend_coefficients(state.white_spread_and_bend)
         elif which == ALL and corner_step_px < _CONVERGED_STEP_PX:
-            bend_sigmas = estimate_bend_prior_sigmas(
-                buffers, stage.pixel_count, block_count, state.white_spread_and_bend, variance
-            )
+            bend_sigmas = estimate_bend_prior_sigmas(stage, state.white_spread_and_bend, variance)
     shrunk = min(abs(state.white_spread_and_bend[5]), abs(state.white_spread_and_bend[8]))
     quadratic, cubic = rms_bend_coefficients(state.white_spread_and_bend)
     half_edge_px = 0.5 * scale.shortest_edge_px
@@ -684,23 +605,19 @@ def fit_tag(
     # the next order, if each is smaller than the last by one ratio
     quartic = cubic * cubic / max(hypot(quadratic, cubic), 1e-9)
     unmodelled_variance = (_UNMODELLED_BEND_RATIO * quartic * half_edge_px) ** 2
-    return report_fit(
-        region, camera, tag, scale, state, buffers, residuals,
-        stage.blocks_per_edge * stage.blocks_per_edge, used, variance, unmodelled_variance,
+    return _report_fit(
+        region, tag, scale, state, stage, residuals, bent, variance, unmodelled_variance,
         start_corners, points, sigmas,
     )  # fmt: skip
 
 
 @subroutine
 def _look(
-    image: NDArray[np.uint8],
-    light: FloatArray,
-    rays: NDArray[np.float32],
-    camera: CameraRow,
-    border: int,
-    start: FloatArray,
-) -> SearchRegion:
+    image: NDArray[np.uint8], light_by_grey: FloatArray, rays: NDArray[np.float32],
+    packed_camera: FloatArray, side_cells: int, start: FloatArray,
+) -> SearchRegion:  # fmt: skip
     """Image region around the corners, and an undistorted plane across the rays to them."""
+    camera = camera_at(packed_camera, 0)
     view = UndistortedView(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
     if view.has_lens:
         u = v = 0.0
@@ -712,8 +629,8 @@ def _look(
     for k in range(4):
         left, right = min(left, start[k, 0]), max(right, start[k, 0])
         top, bottom = min(top, start[k, 1]), max(bottom, start[k, 1])
-    margin = _REGION_MARGIN_PX + max(right - left, bottom - top) / border
+    margin = _REGION_MARGIN_PX + max(right - left, bottom - top) / side_cells
     return SearchRegion(
-        image, light, rays, view,
+        image, light_by_grey, rays, camera, view,
         int(left - margin), int(right + margin), int(top - margin), int(bottom + margin),
     )  # fmt: skip

@@ -1,12 +1,13 @@
-"""Samples of a tag's fit: working arrays, the print, its pixels, and stages of few and many."""
+"""Samples of a tag's fit: the print, the pixels near its edges, and the light of their blocks."""
 
-from math import erf, floor, gcd, hypot, inf, pi, sqrt
+from math import erf, exp, floor, gcd, hypot, inf, log, pi, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.kernels import subroutine
+from vergence.kernels import inlined, subroutine
+from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
 from vergence.vision.optics import UndistortedView, image_to_square_homography, transform_point
 
@@ -15,8 +16,7 @@ MAX_BLURRED_CELLS: Final = 12
 _CUTOFF_SIGMAS: Final = 3.0
 """Standard deviations at which the Gaussian is cut off (numerical)."""
 _STEPS_PER_SIGMA: Final = 128
-"""Entries of the tables per standard deviation. Linear interpolation is accurate to 2e-6 and takes
-a fifth of the time of the functions (numerical)."""
+"""Entries of the tables per standard deviation: interpolation errs by 2e-6 (numerical)."""
 _TABLE_Z: Final = np.arange(
     -_CUTOFF_SIGMAS, _CUTOFF_SIGMAS + 1.5 / _STEPS_PER_SIGMA, 1.0 / _STEPS_PER_SIGMA
 )
@@ -27,35 +27,12 @@ _NORMAL_PDF: Final = np.exp(-0.5 * _TABLE_Z**2) / sqrt(2.0 * pi)
 """Standard normal density at `_TABLE_Z` (numerical)."""
 
 
-class PrintSample(NamedTuple):
-    """The print's value at a point, and its derivatives."""
-
-    value: float
-    by_x: float
-    by_y: float
-    by_log_blur_x: float
-    """Derivative with respect to the logarithm of the blur along x."""
-    by_log_blur_y: float
-    by_white_spread_x: float
-    """Derivative with respect to the spread of white, by which all edges across x move towards
-    black, in standard deviations of the blur."""
-    by_white_spread_y: float
-    cells_known: bool
-    """False if a cell that contributes has an unknown print."""
-
-
 @subroutine
 def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
-    """Weight of each cell at a point along an axis.
+    """First cell and number of cells that count at x, cells, and their weights, with derivatives.
 
-    Args:
-        x: the point, cells.
-        s: standard deviation of the blur, cells.
-        weights: (4, `MAX_BLURRED_CELLS`) result: the weights, and their derivatives with respect to
-            x, to log s, and to the position of the edge to the next cell, in standard deviations.
-
-    Returns:
-        The first cell, and the number of cells.
+    The rows of `weights` are the weights, and their derivatives with respect to x, to log s, and to
+    the position of the edge to the next cell, in standard deviations s of the blur.
     """
     first = floor(x - _CUTOFF_SIGMAS * s)
     count = min(floor(x + _CUTOFF_SIGMAS * s) - first + 1, MAX_BLURRED_CELLS)
@@ -84,25 +61,15 @@ def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
 
 
 @subroutine
-def sample_print(
-    cells: FloatArray,
-    x: float,
-    y: float,
-    blur_x_cells: float,
-    blur_y_cells: float,
-    cell_weights_x: FloatArray,
-    cell_weights_y: FloatArray,
-) -> PrintSample:
-    """Blurred print at a point.
+def _sample_print(
+    cells: FloatArray, x: float, y: float, blur_x_cells: float, blur_y_cells: float,
+    cell_weights_x: FloatArray, cell_weights_y: FloatArray,
+) -> tuple[float, float, float, float, float, float, float, bool]:  # fmt: skip
+    """Blurred print at a point, in cells from the upper left corner; outer cells extend beyond.
 
-    Args:
-        cells: (rows, columns) 0 black to 1 white, nan unknown; the outermost extend beyond.
-        x: the point, cells to the right of the upper left corner of all cells.
-        y: the point, cells below that corner.
-        blur_x_cells: standard deviation of the blur along x, cells.
-        blur_y_cells: along y.
-        cell_weights_x: (4, `MAX_BLURRED_CELLS`) scratch array.
-        cell_weights_y: (4, `MAX_BLURRED_CELLS`) scratch array.
+    Returns its value, derivatives by x and y, by the log blurs along x and y, and by the spread of
+    white, by which edges across x, or across y, move towards black, in standard deviations of the
+    blur; and False if a cell that contributes has an unknown print.
     """
     rows, columns = cells.shape
     left, across = _weigh(x, blur_x_cells, cell_weights_x)
@@ -131,7 +98,7 @@ def sample_print(
         by_y += cell_weights_y[1, j] * sum_
         blur_y += cell_weights_y[2, j] * sum_
         ridge_y += cell_weights_y[3, j] * sum_below
-    return PrintSample(value, by_x, by_y, blur_x, blur_y, ridge_x, ridge_y, known)
+    return value, by_x, by_y, blur_x, blur_y, ridge_x, ridge_y, known
 
 
 MAX_UNKNOWNS: Final = 23
@@ -156,8 +123,8 @@ class SearchRegion(NamedTuple):
     """(256,) light of each grey level."""
     rays: NDArray[np.float32]
     """(height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole."""
+    camera: CameraRow
     undistorted_view: UndistortedView
-    """The undistorted plane."""
     left: int
     """First pixel of the region along u; it may lie outside of the image, as the next three may."""
     right: int
@@ -192,35 +159,29 @@ class FitState(NamedTuple):
     """(13,) the spread, px, and the bend's coefficients, see `bend_displacement`."""
 
 
-class Blocks(NamedTuple):
-    """Sums over the pixels of each block, and the levels and weights that follow from them."""
-
-    moments: FloatArray
-    """(K, 5) sums of 1, T, T^2, I, T I."""
-    derivative_sums: FloatArray
-    """(K, 2, unknowns) sums of the derivatives of T, and of T times them."""
-    normal_matrices: FloatArray
-    """(K, unknowns, unknowns) normal matrices, levels eliminated."""
-    scores: FloatArray
-    """(K, unknowns) sums of the derivatives times the residuals."""
-    levels: FloatArray
-    """(K, 2) dark level and contrast; contrast 0 for blocks that are not used."""
-    weights: FloatArray
-    """(K,) weights."""
-
-
-class FitBuffers(NamedTuple):
-    """Working arrays of the steps."""
+class FitStage(NamedTuple):
+    """Pixels and blocks that take part in a stage, and working arrays of its steps."""
 
     samples: FloatArray
-    """(pixels, 3) undistorted position and light of the pixels that take part."""
+    """(pixels, 3) undistorted position and light of the pixels."""
     pixel_rows: FloatArray
-    """(pixels, `PIXEL_COLUMNS`) see `evaluate_print`."""
-    cell_weights_x: FloatArray
-    """(4, `MAX_BLURRED_CELLS`) see `sample_print`."""
-    cell_weights_y: FloatArray
-    """(4, `MAX_BLURRED_CELLS`) see `sample_print`."""
-    blocks: Blocks
+    """(pixels, `PIXEL_COLUMNS`) light, block, print, and its derivatives by the unknowns; block -1
+    if an unknown cell contributes."""
+    cell_weights: FloatArray
+    """(2, 4, `MAX_BLURRED_CELLS`) scratch array of `_sample_print`."""
+    blocks_per_edge: int
+    moments: FloatArray
+    """(blocks, 5) sums over the pixels of 1, T, T^2, I, T I."""
+    derivative_sums: FloatArray
+    """(blocks, 2, unknowns) sums of the derivatives of T, and of T times them."""
+    levels: FloatArray
+    """(blocks, 2) dark level and contrast; contrast 0 for blocks that are not used."""
+    weights: FloatArray
+    """(blocks,) weights."""
+    normal_matrices: FloatArray
+    """(blocks, unknowns, unknowns) normal matrices, levels eliminated."""
+    scores: FloatArray
+    """(blocks, unknowns) sums of the derivatives times the residuals."""
     normal_matrix: FloatArray
     """(unknowns, unknowns) normal matrix; its lower Cholesky factor after a step."""
     step: FloatArray
@@ -229,29 +190,8 @@ class FitBuffers(NamedTuple):
     """(unknowns,) previous step; 0 before the first one of a stage."""
     step_fraction_and_slope: FloatArray
     """(2,) fraction of the previous step that was taken, and the slope along it at its start."""
-
-
-@subroutine
-def allocate_buffers(max_pixels: int, max_blocks: int) -> FitBuffers:
-    """Allocate working arrays."""
-    return FitBuffers(
-        np.empty((max_pixels, 3)),
-        np.empty((max_pixels, PIXEL_COLUMNS)),
-        np.empty((4, MAX_BLURRED_CELLS)),
-        np.empty((4, MAX_BLURRED_CELLS)),
-        Blocks(
-            np.empty((max_blocks, 5)),
-            np.empty((max_blocks, 2, MAX_UNKNOWNS)),
-            np.empty((max_blocks, MAX_UNKNOWNS, MAX_UNKNOWNS)),
-            np.empty((max_blocks, MAX_UNKNOWNS)),
-            np.empty((max_blocks, 2)),
-            np.empty(max_blocks),
-        ),
-        np.empty((MAX_UNKNOWNS, MAX_UNKNOWNS)),
-        np.empty(MAX_UNKNOWNS),
-        np.empty(MAX_UNKNOWNS),
-        np.empty(2),
-    )
+    dropped_clipped: bool
+    """True if pixels of clipped white were left out."""
 
 
 @subroutine
@@ -265,82 +205,72 @@ def point_in_half_edges(point_index: int) -> tuple[float, float]:
     )
 
 
-class SideLengths(NamedTuple):
-    """Lengths of the sides of a square in an image."""
-
-    shortest: float
-    longest: float
-    """Infinite if a corner is not finite."""
-    perimeter: float
-
-
 @subroutine
-def side_lengths(corners: FloatArray) -> SideLengths:
-    """Lengths of the sides between (4, 2) corners."""
+def side_lengths(corners: FloatArray) -> tuple[float, float, float]:
+    """Shortest side between (4, 2) corners, longest, and perimeter; longest inf if undefined."""
     shortest, longest, perimeter = inf, 0.0, 0.0
     for k in range(4):
         other = (k + 1) % 4
         side = hypot(corners[other, 0] - corners[k, 0], corners[other, 1] - corners[k, 1])
         shortest, perimeter = min(shortest, side), perimeter + side
         longest = max(longest, side) if side < inf else inf
-    return SideLengths(shortest, longest, perimeter)
-
-
-_LEAST_SCALE: Final = 0.4
-"""Lower bound of the image scale at the far end of an edge, as a fraction of the mean scale of the
-shortest edge (chosen: perspective does not reach it)."""
-_CLIPPED_GREY: Final = 254
-"""Grey level from which on a pixel may be clipped (chosen: just below 255, the largest level)."""
-_MAX_CLIPPED_FRACTION: Final = 0.02
-"""Fraction of clipped pixels above which white as a whole counts as clipped, not single pixels
-(chosen: bias by clipped white against pixels lost)."""
-_BESIDE_CLIPPED_GREY: Final = 240
-"""Grey level from which on pixels are left out if white is clipped (measured:
-benchmarks.real_light)."""
-_DRAWN_BLACK_GREY: Final = 3
-"""Grey level up to which black is a drawing's (chosen: just above 0; file formats round)."""
-_LEAST_DRAWN_BLACK_FRACTION: Final = 0.2
-"""Fraction of such pixels above which the image is a drawing (chosen: drawings that are blurred
-against photographs with deep shadows)."""
-_LEAST_QUIET_FRACTION: Final = 0.45
-"""Fraction of the quiet zone's width that is always used (chosen: evidence on the outer edges
-against objects behind the zone)."""
+    return shortest, longest, perimeter
 
 
 @subroutine
-def gather_edge_pixels(
-    region: SearchRegion,
-    tag: TagPrint,
-    state: FitState,
-    band_half_width_px: float,
-    excluded_quiet_px: float,
-    whole_square: bool,
-    cell_edges: bool,
-    max_pixels: int,
-    samples: FloatArray,
-) -> int:
-    """Gather the pixels near the edges, evenly subsampled to at most `max_pixels`.
+def bend_displacement(white_spread_and_bend: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """Displacement (dx, dy) of a point of the tag's plane by the bend; 0 at the corners.
 
-    Args:
-        region: the image.
-        tag: the print.
-        state: the tag's approximate pose.
-        band_half_width_px: half width of the band along the edges, px.
-        excluded_quiet_px: width of the outer part of the quiet zone that is left out, px.
-        whole_square: True to take all pixels within the square.
-        cell_edges: True to take pixels near the edges of the cells within the square.
-        max_pixels: most pixels.
-        samples: (most, 3) result: undistorted position and light.
-
-    Returns:
-        Number of pixels.
+    With c the coefficients, dx = (c1 + c5 x + c9 y) (1 - x^2) + (c2 + c6 x + c10 y) (1 - y^2) and
+    dy = (c3 + c7 y + c11 x) (1 - x^2) + (c4 + c8 y + c12 x) (1 - y^2). Together with a homography
+    these are all cubic polynomials. Before c1 to c12 stands the spread; x and y are half edges.
     """
-    image, light, rays, view = (
-        region.image,
-        region.light_by_grey,
-        region.rays,
-        region.undistorted_view,
-    )
+    c, over_x, over_y = white_spread_and_bend, 1.0 - x * x, 1.0 - y * y
+    dx = (c[1] + c[5] * x + c[9] * y) * over_x + (c[2] + c[6] * x + c[10] * y) * over_y
+    dy = (c[3] + c[7] * y + c[11] * x) * over_x + (c[4] + c[8] * y + c[12] * x) * over_y
+    return dx, dy
+
+
+@subroutine
+def bend_by_coefficient(k: int, x: float, y: float) -> tuple[float, float]:
+    """Derivative of `bend_displacement` with respect to coefficient k, from 0."""
+    by = 1.0 - x * x if k % 2 == 0 else 1.0 - y * y
+    term = k // 2
+    if term >= 2:
+        by *= x if term == 2 or term == 5 else y
+    return (by, 0.0) if term % 2 == 0 else (0.0, by)
+
+
+_LEAST_SCALE: Final = 0.4
+"""Least image scale at an edge's far end, by the mean of the shortest (chosen: perspective)."""
+_CLIPPED_GREY: Final = 254
+"""Grey level from which on a pixel may be clipped (chosen: just below the largest level)."""
+_MAX_CLIPPED_FRACTION: Final = 0.02
+"""Fraction of clipped pixels above which all white is clipped (chosen: bias against pixels)."""
+_BESIDE_CLIPPED_GREY: Final = 240
+"""Least grey level that is left out beside such white (measured: benchmarks.real_light)."""
+_DRAWN_BLACK_GREY: Final = 3
+"""Grey level up to which black is a drawing's (chosen: just above 0; file formats round)."""
+_LEAST_DRAWN_BLACK_FRACTION: Final = 0.2
+"""Fraction of such pixels above which the image is a drawing (chosen: against deep shadows)."""
+_LEAST_QUIET_FRACTION: Final = 0.45
+"""Fraction of the quiet zone that is always used (chosen: evidence against objects behind it)."""
+
+
+@subroutine
+def _gather_edge_pixels(
+    region: SearchRegion, tag: TagPrint, state: FitState,
+    band_half_width_px: float, excluded_quiet_px: float, whole_square: bool, cell_edges: bool,
+    max_pixels: int,
+) -> FloatArray:  # fmt: skip
+    """Samples of the pixels near the edges, evenly subsampled to at most `max_pixels`.
+
+    With `whole_square` all pixels within the square are taken, with `cell_edges` also those near
+    the edges of the cells in it. The outer part of the quiet zone is left out.
+    """
+    samples = np.empty((max_pixels, 3))
+    image, light, rays = region.image, region.light_by_grey, region.rays
+    view = region.undistorted_view
     G, cells, border, quiet = state.G, tag.cells, tag.side_cells, tag.quiet_zone_cells
     height, width = image.shape
     left, right = max(region.left, 0), min(region.right, width - 1)
@@ -392,38 +322,31 @@ def gather_edge_pixels(
                 if not cell_edges:
                     continue
                 at_x, at_y = (x + 1.0) * half + start, (y + 1.0) * half + start
-                if not _near_edge(
-                    cells,
-                    at_x,
-                    at_y,
-                    band_half_width_px * half / px_x,
-                    band_half_width_px * half / px_y,
-                ):
+                reach_x = band_half_width_px * half / px_x
+                reach_y = band_half_width_px * half / px_y
+                if not _near_edge(cells, at_x, at_y, reach_x, reach_y):
                     continue
-            samples[count, 0], samples[count, 1], samples[count, 2] = (
-                u,
-                v,
-                light[image[row, column]],
-            )
+            samples[count, 0], samples[count, 1] = u, v
+            samples[count, 2] = light[image[row, column]]
             count += 1
-    return count
+    return samples[:count]
 
 
 @subroutine
-def drop_clipped_pixels(samples: FloatArray, pixel_count: int, light_by_grey: FloatArray) -> int:
-    """Remove pixels that may be clipped, in place; return the number left.
+def _drop_clipped_pixels(samples: FloatArray, light_by_grey: FloatArray) -> FloatArray:
+    """Samples without those that may be clipped, in place.
 
     If white is clipped, demosaicking and compression have changed the neighbouring pixels as well.
     Nothing is removed from a drawing, which has the smallest and the largest grey level.
     """
-    clipped = black = 0
+    pixel_count, clipped, black = len(samples), 0, 0
     for n in range(pixel_count):
         if samples[n, 2] >= light_by_grey[_CLIPPED_GREY]:
             clipped += 1
         if samples[n, 2] <= light_by_grey[_DRAWN_BLACK_GREY]:
             black += 1
     if black > _LEAST_DRAWN_BLACK_FRACTION * pixel_count:
-        return pixel_count
+        return samples
     limit = light_by_grey[
         _CLIPPED_GREY if clipped <= _MAX_CLIPPED_FRACTION * pixel_count else _BESIDE_CLIPPED_GREY
     ]
@@ -433,7 +356,7 @@ def drop_clipped_pixels(samples: FloatArray, pixel_count: int, light_by_grey: Fl
             for k in range(3):
                 samples[left, k] = samples[n, k]
             left += 1
-    return left
+    return samples[:left]
 
 
 @subroutine
@@ -470,35 +393,28 @@ WIDE, NARROW, ALL, BEND = range(4)
 """Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend
 (numerical)."""
 _LEAST_BLOCK_SIDE_PX: Final = 8.0
-"""Smallest side of a block, which has one dark level and one contrast, px (chosen: shadows and
-gradients against noise)."""
+"""Least side of a block, which has its own levels, px (chosen: shadows against noise)."""
 _MOST_BLOCKS: Final = 8
 """Most blocks along an edge (chosen: as above)."""
 _PIXELS_PER_BLOCK: Final = 24
-"""Pixels that take part per block, from which the number of blocks follows (chosen: as above)."""
+"""Pixels per block, from which the number of blocks follows (chosen: as above)."""
 _BAND_HALF_WIDTH_PX: Final = 1.0
-"""Constant part of the half width of the band along the edges, px (chosen: evidence against time
-and neighbouring edges)."""
+"""Constant part of the band's half width, px (chosen: evidence against neighbouring edges)."""
 _BAND_HALF_WIDTH_BLURS: Final = 2.2
-"""Part of this half width that grows with the blur, in blurs of `_INITIAL_BLUR_PX` (chosen: as
-above)."""
+"""Part of it that grows with the blur, in `_INITIAL_BLUR_PX` (chosen: as above)."""
 _MAX_BAND_HALF_WIDTH_PX: Final = 4.0
-"""Largest half width of the band in the first stage, px, for poor initial corners (chosen: reach
-against neighbouring edges)."""
+"""Largest half width in the first stage, px (chosen: poor starts against other edges)."""
 _WIDE_BLUR_PX: Final = 2.0
-"""Largest initial blur of the print in the first stage, px; so blurred, pixels far from an edge
-carry evidence on it (chosen: reach against accuracy)."""
+"""Largest initial blur in the first stage, px: far pixels see edges (chosen: against accuracy)."""
 _WIDE_BLUR_CELLS: Final = 0.35
 """Initial blur of the print in the first stage, cells (chosen: as above)."""
 _EXCLUDED_QUIET_BLURS: Final = 1.8
-"""Width of the outer part of the quiet zone that is left out, in blurs of `_INITIAL_BLUR_PX`: the
-background blurs into it (chosen: evidence against this background)."""
+"""Outer part of the quiet zone that is left out, in `_INITIAL_BLUR_PX`: the background blurs into
+it (chosen: evidence against this background)."""
 _MAX_FIRST_BLOCKS: Final = 3
-"""Most blocks along an edge in the first stage, which has few pixels (chosen: shadows against
-noise)."""
+"""Most blocks along an edge in the first stage, of few pixels (chosen: shadows against noise)."""
 _INITIAL_BLUR_PX: Final = 0.8
-"""Initial blur of the print after the first stage, px; the smallest in it (chosen: a typical
-blur)."""
+"""Initial blur of the print after the first stage, px; the least in it (chosen: typical)."""
 _MOST_BLUR_PX: Final = 6.0
 """Largest blur of a fit, px (chosen: blurred tags against fits that diverge)."""
 _MOST_BLUR_CELLS: Final = 0.7
@@ -518,13 +434,7 @@ class TagScale(NamedTuple):
 
 @subroutine
 def tag_scale(corners: FloatArray, side_cells: int, max_pixels: int) -> TagScale:
-    """Scale of a tag.
-
-    Args:
-        corners: (4, 2) approximate corners, undistorted, px.
-        side_cells: cells along the square between them.
-        max_pixels: most pixels that take part.
-    """
+    """Scale of a tag by its undistorted corners, px, if at most so many pixels take part."""
     shortest, longest, _ = side_lengths(corners)
     cell_px = shortest / side_cells
     # at most one block per cell of the border: a block of one colour has no contrast
@@ -537,38 +447,14 @@ def tag_scale(corners: FloatArray, side_cells: int, max_pixels: int) -> TagScale
     )
 
 
-class FitStage(NamedTuple):
-    """Numbers of pixels and blocks that take part in a stage."""
-
-    pixel_count: int
-    blocks_per_edge: int
-    """Blocks along an edge."""
-    dropped_clipped: bool
-    """True if pixels of clipped white were left out."""
-
-
 @subroutine
 def begin_stage(
-    stage: int,
-    blurs_known: bool,
-    region: SearchRegion,
-    tag: TagPrint,
-    scale: TagScale,
-    state: FitState,
-    buffers: FitBuffers,
-    max_pixels: int,
-) -> FitStage:
+    stage: int, blurs_known: bool, region: SearchRegion, tag: TagPrint, scale: TagScale,
+    state: FitState, max_pixels: int,
+) -> FitStage:  # fmt: skip
     """Begin a stage other than `BEND`, with the homography through the corners.
 
-    Args:
-        stage: the stage, see `WIDE`.
-        blurs_known: True if an earlier stage has found the blurs.
-        region: the image.
-        tag: the print.
-        scale: size of the tag in the image.
-        state: its corners are read; `G` is a result, and so are the blurs unless `blurs_known`.
-        buffers: its `samples` are a result.
-        max_pixels: most pixels that take part.
+    Unless an earlier stage has found the blurs, they are set as well.
     """
     image_to_square_homography(state.corners, state.G)
     blocks_per_edge, blur_px = scale.max_blocks_per_edge, _INITIAL_BLUR_PX
@@ -579,10 +465,169 @@ def begin_stage(
         blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * scale.cell_px, _INITIAL_BLUR_PX))
     if not blurs_known:
         state.blurs_px[0] = state.blurs_px[1] = blur_px
-    count = gathered = gather_edge_pixels(
+    samples = _gather_edge_pixels(
         region, tag, state, reach_px, _EXCLUDED_QUIET_BLURS * _INITIAL_BLUR_PX,
-        scale.cell_px < reach_px + 2.0 * blur_px, stage == ALL, max_pixels, buffers.samples,
+        scale.cell_px < reach_px + 2.0 * blur_px, stage == ALL, max_pixels,
     )  # fmt: skip
+    gathered, blocks = len(samples), blocks_per_edge * blocks_per_edge
     if stage == ALL:
-        count = drop_clipped_pixels(buffers.samples, count, region.light_by_grey)
-    return FitStage(count, blocks_per_edge, count < gathered)
+        samples = _drop_clipped_pixels(samples, region.light_by_grey)
+    return FitStage(
+        samples, np.empty((len(samples), PIXEL_COLUMNS)), np.empty((2, 4, MAX_BLURRED_CELLS)),
+        blocks_per_edge,
+        np.empty((blocks, 5)), np.empty((blocks, 2, MAX_UNKNOWNS)),
+        np.empty((blocks, 2)), np.empty(blocks),
+        np.empty((blocks, MAX_UNKNOWNS, MAX_UNKNOWNS)), np.empty((blocks, MAX_UNKNOWNS)),
+        np.empty((MAX_UNKNOWNS, MAX_UNKNOWNS)), np.empty(MAX_UNKNOWNS), np.empty(MAX_UNKNOWNS),
+        np.empty(2), len(samples) < gathered,
+    )  # fmt: skip
+
+
+@inlined
+def _evaluate_print(tag: TagPrint, state: FitState, stage: FitStage) -> None:
+    """Evaluate the print and its derivatives at all pixels, and their sums by block."""
+    G, blurs, spread_and_bend = state.G, state.blurs_px, state.white_spread_and_bend
+    cells, places, pixels, blocks_per_edge = (
+        tag.cells, stage.samples, stage.pixel_rows, stage.blocks_per_edge
+    )  # fmt: skip
+    along_x, along_y = stage.cell_weights[0], stage.cell_weights[1]
+    sums, slopes = stage.moments, stage.derivative_sums
+    half, start = 0.5 * tag.side_cells, 0.5 * (len(cells) - tag.side_cells)
+    sums[:] = 0.0
+    slopes[:] = 0.0
+    for n in range(len(places)):
+        u, v, grey = places[n, 0], places[n, 1], places[n, 2]
+        w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
+        x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
+        y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w
+        a, b = G[0, 0] - x * G[2, 0], G[0, 1] - x * G[2, 1]
+        c, d = G[1, 0] - y * G[2, 0], G[1, 1] - y * G[2, 1]
+        s_x = blurs[0] * half * sqrt(a * a + b * b) / abs(w)
+        s_y = blurs[1] * half * sqrt(c * c + d * d) / abs(w)
+        flat_x, flat_y = x, y
+        dx, dy = bend_displacement(spread_and_bend, flat_x, flat_y)
+        x, y = x + dx, y + dy
+        at_x, at_y = (x + 1.0) * half + start, (y + 1.0) * half + start
+        value, by_x, by_y, blur_x, blur_y, ridge_x, ridge_y, known = _sample_print(
+            cells, at_x, at_y, s_x, s_y, along_x, along_y
+        )
+        if not known:
+            pixels[n, 1] = -1.0
+            continue
+        by_x, by_y = half * by_x, half * by_y
+        turn = -(by_x * x + by_y * y)
+        pixels[n, 0] = grey
+        ridge = ridge_x / blurs[0] + ridge_y / blurs[1]
+        value += spread_and_bend[0] * ridge
+        pixels[n, 2] = value
+        pixels[n, 3], pixels[n, 4], pixels[n, 5] = by_x * x, by_x * y, by_x
+        pixels[n, 6], pixels[n, 7], pixels[n, 8] = by_y * x, by_y * y, by_y
+        pixels[n, 9], pixels[n, 10] = turn * x, turn * y
+        pixels[n, 11], pixels[n, 12], pixels[n, 13] = blur_x, blur_y, ridge
+        for k in range(MAX_UNKNOWNS - BEND_START):
+            dx, dy = bend_by_coefficient(k, flat_x, flat_y)
+            pixels[n, 3 + BEND_START + k] = by_x * dx + by_y * dy
+        share = 0.5 * blocks_per_edge / (half + 1.0)
+        column = min(max(int((x * half + half + 1.0) * share), 0), blocks_per_edge - 1)
+        row = min(max(int((y * half + half + 1.0) * share), 0), blocks_per_edge - 1)
+        k = row * blocks_per_edge + column
+        pixels[n, 1] = k
+        own = sums[k]
+        own[0] += 1.0
+        own[1] += value
+        own[2] += value * value
+        own[3] += grey
+        own[4] += value * grey
+        for j in range(MAX_UNKNOWNS):
+            slopes[k, 0, j] += pixels[n, 3 + j]
+            slopes[k, 1, j] += value * pixels[n, 3 + j]
+
+
+_LEAST_BLOCK_PIXELS: Final = 6
+"""Fewest pixels of a block that is used (chosen: small tags against noisy levels)."""
+_LEAST_PRINT_VARIANCE: Final = 0.02
+"""Variance of the print in a block below which its contrast is undetermined (chosen: as above)."""
+_OUTLIER_VARIANCE_RATIO: Final = 4.0
+"""Residual variance, by the usual one, above which a block's weight falls (chosen: robustness)."""
+
+
+@inlined
+def _estimate_levels(stage: FitStage) -> float:
+    """Estimate the dark level and contrast of each block; return the mean contrast.
+
+    A block of one colour, or with a contrast of the wrong sign, gets contrast 0: it is not used.
+    """
+    sums, levels, total, pixels = stage.moments, stage.levels, 0.0, 0.0
+    for k in range(len(sums)):
+        n, t, tt, i, ti = sums[k]
+        levels[k, 0] = levels[k, 1] = 0.0
+        if n < _LEAST_BLOCK_PIXELS:
+            continue
+        print_squares = tt - t * t / n
+        if print_squares < _LEAST_PRINT_VARIANCE * n:
+            continue
+        contrast = (ti - t * i / n) / print_squares
+        if contrast <= 0.0:
+            continue
+        levels[k, 0], levels[k, 1] = (i - contrast * t) / n, contrast
+        total += n * contrast
+        pixels += n
+    return total / pixels if pixels > 0.0 else 0.0
+
+
+@inlined
+def _reweight_and_sum_squares(stage: FitStage) -> float:
+    """Weight each block, less if its residuals are unusually large; sum of all weighted squares."""
+    sums, levels, weights, pixel_rows = (
+        stage.moments, stage.levels, stage.weights, stage.pixel_rows
+    )  # fmt: skip
+    weights[:] = 0.0
+    for n in range(len(pixel_rows)):
+        k = int(pixel_rows[n, 1])
+        if k >= 0 and levels[k, 1] > 0.0:
+            r = pixel_rows[n, 0] - levels[k, 0] - levels[k, 1] * pixel_rows[n, 2]
+            weights[k] += r * r
+    log_total, total = 0.0, 0.0
+    for k in range(len(sums)):
+        if levels[k, 1] > 0.0:
+            weights[k] /= sums[k, 0]
+            # the geometric mean, which a few bad blocks hardly raise
+            log_total += sums[k, 0] * log(weights[k] + 0.05)
+            total += sums[k, 0]
+    if total == 0.0:
+        return 0.0
+    usual = exp(log_total / total)
+    weighted = 0.0
+    for k in range(len(sums)):
+        if levels[k, 1] > 0.0:
+            own = weights[k]
+            inlying = own < _OUTLIER_VARIANCE_RATIO * usual
+            weights[k] = 1.0 if inlying else _OUTLIER_VARIANCE_RATIO * usual / own
+            weighted += weights[k] * own * sums[k, 0]
+    return weighted
+
+
+class PrintResiduals(NamedTuple):
+    """Residuals of all pixels' light after the print."""
+
+    contrast: float
+    """Mean contrast of all blocks; 0 if none has any."""
+    unexplained_squares: float
+    """Weighted sum of squared residuals."""
+    pixel_variance: float
+    """Variance of a pixel."""
+
+
+@subroutine
+def compare_print(tag: TagPrint, state: FitState, stage: FitStage) -> PrintResiduals:
+    """Compare the print with the pixels, by blocks."""
+    _evaluate_print(tag, state, stage)
+    contrast = _estimate_levels(stage)
+    if contrast <= 0.0:
+        return PrintResiduals(0.0, 0.0, 0.0)
+    unexplained = _reweight_and_sum_squares(stage)
+    free = -float(MAX_UNKNOWNS)
+    for k in range(len(stage.weights)):
+        if stage.levels[k, 1] > 0.0:
+            free += stage.weights[k] * stage.moments[k, 0] - 2.0
+    return PrintResiduals(contrast, unexplained, unexplained / max(free, 1.0))
