@@ -8,7 +8,7 @@ import pytest
 import vergence
 from tests.naming import named
 from vergence.calibration.head.adjust import ParametricHead, board_points_and_offsets
-from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.judge import unobservable_directions
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.judge import remark_on_few_views
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError

@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.collect import (
-    DEPTHS_M,
     CollectOptions,
     advise_recording,
     collect,
-    depth_sigma_m,
     image_coverage_percent,
-    preview_calibration,
 )
 from vergence.calibration.head.fit import parameter_prior_sigma
+from vergence.calibration.head.preview import DEPTHS_M, depth_sigma_m, preview_calibration
 from vergence.calibration.head.recording import read_recording
 from vergence.calibration.head.simulated import SimulatedLooker, board_ahead, simulate_recording
 from vergence.errors import ConfigurationError

@@ -7,9 +7,8 @@ import pytest
 
 import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights
-from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.calibrate import calibrate_head, head_file_text
 from vergence.calibration.head.fit import parameter_prior_sigma
-from vergence.calibration.head.job import head_file_text
 from vergence.calibration.head.reading_terms import ReadingErrorTerms
 from vergence.calibration.head.simulated import JointReadingErrors, simulate_recording
 from vergence.calibration.head.terms import AUTO, dh_to_joint_axes, parse_terms, with_backlash

@@ -22,7 +22,7 @@ from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.calibration.head.job import HeadJob, HeadOutcome
+    from vergence.calibration.head.calibrate import HeadJob, HeadOutcome
     from vergence.commands.options import RunFolder
     from vergence.models.head import HeadModel
 
@@ -120,7 +120,7 @@ class CalibrateHead:
 
     def _jobs(self, outs: list[Path]) -> "list[HeadJob]":
         """Read the recordings."""
-        from vergence.calibration.head.job import HeadJob
+        from vergence.calibration.head.calibrate import HeadJob
         from vergence.calibration.head.recording import read_recording
         from vergence.calibration.head.terms import parse_terms
         from vergence.calibration.observations import parse_board

@@ -1,0 +1,520 @@
+"""Calibration of a head from frames of a board, its depth errors, and the job that files it."""
+
+import tempfile
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.calibration.adjustment import rms_length
+from vergence.calibration.head.adjust import HeadAdjustment
+from vergence.calibration.head.fit import (
+    HeadSolution,
+    estimate_consensus_board_poses,
+    fit_robustly,
+    parameter_prior_sigma,
+)
+from vergence.calibration.head.judge import (
+    UnobservableDirection,
+    find_new_placement,
+    find_small_board_motion,
+    head_and_term_covariance,
+    refuse_few_poses,
+    refuse_fixed_eyes,
+    refuse_implausible_solution,
+    refuse_swapped_eyes,
+    remark_on_changed_baseline,
+    remark_on_few_views,
+    unobservable_directions,
+)
+from vergence.calibration.head.reading_terms import ReadingErrorTerms
+from vergence.calibration.head.recording import (
+    HeadFrames,
+    HeadRecording,
+    sort_and_clean_frames,
+)
+from vergence.calibration.head.terms import (
+    AUTO,
+    choose_terms,
+    convert_for_terms,
+    cross_validate_by_pose,
+    with_backlash,
+)
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.head_file import check_head_name, head_to_toml
+from vergence.models.parts import NECK, CalibrationRecord, FloatArray
+from vergence.models.posture import fixation_angles_and_visibility, midpoint_between_cameras
+from vergence.reporting.runs import package_versions
+from vergence.triangulation import triangulate_views
+
+_MOST_PLACEMENTS: Final = 8
+"""Most fits to a recording, each after the first with another placement of the board (chosen)."""
+_HARMONICS_HINT: Final = (
+    ": a head file cannot store them; --terms harmonics estimates them, and calibrates the head "
+    "for readings corrected by them"
+)
+_JOINT_AXES_REMARK: Final = (
+    "the joints are described by their axes one by one, which may be turned in ways that D-H "
+    "numbers lack"
+)
+_SIGNIFICANT_SIGMAS: Final = 2.0
+"""Standard deviations above which a parameter is significant (chosen)."""
+
+
+class FittedTerm(NamedTuple):
+    """A parameter of a reading-error term."""
+
+    name: str
+    """Name such as `left_pan.play`."""
+    value: float
+    sigma: float
+    unit: str
+
+    @property
+    def significant(self) -> bool:
+        """True if it differs significantly from zero."""
+        return abs(self.value) > _SIGNIFICANT_SIGMAS * self.sigma
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeadCalibration:
+    """Calibration of a head from a recording."""
+
+    solution: HeadSolution
+    kept_corners: NDArray[np.bool_]
+    """(2, f, n) True for kept corners, the inliers."""
+    held_out_mean_squares: FloatArray
+    """(2, f) mean squares of views by heads that were calibrated without them, in units of sigma^2;
+    nan for views without kept corners."""
+    recording_remarks: tuple[str, ...]
+    """Remarks on the recording, a line each."""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Remarks on the recording and the calibration, a line each."""
+        return (
+            *self.recording_remarks,
+            *_remarks_on_terms(self.solution, self.terms),
+            *_remarks_on_scatter(self.solution),
+            *remark_on_changed_baseline(self.solution),
+        )
+
+    @property
+    def nominal_head(self) -> HeadModel:
+        """The nominal head, from its file."""
+        return self.solution.problem.nominal_head
+
+    @cached_property
+    def head(self) -> HeadModel:
+        """The calibrated head."""
+        if not self.solution.problem.terms.is_backlash.any():
+            return self.solution.head
+        return with_backlash(self.solution.head, _significant_backlash(self.solution, self.terms))
+
+    @cached_property
+    def terms(self) -> tuple[FittedTerm, ...]:
+        """Parameters of the reading-error terms."""
+        sigma = np.sqrt(np.diagonal(self._covariance)[len(self.solution.problem.prior_mean) :])
+        values = self.solution.state.term_parameters.tolist()
+        numbers = zip(self.solution.problem.terms.names, values, sigma.tolist(), strict=True)
+        return tuple(FittedTerm(*each, "rad") for each in numbers)
+
+    @property
+    def frames(self) -> HeadFrames:
+        """Frames of the board."""
+        return self.solution.problem.frames
+
+    @property
+    def kept_views(self) -> NDArray[np.bool_]:
+        """(2, f) True for kept views, with at least one kept corner."""
+        return np.asarray(self.kept_corners.any(axis=-1))
+
+    @cached_property
+    def rms_px(self) -> float:
+        """Root mean square length of the kept corners' residuals, px."""
+        left = self.solution.normal.residuals * self.frames.sigma
+        return rms_length(left[self.kept_corners])
+
+    @cached_property
+    def rms_heldout_px(self) -> float:
+        """Cross-validation counterpart of `rms_px`, by heads calibrated without the view, px."""
+        squares = self.held_out_mean_squares
+        mean = np.nanmean(squares) if np.isfinite(squares).any() else np.nan
+        sigma = self.frames.sigma[self.kept_corners]
+        return float(np.sqrt(2.0 * mean * np.mean(sigma**2)))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(p, p) covariance of `HeadModel.parameters`."""
+        p = len(self.solution.problem.prior_mean)
+        return self._covariance[:p, :p]
+
+    @cached_property
+    def _covariance(self) -> FloatArray:
+        return head_and_term_covariance(self.solution)
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(p,) standard deviations of `HeadModel.parameters`."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+
+def calibrate_head(
+    head: HeadModel,
+    frames: HeadFrames,
+    *,
+    estimate_cameras: bool = True,
+    terms: Collection[str] = (),
+    progress: Callable[[float], None] | None = None,
+) -> HeadCalibration:
+    """Find a head's joints, eyes and cameras from frames of a board.
+
+    Args:
+        head: the nominal head, from its file.
+        frames: frames of the board, taken while the head moved.
+        estimate_cameras: True to estimate focal lengths, principal points and lenses too.
+        terms: some of `TERMS`, or `AUTO` alone for the terms that the frames call for.
+        progress: called with the fraction done.
+
+    Raises:
+        ConfigurationError: the frames give no calibration; the message says why.
+    """
+    report = progress or (lambda fraction: None)
+    refuse_fixed_eyes(head)
+    frames = sort_and_clean_frames(frames)
+    refuse_few_poses(frames)
+    file, head = head, convert_for_terms(head, terms)
+    remarks: list[str] = []
+    try:
+        start = estimate_consensus_board_poses(head, frames)
+        refuse_swapped_eyes(head, frames, start)
+        report(0.1)
+        problem = HeadAdjustment(head, parameter_prior_sigma(head, estimate_cameras), start.frames)
+        reading_terms = ReadingErrorTerms.of_frames(head, start.frames, terms)
+        problem = replace(problem, terms=reading_terms)
+        fit = fit_robustly(problem, start.boards, start.inlier_views)
+        for place in range(1, _MOST_PLACEMENTS):
+            report(0.1 + 0.6 * place / (place + 1.0))
+            more = find_new_placement(fit.solution, fit.kept_corners)
+            near = None if more is None else fit.solution.state
+            if more is None:
+                more = find_small_board_motion(fit.solution)
+            if more is None:
+                break
+            remarks.append(more.remark)
+            problem = replace(problem, frames=more.frames)
+            fit = fit_robustly(problem, more.boards, more.inlier_views, near)
+        refuse_implausible_solution(fit.solution, fit.kept_corners)
+        report(0.7)
+        if tuple(terms) == (AUTO,):
+            fit, suspected = choose_terms(fit, estimate_cameras)
+            if suspected is not None:
+                remarks.append(_remark_on_harmonics(suspected) + _HARMONICS_HINT)
+        if type(fit.solution.head.links) is not type(file.links):
+            remarks.append(_JOINT_AXES_REMARK)
+        report(0.8)
+        views = cross_validate_by_pose(fit.solution, fit.kept_corners).view_mean_squares
+    except np.linalg.LinAlgError:
+        raise ConfigurationError(
+            "expected frames that agree on where the board is, got some that do not: is the target "
+            "of that size, and do the joint angles belong to the images, with the head's signs and "
+            "zeros?"
+        ) from None
+    report(1.0)
+    return HeadCalibration(
+        solution=fit.solution,
+        kept_corners=fit.kept_corners,
+        held_out_mean_squares=views,
+        recording_remarks=(*remarks, *remark_on_few_views(start.frames, fit.kept_corners)),
+    )
+
+
+def _actuator_names(head: HeadModel) -> list[str]:
+    return [*head.joints[NECK], *head.actuation.names]
+
+
+def _remarks_on_scatter(solution: HeadSolution) -> list[str]:
+    """Report joints whose readings scatter more than quantisation and backlash explain."""
+    ratio, names = solution.problem.scatter_ratio, _actuator_names(solution.problem.nominal_head)
+    wide = [] if ratio is None else np.flatnonzero(ratio[: len(names)] > 1.0).tolist()
+    if ratio is None or not wide:
+        return []
+    worst = max(wide, key=lambda joint: ratio[joint])
+    sigma = solution.problem.reading_error_unknowns.reading_sigma[worst]
+    return [
+        f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their "
+        f"quantisation and backlash explain, those of {names[worst]} by "
+        f"{np.rad2deg(sigma):.2g} degrees, {ratio[worst]:.1f} times as much: is "
+        "there more backlash, did the joints rest, and do the angles belong to the images?"
+    ]
+
+
+def _significant_backlash(solution: HeadSolution, terms: Sequence[FittedTerm]) -> FloatArray:
+    """(7,) backlash by actuator, rad; 0 if not significant."""
+    out, own = np.zeros(7), solution.problem.terms
+    for term, joint, backlash in zip(terms, own.actuator_index, own.is_backlash, strict=True):
+        if backlash and term.significant:
+            out[joint] = max(term.value, 0.0)
+    return out
+
+
+def _remarks_on_terms(solution: HeadSolution, terms: Sequence[FittedTerm]) -> list[str]:
+    """Remark on the terms found, and on those that the head's file cannot hold."""
+    head, lines = solution.problem.nominal_head, []
+    play = _significant_backlash(solution, terms)
+    if play.any():
+        line = f"the actuators have backlash, in degrees: {_listed(head, play)}"
+        if head.actuators is None and play[NECK.stop :].any():
+            line += "; the head's file has the greatest of the eyes' for all of them"
+        if play[: NECK.stop].any():
+            line += "; a head's file has no place for that of the neck"
+        lines.append(line)
+    if not solution.problem.terms.is_backlash.all():
+        lines.append(
+            f"{_remark_on_harmonics(solution)}: the head is that of readings which are corrected "
+            "by the terms of result.json"
+        )
+    return lines
+
+
+def _remark_on_harmonics(solution: HeadSolution) -> str:
+    terms, values = solution.problem.terms, solution.state.term_parameters
+    waves = terms.evaluate(np.where(terms.is_backlash, 0.0, values))[0]
+    return (
+        "the encoders' readings are off by harmonics of the angle, in degrees up to: "
+        f"{_listed(solution.problem.nominal_head, 0.5 * np.ptp(waves, axis=0))}"
+    )
+
+
+def _listed(head: HeadModel, angles: FloatArray) -> str:
+    return ", ".join(
+        f"{name} {np.rad2deg(angle):.2g}"
+        for name, angle in zip(_actuator_names(head), angles.tolist(), strict=False)
+        if angle > 0.0
+    )
+
+
+_STEP_SIGMAS: Final = 1e-3
+"""Step of a central difference, in prior standard deviations of a parameter: far above rounding,
+with a square far below 1 (numerical)."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthErrors:
+    """Errors along the line from midway between the eyes to fixated points; nan if out of reach."""
+
+    distance_m: FloatArray
+    """(n,) distance from midway between the eyes."""
+    nominal_error_m: FloatArray
+    """(n,) depth error of the nominal head, taking the calibrated head as the truth; positive if
+    the triangulated point is too far."""
+    nominal_error_norm_m: FloatArray
+    """(n,) length of the nominal head's error in all three directions."""
+    sigma_m: FloatArray
+    """(n,) standard deviation of depth from the uncertainty of the calibration."""
+    noise_floor_m: FloatArray
+    """(n,) standard deviation of depth of a single settled fixation from the noise of pixels and
+    encoders."""
+
+    @property
+    def nominal_error_percent(self) -> FloatArray:
+        """(n,) depth error of the nominal head, percent of the distance."""
+        return np.asarray(1e2 * self.nominal_error_m / self.distance_m)
+
+    @property
+    def sigma_percent(self) -> FloatArray:
+        """(n,) standard deviation of depth from the calibration, percent of the distance."""
+        return np.asarray(1e2 * self.sigma_m / self.distance_m)
+
+
+def points_ahead(distance_m: FloatArray) -> FloatArray:
+    """(n, 3) points straight ahead, m."""
+    return np.asarray(distance_m[:, None] * np.array([0.0, 0.0, 1.0]))
+
+
+def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
+    """(n, 3) points at one distance, turned to the right and then down by angles (n,), m."""
+    return np.asarray(
+        distance_m
+        * np.column_stack(
+            [
+                np.sin(right_rad) * np.cos(down_rad),
+                np.sin(down_rad),
+                np.cos(right_rad) * np.cos(down_rad),
+            ]
+        )
+    )
+
+
+def predict_depth_errors(
+    calibration: HeadCalibration, points_from_eyes_m: FloatArray
+) -> DepthErrors:
+    """Predict the errors of depth of the nominal head, and those that the calibration leaves.
+
+    The calibrated head fixates each point; the nominal and the calibrated head triangulate it from
+    the same joint angles and pixels. The uncertainty is to first order in the head's parameters,
+    with derivatives by central differences.
+
+    Args:
+        calibration: the calibration.
+        points_from_eyes_m: (n, 3) points relative to midway between the eyes, in N with the neck at
+            rest, m.
+    """
+    head = calibration.head
+    points = midpoint_between_cameras(head) + points_from_eyes_m
+    distance = np.linalg.norm(points_from_eyes_m, axis=-1)
+    along = points_from_eyes_m / distance[:, None]
+    q, sees = fixation_angles_and_visibility(head, points)
+    pixels = head.project(q, points)
+    fix = triangulate_views(head, q, pixels)
+    off = triangulate_views(calibration.nominal_head, q, pixels).point - points
+    free = calibration.solution.problem.prior_sigma > 0.0
+    steps = _STEP_SIGMAS * np.diag(calibration.solution.problem.prior_sigma)[free]
+    values = calibration.solution.state.head_parameters + np.stack([steps, -steps])
+    moved = triangulate_views(
+        calibration.nominal_head.with_parameters(values[:, :, None]), q, pixels
+    ).point
+    depth = np.einsum("snpi,pi->snp", moved, along)
+    depth_derivatives = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
+    spread = np.einsum(
+        "np,nm,mp->p",
+        depth_derivatives,
+        calibration.covariance[np.ix_(free, free)],
+        depth_derivatives,
+    )
+    floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
+    return DepthErrors(
+        distance,
+        *(
+            np.where(sees, values, np.nan)
+            for values in (
+                (off * along).sum(axis=-1),
+                np.linalg.norm(off, axis=-1),
+                np.sqrt(spread),
+                np.sqrt(floor),
+            )
+        ),
+    )
+
+
+_RECORDED_PACKAGES: Final = ("vergence", "numpy", "scipy", "opencv-python-headless")
+_REPLACED_ASSUMPTIONS: Final = (
+    "links",
+    "eyes",
+    "joints.origin_m",
+    "joints.rpy_rad",
+    "joints.axis",
+    "joints.alpha_rad",
+    "joints.a_m",
+    "joints.d_m",
+    "joints.offset_rad",
+    "frame",
+)
+"""Prefixes of the keys of assumptions that a calibration replaces by estimates."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadOutcome:
+    """Result of a calibration job."""
+
+    head_file: str = ""
+    """The head file; empty if the recording was refused."""
+    document: Mapping[str, Any] = field(default_factory=dict)
+    """The result as plain values."""
+    unobservable: tuple[UnobservableDirection, ...] = ()
+    """Unobservable directions of the recording."""
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    """The run folder's files by name."""
+    refusal: str = ""
+    """Reason of a refusal; empty if there is a head."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadJob:
+    """The calibration of a head from one recording.
+
+    Attributes:
+        head: the nominal head, from its file.
+        recording: its recording.
+        estimate_cameras: True to estimate the cameras too.
+        terms: see `calibrate_head`.
+        name: name of the calibrated head.
+        head_file_name: name of the head file to write.
+        recording_path: path of the recording.
+    """
+
+    head: HeadModel
+    recording: HeadRecording
+    estimate_cameras: bool
+    terms: tuple[str, ...]
+    name: str
+    head_file_name: str
+    recording_path: str
+
+    def __call__(self, progress: Callable[[float], None] | None = None) -> HeadOutcome:
+        """Calibrate the head and make its files."""
+        recorded = self.recording
+        try:
+            found = calibrate_head(
+                self.head,
+                recorded.frames,
+                estimate_cameras=self.estimate_cameras,
+                terms=self.terms,
+                progress=progress,
+            )
+        except ConfigurationError as error:
+            return HeadOutcome(refusal=str(error))
+        text = head_file_text(found, recorded.sha256, self.name)
+        dark = unobservable_directions(found.solution)
+        provenance = {
+            "recording": self.recording_path,
+            "files": ", ".join(recorded.files),
+            "target": str(recorded.frames.target),
+            "sha256": recorded.sha256,
+        }
+        # drawing takes a second to import
+        from vergence.calibration.head.report import result_document, write_run
+
+        with tempfile.TemporaryDirectory(prefix="vergence-") as folder:
+            write_run(Path(folder), found, dark, text, self.head_file_name, provenance)
+            files = {each.name: each.read_bytes() for each in Path(folder).iterdir()}
+        told = {
+            **result_document(found, dark),
+            "recording": self.recording_path,
+            "remarks": [*recorded.remarks, *found.remarks],
+            "not_read": list(recorded.read_errors),
+        }
+        return HeadOutcome(head_file=text, document=told, unobservable=dark, files=files)
+
+
+def head_file_text(calibration: HeadCalibration, sha256: str, name: str) -> str:
+    """TOML text of a calibrated head, with origin (`sha256` of measurements) and uncertainty."""
+    check_head_name(name)
+    names = calibration.nominal_head.parameters().names
+    free = calibration.solution.problem.prior_sigma > 0.0
+    numbers = zip(names, calibration.sigma.tolist(), free, strict=True)
+    sigma = {each: deviation for each, deviation, is_free in numbers if is_free}
+    assumptions = {
+        key: why
+        for key, why in calibration.nominal_head.assumptions.items()
+        if not key.startswith(_REPLACED_ASSUMPTIONS)
+    }
+    record = CalibrationRecord(
+        target=str(calibration.frames.target),
+        views=int(calibration.kept_views.sum()),
+        rms_px=calibration.rms_px,
+        rms_heldout_px=calibration.rms_heldout_px,
+        corners_sha256=sha256,
+        versions=", ".join(
+            f"{name} {each}" for name, each in package_versions(_RECORDED_PACKAGES).items()
+        ),
+        sigma=sigma,
+    )
+    return head_to_toml(
+        replace(calibration.head, name=name, assumptions=assumptions, calibration=record)
+    )
