@@ -1,7 +1,8 @@
 """Run folder of a calibration: camera file, tables and HTML report."""
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -222,8 +223,7 @@ def draw_residual_arrows(
     places = (cells[full] + 0.5) * cell - 0.5
     lengths = np.linalg.norm(mean, axis=-1)
     long = max(float(np.quantile(lengths, 0.9)), 1e-6) if len(lengths) else 1.0
-    with figure_style():
-        figure, panel = new_image_figure(size)
+    with image_panel(size) as (figure, panel):
         panel.plot(
             *pixels[thinning_slice(len(pixels))].T, ".", ms=3, mew=0, alpha=0.4, color=GREY,
             rasterized=True,
@@ -245,8 +245,7 @@ def draw_corner_coverage(
     """Draw corners over an image, and the number of views with a corner in each part of it."""
     width, height = size
     pixels = views[np.isfinite(views).all(axis=-1)]
-    with figure_style():
-        figure, panel = new_image_figure(size)
+    with image_panel(size) as (figure, panel):
         panel.plot(
             *pixels[thinning_slice(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=colour,
             rasterized=True,
@@ -276,21 +275,28 @@ def thinning_slice(count: int) -> slice:
     return slice(None, None, -(-count // _MOST_DOTS) or 1)
 
 
-def new_image_figure(size: tuple[int, int]) -> tuple[Figure, Axes]:
-    """Make a figure of an image's shape; its axes are the image's frame, v downwards."""
+@contextmanager
+def single_panel(width: float, height: float) -> Iterator[tuple[Figure, Axes]]:
+    """Style a figure with one panel, sizes in inches, while it is drawn."""
+    with figure_style():
+        figure = new_figure(width, height)
+        yield figure, figure.add_subplot()
+
+
+@contextmanager
+def image_panel(size: tuple[int, int]) -> Iterator[tuple[Figure, Axes]]:
+    """Style a figure of an image's shape; its axes are the image's frame, v downwards."""
     width, height = size
     beside, above = _MARGINS_IN
-    figure = new_figure(
-        CAMERA_FIGURE_WIDTH, (CAMERA_FIGURE_WIDTH - beside) * height / width + above
-    )
-    panel = figure.add_subplot()
-    panel.set(
-        xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
-        xlabel="u (px)", ylabel="v (px)",
-    )  # fmt: skip
-    panel.grid(False)
-    panel.spines[:].set_visible(True)
-    return figure, panel
+    high = (CAMERA_FIGURE_WIDTH - beside) * height / width + above
+    with single_panel(CAMERA_FIGURE_WIDTH, high) as (figure, panel):
+        panel.set(
+            xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
+            xlabel="u (px)", ylabel="v (px)",
+        )  # fmt: skip
+        panel.grid(False)
+        panel.spines[:].set_visible(True)
+        yield figure, panel
 
 
 PAGE_WIDTH: Final = 11.2
@@ -326,9 +332,7 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
     across = residuals[:, 1] * unit[:, 0] - residuals[:, 0] * unit[:, 1]
     edges = np.linspace(0.0, radius.max(), _RINGS + 1)
     ring = np.clip(np.digitize(radius, edges) - 1, 0, _RINGS - 1)
-    with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 3.9)
-        panel = figure.add_subplot()
+    with single_panel(CAMERA_FIGURE_WIDTH, 3.9) as (figure, panel):
         every = thinning_slice(len(radius))
         panel.plot(
             radius[every], along[every], ".", ms=4, color=GREY, alpha=0.4, mew=0, rasterized=True
@@ -362,9 +366,7 @@ def image_coverage(calibration: Calibration, camera: int) -> Figure:
 
 def tilt_directions(calibration: Calibration) -> Figure:
     """Plot direction and size of the board's tilts."""
-    with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 5.2)
-        panel = figure.add_subplot()
+    with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
         most = 40.0
         for camera, name in enumerate(camera_names(calibration)):
             held = board_tilts(calibration, camera)
@@ -389,9 +391,7 @@ def tilt_directions(calibration: Calibration) -> Figure:
 
 def tilts_by_distance(calibration: Calibration) -> Figure:
     """Plot the tilt of the board in each view against its distance."""
-    with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 5.2)
-        panel = figure.add_subplot()
+    with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
         for camera, name in enumerate(camera_names(calibration)):
             held = board_tilts(calibration, camera)
             panel.plot(held.distance_m, held.angle_deg, label=name, **_dots(camera))
@@ -424,9 +424,7 @@ def view_residuals(calibration: Calibration) -> Figure:
     limit = max(1.15 * float(good.max()), _AXIS_LIMIT_MEDIANS * float(np.median(good)))
     kept = calibration.fit.kept_views
     places, wide = np.arange(len(kept)), 0.8 / len(fits)
-    with figure_style():
-        figure = new_figure(PAGE_WIDTH, 4.0)
-        panel = figure.add_subplot()
+    with single_panel(PAGE_WIDTH, 4.0) as (figure, panel):
         for number, (name, fit) in enumerate(fits.items()):
             at = places + wide * (number - 0.5 * (len(fits) - 1))
             colour = colours[number]
@@ -462,8 +460,7 @@ def direction_sigma(calibration: Calibration, camera: int) -> Figure:
     low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
     pixels, _ = _residuals(calibration, camera)
-    with figure_style():
-        figure, panel = new_image_figure((width, height))
+    with image_panel((width, height)) as (figure, panel):
         panel.contourf(
             *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high)
         )
@@ -497,9 +494,7 @@ def draw_by_distance(
     *, ticks_m: Sequence[float] = (), columns: int = 3,
 ) -> Figure:  # fmt: skip
     """Plot lines over the distance, with logarithmic axes; `ticks_m` end at the panel's edges."""
-    with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 4.4)
-        panel = figure.add_subplot()
+    with single_panel(CAMERA_FIGURE_WIDTH, 4.4) as (figure, panel):
         for values, label, style in lines:
             panel.loglog(distance_m, values, label=label, **style)
         panel.set(xlabel=labels[0], ylabel=labels[1])

@@ -195,8 +195,7 @@ def calibrate_head(
         refuse_swapped_eyes(head, frames, start)
         report(0.1)
         problem = HeadAdjustment(head, parameter_prior_sigma(head, estimate_cameras), start.frames)
-        reading_terms = ReadingErrorTerms.of_frames(head, start.frames, terms)
-        problem = replace(problem, terms=reading_terms)
+        problem = replace(problem, terms=ReadingErrorTerms.of_frames(head, start.frames, terms))
         fit = fit_robustly(problem, start.boards, start.inlier_views)
         for place in range(1, _MOST_PLACEMENTS):
             report(0.1 + 0.6 * place / (place + 1.0))
@@ -234,14 +233,16 @@ def calibrate_head(
     )
 
 
-def _actuator_names(head: HeadModel) -> list[str]:
-    return [*head.joints[NECK], *head.actuation.names]
+def actuator_names(head: HeadModel) -> list[str]:
+    """List the names of the neck's joints and the eyes' actuators; empty for missing ones."""
+    names = [*head.joints[NECK], *head.actuation.names]
+    return names + [""] * (7 - len(names))
 
 
 def _remarks_on_scatter(solution: HeadSolution) -> list[str]:
     """Report joints whose readings scatter more than quantisation and backlash explain."""
-    ratio, names = solution.problem.scatter_ratio, _actuator_names(solution.problem.nominal_head)
-    wide = [] if ratio is None else np.flatnonzero(ratio[: len(names)] > 1.0).tolist()
+    ratio, names = solution.problem.scatter_ratio, actuator_names(solution.problem.nominal_head)
+    wide = [] if ratio is None else np.flatnonzero(ratio > 1.0).tolist()
     if ratio is None or not wide:
         return []
     worst = max(wide, key=lambda joint: ratio[joint])
@@ -294,7 +295,7 @@ def _remark_on_harmonics(solution: HeadSolution) -> str:
 def _listed(head: HeadModel, angles: FloatArray) -> str:
     return ", ".join(
         f"{name} {np.rad2deg(angle):.2g}"
-        for name, angle in zip(_actuator_names(head), angles.tolist(), strict=False)
+        for name, angle in zip(actuator_names(head), angles.tolist(), strict=True)
         if angle > 0.0
     )
 

@@ -81,9 +81,8 @@ def estimate_board_by_last_views(head: HeadModel, frames: HeadFrames) -> Estimat
             last = int(np.flatnonzero(enough[eye])[-1])
             inside = frames.corners @ poses.rotation[last].T + poses.translation[last]
             corners[eye] = inside @ T_0_C[last, eye, :3, :3].T + T_0_C[last, eye, :3, 3]
-    there = [
-        one if one is not None else other for one, other in zip(corners, corners[::-1], strict=True)
-    ]
+    left, right = corners
+    there = [right if left is None else left, left if right is None else right]
     return EstimatedBoard(head, np.array(there, dtype=np.float64), False)
 
 
@@ -341,7 +340,8 @@ class _Run:
                 if self._pose(log):
                     lost, found.poses = 0, found.poses + 1
                     if found.poses % _POSES_PER_EVALUATION == 0 or found.poses == options.poses:
-                        self._evaluate()
+                        known = preview_calibration(looker.head, found.frames(), found.preview)
+                        found.preview = known or found.preview
                         evaluated(found)
                     progress(found.poses / options.poses)
                 else:
@@ -393,11 +393,6 @@ class _Run:
         corners = self._last.corners @ boards.rotation[place].T + boards.translation[place]
         return EstimatedBoard(found.preview.head, np.stack([corners, corners]), True)
 
-    def _evaluate(self) -> None:
-        found = self._found
-        known = preview_calibration(self._looker.head, found.frames(), found.preview)
-        found.preview = known if known is not None else found.preview
-
     def _refuse_moved(self, frame: HeadFrames) -> None:
         """Refuse a board that is not where earlier frames of its placement show it."""
         fitted_board, looker = self._fitted_board(), self._looker
@@ -417,19 +412,14 @@ class _Run:
 def _keep(log: LogWriter, board_view: BoardView) -> None:
     """Write a view to the log and to disk."""
     nothing, unknown = np.empty((0, 2)), np.full(2, np.nan)
-    for eye, name in enumerate(EYE_NAMES):
-        corners, sigma = board_view.corners_px[eye], board_view.sigma_px[eye]
+    time_s, positions, *_ = board_view
+    for name, corners, sigma in zip(
+        EYE_NAMES, board_view.corners_px, board_view.sigma_px, strict=True
+    ):
+        found = nothing if corners is None else corners
+        deviation = nothing if sigma is None else sigma
         log.detection(
-            LoggedDetection(
-                eye=name,
-                exposed_s=board_view.time_s,
-                ready_s=board_view.time_s,
-                positions=board_view.positions,
-                point_px=unknown,
-                sigma_px=unknown,
-                corners_px=nothing if corners is None else corners,
-                corners_sigma_px=nothing if sigma is None else sigma,
-            )
+            LoggedDetection(name, time_s, time_s, positions, unknown, unknown, found, deviation)
         )
     log.sync()
     if log.fault:

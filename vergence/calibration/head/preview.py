@@ -40,6 +40,10 @@ _MOST_CHI_RATIO: Final = 1.5
 to all frames (chosen: it is hardly above 1 near the solution)."""
 
 
+_READING_STEPS: Final = 2
+"""Steps of the readings' errors of later poses (numerical: they are nearly linear)."""
+
+
 class CalibrationPreview(NamedTuple):
     """Preliminary calibration from the recording so far."""
 
@@ -127,6 +131,8 @@ class PoseEquations:
             return None
         there = state._replace(frame_errors=found.solution.state.frame_errors)
         weights = MeasurementWeights.of(found.kept_corners)
+        for _ in range(_READING_STEPS):  # the readings follow, as the board goes back
+            there = late.moved(there, late.linearised(there, weights), np.zeros(late.shared_count))
         normal = late.linearised(there, weights)
         more = PoseEquations.of(HeadSolution(late, there, normal, weights))
         if more.squares > (_MOST_CHI_RATIO * self.solution.reduced_chi) ** 2 * more.freedom:

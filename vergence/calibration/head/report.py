@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import rms_length
 from vergence.calibration.head.calibrate import (
     HeadCalibration,
+    actuator_names,
     points_ahead,
     points_at_angles,
     predict_depth_errors,
@@ -28,6 +29,7 @@ from vergence.calibration.report import (
     draw_by_distance,
     draw_corner_coverage,
     draw_residual_arrows,
+    single_panel,
     thinning_slice,
     write_csv,
     write_page,
@@ -93,7 +95,7 @@ def write_run(
     names, units, before = calibration.nominal_head.parameters()
     own = calibration.solution.problem
     scatter_ratio = np.ones(7) if own.scatter_ratio is None else own.scatter_ratio
-    noisier = zip(actuator_names(calibration), scatter_ratio.tolist(), strict=True)
+    noisier = zip(actuator_names(calibration.nominal_head), scatter_ratio.tolist(), strict=True)
     told, left_out = result_document(calibration, unobservable), left_out_views(calibration)
     write_json(
         folder / "result.json",
@@ -342,13 +344,6 @@ def residual_field(calibration: HeadCalibration, eye: int) -> Figure:
     return draw_residual_arrows(pixels, residuals, *_image(calibration, eye))
 
 
-def actuator_names(calibration: HeadCalibration) -> list[str]:
-    """List the names of the neck's joints and the eyes' actuators; empty for missing ones."""
-    nominal_head = calibration.nominal_head
-    names = [*nominal_head.joints[NECK], *nominal_head.actuation.names]
-    return names + [""] * (7 - len(names))
-
-
 def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
     """Plot the angles of all actuators between their limits, and both eyes' joint angles."""
     nominal_head, own = calibration.nominal_head, calibration.nominal_head.actuation
@@ -356,11 +351,8 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
     _, first = np.unique(calibration.frames.pose[used], return_index=True)
     q = calibration.frames.joint_positions[used[first]]
     angles, limits = np.degrees(own.actuators_of(q)), np.degrees([own.lower, own.upper])
-    moves = [
-        k
-        for k, name in enumerate(actuator_names(calibration))
-        if name and own.upper[k] > own.lower[k]
-    ]
+    names = actuator_names(calibration.nominal_head)
+    moves = [k for k, name in enumerate(names) if name and own.upper[k] > own.lower[k]]
     with figure_style():
         figure = new_figure(PAGE_WIDTH, 4.6)
         strips, eyes = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
@@ -371,7 +363,7 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
             strips.add_patch(Rectangle((low, row - 0.38), high - low, 0.76, fc="#e8e8ec", lw=0.0))
             colour = GREEN if k < NECK.stop else BLUE
             strips.plot(angles[:, k], row + height, ".", ms=5, mew=0, color=colour)
-        strips.set_yticks(range(len(moves)), [actuator_names(calibration)[k] for k in moves])
+        strips.set_yticks(range(len(moves)), [names[k] for k in moves])
         strips.set(
             ylim=(len(moves) - 0.5, -0.5), xlabel="angle (°)",
             title="each pose between the limits (grey)",
@@ -387,11 +379,11 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
                 mew=0, alpha=0.8, label=name, **EYE_STYLES[eye],
             )  # fmt: skip
         down, right = _tilt_and_pan(nominal_head.joints[3:5])
-        eyes.set(
-            xlabel=f"{_common(nominal_head.joints[3 + right], nominal_head.joints[5 + right])} (°)",
-            ylabel=f"{_common(nominal_head.joints[3 + down], nominal_head.joints[5 + down])} (°)",
-            title="both eyes' joints",
-        )  # fmt: skip
+        across, above = (
+            ", ".join(dict.fromkeys(nominal_head.joints[joint] for joint in (3 + own, 5 + own)))
+            for own in (right, down)
+        )
+        eyes.set(xlabel=f"{across} (°)", ylabel=f"{above} (°)", title="both eyes' joints")
         eyes.set_aspect("equal", adjustable="datalim")
         legend_below(eyes, 2, fontsize=10)
     return figure
@@ -400,10 +392,6 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
 def _tilt_and_pan(names: tuple[str, ...]) -> tuple[int, int]:
     """Choose the eye joints for the vertical and the horizontal axis of the figure."""
     return (1, 0) if "pan" in names[0] and "pan" not in names[1] else (0, 1)
-
-
-def _common(left: str, right: str) -> str:
-    return left if left == right else f"{left}, {right}"
 
 
 def correlated_parameters(calibration: HeadCalibration) -> NDArray[np.intp]:
@@ -427,9 +415,7 @@ def parameter_correlations(calibration: HeadCalibration) -> Figure:
     names = [calibration.nominal_head.parameters().names[k] for k in chosen]
     values = _correlation(calibration)[np.ix_(chosen, chosen)]
     count = len(chosen)
-    with figure_style():
-        figure = new_figure(PAGE_WIDTH, 2.2 + 0.3 * count)
-        panel = figure.add_subplot()
+    with single_panel(PAGE_WIDTH, 2.2 + 0.3 * count) as (figure, panel):
         image = panel.imshow(values, cmap="PuOr", norm=Normalize(-1.8, 1.8))
         for row, column in np.argwhere(
             (np.abs(values) >= _STRONG_CORRELATION) & ~np.eye(count, dtype=bool)
@@ -452,7 +438,7 @@ def determined_reading_errors(calibration: HeadCalibration) -> dict[str, FloatAr
     own = calibration.solution.problem.reading_error_unknowns.has_frame_error
     determined = calibration.solution.reading_variance_ratio < _MOST_VARIANCE_RATIO
     errors = {}
-    for k, name in enumerate(actuator_names(calibration)):
+    for k, name in enumerate(actuator_names(calibration.nominal_head)):
         single = own[:, k] & determined[:, k] & calibration.kept_views.any(axis=0)
         if single.any():
             errors[name] = calibration.solution.state.frame_errors[single, k]
@@ -461,7 +447,7 @@ def determined_reading_errors(calibration: HeadCalibration) -> dict[str, FloatAr
 
 def reading_error_histograms(calibration: HeadCalibration) -> Figure:
     """Draw histograms of reading errors by actuator, with the uniform density of quantisation."""
-    errors, names = determined_reading_errors(calibration), actuator_names(calibration)
+    errors, names = determined_reading_errors(calibration), actuator_names(calibration.nominal_head)
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)
     with figure_style():
