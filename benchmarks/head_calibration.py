@@ -36,7 +36,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from vergence.calibration.head.calibrate_head import HeadCalibration, calibrate_head
+from vergence.calibration.head.calibrate import HeadCalibration, calibrate_head
 from vergence.calibration.head.simulated import quantised, simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points

@@ -42,7 +42,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from rich.progress import track
 
-from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.recording import HeadFrames
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError

@@ -1,10 +1,12 @@
 """Run folder of a calibration: camera file, tables and HTML report."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
+import jinja2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
@@ -68,34 +70,39 @@ def write_run(folder: Path, calibration: Calibration, file_text: str, file_name:
             "covariance": calibration.covariance.tolist(),
         },
     )
-    with (folder / "views.csv").open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["view", "kept", "rms_px", "noise"])
-        for view, path in enumerate(calibration.observations.file_names[0]):
-            views = calibration.fit.views
-            table.writerow(
-                [
-                    Path(path).name,
-                    bool(calibration.fit.kept_views[view]),
-                    views.rms_px[view],
-                    views.reduced_chi[view],
-                ]
+    views, stems = calibration.fit.views, calibration.observations.file_names[0]
+    write_csv(
+        folder / "views.csv",
+        ["view", "kept", "rms_px", "noise"],
+        (
+            [Path(path).name, bool(kept), rms_px, noise]
+            for path, kept, rms_px, noise in zip(
+                stems, calibration.fit.kept_views, views.rms_px, views.reduced_chi, strict=True
             )
-    write_report(folder, calibration, file_name)
+        ),
+    )
+    write_page(
+        folder, "cameras.html.jinja", _figures(calibration), **_values(calibration), name=file_name
+    )
 
 
-def write_report(folder: Path, calibration: Calibration, file_name: str) -> None:
-    """Write calibration.html, which is self-contained."""
-    drawn = _figures(calibration).items()
-    markup = {stem: inline_svg(svg_text(figure), stem, stem) for stem, figure in drawn}
-    page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    template = page.from_string(read_template("vergence.calibration", "calibration.html.jinja"))
-    text = template.render(
-        **_values(calibration),
-        name=file_name,
-        markup=markup,
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table with a header."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([columns, *rows])
+
+
+def write_page(folder: Path, template: str, figures: Mapping[str, Figure], **values: Any) -> None:
+    """Write calibration.html, which is self-contained, from a template that extends the page's."""
+    page = jinja_environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        loader=jinja2.PackageLoader("vergence.calibration", "."),
+    )  # fmt: skip
+    text = page.get_template(template).render(
+        markup={stem: inline_svg(svg_text(each), stem, stem) for stem, each in figures.items()},
         style=read_template("vergence.reporting", "page.css"),
         versions=package_versions(),
+        **values,
     )
     write_atomic(folder / "calibration.html", text)
 
@@ -122,10 +129,13 @@ def _values(calibration: Calibration) -> dict[str, Any]:
     """Collect the values for the template."""
     names = camera_names(calibration)
     several = len(names) > 1
-    held = board_tilts(calibration, 0)
+    held, rig = board_tilts(calibration, 0), calibration.rig
     return {
         "several": several,
+        "head": "two cameras" if several else "a camera",
         "names": names,
+        "sides": names,
+        "side": "camera",
         "target": str(calibration.observations.target),
         "lens": calibration.lens,
         "sizes": calibration.observations.image_sizes,
@@ -138,9 +148,7 @@ def _values(calibration: Calibration) -> dict[str, Any]:
         "baseline": calibration.baseline_mm if several else None,
         "focal": [
             (float(values[0]), float(calibration.sigma[block][0]))
-            for values, block in zip(
-                calibration.rig.camera_parameters, calibration.rig.blocks, strict=False
-            )
+            for values, block in zip(rig.camera_parameters, rig.blocks, strict=False)
         ],
         "lenses": dict(calibration.lens_errors),
         "sag": board_sag(calibration),
@@ -160,41 +168,29 @@ def _values(calibration: Calibration) -> dict[str, Any]:
 def _depth_rows(calibration: Calibration) -> list[list[str]]:
     """Format the rows of the depth table."""
     depth = depth_sigma_at(calibration, np.array(_DEPTHS_M))
-    columns = (
-        1e3 * depth.calibration_m,
-        1e3 * depth.noise_m,
-        1e3 * depth.total_m,
-        1e2 * depth.total_m / depth.distance_m,
-    )
+    columns = [1e3 * depth.calibration_m, 1e3 * depth.noise_m, 1e3 * depth.total_m,
+               1e2 * depth.total_m / depth.distance_m]  # fmt: skip
     return [
-        [f"{distance:g} m", *(format_number(float(column[row])) for column in columns)]
-        for row, distance in enumerate(_DEPTHS_M)
+        [f"{distance:g} m", *map(format_number, row)]
+        for distance, row in zip(_DEPTHS_M, np.column_stack(columns).tolist(), strict=True)
     ]
 
 
 def _number_rows(calibration: Calibration) -> list[list[str]]:
     """Format the rows of the table of camera parameters."""
-    rows = []
+    rows, rig = [], calibration.rig
     for name, lens, values, block in zip(
-        camera_names(calibration),
-        calibration.rig.lenses,
-        calibration.rig.camera_parameters,
-        calibration.rig.blocks,
-        strict=False,
+        camera_names(calibration), rig.lenses, rig.camera_parameters, rig.blocks, strict=False
     ):
-        for label, value, sigma in zip(
-            camera_parameter_names(lens),
-            values.tolist(),
-            calibration.sigma[block].tolist(),
-            strict=True,
-        ):
+        sigma = calibration.sigma[block].tolist()
+        for label, *pair in zip(camera_parameter_names(lens), values.tolist(), sigma, strict=True):
             digits = 2 if label[1] == "_" else 5
-            rows.append(
-                [f"{name} {label}", format_fixed(value, digits), format_fixed(sigma, digits)]
-            )
+            rows.append([f"{name} {label}", *(format_fixed(each, digits) for each in pair)])
     return rows
 
 
+Line = tuple[FloatArray, str, dict[str, Any]]
+"""Values, label and style of a line in a figure."""
 CAMERA_FIGURE_WIDTH: Final = 5.6
 """Width of a figure of one camera, inches (chosen: two stand side by side, one fills a phone)."""
 EYE_STYLES: Final[tuple[dict[str, Any], ...]] = (
@@ -227,8 +223,7 @@ def draw_residual_arrows(
     places = (cells[full] + 0.5) * cell - 0.5
     lengths = np.linalg.norm(mean, axis=-1)
     long = max(float(np.quantile(lengths, 0.9)), 1e-6) if len(lengths) else 1.0
-    with figure_style():
-        figure, panel = new_image_figure(size)
+    with image_panel(size) as (figure, panel):
         panel.plot(
             *pixels[thinning_slice(len(pixels))].T, ".", ms=3, mew=0, alpha=0.4, color=GREY,
             rasterized=True,
@@ -250,8 +245,7 @@ def draw_corner_coverage(
     """Draw corners over an image, and the number of views with a corner in each part of it."""
     width, height = size
     pixels = views[np.isfinite(views).all(axis=-1)]
-    with figure_style():
-        figure, panel = new_image_figure(size)
+    with image_panel(size) as (figure, panel):
         panel.plot(
             *pixels[thinning_slice(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=colour,
             rasterized=True,
@@ -281,25 +275,32 @@ def thinning_slice(count: int) -> slice:
     return slice(None, None, -(-count // _MOST_DOTS) or 1)
 
 
-def new_image_figure(size: tuple[int, int]) -> tuple[Figure, Axes]:
-    """Make a figure of an image's shape; its axes are the image's frame, v downwards."""
+@contextmanager
+def single_panel(width: float, height: float) -> Iterator[tuple[Figure, Axes]]:
+    """Style a figure with one panel, sizes in inches, while it is drawn."""
+    with figure_style():
+        figure = new_figure(width, height)
+        yield figure, figure.add_subplot()
+
+
+@contextmanager
+def image_panel(size: tuple[int, int]) -> Iterator[tuple[Figure, Axes]]:
+    """Style a figure of an image's shape; its axes are the image's frame, v downwards."""
     width, height = size
     beside, above = _MARGINS_IN
-    figure = new_figure(
-        CAMERA_FIGURE_WIDTH, (CAMERA_FIGURE_WIDTH - beside) * height / width + above
-    )
-    panel = figure.add_subplot()
-    panel.set(
-        xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
-        xlabel="u (px)", ylabel="v (px)",
-    )  # fmt: skip
-    panel.grid(False)
-    panel.spines[:].set_visible(True)
-    return figure, panel
+    high = (CAMERA_FIGURE_WIDTH - beside) * height / width + above
+    with single_panel(CAMERA_FIGURE_WIDTH, high) as (figure, panel):
+        panel.set(
+            xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
+            xlabel="u (px)", ylabel="v (px)",
+        )  # fmt: skip
+        panel.grid(False)
+        panel.spines[:].set_visible(True)
+        yield figure, panel
 
 
-_PAGE_WIDTH: Final = 11.2
-"""Width of a figure of all cameras, inches (chosen)."""
+PAGE_WIDTH: Final = 11.2
+"""Width of a figure of all cameras or both eyes, inches (chosen)."""
 _RINGS: Final = 12
 """Rings of equal width around the principal point in which residuals are averaged (chosen)."""
 _CONTOUR_GRID_COUNT: Final = 41
@@ -331,9 +332,7 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
     across = residuals[:, 1] * unit[:, 0] - residuals[:, 0] * unit[:, 1]
     edges = np.linspace(0.0, radius.max(), _RINGS + 1)
     ring = np.clip(np.digitize(radius, edges) - 1, 0, _RINGS - 1)
-    with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 3.9)
-        panel = figure.add_subplot()
+    with single_panel(CAMERA_FIGURE_WIDTH, 3.9) as (figure, panel):
         every = thinning_slice(len(radius))
         panel.plot(
             radius[every], along[every], ".", ms=4, color=GREY, alpha=0.4, mew=0, rasterized=True
@@ -367,9 +366,7 @@ def image_coverage(calibration: Calibration, camera: int) -> Figure:
 
 def tilt_directions(calibration: Calibration) -> Figure:
     """Plot direction and size of the board's tilts."""
-    with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 5.2)
-        panel = figure.add_subplot()
+    with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
         most = 40.0
         for camera, name in enumerate(camera_names(calibration)):
             held = board_tilts(calibration, camera)
@@ -394,9 +391,7 @@ def tilt_directions(calibration: Calibration) -> Figure:
 
 def tilts_by_distance(calibration: Calibration) -> Figure:
     """Plot the tilt of the board in each view against its distance."""
-    with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 5.2)
-        panel = figure.add_subplot()
+    with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
         for camera, name in enumerate(camera_names(calibration)):
             held = board_tilts(calibration, camera)
             panel.plot(held.distance_m, held.angle_deg, label=name, **_dots(camera))
@@ -429,9 +424,7 @@ def view_residuals(calibration: Calibration) -> Figure:
     limit = max(1.15 * float(good.max()), _AXIS_LIMIT_MEDIANS * float(np.median(good)))
     kept = calibration.fit.kept_views
     places, wide = np.arange(len(kept)), 0.8 / len(fits)
-    with figure_style():
-        figure = new_figure(_PAGE_WIDTH, 4.0)
-        panel = figure.add_subplot()
+    with single_panel(PAGE_WIDTH, 4.0) as (figure, panel):
         for number, (name, fit) in enumerate(fits.items()):
             at = places + wide * (number - 0.5 * (len(fits) - 1))
             colour = colours[number]
@@ -467,8 +460,7 @@ def direction_sigma(calibration: Calibration, camera: int) -> Figure:
     low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
     pixels, _ = _residuals(calibration, camera)
-    with figure_style():
-        figure, panel = new_image_figure((width, height))
+    with image_panel((width, height)) as (figure, panel):
         panel.contourf(
             *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high)
         )
@@ -486,22 +478,36 @@ def direction_sigma(calibration: Calibration, camera: int) -> Figure:
 def depth_sigma(depth: DepthSigma, in_percent: bool) -> Figure:
     """Plot the standard deviation of depth: from calibration, from one pair's noise, from both."""
     scale = 1e2 / depth.distance_m if in_percent else np.full(len(depth.distance_m), 1e3)
-    with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 4.4)
-        panel = figure.add_subplot()
-        for values, label, style in (
-            (depth.calibration_m, "calibration", {"color": BLUE, "linestyle": "-"}),
-            (depth.noise_m, "noise of one pair", {"color": ORANGE, "linestyle": "--"}),
-            (depth.total_m, "both", {"color": BLACK, "linestyle": ":"}),
-        ):
-            panel.loglog(depth.distance_m, scale * values, label=label, **style)
-        unit = "%" if in_percent else "mm"
-        panel.set(xlabel="distance (m)", ylabel=f"sigma of depth ({unit})")
+    return draw_by_distance(
+        depth.distance_m,
+        (
+            (scale * depth.calibration_m, "calibration", {"color": BLUE, "linestyle": "-"}),
+            (scale * depth.noise_m, "noise of one pair", {"color": ORANGE, "linestyle": "--"}),
+            (scale * depth.total_m, "both", {"color": BLACK, "linestyle": ":"}),
+        ),
+        ("distance (m)", f"sigma of depth ({'%' if in_percent else 'mm'})"),
+    )
+
+
+def draw_by_distance(
+    distance_m: FloatArray, lines: Sequence[Line], labels: tuple[str, str],
+    *, ticks_m: Sequence[float] = (), columns: int = 3,
+) -> Figure:  # fmt: skip
+    """Plot lines over the distance, with logarithmic axes; `ticks_m` end at the panel's edges."""
+    with single_panel(CAMERA_FIGURE_WIDTH, 4.4) as (figure, panel):
+        for values, label, style in lines:
+            panel.loglog(distance_m, values, label=label, **style)
+        panel.set(xlabel=labels[0], ylabel=labels[1])
+        if len(ticks_m):
+            panel.set_xticks(ticks_m, minor=False)
+            panel.set_xlim(ticks_m[0], ticks_m[-1])
+        else:
+            panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         for axis in (panel.xaxis, panel.yaxis):
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter("")
-        legend_below(figure, 3, fontsize=10)
+        legend_below(figure, columns, fontsize=10)
     return figure
 
 

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.camera import Camera
+from vergence.models.fixation import cholesky_factorise, cholesky_solve
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (
     Vector,
@@ -40,7 +41,6 @@ from vergence.models.kinematics import (
 )
 from vergence.models.parts import EYES, FloatArray
 from vergence.operands import as_operand
-from vergence.vision.tags.steps import cholesky_factorise, cholesky_solve
 
 _LEAST_ODDS: Final = 99.0
 """Odds of the better solution from which the other one is not named: a probability of 0.99
@@ -335,7 +335,7 @@ def _minimise(problem: _Problem, states: FloatArray) -> FloatArray:
             for j in range(size):
                 factor[j, j] *= 1.0 + damping
                 step[j] = -normal[size, j]
-            if not cholesky_factorise(factor, size):
+            if not cholesky_factorise(factor, size, 0.0):
                 break
             cholesky_solve(factor, step, size)
             decrease = 0.0

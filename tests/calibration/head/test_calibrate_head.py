@@ -8,13 +8,14 @@ import pytest
 import vergence
 from tests.naming import named
 from vergence.calibration.head.adjust import ParametricHead, board_points_and_offsets
-from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.judge import unobservable_directions
+from vergence.calibration.head.calibrate import calibrate_head
+from vergence.calibration.head.judge import remark_on_few_views, unobservable_directions
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.vision import parse_target
 
+HEAD = vergence.load_head("physical")
 POINTS = np.array([[0.0, 0.0, 0.5], [0.1, -0.1, 1.0], [-0.3, 0.0, 1.5], [0.0, 0.1, 2.5]])
 SMALL = {
     "poses": 24, "frames_per_pose": 3, "target": "checkerboard:6x5:40", "distances_m": (0.6, 1.1),
@@ -210,4 +211,48 @@ def test_without_the_neck_the_eyes_place_in_it_is_not_told():
         ("roll of both eyes in common", "move the neck"),
         ("shift of both eyes to the side", "move the neck"),
         ("shift of both eyes forward", "move the neck"),
+    ]
+
+
+@pytest.fixture(scope="module")
+def few():
+    """Frames of 12 poses by a head that is not as its file says."""
+    true = HEAD.perturbed(np.random.default_rng(1), TWIN_SPREADS)
+    rng = np.random.default_rng(2)
+    return simulate_recording(HEAD, true, rng, poses=12, frames_per_pose=3).frames
+
+
+@pytest.mark.nightly
+def test_an_eye_whose_images_are_a_frame_late_is_no_board_that_was_moved(few):
+    pixels = few.pixels.copy()
+    pixels[1] = np.roll(pixels[1], 1, axis=0)
+    with pytest.raises(ConfigurationError, match=r"go together|like its file"):
+        calibrate_head(HEAD, replace(few, pixels=pixels))
+
+
+@pytest.mark.slow
+def test_a_board_that_was_moved_is_another_place(few):
+    options = {"poses": 12, "frames_per_pose": 2, "distances_m": (0.6, 1.2)}
+    twice = simulate_recording(HEAD, HEAD, np.random.default_rng(3), **options).frames
+    unsaid = replace(twice, placement=np.zeros_like(twice.placement))
+    found = calibrate_head(HEAD, unsaid)
+    assert found.frames.placement.tolist() == twice.placement.tolist()
+    assert "the board stands elsewhere in 12 frames" in found.remarks[0]
+
+
+def test_views_that_are_left_out_are_counted_where_they_are_many(few):
+    kept = few.seen.copy()
+    assert remark_on_few_views(few, kept) == []
+    kept[1, :4] = False
+    assert [line.partition(" do ")[0] for line in remark_on_few_views(few, kept)] == [
+        "4 of 36 views of the right eye"
+    ]
+
+
+def test_an_eye_that_has_seen_nothing_is_told(few):
+    pixels = few.pixels.copy()
+    pixels[0] = np.nan
+    blind = replace(few, pixels=pixels)
+    assert remark_on_few_views(blind, blind.seen) == [
+        "the left eye has never seen the board: it stays as its file has it"
     ]

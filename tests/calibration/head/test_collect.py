@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head import preview
+from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.collect import (
-    DEPTHS_M,
     CollectOptions,
     advise_recording,
     collect,
-    depth_sigma_m,
     image_coverage_percent,
-    preview_calibration,
 )
 from vergence.calibration.head.fit import parameter_prior_sigma
+from vergence.calibration.head.preview import DEPTHS_M, depth_sigma_m, preview_calibration
 from vergence.calibration.head.recording import read_recording
 from vergence.calibration.head.simulated import SimulatedLooker, board_ahead, simulate_recording
 from vergence.errors import ConfigurationError
@@ -30,6 +29,7 @@ pytest.importorskip("mcap")
 HEAD = vergence.load_head("physical")
 TRUE = HEAD.perturbed(np.random.default_rng(5), TWIN_SPREADS)
 BOARD = parse_target("checkerboard:9x6:24")
+SMALL = "checkerboard:6x5:40"
 
 
 class Counted(SimulatedLooker):
@@ -67,23 +67,14 @@ def collected(tmp_path_factory):
 def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(collected):
     folder, _, found, evaluated = collected
     frames = read_recording(folder, HEAD).frames
-    assert len(frames.time_s) == 24
-    assert frames.pose.max() == 11
+    assert (len(frames.time_s), frames.pose.max()) == (24, 11)
     assert frames.seen.all()
     assert found.looks_without_board == 0
     assert evaluated == [10, 12]
     assert read_log(folder / "0001.mcap").facts["plant"] == "none"
-
-
-@pytest.mark.slow
-def test_boards_are_spread_over_the_images_and_all_joints_move(collected):
-    frames = read_recording(collected[0], HEAD).frames
+    # boards are spread over the images, all joints move, and dither by some steps of the encoders
     assert (image_coverage_percent(HEAD, frames) >= 80.0).all()
     assert (np.ptp(frames.joint_positions, axis=0) > np.deg2rad(25.0)).all()
-
-
-def test_frames_of_a_pose_differ_by_some_steps_of_the_encoders(collected):
-    frames = read_recording(collected[0], HEAD).frames
     within = [np.ptp(frames.joint_positions[frames.pose == pose], axis=0) for pose in range(12)]
     assert np.max(within) < np.deg2rad(0.7)
     assert (np.mean(within, axis=0) > HEAD.sensor.encoder_resolution_rad).all()
@@ -272,3 +263,23 @@ def test_a_kill_loses_one_frame_at_most_and_the_next_run_goes_on(tmp_path):
     collect(Counted(), left, CollectOptions(poses=poses + 1, frames=2), {})
     after = read_recording(left, HEAD).frames
     assert after.pose.max() == poses
+
+
+@pytest.mark.slow
+def test_poses_added_to_a_fit_tell_what_a_fit_to_all_frames_tells(monkeypatch):
+    monkeypatch.setattr(preview, "_ALWAYS_FITTED_POSES", 10)
+    rng = np.random.default_rng(3)
+    frames = simulate_recording(HEAD, TRUE, rng, poses=16, frames_per_pose=3, target=SMALL).frames
+    first = preview_calibration(HEAD, frames.select(frames.pose < 11))
+    added, fitted = (preview_calibration(HEAD, frames, known) for known in (first, None))
+    assert added.later is not None
+    assert fitted.later is None
+    # a step from the head that 11 poses tell, whose depth is a quarter less sure
+    np.testing.assert_allclose(added.depth_percent, fitted.depth_percent, rtol=0.03)
+    sigma = parameter_prior_sigma(HEAD)
+    away = (added.values - fitted.values)[sigma > 0.0] / sigma[sigma > 0.0]
+    assert np.abs(away).max() < 0.02
+    # a board that was moved since takes a fit to all frames, which leaves it out
+    pixels = frames.pixels.copy()
+    pixels[:, frames.pose >= 11] += 5.0
+    assert preview_calibration(HEAD, replace(frames, pixels=pixels), first).later is None

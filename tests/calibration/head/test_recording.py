@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -64,40 +65,35 @@ def test_frames_of_a_head_at_rest_count_as_one(frames):
 def test_the_digest_tells_other_corners_and_other_angles(tmp_path, frames):
     digests = set()
     for number, part in enumerate(("pixels", "joint_positions", "")):
-        values = {"target": frames.target, **{name: getattr(frames, name).copy() for name in
-                  ("time_s", "joint_positions", "pixels", "sigma", "placement")}}  # fmt: skip
+        other = frames
         if part:
-            values[part].flat[0] += 1e-4
-        path = log_frames(tmp_path / f"{number}.mcap", HEAD, type(frames)(**values))
+            values = getattr(frames, part).copy()
+            values.flat[0] += 1e-4
+            other = replace(frames, **{part: values})
+        path = log_frames(tmp_path / f"{number}.mcap", HEAD, other)
         digests.add(read_recording(path, HEAD).sha256)
     assert len(digests) == 3
 
 
-def test_logs_of_a_folder_follow_each_other_and_their_places_are_numbered(tmp_path, frames):
+def test_logs_of_a_folder_follow_each_other_and_their_places_have_no_gaps(tmp_path, frames):
     # clocks begin anew with each log, and `10` comes after `2`
     for name, placement in (("10", 7), ("2", 3)):
-        log_frames(tmp_path / f"{name}.mcap", HEAD, frames, placement=str(placement))
-    found = read_recording(tmp_path, HEAD)
+        log_frames(tmp_path / "same" / f"{name}.mcap", HEAD, frames, placement=str(placement))
+    found = read_recording(tmp_path / "same", HEAD)
     assert found.files == ("2.mcap", "10.mcap")
     assert (np.diff(found.frames.time_s) > 0.0).all()
     assert found.frames.placement.tolist() == [0] * 24
-
-
-def test_places_of_the_board_have_numbers_without_gaps(tmp_path, frames):
-    log_frames(tmp_path / "1.mcap", HEAD, frames.select(np.arange(12)), placement="2")
-    log_frames(tmp_path / "2.mcap", HEAD, frames.select(np.arange(12, 24)), placement="5")
-    found = read_recording(tmp_path, HEAD).frames
+    for name, first, placement in (("1", 0, 2), ("2", 12, 5)):
+        some = frames.select(np.arange(first, first + 12))
+        log_frames(tmp_path / "other" / f"{name}.mcap", HEAD, some, placement=str(placement))
+    found = read_recording(tmp_path / "other", HEAD).frames
     assert found.placement.tolist() == [0] * 12 + [1] * 12
 
 
 def test_an_eye_without_the_board_is_nan_and_no_frame_lacks_it(tmp_path, frames):
     pixels = frames.pixels.copy()
     pixels[1, 0] = pixels[:, 1] = np.nan
-    half = type(frames)(
-        target=frames.target, time_s=frames.time_s, joint_positions=frames.joint_positions,
-        pixels=pixels,
-        sigma=frames.sigma, placement=frames.placement,
-    )  # fmt: skip
+    half = replace(frames, pixels=pixels)
     found = read_recording(log_frames(tmp_path / "a.mcap", HEAD, half), HEAD).frames
     assert len(found.time_s) == 23
     assert found.seen[0, 0].all()

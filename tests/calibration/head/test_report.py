@@ -10,8 +10,12 @@ import pytest
 import vergence
 from tests.calibration.test_report import Page
 from vergence.calibration.head import report
-from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.depth import points_ahead, points_at_angles, predict_depth_errors
+from vergence.calibration.head.calibrate import (
+    calibrate_head,
+    points_ahead,
+    points_at_angles,
+    predict_depth_errors,
+)
 from vergence.calibration.head.judge import UnobservableDirection
 from vergence.calibration.head.report import left_out_views, result_document, write_run
 from vergence.calibration.head.simulated import simulate_recording

@@ -7,7 +7,7 @@ import pytest
 
 import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights, ReadingErrorTerms
-from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.fit import parameter_prior_sigma
 from vergence.calibration.head.job import head_file_text
 from vergence.calibration.head.simulated import JointReadingErrors, simulate_recording
@@ -15,7 +15,7 @@ from vergence.calibration.head.terms import AUTO, dh_to_joint_axes, parse_terms,
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.geometry import JointAxes
-from vergence.models.head_file import parse_head
+from vergence.models.head_file import head_to_toml, parse_head
 from vergence.triangulation import triangulate_views
 
 STEP = 1e-6
@@ -195,3 +195,26 @@ def test_terms_are_said_in_a_word():
     for wrong in ("", "plays", "auto,play", "none,play"):
         with pytest.raises(ConfigurationError, match="expected none, auto, or some of play"):
             parse_terms(wrong)
+
+
+def test_a_head_by_its_axes_is_the_same_head_and_goes_into_a_file_and_back():
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 7))
+    found = dh_to_joint_axes(HEAD)
+    np.testing.assert_allclose(found.camera_poses(q), HEAD.camera_poses(q), atol=1e-12)
+    np.testing.assert_allclose(found.base_pose(q), HEAD.base_pose(q), atol=1e-12)
+    assert (found.joints, found.actuation.direct) == (HEAD.joints, True)
+    for name in ("lower", "angle_step"):
+        own, same = (getattr(head.actuation, name) for head in (found, HEAD))
+        np.testing.assert_array_equal(own, same)
+    assert parse_head(head_to_toml(found)) == found
+    icub = vergence.load_head("icub")
+    assert dh_to_joint_axes(icub) is icub  # it has axes already
+
+
+def test_a_tilt_by_its_axis_can_be_turned_about_the_vertical():
+    names, _, values = dh_to_joint_axes(HEAD).parameters()
+    turned_by = values + 0.01 * (np.array(names) == "left.1.ry")
+    q = np.zeros(7)
+    moved = dh_to_joint_axes(HEAD).with_parameters(turned_by).camera_poses(q)[0]
+    turn = moved[:3, :3] @ HEAD.camera_poses(q)[0, :3, :3].T
+    assert abs(turn[2, 0]) == pytest.approx(np.sin(0.01))

@@ -1,30 +1,23 @@
 """Collect the poses of a head calibration: plan, look, judge, and preview what they determine."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.adjust import HeadAdjustment
-from vergence.calibration.head.fit import (
-    board_in_cameras,
-    estimate_consensus_board_poses,
-    fit_robustly,
-    parameter_prior_sigma,
-)
-from vergence.calibration.head.judge import head_and_term_covariance
+from vergence.calibration.head.fit import board_in_cameras
+from vergence.calibration.head.preview import CalibrationPreview, preview_calibration
 from vergence.calibration.head.recording import (
     AT_REST,
     HEAD_IDENTITY,
+    LEAST_CORNERS,
     PLACEMENT,
     SUFFIX,
     TARGET,
     HeadFrames,
-    RawRecording,
     clean_and_renumber_frames,
     list_logs,
     read_logs,
@@ -37,7 +30,6 @@ from vergence.perception.locate import equivalent_corner_orders
 from vergence.recording.looking import BoardView, Looker
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
-from vergence.triangulation import triangulate_views
 from vergence.vision.targets import PlanarTarget
 
 _CANDIDATES: Final = 400
@@ -80,7 +72,7 @@ class EstimatedBoard(NamedTuple):
 
 def estimate_board_by_last_views(head: HeadModel, frames: HeadFrames) -> EstimatedBoard:
     """Board by the last view of each eye, whose error recurs in its next; else the other's."""
-    enough = frames.seen.sum(axis=-1) >= 4
+    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
     T_0_N = head.base_pose(frames.joint_positions)
     T_0_C = T_0_N[:, None] @ head.camera_poses(frames.joint_positions)
     corners: list[FloatArray | None] = [None, None]
@@ -89,9 +81,8 @@ def estimate_board_by_last_views(head: HeadModel, frames: HeadFrames) -> Estimat
             last = int(np.flatnonzero(enough[eye])[-1])
             inside = frames.corners @ poses.rotation[last].T + poses.translation[last]
             corners[eye] = inside @ T_0_C[last, eye, :3, :3].T + T_0_C[last, eye, :3, 3]
-    there = [
-        one if one is not None else other for one, other in zip(corners, corners[::-1], strict=True)
-    ]
+    left, right = corners
+    there = [right if left is None else left, left if right is None else right]
     return EstimatedBoard(head, np.array(there, dtype=np.float64), False)
 
 
@@ -163,69 +154,6 @@ def _features(scene: EstimatedBoard, q: FloatArray) -> FloatArray:
     return np.concatenate([places.reshape(len(q), -1), neck], axis=-1)
 
 
-DEPTHS_M: Final = (1.0, 2.5)
-"""Distances straight ahead at which depth is judged, m (chosen: the range of use)."""
-_STEP_SIGMAS: Final = 1e-3
-"""Step of finite differences, in standard deviations of each parameter (numerical)."""
-
-
-class CalibrationPreview(NamedTuple):
-    """Preliminary calibration from the recording so far."""
-
-    head: HeadModel
-    """The fitted head."""
-    values: FloatArray
-    """(p,) its parameters, see `HeadModel.parameters`."""
-    boards: BoardPoses
-    """(b) poses of the board in frame 0."""
-    depth_percent: FloatArray
-    """(2,) standard deviation of depth at `DEPTHS_M` ahead that comes from the head's parameters,
-    in per cent of the depth."""
-
-
-def preview_calibration(
-    head: HeadModel, frames: HeadFrames, previous: CalibrationPreview | None = None
-) -> CalibrationPreview | None:
-    """Fit a head to frames so far, from `previous`; None if they do not determine a head yet."""
-    try:
-        begin = estimate_consensus_board_poses(head, frames)
-        problem = HeadAdjustment(head, parameter_prior_sigma(head), begin.frames)
-        near = problem.start(begin.boards)
-        if previous is not None:
-            near = near._replace(head_parameters=previous.values)
-        found = fit_robustly(problem, begin.boards, begin.inlier_views, near).solution
-        covariance = head_and_term_covariance(found)
-    except np.linalg.LinAlgError:
-        return None
-    sigma = depth_sigma_m(head, found.state.head_parameters, covariance)
-    values = found.state.head_parameters
-    if not np.isfinite(sigma).all():
-        return None
-    return CalibrationPreview(
-        found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M)
-    )
-
-
-def depth_sigma_m(
-    nominal_head: HeadModel, values: FloatArray, covariance: FloatArray
-) -> FloatArray:
-    """(2,) sigma, m, along N's z of points `DEPTHS_M` ahead, from (p, p) covariance alone."""
-    head = nominal_head.with_parameters(values)
-    ahead = np.array([[0.0, 0.0, depth_m] for depth_m in DEPTHS_M])
-    points = ahead + head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
-    q = head.fixate(points, head.rest()[NECK])
-    pixels = head.project(q, points)
-    steps = np.diag(_STEP_SIGMAS * np.sqrt(np.diagonal(covariance)))
-    changed = nominal_head.with_parameters((values + np.stack([steps, -steps]))[:, :, None])
-    depth = triangulate_views(changed, q, pixels).point[..., 2]
-    by_step = (depth[0] - depth[1]) / 2.0  # (p, 2)
-    # in units of the steps
-    scale = 1.0 / np.diagonal(steps)
-    correlation = covariance * scale[:, None] * scale
-    squares: FloatArray = np.einsum("id,ij,jd->d", by_step, correlation, by_step)
-    return np.sqrt(squares)
-
-
 _DITHER_RAD: Final = np.deg2rad(0.3).item()
 """Largest dither of an actuator about a pose, rad (chosen: several quantisation steps of a 12-bit
 encoder, which makes their errors independent, and small enough to keep the board in view)."""
@@ -283,9 +211,8 @@ class CollectedRecording:
     target: PlanarTarget
     placement: int
     """Number of the board's present placement."""
-    board_views: list[BoardView] = field(default_factory=list)
-    view_placements: list[int] = field(default_factory=list)
-    """Number of the board's placement for each view."""
+    parts: list[HeadFrames] = field(default_factory=list)
+    """Frames of earlier runs, and of each pose, with times one after the other."""
     poses: int = 0
     """Poses of the present placement, including those of earlier runs."""
     looks_without_board: int = 0
@@ -293,11 +220,14 @@ class CollectedRecording:
     preview: CalibrationPreview | None = None
     """Preliminary calibration from the recording; None while there is none."""
 
+    @property
+    def is_placed(self) -> bool:
+        """True if frames show the board at its present placement."""
+        return any((part.placement == self.placement).any() for part in self.parts)
+
     def frames(self) -> HeadFrames:
         """All frames in the order of time."""
-        return clean_and_renumber_frames(
-            RawRecording(self.target, self.board_views, self.view_placements, ()).frames()
-        )
+        return clean_and_renumber_frames(HeadFrames.joined(self.parts))
 
 
 def collect(
@@ -356,14 +286,12 @@ def _earlier(
                 f"({before.head_identity.strip()}), got another ({head_identity.strip()}): "
                 "other --plant, --errors or --seed"
             )
-        found.board_views, found.view_placements = list(before.board_views), list(before.placement)
-        found.placement = max(found.view_placements, default=0) + (
-            moved and bool(found.view_placements)
-        )
-        frames = clean_and_renumber_frames(before.frames())
-        here = np.unique(before.placement).tolist()
-        if found.placement in here:
-            own = frames.placement == here.index(found.placement)
+        if len(before.frames.time_s):
+            found.parts.append(before.frames)
+            found.placement = int(before.frames.placement.max()) + moved
+        frames = clean_and_renumber_frames(before.frames)
+        if found.is_placed:
+            own = frames.placement == len(np.unique(before.frames.placement)) - 1
             found.poses = len(np.unique(frames.pose[own]))
         if len(np.unique(frames.pose)) >= _POSES_PER_EVALUATION:
             found.preview = preview_calibration(looker.head, frames)
@@ -384,17 +312,14 @@ class _Run:
     ) -> None:
         self._looker, self._options, self._found, self._number = looker, options, found, number
         self._rng = np.random.default_rng([options.seed, number])
-        used = [
-            board_view.positions
-            for board_view, place in zip(found.board_views, found.view_placements, strict=True)
-            if place == found.placement
-        ]
-        self._plan = PosePlanner(self._rng, _DITHER_RAD, np.array(used).reshape(-1, 7))
+        earlier = HeadFrames.joined([*found.parts, HeadFrames.of_views(looker.target, [], [])])
+        used = earlier.joint_positions[earlier.placement == found.placement]
+        self._plan = PosePlanner(self._rng, _DITHER_RAD, used)
         # the board is most likely visible again from an earlier posture
         self._first = self._last = find_board(looker, [looker.head.rest(), *used[-1:]])
         self._refuse_moved(self._last)
         # a looker's clock restarts, but the frames of this run come after all others
-        ended_s = max((board_view.time_s for board_view in found.board_views), default=0.0)
+        ended_s = float(earlier.time_s.max(initial=0.0))
         self._later_s = ended_s + 1.0 - float(self._last.time_s[0])
 
     def go(
@@ -415,7 +340,8 @@ class _Run:
                 if self._pose(log):
                     lost, found.poses = 0, found.poses + 1
                     if found.poses % _POSES_PER_EVALUATION == 0 or found.poses == options.poses:
-                        self._evaluate()
+                        known = preview_calibration(looker.head, found.frames(), found.preview)
+                        found.preview = known or found.preview
                         evaluated(found)
                     progress(found.poses / options.poses)
                 else:
@@ -436,46 +362,36 @@ class _Run:
             dither = self._rng.uniform(-_DITHER_RAD, _DITHER_RAD, 7) * moves
             q = actuation.joints_of(np.clip(base + dither, actuation.lower, actuation.upper))
             board_view = self._looker.look(q)
-            if count_eyes_seeing_board(self._looker, board_view):
+            if _eyes_that_see(_frame(self._looker, board_view)):
                 _keep(log, board_view)
                 kept.append(board_view)
             else:
                 self._found.looks_without_board += 1
             if number + 1 == _LOOKS_BEFORE_GIVING_UP and not kept:
                 break
-        self._found.board_views += [one._replace(time_s=one.time_s + self._later_s) for one in kept]
-        self._found.view_placements += [self._found.placement] * len(kept)
         self._last = self._first  # the last detection may have been a wrong one
         if kept:
-            self._last = RawRecording(self._looker.target, kept, [0] * len(kept), ()).frames()
+            places = [self._found.placement] * len(kept)
+            self._last = HeadFrames.of_views(self._looker.target, kept, places)
+            later_s = self._last.time_s + self._later_s
+            self._found.parts.append(replace(self._last, time_s=later_s))
         return bool(kept)
 
     def _scene(self) -> EstimatedBoard:
         """Estimate the board's position by the fit to all frames, or else from the last frames."""
-        fitted_board = self._fitted_board()
-        return (
-            estimate_board_by_last_views(self._looker.head, self._last)
-            if fitted_board is None
-            else fitted_board
-        )
+        return self._fitted_board() or estimate_board_by_last_views(self._looker.head, self._last)
 
     def _fitted_board(self) -> EstimatedBoard | None:
         """Get the board's position by the fit to all frames; None if this placement has none."""
         found = self._found
-        here = np.unique(found.view_placements).tolist()
-        if found.preview is None or found.placement not in here:
+        if found.preview is None or not found.is_placed:
             return None
-        place = here.index(found.placement)
+        place = len({int(place) for part in found.parts for place in part.placement}) - 1
         if place >= len(found.preview.boards.translation):
             return None
         boards = found.preview.boards
         corners = self._last.corners @ boards.rotation[place].T + boards.translation[place]
         return EstimatedBoard(found.preview.head, np.stack([corners, corners]), True)
-
-    def _evaluate(self) -> None:
-        found = self._found
-        known = preview_calibration(self._looker.head, found.frames(), found.preview)
-        found.preview = known if known is not None else found.preview
 
     def _refuse_moved(self, frame: HeadFrames) -> None:
         """Refuse a board that is not where earlier frames of its placement show it."""
@@ -496,33 +412,26 @@ class _Run:
 def _keep(log: LogWriter, board_view: BoardView) -> None:
     """Write a view to the log and to disk."""
     nothing, unknown = np.empty((0, 2)), np.full(2, np.nan)
-    for eye, name in enumerate(EYE_NAMES):
-        corners, sigma = board_view.corners_px[eye], board_view.sigma_px[eye]
+    time_s, positions, *_ = board_view
+    for name, corners, sigma in zip(
+        EYE_NAMES, board_view.corners_px, board_view.sigma_px, strict=True
+    ):
+        found = nothing if corners is None else corners
+        deviation = nothing if sigma is None else sigma
         log.detection(
-            LoggedDetection(
-                eye=name,
-                exposed_s=board_view.time_s,
-                ready_s=board_view.time_s,
-                positions=board_view.positions,
-                point_px=unknown,
-                sigma_px=unknown,
-                corners_px=nothing if corners is None else corners,
-                corners_sigma_px=nothing if sigma is None else sigma,
-            )
+            LoggedDetection(name, time_s, time_s, positions, unknown, unknown, found, deviation)
         )
     log.sync()
     if log.fault:
         raise ConfigurationError(log.fault)
 
 
-def single_frame(looker: Looker, board_view: BoardView) -> HeadFrames:
-    """Convert a view to a recording of one frame."""
-    return RawRecording(looker.target, [board_view], [0], ()).frames()
+def _frame(looker: Looker, view: BoardView) -> HeadFrames:
+    return HeadFrames.of_views(looker.target, [view], [0])
 
 
-def count_eyes_seeing_board(looker: Looker, board_view: BoardView) -> int:
-    """Count the eyes that see at least four corners of the board."""
-    return int((single_frame(looker, board_view).seen.sum(axis=-1) >= 4).sum())
+def _eyes_that_see(frame: HeadFrames) -> int:
+    return int((frame.seen.sum(axis=-1) >= LEAST_CORNERS).sum())
 
 
 def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> HeadFrames:
@@ -530,14 +439,12 @@ def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> Head
     looks = 0
     for q in (*first_guesses, *_directions(looker.head)):
         looks += 1
-        board_view = looker.look(q)
-        eyes = count_eyes_seeing_board(looker, board_view)
-        if eyes == 2:
-            return single_frame(looker, board_view)
-        if eyes == 1:
-            frame = single_frame(looker, board_view)
-            again = looker.look(_towards(looker.head, frame))
-            return single_frame(looker, again) if count_eyes_seeing_board(looker, again) else frame
+        frame = _frame(looker, looker.look(q))
+        if _eyes_that_see(frame) == 1:
+            again = _frame(looker, looker.look(_towards(looker.head, frame)))
+            return again if _eyes_that_see(again) else frame
+        if _eyes_that_see(frame):
+            return frame
     raise ConfigurationError(
         f"expected {looker.target} where the eyes can look, found it in no direction of {looks}: "
         "is it that target, whole, flat, upright, well lit, and neither too near nor too far?"

@@ -2,11 +2,11 @@
 
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from vergence.calibration.head.calibrate_head import HeadCalibration, calibrate_head
+from vergence.calibration.head.calibrate import HeadCalibration, calibrate_head
 from vergence.calibration.head.judge import UnobservableDirection, unobservable_directions
 from vergence.calibration.head.recording import HeadRecording
 from vergence.calibration.head.report import result_document, write_run
@@ -36,15 +36,15 @@ _REPLACED_ASSUMPTIONS: Final = (
 class HeadOutcome:
     """Result of a calibration job."""
 
-    head_file: str
+    head_file: str = ""
     """The head file; empty if the recording was refused."""
-    document: Mapping[str, Any]
+    document: Mapping[str, Any] = field(default_factory=dict)
     """The result as plain values."""
-    unobservable: tuple[UnobservableDirection, ...]
+    unobservable: tuple[UnobservableDirection, ...] = ()
     """Unobservable directions of the recording."""
-    files: Mapping[str, bytes]
+    files: Mapping[str, bytes] = field(default_factory=dict)
     """The run folder's files by name."""
-    refusal: str
+    refusal: str = ""
     """Reason of a refusal; empty if there is a head."""
 
 
@@ -82,9 +82,7 @@ class HeadJob:
                 progress=progress,
             )
         except ConfigurationError as error:
-            return HeadOutcome(
-                head_file="", document={}, unobservable=(), files={}, refusal=str(error)
-            )
+            return HeadOutcome(refusal=str(error))
         text = head_file_text(found, recorded.sha256, self.name)
         dark = unobservable_directions(found.solution)
         provenance = {
@@ -102,25 +100,16 @@ class HeadJob:
             "remarks": [*recorded.remarks, *found.remarks],
             "not_read": list(recorded.read_errors),
         }
-        return HeadOutcome(
-            head_file=text, document=told, unobservable=dark, files=files, refusal=""
-        )
+        return HeadOutcome(head_file=text, document=told, unobservable=dark, files=files)
 
 
 def head_file_text(calibration: HeadCalibration, sha256: str, name: str) -> str:
     """TOML text of a calibrated head, with origin (`sha256` of measurements) and uncertainty."""
     check_head_name(name)
-    names, prior_sigma = (
-        calibration.nominal_head.parameters().names,
-        calibration.solution.problem.prior_sigma,
-    )
-    sigma = {
-        each: deviation
-        for each, deviation, spread in zip(
-            names, calibration.sigma.tolist(), prior_sigma.tolist(), strict=True
-        )
-        if spread > 0.0
-    }
+    names = calibration.nominal_head.parameters().names
+    free = calibration.solution.problem.prior_sigma > 0.0
+    numbers = zip(names, calibration.sigma.tolist(), free, strict=True)
+    sigma = {each: deviation for each, deviation, is_free in numbers if is_free}
     assumptions = {
         key: why
         for key, why in calibration.nominal_head.assumptions.items()

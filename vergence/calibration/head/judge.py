@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.adjust import (
     CURVATURE_COUNT,
+    HeadAdjustment,
     ParametricHead,
     board_points_and_offsets,
 )
@@ -43,6 +44,10 @@ _MOST_PRIOR_SIGMAS: Final = 4.0
 """Prior standard deviations by which a parameter may differ from the head's file (chosen)."""
 
 
+_UNITS: Final = {"rad": (180.0 / np.pi, " degrees"), "m": (1e3, " mm"), "px": (1.0, " px")}
+"""Factor and name of each unit in messages."""
+
+
 def refuse_fixed_eyes(head: HeadModel) -> None:
     """Refuse a head whose eyes do not move."""
     if not head.actuation.count:
@@ -69,14 +74,9 @@ def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoard
     if not both.any():
         return
     some = frames.select(both)
-    exchanged = HeadFrames(
-        target=some.target, time_s=some.time_s, joint_positions=some.joint_positions,
-        pixels=some.pixels[::-1], sigma=some.sigma[::-1], placement=some.placement,
-    )  # fmt: skip
-    if (
-        estimate_consensus_board_poses(head, exchanged).spread_m
-        < _SWAPPED_SPREAD_RATIO * start.spread_m
-    ):
+    exchanged = replace(some, pixels=some.pixels[::-1], sigma=some.sigma[::-1])
+    spread_m = estimate_consensus_board_poses(head, exchanged).spread_m
+    if spread_m < _SWAPPED_SPREAD_RATIO * start.spread_m:
         raise ConfigurationError(
             "expected the left eye's images as the left ones, got images that go with each other "
             "if left and right are exchanged"
@@ -103,18 +103,17 @@ def refuse_implausible_solution(solution: HeadSolution, kept_corners: NDArray[np
             f"{solution.problem.frames.target}?"
         )
     problem = solution.problem
-    away = (solution.state.head_parameters - problem.prior_mean) / np.where(
-        problem.prior_sigma > 0.0, problem.prior_sigma, np.inf
-    )
-    worst = int(np.abs(away).argmax())
-    if abs(away[worst]) > _MOST_PRIOR_SIGMAS:
+    off, sigma = solution.state.head_parameters - problem.prior_mean, problem.prior_sigma
+    away = np.abs(off) / np.where(sigma > 0.0, sigma, np.inf)
+    worst = int(away.argmax())
+    if away[worst] > _MOST_PRIOR_SIGMAS:
         names, units, _ = problem.nominal_head.parameters()
-        step = solution.state.head_parameters[worst] - problem.prior_mean[worst]
+        scale, unit = _UNITS.get(units[worst], (1.0, ""))
         raise ConfigurationError(
             f"expected a head that is like its file, got one whose {names[worst]} is "
-            f"{_said(step, units[worst])} off, where "
-            f"{_said(problem.prior_sigma[worst], units[worst])} are usual: is the board of the "
-            "stated size, and do the angles' signs and zeros go with the file?"
+            f"{scale * off[worst]:.3g}{unit} off, where {scale * sigma[worst]:.3g}{unit} are "
+            "usual: is the board of the stated size, and do the angles' signs and zeros go with "
+            "the file?"
         )
 
 
@@ -151,14 +150,6 @@ def remark_on_few_views(frames: HeadFrames, kept_corners: NDArray[np.bool_]) -> 
                 "out: do they show the board, at the same time as the other eye's?"
             )
     return lines
-
-
-def _said(value: float, unit: str) -> str:
-    """Format a number with degrees, mm or px."""
-    scale, name = {"rad": (180.0 / np.pi, " degrees"), "m": (1e3, " mm"), "px": (1.0, " px")}.get(
-        unit, (1.0, "")
-    )
-    return f"{scale * value:.3g}{name}"
 
 
 _LEAST_INFORMATION: Final = 1.0
@@ -235,12 +226,15 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
     remaining = unobserved @ right_vectors[strength / size >= _NO_EFFECT_PX].T
     remedy = "move the neck" if any(solution.problem.nominal_head.joints[NECK]) else _NO_NECK_REMEDY
     shares: list[FloatArray] = []
-    for axis, (name, unit) in enumerate(_RIGID_MOTIONS):
-        share = _share_of_rigid(moved[:, free] * S @ remaining, rigid[:, axis])
-        if share is not None:
+    by_remaining = moved[:, free] * S @ remaining
+    for axis, (name, unit) in enumerate(_RIGID_MOTIONS if by_remaining.shape[1] else ()):
+        # the combination whose effects are a rigid motion, if there is one
+        share = np.linalg.lstsq(by_remaining, rigid[:, axis], rcond=None)[0]
+        misfit = ((by_remaining @ share - rigid[:, axis]) ** 2).sum()
+        if misfit < _RIGID_MISFIT**2 * (rigid[:, axis] ** 2).sum():
             shares.append(share)
-            amount = 1.0 / float(np.linalg.norm(share))
-            found.append(UnobservableDirection(name, remedy, _cost(axis, unit, amount)))
+            cost = _cost(axis, unit, 1.0 / float(np.linalg.norm(share)))
+            found.append(UnobservableDirection(name, remedy, cost))
     if shares:
         remaining = remaining @ np.linalg.svd(np.array(shares))[2][len(shares) :].T
     names = [solution.problem.nominal_head.parameters().names[place] for place in free]
@@ -284,15 +278,6 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     return np.concatenate(moved), np.concatenate(rigid)
 
 
-def _share_of_rigid(moved: FloatArray, rigid: FloatArray) -> FloatArray | None:
-    """(m,) combination of (r, m) effects, px per prior sigma, that is a rigid motion; or None."""
-    if not moved.shape[1]:
-        return None
-    share = np.asarray(np.linalg.lstsq(moved, rigid, rcond=None)[0])
-    missed = moved @ share - rigid
-    return share if (missed**2).sum() < _RIGID_MISFIT**2 * (rigid**2).sum() else None
-
-
 def _cost(axis: int, unit: str, amount: float) -> str:
     if unit == "m":
         return f"{1e3 * amount:.2g} mm, if the file is a deviation off"
@@ -300,14 +285,21 @@ def _cost(axis: int, unit: str, amount: float) -> str:
     return f"{np.rad2deg(amount):.2g} degrees{aside}, if the file is a deviation off"
 
 
+_REMEDIES: Final = (
+    ((".camera.k", ".camera.p"), "bring the board to the corners of the images"),
+    ((".camera.",), "bring the board nearer and farther, and to all parts of the images"),
+    (("both.", ".rz"), "turn the joints farther"),
+    (("",), "turn the joints farther, with the board nearer"),
+)
+"""Remedies by parts of the names of parameters that a recording does not determine."""
+
+
 def _remedy(names: list[str]) -> str:
-    if any(".camera.k" in name or ".camera.p" in name for name in names):
-        return "bring the board to the corners of the images"
-    if any(".camera." in name for name in names):
-        return "bring the board nearer and farther, and to all parts of the images"
-    if any(name.startswith("both.") for name in names) or any(".rz" in n for n in names):
-        return "turn the joints farther"
-    return "turn the joints farther, with the board nearer"
+    return next(
+        remedy
+        for parts, remedy in _REMEDIES
+        if any(part in name for part in parts for name in names)
+    )
 
 
 _LEAST_MOVED_POSES: Final = 3
@@ -356,16 +348,13 @@ def find_new_placement(
     if (
         start.spread_m > _MOST_SPREAD_SIZES * size
         or len(np.unique(frames.pose[agreeing])) < _LEAST_MOVED_POSES
+        or len(agreeing) < _LEAST_CONTIGUOUS_FRACTION * (agreeing[-1] - agreeing[0] + 1)
     ):
         return None
-    if len(agreeing) < _LEAST_CONTIGUOUS_FRACTION * (agreeing[-1] - agreeing[0] + 1):
-        return None
     placement = frames.placement.copy()
-    number = int(placement.max()) + 1
-    placement[agreeing] = number
-    pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
+    placement[agreeing] = placement.max() + 1
+    pixels, sigma, inlier_views = frames.pixels.copy(), frames.sigma.copy(), views.copy()
     pixels[:, lost], sigma[:, lost] = start.frames.pixels, start.frames.sigma
-    inlier_views = views.copy()
     inlier_views[:, lost] = start.inlier_views
     boards = solution.state.boards
     first, last = frames.time_s[agreeing[0]], frames.time_s[agreeing[-1]]
@@ -432,6 +421,17 @@ def head_and_term_covariance(solution: HeadSolution) -> FloatArray:
     normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
     assert normal.frame_contributions is not None
     blocks, slopes = normal.frame_contributions
+    return clustered_head_covariance(
+        problem, normal.matrix, problem.frame_columns, blocks, slopes, solution.reduced_chi,
+        problem.frames.pose,
+    )  # fmt: skip
+
+
+def clustered_head_covariance(
+    problem: HeadAdjustment, matrix: FloatArray, columns: NDArray[np.intp], blocks: FloatArray,
+    slopes: FloatArray, reduced_chi: float, pose: NDArray[np.intp] | None = None,
+) -> FloatArray:  # fmt: skip
+    """(p + t, p + t) covariance by (f, s_f, s_f) blocks, one a pose unless `pose` numbers them."""
     p = len(problem.prior_mean)
     term_indices = np.arange(p + CURVATURE_COUNT, problem.common_count)
     kept = np.concatenate([np.arange(p), term_indices])
@@ -439,16 +439,14 @@ def head_and_term_covariance(solution: HeadSolution) -> FloatArray:
     # eliminate the boards and the errors of resting joints
     reduced = np.zeros((problem.shared_count + 1, len(kept)))
     reduced[kept] = np.eye(len(kept))
-    reduced[rest] = -np.linalg.solve(
-        normal.matrix[np.ix_(rest, rest)], normal.matrix[np.ix_(rest, kept)]
-    )
+    reduced[rest] = -np.linalg.solve(matrix[np.ix_(rest, rest)], matrix[np.ix_(rest, kept)])
     known = np.append(problem.prior_information, 0.0)
-    poses, pose = np.unique(problem.frames.pose, return_inverse=True)
-    information = np.zeros((len(poses), len(kept), len(kept)))
-    gradients = np.zeros((len(poses), len(kept)))
-    for frame, number in enumerate(pose):
-        own = reduced[problem.frame_columns[frame]]
-        information[number] += own.T @ blocks[frame] @ own
-        gradients[number] += slopes[frame] @ own
+    number = np.arange(len(blocks)) if pose is None else np.unique(pose, return_inverse=True)[1]
+    information = np.zeros((number.max() + 1, len(kept), len(kept)))
+    gradients = np.zeros(information.shape[:2])
+    for each, block, slope, own in zip(number, blocks, slopes, columns, strict=True):
+        into = reduced[own]
+        information[each] += into.T @ block @ into
+        gradients[each] += slope @ into
     prior = reduced.T @ (known[:, None] * reduced)
-    return clustered_covariance(information, gradients, max(solution.reduced_chi, 1.0), prior)
+    return clustered_covariance(information, gradients, max(reduced_chi, 1.0), prior)

@@ -5,17 +5,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.observations import (
-    BoardObservations,
-    alike_views,
-    detect_board_corners,
-    parse_board,
-)
+from vergence.calibration.observations import alike_views, detect_board_corners, parse_board
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
@@ -59,6 +54,38 @@ class HeadFrames:
     placement: IntArray
     """(f,) number of the board's placement in frame 0, from 0 on: a change means that the board was
     moved."""
+
+    @classmethod
+    def of_views(
+        cls, target: PlanarTarget, views: Sequence[BoardView], placement: Sequence[int]
+    ) -> "HeadFrames":
+        """Pack views in their order; corners without a pixel or a sigma count as not found."""
+        count = len(views)
+        pixels = np.full((2, count, len(target.corners_m), 2), np.nan)
+        sigma = np.full(pixels.shape, np.nan)
+        for frame, view in enumerate(views):
+            for eye in range(2):
+                found, deviation = view.corners_px[eye], view.sigma_px[eye]
+                if found is not None and deviation is not None:
+                    pixels[eye, frame], sigma[eye, frame] = found, deviation
+        known = (np.isfinite(pixels) & np.isfinite(sigma) & (sigma > 0.0)).all(axis=-1)
+        pixels[~known] = sigma[~known] = np.nan
+        return cls(
+            target=target, time_s=np.array([view.time_s for view in views], dtype=np.float64),
+            joint_positions=np.array([view.positions for view in views]).reshape(count, 7),
+            pixels=pixels, sigma=sigma, placement=np.array(placement, dtype=np.intp),
+        )  # fmt: skip
+
+    @classmethod
+    def joined(cls, parts: Sequence["HeadFrames"]) -> "HeadFrames":
+        """Join frames of one target, one after the other."""
+        return cls(
+            target=parts[0].target, time_s=np.concatenate([part.time_s for part in parts]),
+            joint_positions=np.concatenate([part.joint_positions for part in parts]),
+            pixels=np.concatenate([part.pixels for part in parts], axis=1),
+            sigma=np.concatenate([part.sigma for part in parts], axis=1),
+            placement=np.concatenate([part.placement for part in parts]),
+        )  # fmt: skip
 
     def select(self, frames: NDArray[np.bool_] | IntArray) -> "HeadFrames":
         """Select some of the frames."""
@@ -176,60 +203,21 @@ edge of a step, and rounding (numerical)."""
 
 MOST_PLACES: Final = 1000
 """Bound on the numbers of the board's placements (chosen: larger ones are times or names)."""
-
-
-class RawRecording(NamedTuple):
-    """Content of a recording as read."""
-
-    target: PlanarTarget
-    """The board."""
-    board_views: Sequence[BoardView]
-    """(f) views in any order."""
-    placement: Sequence[int]
-    """(f) number of the board's placement for each view."""
-    files: tuple[str, ...]
-    """Names of the files that were read."""
-    remarks: tuple[str, ...] = ()
-    read_errors: tuple[str, ...] = ()
-    head_identity: str = ""
-    """Identity of the head that looked, if the logs distinguish heads with the same file."""
-
-    def frames(self) -> HeadFrames:
-        """Pack the views into arrays; corners without a pixel or a sigma count as not found."""
-        count, corners = len(self.board_views), len(self.target.corners_m)
-        pixels = np.full((2, count, corners, 2), np.nan)
-        sigma = np.full((2, count, corners, 2), np.nan)
-        for frame, board_view in enumerate(self.board_views):
-            for eye in range(2):
-                found, deviation = board_view.corners_px[eye], board_view.sigma_px[eye]
-                if found is not None and deviation is not None:
-                    pixels[eye, frame], sigma[eye, frame] = found, deviation
-        known = (np.isfinite(pixels) & np.isfinite(sigma) & (sigma > 0.0)).all(axis=-1)
-        pixels[~known] = sigma[~known] = np.nan
-        return HeadFrames(
-            target=self.target,
-            time_s=np.array(
-                [board_view.time_s for board_view in self.board_views], dtype=np.float64
-            ),
-            joint_positions=np.array(
-                [board_view.positions for board_view in self.board_views]
-            ).reshape(count, 7),
-            pixels=pixels,
-            sigma=sigma,
-            placement=np.array(self.placement, dtype=np.intp),
-        )
-
-
 AT_REST: Final = "at_rest"
 """Name of a log's fact that is `True` if every image was taken at rest."""
 HEAD_IDENTITY: Final = "looks"
 """Name of a log's fact that distinguishes heads with the same file."""
 PLACEMENT: Final = "placement"
-"""Name of a log's fact with the number of the board's placement."""
+"""Name of a log's fact, and of a column of a table, with the number of the board's placement."""
 TARGET: Final = "target"
 """Name of a log's fact with the board, in the form of `parse_target`."""
 SUFFIX: Final = ".mcap"
 """File suffix of a log."""
+TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
+"""File names of the table of joint angles of photographs."""
+_TIME_COLUMN: Final = "time_s"
+LEAST_CORNERS: Final = 4
+"""Fewest corners of a view (physical: geometry, fewer do not determine the board's pose)."""
 _LOG_GAP_S: Final = 1.0
 """Time from the last frame of a log to the first of the next one, s (chosen: clocks may have been
 set between them, so that their own times cannot be used)."""
@@ -241,337 +229,21 @@ _STILL_RAD_S: Final = 0.02
 its angles it causes 0.1 mrad, a fifteenth of a 12-bit encoder's step)."""
 
 
-def list_logs(path: Path) -> list[Path]:
-    """List a log, or the logs directly in a folder, in the order of their names."""
-    if not path.is_dir():
-        return [path]
-    found = sorted((one for one in path.iterdir() if one.suffix == SUFFIX), key=natural_sort_key)
-    if not found:
-        raise ConfigurationError(
-            f"{path}: expected logs of a robot (*{SUFFIX}) in it, or the folders left and right "
-            "with photographs, got neither"
-        )
-    return found
-
-
-def read_logs(
-    paths: Sequence[Path],
-    head: HeadModel,
-    target: PlanarTarget | None,
-    progress: Callable[[float], None] | None = None,
-) -> RawRecording:
-    """Read the board views of logs, one after the other; by default of the board they name."""
-    board_views: list[BoardView] = []
-    placement: list[int] = []
-    files, remarks, failures = [], [], []
-    looked: dict[str, str] = {}
-    begins_s, moving, unlike, cut = 0.0, 0, 0, 0
-    for number, path in enumerate(paths, 1):
-        try:
-            log = read_log(path)
-        except UnreadableFileError as error:
-            if len(paths) == 1:
-                raise
-            failures.append(str(error))
-            continue
-        target = _target_of(log, target)
-        _refuse_other_joints(log, head)
-        looked.setdefault(log.facts.get(HEAD_IDENTITY, ""), path.name)
-        if len(looked) > 1:
-            first, second = looked.values()
-            raise ConfigurationError(
-                f"{path.parent}: expected logs of one head, got {first} and {second} of different "
-                "ones: other --plant, --errors or --seed"
-            )
-        files.append(path.name)
-        found, moved = _board_views(log, head, target)
-        board_views += [one._replace(time_s=one.time_s + begins_s) for one in found]
-        placement += [_placement_of(log)] * len(found)
-        if found:
-            begins_s = board_views[-1].time_s + _LOG_GAP_S
-        moving += moved
-        unlike += log.head.digest != head.digest
-        cut += bool(log.truncation_reason)
-        if progress is not None:
-            progress(number / len(paths))
-    if target is None or not files:
-        raise ConfigurationError(f"expected logs that can be read, got none; {failures[0]}")
-    if moving:
-        remarks.append(f"{moving} images left out, as joints were moving")
-    if unlike:
-        remarks.append(
-            f"{unlike} of {len(files)} logs: the head had other numbers than {head.name}"
-        )
-    if cut:
-        remarks.append(f"{cut} of {len(files)} logs are cut off: read up to there")
-    return RawRecording(
-        target, board_views, placement, tuple(files), tuple(remarks), tuple(failures), *looked
-    )
-
-
-def _target_of(log: Log, target: PlanarTarget | None) -> PlanarTarget:
-    """Get the board of a log; refuse one that differs from the expected board."""
-    text = log.facts.get(TARGET, "")
-    if not text and target is None:
-        raise ConfigurationError(
-            f"{log.path}: expected the board among the log's facts, or as --target, got neither"
-        )
-    if not text:
-        assert target is not None
-        return target
-    try:
-        own = parse_board(text, accept_single_tag=True)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{log.path}: {error}") from error
-    if target is not None and str(own) != str(target):
-        raise ConfigurationError(f"{log.path}: target: expected {target}, got a log of {own}")
-    return own
-
-
-def _placement_of(log: Log) -> int:
-    text = log.facts.get(PLACEMENT, "0")
-    if not (text.isdecimal() and int(text) < MOST_PLACES):
-        raise ConfigurationError(
-            f"{log.path}: {PLACEMENT}: expected a whole number below {MOST_PLACES}, got "
-            f"{text!r:.40}"
-        )
-    return int(text)
-
-
-def _refuse_other_joints(log: Log, head: HeadModel) -> None:
-    if log.head.joints != head.joints:
-        own, theirs = (
-            ", ".join(dict.fromkeys(name for name in each.joints if name)) or "none"
-            for each in (head, log.head)
-        )
-        raise ConfigurationError(
-            f"{log.path}: expected a log of the head {head.name} with the joints {own}, got one of "
-            f"{log.head.name} with {theirs}"
-        )
-
-
-def _board_views(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[BoardView], int]:
-    """Read a log's board views in the order of time, from zero on, and count images in motion."""
-    count = len(target.corners_m)
-    eyes: list[list[LoggedDetection]] = [[], []]
-    moving = 0
-    still = _Still(log, head)
-    for one in log.detections:
-        if not len(one.corners_px):
-            continue
-        if len(one.corners_px) != count or len(one.corners_sigma_px) != count:
-            raise ConfigurationError(
-                f"{log.path}: /detection: expected the {count} corners of {target}, got "
-                f"{len(one.corners_px)}"
-            )
-        if not (np.isfinite(one.exposed_s) and np.isfinite(one.positions).all()):
-            continue
-        if still.at(one.exposed_s, one.positions):
-            eyes[EYE_NAMES.index(one.eye)].append(one)
-        else:
-            moving += 1
-    found = [_board_view(pair) for pair in _paired(eyes, 0.5 * head.timing.frame_s)]
-    found.sort(key=lambda one: one.time_s)
-    zero_s = found[0].time_s if found else 0.0
-    return [one._replace(time_s=one.time_s - zero_s) for one in found], moving
-
-
-class _Still:
-    """Test for rest by the measured joint angles of a log."""
-
-    def __init__(self, log: Log, head: HeadModel) -> None:
-        self._trusted = log.facts.get(AT_REST) == str(True)
-        self._own = head.actuation
-        seen = [(one.exposed_s, one.positions) for one in log.detections]
-        seen += [(one.clock_s, one.positions) for one in log.joints]
-        times = np.array([time_s for time_s, _ in seen])
-        angles = np.array([positions for _, positions in seen]).reshape(-1, 7)
-        known = np.isfinite(times) & np.isfinite(angles).all(axis=-1)
-        order = np.argsort(times[known], kind="stable")
-        self._times = times[known][order]
-        self._angles = self._own.actuators_of(angles[known][order])
-
-    def at(self, time_s: float, positions: FloatArray) -> bool:
-        """True if joints rest around a time at positions; one quantisation step is no motion."""
-        if self._trusted:
-            return True
-        first, last = np.searchsorted(
-            self._times, (time_s - _REST_WINDOW_S, time_s + _REST_WINDOW_S)
-        )
-        away = np.abs(self._angles[first:last] - self._own.actuators_of(positions))
-        after_s = np.abs(self._times[first:last] - time_s)[:, None]
-        return bool((away - self._own.angle_step <= _STILL_RAD_S * after_s + 1e-9).all())
-
-
-def _paired(
-    eyes: Sequence[Sequence[LoggedDetection]], tolerance_s: float
-) -> list[tuple[LoggedDetection | None, LoggedDetection | None]]:
-    """Pair detections of both eyes that are mutually nearest in time; keep unpaired ones too."""
-    left, right = (_once(each) for each in eyes)
-    partner: dict[int, int] = {}
-    if left and right:
-        gaps = np.abs(np.subtract.outer(_times(left), _times(right)))
-        nearest, theirs = gaps.argmin(axis=1).tolist(), gaps.argmin(axis=0).tolist()
-        partner = {
-            i: j for i, j in enumerate(nearest) if theirs[j] == i and gaps[i, j] <= tolerance_s
-        }
-    pairs: list[tuple[LoggedDetection | None, LoggedDetection | None]] = []
-    pairs += [(one, right[partner[i]] if i in partner else None) for i, one in enumerate(left)]
-    taken = set(partner.values())
-    pairs += [(None, one) for j, one in enumerate(right) if j not in taken]
-    return pairs
-
-
-def _once(detections: Sequence[LoggedDetection]) -> list[LoggedDetection]:
-    """Remove detections logged twice, which are equal to the last bit; refuse unequal ones."""
-    by_time: dict[float, LoggedDetection] = {}
-    for one in detections:
-        other = by_time.setdefault(one.exposed_s, one)
-        if not np.array_equal(one.corners_px, other.corners_px, equal_nan=True):
-            raise ConfigurationError(
-                f"expected times that tell images apart, got two of the {one.eye} eye at "
-                f"{one.exposed_s:g} s"
-            )
-    return list(by_time.values())
-
-
-def _times(detections: Sequence[LoggedDetection]) -> FloatArray:
-    return np.array([one.exposed_s for one in detections])
-
-
-def _board_view(pair: tuple[LoggedDetection | None, LoggedDetection | None]) -> BoardView:
-    there = [one for one in pair if one is not None]
-    left, right = pair
-    return BoardView(
-        float(np.mean([one.exposed_s for one in there])),
-        np.mean([one.positions for one in there], axis=0),
-        (None if left is None else left.corners_px, None if right is None else right.corners_px),
-        (
-            None if left is None else left.corners_sigma_px,
-            None if right is None else right.corners_sigma_px,
-        ),
-    )
-
-
-TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
-"""File names of the table of joint angles."""
-_TIME_COLUMN: Final = "time_s"
-_PLACEMENT_COLUMN: Final = "placement"
-
-
-def holds_photographs(path: Path) -> bool:
-    """Return True if a folder holds photographs, not logs."""
-    return path.is_dir() and any((path / eye).is_dir() for eye in EYE_NAMES)
-
-
-def read_photographs(
-    path: Path,
-    head: HeadModel,
-    target: PlanarTarget | None,
-    progress: Callable[[float], None] | None = None,
-) -> RawRecording:
-    """Read views of a folder with `left` and `right`, images named alike, and one of `TABLES`."""
-    if target is None:
-        raise ConfigurationError(
-            f"{path}: expected the board of these photographs as --target, got none"
-        )
-    tables = [path / name for name in TABLES if (path / name).exists()]
-    if len(tables) != 1:
-        raise ConfigurationError(
-            f"{path}: expected one of {', '.join(TABLES)} with the angles of each pair of images, "
-            f"got {join_first_names(table.name for table in tables) or 'none'}"
-        )
-    found = pair_up(*(path / eye for eye in EYE_NAMES))
-    names = [pair.name for pair in found.pairs]
-    rows = read_pair_rows(tables[0], names)
-    taken = [_read(head, rows[name], f"{tables[0]}: {name}") for name in names]
-    untimed = [name for name, one in zip(names, taken, strict=True) if one.time_s is None]
-    if 0 < len(untimed) < len(names):
-        raise ConfigurationError(
-            f"{tables[0]}: expected {_TIME_COLUMN} of all pairs or of none, got none of "
-            f"{join_first_names(untimed)}"
-        )
-    seen, failures = detect_board_corners(
-        target,
-        [list(each) for each in zip(*found.pairs, strict=True)],
-        progress,
-        head.cameras.response,
-    )
-    _refuse_other_sizes(path, head, seen)
-    board_views = [
-        BoardView(
-            float(view) if one.time_s is None else one.time_s,
-            one.positions,
-            (seen.pixels[0, view], seen.pixels[1, view]),
-            (seen.sigma[0, view], seen.sigma[1, view]),
-        )
-        for view, one in enumerate(taken)
-    ]
-    remarks: tuple[str, ...] = ()
-    if found.unpaired:
-        names_alone = join_first_names(one.name for one in found.unpaired)
-        remarks = (f"{len(found.unpaired)} images without a partner left out: {names_alone}",)
-    files = [str(one.relative_to(path)) for pair in found.pairs for one in pair]
-    return RawRecording(
-        target,
-        board_views,
-        [one.placement for one in taken],
-        (*files, tables[0].name),
-        remarks,
-        tuple(failures),
-    )
-
-
-class _Taken(NamedTuple):
-    """A row of the table."""
-
-    positions: FloatArray
-    """(7,) joint angles, rad."""
-    placement: int
-    """Number of the board's placement."""
-    time_s: float | None
-
-
-def _read(head: HeadModel, row: Row, where: str) -> _Taken:
-    angles = {
-        name: value for name, value in row.items() if name not in (_TIME_COLUMN, _PLACEMENT_COLUMN)
-    }
-    time_s = (
-        parse_finite_number(row[_TIME_COLUMN], f"{where}: {_TIME_COLUMN}")
-        if _TIME_COLUMN in row
-        else None
-    )
-    placement = parse_finite_number(row.get(_PLACEMENT_COLUMN, 0), f"{where}: {_PLACEMENT_COLUMN}")
-    if not (placement.is_integer() and 0 <= placement < MOST_PLACES):
-        raise ConfigurationError(
-            f"{where}: {_PLACEMENT_COLUMN}: expected a whole number below {MOST_PLACES}, got "
-            f"{row[_PLACEMENT_COLUMN]!r:.40}"
-        )
-    return _Taken(parse_joint_angles(head, angles, where), int(placement), time_s)
-
-
-def _refuse_other_sizes(path: Path, head: HeadModel, observations: BoardObservations) -> None:
-    for eye, size in zip(EYE_NAMES, observations.image_sizes, strict=True):
-        own = tuple(head.cameras.size[EYE_NAMES.index(eye)].tolist())
-        if own != size:
-            raise ConfigurationError(
-                f"{path / eye}: expected images of {own[0]} x {own[1]} px, as the head "
-                f"{head.name} has, got {size[0]} x {size[1]}"
-            )
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadRecording:
-    """A recording, with frames in the order of time."""
+    """A recording of a head in front of a board."""
 
     frames: HeadFrames
-    """At least one frame. Placements of the board are numbered without gaps."""
+    """Its frames; `read_recording` has them in the order of time, at least one, with placements of
+    the board that are numbered without gaps."""
     files: tuple[str, ...]
     """Names of the files that it was read from."""
     remarks: tuple[str, ...]
     """Remarks on data that was left out or does not quite fit, a line each."""
     read_errors: tuple[str, ...]
     """Files that could not be read, a line each."""
+    head_identity: str = ""
+    """Identity of the head that looked, if the logs distinguish heads with the same file."""
 
     @property
     def sha256(self) -> str:
@@ -607,32 +279,25 @@ def read_recording(
     """
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file or folder; expected a recording")
-    if holds_photographs(path):
-        found = read_photographs(path, head, target, progress)
+    if path.is_dir() and any((path / eye).is_dir() for eye in EYE_NAMES):
+        found = _read_photographs(path, head, target, progress)
     else:
         found = read_logs(list_logs(path), head, target, progress)
-    if not found.target.size_known:
+    board, count = found.frames.target, len(found.frames.time_s)
+    if not board.size_known:
         raise ConfigurationError(
-            f"target: expected a size in mm, which all lengths come from, got {found.target}"
+            f"target: expected a size in mm, which all lengths come from, got {board}"
         )
-    every = found.frames()
-    frames = clean_and_renumber_frames(every)
+    frames = clean_and_renumber_frames(found.frames)
     if not len(frames.time_s):
-        raise ConfigurationError(
-            f"{path}: expected frames that show {found.target}, got none in {len(every.time_s)}"
-        )
+        raise ConfigurationError(f"{path}: expected frames that show {board}, got none in {count}")
     remarks = list(found.remarks)
-    if len(frames.time_s) < len(every.time_s):
+    if len(frames.time_s) < count:
         remarks.append(
-            f"{len(every.time_s) - len(frames.time_s)} of {len(every.time_s)} frames left out: "
+            f"{count - len(frames.time_s)} of {count} frames left out: "
             "they do not show the board, or repeat an earlier frame"
         )
-    return HeadRecording(
-        frames=frames,
-        files=found.files,
-        remarks=tuple(remarks),
-        read_errors=found.read_errors,
-    )
+    return replace(found, frames=frames, remarks=tuple(remarks))
 
 
 def clean_and_renumber_frames(frames: HeadFrames) -> HeadFrames:
@@ -644,8 +309,7 @@ def clean_and_renumber_frames(frames: HeadFrames) -> HeadFrames:
 
 def sort_and_clean_frames(frames: HeadFrames) -> HeadFrames:
     """Sort frames by time; leave out those without the board, and all but one of a head at rest."""
-    order = np.argsort(frames.time_s, kind="stable")
-    frames = frames.select(order)
+    frames = frames.select(np.argsort(frames.time_s, kind="stable"))
     shown = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).any(axis=0)
     fresh = np.ones(len(shown), bool)
     same = np.unique(frames.joint_positions, axis=0, return_inverse=True)[1].ravel()
@@ -655,5 +319,269 @@ def sort_and_clean_frames(frames: HeadFrames) -> HeadFrames:
     return frames.select(shown & fresh)
 
 
-LEAST_CORNERS: Final = 4
-"""Fewest corners of a view (physical: geometry, fewer do not determine the board's pose)."""
+def list_logs(path: Path) -> list[Path]:
+    """List a log, or the logs directly in a folder, in the order of their names."""
+    if not path.is_dir():
+        return [path]
+    found = sorted((one for one in path.iterdir() if one.suffix == SUFFIX), key=natural_sort_key)
+    if not found:
+        raise ConfigurationError(
+            f"{path}: expected logs of a robot (*{SUFFIX}) in it, or the folders left and right "
+            "with photographs, got neither"
+        )
+    return found
+
+
+def read_logs(
+    paths: Sequence[Path],
+    head: HeadModel,
+    target: PlanarTarget | None,
+    progress: Callable[[float], None] | None = None,
+) -> HeadRecording:
+    """Read all frames of logs, one after the other; by default of the board they name."""
+    views: list[BoardView] = []
+    placement: list[int] = []
+    files, remarks, failures = [], [], []
+    looked: dict[str, str] = {}
+    begins_s, moving, unlike, cut = 0.0, 0, 0, 0
+    for number, path in enumerate(paths, 1):
+        try:
+            log = read_log(path)
+        except UnreadableFileError as error:
+            if len(paths) == 1:
+                raise
+            failures.append(str(error))
+            continue
+        target = _target_of(log, target)
+        _refuse_other_joints(log, head)
+        looked.setdefault(log.facts.get(HEAD_IDENTITY, ""), path.name)
+        if len(looked) > 1:
+            first, second = looked.values()
+            raise ConfigurationError(
+                f"{path.parent}: expected logs of one head, got {first} and {second} of different "
+                "ones: other --plant, --errors or --seed"
+            )
+        files.append(path.name)
+        found, moved = _board_views(log, head, target)
+        views += [one._replace(time_s=one.time_s - found[0].time_s + begins_s) for one in found]
+        text = log.facts.get(PLACEMENT, "0")
+        place = _placement(text, float(text) if text.isdecimal() else -1.0, str(path))
+        placement += [place] * len(found)
+        if found:
+            begins_s = views[-1].time_s + _LOG_GAP_S
+        moving += moved
+        unlike += log.head.digest != head.digest
+        cut += bool(log.truncation_reason)
+        if progress is not None:
+            progress(number / len(paths))
+    if target is None or not files:
+        raise ConfigurationError(f"expected logs that can be read, got none; {failures[0]}")
+    if moving:
+        remarks.append(f"{moving} images left out, as joints were moving")
+    if unlike:
+        remarks.append(
+            f"{unlike} of {len(files)} logs: the head had other numbers than {head.name}"
+        )
+    if cut:
+        remarks.append(f"{cut} of {len(files)} logs are cut off: read up to there")
+    return HeadRecording(
+        frames=HeadFrames.of_views(target, views, placement), files=tuple(files),
+        remarks=tuple(remarks), read_errors=tuple(failures), head_identity=next(iter(looked)),
+    )  # fmt: skip
+
+
+def _target_of(log: Log, target: PlanarTarget | None) -> PlanarTarget:
+    """Get the board of a log; refuse one that differs from the expected board."""
+    text = log.facts.get(TARGET, "")
+    if not text and target is None:
+        raise ConfigurationError(
+            f"{log.path}: expected the board among the log's facts, or as --target, got neither"
+        )
+    try:
+        own = parse_board(text, accept_single_tag=True) if text else target
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{log.path}: {error}") from error
+    assert own is not None
+    if target is not None and str(own) != str(target):
+        raise ConfigurationError(f"{log.path}: target: expected {target}, got a log of {own}")
+    return own
+
+
+def _placement(raw: object, number: float, where: str) -> int:
+    """Check the number of a placement, which a file gives as `raw`."""
+    if not (number.is_integer() and 0 <= number < MOST_PLACES):
+        raise ConfigurationError(
+            f"{where}: {PLACEMENT}: expected a whole number below {MOST_PLACES}, got {raw!r:.40}"
+        )
+    return int(number)
+
+
+def _refuse_other_joints(log: Log, head: HeadModel) -> None:
+    if log.head.joints != head.joints:
+        own, theirs = (
+            ", ".join(dict.fromkeys(name for name in each.joints if name)) or "none"
+            for each in (head, log.head)
+        )
+        raise ConfigurationError(
+            f"{log.path}: expected a log of the head {head.name} with the joints {own}, got one of "
+            f"{log.head.name} with {theirs}"
+        )
+
+
+def _board_views(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[BoardView], int]:
+    """Read a log's board views in the order of time, and count the images taken in motion."""
+    count = len(target.corners_m)
+    eyes: list[list[LoggedDetection]] = [[], []]
+    moving = 0
+    still = _Still(log, head)
+    for one in log.detections:
+        if not len(one.corners_px):
+            continue
+        if len(one.corners_px) != count or len(one.corners_sigma_px) != count:
+            raise ConfigurationError(
+                f"{log.path}: /detection: expected the {count} corners of {target}, got "
+                f"{len(one.corners_px)}"
+            )
+        if not (np.isfinite(one.exposed_s) and np.isfinite(one.positions).all()):
+            continue
+        if still.at(one.exposed_s, one.positions):
+            eyes[EYE_NAMES.index(one.eye)].append(one)
+        else:
+            moving += 1
+    left, right = (_once(each) for each in eyes)
+    found = [_view(*pair) for pair in _paired(left, right, 0.5 * head.timing.frame_s)]
+    return sorted(found, key=lambda one: one.time_s), moving
+
+
+class _Still:
+    """Test for rest by the measured joint angles of a log."""
+
+    def __init__(self, log: Log, head: HeadModel) -> None:
+        self._trusted = log.facts.get(AT_REST) == str(True)
+        self._own = head.actuation
+        seen = [(one.exposed_s, one.positions) for one in log.detections]
+        seen += [(one.clock_s, one.positions) for one in log.joints]
+        times = np.array([time_s for time_s, _ in seen])
+        angles = np.array([positions for _, positions in seen]).reshape(-1, 7)
+        known = np.isfinite(times) & np.isfinite(angles).all(axis=-1)
+        order = np.argsort(times[known], kind="stable")
+        self._times = times[known][order]
+        self._angles = self._own.actuators_of(angles[known][order])
+
+    def at(self, time_s: float, positions: FloatArray) -> bool:
+        """True if joints rest around a time at positions; one quantisation step is no motion."""
+        if self._trusted:
+            return True
+        near = slice(
+            *np.searchsorted(self._times, (time_s - _REST_WINDOW_S, time_s + _REST_WINDOW_S))
+        )
+        away = np.abs(self._angles[near] - self._own.actuators_of(positions))
+        after_s = np.abs(self._times[near] - time_s)[:, None]
+        return bool((away - self._own.angle_step <= _STILL_RAD_S * after_s + 1e-9).all())
+
+
+def _once(detections: Sequence[LoggedDetection]) -> list[LoggedDetection]:
+    """Remove detections logged twice, which are equal to the last bit; refuse unequal ones."""
+    by_time: dict[float, LoggedDetection] = {}
+    for one in detections:
+        other = by_time.setdefault(one.exposed_s, one)
+        if not np.array_equal(one.corners_px, other.corners_px, equal_nan=True):
+            raise ConfigurationError(
+                f"expected times that tell images apart, got two of the {one.eye} eye at "
+                f"{one.exposed_s:g} s"
+            )
+    return list(by_time.values())
+
+
+def _paired(
+    left: Sequence[LoggedDetection], right: Sequence[LoggedDetection], tolerance_s: float
+) -> list[tuple[LoggedDetection | None, LoggedDetection | None]]:
+    """Pair detections of both eyes that are mutually nearest in time; keep unpaired ones too."""
+    partner: dict[int, int] = {}
+    if left and right:
+        times = [[one.exposed_s for one in each] for each in (left, right)]
+        gaps = np.abs(np.subtract.outer(*times))
+        nearest, theirs = gaps.argmin(axis=1).tolist(), gaps.argmin(axis=0).tolist()
+        partner = {
+            i: j for i, j in enumerate(nearest) if theirs[j] == i and gaps[i, j] <= tolerance_s
+        }
+    taken = set(partner.values())
+    return [
+        *((one, right[partner[i]] if i in partner else None) for i, one in enumerate(left)),
+        *((None, one) for j, one in enumerate(right) if j not in taken),
+    ]
+
+
+def _view(left: LoggedDetection | None, right: LoggedDetection | None) -> BoardView:
+    there = [one for one in (left, right) if one is not None]
+    return BoardView(
+        float(np.mean([one.exposed_s for one in there])),
+        np.mean([one.positions for one in there], axis=0),
+        (left and left.corners_px, right and right.corners_px),
+        (left and left.corners_sigma_px, right and right.corners_sigma_px),
+    )
+
+
+def _read_photographs(
+    path: Path,
+    head: HeadModel,
+    target: PlanarTarget | None,
+    progress: Callable[[float], None] | None = None,
+) -> HeadRecording:
+    """Read frames of a folder with `left` and `right`, images named alike, and one of `TABLES`."""
+    if target is None:
+        raise ConfigurationError(
+            f"{path}: expected the board of these photographs as --target, got none"
+        )
+    tables = [path / name for name in TABLES if (path / name).exists()]
+    if len(tables) != 1:
+        raise ConfigurationError(
+            f"{path}: expected one of {', '.join(TABLES)} with the angles of each pair of images, "
+            f"got {join_first_names(table.name for table in tables) or 'none'}"
+        )
+    found = pair_up(*(path / eye for eye in EYE_NAMES))
+    names = [pair.name for pair in found.pairs]
+    rows = read_pair_rows(tables[0], names)
+    taken = [_read_row(head, rows[name], f"{tables[0]}: {name}") for name in names]
+    untimed = [name for name, row in zip(names, taken, strict=True) if row[2] is None]
+    if 0 < len(untimed) < len(names):
+        raise ConfigurationError(
+            f"{tables[0]}: expected {_TIME_COLUMN} of all pairs or of none, got none of "
+            f"{join_first_names(untimed)}"
+        )
+    images = [list(each) for each in zip(*found.pairs, strict=True)]
+    seen, failures = detect_board_corners(target, images, progress, head.cameras.response)
+    for eye, size, own in zip(EYE_NAMES, seen.image_sizes, head.cameras.size.tolist(), strict=True):
+        if tuple(own) != size:
+            raise ConfigurationError(
+                f"{path / eye}: expected images of {own[0]} x {own[1]} px, as the head "
+                f"{head.name} has, got {size[0]} x {size[1]}"
+            )
+    views = [
+        BoardView(
+            float(view) if time_s is None else time_s, positions,
+            (seen.pixels[0, view], seen.pixels[1, view]),
+            (seen.sigma[0, view], seen.sigma[1, view]),
+        )
+        for view, (positions, _, time_s) in enumerate(taken)
+    ]  # fmt: skip
+    remarks: tuple[str, ...] = ()
+    if found.unpaired:
+        names_alone = join_first_names(one.name for one in found.unpaired)
+        remarks = (f"{len(found.unpaired)} images without a partner left out: {names_alone}",)
+    files = [str(one.relative_to(path)) for pair in found.pairs for one in pair]
+    return HeadRecording(
+        frames=HeadFrames.of_views(target, views, [place for _, place, _ in taken]),
+        files=(*files, tables[0].name), remarks=remarks, read_errors=tuple(failures),
+    )  # fmt: skip
+
+
+def _read_row(head: HeadModel, row: Row, where: str) -> tuple[FloatArray, int, float | None]:
+    """Read joint angles, rad, the placement, and perhaps the time of a pair of photographs."""
+    angles = {name: value for name, value in row.items() if name not in (_TIME_COLUMN, PLACEMENT)}
+    time_s = None
+    if _TIME_COLUMN in row:
+        time_s = parse_finite_number(row[_TIME_COLUMN], f"{where}: {_TIME_COLUMN}")
+    raw = row.get(PLACEMENT, 0)
+    place = _placement(raw, parse_finite_number(raw, f"{where}: {PLACEMENT}"), where)
+    return parse_joint_angles(head, angles, where), place, time_s

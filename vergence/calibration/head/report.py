@@ -1,7 +1,6 @@
 """Run folder of a calibrated head: head file, tables and HTML report."""
 
-import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -10,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import LogLocator, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import rms_length
-from vergence.calibration.head.calibrate_head import HeadCalibration
-from vergence.calibration.head.depth import (
-    DepthErrors,
+from vergence.calibration.head.calibrate import (
+    HeadCalibration,
+    actuator_names,
     points_ahead,
     points_at_angles,
     predict_depth_errors,
@@ -24,16 +23,19 @@ from vergence.calibration.head.depth import (
 from vergence.calibration.head.judge import UnobservableDirection
 from vergence.calibration.head.recording import LEAST_CORNERS
 from vergence.calibration.report import (
-    CAMERA_FIGURE_WIDTH,
     EYE_STYLES,
+    PAGE_WIDTH,
+    Line,
+    draw_by_distance,
     draw_corner_coverage,
     draw_residual_arrows,
+    single_panel,
     thinning_slice,
+    write_csv,
+    write_page,
 )
-from vergence.files import write_atomic
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
-from vergence.reporting.report import inline_svg
 from vergence.reporting.runs import package_versions, write_json
 from vergence.reporting.style import (
     BLACK,
@@ -44,13 +46,10 @@ from vergence.reporting.style import (
     figure_style,
     legend_below,
     new_figure,
-    svg_text,
 )
 from vergence.reporting.text import (
     format_fixed,
     format_number,
-    jinja_environment,
-    read_template,
 )
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
@@ -68,6 +67,9 @@ _UNIT_FORMATS: Final[dict[str, tuple[float, str, int]]] = {
 """Format of each unit in the table of parameters: factor, name, and digits."""
 
 
+_VIEW_COLUMNS: Final = (
+    "time_s", "pose", "placement", "eye", "kept", "corners", "rms_px", "rms_heldout_sigma"
+)  # fmt: skip
 _MOST_ROWS: Final = 40
 """Most rows of the table of views left out (chosen: a page's worth; the rest is in views.csv)."""
 
@@ -93,17 +95,15 @@ def write_run(
     names, units, before = calibration.nominal_head.parameters()
     own = calibration.solution.problem
     scatter_ratio = np.ones(7) if own.scatter_ratio is None else own.scatter_ratio
+    noisier = zip(actuator_names(calibration.nominal_head), scatter_ratio.tolist(), strict=True)
+    told, left_out = result_document(calibration, unobservable), left_out_views(calibration)
     write_json(
         folder / "result.json",
         {
-            **result_document(calibration, unobservable),
-            "left_out_views": [one._asdict() for one in left_out_views(calibration)],
+            **told,
+            "left_out_views": [one._asdict() for one in left_out],
             "recording": dict(provenance),
-            "noisier": {
-                each: float(times)
-                for each, times in zip(actuator_names(calibration), scatter_ratio, strict=True)
-                if each
-            },
+            "noisier": {each: times for each, times in noisier if each},
             "names": list(names),
             "units": list(units),
             "before": before.tolist(),
@@ -114,8 +114,15 @@ def write_run(
             "versions": package_versions(),
         },
     )
-    _write_views(folder / "views.csv", calibration)
-    write_report(folder, calibration, unobservable, head_file_name, provenance)
+    write_csv(folder / "views.csv", _VIEW_COLUMNS, _view_rows(calibration))
+    write_page(
+        folder, "head/head.html.jinja", _figures(calibration), **told,
+        head=calibration.nominal_head.name, name=head_file_name, provenance=provenance,
+        headline=_headline(calibration), sides=EYE_NAMES, side="eye",
+        maps=[f"{each:g}" for each in _MAP_DISTANCES_M],
+        dropped=[[f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out[:_MOST_ROWS]],
+        numbers=_number_rows(calibration),
+    )  # fmt: skip
 
 
 def result_document(
@@ -133,34 +140,27 @@ def result_document(
         "floor_mm": 1e3 * depth.noise_floor_m,
     }
     rows = zip(*(null_nonfinite_elements(values) for values in table.values()), strict=True)
-    views = calibration.frames.seen.any(axis=-1)
+    frames, views = calibration.frames, calibration.frames.seen.any(axis=-1)
+    held_out = calibration.held_out_mean_squares
+    held_out = held_out[np.isfinite(held_out)]
+    rms_held_out = float(np.sqrt(np.mean(held_out))) if len(held_out) else float("nan")
     return {
         "depth": [dict(zip(table, row, strict=True)) for row in rows],
         "noise": calibration.solution.reduced_chi,
         "rms_px": rms_length(residuals_px(calibration)),
-        "rms_heldout_sigma": null_nonfinite_rows(_heldout(calibration)),
+        "rms_heldout_sigma": null_nonfinite_rows(rms_held_out),
         "views": int(calibration.kept_views.sum()),
         "left_out": int((views & ~calibration.kept_views).sum()),
-        "frames": len(calibration.frames.time_s),
-        "poses": int(calibration.frames.pose.max()) + 1,
-        "placements": int(calibration.frames.placement.max()) + 1,
-        "target": str(calibration.frames.target),
+        "frames": len(frames.time_s),
+        "poses": int(frames.pose.max()) + 1,
+        "placements": int(frames.placement.max()) + 1,
+        "target": str(frames.target),
         "terms": [each._asdict() for each in calibration.terms],
         "unseen": [
             {"what": each.what, "cure": each.remedy, "cost": each.cost} for each in unobservable
         ],
         "remarks": list(calibration.remarks),
     }
-
-
-def _heldout(calibration: HeadCalibration) -> float:
-    """Root mean square cross-validation error in units of sigma; nan without any view."""
-    known = np.isfinite(calibration.held_out_mean_squares)
-    return (
-        float(np.sqrt(np.mean(calibration.held_out_mean_squares[known])))
-        if known.any()
-        else float("nan")
-    )
 
 
 def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
@@ -186,77 +186,34 @@ def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
     ]
 
 
-def _write_views(path: Path, calibration: HeadCalibration) -> None:
-    """Write a row for each frame and eye; missing numbers are empty."""
+def _view_rows(calibration: HeadCalibration) -> Iterator[list[object]]:
+    """Make a row for each frame and eye; missing numbers are empty."""
     frames = calibration.frames
     residuals = calibration.solution.normal.residuals * frames.sigma
     counted = kept_or_found_corners(calibration)
     held_out = np.sqrt(calibration.held_out_mean_squares)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(
-            ["time_s", "pose", "placement", "eye", "kept", "corners", "rms_px", "rms_heldout_sigma"]
-        )
-        for frame, eye in np.ndindex(len(frames.time_s), 2):
-            mine = counted[eye, frame]
-            squares = (residuals[eye, frame][mine] ** 2).sum(axis=-1)
-            left = float(np.sqrt(squares.mean())) if len(squares) else np.nan
-            numbers = (left, float(held_out[eye, frame]))
-            table.writerow(
-                [
-                    repr(float(frames.time_s[frame])),
-                    int(frames.pose[frame]),
-                    int(frames.placement[frame]),
-                    EYE_NAMES[eye],
-                    bool(calibration.kept_views[eye, frame]),
-                    int(mine.sum()),
-                    *(repr(each) if np.isfinite(each) else "" for each in numbers),
-                ]
-            )
+    for frame, eye in np.ndindex(len(frames.time_s), 2):
+        mine = counted[eye, frame]
+        squares = (residuals[eye, frame][mine] ** 2).sum(axis=-1)
+        left = np.sqrt(squares.mean()) if len(squares) else np.nan
+        numbers = [float(left), float(held_out[eye, frame])]
+        yield [
+            repr(float(frames.time_s[frame])), int(frames.pose[frame]),
+            int(frames.placement[frame]), EYE_NAMES[eye],
+            bool(calibration.kept_views[eye, frame]), int(mine.sum()),
+            *(repr(each) if np.isfinite(each) else "" for each in numbers),
+        ]  # fmt: skip
 
 
-def write_report(
-    folder: Path,
-    calibration: HeadCalibration,
-    unobservable: Sequence[UnobservableDirection],
-    head_file_name: str,
-    provenance: Mapping[str, str],
-) -> None:
-    """Write calibration.html, which is self-contained."""
-    drawn = _figures(calibration).items()
-    depth = predict_depth_errors(calibration, points_ahead(np.array(_SUMMARY_DISTANCES_M)))
-    page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    template = page.from_string(read_template("vergence.calibration.head", "head.html.jinja"))
-    text = template.render(
-        **result_document(calibration, unobservable),
-        head=calibration.nominal_head.name,
-        name=head_file_name,
-        provenance=provenance,
-        headline=_headline(depth),
-        eyes=EYE_NAMES,
-        maps=[f"{each:g}" for each in _MAP_DISTANCES_M],
-        dropped=[
-            [f"{one.time_s:.2f} s, {one.eye}", one.why]
-            for one in left_out_views(calibration)[:_MOST_ROWS]
-        ],
-        numbers=_number_rows(calibration),
-        markup={stem: inline_svg(svg_text(figure), stem, stem) for stem, figure in drawn},
-        style=read_template("vergence.reporting", "page.css"),
-        versions=package_versions(),
-    )
-    write_atomic(folder / "calibration.html", text)
-
-
-def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
+def _headline(calibration: HeadCalibration) -> list[tuple[str, str, str]]:
     """Format distance, error before, and deviation after, for distances that the eyes reach."""
+    depth = predict_depth_errors(calibration, points_ahead(np.array(_SUMMARY_DISTANCES_M)))
+    rows = zip(_SUMMARY_DISTANCES_M, 1e3 * depth.nominal_error_m, 1e3 * depth.sigma_m, strict=True)
     return [
         (f"{distance:g}", format_number(abs(before)), format_number(after))
-        for distance, before, after in zip(
-            depth.distance_m.tolist(), (1e3 * depth.nominal_error_m).tolist(),
-            (1e3 * depth.sigma_m).tolist(), strict=True,
-        )
+        for distance, before, after in rows
         if np.isfinite(before) and np.isfinite(after)
-    ]  # fmt: skip
+    ]
 
 
 def _figures(calibration: HeadCalibration) -> dict[str, Figure]:
@@ -298,8 +255,6 @@ def _number_rows(calibration: HeadCalibration) -> list[list[str]]:
     return rows
 
 
-_PAGE_WIDTH: Final = 11.2
-"""Width of a figure across the page, inches (chosen)."""
 _AXIS_LIMIT_MEDIANS: Final = 2.5
 """Range of a residual axis in medians of the kept views, unless a kept view exceeds it (chosen)."""
 _STRONG_CORRELATION: Final = 0.9
@@ -311,8 +266,8 @@ _MOST_VARIANCE_RATIO: Final = 0.5
 (chosen)."""
 _BIN_COUNT_RANGE: Final = (6, 30)
 """Fewest and most bins of a histogram, which grow with the readings (chosen)."""
-_DISTANCES_M: Final = (0.3, 3.0)
-"""Range of distances of the figures, m (chosen: the range of use)."""
+_DISTANCE_TICKS_M: Final = (0.3, 0.5, 1.0, 2.0, 3.0)
+"""Ticks of distances in figures, from the least to the largest, m (chosen: the range of use)."""
 _ANGLES_DEG: Final = np.arange(-30.0, 31.0, 10.0)
 """Angles of a map to either side, and up and down, degrees (chosen)."""
 
@@ -325,12 +280,12 @@ def residuals_over_time(calibration: HeadCalibration) -> Figure:
     limit = max(1.15 * float(usual.max()), _AXIS_LIMIT_MEDIANS * float(np.median(usual)))
     time = calibration.frames.time_s
     with figure_style():
-        figure = new_figure(_PAGE_WIDTH, 4.6)
+        figure = new_figure(PAGE_WIDTH, 4.6)
         for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
             kept = np.flatnonzero(calibration.kept_views[eye])
             kept = kept[thinning_slice(len(kept))]
             out = ~np.isnan(rms[eye]) & ~calibration.kept_views[eye]
-            styles: tuple[tuple[NDArray[np.intp], FloatArray, str, dict[str, Any]], ...] = (
+            styles: tuple[tuple[NDArray[np.intp], *Line], ...] = (
                 (kept, held_out, "by heads that did not know it",
                  {"marker": "o", "ms": 6.5, "mfc": "none", "mec": GREY, "mew": 0.8}),
                 (kept, rms, "kept", {**EYE_STYLES[eye], "marker": "o", "ms": 3.5, "mew": 0}),
@@ -369,35 +324,24 @@ def residuals_px(calibration: HeadCalibration) -> FloatArray:
     return np.where(calibration.kept_corners[..., None], left, np.nan)
 
 
+def _image(calibration: HeadCalibration, eye: int) -> tuple[tuple[int, int], str]:
+    """Size, px, and name of an eye's image."""
+    width, height = calibration.nominal_head.cameras.size[eye].tolist()
+    return (int(width), int(height)), EYE_NAMES[eye]
+
+
 def corner_coverage(calibration: HeadCalibration, eye: int) -> Figure:
     """Draw the kept corners over an eye's image."""
-    views = np.where(
-        calibration.kept_corners[eye][..., None], calibration.frames.pixels[eye], np.nan
-    )
-    return draw_corner_coverage(
-        views, _size(calibration, eye), EYE_NAMES[eye], EYE_STYLES[eye]["color"]
-    )
+    kept = calibration.kept_corners[eye][..., None]
+    views = np.where(kept, calibration.frames.pixels[eye], np.nan)
+    return draw_corner_coverage(views, *_image(calibration, eye), EYE_STYLES[eye]["color"])
 
 
 def residual_field(calibration: HeadCalibration, eye: int) -> Figure:
     """Draw residuals over an eye's image as magnified arrows."""
     kept = calibration.kept_corners[eye]
-    return draw_residual_arrows(
-        calibration.frames.pixels[eye][kept], residuals_px(calibration)[eye][kept],
-        _size(calibration, eye), EYE_NAMES[eye],
-    )  # fmt: skip
-
-
-def _size(calibration: HeadCalibration, eye: int) -> tuple[int, int]:
-    width, height = calibration.nominal_head.cameras.size[eye].tolist()
-    return int(width), int(height)
-
-
-def actuator_names(calibration: HeadCalibration) -> list[str]:
-    """List the names of the neck's joints and the eyes' actuators; empty for missing ones."""
-    nominal_head = calibration.nominal_head
-    names = [*nominal_head.joints[NECK], *nominal_head.actuation.names]
-    return names + [""] * (7 - len(names))
+    pixels, residuals = calibration.frames.pixels[eye][kept], residuals_px(calibration)[eye][kept]
+    return draw_residual_arrows(pixels, residuals, *_image(calibration, eye))
 
 
 def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
@@ -407,13 +351,10 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
     _, first = np.unique(calibration.frames.pose[used], return_index=True)
     q = calibration.frames.joint_positions[used[first]]
     angles, limits = np.degrees(own.actuators_of(q)), np.degrees([own.lower, own.upper])
-    moves = [
-        k
-        for k, name in enumerate(actuator_names(calibration))
-        if name and own.upper[k] > own.lower[k]
-    ]
+    names = actuator_names(calibration.nominal_head)
+    moves = [k for k, name in enumerate(names) if name and own.upper[k] > own.lower[k]]
     with figure_style():
-        figure = new_figure(_PAGE_WIDTH, 4.6)
+        figure = new_figure(PAGE_WIDTH, 4.6)
         strips, eyes = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
         # dots one below the other in the order of the recording
         height = np.linspace(-0.32, 0.32, len(q)) if len(q) > 1 else np.zeros(1)
@@ -422,7 +363,7 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
             strips.add_patch(Rectangle((low, row - 0.38), high - low, 0.76, fc="#e8e8ec", lw=0.0))
             colour = GREEN if k < NECK.stop else BLUE
             strips.plot(angles[:, k], row + height, ".", ms=5, mew=0, color=colour)
-        strips.set_yticks(range(len(moves)), [actuator_names(calibration)[k] for k in moves])
+        strips.set_yticks(range(len(moves)), [names[k] for k in moves])
         strips.set(
             ylim=(len(moves) - 0.5, -0.5), xlabel="angle (°)",
             title="each pose between the limits (grey)",
@@ -438,11 +379,11 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
                 mew=0, alpha=0.8, label=name, **EYE_STYLES[eye],
             )  # fmt: skip
         down, right = _tilt_and_pan(nominal_head.joints[3:5])
-        eyes.set(
-            xlabel=f"{_common(nominal_head.joints[3 + right], nominal_head.joints[5 + right])} (°)",
-            ylabel=f"{_common(nominal_head.joints[3 + down], nominal_head.joints[5 + down])} (°)",
-            title="both eyes' joints",
-        )  # fmt: skip
+        across, above = (
+            ", ".join(dict.fromkeys(nominal_head.joints[joint] for joint in (3 + own, 5 + own)))
+            for own in (right, down)
+        )
+        eyes.set(xlabel=f"{across} (°)", ylabel=f"{above} (°)", title="both eyes' joints")
         eyes.set_aspect("equal", adjustable="datalim")
         legend_below(eyes, 2, fontsize=10)
     return figure
@@ -451,10 +392,6 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
 def _tilt_and_pan(names: tuple[str, ...]) -> tuple[int, int]:
     """Choose the eye joints for the vertical and the horizontal axis of the figure."""
     return (1, 0) if "pan" in names[0] and "pan" not in names[1] else (0, 1)
-
-
-def _common(left: str, right: str) -> str:
-    return left if left == right else f"{left}, {right}"
 
 
 def correlated_parameters(calibration: HeadCalibration) -> NDArray[np.intp]:
@@ -478,9 +415,7 @@ def parameter_correlations(calibration: HeadCalibration) -> Figure:
     names = [calibration.nominal_head.parameters().names[k] for k in chosen]
     values = _correlation(calibration)[np.ix_(chosen, chosen)]
     count = len(chosen)
-    with figure_style():
-        figure = new_figure(_PAGE_WIDTH, 2.2 + 0.3 * count)
-        panel = figure.add_subplot()
+    with single_panel(PAGE_WIDTH, 2.2 + 0.3 * count) as (figure, panel):
         image = panel.imshow(values, cmap="PuOr", norm=Normalize(-1.8, 1.8))
         for row, column in np.argwhere(
             (np.abs(values) >= _STRONG_CORRELATION) & ~np.eye(count, dtype=bool)
@@ -503,7 +438,7 @@ def determined_reading_errors(calibration: HeadCalibration) -> dict[str, FloatAr
     own = calibration.solution.problem.reading_error_unknowns.has_frame_error
     determined = calibration.solution.reading_variance_ratio < _MOST_VARIANCE_RATIO
     errors = {}
-    for k, name in enumerate(actuator_names(calibration)):
+    for k, name in enumerate(actuator_names(calibration.nominal_head)):
         single = own[:, k] & determined[:, k] & calibration.kept_views.any(axis=0)
         if single.any():
             errors[name] = calibration.solution.state.frame_errors[single, k]
@@ -512,11 +447,11 @@ def determined_reading_errors(calibration: HeadCalibration) -> dict[str, FloatAr
 
 def reading_error_histograms(calibration: HeadCalibration) -> Figure:
     """Draw histograms of reading errors by actuator, with the uniform density of quantisation."""
-    errors, names = determined_reading_errors(calibration), actuator_names(calibration)
+    errors, names = determined_reading_errors(calibration), actuator_names(calibration.nominal_head)
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)
     with figure_style():
-        figure = new_figure(_PAGE_WIDTH, 0.4 + 2.3 * rows)
+        figure = new_figure(PAGE_WIDTH, 0.4 + 2.3 * rows)
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for panel in panels[len(errors) :]:
             panel.set_axis_off()
@@ -540,50 +475,32 @@ def reading_error_histograms(calibration: HeadCalibration) -> Figure:
 
 def depth_error_by_distance(calibration: HeadCalibration) -> Figure:
     """Plot depth errors straight ahead: before, after, and the noise of a single fixation."""
-    depth = predict_depth_errors(calibration, points_ahead(np.geomspace(*_DISTANCES_M, 60)))
-    lines: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (
+    distance_m = np.geomspace(_DISTANCE_TICKS_M[0], _DISTANCE_TICKS_M[-1], 60)
+    depth = predict_depth_errors(calibration, points_ahead(distance_m))
+    return draw_by_distance(
+        depth.distance_m,
         (
-            np.abs(depth.nominal_error_m),
-            "before: by the file",
-            {"color": ORANGE, "linestyle": "--"},
+            (1e3 * np.abs(depth.nominal_error_m), "before: by the file",
+             {"color": ORANGE, "linestyle": "--"}),
+            (1e3 * depth.sigma_m, "after: one sigma", {"color": BLUE, "linestyle": "-"}),
+            (1e3 * depth.noise_floor_m, "one fixation's own noise",
+             {"color": GREY, "linestyle": ":"}),
         ),
-        (depth.sigma_m, "after: one sigma", {"color": BLUE, "linestyle": "-"}),
-        (depth.noise_floor_m, "one fixation's own noise", {"color": GREY, "linestyle": ":"}),
-    )
-    with figure_style():
-        figure = new_figure(CAMERA_FIGURE_WIDTH, 4.4)
-        panel = figure.add_subplot()
-        for values, label, style in lines:
-            panel.loglog(depth.distance_m, 1e3 * values, label=label, **style)
-        panel.set(xlabel="distance straight ahead (m)", ylabel="error of depth (mm)")
-        panel.set_xticks([0.3, 0.5, 1.0, 2.0, 3.0], minor=False)
-        panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        for axis in (panel.xaxis, panel.yaxis):
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter("")
-        panel.set_xlim(*_DISTANCES_M)
-        legend_below(figure, 2, fontsize=10)
-    return figure
-
-
-def depth_error_map_points(distance_m: float) -> FloatArray:
-    """(n, 3) points of a map, m, row by row from above, relative to midway between the eyes."""
-    right, down = np.meshgrid(np.radians(_ANGLES_DEG), np.radians(_ANGLES_DEG))
-    return points_at_angles(distance_m, right.ravel(), down.ravel())
+        ("distance straight ahead (m)", "error of depth (mm)"),
+        ticks_m=_DISTANCE_TICKS_M, columns=2,
+    )  # fmt: skip
 
 
 def depth_error_maps(calibration: HeadCalibration, distance_m: float) -> Figure:
     """Draw maps of depth errors by direction, before and after, in percent of the distance."""
-    depth = predict_depth_errors(calibration, depth_error_map_points(distance_m))
+    right, down = np.meshgrid(np.radians(_ANGLES_DEG), np.radians(_ANGLES_DEG))
+    points = points_at_angles(distance_m, right.ravel(), down.ravel())
+    depth = predict_depth_errors(calibration, points)
     with figure_style():
-        figure = new_figure(_PAGE_WIDTH, 5.0)
+        figure = new_figure(PAGE_WIDTH, 5.0)
         before, after = figure.subplots(1, 2)
-        _table(
-            before,
-            depth.nominal_error_percent,
-            f"before, at {distance_m:g} m: error (%)",
-            signed=True,
-        )
+        title = f"before, at {distance_m:g} m: error (%)"
+        _table(before, depth.nominal_error_percent, title, signed=True)
         _table(after, depth.sigma_percent, f"after, at {distance_m:g} m: one sigma (%)")
     return figure
 

@@ -1,6 +1,5 @@
 """Simulated recordings of a head in front of a board: projected corners with noise, no images."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -203,6 +202,10 @@ def board_ahead(head: HeadModel, target: PlanarTarget, distance_m: float) -> Flo
     return pose
 
 
+_Corners = tuple[FloatArray | None, FloatArray | None]
+"""(n, 2) corners in an eye's image and their standard deviations, px; or none."""
+
+
 class SimulatedLooker:
     """`Looker` of a simulated head, with encoders and backlash of the kinematic plant.
 
@@ -258,22 +261,21 @@ class SimulatedLooker:
         )
         true_q = self._plant.truth().positions[0]
         found = self._drawn(true_q) if self._drawings else self._projected(true_q)
+        (left, left_sigma), (right, right_sigma) = found
         return BoardView(
-            _LOOK_S * self._looks,
-            reading.positions[0].copy(),
-            (found[0][0], found[1][0]),
-            (found[0][1], found[1][1]),
-        )
+            _LOOK_S * self._looks, reading.positions[0].copy(), (left, right),
+            (left_sigma, right_sigma),
+        )  # fmt: skip
 
     def close(self) -> None:
         """See `Looker.close`."""
         self._plant.close()
 
-    def _projected(self, q: FloatArray) -> Sequence[tuple[FloatArray | None, FloatArray | None]]:
+    def _projected(self, q: FloatArray) -> list[_Corners]:
         corners = self.target.corners_m @ self._pose[:3, :2].T + self._pose[:3, 3]
         T_0_N = self._true.base_pose(q)
         pixels = self._true.project(q, (corners - T_0_N[:3, 3]) @ T_0_N[:3, :3])
-        found: list[tuple[FloatArray | None, FloatArray | None]] = []
+        found: list[_Corners] = []
         for eye in range(2):
             seen, most = pixels[:, eye], self._true.cameras.size[eye] - 1.0 - _BORDER_PX
             if not ((seen >= _BORDER_PX) & (seen <= most)).all():
@@ -284,13 +286,11 @@ class SimulatedLooker:
             found.append((seen + noise_px * self._rng.standard_normal(seen.shape), sigma))
         return found
 
-    def _drawn(self, q: FloatArray) -> Sequence[tuple[FloatArray | None, FloatArray | None]]:
+    def _drawn(self, q: FloatArray) -> list[_Corners]:
         T_0_C = self._true.base_pose(q) @ self._true.camera_poses(q)
-        found: list[tuple[FloatArray | None, FloatArray | None]] = []
-        for eye, (drawing, detector) in enumerate(
-            zip(self._drawings, self._detectors, strict=True)
-        ):
-            drawing.draw(np.linalg.inv(T_0_C[eye]) @ self._pose, self._rng)
+        found: list[_Corners] = []
+        for pose, drawing, detector in zip(T_0_C, self._drawings, self._detectors, strict=True):
+            drawing.draw(np.linalg.inv(pose) @ self._pose, self._rng)
             seen = detector.detect(drawing.frame) if drawing.region is not None else None
             found.append((None, None) if seen is None else (seen.corners_px, seen.corners_sigma_px))
         self.images = tuple(drawing.frame for drawing in self._drawings)

@@ -49,7 +49,7 @@ def cross_validate_by_pose(
     solution: HeadSolution, kept_corners: NDArray[np.bool_], scatter_ratio: FloatArray | None = None
 ) -> CrossValidationErrors:
     """Judge views and readings by heads calibrated without their poses; (2, f, n) kept corners."""
-    problem, pose = solution.problem, solution.problem.frames.pose
+    problem, state, pose = solution.problem, solution.state, solution.problem.frames.pose
     views = np.full(kept_corners.shape[:2], np.nan)
     poses = np.full(int(pose.max()) + 1, np.nan)
     fold = pose * FOLDS // len(poses)
@@ -58,10 +58,10 @@ def cross_validate_by_pose(
         if not kept_corners[:, out].any() or not kept_corners[:, ~out].any():
             continue
         trained = problem.select(~out)
-        start = trained.start(solution.state.boards)._replace(
-            head_parameters=solution.state.head_parameters,
-            board_curvatures=solution.state.board_curvatures,
-            term_parameters=solution.state.term_parameters,
+        start = trained.start(state.boards)._replace(
+            head_parameters=state.head_parameters,
+            board_curvatures=state.board_curvatures,
+            term_parameters=state.term_parameters,
         )
         found = solve(
             trained, start, MeasurementWeights.of(kept_corners[:, ~out]), tolerance=_FOLD_TOLERANCE
@@ -74,9 +74,7 @@ def cross_validate_by_pose(
             terms=problem.terms.select(out).fixed_at(found.state.term_parameters),
             scatter_ratio=problem.scatter_ratio if scatter_ratio is None else scatter_ratio,
         )
-        known = judged.start(solution.state.boards)._replace(
-            board_curvatures=solution.state.board_curvatures
-        )
+        known = judged.start(state.boards)._replace(board_curvatures=state.board_curvatures)
         best = solve(
             judged, known, MeasurementWeights.of(kept_corners[:, out]), tolerance=_FOLD_TOLERANCE
         )
@@ -92,11 +90,6 @@ def cross_validate_by_pose(
             read = squares.sum() / max(own[here].sum(), 1)
             poses[number] = corners + read if count[:, here].any() else np.nan
     return CrossValidationErrors(views, poses)
-
-
-def without_backlash(head: HeadModel) -> HeadModel:
-    """Remove the backlash: readings have only quantisation errors."""
-    return with_backlash(head, np.zeros(7))
 
 
 def with_backlash(head: HeadModel, actuator_backlash_rad: FloatArray) -> HeadModel:
@@ -145,7 +138,7 @@ def parse_terms(text: str) -> tuple[str, ...]:
 def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
     """Convert a head for terms: `axes` need joint axes, `play` a head without backlash."""
     head = dh_to_joint_axes(head) if "axes" in terms else head
-    return without_backlash(head) if "play" in terms else head
+    return with_backlash(head, np.zeros(7)) if "play" in terms else head
 
 
 class ChosenTerms(NamedTuple):
@@ -258,10 +251,8 @@ def _gains(
         gains["axes"] = _gain(normal, every, ~every) / chance["axes"]
     noise = max(solution.reduced_chi, 1.0) ** 2
     # while a term is missing, its error enlarges the readings' sigma and so reduces the gain
-    own, scatter_ratio = (
-        solution.problem.reading_error_unknowns.has_frame_error,
-        solution.problem.scatter_ratio,
-    )
+    own = solution.problem.reading_error_unknowns.has_frame_error
+    scatter_ratio = solution.problem.scatter_ratio
     belief = 1.0 if scatter_ratio is None else float(scatter_ratio.max()) ** 2
     worth = _LEAST_TRIAL_FRACTION * 2.0 * own.sum() / belief
     return {
@@ -293,16 +284,11 @@ def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
     # judge the readings of both heads by the richer head's sigma
     rich, simple = richer.solution.problem, simpler.solution.problem
     scatter_ratio = np.ones(7) if simple.scatter_ratio is None else simple.scatter_ratio
-    known = simple.reading_error_unknowns.reading_sigma > 0.0
-    ratio = np.divide(
-        rich.reading_error_unknowns.reading_sigma,
-        simple.reading_error_unknowns.reading_sigma,
-        out=np.ones(7),
-        where=known,
-    )
-    less = np.log(
-        cross_validate_by_pose(simpler.solution, kept, ratio * scatter_ratio).pose_mean_squares
-    ) - np.log(cross_validate_by_pose(richer.solution, kept).pose_mean_squares)
+    sigma = [each.reading_error_unknowns.reading_sigma for each in (rich, simple)]
+    ratio = np.divide(sigma[0], sigma[1], out=np.ones(7), where=sigma[1] > 0.0)
+    simple_errors = cross_validate_by_pose(simpler.solution, kept, ratio * scatter_ratio)
+    rich_errors = cross_validate_by_pose(richer.solution, kept)
+    less = np.log(simple_errors.pose_mean_squares) - np.log(rich_errors.pose_mean_squares)
     less = less[np.isfinite(less)]
     surely = _SIGNIFICANT_SIGMAS * np.std(less) / np.sqrt(max(len(less), 1))
     return len(less) > 1 and bool(np.mean(less) >= max(surely, least))

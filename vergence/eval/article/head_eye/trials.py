@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.recording import HeadFrames
 from vergence.calibration.head.simulated import quantised, simulate_recording
 from vergence.eval.article.experiment import job_rng

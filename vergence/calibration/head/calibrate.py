@@ -1,4 +1,4 @@
-"""Calibration of a head from frames of a board, with checks of the result."""
+"""Calibration of a head from frames of a board, and its depth errors."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +27,10 @@ from vergence.calibration.head.judge import (
     remark_on_changed_baseline,
     remark_on_few_views,
 )
-from vergence.calibration.head.recording import HeadFrames, sort_and_clean_frames
+from vergence.calibration.head.recording import (
+    HeadFrames,
+    sort_and_clean_frames,
+)
 from vergence.calibration.head.terms import (
     AUTO,
     choose_terms,
@@ -38,6 +41,8 @@ from vergence.calibration.head.terms import (
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import NECK, FloatArray
+from vergence.models.posture import fixation_angles_and_visibility, midpoint_between_cameras
+from vergence.triangulation import triangulate_views
 
 _MOST_PLACEMENTS: Final = 8
 """Most fits to a recording, each after the first with another placement of the board (chosen)."""
@@ -84,13 +89,12 @@ class HeadCalibration:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the recording and the calibration, a line each."""
-        solution = self.solution
-        said = (
-            *term_remarks(solution, self.terms),
-            *_noisy(solution),
-            *remark_on_changed_baseline(solution),
+        return (
+            *self.recording_remarks,
+            *_remarks_on_terms(self.solution, self.terms),
+            *_remarks_on_scatter(self.solution),
+            *remark_on_changed_baseline(self.solution),
         )
-        return (*self.recording_remarks, *said)
 
     @property
     def nominal_head(self) -> HeadModel:
@@ -102,12 +106,15 @@ class HeadCalibration:
         """The calibrated head."""
         if not self.solution.problem.terms.is_backlash.any():
             return self.solution.head
-        return with_backlash(self.solution.head, significant_backlash(self.solution, self.terms))
+        return with_backlash(self.solution.head, _significant_backlash(self.solution, self.terms))
 
     @cached_property
     def terms(self) -> tuple[FittedTerm, ...]:
         """Parameters of the reading-error terms."""
-        return fitted_terms(self.solution, self._covariance)
+        sigma = np.sqrt(np.diagonal(self._covariance)[len(self.solution.problem.prior_mean) :])
+        values = self.solution.state.term_parameters.tolist()
+        numbers = zip(self.solution.problem.terms.names, values, sigma.tolist(), strict=True)
+        return tuple(FittedTerm(*each, "rad") for each in numbers)
 
     @property
     def frames(self) -> HeadFrames:
@@ -128,11 +135,8 @@ class HeadCalibration:
     @cached_property
     def rms_heldout_px(self) -> float:
         """Cross-validation counterpart of `rms_px`, by heads calibrated without the view, px."""
-        mean = (
-            np.nanmean(self.held_out_mean_squares)
-            if np.isfinite(self.held_out_mean_squares).any()
-            else np.nan
-        )
+        squares = self.held_out_mean_squares
+        mean = np.nanmean(squares) if np.isfinite(squares).any() else np.nan
         sigma = self.frames.sigma[self.kept_corners]
         return float(np.sqrt(2.0 * mean * np.mean(sigma**2)))
 
@@ -172,7 +176,7 @@ def calibrate_head(
     Raises:
         ConfigurationError: the frames give no calibration; the message says why.
     """
-    report = progress or _ignore
+    report = progress or (lambda fraction: None)
     refuse_fixed_eyes(head)
     frames = sort_and_clean_frames(frames)
     refuse_few_poses(frames)
@@ -183,8 +187,7 @@ def calibrate_head(
         refuse_swapped_eyes(head, frames, start)
         report(0.1)
         problem = HeadAdjustment(head, parameter_prior_sigma(head, estimate_cameras), start.frames)
-        reading_terms = ReadingErrorTerms.of_frames(head, start.frames, terms)
-        problem = replace(problem, terms=reading_terms)
+        problem = replace(problem, terms=ReadingErrorTerms.of_frames(head, start.frames, terms))
         fit = fit_robustly(problem, start.boards, start.inlier_views)
         for place in range(1, _MOST_PLACEMENTS):
             report(0.1 + 0.6 * place / (place + 1.0))
@@ -202,7 +205,7 @@ def calibrate_head(
         if tuple(terms) == (AUTO,):
             fit, suspected = choose_terms(fit, estimate_cameras)
             if suspected is not None:
-                remarks.append(harmonics_remark(suspected) + _HARMONICS_HINT)
+                remarks.append(_remark_on_harmonics(suspected) + _HARMONICS_HINT)
         if type(fit.solution.head.links) is not type(file.links):
             remarks.append(_JOINT_AXES_REMARK)
         report(0.8)
@@ -222,95 +225,171 @@ def calibrate_head(
     )
 
 
-def _noisy(solution: HeadSolution) -> list[str]:
+def actuator_names(head: HeadModel) -> list[str]:
+    """List the names of the neck's joints and the eyes' actuators; empty for missing ones."""
+    names = [*head.joints[NECK], *head.actuation.names]
+    return names + [""] * (7 - len(names))
+
+
+def _remarks_on_scatter(solution: HeadSolution) -> list[str]:
     """Report joints whose readings scatter more than quantisation and backlash explain."""
-    scatter_ratio, sigma = (
-        solution.problem.scatter_ratio,
-        solution.problem.reading_error_unknowns.reading_sigma,
-    )
-    if scatter_ratio is None:
+    ratio, names = solution.problem.scatter_ratio, actuator_names(solution.problem.nominal_head)
+    wide = [] if ratio is None else np.flatnonzero(ratio > 1.0).tolist()
+    if ratio is None or not wide:
         return []
-    names = [
-        *solution.problem.nominal_head.joints[:3],
-        *solution.problem.nominal_head.actuation.names,
-    ]
-    wide = [joint for joint in range(len(names)) if scatter_ratio[joint] > 1.0]
-    if not wide:
-        return []
-    worst = max(wide, key=lambda joint: scatter_ratio[joint])
+    worst = max(wide, key=lambda joint: ratio[joint])
+    sigma = solution.problem.reading_error_unknowns.reading_sigma[worst]
     return [
         f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their "
         f"quantisation and backlash explain, those of {names[worst]} by "
-        f"{np.rad2deg(sigma[worst]):.2g} degrees, {scatter_ratio[worst]:.1f} times as much: is "
+        f"{np.rad2deg(sigma):.2g} degrees, {ratio[worst]:.1f} times as much: is "
         "there more backlash, did the joints rest, and do the angles belong to the images?"
     ]
 
 
-def _ignore(fraction: float) -> None:
-    """Ignore the progress."""
-
-
-def fitted_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[FittedTerm, ...]:
-    """List the parameters of a solution's reading-error terms."""
-    p = len(solution.problem.prior_mean)
-    sigma = np.sqrt(np.diagonal(covariance)[p:]).tolist()
-    numbers = zip(
-        solution.problem.terms.names, solution.state.term_parameters.tolist(), sigma, strict=True
-    )
-    return tuple(FittedTerm(name, value, deviation, "rad") for name, value, deviation in numbers)
-
-
-def significant_backlash(solution: HeadSolution, terms: Sequence[FittedTerm]) -> FloatArray:
+def _significant_backlash(solution: HeadSolution, terms: Sequence[FittedTerm]) -> FloatArray:
     """(7,) backlash by actuator, rad; 0 if not significant."""
-    out = np.zeros(7)
-    for term, joint, is_backlash in zip(
-        terms,
-        solution.problem.terms.actuator_index,
-        solution.problem.terms.is_backlash,
-        strict=True,
-    ):
-        if is_backlash and term.significant:
+    out, own = np.zeros(7), solution.problem.terms
+    for term, joint, backlash in zip(terms, own.actuator_index, own.is_backlash, strict=True):
+        if backlash and term.significant:
             out[joint] = max(term.value, 0.0)
     return out
 
 
-def term_remarks(solution: HeadSolution, terms: Sequence[FittedTerm]) -> list[str]:
+def _remarks_on_terms(solution: HeadSolution, terms: Sequence[FittedTerm]) -> list[str]:
     """Remark on the terms found, and on those that the head's file cannot hold."""
-    reading_terms, nominal_head = solution.problem.terms, solution.problem.nominal_head
-    names = [*nominal_head.joints[:3], *nominal_head.actuation.names]
-    lines = []
-    play = significant_backlash(solution, terms)
+    head, lines = solution.problem.nominal_head, []
+    play = _significant_backlash(solution, terms)
     if play.any():
-        line = f"the actuators have backlash, in degrees: {_listed(names, play)}"
-        if nominal_head.actuators is None and play[NECK.stop :].any():
+        line = f"the actuators have backlash, in degrees: {_listed(head, play)}"
+        if head.actuators is None and play[NECK.stop :].any():
             line += "; the head's file has the greatest of the eyes' for all of them"
         if play[: NECK.stop].any():
             line += "; a head's file has no place for that of the neck"
         lines.append(line)
-    if not reading_terms.is_backlash.all():
+    if not solution.problem.terms.is_backlash.all():
         lines.append(
-            f"{harmonics_remark(solution)}: the head is that of readings which are corrected by "
-            "the terms of result.json"
+            f"{_remark_on_harmonics(solution)}: the head is that of readings which are corrected "
+            "by the terms of result.json"
         )
     return lines
 
 
-def harmonics_remark(solution: HeadSolution) -> str:
-    """Remark on the size of the encoder harmonics."""
-    reading_terms, nominal_head = solution.problem.terms, solution.problem.nominal_head
-    waves = reading_terms.evaluate(
-        np.where(reading_terms.is_backlash, 0.0, solution.state.term_parameters)
-    )[0]
-    names = [*nominal_head.joints[:3], *nominal_head.actuation.names]
+def _remark_on_harmonics(solution: HeadSolution) -> str:
+    terms, values = solution.problem.terms, solution.state.term_parameters
+    waves = terms.evaluate(np.where(terms.is_backlash, 0.0, values))[0]
     return (
         "the encoders' readings are off by harmonics of the angle, in degrees up to: "
-        f"{_listed(names, 0.5 * np.ptp(waves, axis=0))}"
+        f"{_listed(solution.problem.nominal_head, 0.5 * np.ptp(waves, axis=0))}"
     )
 
 
-def _listed(names: Sequence[str], angles: FloatArray) -> str:
+def _listed(head: HeadModel, angles: FloatArray) -> str:
     return ", ".join(
         f"{name} {np.rad2deg(angle):.2g}"
-        for name, angle in zip(names, angles.tolist(), strict=False)
+        for name, angle in zip(actuator_names(head), angles.tolist(), strict=True)
         if angle > 0.0
+    )
+
+
+_STEP_SIGMAS: Final = 1e-3
+"""Step of a central difference, in prior standard deviations of a parameter: far above rounding,
+with a square far below 1 (numerical)."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthErrors:
+    """Errors along the line from midway between the eyes to fixated points; nan if out of reach."""
+
+    distance_m: FloatArray
+    """(n,) distance from midway between the eyes."""
+    nominal_error_m: FloatArray
+    """(n,) depth error of the nominal head, taking the calibrated head as the truth; positive if
+    the triangulated point is too far."""
+    nominal_error_norm_m: FloatArray
+    """(n,) length of the nominal head's error in all three directions."""
+    sigma_m: FloatArray
+    """(n,) standard deviation of depth from the uncertainty of the calibration."""
+    noise_floor_m: FloatArray
+    """(n,) standard deviation of depth of a single settled fixation from the noise of pixels and
+    encoders."""
+
+    @property
+    def nominal_error_percent(self) -> FloatArray:
+        """(n,) depth error of the nominal head, percent of the distance."""
+        return np.asarray(1e2 * self.nominal_error_m / self.distance_m)
+
+    @property
+    def sigma_percent(self) -> FloatArray:
+        """(n,) standard deviation of depth from the calibration, percent of the distance."""
+        return np.asarray(1e2 * self.sigma_m / self.distance_m)
+
+
+def points_ahead(distance_m: FloatArray) -> FloatArray:
+    """(n, 3) points straight ahead, m."""
+    return np.asarray(distance_m[:, None] * np.array([0.0, 0.0, 1.0]))
+
+
+def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
+    """(n, 3) points at one distance, turned to the right and then down by angles (n,), m."""
+    return np.asarray(
+        distance_m
+        * np.column_stack(
+            [
+                np.sin(right_rad) * np.cos(down_rad),
+                np.sin(down_rad),
+                np.cos(right_rad) * np.cos(down_rad),
+            ]
+        )
+    )
+
+
+def predict_depth_errors(
+    calibration: HeadCalibration, points_from_eyes_m: FloatArray
+) -> DepthErrors:
+    """Predict the errors of depth of the nominal head, and those that the calibration leaves.
+
+    The calibrated head fixates each point; the nominal and the calibrated head triangulate it from
+    the same joint angles and pixels. The uncertainty is to first order in the head's parameters,
+    with derivatives by central differences.
+
+    Args:
+        calibration: the calibration.
+        points_from_eyes_m: (n, 3) points relative to midway between the eyes, in N with the neck at
+            rest, m.
+    """
+    head = calibration.head
+    points = midpoint_between_cameras(head) + points_from_eyes_m
+    distance = np.linalg.norm(points_from_eyes_m, axis=-1)
+    along = points_from_eyes_m / distance[:, None]
+    q, sees = fixation_angles_and_visibility(head, points)
+    pixels = head.project(q, points)
+    fix = triangulate_views(head, q, pixels)
+    off = triangulate_views(calibration.nominal_head, q, pixels).point - points
+    free = calibration.solution.problem.prior_sigma > 0.0
+    steps = _STEP_SIGMAS * np.diag(calibration.solution.problem.prior_sigma)[free]
+    values = calibration.solution.state.head_parameters + np.stack([steps, -steps])
+    moved = triangulate_views(
+        calibration.nominal_head.with_parameters(values[:, :, None]), q, pixels
+    ).point
+    depth = np.einsum("snpi,pi->snp", moved, along)
+    depth_derivatives = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
+    spread = np.einsum(
+        "np,nm,mp->p",
+        depth_derivatives,
+        calibration.covariance[np.ix_(free, free)],
+        depth_derivatives,
+    )
+    floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
+    return DepthErrors(
+        distance,
+        *(
+            np.where(sees, values, np.nan)
+            for values in (
+                (off * along).sum(axis=-1),
+                np.linalg.norm(off, axis=-1),
+                np.sqrt(spread),
+                np.sqrt(floor),
+            )
+        ),
     )
