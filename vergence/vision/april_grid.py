@@ -283,7 +283,7 @@ class CornerSearch:
 
     def find_neighbouring_tags(self) -> None:
         """Search for tags next to those found, repeatedly outwards."""
-        tried = known_corner_mask(self.found).any(axis=1)
+        tried = np.asarray(known_corner_mask(self.found).any(axis=1), np.bool_)
         while len(new := self.refine_neighbours_of_whole_tags(tried)):
             tried[new] = True
             seen = new[np.isfinite(self.predicted[new]).all(axis=(1, 2))]
@@ -392,7 +392,7 @@ def _count_other_tags(
     search = CornerSearch(image, around, flat)
     placed = np.full(search.found.shape, np.nan)
     placed[inner] = tags
-    whole = known_corner_mask(placed).all(axis=1)
+    whole = np.asarray(known_corner_mask(placed).all(axis=1), np.bool_)
     search.refine_corners_of(np.repeat(whole[:, None], 4, axis=1), placed)
     beside = search.refine_neighbours_of_whole_tags(whole)
     seen = beside[known_corner_mask(search.found[beside]).sum(axis=1) >= _LEAST_OTHER_CORNERS]

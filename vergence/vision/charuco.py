@@ -35,7 +35,8 @@ from vergence.vision.prints import (
     least_corner_contrast,
     normalised,
 )
-from vergence.vision.targets import AprilGrid, CharucoBoard
+from vergence.vision.tag_families import AprilGrid
+from vergence.vision.targets import CharucoBoard
 
 _PROBE_MARGINS: Final = 0.45
 """Distance of grey samples from a corner along both axes, in margins of a marker (chosen)."""
@@ -341,7 +342,7 @@ def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
     rows, columns = np.indices((board.rows - 2, board.columns - 2))
     plain = ((rows + columns) % 2 == 0) == upper_left_is_dark(board)
     places = square_centres(grid)[plain.ravel()]
-    return places[np.isfinite(places).all(axis=1)]
+    return np.asarray(places[np.isfinite(places).all(axis=1)])
 
 
 def _square_px(

@@ -237,7 +237,8 @@ def _greys_at(image: NDArray[np.uint8], places: NDArray[Any]) -> NDArray[np.int1
     """Grey levels of the nearest pixels, shape (...) for (..., 2)."""
     height, width = image.shape
     u, v = np.moveaxis(np.rint(places).astype(int), -1, 0)
-    return image[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)].astype(np.int16)
+    inside = image[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
+    return np.asarray(inside, np.int16)
 
 
 _LARGE_WINDOW_SQUARES: Final = 0.25

@@ -1,7 +1,7 @@
 """Corners of boards: refinement, their sigma, and checks of their spacing."""
 
 from functools import lru_cache
-from math import comb, exp, nan, sqrt
+from math import comb, exp, hypot, nan, sqrt
 from typing import Final, NamedTuple
 
 import cv2
@@ -261,16 +261,26 @@ def shortest_square_edge_px(grid: Grid) -> float:
     return float(np.sqrt(shortest))
 
 
+@compiled
 def is_even_unmirrored_grid(grid: Grid) -> bool:
     """Check that corners form an even grid that is not mirrored."""
-    right, down = np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1]
-    if not (right[..., 0] * down[..., 1] > right[..., 1] * down[..., 0]).all():
-        return False
-    for lines in (grid, grid.swapaxes(0, 1)):
-        bent = lines[2:] + lines[:-2] - 2.0 * lines[1:-1]
-        apart = lines[2:] - lines[:-2]
-        if ((bent**2).sum(axis=-1) > _MAX_SECOND_DIFFERENCE**2 * (apart**2).sum(axis=-1)).any():
-            return False
+    rows, columns, _ = grid.shape
+    for j in range(rows - 1):
+        for i in range(columns - 1):
+            u, v = grid[j, i + 1, 0] - grid[j, i, 0], grid[j, i + 1, 1] - grid[j, i, 1]
+            x, y = grid[j + 1, i, 0] - grid[j, i, 0], grid[j + 1, i, 1] - grid[j, i, 1]
+            if not u * y - v * x > 0.0:  # the image of a board is never mirrored
+                return False
+    for j in range(rows):
+        for i in range(columns):
+            for down in range(2):
+                across = 1 - down
+                if j < down or i < across or j + down >= rows or i + across >= columns:
+                    continue
+                a, b = grid[j - down, i - across], grid[j + down, i + across]
+                bent = hypot(a[0] + b[0] - 2.0 * grid[j, i, 0], a[1] + b[1] - 2.0 * grid[j, i, 1])
+                if bent > _MAX_SECOND_DIFFERENCE * hypot(a[0] - b[0], a[1] - b[1]):
+                    return False
     return True
 
 
@@ -282,36 +292,52 @@ def square_centres(grid: Grid) -> NDArray[np.float64]:
 
 _MAX_DIFFERENCE_ORDER: Final = 5
 """Highest order of differences along a row (chosen: removes lens distortion, needs six corners)."""
+_BINOMIALS: Final = np.array(
+    [
+        [(-1.0) ** k * comb(n, k) for k in range(_MAX_DIFFERENCE_ORDER + 1)]
+        for n in range(_MAX_DIFFERENCE_ORDER + 1)
+    ]
+)
+"""Coefficients of the n-th difference, row n."""
 
 
-def estimate_corner_scatter_px(grid: Grid) -> float:
+@compiled
+def estimate_corner_scatter_px(grid: NDArray[np.float64]) -> float:
     """Standard deviation of corners about a smooth grid, of each coordinate, px.
 
     It includes errors beyond pixel noise: uneven print, the pixel grid, compression. Perspective
     and lens turn a line into a polynomial, nearly of degree n - 1, which the n-th difference of
     n + 1 corners in a row cancels. That difference has (2n)! / n!^2 times the variance of one
     coordinate. The order is five, or less if a row has fewer corners; in rows of three it is two,
-    and the difference of the next row is subtracted. Unknown corners are nan.
+    and the difference of the next row is subtracted.
+
+    Args:
+        grid: (rows, columns, 2) the corners, px; nan for unknown ones.
     """
-    squares = np.zeros(1)
-    for lines in (grid.swapaxes(0, 1), grid):
-        rows, columns, _ = lines.shape
+    squares, count = 0.0, 0
+    for axis in range(2):
+        along = grid if axis == 1 else grid.transpose(1, 0, 2)
+        rows, columns, _ = along.shape
+        order = min(columns - 1, _MAX_DIFFERENCE_ORDER)
         if columns < 3 or rows < 2:
             continue
-        order = min(columns - 1, _MAX_DIFFERENCE_ORDER)
-        beside = 1 if order == 2 else 0  # lines that differences span
-        differences, variance = (
-            np.zeros((rows - beside, columns - order, 2)),
-            comb(2 * order, order),
-        )
+        norm = sum_ = 0.0
         for n in range(order + 1):
-            share = (-1.0) ** n * comb(order, n) * lines[:, n : columns - order + n]
-            differences += share[: rows - beside]
-            if beside:
-                differences -= share[1:]
-        known = differences[np.isfinite(differences)]
-        squares = np.append(squares, known * known / ((1.0 + beside) * variance))
-    return sqrt(np.cumsum(squares)[-1] / max(len(squares) - 1, 1))
+            norm += _BINOMIALS[order, n] ** 2
+        for j in range(rows):
+            if order == 2 and j + 1 == rows:
+                continue
+            for i in range(columns - order):
+                for k in range(2):
+                    sum_ = 0.0
+                    for n in range(order + 1):
+                        sum_ += _BINOMIALS[order, n] * along[j, i + n, k]
+                        if order == 2:
+                            sum_ -= _BINOMIALS[order, n] * along[j + 1, i + n, k]
+                    if sum_ == sum_:
+                        squares += sum_ * sum_ / (2.0 * norm if order == 2 else norm)
+                        count += 1
+    return sqrt(squares / max(count, 1))
 
 
 _LEAST_GRID_DEGREE: Final = 3
@@ -493,6 +519,7 @@ def fit_smooth_homography(
                 break
             # an outlier also pulls its neighbours away, so only the worst are removed per round
             good[np.flatnonzero(good)[over > max(1.0, 0.5 * float(over.max()))]] = False
+    assert transform is not None
     sigma = float(np.sqrt(fit.unexplained / (2.0 * fit.free))) if fit.free >= 1.0 else 0.0
     # all terms but the constant vanish at the origin
     used = fit.coefficients
