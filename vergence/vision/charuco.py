@@ -1,6 +1,6 @@
 """Detection of ChArUco boards, whole or in part, in both layouts of OpenCV."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, Final
@@ -12,143 +12,46 @@ from numpy.typing import NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.camera import Camera, CameraResponse
 from vergence.vision.corners import (
+    DEFAULT_SIGMA_PX,
+    MAX_ENLARGED_PIXELS,
+    MAX_TRACKED_MOVE_SQUARES,
+    WINDOW_FRACTION,
+    WINDOW_PX,
     Grid,
     corner_sigmas,
     estimate_corner_scatter_px,
     estimate_noise_grey,
-    refine_corners,
-    remaining_move_px,
+    refine_and_check,
     square_centres,
 )
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.optics import FlatView, IdentityView, fit_homography, origin_sigma_px
+from vergence.vision.prints import (
+    CORNER_PROBES,
+    LEAST_CONFIRMED_FRACTION,
+    MAX_OTHER_FRACTION,
+    corner_contrasts,
+    grey_at_pixels,
+    least_corner_contrast,
+    normalised,
+)
+from vergence.vision.tag_families import AprilGrid
 from vergence.vision.targets import CharucoBoard
 
 _PROBE_MARGINS: Final = 0.45
 """Distance of grey samples from a corner along both axes, in margins of a marker (chosen)."""
-_LEAST_CONTRAST_GREY: Final = 5.0
-"""Least contrast at a corner, grey levels (chosen: above noise)."""
-_LEAST_RELATIVE_CONTRAST: Final = 0.25
-"""Least contrast at a corner, as a fraction of the median of all corners (chosen)."""
-_LEAST_CORRELATION: Final = 0.4
+_LEAST_MARKER_CORRELATION: Final = 0.4
 """Least correlation of a marker's grey levels with its print (chosen)."""
-
-BoardProjection = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+_Projection = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Function from positions on the board, (n, 2) m, to pixels, (n, 2)."""
-
-
-def upper_left_is_dark(board: CharucoBoard) -> bool:
-    """True if the board's upper left square is black."""
-    return not (board.legacy and board.rows % 2 == 0)
-
-
-def mask_alternating_corners(
-    image: NDArray[np.uint8],
-    board: CharucoBoard,
-    corner_indices: NDArray[np.intp],
-    project: BoardProjection,
-) -> NDArray[np.bool_]:
-    """Check that black and white alternate around each corner as printed.
-
-    Args:
-        image: grey levels, shape (height, width).
-        board: the board.
-        corner_indices: (n,) indices of the corners.
-        project: projection of the board into the image.
-
-    Returns:
-        (n,) mask of the corners that pass.
-    """
-    away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
-    steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
-    probes = (board.corners_m[corner_indices][:, None] + steps).reshape(-1, 2)
-    grey = grey_at_pixels(image, project(probes)).reshape(-1, 4)
-    row, column = np.divmod(corner_indices, board.columns - 1)
-    sign = np.where(((row + column) % 2 == 0) == upper_left_is_dark(board), 1.0, -1.0)
-    contrast = 0.5 * sign * (grey[:, 2] + grey[:, 3] - grey[:, 0] - grey[:, 1])
-    return contrast > max(
-        _LEAST_CONTRAST_GREY, _LEAST_RELATIVE_CONTRAST * float(np.median(contrast))
-    )
-
-
-def fraction_of_markers_confirmed(
-    image: NDArray[np.uint8],
-    board: CharucoBoard,
-    corner_indices: NDArray[np.intp],
-    project: BoardProjection,
-) -> float:
-    """Fraction of the markers beside some corners whose image agrees with their print.
-
-    Args:
-        image: see `mask_alternating_corners`.
-        board: see `mask_alternating_corners`.
-        corner_indices: see `mask_alternating_corners`.
-        project: see `mask_alternating_corners`.
-    """
-    row, column = np.divmod(corner_indices, board.columns - 1)
-    beside = np.zeros((board.rows, board.columns), bool)
-    for down in range(2):
-        for right in range(2):
-            beside[row + down, column + right] = True
-    middles_m, printed = _squares(board)
-    rows, columns = np.indices(beside.shape)
-    marked = ((rows + columns) % 2 == 1) == upper_left_is_dark(board)
-    chosen = (beside & marked).ravel()
-    places = middles_m[chosen]
-    grey = grey_at_pixels(image, project(places.reshape(-1, 2))).reshape(places.shape[:2])
-    grey = grey - grey.mean(axis=1, keepdims=True)
-    wanted = printed[chosen]
-    scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
-    alike = (grey * wanted).sum(axis=1) / np.maximum(scale, 1e-6)
-    return float((alike > _LEAST_CORRELATION).mean())
-
-
-@lru_cache(maxsize=8)
-def _squares(board: CharucoBoard) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centres of all cells by square, (squares, n, 2) m; their print minus its mean per square."""
-    rows, columns = board.rows, board.columns
-    size = len(board.cells) // rows
-    x, y = (np.arange(size * count) + 0.5 for count in (columns, rows))
-    middles = np.stack(np.meshgrid(x, y), axis=-1) - board.origin_cells
-    by_square = (rows, size, columns, size)
-    places_m = board.cell_m * middles.reshape(*by_square, 2).swapaxes(1, 2)
-    cells = board.cells.astype(float).reshape(by_square).swapaxes(1, 2)
-    printed = np.reshape(cells, (rows * columns, -1))
-    return (
-        np.reshape(places_m, (rows * columns, -1, 2)),
-        printed - printed.mean(axis=1, keepdims=True),
-    )
-
-
-def grey_at_pixels(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Grey levels at pixels (n, 2); replicated beyond the border, the upper left pixel for nan."""
-    remap: Any = cv2.remap
-    where = np.nan_to_num(pixels, nan=-1e4)
-    out = np.empty(len(where))
-    for start in range(0, len(where), 16384):  # remap takes at most 32767 in a row
-        part = where[None, start : start + 16384].astype(np.float32)
-        out[start : start + part.shape[1]] = remap(
-            image, part, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )[0]
-    return out
-
-
-_WINDOW_SQUARES: Final = 0.6
-"""Largest half side of the refinement window, in squares (chosen)."""
 _WINDOW_MARGINS: Final = 0.85
 """Half side of the refinement window, in margins of a marker; it must not contain the marker's
 corners (chosen)."""
-_WINDOW_PX: Final = (2, 5)
-"""Range of the half side of the refinement window, px (chosen)."""
 _LEAST_CORNERS: Final = 4
 """Least number of corners, as a homography needs (numerical)."""
 _MAX_RESIDUAL_SQUARES: Final = 0.3
 """Largest residual of a corner from the homography of all, in squares (chosen: outliers against
 lens distortion)."""
-_MAX_REMAINING_MOVE_PX: Final = 0.5
-"""Largest remaining move of a corner that counts as refined, px (chosen)."""
-_MAX_TRACKED_MOVE: Final = 0.35
-"""Largest move of a tracked corner, in squares (chosen)."""
 _LEAST_PERIMETER: Final = 0.01
 """Least perimeter of a marker, as a fraction of the longer side of the searched image (chosen:
 small markers against time)."""
@@ -158,21 +61,16 @@ the least that can be read (chosen)."""
 _QUICK_SEARCH_SIDE_PX: Final = 1280
 """Longer side to which larger images are first reduced in loops at camera rate, px (chosen: time
 against small markers)."""
-_MAX_ENLARGED_PIXELS: Final = 2_000_000
-"""Largest image that is enlarged if nothing is found, for markers of 2 px per bit, pixels (chosen:
-search time)."""
-_LEAST_CONFIRMED_FRACTION: Final = 0.5
-"""Least fraction of the markers beside the corners whose print must be confirmed (chosen)."""
 _MAX_LATTICE_ERROR_SQUARES: Final = 0.25
 """Largest distance of a corner of a marker from its place in a square of the lattice, in squares
 (chosen: lens distortion against markers of others)."""
-_MAX_WRONG_MARKERS: Final = 0.1
-"""Most markers on the board whose numbers are not the board's, as a fraction of those that are
-(chosen: misread markers against boards of other counts)."""
 _CORNER_SIGNS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 """Directions from a marker's middle to its corners (numerical)."""
-_DEFAULT_SIGMA_PX: Final = 0.1
-"""Standard deviation of corners too few to estimate their noise, px (chosen)."""
+
+
+def upper_left_is_dark(board: CharucoBoard) -> bool:
+    """True if the board's upper left square is black."""
+    return not (board.legacy and board.rows % 2 == 0)
 
 
 class CharucoDetector(Detector[CharucoBoard]):
@@ -210,7 +108,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         return self._detect_some(image) or self._detect_rest(image)
 
     def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._scaled(image, 2.0) if image.size <= _MAX_ENLARGED_PIXELS else []
+        return self._scaled(image, 2.0) if image.size <= MAX_ENLARGED_PIXELS else []
 
     def _scaled(self, image: NDArray[np.uint8], scale: float) -> list[Detection]:
         """Search the image at another scale."""
@@ -218,20 +116,19 @@ class CharucoDetector(Detector[CharucoBoard]):
         if scale != 1.0:
             method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
             part = np.asarray(cv2.resize(image, None, None, scale, scale, method), np.uint8)
-        return self._best_of(image, part, np.zeros(2), scale)
+        return self._best_of(image, part, scale=scale)
 
     def _detect_in(
         self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
         x0, y0, x1, y1 = region
-        part = np.ascontiguousarray(image[y0:y1, x0:x1])
-        return self._best_of(image, part, np.array([x0, y0], float))
+        return self._best_of(image, np.ascontiguousarray(image[y0:y1, x0:x1]), (x0, y0))
 
     def _best_of(
         self,
         image: NDArray[np.uint8],
         part: NDArray[np.uint8],
-        shift: NDArray[np.float64],
+        shift: tuple[int, int] = (0, 0),
         scale: float = 1.0,
     ) -> list[Detection]:
         """Detection in the layout with most corners, in a part of the image at a shift in it."""
@@ -241,6 +138,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         ids: Any
         if not own.any():  # OpenCV would search for them again
             return []
+        seen = (markers.astype(float) + 0.5) / scale - 0.5 + shift
         for board in self._layouts:
             search = cv2.aruco.CharucoDetector(board.opencv_board())
             corners, ids, *_ = search.detectBoard(
@@ -252,17 +150,18 @@ class CharucoDetector(Detector[CharucoBoard]):
             known = (np.reshape(corners, (-1, 2)).astype(float) + 0.5) / scale - 0.5
             places[np.ravel(ids)] = known + shift
             detection = self._at(image, board, places)
-            seen = (markers.astype(float) + 0.5) / scale - 0.5 + shift
-            if detection is not None and not self._is_of_another(detection, seen, numbers):
+            if detection is not None and not self._is_of_another(board, detection, seen, numbers):
                 found.append(detection)
         return _most(found)
 
     def _is_of_another(
-        self, found: Detection, markers: NDArray[np.float64], numbers: NDArray[np.intp]
+        self,
+        board: CharucoBoard,
+        found: Detection,
+        markers: NDArray[np.float64],
+        numbers: NDArray[np.intp],
     ) -> bool:
         """True if markers on the board's lattice, or next to it, are not those of the board."""
-        board = found.target
-        assert isinstance(board, CharucoBoard)
         known = np.isfinite(found.corners_px).all(axis=1)
         flat = self._flat(found.corners_px[known])
         to_board = fit_homography(
@@ -284,11 +183,11 @@ class CharucoDetector(Detector[CharucoBoard]):
         right = (own[np.minimum(numbers, len(own) - 1)] == square).all(axis=1)
         right &= numbers < len(own)
         wrong = int((on & inside & ~right).sum())
-        return bool((on & ~inside).any() or wrong > _MAX_WRONG_MARKERS * int((on & right).sum()))
+        return bool((on & ~inside).any() or wrong > MAX_OTHER_FRACTION * int((on & right).sum()))
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
         assert isinstance(predicted.target, CharucoBoard)
-        return self._at(image, predicted.target, predicted.corners_px, _MAX_TRACKED_MOVE)
+        return self._at(image, predicted.target, predicted.corners_px, MAX_TRACKED_MOVE_SQUARES)
 
     def _at(
         self,
@@ -307,14 +206,11 @@ class CharucoDetector(Detector[CharucoBoard]):
         flat = self._flat(corners)
         square = _square_px(corners, board_m, board.square_m)
         margin = 0.5 * (1.0 - board.marker_m / board.square_m) * square
-        wide = min(_WINDOW_SQUARES * square, max(_WINDOW_MARGINS * margin, _WINDOW_PX[0]))
-        half_side_px = int(min(max(round(wide), _WINDOW_PX[0]), _WINDOW_PX[1]))
-        refined = refine_corners(image, corners, half_side_px)
-        moved = np.abs(refined - corners).max(axis=1)
+        wide = min(WINDOW_FRACTION * square, max(_WINDOW_MARGINS * margin, WINDOW_PX[0]))
+        half_side_px = int(min(max(round(wide), WINDOW_PX[0]), WINDOW_PX[1]))
+        refined, moved, settled = refine_and_check(image, corners, half_side_px)
         limit = half_side_px + 1.0 if step_squares is None else step_squares * square
-        good = (moved <= limit) & (
-            remaining_move_px(image, refined, half_side_px) <= _MAX_REMAINING_MOVE_PX
-        )
+        good = settled & (moved <= limit)
         ideal = flat.to_plane(refined)
         transform = fit_homography(board_m[good], ideal[good]) if good.sum() >= 4 else None
         if transform is None:
@@ -323,11 +219,11 @@ class CharucoDetector(Detector[CharucoBoard]):
         used = good
         near = np.linalg.norm(beside, axis=1) <= _MAX_RESIDUAL_SQUARES * square
         project = partial(_project_board, flat, transform)
-        good = good & near & mask_alternating_corners(image, board, known, project)
+        good = good & near & _alternating_corners(image, board, known, project)
         if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
             return None
         known, refined, ideal = known[good], refined[good], ideal[good]
-        if fraction_of_markers_confirmed(image, board, known, project) < _LEAST_CONFIRMED_FRACTION:
+        if _confirmed_fraction(image, board, known, project) < LEAST_CONFIRMED_FRACTION:
             return None
         out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
         out[known] = refined
@@ -335,7 +231,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         noise = estimate_noise_grey(image, _plain_squares(board, grid))
         even = np.full(out.shape, np.nan)
         even[known] = ideal
-        grid_sigma_px = estimate_corner_scatter_px(even.reshape(grid.shape)) or _DEFAULT_SIGMA_PX
+        grid_sigma_px = estimate_corner_scatter_px(even.reshape(grid.shape)) or DEFAULT_SIGMA_PX
         sigmas[known] = np.maximum(
             corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px
         )
@@ -365,10 +261,6 @@ def find_markers(
     image: NDArray[np.uint8], dictionary: cv2.aruco.Dictionary
 ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
     """Find the markers of a dictionary in an image.
-
-    Args:
-        image: grey levels, shape (height, width).
-        dictionary: the markers to find.
 
     Returns:
         (n, 4, 2) their corners, px, from the upper left of the print, clockwise; (n,) numbers.
@@ -400,6 +292,51 @@ def _project_board(
     return flat.to_pixels(np.asarray(cv2.perspectiveTransform(board_m[None], transform)[0], float))
 
 
+def _alternating_corners(
+    image: NDArray[np.uint8], board: CharucoBoard, corners: NDArray[np.intp], project: _Projection
+) -> NDArray[np.bool_]:
+    """Mask of the corners of some numbers around which black and white alternate as printed."""
+    away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
+    probes = board.corners_m[corners][:, None] + away * CORNER_PROBES
+    greys = grey_at_pixels(image, project(probes.reshape(-1, 2)).reshape(probes.shape))
+    row, column = np.divmod(corners, board.columns - 1)
+    dark = ((row + column) % 2 == 0) == upper_left_is_dark(board)
+    contrast = corner_contrasts(greys, np.where(dark, 1.0, -1.0))
+    return np.asarray(contrast > least_corner_contrast(contrast))
+
+
+def _confirmed_fraction(
+    image: NDArray[np.uint8], board: CharucoBoard, corners: NDArray[np.intp], project: _Projection
+) -> float:
+    """Fraction of the markers beside some corners whose image agrees with their print."""
+    row, column = np.divmod(corners, board.columns - 1)
+    beside = np.zeros((board.rows, board.columns), bool)
+    for down in range(2):
+        for right in range(2):
+            beside[row + down, column + right] = True
+    rows, columns = np.indices(beside.shape)
+    marked = ((rows + columns) % 2 == 1) == upper_left_is_dark(board)
+    chosen = (beside & marked).ravel()
+    middles_m, printed = _squares(board)
+    places = middles_m[chosen]
+    greys = grey_at_pixels(image, project(places.reshape(-1, 2)).reshape(places.shape))
+    alike = (normalised(greys) * printed[chosen]).sum(axis=1)
+    return float((alike > _LEAST_MARKER_CORRELATION).mean())
+
+
+@lru_cache(maxsize=8)
+def _squares(board: CharucoBoard) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centres of all cells by square, (squares, n, 2) m; their normalised print per square."""
+    rows, columns = board.rows, board.columns
+    size = len(board.cells) // rows
+    x, y = (np.arange(size * count) + 0.5 for count in (columns, rows))
+    middles_m = board.cell_m * (np.stack(np.meshgrid(x, y), axis=-1) - board.origin_cells)
+    by_square = (rows, size, columns, size)
+    places_m = middles_m.reshape(*by_square, 2).swapaxes(1, 2).reshape(rows * columns, -1, 2)
+    printed = board.cells.astype(float).reshape(by_square).swapaxes(1, 2)
+    return places_m, normalised(printed.reshape(rows * columns, -1))
+
+
 def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
     """Centres of the squares without a marker whose four corners are known, shape (n, 2), px."""
     rows, columns = np.indices((board.rows - 2, board.columns - 2))
@@ -423,55 +360,50 @@ def _square_px(
 
 _MOST_COLUMNS: Final = 24
 """Largest number of columns that is tried (chosen: search time)."""
+LEAST_ARRANGED_FRACTION: Final = 0.6
+"""Least fraction of the markers in an image that must be arranged as on one board (chosen)."""
 _MAX_ERROR_EDGES: Final = 0.25
 """Largest distance of a marker's corner from its place on a board, in edges of a marker (chosen:
 allows for lens distortion)."""
 _DRAWS: Final = 100
 """Draws of four corners for a board (chosen: search time; 60 % good ones need 22 for 95 %)."""
-_LEAST_ARRANGED_FRACTION: Final = 0.6
-"""Least fraction of the markers that must be arranged as on one board (chosen)."""
+
+
+def alternative_columns(missed: CharucoBoard | AprilGrid, least: int) -> list[int]:
+    """Columns to try for a board that is not the one asked for, first those of its sides."""
+    return list(dict.fromkeys([missed.columns, missed.rows, *range(least, _MOST_COLUMNS + 1)]))
+
+
+def alternative_rows(missed: CharucoBoard | AprilGrid, columns: int, needed: int) -> int:
+    """Rows of such a board that needs some: if the columns agree, at least those asked for."""
+    return max(needed, missed.rows) if columns == missed.columns else needed
 
 
 def alternative_charuco(
-    corners: NDArray[np.float32],
-    numbers: NDArray[np.intp],
-    missed: CharucoBoard,
-    dictionary: str,
+    corners: NDArray[np.float32], numbers: NDArray[np.intp], missed: CharucoBoard, dictionary: str
 ) -> CharucoBoard | None:
-    """Find the board on which most of some markers are arranged as in an image.
+    """Board on which most markers, as `find_markers` gives them, are arranged as in an image.
 
-    Args:
-        corners: (n, 4, 2) corners of the markers, px, see `find_markers`.
-        numbers: (n,) their numbers.
-        missed: the board that was not found; its sizes are kept, and if the columns agree, at
-            least its rows.
-        dictionary: OpenCV's name of the markers' dictionary.
-
-    Returns:
-        The board, with as many rows as the markers need; None if too few markers agree.
+    It has the sizes of the board that was missed and as many rows as the markers need. None if too
+    few markers agree.
     """
     edge = float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
-    best, most = None, _LEAST_ARRANGED_FRACTION * corners.size / 2
-    for board in _boards(missed, int(numbers.max()), dictionary):
-        places = marker_corners_m(board)[numbers].reshape(-1, 2)
-        fitted: Any = cv2.findHomography(
-            places, corners.reshape(-1, 2), cv2.RANSAC, _MAX_ERROR_EDGES * edge, maxIters=_DRAWS
-        )
-        if fitted[0] is not None and fitted[1].sum() > most:
-            best, most = board, fitted[1].sum()
-    return best
-
-
-def _boards(missed: CharucoBoard, largest: int, dictionary: str) -> Iterator[CharucoBoard]:
-    """Boards of any number of columns and both layouts that have the largest number."""
-    for columns in dict.fromkeys([missed.columns, missed.rows, *range(3, _MOST_COLUMNS + 1)]):
-        least = missed.rows if columns == missed.columns else 3
-        rows = max(least, -(-2 * (largest + 1) // columns))
+    best, most = None, LEAST_ARRANGED_FRACTION * corners.size / 2
+    squares = 2 * (int(numbers.max()) + 1)
+    for columns in alternative_columns(missed, 3):
+        rows = alternative_rows(missed, columns, max(3, -(-squares // columns)))
         for legacy in (False, True):
             even = rows + rows % 2 if legacy else rows
             try:
-                yield replace(
+                board = replace(
                     missed, columns=columns, rows=even, legacy=legacy, dictionary=dictionary
                 )
             except ConfigurationError:  # too many markers for the dictionary
                 continue
+            places = marker_corners_m(board)[numbers].reshape(-1, 2)
+            fitted: Any = cv2.findHomography(
+                places, corners.reshape(-1, 2), cv2.RANSAC, _MAX_ERROR_EDGES * edge, maxIters=_DRAWS
+            )
+            if fitted[0] is not None and fitted[1].sum() > most:
+                best, most = board, fitted[1].sum()
+    return best

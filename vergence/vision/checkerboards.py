@@ -1,6 +1,8 @@
 """Detection of checkerboards: OpenCV's search, in clusters of corners first, and refinement."""
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -8,24 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.vision.corners import (
+    MAX_TRACKED_MOVE_SQUARES,
+    WINDOW_FRACTION,
+    WINDOW_PX,
     Grid,
-    board_continues_beyond,
     corner_sigmas,
     crossing_asymmetries,
     estimate_corner_scatter_px,
     estimate_noise_grey,
     is_even_unmirrored_grid,
     loo_residuals_and_scales,
+    refine_and_check,
     refine_corners,
     refine_corners_robustly,
-    remaining_move_px,
     shortest_square_edge_px,
     square_centres,
-    squares_alternate,
 )
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.image import smooth_for_square_search
 from vergence.vision.optics import FlatView, IdentityView
+from vergence.vision.prints import board_continues_beyond, squares_alternate
 from vergence.vision.targets import Checkerboard
 
 _BLUR_PX: Final = 1.2
@@ -77,9 +81,6 @@ _MARGIN_EDGES: Final = 2.0
 _MARGIN_PX: Final = 6.0
 """Additional margin around a cluster, px (chosen)."""
 
-Region = tuple[int, int, int, int]
-"""Region of the pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""
-
 
 class _Saddles(NamedTuple):
     """Saddle points of the grey levels."""
@@ -95,19 +96,18 @@ class _Saddles(NamedTuple):
 class CornerCluster(NamedTuple):
     """A connected cluster of corners."""
 
-    region: Region
-    """Region of the board that the corners may belong to."""
+    region: tuple[int, int, int, int]
+    """Region x0 <= u < x1, y0 <= v < y1 of the board that they may belong to, px."""
     corners_px: NDArray[np.float64]
     """(n, 2) the corners, to one pixel, px."""
 
 
 def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> list[CornerCluster]:
-    """Find a few clusters with about as many corners as a board.
+    """Find a few clusters with about as many corners as a board, the nearest in size first.
 
     Args:
         image: grey levels, shape (height, width), without much noise.
-        board_corner_count: number of corners of the board; clusters nearest to it in size come
-            first.
+        board_corner_count: number of corners of the board.
     """
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
     saddles = _crossed(smooth, _saddles(smooth))
@@ -127,16 +127,15 @@ def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> l
         & (sizes <= _MAX_SIZE_RATIO * board_corner_count)
     )
     lengths = np.linalg.norm(saddles.places[first] - saddles.places[second], axis=1)
-    height, width = image.shape
     out = []
-    for k in alike[np.argsort(np.abs(sizes[alike] - board_corner_count), kind="stable")][
-        :_MOST_CLUSTERS
-    ]:
+    nearest = np.argsort(np.abs(sizes[alike] - board_corner_count), kind="stable")
+    for k in alike[nearest][:_MOST_CLUSTERS]:
         places = saddles.places[cluster == k]
         margin = _MARGIN_EDGES * float(np.median(lengths[cluster[first] == k])) + _MARGIN_PX
-        x0, y0 = np.floor(np.maximum(places.min(axis=0) - margin, 0)).astype(int).tolist()
-        x1, y1 = np.ceil(np.minimum(places.max(axis=0) + margin + 1, (width, height))).tolist()
-        out.append(CornerCluster((x0, y0, int(x1), int(y1)), places.astype(float)))
+        low = np.floor(np.maximum(places.min(axis=0) - margin, 0))
+        high = np.ceil(np.minimum(places.max(axis=0) + margin + 1, image.shape[::-1]))
+        x0, y0, x1, y1 = (int(each) for each in (*low, *high))
+        out.append(CornerCluster((x0, y0, x1, y1), places.astype(float)))
     return out
 
 
@@ -160,17 +159,14 @@ def _saddles(smooth: NDArray[np.uint8]) -> _Saddles:
 def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
     """Select saddles with four changes between light and dark around them."""
     angles = 2.0 * np.pi * np.arange(_CIRCLE_SAMPLES) / _CIRCLE_SAMPLES
-    circle = np.rint(_CIRCLE_RADIUS_PX * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(
-        int
-    )
+    circle = np.rint(_CIRCLE_RADIUS_PX * np.column_stack([np.cos(angles), np.sin(angles)]))
     greys = _greys_at(smooth, saddles.places[:, None] + circle)
     high, low = greys.max(axis=1), greys.min(axis=1)
     light = 2 * greys > (high + low)[:, None]
     changes = (light != np.roll(light, 1, axis=1)).sum(axis=1)
-    quarter = _CIRCLE_SAMPLES // 4
-    both = greys[:, : 2 * quarter] + greys[:, 2 * quarter :]
-    crossed = np.abs(both[:, :quarter] - both[:, quarter:]).sum(axis=1)
-    opposite = np.abs(greys[:, : 2 * quarter] - greys[:, 2 * quarter :]).sum(axis=1)
+    first, second, third, fourth = np.split(greys, 4, axis=1)  # by quadrants
+    crossed = np.abs(first + third - second - fourth).sum(axis=1)
+    opposite = np.abs(np.hstack([first - third, second - fourth])).sum(axis=1)
     ranges = high - low
     kept = (changes == 4) & (ranges > _LEAST_RANGE_GREY) & (crossed > _LEAST_CROSS_RATIO * opposite)
     numbers = np.flatnonzero(kept)
@@ -208,11 +204,8 @@ def _edges(
     # the sign of the mixed derivative along and across the edge gives its light side
     bend = along[:, 0] * (uu[first] * across[:, 0] + uv[first] * across[:, 1])
     bend += along[:, 1] * (uv[first] * across[:, 0] + vv[first] * across[:, 1])
-    aside = (
-        np.sign(bend)[:, None]
-        * across
-        * np.maximum(_EDGE_SAMPLE_OFFSET * length, _LEAST_SAMPLE_OFFSET_PX)
-    )
+    away = np.maximum(_EDGE_SAMPLE_OFFSET * length, _LEAST_SAMPLE_OFFSET_PX)
+    aside = np.sign(bend)[:, None] * across * away
     least = _LEAST_EDGE_CONTRAST * np.maximum(saddles.ranges[first], saddles.ranges[second])
     kept = np.ones(len(first), np.bool_)
     for share in _EDGE_SAMPLE_FRACTIONS:
@@ -248,20 +241,13 @@ def _greys_at(image: NDArray[np.uint8], places: NDArray[Any]) -> NDArray[np.int1
     return np.asarray(inside, np.int16)
 
 
-_WINDOW_SQUARES: Final = 0.6
-"""Half side of the refinement window, in squares (chosen: a full square would contain the next
-edge)."""
-_WINDOW_PX: Final = (2, 5)
-"""Least half side of that window, and largest except for large squares, px (chosen)."""
 _LARGE_WINDOW_SQUARES: Final = 0.25
-"""Largest half side of that window for large squares, in squares (chosen: out of focus their edges
-are wider than 11 px, and in such a window corners would be off by a pixel)."""
+"""Largest half side of the refinement window for large squares, in squares (chosen: out of focus
+their edges are wider than 11 px, and in such a window corners would be off by a pixel)."""
 _LARGE_WINDOW_PX: Final = 24
 """Largest half side of that window for large squares, px (chosen)."""
 _LEAST_SQUARE_PX: Final = 2.5
 """Shortest edge of a square that is read, px (chosen)."""
-_MAX_TRACKED_MOVE: Final = 0.35
-"""Largest move of a tracked corner, in squares, before its region is searched again (chosen)."""
 
 # Largest standard deviation of corners about a smooth grid; above both, the image is smeared beyond
 # use or shows no board (chosen).
@@ -273,8 +259,6 @@ _MAX_SCATTER_PX: Final = 1.0
 _STRAY_PX: Final = 0.15
 _STRAY_RATIO: Final = 4.0  # ratio to the median residual
 
-_MAX_REMAINING_MOVE_PX: Final = 0.5
-"""Largest remaining move of a corner that counts as refined, px (chosen)."""
 _MAX_STRAY_FRACTION: Final = 0.25
 """Largest fraction of corners not refined, such as those at the edge of a shadow (chosen)."""
 _MAX_STRAY_ROUNDS: Final = 3
@@ -316,6 +300,19 @@ _SIDES_IN_TURN_PX: Final = (640, _SQUARE_SEARCH_SIDE_PX, 640, 320)
 """Longer sides in turn, one per image, if a single search method is asked for (chosen)."""
 
 
+_Search = Callable[[NDArray[np.uint8], tuple[int, int]], tuple[bool, Any]]
+"""Search of OpenCV for a board of (columns, rows) corners: true if all are found, and them."""
+# Not OpenCV's other two defaults: equalising the histogram of a board before a plain background
+# raises the noise, and the fast check misses boards of 100 px.
+_BY_SQUARES: Final[_Search] = partial(cv2.findChessboardCorners, flags=cv2.CALIB_CB_ADAPTIVE_THRESH)
+_BY_EQUALISED_SQUARES: Final[_Search] = partial(
+    cv2.findChessboardCorners, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+)
+_BY_SECTORS: Final[_Search] = partial(
+    cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+)
+
+
 class CheckerboardDetector(Detector[Checkerboard]):
     """Detects a checkerboard; the measured point is its upper right corner, or its centre.
 
@@ -339,63 +336,52 @@ class CheckerboardDetector(Detector[Checkerboard]):
 
     def _in_clusters(self, image: NDArray[np.uint8], most_px: int) -> list[Detection]:
         """Search clusters of corners in the image reduced to a longer side of `most_px`."""
-        scale = min(most_px / max(image.shape), 1.0)
-        small = image
-        if scale < 1.0:
-            area = cv2.INTER_AREA
-            small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=area))
+        small, scale = _reduced(image, most_px)
         calm = smooth_for_square_search(small)
         if calm is None:
             return []
         for cluster in find_corner_clusters(calm, self.target.columns * self.target.rows):
             x0, y0 = (math.floor(value / scale) for value in cluster.region[:2])
             x1, y1 = (math.ceil(value / scale) for value in cluster.region[2:])
-            part = np.ascontiguousarray(image[y0:y1, x0:x1])
             near = (cluster.corners_px + 0.5) / scale - 0.5
-            found = self._first_of(image, (_by_squares,), part, np.array([x0, y0], float), near)
+            found = self._first_of(image, (_BY_SQUARES,), (x0, y0, x1, y1), near)
             if found:
                 return found
         return []
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._first_of(image, (_by_squares, _by_equalised_squares, _by_sectors))
+        return self._first_of(image, (_BY_SQUARES, _BY_EQUALISED_SQUARES, _BY_SECTORS))
 
     def _detect_in(
         self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
-        x0, y0, x1, y1 = region
-        part = np.ascontiguousarray(image[y0:y1, x0:x1])
-        return self._first_of(image, (_by_squares,), part, np.array([x0, y0], float))
+        return self._first_of(image, (_BY_SQUARES,), region)
 
     def _first_of(
         self,
         image: NDArray[np.uint8],
-        methods: tuple[Any, ...],
-        part: NDArray[np.uint8] | None = None,
-        shift: NDArray[np.float64] | float = 0.0,
+        methods: tuple[_Search, ...],
+        region: tuple[int, int, int, int] | None = None,
         near: NDArray[np.float64] | None = None,
     ) -> list[Detection]:
-        """Search an image, or a part of it at a shift, by some methods until one finds the board.
+        """Search an image, or a region of it, by some methods until one finds the board.
 
         If squares run into each other in the image, OpenCV's corners are displaced. `near`,
         (n, 2) px, are corners of squares found otherwise, to correct them.
         """
-        part = image if part is None else part
-        scale = min(_SQUARE_SEARCH_SIDE_PX / max(part.shape), 1.0)
-        small = part
-        if scale < 1.0:
-            area = cv2.INTER_AREA
-            small = np.asarray(cv2.resize(part, None, fx=scale, fy=scale, interpolation=area))
+        height, width = image.shape
+        x0, y0, x1, y1 = region or (0, 0, width, height)
+        small, scale = _reduced(np.ascontiguousarray(image[y0:y1, x0:x1]), _SQUARE_SEARCH_SIDE_PX)
         calm = smooth_for_square_search(small)
         if calm is None:
             return []
         size = (self.target.columns, self.target.rows)
         for method in methods:
             # smoothing makes the search by sectors miss corners beside a dark background
-            found = method(small if method is _by_sectors else calm, size)
-            if found is None:
+            complete, found = method(small if method is _BY_SECTORS else calm, size)
+            if not complete:
                 continue
-            corners = (np.asarray(found, float).reshape(-1, 2) + 0.5) / scale - 0.5 + shift
+            corners = (np.asarray(found, float).reshape(-1, 2) + 0.5) / scale - 0.5 + (x0, y0)
             grid = corners.reshape(size[1], size[0], 2)
             if near is not None:
                 grid = _correct_displaced(grid, near)
@@ -416,7 +402,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         # a symmetric board keeps its colours after 180 degrees, and its first square may be light
         for dark in (True, False) if self.target.symmetric else (True,):
             for order in orders:
-                detection = self._at(image, order, max(initial_error_px, 1.0), first_dark=dark)
+                detection = self._at(image, order, max(initial_error_px, 1.0), colours=(dark,))
                 if detection is not None:
                     return detection
         return None
@@ -429,11 +415,11 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return None
         grid = corners.reshape(size)
         # a narrow window first: one wide enough for a moved target is less exact
+        colours = (True, False) if self.target.symmetric else (True,)
         for initial_error_px in (0.0, _PREDICTION_ERROR_SQUARES * shortest_square_edge_px(grid)):
-            for dark in (True, False) if self.target.symmetric else (True,):
-                found = self._at(image, grid, initial_error_px, _MAX_TRACKED_MOVE, first_dark=dark)
-                if found is not None:
-                    return found
+            found = self._at(image, grid, initial_error_px, MAX_TRACKED_MOVE_SQUARES, colours)
+            if found is not None:
+                return found
         return None
 
     def _at(
@@ -442,48 +428,46 @@ class CheckerboardDetector(Detector[Checkerboard]):
         grid: Grid,
         initial_error_px: float,
         step_squares: float = math.inf,
-        *,
-        first_dark: bool = True,
+        colours: tuple[bool, ...] = (True,),
     ) -> Detection | None:
         """Refine corners and read the board; None if a corner is out of place.
 
         `initial_error_px` is the error of the given corners, `step_squares` the largest move in
-        squares.
+        squares; `colours` are tried for the first square, true for dark.
         """
         square = shortest_square_edge_px(grid)
         if not square >= _LEAST_SQUARE_PX:
             return None
-        most = min(max(_LARGE_WINDOW_SQUARES * square, _WINDOW_PX[1]), _LARGE_WINDOW_PX)
-        half_side_px = int(min(max(round(_WINDOW_SQUARES * square), _WINDOW_PX[0]), round(most)))
+        most = min(max(_LARGE_WINDOW_SQUARES * square, WINDOW_PX[1]), _LARGE_WINDOW_PX)
+        half_side_px = _window_px(WINDOW_FRACTION * square, (WINDOW_PX[0], round(most)))
         corners = grid.reshape(-1, 2)
         # corners of a reduced image, for example, are too inexact for the small window
         if initial_error_px > 1.0:
             wide = int(min(max(round(0.4 * square), half_side_px), 4 * initial_error_px))
             corners = refine_corners(image, corners, wide)
-        refined = refine_corners(image, corners, half_side_px)
-        if np.abs(refined - corners).max() > min(step_squares * square, half_side_px + 1.0):
-            return None
-        stray = remaining_move_px(image, refined, half_side_px) > _MAX_REMAINING_MOVE_PX
-        if stray.mean() > _MAX_STRAY_FRACTION:
+        refined, moved, settled = refine_and_check(image, corners, half_side_px)
+        if (
+            moved.max() > min(step_squares * square, half_side_px + 1.0)
+            or (~settled).mean() > _MAX_STRAY_FRACTION
+        ):
             return None
         grid = refined.reshape(grid.shape)
         mistaken = _asymmetries(image, refined, square) >= _MAX_ASYMMETRY
         if mistaken.any():
-            again = _refine_stray(image, _by_neighbours(grid)[mistaken], square)
-            if not np.isfinite(again).all():
+            refined[mistaken] = _refine_stray(image, _by_neighbours(grid)[mistaken], square)
+            if not np.isfinite(refined).all():
                 return None
-            refined[mistaken] = again
-        if not is_even_unmirrored_grid(grid):
-            return None
-        if not squares_alternate(image, grid, upper_left_dark=first_dark):
-            return None
-        if board_continues_beyond(image, grid, upper_left_dark=first_dark):
+        if not is_even_unmirrored_grid(grid) or not any(
+            squares_alternate(image, grid, upper_left_dark=dark)
+            and not board_continues_beyond(image, grid, upper_left_dark=dark)
+            for dark in colours
+        ):
             return None
         flat = self._flat(refined)
-        settled = _refine_strays(image, grid, square, flat)
-        if settled is None:
+        again = _refine_strays(image, grid, square, flat)
+        if again is None:
             return None
-        refined, beside = settled
+        refined, beside = again
         grid_sigma_px = estimate_corner_scatter_px(flat.to_plane(refined).reshape(grid.shape))
         if grid_sigma_px > max(_MAX_SCATTER_SQUARES * square, _MAX_SCATTER_PX):
             return None
@@ -500,24 +484,18 @@ class CheckerboardDetector(Detector[Checkerboard]):
         return Detection(self.target, flat.to_pixels(point[None])[0], refined, sigma, sigmas)
 
 
-def _by_squares(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
-    # Not OpenCV's other two defaults: equalising the histogram of a board before a plain
-    # background raises the noise, and the fast check misses boards of 100 px.
-    complete, found = cv2.findChessboardCorners(image, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH)
-    return found if complete else None
+def _reduced(image: NDArray[np.uint8], most_px: int) -> tuple[NDArray[np.uint8], float]:
+    """Reduce an image to a longer side, unless it is smaller; also the scale."""
+    scale = min(most_px / max(image.shape), 1.0)
+    if scale == 1.0:
+        return image, scale
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8), scale
 
 
-def _by_equalised_squares(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    complete, found = cv2.findChessboardCorners(image, size, flags=flags)
-    return found if complete else None
-
-
-def _by_sectors(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
-    complete, found = cv2.findChessboardCornersSB(
-        image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-    )
-    return found if complete else None
+def _window_px(wanted_px: float, limits_px: tuple[int, int]) -> int:
+    """Half side of a window within its limits, px."""
+    return int(min(max(round(wanted_px), limits_px[0]), limits_px[1]))
 
 
 def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
@@ -544,9 +522,8 @@ def _refine_strays(
     The edge of a shadow, a spot or an error of the search moves a single corner and leaves its
     squares readable. Such a corner is refined again, starting from the prediction by the others.
 
-    Returns:
-        (n, 2) corners, px. (n,) residuals of those that were or are strays, px; 0 for the others,
-        and for those at which edges clearly cross.
+    Also the residuals of those that were or are strays, (n,) px; 0 for the others, and for those at
+    which edges clearly cross.
     """
     corners, strays = grid.reshape(-1, 2).copy(), np.zeros(grid[..., 0].size, bool)
     for last in range(_MAX_STRAY_ROUNDS + 1):
@@ -573,8 +550,7 @@ def _refine_stray(
     image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
 ) -> NDArray[np.float64]:
     """Refine corners from predictions; nan where no edges cross nearby."""
-    least, most = _STRAY_WINDOW_PX
-    half_side_px = int(min(max(round(_STRAY_WINDOW_SQUARES * square), least), most))
+    half_side_px = _window_px(_STRAY_WINDOW_SQUARES * square, _STRAY_WINDOW_PX)
     again = refine_corners_robustly(image, corners, half_side_px)
     asymmetry = _asymmetries(image, np.where(np.isfinite(again), again, corners), square)
     return np.where((asymmetry < _MAX_ASYMMETRY)[:, None], again, np.nan)
@@ -584,9 +560,7 @@ def _asymmetries(
     image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
 ) -> NDArray[np.float64]:
     """(n,) asymmetries of corners of squares with edges of a length."""
-    half_side_px = int(
-        min(max(round(_CROSSING_SQUARES * square), _CROSSING_PX[0]), _CROSSING_PX[1])
-    )
+    half_side_px = _window_px(_CROSSING_SQUARES * square, _CROSSING_PX)
     return crossing_asymmetries(image, np.ascontiguousarray(corners), half_side_px)
 
 

@@ -1,8 +1,8 @@
-"""Corners of boards: refinement, their sigma, and checks of squares and of spacing."""
+"""Corners of boards: refinement, their sigma, and checks of their spacing."""
 
 from functools import lru_cache
 from math import comb, exp, hypot, nan, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vergence.kernels import compiled
 from vergence.models.parts import FloatArray
-from vergence.vision.optics import grey_at
+from vergence.vision.optics import fit_homography
 
 _TERMINATION: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
 """Termination of `cornerSubPix`: iterations, and a step in pixels of the enlarged window
@@ -32,6 +32,22 @@ _LEAST_DETERMINANT_RATIO: Final = 0.01
 smaller one (numerical)."""
 _LEAST_NOISE_GREY: Final = 0.3
 """Least noise, that of rounding, 1 / sqrt(12), standard deviation in grey levels (numerical)."""
+WINDOW_PX: Final = (2, 5)
+"""Range of the half side of the refinement window, px (chosen)."""
+WINDOW_FRACTION: Final = 0.6
+"""Half side of that window as a fraction of the distance to the next edge (chosen: more pixels
+against disturbance by that edge)."""
+MAX_TRACKED_MOVE_SQUARES: Final = 0.35
+"""Largest move of a tracked corner, in squares, before its region is searched again (chosen)."""
+DEFAULT_SIGMA_PX: Final = 0.1
+"""Standard deviation of corners too few to estimate their noise, px (chosen)."""
+MAX_ENLARGED_PIXELS: Final = 2_000_000
+"""Largest image that is enlarged if no marker is found, pixels (chosen: search time)."""
+_MAX_REMAINING_MOVE_PX: Final = 0.5
+"""Largest remaining move of a corner that counts as refined, px (chosen)."""
+
+Grid = NDArray[np.float64]
+"""Corners by row and column, shape (rows, columns, 2), px."""
 
 
 def refine_corners(
@@ -42,15 +58,6 @@ def refine_corners(
     OpenCV takes differences over two pixels, which causes aliasing on edges of a sharp lens and
     biases corners towards the pixel grid. A light blur and doubled sampling divide that bias by
     three or four.
-
-    Args:
-        image: grey levels, shape (height, width).
-        corners: initial corners, accurate to the window, px, shape (n, 2).
-        half_side_px: half the window's side, px. Another edge in the window causes errors of
-            pixels.
-
-    Returns:
-        Refined corners, px, shape (n, 2).
     """
     rim = half_side_px + _RIM_PX
     size = 2 * rim + 1
@@ -67,20 +74,17 @@ def refine_corners(
     return np.asarray((fine.astype(float) + 0.5) / 2 - 0.5 + shift, float)
 
 
-def remaining_move_px(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int
-) -> NDArray[np.float64]:
-    """Remaining move of refined corners by one more iteration, shape (n,), px.
+def refine_and_check(
+    image: NDArray[np.uint8], start: NDArray[np.float64], half_side_px: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Refine corners; also the moves of each, (n,) px, and a mask of those that have settled.
 
-    OpenCV returns a corner unchanged if it would leave its window; the remaining move reveals
-    this.
-
-    Args:
-        image: grey levels, shape (height, width).
-        corners: refined corners, px, shape (n, 2).
-        half_side_px: half the side of the window of refinement, px.
+    OpenCV returns a corner unchanged if it would leave its window; the remaining move by one more
+    iteration reveals this.
     """
-    return _moves(image, corners, half_side_px)[:, 0]
+    refined = refine_corners(image, start, half_side_px)
+    settled = _moves(image, refined, half_side_px)[:, 0] <= _MAX_REMAINING_MOVE_PX
+    return refined, np.abs(refined - start).max(axis=1), settled
 
 
 def refine_corners_robustly(
@@ -92,13 +96,7 @@ def refine_corners_robustly(
     distance d by 1 / (1 + (d / s)^2)^2 (Geman and McClure). Edges of shadows and of the next
     squares so have little influence.
 
-    Args:
-        image: grey levels, shape (height, width).
-        corners: initial corners, accurate to a pixel or two, px, shape (n, 2).
-        half_side_px: half the window's side, px.
-
-    Returns:
-        Refined corners, px, shape (n, 2); nan if no two edges cross or the window is left.
+    Returns nan if no two edges cross or the window is left.
     """
     out = np.empty(corners.shape)
     _refine_corners_robustly(image, np.ascontiguousarray(corners), half_side_px, out)
@@ -154,16 +152,7 @@ def corner_sigmas(
     A corner q solves `sum g g^T (p - q) = 0` over the pixels p of its window with their gradients
     g. At the corner g is perpendicular to p - q. To first order, gradient noise n moves q by
 
-        dq = A^-1 sum g n^T (p - q),    A = sum g g^T,
-
-    Args:
-        image: grey levels, shape (height, width).
-        corners: refined corners, px, shape (n, 2).
-        half_side_px: half the side of the window of refinement, px.
-        noise_grey: standard deviation of a pixel's grey level.
-
-    Returns:
-        Standard deviations, px, shape (n, 2).
+        dq = A^-1 sum g n^T (p - q),    A = sum g g^T.
     """
     return noise_grey * _moves(image, corners, half_side_px)[:, 1:]
 
@@ -203,14 +192,8 @@ def crossing_asymmetries(
 ) -> FloatArray:
     """Differences of the image around each corner from its reverse, turned by 180 degrees.
 
-    Args:
-        image: grey levels, shape (height, width).
-        corners: corners, px, shape (n, 2).
-        half_side_px: half the side of the window, px.
-
-    Returns:
-        (n,) mean square difference over twice the variance: near 0 where two edges cross, 1 where
-        the halves have nothing in common, 4 / 3 at the corner of a square, 2 at an edge.
+    The mean square difference over twice the variance is near 0 where two edges cross, 1 where the
+    halves have nothing in common, 4 / 3 at the corner of a square, 2 at an edge.
     """
     height, width = image.shape
     out = np.empty(len(corners))
@@ -231,15 +214,9 @@ def crossing_asymmetries(
 
 
 def estimate_noise_grey(image: NDArray[np.uint8], flat_points_px: NDArray[np.float64]) -> float:
-    """Estimate the pixel noise at points inside squares of one colour.
+    """Standard deviation of a pixel's grey level, at points inside squares of one colour, (n, 2).
 
-    Args:
-        image: grey levels, shape (height, width).
-        flat_points_px: these points, px, shape (n, 2); those at the image's edge are left out.
-
-    Returns:
-        Standard deviation of a pixel's grey level, from a trimmed mean over the points; at least
-        that of rounding.
+    It is a trimmed mean, at least that of rounding; points at the image's edge are left out.
     """
     height, width = image.shape
     x, y = np.rint(flat_points_px).astype(int).T
@@ -272,33 +249,9 @@ def _windows(image: NDArray[np.uint8], corners: NDArray[np.int_], size: int) -> 
     return out
 
 
-_LEAST_CONTRAST_GREY: Final = 5.0
-"""Least contrast between light and dark squares around a square, grey levels (chosen)."""
-_LEAST_SQUARE_DEVIATION: Final = 0.15
-"""Least deviation of a square from the mean of light and dark, as a fraction of the contrast
-(chosen)."""
-_PROBE_SQUARES: Final = 0.2
-"""Distance of the samples of a square from its centre, in squares (chosen)."""
-_MAX_WRONG_FRACTION: Final = 0.05
-"""Largest fraction of squares with a wrong colour, such as by glare or dirt (chosen)."""
-_OUTER_SHARE: Final = 0.6
-"""Fraction of the outermost squares that is sampled (chosen: some boards print only half of them,
-lenses bend them, and the image may end in them)."""
-_CONTINUING_FRACTION: Final = 0.75
-"""Least fraction of the corners on the line beyond a side at which four squares must meet for the
-board to continue there (chosen)."""
-_LEAST_LINE_CORNERS: Final = 2
-"""Least number of corners of such a line inside the image (chosen)."""
-_LEAST_OUTER_CONTRAST: Final = 0.4
-"""Least contrast between squares beyond the board, as a fraction of the board's own contrast. Of
-4,440 parts of boards in public photographs all continue with 0.45, all but two with 0.5; with 0.35
-one of 12,496 true sides of boards seems to continue (chosen by these counts)."""
 _MAX_SECOND_DIFFERENCE: Final = 0.35
 """Largest second difference of a corner and its two neighbours, as a fraction of the neighbours'
 distance (chosen)."""
-
-Grid = NDArray[np.float64]
-"""Corners by row and column, shape (rows, columns, 2), px."""
 
 
 def shortest_square_edge_px(grid: Grid) -> float:
@@ -331,206 +284,10 @@ def is_even_unmirrored_grid(grid: Grid) -> bool:
     return True
 
 
-def squares_alternate(
-    image: NDArray[np.uint8], grid: Grid, *, upper_left_dark: bool = True
-) -> bool:
-    """Check that squares alternate around the corners, up to a few wrong ones.
-
-    Args:
-        image: grey levels, shape (height, width).
-        grid: the corners.
-        upper_left_dark: true if the upper left square is dark.
-    """
-    right, seen = _read(image, _extended(grid, 1, _OUTER_SHARE), upper_left_dark)
-    return bool((seen & ~right).sum() <= _MAX_WRONG_FRACTION * max(seen.sum(), 1)) and bool(
-        seen[1:-1, 1:-1].all()
-    )
-
-
-def board_continues_beyond(
-    image: NDArray[np.uint8], grid: Grid, *, upper_left_dark: bool = True
-) -> bool:
-    """Check for four squares at the next corners beyond a side: a part of a larger board.
-
-    The surroundings of a board may alternate by chance. At a corner they must do so both along the
-    line of corners and across it, with nearly the contrast of the board's own squares.
-
-    Args:
-        image: grey levels, shape (height, width).
-        grid: the corners.
-        upper_left_dark: true if the board's upper left square is dark.
-    """
-    return bool(_continues_beyond(image, grid, upper_left_dark))
-
-
 def square_centres(grid: Grid) -> NDArray[np.float64]:
     """Centres of the squares between the corners, shape (n, 2), px."""
-    return np.asarray(_middles(grid).reshape(-1, 2))
-
-
-def _read(
-    image: NDArray[np.uint8], corners: Grid, first_dark: bool
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    greys, seen = _sampled(image, corners)
-    right = np.empty(seen.shape, np.bool_)
-    _alternate(greys, seen, first_dark, right)
-    return right, seen
-
-
-def _sampled(
-    image: NDArray[np.uint8], corners: Grid
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Grey level of each square between some corners, and a mask of those inside the image."""
-    rows, columns, _ = corners.shape
-    greys, seen = np.zeros((rows - 1, columns - 1)), np.empty((rows - 1, columns - 1), np.bool_)
-    _sample(image, corners, greys, seen)
-    return greys, seen
-
-
-def _middles(grid: Grid) -> Grid:
-    return 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
-
-
-def _extended(grid: Grid, rings: int, share: float = 1.0) -> Grid:
-    """Corners with rings of extrapolated ones around them, at a fraction of the spacing."""
-    for _ in range(rings):
-        rows, columns, _two = grid.shape
-        out = np.empty((rows + 2, columns + 2, 2))
-        out[1:-1, 1:-1] = grid
-        out[0, 1:-1] = (1.0 + share) * grid[0] - share * grid[1]
-        out[-1, 1:-1] = (1.0 + share) * grid[-1] - share * grid[-2]
-        out[:, 0] = (1.0 + share) * out[:, 1] - share * out[:, 2]
-        out[:, -1] = (1.0 + share) * out[:, -2] - share * out[:, -3]
-        grid = out
-    return grid
-
-
-@compiled
-def _sample(
-    image: NDArray[np.uint8],
-    corners: Grid,
-    greys: NDArray[np.float64],
-    seen: NDArray[np.bool_],
-) -> None:
-    """Sample the grey levels of squares.
-
-    Args:
-        image: grey levels.
-        corners: (rows + 1, columns + 1, 2) corners of the squares, px.
-        greys: (rows, columns) result, mean grey levels, added to its content.
-        seen: (rows, columns) result, mask of the squares inside the image.
-    """
-    height, width = image.shape
-    rows, columns = seen.shape
-    for j in range(rows):
-        for i in range(columns):
-            a, b = corners[j, i], corners[j, i + 1]
-            c, d = corners[j + 1, i], corners[j + 1, i + 1]
-            u, v = 0.25 * (a[0] + b[0] + c[0] + d[0]), 0.25 * (a[1] + b[1] + c[1] + d[1])
-            seen[j, i] = True
-            for probe in range(5):
-                s = _PROBE_SQUARES * (1.0 if probe == 1 else -1.0 if probe == 2 else 0.0)
-                t = _PROBE_SQUARES * (1.0 if probe == 3 else -1.0 if probe == 4 else 0.0)
-                x = u + 0.5 * (s * (b[0] + d[0] - a[0] - c[0]) + t * (c[0] + d[0] - a[0] - b[0]))
-                y = v + 0.5 * (s * (b[1] + d[1] - a[1] - c[1]) + t * (c[1] + d[1] - a[1] - b[1]))
-                if not (-0.5 < x < width - 0.5 and -0.5 < y < height - 0.5):
-                    seen[j, i] = False
-                    break
-                greys[j, i] += 0.2 * grey_at(image, x, y)
-
-
-@compiled
-def _alternate(
-    greys: NDArray[np.float64],
-    seen: NDArray[np.bool_],
-    first_dark: bool,
-    right: NDArray[np.bool_],
-) -> None:
-    """Mark the squares with the correct colour.
-
-    Args:
-        greys: (rows, columns) grey levels of the squares.
-        seen: (rows, columns) mask of the squares inside the image.
-        first_dark: true if the upper left square is dark.
-        right: (rows, columns) result, mask of the correct squares.
-    """
-    rows, columns = right.shape
-    for j in range(rows):
-        for i in range(columns):
-            right[j, i] = False
-            if not seen[j, i]:
-                continue
-            light = dark = lights = darks = 0.0
-            for row in range(max(j - 1, 0), min(j + 2, rows)):
-                for column in range(max(i - 1, 0), min(i + 2, columns)):
-                    if not seen[row, column]:
-                        continue
-                    if ((row + column) % 2 == 1) == first_dark:
-                        light += greys[row, column]
-                        lights += 1.0
-                    else:
-                        dark += greys[row, column]
-                        darks += 1.0
-            if lights == 0.0 or darks == 0.0:
-                continue
-            light, dark = light / lights, dark / darks
-            beyond = greys[j, i] - 0.5 * (light + dark)
-            if ((j + i) % 2 == 1) != first_dark:
-                beyond = -beyond
-            contrast = light - dark
-            right[j, i] = (
-                contrast >= _LEAST_CONTRAST_GREY and beyond > _LEAST_SQUARE_DEVIATION * contrast
-            )
-
-
-@compiled
-def _continues_beyond(image: NDArray[np.uint8], grid: Grid, first_dark: bool) -> bool:
-    """Implement `board_continues_beyond`."""
-    rows, columns, _ = grid.shape
-    for side in range(4):
-        across, last = side < 2, side % 2 == 1  # the line is a row; it is below or on the right
-        count = columns if across else rows
-        depth = rows if across else columns
-        # lines of corners with their ends: the second and the first beyond the board, and two of
-        # the board; of possible outermost squares only the near part
-        lines = np.empty((4, count + 2, 2))
-        for i in range(count):
-            for k in range(2):
-                at = depth - 1 - k if last else k
-                for n in range(2):
-                    lines[2 + k, 1 + i, n] = grid[at, i, n] if across else grid[i, at, n]
-            for n in range(2):
-                step = lines[2, 1 + i, n] - lines[3, 1 + i, n]
-                lines[1, 1 + i, n] = lines[2, 1 + i, n] + step
-                lines[0, 1 + i, n] = lines[1, 1 + i, n] + _OUTER_SHARE * step
-        for k in range(4):
-            for n in range(2):
-                step = lines[k, 1, n] - lines[k, 2, n]
-                lines[k, 0, n] = lines[k, 1, n] + _OUTER_SHARE * step
-                step = lines[k, count, n] - lines[k, count - 1, n]
-                lines[k, count + 1, n] = lines[k, count, n] + _OUTER_SHARE * step
-        greys, seen = np.zeros((3, count + 1)), np.empty((3, count + 1), np.bool_)
-        _sample(image, lines, greys, seen)
-        turned = last and depth % 2 == 1  # true if the colours are exchanged there
-        for k in range(3):
-            for i in range(count + 1):
-                if ((k + i) % 2 == 0) != (first_dark != turned):
-                    greys[k, i] = -greys[k, i]  # of dark squares
-        own = 0.0
-        for i in range(1, count - 1):
-            own += (greys[2, i] + greys[2, i + 1]) / (count - 2)
-        corners = met = 0
-        for i in range(count):
-            if not (seen[0, i] and seen[0, i + 1] and seen[1, i] and seen[1, i + 1]):
-                continue
-            corners += 1
-            along = min(greys[0, i] + greys[0, i + 1], greys[1, i] + greys[1, i + 1])
-            beyond = min(greys[0, i] + greys[1, i], greys[0, i + 1] + greys[1, i + 1])
-            if min(along, beyond) > _LEAST_OUTER_CONTRAST * own:
-                met += 1
-        if corners >= _LEAST_LINE_CORNERS and met >= _CONTINUING_FRACTION * corners:
-            return True
-    return False
+    centres = 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
+    return np.asarray(centres.reshape(-1, 2))
 
 
 _MAX_DIFFERENCE_ORDER: Final = 5
@@ -542,11 +299,6 @@ _BINOMIALS: Final = np.array(
     ]
 )
 """Coefficients of the n-th difference, row n."""
-_DISTORTION_DEGREES: Final = (3, 6)
-"""Lowest and highest degree of the polynomial that models lens distortion on top of a
-homography (chosen)."""
-_CORNERS_PER_COEFFICIENT: Final = 1.6
-"""Least number of corners per coefficient of that polynomial (chosen: avoids overfitting)."""
 
 
 @compiled
@@ -588,15 +340,83 @@ def estimate_corner_scatter_px(grid: NDArray[np.float64]) -> float:
     return sqrt(squares / max(count, 1))
 
 
-def loo_residuals_and_scales(
-    grid: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+_LEAST_GRID_DEGREE: Final = 3
+_MAX_GRID_DEGREE: Final = 6
+"""Lowest and highest degree of the polynomial that models lens distortion on top of a homography
+of a checkerboard (chosen)."""
+_CORNERS_PER_COEFFICIENT: Final = 1.6
+"""Least number of corners per coefficient of that polynomial (chosen: avoids overfitting)."""
+
+
+class PolynomialFit(NamedTuple):
+    """Residuals of corners after the polynomial that explains them best."""
+
+    coefficients: int
+    """Number of its terms, the first ones."""
+    unexplained: float
+    """Sum of the squared residuals."""
+    free: float
+    """Degrees of freedom that are left, of each coordinate."""
+    residuals: NDArray[np.float64]
+    """(n, 2) residuals."""
+    independence: NDArray[np.float64]
+    """(n,) ratio of each residual to that from a fit to the others."""
+
+
+def fit_polynomial(
+    values: NDArray[np.float64],
+    basis: NDArray[np.float64],
+    counts: NDArray[np.intp],
+    spent: int = 0,
+) -> PolynomialFit:
+    """Fit the polynomial with the least generalised cross validation (Golub, Heath, Wahba 1979).
+
+    Args:
+        values: (n, 2) values to fit.
+        basis: (n, p) orthonormal polynomials, lower degrees first.
+        counts: numbers of first terms to choose from.
+        spent: parameters per coordinate that an earlier fit has taken.
+    """
+    shares = basis.T @ values
+    explained = np.concatenate([[0.0], np.cumsum((shares**2).sum(axis=1))])[counts]
+    unexplained = np.maximum((values**2).sum() - explained, 0.0)
+    free = np.maximum(len(values) - (counts + spent), 1e-9)
+    best = int(np.argmin(unexplained / free**2))
+    used = basis[:, : counts[best]]
+    return PolynomialFit(
+        int(counts[best]), float(unexplained[best]), float(free[best]),
+        values - used @ shares[: counts[best]],
+        1.0 - (used**2).sum(axis=1) - spent / len(values),
+    )  # fmt: skip
+
+
+def monomials(
+    places: NDArray[np.float64], highest: int, corners_per_coefficient: float, spent: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Monomials at places in -1..1, (n, p), lower degrees first; cumulative counts by degree.
+
+    The degree ends where a coefficient would have too few corners.
+    """
+    x, y = places.T
+    columns, rows = (len(np.unique(np.rint(1e6 * each))) for each in (x, y))
+    terms: list[NDArray[np.float64]] = []
+    counts: list[int] = []
+    for degree in range(highest + 1):
+        more = [x**i * y ** (degree - i) for i in range(degree + 1)
+                if i < columns and degree - i < rows]  # fmt: skip
+        needed = corners_per_coefficient * (len(terms) + len(more)) + spent
+        if degree > 0 and needed > len(x):
+            break
+        terms += more
+        counts.append(len(terms))
+    return np.stack(terms, axis=1), np.array(counts)
+
+
+def loo_residuals_and_scales(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Residual of each corner from its prediction by all others, and the scale of its sigma.
 
-    Leaving a corner out raises the standard deviation of its residual by that scale.
-
-    The prediction is a homography of the board plus a polynomial for remaining lens distortion,
-    of the degree with the least generalised cross validation (Golub, Heath and Wahba 1979).
+    Leaving a corner out raises the standard deviation of its residual by that scale. The prediction
+    is a homography of the board plus a polynomial for remaining lens distortion.
 
     Args:
         grid: (rows, columns, 2) the corners, px.
@@ -607,39 +427,103 @@ def loo_residuals_and_scales(
     """
     rows, columns, _ = grid.shape
     places, basis, counts = _polynomials(rows, columns)
-    outer = np.array([grid[0, 0], grid[0, -1], grid[-1, -1], grid[-1, 0]], np.float32)
-    ends = places[[0, columns - 1, len(places) - 1, len(places) - columns]].astype(np.float32)
-    transform = cv2.getPerspectiveTransform(ends, outer)
-    left = grid.reshape(-1, 2) - cv2.perspectiveTransform(places[None], transform)[0]
-    shares = basis.T @ left
-    explained = np.cumsum((shares**2).sum(axis=1))[counts - 1]
-    unexplained = (left**2).sum() - explained
-    count = counts[int(np.argmin(unexplained / (len(left) - counts) ** 2))]
-    free = 1.0 - (basis[:, :count] ** 2).sum(axis=1)
-    left = (left - basis[:, :count] @ shares[:count]) / free[:, None]
-    return left, 1.0 / np.sqrt(free)
+    outer = [0, columns - 1, len(places) - 1, len(places) - columns]
+    corners = grid.reshape(-1, 2)
+    transform = cv2.getPerspectiveTransform(
+        places[outer].astype(np.float32), corners[outer].astype(np.float32)
+    )
+    values = corners - cv2.perspectiveTransform(places[None], transform)[0]
+    fit = fit_polynomial(values, basis, counts)
+    return fit.residuals / fit.independence[:, None], 1.0 / np.sqrt(fit.independence)
 
 
 @lru_cache(maxsize=32)
 def _polynomials(
     rows: int, columns: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
-    """Corners of a board scaled to -1..1, (n, 2); polynomials on them; their count per degree.
+    """Corners of a board scaled to -1..1, (n, 2); polynomials on them; their count per degree."""
+    x, y = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
+    places = np.column_stack([x.ravel(), y.ravel()])
+    terms, counts = monomials(places, _MAX_GRID_DEGREE, _CORNERS_PER_COEFFICIENT)
+    allowed = counts[_LEAST_GRID_DEGREE:] if len(counts) > _LEAST_GRID_DEGREE else counts[-1:]
+    return places, np.linalg.qr(terms)[0], allowed
 
-    The polynomials are orthonormal, (n, p), lower degrees first. The counts are cumulative, for
-    each allowed degree.
+
+_COARSE_DEGREE: Final = 3
+_FINE_DEGREE: Final = 8
+"""Highest degree of the polynomial that models lens distortion on top of a homography of a part of
+a board: in the first fit, which finds corners mistaken for others, and in the final one (chosen).
+"""
+_PART_CORNERS_PER_COEFFICIENT: Final = 2.0
+"""Least number of corners per coefficient of that polynomial (chosen: avoids overfitting)."""
+_HOMOGRAPHY_PARAMETERS: Final = 4
+"""Parameters of a homography per image coordinate (numerical)."""
+_OUTLIER_PX: Final = 0.2
+_OUTLIER_SIGMAS: Final = 6.0
+"""Residual of a corner from the fit above which it is an outlier, px and standard deviations; it
+exceeds both (chosen)."""
+_MOST_ROUNDS: Final = 8
+"""Most rounds of removing outliers (numerical)."""
+
+
+class SmoothHomographyFit(NamedTuple):
+    """Homography of a board plus a smooth lens distortion, fitted to its corners."""
+
+    homography: NDArray[np.float64]
+    """Homography from the board's plane to the image."""
+    inliers: NDArray[np.bool_]
+    """(n,) mask of the inliers."""
+    residual_sigma_px: float
+    """Standard deviation of the inliers' residuals, of each coordinate; 0 if unknown."""
+    origin_distortion_px: NDArray[np.float64]
+    """(2,) lens distortion at the board's origin, added to the homography."""
+    origin_distortion_sigma_px: float
+    """Standard deviation of each coordinate of `origin_distortion_px`."""
+
+
+def fit_smooth_homography(
+    board_m: NDArray[np.float64], pixels: NDArray[np.float64], max_residual_px: NDArray[np.float64]
+) -> SmoothHomographyFit | None:
+    """Fit a homography and a smooth distortion to corners, without outliers.
+
+    Args:
+        board_m: (n, 2) corners on the board, m.
+        pixels: (n, 2) these corners in the image, or in an undistorted plane, px.
+        max_residual_px: (n,) largest residual of each from a coarse fit, px: less than the
+            distance to another corner.
+
+    Returns:
+        The fit; None if the corners are collinear, or fewer than four are left.
     """
-    grid = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
-    x, y = (each.ravel() for each in grid)
-    columns_of: list[NDArray[np.float64]] = []
-    counts: list[int] = []
-    for degree in range(_DISTORTION_DEGREES[1] + 1):
-        more = [x**i * y ** (degree - i) for i in range(degree + 1)
-                if i < columns and degree - i < rows]  # fmt: skip
-        if degree > 0 and _CORNERS_PER_COEFFICIENT * (len(columns_of) + len(more)) > len(x):
-            break
-        columns_of += more
-        if degree >= _DISTORTION_DEGREES[0]:
-            counts.append(len(columns_of))
-    basis, _ = np.linalg.qr(np.stack(columns_of, axis=1))
-    return np.column_stack([x, y]), basis, np.array(counts or [len(columns_of)])
+    good = np.ones(len(pixels), bool)
+    places = board_m / np.abs(board_m).max()
+    for degree, most_px in ((_COARSE_DEGREE, max_residual_px), (_FINE_DEGREE, None)):
+        for _ in range(_MOST_ROUNDS):
+            enough = good.sum() >= _HOMOGRAPHY_PARAMETERS
+            transform = fit_homography(board_m[good], pixels[good]) if enough else None
+            if transform is None:
+                return None
+            values = (pixels - cv2.perspectiveTransform(board_m[None], transform)[0])[good]
+            terms, counts = monomials(
+                places[good], degree, _PART_CORNERS_PER_COEFFICIENT, _HOMOGRAPHY_PARAMETERS
+            )
+            basis = np.linalg.qr(terms)[0]
+            fit = fit_polynomial(values, basis, np.append(0, counts), _HOMOGRAPHY_PARAMETERS)
+            beside = np.abs(fit.residuals / np.maximum(fit.independence, 0.1)[:, None]).max(axis=1)
+            if most_px is None:
+                sigma = 1.48 * float(np.median(np.abs(fit.residuals)))
+                over = beside / max(_OUTLIER_PX, _OUTLIER_SIGMAS * sigma)
+            else:
+                over = beside / most_px[good]
+            if fit.free < 1.0 or over.max() <= 1.0:
+                break
+            # an outlier also pulls its neighbours away, so only the worst are removed per round
+            good[np.flatnonzero(good)[over > max(1.0, 0.5 * float(over.max()))]] = False
+    assert transform is not None
+    sigma = float(np.sqrt(fit.unexplained / (2.0 * fit.free))) if fit.free >= 1.0 else 0.0
+    # all terms but the constant vanish at the origin
+    used = fit.coefficients
+    weights = np.linalg.pinv(terms[:, :used])[0] if used else np.zeros(len(values))
+    return SmoothHomographyFit(
+        transform, good, sigma, weights @ values, sigma * float(np.linalg.norm(weights))
+    )

@@ -1,0 +1,372 @@
+"""Comparison of an image with a print, by which a detector accepts or refuses a target.
+
+A print is data: its cells from 0 black to 1 white. There are three measures, by what is known:
+
+- a cell against the levels of both colours around it (`deviation_and_contrast`): all cells of a tag
+  (`compare_cells`) and the squares of a checkerboard, whose corners are known already;
+- all cells of a marker at once, by correlation (`normalised`): markers in parts of boards;
+- the four quadrants around a corner of a square (`corner_contrasts`).
+"""
+
+from math import nan
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.kernels import compiled, subroutine
+from vergence.models.lens import CameraRow
+from vergence.models.parts import FloatArray
+from vergence.vision.corners import Grid
+from vergence.vision.optics import UndistortedView, distorted_pixel, grey_at, transform_point
+from vergence.vision.tags.steps import bend_displacement
+
+LEAST_CONTRAST_GREY: Final = 5.0
+"""Least contrast between light and dark around a cell or a corner that is read, grey levels
+(chosen: dim boards against noise)."""
+
+_LEAST_CELL_CONTRAST: Final = 0.1
+"""Smallest distance of a correct cell from the middle between light and dark, as a fraction of
+their difference (chosen: bad light against wrong cells)."""
+_CLEAR_CELL_CONTRAST: Final = 0.25
+"""Smallest such distance of a clear cell (chosen: bad light against covered cells)."""
+_LEAST_SQUARE_CONTRAST: Final = 0.15
+"""Smallest such distance of a correct square of a checkerboard (chosen)."""
+_MAX_LEVEL_RADIUS_CELLS: Final = 2
+"""Cells to each side, at most, that give the levels for a cell (chosen: both colours present
+against shadows)."""
+_PROBE_CELLS: Final = (0.22, 0.36)
+"""Smallest and largest distance of a cell's samples from its centre, along both axes, cells. If a
+square was found beside its true edges, the samples far from the centre show it (chosen: this
+against blur)."""
+_EDGE_BLURS: Final = 1.4
+"""Distance of the samples from the edge of their cell, standard deviations of the blur (chosen: as
+above)."""
+
+
+@subroutine
+def deviation_and_contrast(
+    greys: FloatArray, cells: FloatArray, j: int, i: int, max_radius: int
+) -> tuple[float, float]:
+    """Compare a cell with the smallest neighbourhood that has both colours.
+
+    Args:
+        greys: (rows, columns) grey levels in the image, nan for cells that are not seen.
+        cells: (rows, columns) the print, 0 black to 1 white, nan for cells not compared.
+        j: row of the cell.
+        i: column of the cell.
+        max_radius: cells to each side, at most, of that neighbourhood.
+
+    Returns:
+        Distance of the cell towards its printed colour from the middle between light and dark, and
+        their difference; both nan if a colour is missing.
+    """
+    rows, columns = cells.shape
+    light = dark = lights = darks = 0.0
+    # the smallest neighbourhood with both colours: a shadow may end anywhere
+    for around in range(1, max_radius + 1):
+        light = dark = lights = darks = 0.0
+        for row in range(max(j - around, 0), min(j + around + 1, rows)):
+            for column in range(max(i - around, 0), min(i + around + 1, columns)):
+                if greys[row, column] != greys[row, column]:
+                    continue
+                if cells[row, column] > 0.5:
+                    light += greys[row, column]
+                    lights += 1.0
+                elif cells[row, column] <= 0.5:
+                    dark += greys[row, column]
+                    darks += 1.0
+        if lights > 0.0 and darks > 0.0:
+            break
+    if lights == 0.0 or darks == 0.0:
+        return nan, nan
+    light, dark = light / lights, dark / darks
+    beyond = greys[j, i] - 0.5 * (light + dark)
+    return -beyond if cells[j, i] <= 0.5 else beyond, light - dark
+
+
+class CellReading(NamedTuple):
+    """Counts of a print's cells that are read wrong or not clearly."""
+
+    wrong_cells: int
+    """Cells that do not have the colour that is printed there."""
+    wrong_rim_cells: int
+    """Wrong cells on the rectangle's rim, which is common to all tags of a family."""
+    worst_quarter_unclear: float
+    """Fraction of the cells in the worst quarter that are wrong or near the middle between light
+    and dark. It is large if a square was found beside its true edges, because something covers one
+    of its sides."""
+
+
+@subroutine
+def compare_cells(
+    image: NDArray[np.uint8],
+    light_by_grey: FloatArray,
+    H: FloatArray,
+    white_spread_and_bend: FloatArray,
+    camera: CameraRow,
+    view: UndistortedView,
+    cells: FloatArray,
+    blur_cells: float,
+    left_cells: float,
+    top_cells: float,
+    width_cells: float,
+    height_cells: float,
+    ignored_ring_cells: int,
+    ring_gives_levels: bool,
+    greys: FloatArray,
+) -> CellReading:
+    """Compare the cells of a tag, through its fit and the lens, with the print.
+
+    Args:
+        image: grey levels.
+        light_by_grey: (256,) light of each grey level, or that level to compare these.
+        H: (3, 3) homography to the image, see `square_to_image_homography`, from the
+            rectangle that `left_cells`, `top_cells`, `width_cells` and `height_cells` define.
+        white_spread_and_bend: (13,) the sheet's spread and bend, see `bend_displacement`.
+        camera: the eye's camera.
+        view: the undistorted plane.
+        cells: (rows, columns) 0 black to 1 white, nan not compared.
+        blur_cells: standard deviation of the blur, cells.
+        left_cells: cells from the print's left edge to the rectangle.
+        top_cells: cells from the print's upper edge to the rectangle.
+        width_cells: the rectangle's width, cells.
+        height_cells: the rectangle's height, cells.
+        ignored_ring_cells: width of the print's outer ring that is not compared, cells: a quiet
+            zone may be cut.
+        ring_gives_levels: True if that ring still gives levels that other cells are compared with.
+        greys: (rows, columns) scratch array.
+
+    Returns:
+        Counts over the cells that are compared and lie in the image.
+    """
+    rows, columns = cells.shape
+    reach = 0.5 - _EDGE_BLURS * blur_cells
+    sharp = reach >= _PROBE_CELLS[0]
+    far = min(max(reach, _PROBE_CELLS[0]), _PROBE_CELLS[1])
+    for j in range(rows):
+        for i in range(columns):
+            greys[j, i] = 0.0
+            if cells[j, i] != cells[j, i]:
+                continue
+            ring = min(i, j, columns - 1 - i, rows - 1 - j)
+            if not ring_gives_levels and ring < ignored_ring_cells:
+                greys[j, i] = nan
+                continue
+            for probe in range(5):
+                dx = 0.0 if probe == 0 else (far if probe < 3 else -far)
+                dy = 0.0 if probe == 0 else (far if probe % 2 else -far)
+                x = 2.0 * (i + 0.5 + dx - left_cells) / width_cells - 1.0
+                y = 2.0 * (j + 0.5 + dy - top_cells) / height_cells - 1.0
+                dx, dy = bend_displacement(white_spread_and_bend, x, y)
+                u, v = transform_point(H, x - dx, y - dy)
+                u, v = distorted_pixel(camera, view, u, v)
+                grey = grey_at(image, u, v)
+                level = int(grey) if grey < 255.0 else 254
+                light, next_light = light_by_grey[level], light_by_grey[level + 1]
+                greys[j, i] += 0.2 * (light + (grey - level) * (next_light - light))
+    wrong = wrong_rim = 0
+    unclear, compared = np.zeros(4), np.zeros(4)
+    for j in range(rows):
+        for i in range(columns):
+            if min(i, j, columns - 1 - i, rows - 1 - j) < ignored_ring_cells:
+                continue
+            if not (cells[j, i] == cells[j, i] and greys[j, i] == greys[j, i]):
+                continue
+            beyond, contrast = deviation_and_contrast(greys, cells, j, i, _MAX_LEVEL_RADIUS_CELLS)
+            if contrast != contrast:
+                continue
+            quarter = (2 if 2 * j >= rows else 0) + (1 if 2 * i >= columns else 0)
+            compared[quarter] += 1.0
+            if contrast < LEAST_CONTRAST_GREY or beyond <= _LEAST_CELL_CONTRAST * contrast:
+                wrong += 1
+                unclear[quarter] += 1.0
+                # cells from the edges of the rectangle: 0 on its rim
+                x, y = i - left_cells, j - top_cells
+                if min(x, y, width_cells - 1.0 - x, height_cells - 1.0 - y) == 0.0:
+                    wrong_rim += 1
+            elif sharp and beyond <= _CLEAR_CELL_CONTRAST * contrast:
+                unclear[quarter] += 1.0
+    most = 0.0
+    for k in range(4):
+        most = max(most, unclear[k] / max(compared[k], 1.0))
+    return CellReading(wrong, wrong_rim, most)
+
+
+_PROBE_SQUARES: Final = 0.2
+"""Distance of the samples of a square from its centre, in squares (chosen)."""
+_MAX_WRONG_FRACTION: Final = 0.05
+"""Largest fraction of squares with a wrong colour, such as by glare or dirt (chosen)."""
+_OUTER_SHARE: Final = 0.6
+"""Fraction of the outermost squares that is sampled (chosen: some boards print only half of them,
+lenses bend them, and the image may end in them)."""
+_CONTINUING_FRACTION: Final = 0.75
+"""Least fraction of the corners on the line beyond a side at which four squares must meet for the
+board to continue there (chosen)."""
+_LEAST_LINE_CORNERS: Final = 2
+"""Least number of corners of such a line inside the image (chosen)."""
+_LEAST_OUTER_CONTRAST: Final = 0.4
+"""Least contrast between squares beyond the board, as a fraction of the board's own contrast. Of
+4,440 parts of boards in public photographs all continue with 0.45, all but two with 0.5; with 0.35
+one of 12,496 true sides of boards seems to continue (chosen by these counts)."""
+
+
+def squares_alternate(
+    image: NDArray[np.uint8], grid: Grid, *, upper_left_dark: bool = True
+) -> bool:
+    """Check that squares alternate around the corners of a grid, up to a few wrong ones."""
+    rows, columns, _ = grid.shape
+    corners = np.empty((rows + 2, columns + 2, 2))
+    corners[1:-1, 1:-1] = grid
+    for lines in (corners[:, 1:-1], corners.swapaxes(0, 1)):  # the outermost ones extrapolated
+        lines[0] = (1.0 + _OUTER_SHARE) * lines[1] - _OUTER_SHARE * lines[2]
+        lines[-1] = (1.0 + _OUTER_SHARE) * lines[-2] - _OUTER_SHARE * lines[-3]
+    seen, wrong, inner_unseen = _count_squares(image, corners, upper_left_dark)
+    return bool(inner_unseen == 0 and wrong <= _MAX_WRONG_FRACTION * max(seen, 1))
+
+
+@compiled
+def _count_squares(
+    image: NDArray[np.uint8], corners: Grid, first_dark: bool
+) -> tuple[int, int, int]:
+    """Count the squares seen, those of the wrong colour, and the inner ones that are not seen."""
+    greys = _square_greys(image, corners)
+    rows, columns = greys.shape
+    cells = np.empty((rows, columns))
+    for j in range(rows):
+        for i in range(columns):
+            cells[j, i] = 1.0 if ((j + i) % 2 == 1) == first_dark else 0.0
+    seen = wrong = inner_unseen = 0
+    for j in range(rows):
+        for i in range(columns):
+            if greys[j, i] != greys[j, i]:
+                if 0 < j < rows - 1 and 0 < i < columns - 1:
+                    inner_unseen += 1
+                continue
+            seen += 1
+            beyond, contrast = deviation_and_contrast(greys, cells, j, i, 1)
+            if not (contrast >= LEAST_CONTRAST_GREY and beyond > _LEAST_SQUARE_CONTRAST * contrast):
+                wrong += 1
+    return seen, wrong, inner_unseen
+
+
+@subroutine
+def _square_greys(image: NDArray[np.uint8], corners: Grid) -> FloatArray:
+    """Mean grey levels of the squares between corners; nan outside the image."""
+    height, width = image.shape
+    greys = np.zeros((corners.shape[0] - 1, corners.shape[1] - 1))
+    for j in range(greys.shape[0]):
+        for i in range(greys.shape[1]):
+            a, b = corners[j, i], corners[j, i + 1]
+            c, d = corners[j + 1, i], corners[j + 1, i + 1]
+            u, v = 0.25 * (a[0] + b[0] + c[0] + d[0]), 0.25 * (a[1] + b[1] + c[1] + d[1])
+            for probe in range(5):
+                s = _PROBE_SQUARES * (1.0 if probe == 1 else -1.0 if probe == 2 else 0.0)
+                t = _PROBE_SQUARES * (1.0 if probe == 3 else -1.0 if probe == 4 else 0.0)
+                x = u + 0.5 * (s * (b[0] + d[0] - a[0] - c[0]) + t * (c[0] + d[0] - a[0] - b[0]))
+                y = v + 0.5 * (s * (b[1] + d[1] - a[1] - c[1]) + t * (c[1] + d[1] - a[1] - b[1]))
+                if not (-0.5 < x < width - 0.5 and -0.5 < y < height - 0.5):
+                    greys[j, i] = nan
+                    break
+                greys[j, i] += 0.2 * grey_at(image, x, y)
+    return greys
+
+
+def board_continues_beyond(
+    image: NDArray[np.uint8], grid: Grid, *, upper_left_dark: bool = True
+) -> bool:
+    """Check for four squares at the next corners beyond a side: a part of a larger board.
+
+    The surroundings of a board may alternate by chance. At a corner they must do so both along the
+    line of corners and across it, with nearly the contrast of the board's own squares.
+    """
+    for inwards in (grid, grid.swapaxes(0, 1)):
+        turned = len(inwards) % 2 == 1  # the last side has the colours exchanged
+        for lines, first_dark in (
+            (inwards[:2], upper_left_dark),
+            (inwards[:-3:-1], upper_left_dark != turned),
+        ):
+            if _continues_beyond(image, np.ascontiguousarray(lines), first_dark):
+                return True
+    return False
+
+
+@compiled
+def _continues_beyond(image: NDArray[np.uint8], outermost: Grid, first_dark: bool) -> bool:
+    """Implement `board_continues_beyond` for a side, by its first two lines of corners."""
+    count = outermost.shape[1]
+    # lines of corners with their ends: the second and the first beyond the board, and two of the
+    # board; of possible outermost squares only the near part
+    lines = np.empty((4, count + 2, 2))
+    for n in range(2):
+        for i in range(count):
+            first, second = outermost[0, i, n], outermost[1, i, n]
+            lines[2, 1 + i, n], lines[3, 1 + i, n] = first, second
+            lines[1, 1 + i, n] = first + (first - second)
+            lines[0, 1 + i, n] = lines[1, 1 + i, n] + _OUTER_SHARE * (first - second)
+        for k in range(4):
+            step = lines[k, 1, n] - lines[k, 2, n]
+            lines[k, 0, n] = lines[k, 1, n] + _OUTER_SHARE * step
+            step = lines[k, count, n] - lines[k, count - 1, n]
+            lines[k, count + 1, n] = lines[k, count, n] + _OUTER_SHARE * step
+    greys = _square_greys(image, lines)
+    for k in range(3):
+        for i in range(count + 1):
+            if ((k + i) % 2 == 0) != first_dark:
+                greys[k, i] = -greys[k, i]  # of dark squares
+    own = 0.0
+    for i in range(1, count - 1):
+        own += (greys[2, i] + greys[2, i + 1]) / (count - 2)
+    corners = met = 0
+    for i in range(count):
+        four = greys[0, i] + greys[0, i + 1] + greys[1, i] + greys[1, i + 1]
+        if four != four:  # not all are in the image
+            continue
+        corners += 1
+        along = min(greys[0, i] + greys[0, i + 1], greys[1, i] + greys[1, i + 1])
+        across = min(greys[0, i] + greys[1, i], greys[0, i + 1] + greys[1, i + 1])
+        if min(along, across) > _LEAST_OUTER_CONTRAST * own:
+            met += 1
+    return corners >= _LEAST_LINE_CORNERS and met >= _CONTINUING_FRACTION * corners
+
+
+LEAST_CONFIRMED_FRACTION: Final = 0.5
+"""Least fraction of the markers beside the corners whose print must be confirmed (chosen)."""
+MAX_OTHER_FRACTION: Final = 0.1
+"""Most markers on the board's grid that the board has elsewhere or not at all, as a fraction of its
+own (chosen: stray and misread markers against boards of other counts)."""
+_LEAST_RELATIVE_CONTRAST: Final = 0.25
+"""Least contrast at a corner, as a fraction of the median of all corners (chosen)."""
+CORNER_PROBES: Final = np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
+"""Directions from a corner to the samples of its quadrants (numerical)."""
+
+
+def corner_contrasts(greys: NDArray[np.float64], signs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Contrasts of white to black around corners, (...), from samples as `CORNER_PROBES`, (..., 4).
+
+    A sign is 1 where the quadrant towards the upper left is black as printed, else -1.
+    """
+    falling = greys[..., 2] + greys[..., 3] - greys[..., 0] - greys[..., 1]
+    return np.asarray(0.5 * signs * falling)
+
+
+def least_corner_contrast(contrasts: NDArray[np.float64]) -> float:
+    """Contrast above which corners of a board alternate as printed, by those of all its corners."""
+    return max(LEAST_CONTRAST_GREY, _LEAST_RELATIVE_CONTRAST * float(np.median(contrasts)))
+
+
+def normalised(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Levels of each row as a vector without mean, of length 1: products are correlations."""
+    levels = levels - levels.mean(axis=1, keepdims=True)
+    return np.asarray(levels / np.maximum(np.linalg.norm(levels, axis=1, keepdims=True), 1e-6))
+
+
+def grey_at_pixels(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Grey levels (n, m) at pixels (n, m, 2); replicated beyond the border, the first for nan."""
+    if not pixels.size:
+        return np.zeros(pixels.shape[:-1])
+    remap: Any = cv2.remap
+    where = np.nan_to_num(pixels, nan=-1e4).astype(np.float32)
+    levels = remap(image, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(levels, float)
