@@ -20,7 +20,7 @@ from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
 from vergence.vision.corners import Grid
 from vergence.vision.optics import UndistortedView, distorted_pixel, grey_at, transform_point
-from vergence.vision.tags.steps import bend_displacement
+from vergence.vision.tags.samples import bend_displacement
 
 LEAST_CONTRAST_GREY: Final = 5.0
 """Least contrast between light and dark around a cell or a corner that is read, grey levels
