@@ -1,6 +1,7 @@
 """Detected points against the projection of the target."""
 
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -93,6 +94,21 @@ def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_images_kind(p
         with named(of_camera, stated, colour):
             for each in (detector, pickle.loads(pickle.dumps(detector))):
                 np.testing.assert_array_equal(each.detect(image).corners_px, expected.corners_px)
+
+
+def test_threads_may_share_a_detector(pinhole, rendering):
+    """One with grey images, whose levels are light, and one with colour images, whose are not."""
+    target = make_planar_target("tag")
+    drawing = TargetRenderer(pinhole, target, rendering)
+    drawing.draw(pose(0.02, 0.01, 1.0, (0.3, 0.2, 0.1)))
+    images = [drawing.frame, np.repeat(drawing.frame[:, :, None], 3, axis=2)]
+    detector = make_detector(target, pinhole)
+    alone = [detector.detect(image).corners_px for image in images]
+    assert (alone[0] != alone[1]).any()
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(detector.detect, 30 * images))
+    for index, found in enumerate(together):
+        assert (found.corners_px == alone[index % 2]).all()
 
 
 def test_every_detector_reads_images_by_the_stated_response():

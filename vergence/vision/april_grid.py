@@ -28,7 +28,7 @@ from vergence.vision.corners import (
     fit_smooth_homography,
     refine_and_check,
 )
-from vergence.vision.detection import Detection, Detector
+from vergence.vision.detection import Detection, Detector, Frame
 from vergence.vision.optics import FlatView, IdentityView, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
@@ -441,23 +441,23 @@ class AprilGridDetector(Detector[AprilGrid]):
     homography and a smooth lens distortion.
     """
 
-    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
         methods = _QUICK_METHODS if way is None else (_QUICK_METHODS[way % len(_QUICK_METHODS)],)
-        return self._search(image, methods)
+        return self._search(frame.grey, methods)
 
-    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._search(image, range(len(_SEARCH_SCALES)))
+    def _detect_all(self, frame: Frame) -> list[Detection]:
+        return self._search(frame.grey, range(len(_SEARCH_SCALES)))
 
-    def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._search(image, range(len(_QUICK_METHODS), len(_SEARCH_SCALES)))
+    def _detect_rest(self, frame: Frame) -> list[Detection]:
+        return self._search(frame.grey, range(len(_QUICK_METHODS), len(_SEARCH_SCALES)))
 
     def _detect_in(
-        self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
+        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
-        return self._search(image, _QUICK_METHODS, region)
+        return self._search(frame.grey, _QUICK_METHODS, region)
 
-    def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
-        return self._at(image, predicted.corners_px.reshape(-1, 4, 2), _MAX_TRACKED_MOVE)
+    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
+        return self._at(frame.grey, predicted.corners_px.reshape(-1, 4, 2), _MAX_TRACKED_MOVE)
 
     def _search(
         self,

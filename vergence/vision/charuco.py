@@ -24,7 +24,7 @@ from vergence.vision.corners import (
     refine_and_check,
     square_centres,
 )
-from vergence.vision.detection import Detection, Detector
+from vergence.vision.detection import Detection, Detector, Frame
 from vergence.vision.optics import FlatView, IdentityView, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
@@ -90,25 +90,25 @@ class CharucoDetector(Detector[CharucoBoard]):
         if target.rows % 2 == 0 and not target.legacy:
             self._layouts.append(replace(target, legacy=True))
 
-    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
         """Search a large image reduced, then at full size unless all corners are found.
 
         An odd `way` skips the first step; an even one stops after it if nothing is found.
         """
-        scale = min(_QUICK_SEARCH_SIDE_PX / max(image.shape), 1.0)
+        scale = min(_QUICK_SEARCH_SIDE_PX / max(frame.grey.shape), 1.0)
         if scale == 1.0 or (way is not None and way % 2):
-            return self._scaled(image, 1.0)
-        found = self._scaled(image, scale)
+            return self._scaled(frame.grey, 1.0)
+        found = self._scaled(frame.grey, scale)
         whole = bool(found) and bool(np.isfinite(found[0].corners_px).all())
         if whole or (way is not None and not found):
             return found
-        return _most(found + self._scaled(image, 1.0))  # small markers may be missing
+        return _most(found + self._scaled(frame.grey, 1.0))  # small markers may be missing
 
-    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._detect_some(image) or self._detect_rest(image)
+    def _detect_all(self, frame: Frame) -> list[Detection]:
+        return self._detect_some(frame) or self._detect_rest(frame)
 
-    def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._scaled(image, 2.0) if image.size <= MAX_ENLARGED_PIXELS else []
+    def _detect_rest(self, frame: Frame) -> list[Detection]:
+        return self._scaled(frame.grey, 2.0) if frame.grey.size <= MAX_ENLARGED_PIXELS else []
 
     def _scaled(self, image: NDArray[np.uint8], scale: float) -> list[Detection]:
         """Search the image at another scale."""
@@ -119,10 +119,10 @@ class CharucoDetector(Detector[CharucoBoard]):
         return self._best_of(image, part, scale=scale)
 
     def _detect_in(
-        self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
+        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
         x0, y0, x1, y1 = region
-        return self._best_of(image, np.ascontiguousarray(image[y0:y1, x0:x1]), (x0, y0))
+        return self._best_of(frame.grey, np.ascontiguousarray(frame.grey[y0:y1, x0:x1]), (x0, y0))
 
     def _best_of(
         self,
@@ -185,9 +185,11 @@ class CharucoDetector(Detector[CharucoBoard]):
         wrong = int((on & inside & ~right).sum())
         return bool((on & ~inside).any() or wrong > MAX_OTHER_FRACTION * int((on & right).sum()))
 
-    def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
+    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
         assert isinstance(predicted.target, CharucoBoard)
-        return self._at(image, predicted.target, predicted.corners_px, MAX_TRACKED_MOVE_SQUARES)
+        return self._at(
+            frame.grey, predicted.target, predicted.corners_px, MAX_TRACKED_MOVE_SQUARES
+        )
 
     def _at(
         self,

@@ -26,7 +26,7 @@ from vergence.vision.corners import (
     shortest_square_edge_px,
     square_centres,
 )
-from vergence.vision.detection import Detection, Detector
+from vergence.vision.detection import Detection, Detector, Frame
 from vergence.vision.image import smooth_for_square_search
 from vergence.vision.optics import FlatView, IdentityView
 from vergence.vision.prints import board_continues_beyond, squares_alternate
@@ -321,7 +321,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
     points most to the right.
     """
 
-    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
         """Search clusters of corners in the image at one size after another."""
         sizes = (
             _CLUSTER_SEARCH_SIDES_PX
@@ -329,7 +329,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
             else (_SIDES_IN_TURN_PX[way % len(_SIDES_IN_TURN_PX)],)
         )
         for most_px in sizes:
-            found = self._in_clusters(image, most_px)
+            found = self._in_clusters(frame.grey, most_px)
             if found:
                 return found
         return []
@@ -349,13 +349,13 @@ class CheckerboardDetector(Detector[Checkerboard]):
                 return found
         return []
 
-    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._first_of(image, (_BY_SQUARES, _BY_EQUALISED_SQUARES, _BY_SECTORS))
+    def _detect_all(self, frame: Frame) -> list[Detection]:
+        return self._first_of(frame.grey, (_BY_SQUARES, _BY_EQUALISED_SQUARES, _BY_SECTORS))
 
     def _detect_in(
-        self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
+        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
-        return self._first_of(image, (_BY_SQUARES,), region)
+        return self._first_of(frame.grey, (_BY_SQUARES,), region)
 
     def _first_of(
         self,
@@ -407,9 +407,9 @@ class CheckerboardDetector(Detector[Checkerboard]):
                     return detection
         return None
 
-    def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
+    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
         size = (self.target.rows, self.target.columns, 2)
-        height, width = image.shape
+        height, width = frame.grey.shape
         corners = predicted.corners_px
         if not ((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all():
             return None
@@ -417,7 +417,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         # a narrow window first: one wide enough for a moved target is less exact
         colours = (True, False) if self.target.symmetric else (True,)
         for initial_error_px in (0.0, _PREDICTION_ERROR_SQUARES * shortest_square_edge_px(grid)):
-            found = self._at(image, grid, initial_error_px, MAX_TRACKED_MOVE_SQUARES, colours)
+            found = self._at(frame.grey, grid, initial_error_px, MAX_TRACKED_MOVE_SQUARES, colours)
             if found is not None:
                 return found
         return None

@@ -57,8 +57,19 @@ class Detection(NamedTuple):
     """Standard deviations of the corners, shape (n, 2); nan as in `corners_px`."""
 
 
+class Frame(NamedTuple):
+    """An image as it is measured."""
+
+    grey: NDArray[np.uint8]
+    """(height, width) levels."""
+    light: NDArray[np.float64]
+    """(256,) light of each level, see `light_table`."""
+
+
 class Detector(ABC, Generic[TargetT]):
     """Base class of detectors, which find a target in images of one eye.
+
+    A detector keeps nothing of an image, and may be used by several threads at once.
 
     Attributes:
         target: target to find.
@@ -80,7 +91,6 @@ class Detector(ABC, Generic[TargetT]):
         if response is None and camera is not None:
             response = camera.response
         self.response = None if response is None else parse_response(response)
-        self._light = light_table(self.response or default_response(colour=False))
         self._lens = lens = camera if camera is not None and camera.distorts else None
         self._rays = _NO_RAYS if lens is None else ray_table(lens, 1, 0)
         self._row = _NO_CAMERA if lens is None else lens.row
@@ -104,7 +114,7 @@ class Detector(ABC, Generic[TargetT]):
         Raises:
             ConfigurationError: the image is invalid, or not of the camera's size.
         """
-        return self._detect_all(self._grey(image))
+        return self._detect_all(self._frame(image))
 
     def detect(self, image: ArrayLike, near_px: ArrayLike | None = None) -> Detection | None:
         """Search a whole image, first by quick methods and, if these find nothing, exhaustively.
@@ -121,9 +131,9 @@ class Detector(ABC, Generic[TargetT]):
             ConfigurationError: the image is invalid, or not of the camera's size; `near_px` is
                 not a pixel.
         """
-        grey = self._grey(image)
+        frame = self._frame(image)
         near = None if near_px is None else as_pixel("near_px", near_px)
-        return _choose(self._detect_some(grey) or self._detect_rest(grey), near)
+        return _choose(self._detect_some(frame) or self._detect_rest(frame), near)
 
     def search(
         self, image: ArrayLike, near_px: ArrayLike | None = None, way: int | None = None
@@ -145,7 +155,7 @@ class Detector(ABC, Generic[TargetT]):
         near = None if near_px is None else as_pixel("near_px", near_px)
         if way is not None and not isinstance(way, int | np.integer):
             raise ConfigurationError(f"way: expected a whole number or None, got {way!r:.80}")
-        return _choose(self._detect_some(self._grey(image), way), near)
+        return _choose(self._detect_some(self._frame(image), way), near)
 
     def track(self, image: ArrayLike, predicted: Detection) -> Detection | None:
         """Search for the target only near its predicted position.
@@ -165,9 +175,9 @@ class Detector(ABC, Generic[TargetT]):
             ConfigurationError: the image is invalid, or not of the camera's size; the prediction
                 is not a detection of this target.
         """
-        grey = self._grey(image)
+        frame = self._frame(image)
         self._check(predicted)
-        found = self._refined(grey, predicted)
+        found = self._refined(frame, predicted)
         if found is not None:
             return found
         known = predicted.corners_px[np.isfinite(predicted.corners_px).all(axis=1)]
@@ -175,12 +185,12 @@ class Detector(ABC, Generic[TargetT]):
             return None
         low, high = known.min(axis=0), known.max(axis=0)
         margin = _REGION_MARGIN_SHARE * float((high - low).max()) + _REGION_MARGIN_PX
-        height, width = grey.shape
+        height, width = frame.grey.shape
         x0, y0 = np.clip(np.floor(low - margin), 0, (width, height)).astype(int).tolist()
         x1, y1 = np.clip(np.ceil(high + margin) + 1, 0, (width, height)).astype(int).tolist()
         if min(x1 - x0, y1 - y0) < _LEAST_REGION_PX:
             return None
-        return _choose(self._detect_in(grey, (x0, y0, x1, y1), predicted), predicted.point_px)
+        return _choose(self._detect_in(frame, (x0, y0, x1, y1), predicted), predicted.point_px)
 
     def response_of(self, image: ArrayLike) -> CameraResponse:
         """Response used for an image: the stated one, or the default for grey or colour images."""
@@ -188,10 +198,9 @@ class Detector(ABC, Generic[TargetT]):
             return self.response
         return default_response(colour=has_colour_channels(image))
 
-    def _grey(self, image: ArrayLike) -> NDArray[np.uint8]:
-        """Grey levels of an image; also keeps the light by level for fits in this image."""
-        self._light = light_table(self.response_of(image))
-        return measurement_channel(image, self._size)
+    def _frame(self, image: ArrayLike) -> Frame:
+        light = light_table(self.response_of(image))
+        return Frame(measurement_channel(image, self._size), light)
 
     def _check(self, predicted: Detection) -> None:
         target = getattr(predicted, "target", None)
@@ -211,25 +220,25 @@ class Detector(ABC, Generic[TargetT]):
         return IdentityView() if self._lens is None else flat_view_about(self._lens, pixels)
 
     @abstractmethod
-    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        """Implement `detect_all` for an image in grey levels."""
+    def _detect_all(self, frame: Frame) -> list[Detection]:
+        """Implement `detect_all`."""
 
     @abstractmethod
-    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
         """Find targets by the quick methods, or by the single method of a number."""
 
-    def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
+    def _detect_rest(self, frame: Frame) -> list[Detection]:
         """Find all targets after the quick methods have found none."""
-        return self._detect_all(image)
+        return self._detect_all(frame)
 
     @abstractmethod
     def _detect_in(
-        self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
+        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
         """Search a region x0 <= u < x1, y0 <= v < y1, (x0, y0, x1, y1), for a predicted target."""
 
     @abstractmethod
-    def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
+    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
         """Refine predicted corners; None if the target is not there."""
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vergence import interrupts
 from vergence.models.camera import Camera, CameraResponse
-from vergence.vision.detection import Detection, Detector
+from vergence.vision.detection import Detection, Detector, Frame
 from vergence.vision.image import smooth_for_square_search
 from vergence.vision.tag_families import (
     CORRECTED_BITS,
@@ -222,7 +222,6 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     ) -> None:
         super().__init__(target, camera, response)
         self._code = tag_family(target.family)
-        self._aruco: Any = None
 
     def _tag(self, identity: int) -> AprilTag:
         return self.target.tag(identity) if isinstance(self.target, TagFamily) else self.target
@@ -232,25 +231,25 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return squares
         return [square for square in squares if square.id == self.target.id]
 
-    def _search_half(self, image: NDArray[np.uint8]) -> list[Detection]:
+    def _search_half(self, frame: Frame) -> list[Detection]:
         """Tags that the library finds in the image at half its size."""
-        calm = smooth_for_square_search(image)
+        calm = smooth_for_square_search(frame.grey)
         if calm is None:
             return []
         small = cv2.resize(calm, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        return self._read(image, find_squares(np.asarray(small), self.target.family), 2.0, 0.5)
+        return self._read(frame, find_squares(np.asarray(small), self.target.family), 2.0, 0.5)
 
-    def _search_full(self, image: NDArray[np.uint8], first: int, end: int) -> list[Detection]:
+    def _search_full(self, frame: Frame, first: int, end: int) -> list[Detection]:
         """Tags that the library finds at full size in the given rows of the image."""
-        if smooth_for_square_search(image) is None:
+        if smooth_for_square_search(frame.grey) is None:
             return []
         return self._read(
-            image, find_squares(image[first:end], self.target.family), 1.0, (0, first)
+            frame, find_squares(frame.grey[first:end], self.target.family), 1.0, (0, first)
         )
 
     def _read(
         self,
-        image: NDArray[np.uint8],
+        frame: Frame,
         squares: list[FoundSquare],
         scale: float,
         shift: float | tuple[int, int],
@@ -259,9 +258,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         found: list[Detection] = []
         for square in self._wanted(squares):
             placed = square._replace(corners=scale * square.corners + shift)
-            each, bent = self._fit_several_ways(image, placed.corners, placed.id)
+            each, bent = self._fit_several_ways(frame, placed.corners, placed.id)
             if each is None and bent:
-                sigma = _library_corner_sigma_px(image, placed, scale, self._code)
+                sigma = _library_corner_sigma_px(frame.grey, placed, scale, self._code)
                 if sigma is not None:
                     each = Detection(
                         self._tag(placed.id),
@@ -274,47 +273,46 @@ class TagDetector(Detector[AprilTag | TagFamily]):
                 found.append(each)
         return found
 
-    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
         """Search at half and at full size; given `way`, only one of these, by turns.
 
         Even ways search at half size, odd ones the upper and the lower half at full size.
         """
-        height, middle = len(image), len(image) // 2
+        height, middle = len(frame.grey), len(frame.grey) // 2
         if way is None:
-            return self._search_half(image) or self._search_full(image, 0, height)
+            return self._search_half(frame) or self._search_full(frame, 0, height)
         if way % 2 == 0:
-            return self._search_half(image)
+            return self._search_half(frame)
         if way % 4 == 1:
-            return self._search_full(image, 0, min(middle + _HALVES_OVERLAP_PX, height))
-        return self._search_full(image, max(middle - _HALVES_OVERLAP_PX, 0), height)
+            return self._search_full(frame, 0, min(middle + _HALVES_OVERLAP_PX, height))
+        return self._search_full(frame, max(middle - _HALVES_OVERLAP_PX, 0), height)
 
-    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        found = self._search_full(image, 0, len(image)) + self._search_half(image)
-        found += self._search_opencv(image, found)
+    def _detect_all(self, frame: Frame) -> list[Detection]:
+        found = self._search_full(frame, 0, len(frame.grey)) + self._search_half(frame)
+        found += self._search_opencv(frame, found)
         apart: list[Detection] = []
         for each in found:
             if not any(each.target == a.target and _covers(a, each.point_px) for a in apart):
                 apart.append(each)
         return sorted(apart, key=lambda each: (_number(each), *each.point_px.tolist()))
 
-    def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._search_opencv(image, [])
+    def _detect_rest(self, frame: Frame) -> list[Detection]:
+        return self._search_opencv(frame, [])
 
-    def _search_opencv(self, image: NDArray[np.uint8], known: list[Detection]) -> list[Detection]:
+    def _search_opencv(self, frame: Frame, known: list[Detection]) -> list[Detection]:
         """Tags in squares that OpenCV finds, except those that are known."""
         if (
             self.target.family not in _OPENCV_DICTIONARIES
-            or smooth_for_square_search(image) is None
+            or smooth_for_square_search(frame.grey) is None
         ):
             return []
-        if self._aruco is None:
-            parameters = cv2.aruco.DetectorParameters()
-            parameters.minMarkerPerimeterRate = 0.01
-            # the outline of a tag's paper may lie only a cell from the tag's
-            parameters.minMarkerDistanceRate = 0.01
-            dictionary = cv2.aruco.getPredefinedDictionary(_OPENCV_DICTIONARIES[self.target.family])
-            self._aruco = cv2.aruco.ArucoDetector(dictionary, parameters)
-        marked, numbers, rejected = self._aruco.detectMarkers(image)
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.minMarkerPerimeterRate = 0.01
+        # the outline of a tag's paper may lie only a cell from the tag's
+        parameters.minMarkerDistanceRate = 0.01
+        dictionary = cv2.aruco.getPredefinedDictionary(_OPENCV_DICTIONARIES[self.target.family])
+        found: Any = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(frame.grey)
+        marked, numbers, rejected = found
         named = [] if numbers is None else numbers.ravel().tolist()
         out: list[Detection] = []
         for i, quad in enumerate((*marked, *rejected)):
@@ -324,33 +322,33 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             middle = corners.mean(axis=0)
             if any(_covers(each, middle) for each in (*known, *out)):
                 continue
-            read = _decode_tag(image, corners, self._code)
+            read = _decode_tag(frame.grey, corners, self._code)
             squares = [] if read is None else [read]
             if i < len(named):  # which corner is the upper left one depends on OpenCV's version
                 squares += [FoundSquare(named[i], 0, np.roll(corners, k, axis=0)) for k in (0, 2)]
             for square in self._wanted(squares):
-                detection, _ = self._fit_several_ways(image, square.corners, square.id)
+                detection, _ = self._fit_several_ways(frame, square.corners, square.id)
                 if detection is not None:
                     out.append(detection)
                     break
         return out
 
     def _detect_in(
-        self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
+        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
         x0, y0, x1, y1 = region
-        part = np.ascontiguousarray(image[y0:y1, x0:x1])
+        part = np.ascontiguousarray(frame.grey[y0:y1, x0:x1])
         squares = find_squares(part, self.target.family)
         same = [square for square in squares if square.id == _number(predicted)]
-        return self._read(image, same, 1.0, (x0, y0))
+        return self._read(frame, same, 1.0, (x0, y0))
 
-    def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
+    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
         corners, number = predicted.corners_px, _number(predicted)
         if not np.isfinite(corners).all():
             return None
         most = max(_TRACKED.pixels, int(_PIXELS_PER_EDGE_PX * _shortest_edge(corners)))
         effort = _TRACKED._replace(first_stage=ALL, pixels=min(most, _SEARCH.pixels))
-        found, fit = self._fit_once(image, corners, number, effort)
+        found, fit = self._fit_once(frame, corners, number, effort)
         if found is not None:
             if (
                 fit.max_corner_move_px < _MAX_PREDICTION_ERROR_PX
@@ -359,17 +357,17 @@ class TagDetector(Detector[AprilTag | TagFamily]):
                 return found
         else:  # the target is not exactly at its prediction
             effort = effort._replace(first_stage=WIDE)
-            found, _ = self._fit_several_ways(image, corners, number, (effort,))
+            found, _ = self._fit_several_ways(frame, corners, number, (effort,))
         # few pixels may have led the fit astray, or the edge of a shadow lies on the tag
         second = _SECOND._replace(pixels=max(_SECOND.pixels, effort.pixels))
         if found is None:
-            return self._fit_once(image, corners, number, second)[0]
+            return self._fit_once(frame, corners, number, second)[0]
         second = second._replace(first_stage=ALL)
-        return self._fit_once(image, found.corners_px, number, second)[0] or found
+        return self._fit_once(frame, found.corners_px, number, second)[0] or found
 
     def _fit_several_ways(
         self,
-        image: NDArray[np.uint8],
+        frame: Frame,
         corners: NDArray[np.float64],
         identity: int,
         efforts: Sequence[FitEffort] = _SEARCHES,
@@ -383,7 +381,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             ways.append((efforts[0], _CUT_MARGIN_CELLS))
         bent = True
         for effort, quiet in ways:
-            found, fit = self._fit_once(image, corners, identity, effort, quiet)
+            found, fit = self._fit_once(frame, corners, identity, effort, quiet)
             if found is not None:
                 return found, False
             bent = bent and _refused_tag_may_be_bent(fit)
@@ -391,7 +389,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 
     def _fit_once(
         self,
-        image: NDArray[np.uint8],
+        frame: Frame,
         corners: NDArray[np.float64],
         identity: int,
         effort: FitEffort,
@@ -402,7 +400,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         points, sigmas = np.empty((5, 2)), np.empty((5, 2))
         with interrupts.postponed():  # numba crashes if it cannot build the named tuple
             fit = fit_tag(
-                image, self._light, self._rays, self._row, _cells_of(code, identity),
+                *frame, self._rays, self._row, _cells_of(code, identity),
                 code.width_at_border, quiet, *effort, corners, points, sigmas,
             )  # fmt: skip
         if not _reads_as_tag(fit, code):
