@@ -48,8 +48,8 @@ class RecordingDetector(TagDetector):
         self.fits: list[tuple[int, NDArray[np.float64], TagFit]] = []
         """Fits of the last image: tag number, approximate centre, px, and result."""
 
-    def _fit_once(self, image: Any, corners: Any, identity: int, *others: Any) -> Any:
-        found, fit = super()._fit_once(image, corners, identity, *others)
+    def _fit_once(self, frame: Any, corners: Any, identity: int, *others: Any) -> Any:
+        found, fit = super()._fit_once(frame, corners, identity, *others)
         self.fits.append((identity, np.mean(corners, axis=0), fit))
         return found, fit
 

@@ -311,7 +311,7 @@ def test_sigma_is_that_of_the_error_whatever_pixels_take_part(edge_px):
         image = jpeg(70)(drawn.image, drawn.point)
         for most, share in shares.items():
             found, _ = detector._fit_once(
-                image, drawn.corners, TAG.id, FitEffort(WIDE, 3, 8, 200, most)
+                detector._frame(image), drawn.corners, TAG.id, FitEffort(WIDE, 3, 8, 200, most)
             )
             share.append((found.corners_px - drawn.corners) / found.corners_sigma_px)
     for share in shares.values():
