@@ -1,6 +1,6 @@
-"""Samples of a tag's fit: the print, the pixels near its edges, and the light of their blocks."""
+"""Samples of a tag's fit: the pixels near its edges, and the blurred print at each of them."""
 
-from math import erf, exp, floor, gcd, hypot, inf, log, pi, sqrt
+from math import erf, floor, gcd, hypot, inf, pi, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -484,7 +484,7 @@ def begin_stage(
 
 
 @inlined
-def _evaluate_print(tag: TagPrint, state: FitState, stage: FitStage) -> None:
+def evaluate_print(tag: TagPrint, state: FitState, stage: FitStage) -> None:
     """Evaluate the print and its derivatives at all pixels, and their sums by block."""
     G, blurs, spread_and_bend = state.G, state.blurs_px, state.white_spread_and_bend
     cells, places, pixels, blocks_per_edge = (
@@ -541,93 +541,3 @@ def _evaluate_print(tag: TagPrint, state: FitState, stage: FitStage) -> None:
         for j in range(MAX_UNKNOWNS):
             slopes[k, 0, j] += pixels[n, 3 + j]
             slopes[k, 1, j] += value * pixels[n, 3 + j]
-
-
-_LEAST_BLOCK_PIXELS: Final = 6
-"""Fewest pixels of a block that is used (chosen: small tags against noisy levels)."""
-_LEAST_PRINT_VARIANCE: Final = 0.02
-"""Variance of the print in a block below which its contrast is undetermined (chosen: as above)."""
-_OUTLIER_VARIANCE_RATIO: Final = 4.0
-"""Residual variance, by the usual one, above which a block's weight falls (chosen: robustness)."""
-
-
-@inlined
-def _estimate_levels(stage: FitStage) -> float:
-    """Estimate the dark level and contrast of each block; return the mean contrast.
-
-    A block of one colour, or with a contrast of the wrong sign, gets contrast 0: it is not used.
-    """
-    sums, levels, total, pixels = stage.moments, stage.levels, 0.0, 0.0
-    for k in range(len(sums)):
-        n, t, tt, i, ti = sums[k]
-        levels[k, 0] = levels[k, 1] = 0.0
-        if n < _LEAST_BLOCK_PIXELS:
-            continue
-        print_squares = tt - t * t / n
-        if print_squares < _LEAST_PRINT_VARIANCE * n:
-            continue
-        contrast = (ti - t * i / n) / print_squares
-        if contrast <= 0.0:
-            continue
-        levels[k, 0], levels[k, 1] = (i - contrast * t) / n, contrast
-        total += n * contrast
-        pixels += n
-    return total / pixels if pixels > 0.0 else 0.0
-
-
-@inlined
-def _reweight_and_sum_squares(stage: FitStage) -> float:
-    """Weight each block, less if its residuals are unusually large; sum of all weighted squares."""
-    sums, levels, weights, pixel_rows = (
-        stage.moments, stage.levels, stage.weights, stage.pixel_rows
-    )  # fmt: skip
-    weights[:] = 0.0
-    for n in range(len(pixel_rows)):
-        k = int(pixel_rows[n, 1])
-        if k >= 0 and levels[k, 1] > 0.0:
-            r = pixel_rows[n, 0] - levels[k, 0] - levels[k, 1] * pixel_rows[n, 2]
-            weights[k] += r * r
-    log_total, total = 0.0, 0.0
-    for k in range(len(sums)):
-        if levels[k, 1] > 0.0:
-            weights[k] /= sums[k, 0]
-            # the geometric mean, which a few bad blocks hardly raise
-            log_total += sums[k, 0] * log(weights[k] + 0.05)
-            total += sums[k, 0]
-    if total == 0.0:
-        return 0.0
-    usual = exp(log_total / total)
-    weighted = 0.0
-    for k in range(len(sums)):
-        if levels[k, 1] > 0.0:
-            own = weights[k]
-            inlying = own < _OUTLIER_VARIANCE_RATIO * usual
-            weights[k] = 1.0 if inlying else _OUTLIER_VARIANCE_RATIO * usual / own
-            weighted += weights[k] * own * sums[k, 0]
-    return weighted
-
-
-class PrintResiduals(NamedTuple):
-    """Residuals of all pixels' light after the print."""
-
-    contrast: float
-    """Mean contrast of all blocks; 0 if none has any."""
-    unexplained_squares: float
-    """Weighted sum of squared residuals."""
-    pixel_variance: float
-    """Variance of a pixel."""
-
-
-@subroutine
-def compare_print(tag: TagPrint, state: FitState, stage: FitStage) -> PrintResiduals:
-    """Compare the print with the pixels, by blocks."""
-    _evaluate_print(tag, state, stage)
-    contrast = _estimate_levels(stage)
-    if contrast <= 0.0:
-        return PrintResiduals(0.0, 0.0, 0.0)
-    unexplained = _reweight_and_sum_squares(stage)
-    free = -float(MAX_UNKNOWNS)
-    for k in range(len(stage.weights)):
-        if stage.levels[k, 1] > 0.0:
-            free += stage.weights[k] * stage.moments[k, 0] - 2.0
-    return PrintResiduals(contrast, unexplained, unexplained / max(free, 1.0))

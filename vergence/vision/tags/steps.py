@@ -1,7 +1,7 @@
-"""Gauss-Newton steps of a tag's fit: normal equations, priors, and the variance that they leave."""
+"""Gauss-Newton steps of a tag's fit: levels of blocks, normal equations, priors, variance."""
 
-from math import exp, hypot, inf, sqrt
-from typing import Final
+from math import exp, hypot, inf, log, sqrt
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from vergence.vision.tags.samples import (
     WHITE_SPREAD_INDEX,
     FitStage,
     FitState,
+    TagPrint,
+    evaluate_print,
     point_in_half_edges,
 )
 
@@ -262,3 +264,97 @@ def gauss_newton_step(
     for k in range(WHITE_SPREAD_INDEX, unknown_count):
         state.white_spread_and_bend[k - WHITE_SPREAD_INDEX] += step[k]
     return corner_step_px, blur_step
+
+
+_LEAST_BLOCK_PIXELS: Final = 6
+"""Fewest pixels of a block that is used (chosen: small tags against noisy levels)."""
+
+
+_LEAST_PRINT_VARIANCE: Final = 0.02
+"""Variance of the print in a block below which its contrast is undetermined (chosen: as above)."""
+
+
+_OUTLIER_VARIANCE_RATIO: Final = 4.0
+"""Residual variance, by the usual one, above which a block's weight falls (chosen: robustness)."""
+
+
+@inlined
+def _estimate_levels(stage: FitStage) -> float:
+    """Estimate the dark level and contrast of each block; return the mean contrast.
+
+    A block of one colour, or with a contrast of the wrong sign, gets contrast 0: it is not used.
+    """
+    sums, levels, total, pixels = stage.moments, stage.levels, 0.0, 0.0
+    for k in range(len(sums)):
+        n, t, tt, i, ti = sums[k]
+        levels[k, 0] = levels[k, 1] = 0.0
+        if n < _LEAST_BLOCK_PIXELS:
+            continue
+        print_squares = tt - t * t / n
+        if print_squares < _LEAST_PRINT_VARIANCE * n:
+            continue
+        contrast = (ti - t * i / n) / print_squares
+        if contrast <= 0.0:
+            continue
+        levels[k, 0], levels[k, 1] = (i - contrast * t) / n, contrast
+        total += n * contrast
+        pixels += n
+    return total / pixels if pixels > 0.0 else 0.0
+
+
+@inlined
+def _reweight_and_sum_squares(stage: FitStage) -> float:
+    """Weight each block, less if its residuals are unusually large; sum of all weighted squares."""
+    sums, levels, weights, pixel_rows = (
+        stage.moments, stage.levels, stage.weights, stage.pixel_rows
+    )  # fmt: skip
+    weights[:] = 0.0
+    for n in range(len(pixel_rows)):
+        k = int(pixel_rows[n, 1])
+        if k >= 0 and levels[k, 1] > 0.0:
+            r = pixel_rows[n, 0] - levels[k, 0] - levels[k, 1] * pixel_rows[n, 2]
+            weights[k] += r * r
+    log_total, total = 0.0, 0.0
+    for k in range(len(sums)):
+        if levels[k, 1] > 0.0:
+            weights[k] /= sums[k, 0]
+            # the geometric mean, which a few bad blocks hardly raise
+            log_total += sums[k, 0] * log(weights[k] + 0.05)
+            total += sums[k, 0]
+    if total == 0.0:
+        return 0.0
+    usual = exp(log_total / total)
+    weighted = 0.0
+    for k in range(len(sums)):
+        if levels[k, 1] > 0.0:
+            own = weights[k]
+            inlying = own < _OUTLIER_VARIANCE_RATIO * usual
+            weights[k] = 1.0 if inlying else _OUTLIER_VARIANCE_RATIO * usual / own
+            weighted += weights[k] * own * sums[k, 0]
+    return weighted
+
+
+class PrintResiduals(NamedTuple):
+    """Residuals of all pixels' light after the print."""
+
+    contrast: float
+    """Mean contrast of all blocks; 0 if none has any."""
+    unexplained_squares: float
+    """Weighted sum of squared residuals."""
+    pixel_variance: float
+    """Variance of a pixel."""
+
+
+@subroutine
+def compare_print(tag: TagPrint, state: FitState, stage: FitStage) -> PrintResiduals:
+    """Compare the print with the pixels, by blocks."""
+    evaluate_print(tag, state, stage)
+    contrast = _estimate_levels(stage)
+    if contrast <= 0.0:
+        return PrintResiduals(0.0, 0.0, 0.0)
+    unexplained = _reweight_and_sum_squares(stage)
+    free = -float(MAX_UNKNOWNS)
+    for k in range(len(stage.weights)):
+        if stage.levels[k, 1] > 0.0:
+            free += stage.weights[k] * stage.moments[k, 0] - 2.0
+    return PrintResiduals(contrast, unexplained, unexplained / max(free, 1.0))
