@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.kernels import inlined, subroutine
+from vergence.kernels import subroutine
 from vergence.models.fixation import cholesky_factorise, cholesky_solve, forward_substitute
 from vergence.models.parts import FloatArray
 from vergence.vision.optics import square_to_image_homography, transform_point
@@ -209,7 +209,7 @@ _FRACTION_GROWTH: Final = 1.5
 """Factor by which this fraction grows again after a step without overshoot (numerical)."""
 
 
-@inlined
+@subroutine
 def gauss_newton_step(
     state: FitState, stage: FitStage, unknown_count: int,
     prior_weights: tuple[float, float, float, float], max_blur_px: float,
@@ -278,7 +278,7 @@ _OUTLIER_VARIANCE_RATIO: Final = 4.0
 """Residual variance, by the usual one, above which a block's weight falls (chosen: robustness)."""
 
 
-@inlined
+@subroutine
 def _estimate_levels(stage: FitStage) -> float:
     """Estimate the dark level and contrast of each block; return the mean contrast.
 
@@ -302,7 +302,7 @@ def _estimate_levels(stage: FitStage) -> float:
     return total / pixels if pixels > 0.0 else 0.0
 
 
-@inlined
+@subroutine
 def _reweight_and_sum_squares(stage: FitStage) -> float:
     """Weight each block, less if its residuals are unusually large; sum of all weighted squares."""
     sums, levels, weights, pixel_rows = (
