@@ -204,11 +204,7 @@ def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -
         bent: True to fit the board's curvature as well, one for all views.
     """
     problem = BundleAdjustment(board, corners.pixels, np.ones_like(corners.pixels))
-    start = estimate_board_poses(
-        problem.select_camera(0),
-        CameraRig.single(rig.lenses[0], rig.camera_parameters[0]),
-        corners.sizes[0],
-    )
+    start = estimate_board_poses(problem.select_camera(0), rig.alone(0))
     rig = rig._replace(board_curvatures=np.zeros(3))
     poses, linear = problem.fit_poses(rig, start)
     for _ in range(_BENDINGS if bent else 0):

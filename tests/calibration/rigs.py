@@ -63,15 +63,9 @@ def as_calibrated(rig, poses, seen, dropped=()):
     out = np.isin(np.arange(views), dropped)
     alone = []
     for camera in range(cameras):
-        single = CameraRig.single(rig.lenses[camera], rig.camera_parameters[camera])._replace(
-            board_curvatures=rig.board_curvatures
-        )
-        mine = poses
-        if camera:
-            turned = rig.rotation @ poses.rotation
-            mine = BoardPoses(turned, poses.translation @ rig.rotation.T + rig.translation)
+        mine = poses.transformed(rig.rotation, rig.translation) if camera else poses
         problem = seen.problem.select_camera(camera)
-        alone.append(_fit(problem, single, mine, seen.usable[camera] & ~out))
+        alone.append(_fit(problem, rig.alone(camera), mine, seen.usable[camera] & ~out))
     fit = alone[0]
     if cameras > 1:
         fit = _fit(seen.problem, rig, poses, seen.usable.any(axis=0) & ~out)

@@ -28,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from vergence.models.camera import pixels_to_rays
 from vergence.models.head import HeadModel
-from vergence.models.lens import LENSES
+from vergence.models.lens import LENSES, pack_camera
 from vergence.models.parts import FloatArray
 
 PINHOLE_VALUES = ("f_u", "f_v", "u_0", "v_0")
@@ -164,7 +165,7 @@ def damped_least_squares(
         except np.linalg.LinAlgError:  # a step behind a camera
             then, change = now, np.full_like(damping, -np.inf)
         better = np.asarray(change >= 0.0)
-        state, now = _choose(better, there, state), _choose(better, then, now)
+        state, now = choose(better, there, state), choose(better, then, now)
         damping = np.where(
             better, np.maximum(0.1 * damping, _LEAST_DAMPING), np.maximum(10.0 * damping, 1.0)
         )
@@ -178,7 +179,7 @@ def damped_least_squares(
     return state, now
 
 
-def _choose(better: NDArray[np.bool_], new: _State, old: _State) -> _State:
+def choose(better: NDArray[np.bool_], new: _State, old: _State) -> _State:
     """Select the new values of the problems that are better."""
     if better.ndim == 0:
         return new if better else old
@@ -219,6 +220,10 @@ class BoardPoses(NamedTuple):
         turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
         return BoardPoses(turns @ self.rotation, self.translation + steps[:, 3:])
 
+    def transformed(self, rotation: FloatArray, translation: FloatArray) -> "BoardPoses":
+        """Poses in another frame, that of points `R x + t`, m."""
+        return BoardPoses(rotation @ self.rotation, self.translation @ rotation.T + translation)
+
 
 class CameraRig(NamedTuple):
     """One camera, or two and their relative pose: `x_right = R x_left + T`."""
@@ -238,6 +243,17 @@ class CameraRig(NamedTuple):
     def single(cls, lens: str, camera_parameters: FloatArray) -> "CameraRig":
         """Make a rig of one camera and a flat board."""
         return cls((lens,), (camera_parameters,), np.eye(3), np.zeros(3), np.zeros(3))
+
+    def alone(self, camera: int) -> "CameraRig":
+        """Make a rig of one of the cameras."""
+        single = CameraRig.single(self.lenses[camera], self.camera_parameters[camera])
+        return single._replace(board_curvatures=self.board_curvatures)
+
+    def rays(self, camera: int, pixels: FloatArray) -> FloatArray:
+        """Rays X / Z, Y / Z of (..., 2) pixels in a camera; nan where the lens has no inverse."""
+        values = self.camera_parameters[camera]
+        row = pack_camera((0, 0), values[:2], values[2:4], self.lenses[camera], values[4:])
+        return np.asarray(pixels_to_rays(pixels, row))
 
     @property
     def blocks(self) -> list[slice]:

@@ -7,10 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.cameras import camera_row_for_kernels
 from vergence.calibration.files import pair_of
 from vergence.calibration.uncertainty import board_points_in_camera, direction_sigma_px
-from vergence.models.camera import pixels_to_rays
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.locate import MM
 
@@ -119,13 +117,7 @@ def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]
 
 def direction_sigma_px_at(calibration: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
     """(n,) sigma, px, of directions at (n, 2) pixels; nan where the lens has no inverse."""
-    rig = calibration.rig
-    row = camera_row_for_kernels(
-        rig.lenses[camera],
-        rig.camera_parameters[camera],
-        calibration.observations.image_sizes[camera],
-    )
-    rays = np.asarray(pixels_to_rays(pixels, row))
+    rays = calibration.rig.rays(camera, pixels)
     sigma = np.full(len(pixels), np.nan)
     there = np.isfinite(rays).all(axis=-1)
     if there.any():

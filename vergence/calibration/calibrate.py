@@ -227,10 +227,8 @@ def calibrate_views(
     single_fits = tuple(trial.fit for trial in trials[chosen])
     away_px = np.stack(
         [
-            mistaken_corners_px(observations.problem.select_camera(camera), one.solution.rig, size)
-            for camera, (one, size) in enumerate(
-                zip(single_fits, observations.image_sizes, strict=True)
-            )
+            mistaken_corners_px(observations.problem.select_camera(camera), one.solution.rig)
+            for camera, one in enumerate(single_fits)
         ]
     )
     if away_px.any():
