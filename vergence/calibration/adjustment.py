@@ -468,11 +468,12 @@ class BundleAdjustment:
         def linearised(state: tuple[CameraRig, BoardPoses]) -> _RigEquations:
             row, linear = state[0].packed(), self.linearised(*state)
             reduced, by_rig, own_step = linear.eliminated()
-            flat = reduced.reshape(-1, len(row))
+            # view by view: one large product would wait for threads, where others use the CPU too
+            information = reduced.transpose(0, 2, 1) @ reduced
             return _RigEquations(
                 float(linear.cost.sum() + prior @ row**2),
-                flat.T @ flat + np.diag(prior),
-                flat.T @ linear.residuals.ravel() + prior * row,
+                information.sum(axis=0) + np.diag(prior),
+                reduced.reshape(-1, len(row)).T @ linear.residuals.ravel() + prior * row,
                 linear,
                 by_rig,
                 own_step,
