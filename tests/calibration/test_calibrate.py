@@ -12,13 +12,13 @@ from tests.naming import named
 from vergence.calibration import cameras
 from vergence.calibration.adjustment import BoardPoses, CameraRig
 from vergence.calibration.advice import advise_next_photographs
-from vergence.calibration.calibrate import calibrate_views
-from vergence.calibration.files import (
+from vergence.calibration.calibrate import (
+    calibrate_views,
     head_file_text,
-    right_camera_pose_covariance,
     ros_camera_document,
 )
 from vergence.calibration.observations import alike_views
+from vergence.calibration.uncertainty import right_camera_pose_covariance
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
 from vergence.vision import parse_target

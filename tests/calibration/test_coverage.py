@@ -23,7 +23,6 @@ from vergence.calibration.advice import (
     board_tilts,
     views_per_cell,
 )
-from vergence.calibration.files import depth_sigma_at
 
 MIDDLE = np.append(BOARD.corners_m.mean(axis=0), 0.0)
 VIEWS = 60
@@ -161,7 +160,7 @@ def test_advice_has_no_more_than_a_person_keeps_in_mind():
 
 
 def test_depth_noise_grows_with_the_square_of_the_distance_and_ends_where_an_image_does(good):
-    depth = depth_sigma_at(good, np.array([0.05, 1.0, 2.0]))
+    depth = good.depth_sigma_at(np.array([0.05, 1.0, 2.0]))
     assert np.isnan(depth.total_m[0])
     # the cameras are turned by two degrees to each other, so that it is not quite four times
     np.testing.assert_allclose(depth.noise_m[2] / depth.noise_m[1], 4.0, rtol=0.1)

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.files import pair_of
 from vergence.calibration.uncertainty import board_points_in_camera, direction_sigma_px
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.locate import MM
@@ -76,11 +75,6 @@ class BoardTilts(NamedTuple):
         return np.asarray(np.linalg.norm(self.tilt_deg, axis=-1))
 
 
-def camera_names(calibration: Calibration) -> tuple[str, ...]:
-    """Name the cameras: left and right for a pair, camera for a single one."""
-    return tuple(EYE_NAMES) if len(calibration.single_fits) > 1 else ("camera",)
-
-
 def board_tilts(calibration: Calibration, camera: int) -> BoardTilts:
     """Compute the tilts and distances of the board in front of a camera."""
     solution = calibration.fit.solution
@@ -142,7 +136,7 @@ def board_sag(calibration: Calibration) -> BoardSag:
 def advise_next_photographs(calibration: Calibration) -> list[str]:
     """Advise on the next photographs: up to `MOST_SENTENCES`, then remarks on images and doubts."""
     sentences = [text for rule in _RULES if (text := rule(calibration))]
-    doubts = pair_of(calibration).guesses if len(calibration.single_fits) > 1 else ()
+    doubts = calibration.pair.guesses if len(calibration.single_fits) > 1 else ()
     return [*sentences[:MOST_SENTENCES], *calibration.observations.remarks, *doubts]
 
 
@@ -190,7 +184,7 @@ def advise_on_view_count(calibration: Calibration) -> str:
 def advise_on_empty_cells(calibration: Calibration) -> str:
     """Advise on parts of the images without a corner in any view."""
     parts = []
-    for camera, name in enumerate(camera_names(calibration)):
+    for camera, name in enumerate(calibration.camera_names):
         empty = views_per_cell(calibration, camera) == 0
         if empty.any():
             of = f"the {name} camera" if len(calibration.single_fits) > 1 else "the image"
@@ -303,7 +297,7 @@ def advise_on_uncertain_focal_lengths(calibration: Calibration) -> str:
     camera = int(np.argmax(unsure))
     if unsure[camera] < _UNCERTAIN_FOCAL_SIGMA:
         return ""
-    name = f"{camera_names(calibration)[camera]} camera's" if len(unsure) > 1 else "camera's"
+    name = f"{calibration.camera_names[camera]} camera's" if len(unsure) > 1 else "camera's"
     return (
         f"The {name} focal length is known to {100.0 * unsure[camera]:.1f} %, and depth no better: "
         "take more views of tilted boards that fill the image."

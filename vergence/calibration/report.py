@@ -15,20 +15,19 @@ from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import LogLocator
 from scipy.spatial import ConvexHull, QhullError
 
-from vergence.calibration.adjustment import camera_parameter_names, rms_length
+from vergence.calibration.adjustment import rms_length
 from vergence.calibration.advice import (
     CELLS,
     advise_next_photographs,
     board_sag,
     board_tilts,
-    camera_names,
     direction_sigma_px_at,
     median_and_corner_sigma_px,
     pixel_grid,
     views_in_cells,
 )
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.files import DepthSigma, depth_sigma_at, depths_to_plot_m, pixel_noise_px
+from vergence.calibration.uncertainty import DepthSigma
 from vergence.files import write_atomic
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.reporting.report import inline_svg
@@ -110,7 +109,7 @@ def write_page(folder: Path, template: str, figures: Mapping[str, Figure], **val
 def _figures(calibration: Calibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
     drawn = {}
-    for camera, name in enumerate(camera_names(calibration)):
+    for camera, name in enumerate(calibration.camera_names):
         drawn[f"residuals-{name}"] = residual_field(calibration, camera)
         drawn[f"radius-{name}"] = residuals_by_radius(calibration, camera)
         drawn[f"coverage-{name}"] = image_coverage(calibration, camera)
@@ -119,7 +118,7 @@ def _figures(calibration: Calibration) -> dict[str, Figure]:
     drawn["distances"] = tilts_by_distance(calibration)
     drawn["views"] = view_residuals(calibration)
     if len(calibration.single_fits) > 1:
-        depth = depth_sigma_at(calibration, depths_to_plot_m(calibration))
+        depth = calibration.depth_sigma_at(depths_to_plot_m(calibration))
         drawn["depth"] = depth_sigma(depth, in_percent=False)
         drawn["depth-relative"] = depth_sigma(depth, in_percent=True)
     return drawn
@@ -127,7 +126,7 @@ def _figures(calibration: Calibration) -> dict[str, Figure]:
 
 def _values(calibration: Calibration) -> dict[str, Any]:
     """Collect the values for the template."""
-    names = camera_names(calibration)
+    names = calibration.camera_names
     several = len(names) > 1
     held, rig = board_tilts(calibration, 0), calibration.rig
     return {
@@ -160,14 +159,14 @@ def _values(calibration: Calibration) -> dict[str, Any]:
             median_and_corner_sigma_px(calibration, camera) for camera in range(len(names))
         ],
         "depths": _depth_rows(calibration) if several else [],
-        "noise_px": pixel_noise_px(calibration),
+        "noise_px": calibration.noise_px,
         "numbers": _number_rows(calibration),
     }
 
 
 def _depth_rows(calibration: Calibration) -> list[list[str]]:
     """Format the rows of the depth table."""
-    depth = depth_sigma_at(calibration, np.array(_DEPTHS_M))
+    depth = calibration.depth_sigma_at(np.array(_DEPTHS_M))
     columns = [1e3 * depth.calibration_m, 1e3 * depth.noise_m, 1e3 * depth.total_m,
                1e2 * depth.total_m / depth.distance_m]  # fmt: skip
     return [
@@ -178,15 +177,10 @@ def _depth_rows(calibration: Calibration) -> list[list[str]]:
 
 def _number_rows(calibration: Calibration) -> list[list[str]]:
     """Format the rows of the table of camera parameters."""
-    rows, rig = [], calibration.rig
-    for name, lens, values, block in zip(
-        camera_names(calibration), rig.lenses, rig.camera_parameters, rig.blocks, strict=False
-    ):
-        sigma = calibration.sigma[block].tolist()
-        for label, *pair in zip(camera_parameter_names(lens), values.tolist(), sigma, strict=True):
-            digits = 2 if label[1] == "_" else 5
-            rows.append([f"{name} {label}", *(format_fixed(each, digits) for each in pair)])
-    return rows
+    return [
+        [f"{camera} {label}", *(format_fixed(each, 2 if label[1] == "_" else 5) for each in pair)]
+        for camera, label, *pair in calibration.camera_values
+    ]
 
 
 Line = tuple[FloatArray, str, dict[str, Any]]
@@ -311,6 +305,12 @@ _AXIS_LIMIT_MEDIANS: Final = 4.0
 """Largest bar in medians of the kept views, unless a kept view exceeds it (chosen)."""
 _MOST_NAMED_VIEWS: Final = 40
 """Largest number of views that all have their names below the bars (chosen)."""
+_BASELINES: Final = (3.0, 100.0)
+"""Nearest and farthest distance of the figure, in baselines (chosen: the range of use)."""
+_NEAR_M: Final = 0.2
+"""Distance from which on the figure reaches in any case, m (chosen: the range of use)."""
+_FAR_M: Final = 5.0
+"""Distance up to which the figure reaches in any case, m (chosen: the range of use)."""
 
 
 def residual_field(calibration: Calibration, camera: int) -> Figure:
@@ -318,7 +318,7 @@ def residual_field(calibration: Calibration, camera: int) -> Figure:
     return draw_residual_arrows(
         *_residuals(calibration, camera),
         calibration.observations.image_sizes[camera],
-        camera_names(calibration)[camera],
+        calibration.camera_names[camera],
     )
 
 
@@ -351,7 +351,7 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
         limit = 1.05 * float(np.quantile(np.abs(along), 0.99))
         panel.set(
             xlabel="radius from the principal point (px)", ylabel="residual (px)",
-            ylim=(-limit, limit), title=camera_names(calibration)[camera],
+            ylim=(-limit, limit), title=calibration.camera_names[camera],
         )  # fmt: skip
         legend_below(figure, 2, fontsize=10)
     return figure
@@ -360,7 +360,7 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
 def image_coverage(calibration: Calibration, camera: int) -> Figure:
     """Draw the corners used by the calibration over the image, and the views in each part of it."""
     views = calibration.fit.solution.problem.pixels[camera]
-    size, name = calibration.observations.image_sizes[camera], camera_names(calibration)[camera]
+    size, name = calibration.observations.image_sizes[camera], calibration.camera_names[camera]
     return draw_corner_coverage(views, size, name, EYE_STYLES[camera]["color"])
 
 
@@ -368,7 +368,7 @@ def tilt_directions(calibration: Calibration) -> Figure:
     """Plot direction and size of the board's tilts."""
     with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
         most = 40.0
-        for camera, name in enumerate(camera_names(calibration)):
+        for camera, name in enumerate(calibration.camera_names):
             held = board_tilts(calibration, camera)
             panel.plot(*held.tilt_deg.T, label=name, **_dots(camera))
             most = max(most, 1.1 * float(held.angle_deg.max()))
@@ -392,7 +392,7 @@ def tilt_directions(calibration: Calibration) -> Figure:
 def tilts_by_distance(calibration: Calibration) -> Figure:
     """Plot the tilt of the board in each view against its distance."""
     with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
-        for camera, name in enumerate(camera_names(calibration)):
+        for camera, name in enumerate(calibration.camera_names):
             held = board_tilts(calibration, camera)
             panel.plot(held.distance_m, held.angle_deg, label=name, **_dots(camera))
         panel.set(
@@ -411,7 +411,7 @@ def _dots(camera: int) -> dict[str, Any]:
 
 def view_residuals(calibration: Calibration) -> Figure:
     """Plot the root mean square of each view's residuals; views left out are hatched."""
-    fits = dict(zip(camera_names(calibration), calibration.single_fits, strict=True))
+    fits = dict(zip(calibration.camera_names, calibration.single_fits, strict=True))
     colours = [EYE_STYLES[camera]["color"] for camera in range(len(fits))]
     if len(fits) > 1:
         fits["both together"] = calibration.fit
@@ -471,8 +471,15 @@ def direction_sigma(calibration: Calibration, camera: int) -> Figure:
         panel.set_facecolor("#bbbbbb")
         hull = _hull(pixels)
         panel.plot(*hull.T, "--", color=ORANGE, lw=2.0)
-        panel.set_title(f"{camera_names(calibration)[camera]}, sigma of directions (px)")
+        panel.set_title(f"{calibration.camera_names[camera]}, sigma of directions (px)")
     return figure
+
+
+def depths_to_plot_m(calibration: Calibration) -> FloatArray:
+    """(n) distances for a figure, m, evenly spaced on a logarithmic scale."""
+    baseline = float(np.linalg.norm(calibration.rig.translation))
+    near, far = min(_NEAR_M, _BASELINES[0] * baseline), max(_FAR_M, _BASELINES[1] * baseline)
+    return np.geomspace(near, far, 80)
 
 
 def depth_sigma(depth: DepthSigma, in_percent: bool) -> Figure:
