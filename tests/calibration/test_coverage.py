@@ -71,7 +71,7 @@ def test_tilts_are_positive_if_the_lower_edge_is_nearer_and_cells_count_views():
     depth = (poses.rotation[0] @ np.append(BOARD.corners_m[lower], 0.0) + poses.translation[0])[2]
     assert depth < 0.5
     found = calibrated(poses, np.random.default_rng(0))
-    before = board_tilts(found, 0)
+    before = board_tilts(found)[0]
     np.testing.assert_allclose(before.tilt_deg, [[0.0, 30.0]] * 5, atol=1e-9)
     np.testing.assert_allclose(before.distance_m, np.hypot(0.05, 0.5))
     cells = views_per_cell(found, 0)  # views count, not corners

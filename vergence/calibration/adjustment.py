@@ -21,7 +21,7 @@ and its covariance is the camera block of the full problem's covariance.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -104,24 +104,8 @@ _TOLERANCE: Final = 1e-12
 """Relative change of the sum of squares below which cameras are found (numerical)."""
 
 
-class NormalEquations(Protocol):
-    """Linearised problem, or a batch (...) of problems; also a NamedTuple of arrays if a batch."""
-
-    @property
-    def cost(self) -> Any:
-        """(...) sum of squares."""
-
-    @property
-    def matrix(self) -> FloatArray:
-        """(..., s, s) normal matrix."""
-
-    @property
-    def gradient(self) -> FloatArray:
-        """(..., s) gradient, half of the cost's."""
-
-
 _State = TypeVar("_State")
-_Normal = TypeVar("_Normal", bound=NormalEquations)
+_Normal = TypeVar("_Normal")
 
 
 def damped_least_squares(
@@ -137,9 +121,10 @@ def damped_least_squares(
     """Levenberg and Marquardt's method for one problem or a batch of independent ones.
 
     Args:
-        linearised: normal equations at a state; may raise `LinAlgError`.
+        linearised: normal equations at a state; may raise `LinAlgError`. Attributes: `cost` (...),
+            sum of squares; `matrix` (..., s, s); `gradient` (..., s), half of the cost's.
         moved: the state after a step (..., s).
-        state: the start; of a batch a NamedTuple of arrays (..., ...).
+        state: the start; of a batch a NamedTuple of arrays (..., ...), as the equations are then.
         tolerance: change of the cost below which the iteration ends.
         relative_tolerance: the same, as a fraction of the cost.
         damping_unit: (s,) what damping multiplies; None for the normal matrix's diagonal.
@@ -148,7 +133,8 @@ def damped_least_squares(
     Raises:
         numpy.linalg.LinAlgError: the start has no finite cost.
     """
-    now = linearised(state)
+    now: Any = linearised(state)
+    then: Any
     if np.ndim(now.cost) == 0 and not np.isfinite(now.cost):
         raise np.linalg.LinAlgError("expected a start before the cameras")
     damping = np.full(np.shape(now.cost), _LEAST_DAMPING)
@@ -533,17 +519,11 @@ class BundleSolution:
         return self.linearisation.eliminated()[0]
 
     @property
-    def degrees_of_freedom(self) -> int:
-        """Number of measured values minus number of estimated ones."""
-        measured = 2 * int(self.problem.seen.sum())
-        return measured - 6 * len(self.poses.translation) - int(self.reduced_rig_jacobian.shape[-1])
-
-    @property
     def reduced_chi(self) -> float:
         """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
-        return float(
-            np.sqrt((self.linearisation.residuals**2).sum() / max(self.degrees_of_freedom, 1))
-        )
+        estimated = 6 * len(self.poses.translation) + len(self.rig.packed())
+        freedom = max(2 * int(self.problem.seen.sum()) - estimated, 1)
+        return float(np.sqrt((self.linearisation.residuals**2).sum() / freedom))
 
     @cached_property
     def information(self) -> FloatArray:

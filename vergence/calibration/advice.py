@@ -75,18 +75,19 @@ class BoardTilts(NamedTuple):
         return np.asarray(np.linalg.norm(self.tilt_deg, axis=-1))
 
 
-def board_tilts(calibration: Calibration, camera: int) -> BoardTilts:
-    """Compute the tilts and distances of the board in front of a camera."""
-    solution = calibration.fit.solution
-    seen = solution.problem.seen[camera].any(axis=-1)
-    normal = solution.poses.rotation[seen, :, 2]
-    if camera:
-        normal = normal @ solution.rig.rotation.T
-    across = np.linalg.norm(normal[:, :2], axis=-1)
-    angle = np.degrees(np.arctan2(across, normal[:, 2]))
-    tilt = normal[:, :2] * (angle / np.maximum(across, 1e-12))[:, None]
-    middle = board_points_in_camera(solution, camera)[seen].mean(axis=1)
-    return BoardTilts(tilt, np.asarray(np.linalg.norm(middle, axis=-1)))
+def board_tilts(calibration: Calibration) -> list[BoardTilts]:
+    """Compute the tilts and distances of the board in front of each camera."""
+    solution, found = calibration.fit.solution, []
+    for camera, seen in enumerate(solution.problem.seen.any(axis=-1)):
+        normal = solution.poses.rotation[seen, :, 2]
+        if camera:
+            normal = normal @ solution.rig.rotation.T
+        across = np.linalg.norm(normal[:, :2], axis=-1)
+        angle = np.degrees(np.arctan2(across, normal[:, 2]))
+        tilt = normal[:, :2] * (angle / np.maximum(across, 1e-12))[:, None]
+        middle = board_points_in_camera(solution, camera)[seen].mean(axis=1)
+        found.append(BoardTilts(tilt, np.asarray(np.linalg.norm(middle, axis=-1))))
+    return found
 
 
 def views_per_cell(calibration: Calibration, camera: int) -> NDArray[np.intp]:
@@ -217,7 +218,7 @@ def join_with_and(words: Sequence[str]) -> str:
 
 def advise_on_tilts(calibration: Calibration) -> str:
     """Advise on boards that all face the camera, or are tilted to some sides only."""
-    tilt = board_tilts(calibration, 0).tilt_deg
+    tilt = board_tilts(calibration)[0].tilt_deg
     angle = np.linalg.norm(tilt, axis=-1)
     tilted = int((angle > _FACING_DEG).sum())
     before = " before the left camera" if len(calibration.single_fits) > 1 else ""
@@ -244,7 +245,7 @@ def advise_on_tilts(calibration: Calibration) -> str:
 
 def advise_on_distances(calibration: Calibration) -> str:
     """Advise on boards that are all at about the same distance."""
-    near, far = np.quantile(board_tilts(calibration, 0).distance_m, [0.1, 0.9])
+    near, far = np.quantile(board_tilts(calibration)[0].distance_m, [0.1, 0.9])
     if far > _LEAST_DISTANCE_RATIO * near:
         return ""
     known = calibration.observations.target.size_known
@@ -306,7 +307,7 @@ def advise_on_uncertain_focal_lengths(calibration: Calibration) -> str:
 
 def advise_on_board_size_unit(calibration: Calibration) -> str:
     """Advise on boards that come out so near that their size was probably not given in mm."""
-    far = float(np.median(board_tilts(calibration, 0).distance_m))
+    far = float(np.median(board_tilts(calibration)[0].distance_m))
     if far > _NEAREST_M or not calibration.observations.target.size_known:
         return ""
     return (

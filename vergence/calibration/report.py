@@ -15,7 +15,6 @@ from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import LogLocator
 from scipy.spatial import ConvexHull, QhullError
 
-from vergence.calibration.adjustment import rms_length
 from vergence.calibration.advice import (
     CELLS,
     advise_next_photographs,
@@ -58,31 +57,42 @@ def write_run(folder: Path, calibration: Calibration, file_text: str, file_name:
     """Write a calibration's file, its tables and its report."""
     (folder / file_name).write_text(file_text, encoding="utf-8")
     names = calibration.rig.names(EYE_NAMES[: len(calibration.single_fits)])
+    told = {**calibration.document(), "advice": advise_next_photographs(calibration)}
     write_json(
         folder / "result.json",
         {
-            **calibration.document(),
-            "advice": advise_next_photographs(calibration),
+            **told,
             "lens_errors": dict(calibration.lens_errors),
             "numbers": dict(zip(names, calibration.rig.packed().tolist(), strict=True)),
             "sigma": dict(zip(names, calibration.sigma.tolist(), strict=True)),
             "covariance": calibration.covariance.tolist(),
         },
     )
-    views, stems = calibration.fit.views, calibration.observations.file_names[0]
-    write_csv(
-        folder / "views.csv",
-        ["view", "kept", "rms_px", "noise"],
-        (
-            [Path(path).name, bool(kept), rms_px, noise]
-            for path, kept, rms_px, noise in zip(
-                stems, calibration.fit.kept_views, views.rms_px, views.reduced_chi, strict=True
-            )
-        ),
-    )
+    views = calibration.fit.views
+    columns = [
+        [Path(path).name for path in calibration.observations.file_names[0]],
+        calibration.fit.kept_views.tolist(), views.rms_px, views.reduced_chi,
+    ]  # fmt: skip
+    write_csv(folder / "views.csv", ["view", "kept", "rms_px", "noise"], zip(*columns, strict=True))
+    several, held = len(calibration.camera_names) > 1, board_tilts(calibration)[0]
     write_page(
-        folder, "cameras.html.jinja", _figures(calibration), **_values(calibration), name=file_name
-    )
+        folder, "cameras.html.jinja", _figures(calibration), **told, name=file_name,
+        calibration=calibration, several=several,
+        head="two cameras" if several else "a camera",
+        sides=calibration.camera_names, side="camera", remarks=calibration.read_errors,
+        every=len(calibration.fit.kept_views), sag=board_sag(calibration),
+        tilt_deg=np.quantile(held.angle_deg, [0.0, 0.5, 1.0]).tolist(),
+        distance_m=[float(held.distance_m.min()), float(held.distance_m.max())],
+        directions=[
+            median_and_corner_sigma_px(calibration, camera)
+            for camera in range(len(calibration.camera_names))
+        ],
+        depths=_depth_rows(calibration) if several else [],
+        numbers=[
+            [f"{camera} {label}", *(format_fixed(one, 2 if label[1] == "_" else 5) for one in pair)]
+            for camera, label, *pair in calibration.camera_values
+        ],
+    )  # fmt: skip
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -108,12 +118,15 @@ def write_page(folder: Path, template: str, figures: Mapping[str, Figure], **val
 
 def _figures(calibration: Calibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
-    drawn = {}
-    for camera, name in enumerate(calibration.camera_names):
-        drawn[f"residuals-{name}"] = residual_field(calibration, camera)
-        drawn[f"radius-{name}"] = residuals_by_radius(calibration, camera)
-        drawn[f"coverage-{name}"] = image_coverage(calibration, camera)
-        drawn[f"directions-{name}"] = direction_sigma(calibration, camera)
+    by_camera = {
+        "residuals": residual_field, "radius": residuals_by_radius, "coverage": image_coverage,
+        "directions": direction_sigma,
+    }  # fmt: skip
+    drawn = {
+        f"{kind}-{name}": draw(calibration, camera)
+        for camera, name in enumerate(calibration.camera_names)
+        for kind, draw in by_camera.items()
+    }
     drawn["tilts"] = tilt_directions(calibration)
     drawn["distances"] = tilts_by_distance(calibration)
     drawn["views"] = view_residuals(calibration)
@@ -124,46 +137,6 @@ def _figures(calibration: Calibration) -> dict[str, Figure]:
     return drawn
 
 
-def _values(calibration: Calibration) -> dict[str, Any]:
-    """Collect the values for the template."""
-    names = calibration.camera_names
-    several = len(names) > 1
-    held, rig = board_tilts(calibration, 0), calibration.rig
-    return {
-        "several": several,
-        "head": "two cameras" if several else "a camera",
-        "names": names,
-        "sides": names,
-        "side": "camera",
-        "target": str(calibration.observations.target),
-        "lens": calibration.lens,
-        "sizes": calibration.observations.image_sizes,
-        "kept": int(calibration.fit.kept_views.sum()),
-        "every": len(calibration.fit.kept_views),
-        "dropped": calibration.dropped,
-        "alone_px": calibration.rms_alone_px,
-        "together_px": rms_length(calibration.fit.solution.residuals_px),
-        "held_out_px": rms_length(calibration.held_out_px),
-        "baseline": calibration.baseline_mm if several else None,
-        "focal": [
-            (float(values[0]), float(calibration.sigma[block][0]))
-            for values, block in zip(rig.camera_parameters, rig.blocks, strict=False)
-        ],
-        "lenses": dict(calibration.lens_errors),
-        "sag": board_sag(calibration),
-        "advice": advise_next_photographs(calibration),
-        "remarks": calibration.read_errors,
-        "tilt_deg": np.quantile(held.angle_deg, [0.0, 0.5, 1.0]).tolist(),
-        "distance_m": [float(held.distance_m.min()), float(held.distance_m.max())],
-        "directions": [
-            median_and_corner_sigma_px(calibration, camera) for camera in range(len(names))
-        ],
-        "depths": _depth_rows(calibration) if several else [],
-        "noise_px": calibration.noise_px,
-        "numbers": _number_rows(calibration),
-    }
-
-
 def _depth_rows(calibration: Calibration) -> list[list[str]]:
     """Format the rows of the depth table."""
     depth = calibration.depth_sigma_at(np.array(_DEPTHS_M))
@@ -172,14 +145,6 @@ def _depth_rows(calibration: Calibration) -> list[list[str]]:
     return [
         [f"{distance:g} m", *map(format_number, row)]
         for distance, row in zip(_DEPTHS_M, np.column_stack(columns).tolist(), strict=True)
-    ]
-
-
-def _number_rows(calibration: Calibration) -> list[list[str]]:
-    """Format the rows of the table of camera parameters."""
-    return [
-        [f"{camera} {label}", *(format_fixed(each, 2 if label[1] == "_" else 5) for each in pair)]
-        for camera, label, *pair in calibration.camera_values
     ]
 
 
@@ -315,11 +280,8 @@ _FAR_M: Final = 5.0
 
 def residual_field(calibration: Calibration, camera: int) -> Figure:
     """Draw mean residuals over a camera's image as magnified arrows."""
-    return draw_residual_arrows(
-        *_residuals(calibration, camera),
-        calibration.observations.image_sizes[camera],
-        calibration.camera_names[camera],
-    )
+    size, name = calibration.observations.image_sizes[camera], calibration.camera_names[camera]
+    return draw_residual_arrows(*_residuals(calibration, camera), size, name)
 
 
 def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
@@ -366,12 +328,10 @@ def image_coverage(calibration: Calibration, camera: int) -> Figure:
 
 def tilt_directions(calibration: Calibration) -> Figure:
     """Plot direction and size of the board's tilts."""
+    held = board_tilts(calibration)
+    most = max(40.0, *(1.1 * float(each.angle_deg.max()) for each in held))
     with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
-        most = 40.0
-        for camera, name in enumerate(calibration.camera_names):
-            held = board_tilts(calibration, camera)
-            panel.plot(*held.tilt_deg.T, label=name, **_dots(camera))
-            most = max(most, 1.1 * float(held.angle_deg.max()))
+        _draw_views(panel, calibration, [each.tilt_deg.T for each in held])
         for ring in range(15, int(most), 15):
             panel.add_patch(Circle((0.0, 0.0), ring, fill=False, ec=GREY, lw=0.8, ls=":"))
             panel.text(
@@ -391,22 +351,24 @@ def tilt_directions(calibration: Calibration) -> Figure:
 
 def tilts_by_distance(calibration: Calibration) -> Figure:
     """Plot the tilt of the board in each view against its distance."""
+    held = board_tilts(calibration)
     with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
-        for camera, name in enumerate(calibration.camera_names):
-            held = board_tilts(calibration, camera)
-            panel.plot(held.distance_m, held.angle_deg, label=name, **_dots(camera))
+        _draw_views(panel, calibration, [(each.distance_m, each.angle_deg) for each in held])
         panel.set(
             xlabel="distance of the board's middle (m)", ylabel="tilt (°)",
             title="tilt and distance of each view's board",
         )  # fmt: skip
         panel.set_ylim(bottom=0.0)
-        if len(calibration.single_fits) > 1:
+        if len(held) > 1:
             legend_below(figure, 2)
     return figure
 
 
-def _dots(camera: int) -> dict[str, Any]:
-    return {**EYE_STYLES[camera], "linestyle": "none", "ms": 6, "alpha": 0.75, "mew": 0}
+def _draw_views(panel: Axes, calibration: Calibration, places: Sequence[Any]) -> None:
+    for name, style, (across, up) in zip(
+        calibration.camera_names, EYE_STYLES, places, strict=False
+    ):
+        panel.plot(across, up, label=name, **style, linestyle="none", ms=6, alpha=0.75, mew=0)
 
 
 def view_residuals(calibration: Calibration) -> Figure:
@@ -440,7 +402,7 @@ def view_residuals(calibration: Calibration) -> Figure:
         panel.grid(axis="x", visible=False)
         panel.set_axisbelow(True)
         panel.set(xlim=(-0.7, len(kept) - 0.3), ylim=(0.0, 1.08 * limit), ylabel="rms (px)")
-        labels = truncated_file_stems(calibration.observations.file_names[0])
+        labels = [Path(name).stem[-16:] for name in calibration.observations.file_names[0]]
         step = -(-len(kept) // _MOST_NAMED_VIEWS)
         panel.set_xticks(places[::step], labels[::step], rotation=90, fontsize=9)
         panel.tick_params(axis="x", length=0, pad=10)
@@ -516,11 +478,6 @@ def draw_by_distance(
             axis.set_minor_formatter("")
         legend_below(figure, columns, fontsize=10)
     return figure
-
-
-def truncated_file_stems(names: Sequence[str]) -> list[str]:
-    """Shorten file names: without folder and suffix, the last 16 characters."""
-    return [name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0][-16:] for name in names]
 
 
 def _residuals(calibration: Calibration, camera: int) -> tuple[FloatArray, FloatArray]:
