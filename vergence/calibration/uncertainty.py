@@ -29,7 +29,9 @@ from vergence.calibration.adjustment import (
     cross_matrices,
     project_with_jacobians,
 )
+from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.triangulation import triangulate_views
 
 _LEAST_EIGENVALUE: Final = 1e-15
 """Least eigenvalue of the scaled information matrix; a smaller one belongs to a combination of
@@ -37,6 +39,8 @@ parameters that is not observable (numerical)."""
 _LEAST_LEVERAGE_COMPLEMENT: Final = 1e-3
 """Least eigenvalue of 1 - H_v: a view that alone determines a parameter leaves no residual from
 which to estimate its error (numerical)."""
+_STEP_SIGMAS: Final = 1e-3
+"""Step of finite differences, in standard deviations of each parameter (numerical)."""
 _SIGNIFICANT_SIGMAS: Final = 2.0
 """Standard deviations by which the pulls have to exceed their expectation before their covariance
 is used (chosen)."""
@@ -161,6 +165,32 @@ def depth_sigma_at(
             [by_rig @ covariance @ by_rig, noise_px**2 * axis @ spread @ axis]
         )
     return DepthSigma(distance_m, *sigma)
+
+
+def depth_sigma_by_head(
+    nominal_head: HeadModel, values: FloatArray, sigma: FloatArray, covariance: FloatArray,
+    views: tuple[FloatArray, FloatArray], along: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Uncertainty of depth by that of a head's parameters, to first order.
+
+    Args:
+        nominal_head: the head before its calibration.
+        values: (p,) its calibrated parameters, see `HeadModel.parameters`.
+        sigma: (p,) size of their deviations, for finite differences; 0 for exact ones.
+        covariance: (p, p) their covariance.
+        views: (n, j) joint angles, and pixels, from which the points are triangulated.
+        along: (n, 3) directions of depth.
+
+    Returns:
+        (n,) standard deviation of depth, m.
+    """
+    free = np.flatnonzero(sigma)
+    steps = _STEP_SIGMAS * np.diag(sigma)[free]
+    moved = nominal_head.with_parameters((values + np.stack([steps, -steps]))[:, :, None])
+    depth = np.einsum("snpi,pi->snp", triangulate_views(moved, *views).point, along)
+    by_value = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
+    inner = covariance[np.ix_(free, free)]
+    return np.sqrt(np.asarray(np.einsum("np,nm,mp->p", by_value, inner, by_value)))
 
 
 def right_camera_pose_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
