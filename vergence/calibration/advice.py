@@ -1,6 +1,6 @@
 """Coverage of a calibration's views, and what to photograph next."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -78,7 +78,8 @@ class BoardTilts(NamedTuple):
 def board_tilts(calibration: Calibration) -> list[BoardTilts]:
     """Compute the tilts and distances of the board in front of each camera."""
     solution, found = calibration.fit.solution, []
-    for camera, seen in enumerate(solution.problem.seen.any(axis=-1)):
+    for camera, corners in enumerate(solution.problem.seen):
+        seen = corners.any(axis=-1)
         normal = solution.poses.rotation[seen, :, 2]
         if camera:
             normal = normal @ solution.rig.rotation.T
@@ -100,21 +101,21 @@ def views_per_cell(calibration: Calibration, camera: int) -> NDArray[np.intp]:
 
 def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
     """(CELLS, CELLS) views with a corner in each cell, of (v, n, 2) corners, px or nan."""
-    width, height = size
-    cells = np.zeros((CELLS, CELLS), np.intp)
-    for view in views:
-        u, v = view[np.isfinite(view).all(axis=-1)].T
-        column = np.clip(CELLS * (u + 0.5) / width, 0, CELLS - 1).astype(int)
-        row = np.clip(CELLS * (v + 0.5) / height, 0, CELLS - 1).astype(int)
-        cells[tuple(np.unique(np.stack([row, column]), axis=1))] += 1
-    return cells
+    cells = np.floor(np.clip(CELLS * (views + 0.5) / np.array(size), 0, CELLS - 1))
+    counts = [
+        (cells == (column, row)).all(axis=-1).any(axis=-1).sum()
+        for row, column in np.ndindex(CELLS, CELLS)
+    ]
+    return np.reshape(counts, (CELLS, CELLS))
 
 
-def direction_sigma_px_at(calibration: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
-    """(n,) sigma, px, of directions at (n, 2) pixels; nan where the lens has no inverse."""
-    rays = calibration.rig.rays(camera, pixels)
-    sigma = np.full(len(pixels), np.nan)
+def direction_sigma_px_at(calibration: Calibration, camera: int, count: int) -> FloatArray:
+    """(count, count) sigma of directions at `pixel_grid`, px; nan where the lens has no inverse."""
+    rays = calibration.rig.rays(
+        camera, pixel_grid(calibration.observations.image_sizes[camera], count)
+    )
     there = np.isfinite(rays).all(axis=-1)
+    sigma = np.full(there.shape, np.nan)
     if there.any():
         sigma[there] = direction_sigma_px(
             calibration.fit.solution, calibration.covariance, camera, rays[there]
@@ -208,12 +209,7 @@ def _cells(empty: NDArray[np.bool_]) -> str:
     for row, column in np.argwhere(left).tolist():
         both = f"{rows[row]} {columns[column]}"
         names.append("middle" if both == "middle middle" else both)
-    return join_with_and(names)
-
-
-def join_with_and(words: Sequence[str]) -> str:
-    """Join words with commas and "and"."""
-    return " and ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def advise_on_tilts(calibration: Calibration) -> str:
@@ -255,8 +251,7 @@ def advise_on_distances(calibration: Calibration) -> str:
 
 def median_and_corner_sigma_px(calibration: Calibration, camera: int) -> tuple[float, float]:
     """Sigma of directions, px: the image's median and worst corner; inf without an inverse."""
-    grid = pixel_grid(calibration.observations.image_sizes[camera], _SIGMA_GRID_COUNT)
-    sigma = direction_sigma_px_at(calibration, camera, grid.reshape(-1, 2)).reshape(grid.shape[:2])
+    sigma = direction_sigma_px_at(calibration, camera, _SIGMA_GRID_COUNT)
     sigma = np.where(np.isfinite(sigma), sigma, np.inf)
     return float(np.median(sigma)), float(sigma[[0, 0, -1, -1], [0, -1, 0, -1]].max())
 

@@ -331,19 +331,16 @@ def mistaken_corners_px(problem: BundleAdjustment, rig: CameraRig) -> FloatArray
     return away_px
 
 
-def cross_validation_folds(views: int) -> list[NDArray[np.bool_]]:
-    """List the views that each fold holds out, (v) masks of neighbours, which may be alike."""
-    folds = min(FOLDS, views)  # of a few views, one each
-    return [np.arange(views) * folds // views == fold for fold in range(folds)]
-
-
 def cross_validation_residuals(
     solution: BundleSolution, progress: Callable[[], None] | None = None
 ) -> FloatArray:
     """(c, v, n, 2) px, each view by cameras found without it, its pose fitted; nan if not found."""
     problem = solution.problem
     residuals = np.full(problem.pixels.shape, np.nan)
-    for out in cross_validation_folds(problem.pixels.shape[1]):
+    views = problem.pixels.shape[1]
+    folds = min(FOLDS, views)  # of a few views, one each; neighbours, which may be alike, together
+    for fold in range(folds):
+        out = np.arange(views) * folds // views == fold
         trained = problem.select(~out).solve(
             solution.rig, solution.poses.select(~out), _FOLD_TOLERANCE
         )

@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -414,25 +414,21 @@ def view_residuals(calibration: Calibration) -> Figure:
 
 def direction_sigma(calibration: Calibration, camera: int) -> Figure:
     """Draw the standard deviation of directions over a camera's image, and the hull of corners."""
-    width, height = calibration.observations.image_sizes[camera]
-    grid = pixel_grid((width, height), _CONTOUR_GRID_COUNT)
-    sigma = direction_sigma_px_at(calibration, camera, grid.reshape(-1, 2)).reshape(
-        _CONTOUR_GRID_COUNT, _CONTOUR_GRID_COUNT
-    )
+    size = calibration.observations.image_sizes[camera]
+    grid = pixel_grid(size, _CONTOUR_GRID_COUNT).transpose(2, 0, 1)
+    sigma = direction_sigma_px_at(calibration, camera, _CONTOUR_GRID_COUNT)
     low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
     pixels, _ = _residuals(calibration, camera)
-    with image_panel((width, height)) as (figure, panel):
-        panel.contourf(
-            *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high)
-        )
-        lines = panel.contour(
-            *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, colors=BLACK, linewidths=0.8
-        )
+    with image_panel(size) as (figure, panel):
+        panel.contourf(*grid, shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high))
+        lines = panel.contour(*grid, shown, _LEVELS_PX, colors=BLACK, linewidths=0.8)
         panel.clabel(lines, fmt="%g", fontsize=10)
         panel.set_facecolor("#bbbbbb")
-        hull = _hull(pixels)
-        panel.plot(*hull.T, "--", color=ORANGE, lw=2.0)
+        with suppress(QhullError):  # the pixels are collinear
+            pixels = pixels[ConvexHull(pixels).vertices]
+            pixels = np.append(pixels, pixels[:1], axis=0)
+        panel.plot(*pixels.T, "--", color=ORANGE, lw=2.0)
         panel.set_title(f"{calibration.camera_names[camera]}, sigma of directions (px)")
     return figure
 
@@ -485,12 +481,3 @@ def _residuals(calibration: Calibration, camera: int) -> tuple[FloatArray, Float
     solution = calibration.fit.solution
     seen = solution.problem.seen[camera]
     return solution.problem.pixels[camera][seen], solution.residuals_px[camera][seen]
-
-
-def _hull(pixels: FloatArray) -> FloatArray:
-    """Closed convex hull of pixels; the pixels themselves if they are collinear."""
-    try:
-        corners = ConvexHull(pixels).vertices
-    except QhullError:
-        return pixels
-    return np.asarray(pixels[np.append(corners, corners[0])])
