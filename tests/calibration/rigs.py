@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from vergence.calibration.adjustment import BoardPoses, BundleAdjustment, BundleSolution, CameraRig
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.cameras import CameraFit, compute_view_residuals
+from vergence.calibration.cameras import CameraFit
 from vergence.calibration.observations import BoardObservations
 from vergence.calibration.uncertainty import rig_covariance
 from vergence.vision import parse_target
@@ -77,9 +77,8 @@ def as_calibrated(rig, poses, seen, dropped=()):
 
 
 def _fit(problem, rig, poses, kept):
-    views = compute_view_residuals(problem, problem.linearised(rig, poses))
     one = problem.select(kept)
     return CameraFit(
         BundleSolution(one, rig, poses.select(kept), one.linearised(rig, poses.select(kept))), kept,
-        views,
+        problem.at(rig, poses),
     )  # fmt: skip

@@ -433,17 +433,20 @@ class BundleAdjustment:
             parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
         return LinearisedResiduals(*(np.concatenate(part, axis=1) for part in parts))
 
-    def fit_poses(
-        self, rig: CameraRig, start: BoardPoses
-    ) -> tuple[BoardPoses, LinearisedResiduals]:
-        """Fit the poses to given cameras; with residuals there."""
-        return damped_least_squares(
+    def at(self, rig: CameraRig, poses: BoardPoses) -> "BundleSolution":
+        """Residuals at given cameras and poses, without derivatives by the cameras."""
+        return BundleSolution(self, rig, poses, self.linearised(rig, poses, by_rig=False))
+
+    def fit_poses(self, rig: CameraRig, start: BoardPoses) -> "BundleSolution":
+        """Fit the poses to given cameras; without derivatives by these."""
+        poses, linear = damped_least_squares(
             lambda poses: self.linearised(rig, poses, by_rig=False),
             lambda poses, _, steps: poses.moved(steps),
             start,
             tolerance=_POSE_TOLERANCE,
             relative_tolerance=_POSE_TOLERANCE,
         )
+        return BundleSolution(self, rig, poses, linear)
 
     def solve(
         self, start: CameraRig, poses: BoardPoses, tolerance: float = _TOLERANCE
@@ -477,7 +480,7 @@ class BundleAdjustment:
         (rig, found), now = damped_least_squares(
             linearised,
             moved,
-            (start, self.fit_poses(start, poses)[0]),
+            (start, self.fit_poses(start, poses).poses),
             tolerance=0.0,
             relative_tolerance=tolerance,
         )
@@ -500,18 +503,34 @@ def cross_matrices(vectors: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class BundleSolution:
-    """The cameras that fit best, and the residuals and Jacobians there."""
+    """Cameras and poses, mostly those that fit best, and the residuals and Jacobians there."""
 
     problem: BundleAdjustment
     rig: CameraRig
     poses: BoardPoses
     linearisation: LinearisedResiduals
-    """Residuals divided by sigma and Jacobians, at the solution."""
+    """Residuals divided by sigma and Jacobians."""
 
     @property
     def residuals_px(self) -> FloatArray:
         """(c, v, n, 2) projected minus measured pixels; nan for corners that were not found."""
-        return pixel_residuals(self.problem, self.linearisation)
+        cameras, views, corners, _ = self.problem.pixels.shape
+        residuals = self.linearisation.residuals.reshape(views, cameras, corners, 2)
+        scaled = residuals.transpose(1, 0, 2, 3) * self.problem.sigma
+        return np.where(self.problem.seen[..., None], scaled, np.nan)
+
+    @cached_property
+    def view_chi(self) -> FloatArray:
+        """(v) noise of each view, residuals over sigma; nan for a view without corners."""
+        count = self.problem.seen.sum(axis=(0, 2))
+        freedom = np.where(count > 3, 2 * count - 6, np.nan)
+        return np.sqrt(self.linearisation.cost / freedom)
+
+    @cached_property
+    def view_rms_px(self) -> FloatArray:
+        """(v) root mean square length of each view's residuals, px."""
+        count = np.maximum(self.problem.seen.sum(axis=(0, 2)), 1)
+        return np.sqrt(np.nansum(self.residuals_px**2, axis=(0, 2, 3)) / count)
 
     @cached_property
     def reduced_rig_jacobian(self) -> FloatArray:
@@ -529,13 +548,6 @@ class BundleSolution:
     def information(self) -> FloatArray:
         """(v, p, p) each view's information on the rig's parameters, if sigma is right."""
         return np.asarray(self.reduced_rig_jacobian.transpose(0, 2, 1) @ self.reduced_rig_jacobian)
-
-
-def pixel_residuals(problem: BundleAdjustment, linear: LinearisedResiduals) -> FloatArray:
-    """(c, v, n, 2) projected minus measured pixels; nan for corners that were not found."""
-    cameras, views, corners, _ = problem.pixels.shape
-    residuals = linear.residuals.reshape(views, cameras, corners, 2).transpose(1, 0, 2, 3)
-    return np.where(problem.seen[..., None], residuals * problem.sigma, np.nan)
 
 
 def rms_length(residuals_px: FloatArray) -> float:

@@ -146,13 +146,13 @@ def advise_on_pair_motion(calibration: Calibration) -> str:
     """Advise on pairs whose images fit alone but not together."""
     if len(calibration.single_fits) < 2:
         return ""
-    alone = np.stack([fit.views.rms_px for fit in calibration.single_fits])
-    judged = np.isfinite([fit.views.reduced_chi for fit in calibration.single_fits]).all(axis=0)
+    alone = np.stack([fit.views.view_rms_px for fit in calibration.single_fits])
+    judged = np.isfinite([fit.views.view_chi for fit in calibration.single_fits]).all(axis=0)
     usable = judged & np.all([fit.kept_views for fit in calibration.single_fits], axis=0)
     if not usable.any():
         return ""
     by_itself = np.sqrt((alone[:, usable] ** 2).mean(axis=0))
-    together = calibration.fit.views.rms_px[usable]
+    together = calibration.fit.views.view_rms_px[usable]
     moved = together > _MOVED_RESIDUAL_RATIO * by_itself
     if moved.sum() < max(_MANY_VIEWS_FRACTION * len(moved), 1):
         return ""

@@ -19,7 +19,6 @@ from vergence.calibration.adjustment import (
 from vergence.calibration.cameras import (
     FOLDS,
     CameraFit,
-    ViewResiduals,
     choose_lens,
     cross_validation_mean_squares,
     cross_validation_residuals,
@@ -219,9 +218,9 @@ class Calibration:
         }
 
 
-def _misfit(views: ViewResiduals, kept: NDArray[np.bool_], view: int) -> str:
-    usual = float(np.median(views.rms_px[kept]))
-    return f"{views.rms_px[view]:.2f} px, where others leave {usual:.2f}"
+def _misfit(views: BundleSolution, kept: NDArray[np.bool_], view: int) -> str:
+    usual = float(np.median(views.view_rms_px[kept]))
+    return f"{views.view_rms_px[view]:.2f} px, where others leave {usual:.2f}"
 
 
 def calibrate(
@@ -365,8 +364,10 @@ def _refuse_unsure(solution: BundleSolution, camera: int, cameras: int) -> None:
 
 def _refuse_moved_cameras(fit: CameraFit, single_fits: Sequence[CameraFit]) -> None:
     """Refuse pairs of images that two cameras fixed to each other cannot have taken."""
-    together = float(np.median(fit.views.rms_px[fit.kept_views]))
-    apart = float(np.median([np.median(one.views.rms_px[one.kept_views]) for one in single_fits]))
+    together = float(np.median(fit.views.view_rms_px[fit.kept_views]))
+    apart = float(
+        np.median([np.median(one.views.view_rms_px[one.kept_views]) for one in single_fits])
+    )
     changes = [
         float(np.abs(values[:2] / one.solution.rig.camera_parameters[0][:2] - 1.0).max())
         for values, one in zip(fit.solution.rig.camera_parameters, single_fits, strict=True)
@@ -437,16 +438,11 @@ def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
     """Convert a camera's calibration to plain values with the keys of ROS's camera_info files."""
     camera = calibration.camera(0)
     lens, coefficients = camera.lens
-    (f_u, f_v), (u_0, v_0) = camera.focal.tolist(), camera.principal.tolist()
     return {
         "image_width": camera.width,
         "image_height": camera.height,
         "camera_name": "camera",
-        "camera_matrix": {
-            "rows": 3,
-            "cols": 3,
-            "data": [f_u, 0.0, u_0, 0.0, f_v, v_0, 0.0, 0.0, 1.0],
-        },
+        "camera_matrix": {"rows": 3, "cols": 3, "data": camera.matrix.ravel().tolist()},
         "distortion_model": _ROS_LENSES[lens],
         "distortion_coefficients": {
             "rows": 1,

@@ -15,9 +15,7 @@ from vergence.calibration.adjustment import (
     BundleAdjustment,
     BundleSolution,
     CameraRig,
-    LinearisedResiduals,
     choose,
-    pixel_residuals,
 )
 from vergence.calibration.observations import BoardObservations
 from vergence.errors import ConfigurationError
@@ -74,23 +72,6 @@ _PLACEHOLDER_TRANSLATION: Final = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class ViewResiduals:
-    """Residuals of each view with given cameras."""
-
-    reduced_chi: FloatArray
-    """(v) residuals in units of sigma; nan for a view without corners."""
-    rms_px: FloatArray
-    """(v) root mean square length of the residuals, px."""
-
-    def outliers(self, trusted_views: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(v) True for outliers with respect to the trusted views."""
-        chi, px = (np.median(each[trusted_views]) for each in (self.reduced_chi, self.rms_px))
-        worse = self.reduced_chi > _OUTLIER_CHI_RATIO * chi
-        worse &= self.rms_px > _OUTLIER_RMS_RATIO * px
-        return np.asarray(worse | ~np.isfinite(self.reduced_chi))
-
-
-@dataclass(frozen=True, eq=False)
 class CameraFit:
     """Cameras found from the views that agree."""
 
@@ -98,23 +79,13 @@ class CameraFit:
     """Solution of the kept views."""
     kept_views: NDArray[np.bool_]
     """(v) True for kept views, the inliers."""
-    views: ViewResiduals
-    """Residuals of all views."""
+    views: BundleSolution
+    """Residuals of all views with these cameras."""
 
     @property
     def median_noise(self) -> float:
         """Median of the kept views' noise."""
-        return float(np.median(self.views.reduced_chi[self.kept_views]))
-
-
-def compute_view_residuals(problem: BundleAdjustment, linear: LinearisedResiduals) -> ViewResiduals:
-    """Compute the size of each view's residuals."""
-    count = problem.seen.sum(axis=(0, 2))
-    squares = (linear.residuals**2).sum(axis=1)
-    reduced_chi = np.sqrt(squares / np.where(count > 3, 2 * count - 6, np.nan))
-    residuals_px = pixel_residuals(problem, linear)
-    squares_px = np.nansum(residuals_px**2, axis=(0, 2, 3))
-    return ViewResiduals(reduced_chi, np.sqrt(squares_px / np.maximum(count, 1)))
+        return float(np.median(self.views.view_chi[self.kept_views]))
 
 
 def estimate_board_poses(problem: BundleAdjustment, rig: CameraRig) -> BoardPoses:
@@ -199,10 +170,7 @@ def fit_consistent_views(observations: BoardObservations) -> CameraFit:
     def try_start(lens: str, values: FloatArray) -> None:
         rig = CameraRig.single(lens, values)
         poses = estimate_board_poses(problem, rig)
-        linear = problem.linearised(rig, poses, by_rig=False)
-        reduced_chi = np.nan_to_num(
-            compute_view_residuals(problem, linear).reduced_chi[views], nan=np.inf
-        )
+        reduced_chi = np.nan_to_num(problem.at(rig, poses).view_chi[views], nan=np.inf)
         tried.append((float(np.quantile(reduced_chi, _TRUSTED_FRACTION)), rig, poses))
 
     for sample in samples:
@@ -219,7 +187,7 @@ def fit_consistent_views(observations: BoardObservations) -> CameraFit:
         )
     _, rig, poses = min(tried, key=itemgetter(0))
     trusted = max(int(np.ceil(_TRUSTED_FRACTION * len(views))), LEAST_VIEWS)
-    reduced_chi = compute_view_residuals(problem, problem.linearised(rig, poses)).reduced_chi
+    reduced_chi = problem.at(rig, poses).view_chi
     kept = np.zeros(len(reduced_chi), bool)
     for _ in range(_MOST_FITS):
         chosen = np.zeros_like(kept)
@@ -229,7 +197,7 @@ def fit_consistent_views(observations: BoardObservations) -> CameraFit:
         kept = chosen
         solution = problem.select(kept).solve(rig, poses.select(kept))
         rig, poses = solution.rig, estimate_board_poses(problem, solution.rig)
-        reduced_chi = compute_view_residuals(problem, problem.fit_poses(rig, poses)[1]).reduced_chi
+        reduced_chi = problem.fit_poses(rig, poses).view_chi
     return drop_and_reweight_views(problem, solution, kept, poses)
 
 
@@ -286,13 +254,14 @@ def drop_and_reweight_views(
     """
     weighted = problem
     for _ in range(_MOST_FITS):
-        poses, linear = problem.fit_poses(solution.rig, poses)
-        views = compute_view_residuals(problem, linear)
-        chosen = ~views.outliers(kept_views)
+        views = problem.fit_poses(solution.rig, poses)
+        poses, noise, rms_px = views.poses, views.view_chi, views.view_rms_px
+        outliers = noise > _OUTLIER_CHI_RATIO * np.median(noise[kept_views])
+        outliers &= rms_px > _OUTLIER_RMS_RATIO * np.median(rms_px[kept_views])
+        chosen = ~outliers & np.isfinite(noise)
         if chosen.sum() < LEAST_VIEWS:
             chosen = kept_views
-        reduced_chi = views.reduced_chi / np.median(views.reduced_chi[chosen])
-        share = np.maximum(reduced_chi / _NOISY_VIEW_RATIO, 1.0) ** 2
+        share = np.maximum(noise / np.median(noise[chosen]) / _NOISY_VIEW_RATIO, 1.0) ** 2
         before = weighted.sigma[:, kept_views]
         weighted = replace(problem, sigma=problem.sigma * share[:, None, None])
         same = np.array_equal(chosen, kept_views)
@@ -313,8 +282,8 @@ def mistaken_corners_px(problem: BundleAdjustment, rig: CameraRig) -> FloatArray
     sigma = np.sqrt((every.sigma[0] ** 2).mean(axis=-1))
     for _ in range(_MOST_FITS):
         rest = replace(every, pixels=np.where(mistaken[..., None], np.nan, every.pixels))
-        poses, linear = rest.fit_poses(rig, poses)
-        away = np.linalg.norm(pixel_residuals(rest, linear)[0], axis=-1)
+        fitted = rest.fit_poses(rig, poses)
+        poses, away = fitted.poses, np.linalg.norm(fitted.residuals_px[0], axis=-1)
         usual = np.maximum(np.nanmedian(away, axis=1, keepdims=True), np.nanmedian(away))
         over = np.nan_to_num(away / np.maximum(_MISTAKEN_RATIO * usual, _MISTAKEN_SIGMAS * sigma))
         # a mistaken corner also pulls the pose, so that only the worst are taken per round
@@ -323,11 +292,9 @@ def mistaken_corners_px(problem: BundleAdjustment, rig: CameraRig) -> FloatArray
             break
         mistaken |= worst
     few = mistaken.sum(axis=1) <= _MOST_MISTAKEN_FRACTION * every.seen[0].sum(axis=1)
-    linear = every.linearised(rig, poses, by_rig=False)
+    away = np.linalg.norm(every.at(rig, poses).residuals_px[0], axis=-1)
     away_px = np.zeros(problem.pixels.shape[1:3])
-    away_px[shown] = np.where(
-        mistaken & few[:, None], np.linalg.norm(pixel_residuals(every, linear)[0], axis=-1), 0.0
-    )
+    away_px[shown] = np.where(mistaken & few[:, None], away, 0.0)
     return away_px
 
 
@@ -345,8 +312,7 @@ def cross_validation_residuals(
             solution.rig, solution.poses.select(~out), _FOLD_TOLERANCE
         )
         tested = problem.select(out)
-        _, linear = tested.fit_poses(trained.rig, solution.poses.select(out))
-        residuals[:, out] = pixel_residuals(tested, linear)
+        residuals[:, out] = tested.fit_poses(trained.rig, solution.poses.select(out)).residuals_px
         if progress is not None:
             progress()
     return residuals
@@ -354,7 +320,7 @@ def cross_validation_residuals(
 
 def cross_validation_mean_squares(fit: CameraFit, problem: BundleAdjustment) -> FloatArray:
     """(v,) mean squares, sigma^2; of the fit, or `_UNSEEN_MEAN_SQUARE`, for views not kept."""
-    errors = fit.views.reduced_chi**2
+    errors = fit.views.view_chi**2
     sigma = problem.sigma[:, fit.kept_views]
     errors[fit.kept_views] = np.nanmean(
         (cross_validation_residuals(fit.solution) / sigma) ** 2, axis=(0, 2, 3)
@@ -487,6 +453,6 @@ def _missed_px(problem: BundleAdjustment, rig: CameraRig, poses: BoardPoses) -> 
     """(v) rms reprojection error in the right camera, px; nan without corners."""
     moved = poses.transformed(rig.rotation, rig.translation)
     one = problem.select_camera(1)
-    squares = pixel_residuals(one, one.linearised(rig.alone(1), moved, by_rig=False))[0] ** 2
+    squares = one.at(rig.alone(1), moved).residuals_px[0] ** 2
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(np.nansum(squares, axis=(1, 2)) / one.seen[0].sum(axis=1)))

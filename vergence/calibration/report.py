@@ -71,7 +71,7 @@ def write_run(folder: Path, calibration: Calibration, file_text: str, file_name:
     views = calibration.fit.views
     columns = [
         [Path(path).name for path in calibration.observations.file_names[0]],
-        calibration.fit.kept_views.tolist(), views.rms_px, views.reduced_chi,
+        calibration.fit.kept_views.tolist(), views.view_rms_px, views.view_chi,
     ]  # fmt: skip
     write_csv(folder / "views.csv", ["view", "kept", "rms_px", "noise"], zip(*columns, strict=True))
     several, held = len(calibration.camera_names) > 1, board_tilts(calibration)[0]
@@ -379,7 +379,7 @@ def view_residuals(calibration: Calibration) -> Figure:
         fits["both together"] = calibration.fit
         colours.append(GREEN)
     bars = {
-        name: np.where(np.isfinite(fit.views.reduced_chi), fit.views.rms_px, 0.0)
+        name: np.where(np.isfinite(fit.views.view_chi), fit.views.view_rms_px, 0.0)
         for name, fit in fits.items()
     }
     good = np.concatenate([bars[name][fit.kept_views] for name, fit in fits.items()])
