@@ -42,16 +42,13 @@ def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
     """Observations of the board with noise; corners outside of an image are not found."""
     corners = np.column_stack([board.corners_m, np.zeros(len(board.corners_m))])
     shape = (len(rig.camera_parameters), len(poses.translation), len(corners), 2)
-    problem = BundleAdjustment(corners, np.zeros(shape), np.ones(shape))
-    linear = problem.linearised(rig, poses)
-    views, cameras = shape[1], shape[0]
-    pixels = linear.residuals.reshape(views, cameras, -1, 2).transpose(1, 0, 2, 3)
-    pixels = pixels + noise_px * rng.standard_normal(shape)
+    true = BundleAdjustment(corners, np.zeros(shape), np.ones(shape)).at(rig, poses)
+    pixels = true.residuals_px + noise_px * rng.standard_normal(shape)
     outside = ~((pixels > 0.0) & (pixels < np.array(size) - 1.0)).all(axis=-1)
     whole = ~outside.any(axis=-1)[..., None, None]  # a checkerboard is found whole or not at all
-    names = tuple(tuple(f"{eye}{view}.png" for view in range(views)) for eye in "lr"[:cameras])
+    names = tuple(tuple(f"{eye}{view}.png" for view in range(shape[1])) for eye in "lr"[: shape[0]])
     return BoardObservations(
-        target=board, file_names=names, image_sizes=(size,) * cameras,
+        target=board, file_names=names, image_sizes=(size,) * shape[0],
         pixels=np.where(whole, pixels, np.nan),
         sigma=np.where(whole, np.full(shape, noise_px), np.nan),
     )  # fmt: skip

@@ -38,8 +38,7 @@ def calibrated(poses, rng, rig=None, cameras=2):
     rig = rig or make_rig()
     seen = look(rig, poses, rng)
     if cameras == 1:
-        rig = rig._replace(lenses=rig.lenses[:1], camera_parameters=rig.camera_parameters[:1])
-        seen = seen.select_camera(0)
+        rig, seen = rig.alone(0), seen.select_camera(0)
     return as_calibrated(rig, poses, seen)
 
 

@@ -530,7 +530,7 @@ class BundleSolution:
     def view_rms_px(self) -> FloatArray:
         """(v) root mean square length of each view's residuals, px."""
         count = np.maximum(self.problem.seen.sum(axis=(0, 2)), 1)
-        return np.sqrt(np.nansum(self.residuals_px**2, axis=(0, 2, 3)) / count)
+        return np.asarray(np.sqrt(np.nansum(self.residuals_px**2, axis=(0, 2, 3)) / count))
 
     @cached_property
     def reduced_rig_jacobian(self) -> FloatArray:

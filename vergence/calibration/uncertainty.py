@@ -190,7 +190,7 @@ def depth_sigma_by_head(
     depth = np.einsum("snpi,pi->snp", triangulate_views(moved, *views).point, along)
     by_value = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
     inner = covariance[np.ix_(free, free)]
-    return np.sqrt(np.asarray(np.einsum("np,nm,mp->p", by_value, inner, by_value)))
+    return np.asarray(np.sqrt(np.einsum("np,nm,mp->p", by_value, inner, by_value)))
 
 
 def right_camera_pose_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
