@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vergence.calibration.calibrate import Calibration, calibrate
-from vergence.calibration.files import depth_sigma_at, depths_to_plot_m
 from vergence.calibration.observations import parse_board
 from vergence.calibration.report import (
     depth_sigma,
+    depths_to_plot_m,
     direction_sigma,
     image_coverage,
     residual_field,
@@ -37,7 +37,7 @@ def panels(found: Calibration) -> list[Figure]:
         residual_field(found, 0),
         image_coverage(found, 0),
         direction_sigma(found, 0),
-        depth_sigma(depth_sigma_at(found, depths_to_plot_m(found)), in_percent=False),
+        depth_sigma(found.depth_sigma_at(depths_to_plot_m(found)), in_percent=False),
     ]
 
 

@@ -204,21 +204,17 @@ def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -
         bent: True to fit the board's curvature as well, one for all views.
     """
     problem = BundleAdjustment(board, corners.pixels, np.ones_like(corners.pixels))
-    start = estimate_board_poses(
-        problem.select_camera(0),
-        CameraRig.single(rig.lenses[0], rig.camera_parameters[0]),
-        corners.sizes[0],
-    )
+    start = estimate_board_poses(problem.select_camera(0), rig.alone(0))
     rig = rig._replace(board_curvatures=np.zeros(3))
-    poses, linear = problem.fit_poses(rig, start)
+    fitted = problem.fit_poses(rig, start)
     for _ in range(_BENDINGS if bent else 0):
-        solution = BundleSolution(problem, rig, poses, problem.linearised(rig, poses))
+        solution = BundleSolution(problem, rig, fitted.poses, problem.linearised(rig, fitted.poses))
         by_bend = solution.reduced_rig_jacobian[..., rig.blocks[-1]]
-        step = np.linalg.lstsq(by_bend.reshape(-1, 3), -linear.residuals.ravel(), rcond=None)[0]
+        left = fitted.linearisation.residuals.ravel()
+        step = np.linalg.lstsq(by_bend.reshape(-1, 3), -left, rcond=None)[0]
         rig = rig._replace(board_curvatures=rig.board_curvatures + step)
-        poses, linear = problem.fit_poses(rig, poses)
-    squares = (linear.residuals**2).sum(axis=1)
-    return np.asarray(np.sqrt(squares / problem.seen.sum(axis=(0, 2))))
+        fitted = problem.fit_poses(rig, fitted.poses)
+    return np.asarray(np.sqrt(fitted.linearisation.cost / problem.seen.sum(axis=(0, 2))))
 
 
 def _halves(views: int) -> list[NDArray[np.bool_]]:

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from vergence.calibration.adjustment import BoardPoses, BundleAdjustment, BundleSolution, CameraRig
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.cameras import CameraFit, compute_view_residuals
+from vergence.calibration.cameras import CameraFit
 from vergence.calibration.observations import BoardObservations
 from vergence.calibration.uncertainty import rig_covariance
 from vergence.vision import parse_target
@@ -42,16 +42,13 @@ def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
     """Observations of the board with noise; corners outside of an image are not found."""
     corners = np.column_stack([board.corners_m, np.zeros(len(board.corners_m))])
     shape = (len(rig.camera_parameters), len(poses.translation), len(corners), 2)
-    problem = BundleAdjustment(corners, np.zeros(shape), np.ones(shape))
-    linear = problem.linearised(rig, poses)
-    views, cameras = shape[1], shape[0]
-    pixels = linear.residuals.reshape(views, cameras, -1, 2).transpose(1, 0, 2, 3)
-    pixels = pixels + noise_px * rng.standard_normal(shape)
+    true = BundleAdjustment(corners, np.zeros(shape), np.ones(shape)).at(rig, poses)
+    pixels = true.residuals_px + noise_px * rng.standard_normal(shape)
     outside = ~((pixels > 0.0) & (pixels < np.array(size) - 1.0)).all(axis=-1)
     whole = ~outside.any(axis=-1)[..., None, None]  # a checkerboard is found whole or not at all
-    names = tuple(tuple(f"{eye}{view}.png" for view in range(views)) for eye in "lr"[:cameras])
+    names = tuple(tuple(f"{eye}{view}.png" for view in range(shape[1])) for eye in "lr"[: shape[0]])
     return BoardObservations(
-        target=board, file_names=names, image_sizes=(size,) * cameras,
+        target=board, file_names=names, image_sizes=(size,) * shape[0],
         pixels=np.where(whole, pixels, np.nan),
         sigma=np.where(whole, np.full(shape, noise_px), np.nan),
     )  # fmt: skip
@@ -63,15 +60,9 @@ def as_calibrated(rig, poses, seen, dropped=()):
     out = np.isin(np.arange(views), dropped)
     alone = []
     for camera in range(cameras):
-        single = CameraRig.single(rig.lenses[camera], rig.camera_parameters[camera])._replace(
-            board_curvatures=rig.board_curvatures
-        )
-        mine = poses
-        if camera:
-            turned = rig.rotation @ poses.rotation
-            mine = BoardPoses(turned, poses.translation @ rig.rotation.T + rig.translation)
+        mine = poses.transformed(rig.rotation, rig.translation) if camera else poses
         problem = seen.problem.select_camera(camera)
-        alone.append(_fit(problem, single, mine, seen.usable[camera] & ~out))
+        alone.append(_fit(problem, rig.alone(camera), mine, seen.usable[camera] & ~out))
     fit = alone[0]
     if cameras > 1:
         fit = _fit(seen.problem, rig, poses, seen.usable.any(axis=0) & ~out)
@@ -83,9 +74,8 @@ def as_calibrated(rig, poses, seen, dropped=()):
 
 
 def _fit(problem, rig, poses, kept):
-    views = compute_view_residuals(problem, problem.linearised(rig, poses))
     one = problem.select(kept)
     return CameraFit(
         BundleSolution(one, rig, poses.select(kept), one.linearised(rig, poses.select(kept))), kept,
-        views,
+        problem.at(rig, poses),
     )  # fmt: skip

@@ -10,15 +10,15 @@ from scipy.spatial.transform import Rotation
 from tests.calibration.rigs import BOARD, SIZE, look, make_poses, make_rig
 from tests.naming import named
 from vergence.calibration import cameras
-from vergence.calibration.adjustment import BoardPoses, CameraRig
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.advice import advise_next_photographs
-from vergence.calibration.calibrate import calibrate_views
-from vergence.calibration.files import (
+from vergence.calibration.calibrate import (
+    calibrate_views,
     head_file_text,
-    right_camera_pose_covariance,
     ros_camera_document,
 )
 from vergence.calibration.observations import alike_views
+from vergence.calibration.uncertainty import right_camera_pose_covariance
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
 from vergence.vision import parse_target
@@ -70,7 +70,7 @@ def test_the_lens_is_told(lens, cameras):
     seen = look(rig, make_poses(rng, 16, wide=wide), rng)
     found = calibrate_views(seen if cameras == 2 else seen.select_camera(0))
     assert found.lens == lens
-    true = (rig if cameras == 2 else CameraRig.single(lens, rig.camera_parameters[0])).packed()
+    true = (rig if cameras == 2 else rig.alone(0)).packed()
     assert np.abs((found.rig.packed() - true) / found.sigma).max() < 4.0
 
 

@@ -23,7 +23,6 @@ from vergence.calibration.advice import (
     board_tilts,
     views_per_cell,
 )
-from vergence.calibration.files import depth_sigma_at
 
 MIDDLE = np.append(BOARD.corners_m.mean(axis=0), 0.0)
 VIEWS = 60
@@ -39,8 +38,7 @@ def calibrated(poses, rng, rig=None, cameras=2):
     rig = rig or make_rig()
     seen = look(rig, poses, rng)
     if cameras == 1:
-        rig = rig._replace(lenses=rig.lenses[:1], camera_parameters=rig.camera_parameters[:1])
-        seen = seen.select_camera(0)
+        rig, seen = rig.alone(0), seen.select_camera(0)
     return as_calibrated(rig, poses, seen)
 
 
@@ -72,7 +70,7 @@ def test_tilts_are_positive_if_the_lower_edge_is_nearer_and_cells_count_views():
     depth = (poses.rotation[0] @ np.append(BOARD.corners_m[lower], 0.0) + poses.translation[0])[2]
     assert depth < 0.5
     found = calibrated(poses, np.random.default_rng(0))
-    before = board_tilts(found, 0)
+    before = board_tilts(found)[0]
     np.testing.assert_allclose(before.tilt_deg, [[0.0, 30.0]] * 5, atol=1e-9)
     np.testing.assert_allclose(before.distance_m, np.hypot(0.05, 0.5))
     cells = views_per_cell(found, 0)  # views count, not corners
@@ -161,7 +159,7 @@ def test_advice_has_no_more_than_a_person_keeps_in_mind():
 
 
 def test_depth_noise_grows_with_the_square_of_the_distance_and_ends_where_an_image_does(good):
-    depth = depth_sigma_at(good, np.array([0.05, 1.0, 2.0]))
+    depth = good.depth_sigma_at(np.array([0.05, 1.0, 2.0]))
     assert np.isnan(depth.total_m[0])
     # the cameras are turned by two degrees to each other, so that it is not quite four times
     np.testing.assert_allclose(depth.noise_m[2] / depth.noise_m[1], 4.0, rtol=0.1)

@@ -33,13 +33,6 @@ def test_photographs_with_colours_are_measured_by_srgb_and_grey_ones_as_they_are
 
 
 @pytest.mark.slow
-def test_each_camera_is_measured_by_its_own_response(photographs):
-    seen, _ = detect_board_corners(TAG, photographs, responses=("linear", "srgb"))
-    swapped, _ = detect_board_corners(TAG, photographs[::-1], responses=("srgb", "linear"))
-    np.testing.assert_array_equal(seen.pixels, swapped.pixels[::-1])
-
-
-@pytest.mark.slow
 def test_corners_of_a_soft_image_that_was_halved_are_in_its_own_pixels(tmp_path: Path):
     board = Checkerboard(columns=5, rows=4, square_m=0.03)
     camera, rendering = rig("physical")

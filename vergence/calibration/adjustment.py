@@ -21,15 +21,16 @@ and its covariance is the camera block of the full problem's covariance.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from vergence.models.camera import pixels_to_rays
 from vergence.models.head import HeadModel
-from vergence.models.lens import LENSES
+from vergence.models.lens import LENSES, pack_camera
 from vergence.models.parts import FloatArray
 
 PINHOLE_VALUES = ("f_u", "f_v", "u_0", "v_0")
@@ -103,24 +104,8 @@ _TOLERANCE: Final = 1e-12
 """Relative change of the sum of squares below which cameras are found (numerical)."""
 
 
-class NormalEquations(Protocol):
-    """Linearised problem, or a batch (...) of problems; also a NamedTuple of arrays if a batch."""
-
-    @property
-    def cost(self) -> Any:
-        """(...) sum of squares."""
-
-    @property
-    def matrix(self) -> FloatArray:
-        """(..., s, s) normal matrix."""
-
-    @property
-    def gradient(self) -> FloatArray:
-        """(..., s) gradient, half of the cost's."""
-
-
 _State = TypeVar("_State")
-_Normal = TypeVar("_Normal", bound=NormalEquations)
+_Normal = TypeVar("_Normal")
 
 
 def damped_least_squares(
@@ -136,9 +121,10 @@ def damped_least_squares(
     """Levenberg and Marquardt's method for one problem or a batch of independent ones.
 
     Args:
-        linearised: normal equations at a state; may raise `LinAlgError`.
+        linearised: normal equations at a state; may raise `LinAlgError`. Attributes: `cost` (...),
+            sum of squares; `matrix` (..., s, s); `gradient` (..., s), half of the cost's.
         moved: the state after a step (..., s).
-        state: the start; of a batch a NamedTuple of arrays (..., ...).
+        state: the start; of a batch a NamedTuple of arrays (..., ...), as the equations are then.
         tolerance: change of the cost below which the iteration ends.
         relative_tolerance: the same, as a fraction of the cost.
         damping_unit: (s,) what damping multiplies; None for the normal matrix's diagonal.
@@ -147,7 +133,8 @@ def damped_least_squares(
     Raises:
         numpy.linalg.LinAlgError: the start has no finite cost.
     """
-    now = linearised(state)
+    now: Any = linearised(state)
+    then: Any
     if np.ndim(now.cost) == 0 and not np.isfinite(now.cost):
         raise np.linalg.LinAlgError("expected a start before the cameras")
     damping = np.full(np.shape(now.cost), _LEAST_DAMPING)
@@ -164,7 +151,7 @@ def damped_least_squares(
         except np.linalg.LinAlgError:  # a step behind a camera
             then, change = now, np.full_like(damping, -np.inf)
         better = np.asarray(change >= 0.0)
-        state, now = _choose(better, there, state), _choose(better, then, now)
+        state, now = choose(better, there, state), choose(better, then, now)
         damping = np.where(
             better, np.maximum(0.1 * damping, _LEAST_DAMPING), np.maximum(10.0 * damping, 1.0)
         )
@@ -178,7 +165,7 @@ def damped_least_squares(
     return state, now
 
 
-def _choose(better: NDArray[np.bool_], new: _State, old: _State) -> _State:
+def choose(better: NDArray[np.bool_], new: _State, old: _State) -> _State:
     """Select the new values of the problems that are better."""
     if better.ndim == 0:
         return new if better else old
@@ -219,6 +206,10 @@ class BoardPoses(NamedTuple):
         turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
         return BoardPoses(turns @ self.rotation, self.translation + steps[:, 3:])
 
+    def transformed(self, rotation: FloatArray, translation: FloatArray) -> "BoardPoses":
+        """Poses in another frame, that of points `R x + t`, m."""
+        return BoardPoses(rotation @ self.rotation, self.translation @ rotation.T + translation)
+
 
 class CameraRig(NamedTuple):
     """One camera, or two and their relative pose: `x_right = R x_left + T`."""
@@ -238,6 +229,17 @@ class CameraRig(NamedTuple):
     def single(cls, lens: str, camera_parameters: FloatArray) -> "CameraRig":
         """Make a rig of one camera and a flat board."""
         return cls((lens,), (camera_parameters,), np.eye(3), np.zeros(3), np.zeros(3))
+
+    def alone(self, camera: int) -> "CameraRig":
+        """Make a rig of one of the cameras."""
+        single = CameraRig.single(self.lenses[camera], self.camera_parameters[camera])
+        return single._replace(board_curvatures=self.board_curvatures)
+
+    def rays(self, camera: int, pixels: FloatArray) -> FloatArray:
+        """Rays X / Z, Y / Z of (..., 2) pixels in a camera; nan where the lens has no inverse."""
+        values = self.camera_parameters[camera]
+        row = pack_camera((0, 0), values[:2], values[2:4], self.lenses[camera], values[4:])
+        return np.asarray(pixels_to_rays(pixels, row))
 
     @property
     def blocks(self) -> list[slice]:
@@ -431,17 +433,20 @@ class BundleAdjustment:
             parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
         return LinearisedResiduals(*(np.concatenate(part, axis=1) for part in parts))
 
-    def fit_poses(
-        self, rig: CameraRig, start: BoardPoses
-    ) -> tuple[BoardPoses, LinearisedResiduals]:
-        """Fit the poses to given cameras; with residuals there."""
-        return damped_least_squares(
+    def at(self, rig: CameraRig, poses: BoardPoses) -> "BundleSolution":
+        """Residuals at given cameras and poses, without derivatives by the cameras."""
+        return BundleSolution(self, rig, poses, self.linearised(rig, poses, by_rig=False))
+
+    def fit_poses(self, rig: CameraRig, start: BoardPoses) -> "BundleSolution":
+        """Fit the poses to given cameras; without derivatives by these."""
+        poses, linear = damped_least_squares(
             lambda poses: self.linearised(rig, poses, by_rig=False),
             lambda poses, _, steps: poses.moved(steps),
             start,
             tolerance=_POSE_TOLERANCE,
             relative_tolerance=_POSE_TOLERANCE,
         )
+        return BundleSolution(self, rig, poses, linear)
 
     def solve(
         self, start: CameraRig, poses: BoardPoses, tolerance: float = _TOLERANCE
@@ -452,11 +457,12 @@ class BundleAdjustment:
         def linearised(state: tuple[CameraRig, BoardPoses]) -> _RigEquations:
             row, linear = state[0].packed(), self.linearised(*state)
             reduced, by_rig, own_step = linear.eliminated()
-            flat = reduced.reshape(-1, len(row))
+            # view by view: one large product would wait for threads, where others use the CPU too
+            information = reduced.transpose(0, 2, 1) @ reduced
             return _RigEquations(
                 float(linear.cost.sum() + prior @ row**2),
-                flat.T @ flat + np.diag(prior),
-                flat.T @ linear.residuals.ravel() + prior * row,
+                information.sum(axis=0) + np.diag(prior),
+                reduced.reshape(-1, len(row)).T @ linear.residuals.ravel() + prior * row,
                 linear,
                 by_rig,
                 own_step,
@@ -474,7 +480,7 @@ class BundleAdjustment:
         (rig, found), now = damped_least_squares(
             linearised,
             moved,
-            (start, self.fit_poses(start, poses)[0]),
+            (start, self.fit_poses(start, poses).poses),
             tolerance=0.0,
             relative_tolerance=tolerance,
         )
@@ -497,18 +503,34 @@ def cross_matrices(vectors: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class BundleSolution:
-    """The cameras that fit best, and the residuals and Jacobians there."""
+    """Cameras and poses, mostly those that fit best, and the residuals and Jacobians there."""
 
     problem: BundleAdjustment
     rig: CameraRig
     poses: BoardPoses
     linearisation: LinearisedResiduals
-    """Residuals divided by sigma and Jacobians, at the solution."""
+    """Residuals divided by sigma and Jacobians."""
 
     @property
     def residuals_px(self) -> FloatArray:
         """(c, v, n, 2) projected minus measured pixels; nan for corners that were not found."""
-        return pixel_residuals(self.problem, self.linearisation)
+        cameras, views, corners, _ = self.problem.pixels.shape
+        residuals = self.linearisation.residuals.reshape(views, cameras, corners, 2)
+        scaled = residuals.transpose(1, 0, 2, 3) * self.problem.sigma
+        return np.where(self.problem.seen[..., None], scaled, np.nan)
+
+    @cached_property
+    def view_chi(self) -> FloatArray:
+        """(v) noise of each view, residuals over sigma; nan for a view without corners."""
+        count = self.problem.seen.sum(axis=(0, 2))
+        freedom = np.where(count > 3, 2 * count - 6, np.nan)
+        return np.sqrt(self.linearisation.cost / freedom)
+
+    @cached_property
+    def view_rms_px(self) -> FloatArray:
+        """(v) root mean square length of each view's residuals, px."""
+        count = np.maximum(self.problem.seen.sum(axis=(0, 2)), 1)
+        return np.asarray(np.sqrt(np.nansum(self.residuals_px**2, axis=(0, 2, 3)) / count))
 
     @cached_property
     def reduced_rig_jacobian(self) -> FloatArray:
@@ -516,29 +538,16 @@ class BundleSolution:
         return self.linearisation.eliminated()[0]
 
     @property
-    def degrees_of_freedom(self) -> int:
-        """Number of measured values minus number of estimated ones."""
-        measured = 2 * int(self.problem.seen.sum())
-        return measured - 6 * len(self.poses.translation) - int(self.reduced_rig_jacobian.shape[-1])
-
-    @property
     def reduced_chi(self) -> float:
         """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
-        return float(
-            np.sqrt((self.linearisation.residuals**2).sum() / max(self.degrees_of_freedom, 1))
-        )
+        estimated = 6 * len(self.poses.translation) + len(self.rig.packed())
+        freedom = max(2 * int(self.problem.seen.sum()) - estimated, 1)
+        return float(np.sqrt((self.linearisation.residuals**2).sum() / freedom))
 
     @cached_property
     def information(self) -> FloatArray:
         """(v, p, p) each view's information on the rig's parameters, if sigma is right."""
         return np.asarray(self.reduced_rig_jacobian.transpose(0, 2, 1) @ self.reduced_rig_jacobian)
-
-
-def pixel_residuals(problem: BundleAdjustment, linear: LinearisedResiduals) -> FloatArray:
-    """(c, v, n, 2) projected minus measured pixels; nan for corners that were not found."""
-    cameras, views, corners, _ = problem.pixels.shape
-    residuals = linear.residuals.reshape(views, cameras, corners, 2).transpose(1, 0, 2, 3)
-    return np.where(problem.seen[..., None], residuals * problem.sigma, np.nan)
 
 
 def rms_length(residuals_px: FloatArray) -> float:

@@ -1,16 +1,13 @@
 """Coverage of a calibration's views, and what to photograph next."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.cameras import camera_row_for_kernels
-from vergence.calibration.files import pair_of
 from vergence.calibration.uncertainty import board_points_in_camera, direction_sigma_px
-from vergence.models.camera import pixels_to_rays
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.locate import MM
 
@@ -78,23 +75,20 @@ class BoardTilts(NamedTuple):
         return np.asarray(np.linalg.norm(self.tilt_deg, axis=-1))
 
 
-def camera_names(calibration: Calibration) -> tuple[str, ...]:
-    """Name the cameras: left and right for a pair, camera for a single one."""
-    return tuple(EYE_NAMES) if len(calibration.single_fits) > 1 else ("camera",)
-
-
-def board_tilts(calibration: Calibration, camera: int) -> BoardTilts:
-    """Compute the tilts and distances of the board in front of a camera."""
-    solution = calibration.fit.solution
-    seen = solution.problem.seen[camera].any(axis=-1)
-    normal = solution.poses.rotation[seen, :, 2]
-    if camera:
-        normal = normal @ solution.rig.rotation.T
-    across = np.linalg.norm(normal[:, :2], axis=-1)
-    angle = np.degrees(np.arctan2(across, normal[:, 2]))
-    tilt = normal[:, :2] * (angle / np.maximum(across, 1e-12))[:, None]
-    middle = board_points_in_camera(solution, camera)[seen].mean(axis=1)
-    return BoardTilts(tilt, np.asarray(np.linalg.norm(middle, axis=-1)))
+def board_tilts(calibration: Calibration) -> list[BoardTilts]:
+    """Compute the tilts and distances of the board in front of each camera."""
+    solution, found = calibration.fit.solution, []
+    for camera, corners in enumerate(solution.problem.seen):
+        seen = corners.any(axis=-1)
+        normal = solution.poses.rotation[seen, :, 2]
+        if camera:
+            normal = normal @ solution.rig.rotation.T
+        across = np.linalg.norm(normal[:, :2], axis=-1)
+        angle = np.degrees(np.arctan2(across, normal[:, 2]))
+        tilt = normal[:, :2] * (angle / np.maximum(across, 1e-12))[:, None]
+        middle = board_points_in_camera(solution, camera)[seen].mean(axis=1)
+        found.append(BoardTilts(tilt, np.asarray(np.linalg.norm(middle, axis=-1))))
+    return found
 
 
 def views_per_cell(calibration: Calibration, camera: int) -> NDArray[np.intp]:
@@ -107,27 +101,21 @@ def views_per_cell(calibration: Calibration, camera: int) -> NDArray[np.intp]:
 
 def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
     """(CELLS, CELLS) views with a corner in each cell, of (v, n, 2) corners, px or nan."""
-    width, height = size
-    cells = np.zeros((CELLS, CELLS), np.intp)
-    for view in views:
-        u, v = view[np.isfinite(view).all(axis=-1)].T
-        column = np.clip(CELLS * (u + 0.5) / width, 0, CELLS - 1).astype(int)
-        row = np.clip(CELLS * (v + 0.5) / height, 0, CELLS - 1).astype(int)
-        cells[tuple(np.unique(np.stack([row, column]), axis=1))] += 1
-    return cells
+    cells = np.floor(np.clip(CELLS * (views + 0.5) / np.array(size), 0, CELLS - 1))
+    counts = [
+        (cells == (column, row)).all(axis=-1).any(axis=-1).sum()
+        for row, column in np.ndindex(CELLS, CELLS)
+    ]
+    return np.reshape(counts, (CELLS, CELLS))
 
 
-def direction_sigma_px_at(calibration: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
-    """(n,) sigma, px, of directions at (n, 2) pixels; nan where the lens has no inverse."""
-    rig = calibration.rig
-    row = camera_row_for_kernels(
-        rig.lenses[camera],
-        rig.camera_parameters[camera],
-        calibration.observations.image_sizes[camera],
+def direction_sigma_px_at(calibration: Calibration, camera: int, count: int) -> FloatArray:
+    """(count, count) sigma of directions at `pixel_grid`, px; nan where the lens has no inverse."""
+    rays = calibration.rig.rays(
+        camera, pixel_grid(calibration.observations.image_sizes[camera], count)
     )
-    rays = np.asarray(pixels_to_rays(pixels, row))
-    sigma = np.full(len(pixels), np.nan)
     there = np.isfinite(rays).all(axis=-1)
+    sigma = np.full(there.shape, np.nan)
     if there.any():
         sigma[there] = direction_sigma_px(
             calibration.fit.solution, calibration.covariance, camera, rays[there]
@@ -150,7 +138,7 @@ def board_sag(calibration: Calibration) -> BoardSag:
 def advise_next_photographs(calibration: Calibration) -> list[str]:
     """Advise on the next photographs: up to `MOST_SENTENCES`, then remarks on images and doubts."""
     sentences = [text for rule in _RULES if (text := rule(calibration))]
-    doubts = pair_of(calibration).guesses if len(calibration.single_fits) > 1 else ()
+    doubts = calibration.pair.guesses if len(calibration.single_fits) > 1 else ()
     return [*sentences[:MOST_SENTENCES], *calibration.observations.remarks, *doubts]
 
 
@@ -158,13 +146,13 @@ def advise_on_pair_motion(calibration: Calibration) -> str:
     """Advise on pairs whose images fit alone but not together."""
     if len(calibration.single_fits) < 2:
         return ""
-    alone = np.stack([fit.views.rms_px for fit in calibration.single_fits])
-    judged = np.isfinite([fit.views.reduced_chi for fit in calibration.single_fits]).all(axis=0)
+    alone = np.stack([fit.views.view_rms_px for fit in calibration.single_fits])
+    judged = np.isfinite([fit.views.view_chi for fit in calibration.single_fits]).all(axis=0)
     usable = judged & np.all([fit.kept_views for fit in calibration.single_fits], axis=0)
     if not usable.any():
         return ""
     by_itself = np.sqrt((alone[:, usable] ** 2).mean(axis=0))
-    together = calibration.fit.views.rms_px[usable]
+    together = calibration.fit.views.view_rms_px[usable]
     moved = together > _MOVED_RESIDUAL_RATIO * by_itself
     if moved.sum() < max(_MANY_VIEWS_FRACTION * len(moved), 1):
         return ""
@@ -198,7 +186,7 @@ def advise_on_view_count(calibration: Calibration) -> str:
 def advise_on_empty_cells(calibration: Calibration) -> str:
     """Advise on parts of the images without a corner in any view."""
     parts = []
-    for camera, name in enumerate(camera_names(calibration)):
+    for camera, name in enumerate(calibration.camera_names):
         empty = views_per_cell(calibration, camera) == 0
         if empty.any():
             of = f"the {name} camera" if len(calibration.single_fits) > 1 else "the image"
@@ -221,17 +209,12 @@ def _cells(empty: NDArray[np.bool_]) -> str:
     for row, column in np.argwhere(left).tolist():
         both = f"{rows[row]} {columns[column]}"
         names.append("middle" if both == "middle middle" else both)
-    return join_with_and(names)
-
-
-def join_with_and(words: Sequence[str]) -> str:
-    """Join words with commas and "and"."""
-    return " and ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def advise_on_tilts(calibration: Calibration) -> str:
     """Advise on boards that all face the camera, or are tilted to some sides only."""
-    tilt = board_tilts(calibration, 0).tilt_deg
+    tilt = board_tilts(calibration)[0].tilt_deg
     angle = np.linalg.norm(tilt, axis=-1)
     tilted = int((angle > _FACING_DEG).sum())
     before = " before the left camera" if len(calibration.single_fits) > 1 else ""
@@ -258,7 +241,7 @@ def advise_on_tilts(calibration: Calibration) -> str:
 
 def advise_on_distances(calibration: Calibration) -> str:
     """Advise on boards that are all at about the same distance."""
-    near, far = np.quantile(board_tilts(calibration, 0).distance_m, [0.1, 0.9])
+    near, far = np.quantile(board_tilts(calibration)[0].distance_m, [0.1, 0.9])
     if far > _LEAST_DISTANCE_RATIO * near:
         return ""
     known = calibration.observations.target.size_known
@@ -268,8 +251,7 @@ def advise_on_distances(calibration: Calibration) -> str:
 
 def median_and_corner_sigma_px(calibration: Calibration, camera: int) -> tuple[float, float]:
     """Sigma of directions, px: the image's median and worst corner; inf without an inverse."""
-    grid = pixel_grid(calibration.observations.image_sizes[camera], _SIGMA_GRID_COUNT)
-    sigma = direction_sigma_px_at(calibration, camera, grid.reshape(-1, 2)).reshape(grid.shape[:2])
+    sigma = direction_sigma_px_at(calibration, camera, _SIGMA_GRID_COUNT)
     sigma = np.where(np.isfinite(sigma), sigma, np.inf)
     return float(np.median(sigma)), float(sigma[[0, 0, -1, -1], [0, -1, 0, -1]].max())
 
@@ -311,7 +293,7 @@ def advise_on_uncertain_focal_lengths(calibration: Calibration) -> str:
     camera = int(np.argmax(unsure))
     if unsure[camera] < _UNCERTAIN_FOCAL_SIGMA:
         return ""
-    name = f"{camera_names(calibration)[camera]} camera's" if len(unsure) > 1 else "camera's"
+    name = f"{calibration.camera_names[camera]} camera's" if len(unsure) > 1 else "camera's"
     return (
         f"The {name} focal length is known to {100.0 * unsure[camera]:.1f} %, and depth no better: "
         "take more views of tilted boards that fill the image."
@@ -320,7 +302,7 @@ def advise_on_uncertain_focal_lengths(calibration: Calibration) -> str:
 
 def advise_on_board_size_unit(calibration: Calibration) -> str:
     """Advise on boards that come out so near that their size was probably not given in mm."""
-    far = float(np.median(board_tilts(calibration, 0).distance_m))
+    far = float(np.median(board_tilts(calibration)[0].distance_m))
     if far > _NEAREST_M or not calibration.observations.target.size_known:
         return ""
     return (

@@ -1,8 +1,9 @@
-"""Calibration of one camera or a pair from photographs of a board, with checks of the result."""
+"""Calibration of one camera or a pair from photographs of a board: result, checks, and files."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -12,12 +13,12 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import (
     BundleSolution,
     CameraRig,
+    camera_parameter_names,
     rms_length,
 )
 from vergence.calibration.cameras import (
     FOLDS,
     CameraFit,
-    ViewResiduals,
     choose_lens,
     cross_validation_mean_squares,
     cross_validation_residuals,
@@ -27,12 +28,20 @@ from vergence.calibration.cameras import (
     mistaken_corners_px,
 )
 from vergence.calibration.observations import BoardObservations, detect_board_corners
-from vergence.calibration.uncertainty import rig_covariance
+from vergence.calibration.uncertainty import (
+    DepthSigma,
+    depth_sigma_at,
+    rig_covariance,
+    right_camera_pose_covariance,
+)
 from vergence.errors import ConfigurationError
-from vergence.models.camera import CameraResponse
+from vergence.models.camera import Camera, CameraResponse, Lens, camera_matrix
 from vergence.models.lens import LENSES
-from vergence.models.parts import EYE_NAMES, FloatArray
+from vergence.models.parts import EYE_NAMES, CalibrationRecord, FloatArray
+from vergence.models.stereo_files import ReadCameras, document_of_pair
+from vergence.models.toml_table import toml_text
 from vergence.perception.locate import MM
+from vergence.reporting.runs import package_versions
 from vergence.vision.targets import PlanarTarget
 
 _DETECTION_PROGRESS: Final = 0.5
@@ -95,6 +104,55 @@ class Calibration:
         length = float(np.linalg.norm(shift))
         spread = self.covariance[between, between][3:, 3:]
         return MM * length, MM * float(np.sqrt(shift @ spread @ shift)) / length
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the cameras: left and right of a pair, camera for a single one."""
+        return tuple(EYE_NAMES) if len(self.single_fits) > 1 else ("camera",)
+
+    @property
+    def camera_values(self) -> list[tuple[str, str, float, float]]:
+        """Name of a camera, name of its parameter, value, and sigma, one by one."""
+        rig = self.rig
+        return [
+            (camera, *each)
+            for camera, lens, values, block in zip(
+                self.camera_names, rig.lenses, rig.camera_parameters, rig.blocks, strict=False
+            )
+            for each in zip(
+                camera_parameter_names(lens), values.tolist(), self.sigma[block].tolist(),
+                strict=True,
+            )
+        ]  # fmt: skip
+
+    def camera(self, camera: int) -> Camera:
+        """One of the cameras, without a pose."""
+        values = self.rig.camera_parameters[camera]
+        return Camera(
+            size=self.observations.image_sizes[camera],
+            matrix=camera_matrix(values[:2], values[2:4]),
+            lens=Lens(self.rig.lenses[camera], values[4:]),
+        )
+
+    @property
+    def pair(self) -> ReadCameras:
+        """The cameras of a pair."""
+        right = np.eye(4)
+        right[:3, :3] = self.rig.rotation.T
+        right[:3, 3] = -self.rig.rotation.T @ self.rig.translation
+        return ReadCameras(left=self.camera(0), right=replace(self.camera(1), pose=right))
+
+    @property
+    def noise_px(self) -> float:
+        """A detected corner's standard deviation per coordinate, from each camera alone."""
+        return float(np.sqrt(0.5 * np.mean(np.square(self.rms_alone_px))))
+
+    def depth_sigma_at(self, distance_m: FloatArray) -> DepthSigma:
+        """Uncertainty of depth along the bisector of the axes, (n) m from the baseline's middle."""
+        return depth_sigma_at(
+            self.fit.solution, self.covariance, self.observations.image_sizes, self.noise_px,
+            distance_m,
+        )  # fmt: skip
 
     @property
     def rms_alone_px(self) -> list[float]:
@@ -160,9 +218,9 @@ class Calibration:
         }
 
 
-def _misfit(views: ViewResiduals, kept: NDArray[np.bool_], view: int) -> str:
-    usual = float(np.median(views.rms_px[kept]))
-    return f"{views.rms_px[view]:.2f} px, where others leave {usual:.2f}"
+def _misfit(views: BundleSolution, kept: NDArray[np.bool_], view: int) -> str:
+    usual = float(np.median(views.view_rms_px[kept]))
+    return f"{views.view_rms_px[view]:.2f} px, where others leave {usual:.2f}"
 
 
 def calibrate(
@@ -207,13 +265,10 @@ def calibrate_views(
     report = progress or (lambda fraction: None)
     cameras = len(observations.file_names)
     lenses = tuple(LENSES) if lens is None else (lens,)
-    ticks = 1 + 2 * cameras * len(lenses) + FOLDS
-    done = 0
+    ticks, done = 1 + 2 * cameras * len(lenses) + FOLDS, count(1)
 
     def tick() -> None:
-        nonlocal done
-        done += 1
-        report(min(done / ticks, 1.0))
+        report(min(next(done) / ticks, 1.0))
 
     if not observations.target.size_known and cameras > 1:
         raise ConfigurationError(
@@ -221,16 +276,13 @@ def calibrate_views(
             f"got {observations.target}"
         )
     observations = observations.without_alike_views()
-    trials = _trials(observations, lenses, tick)
-    errors = _errors(trials)
+    fits, errors = _fit_by_lens(observations, lenses, tick)
     chosen = choose_lens(errors)
-    single_fits = tuple(trial.fit for trial in trials[chosen])
+    single_fits = tuple(fits[chosen])
     away_px = np.stack(
         [
-            mistaken_corners_px(observations.problem.select_camera(camera), one.solution.rig, size)
-            for camera, (one, size) in enumerate(
-                zip(single_fits, observations.image_sizes, strict=True)
-            )
+            mistaken_corners_px(observations.problem.select_camera(camera), one.solution.rig)
+            for camera, one in enumerate(single_fits)
         ]
     )
     if away_px.any():
@@ -262,54 +314,41 @@ def calibrate_views(
     return found
 
 
-class _Trial(NamedTuple):
-    """The fit of one camera alone with one lens model."""
-
-    fit: CameraFit
-    errors: FloatArray
-    """(v) see `cross_validation_mean_squares`."""
-
-
-def _trials(
+def _fit_by_lens(
     observations: BoardObservations, lenses: Sequence[str], tick: Callable[[], None]
-) -> dict[str, list[_Trial]]:
-    """Fit each camera alone with each lens model; leave out models that do not fit at all."""
-    cameras = len(observations.file_names)
-    every = [observations.select_camera(camera) for camera in range(cameras)]
+) -> tuple[dict[str, list[CameraFit]], dict[str, FloatArray]]:
+    """Each camera's fit alone by lens model that fits at all, and the errors of all their views.
+
+    Errors are `cross_validation_mean_squares`, of the views that at least one lens fits.
+    """
+    every = [observations.select_camera(k) for k in range(len(observations.file_names))]
     firsts = []
     for camera, one in enumerate(every):
         try:
             firsts.append(fit_consistent_views(one))
         except np.linalg.LinAlgError:
-            raise _unsure(camera, cameras, "none at all") from None
+            raise _unsure(camera, len(every), "none at all") from None
     tick()
-    trials: dict[str, list[_Trial]] = {}
+    fits: dict[str, list[CameraFit]] = {}
+    errors: dict[str, FloatArray] = {}
     refused: ConfigurationError | None = None
     for lens in lenses:
-        found = []
+        found, squares = [], []
         try:
             for one, first in zip(every, firsts, strict=True):
-                fit = fit_camera(one, lens, first)
+                found.append(fit_camera(one, lens, first))
                 tick()
-                found.append(_Trial(fit, cross_validation_mean_squares(fit, one.problem)))
+                squares.append(cross_validation_mean_squares(found[-1], one.problem))
                 tick()
-            trials[lens] = found
+            fits[lens], errors[lens] = found, np.concatenate(squares)
         except np.linalg.LinAlgError:
-            refused = _unsure(0, cameras, "none at all")
+            refused = _unsure(0, len(every), "none at all")
         except ConfigurationError as error:
             refused = error
-    if refused is not None and not trials:
+    if refused is not None and not fits:
         raise refused
-    return trials
-
-
-def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
-    """Collect, by lens, the errors of all cameras' views that at least one lens fits."""
-    kept = [np.concatenate([one.fit.kept_views for one in each]) for each in trials.values()]
-    agreed = np.any(kept, axis=0)
-    return {
-        lens: np.concatenate([one.errors for one in each])[agreed] for lens, each in trials.items()
-    }
+    kept = [np.concatenate([fit.kept_views for fit in each]) for each in fits.values()]
+    return fits, {lens: each[np.any(kept, axis=0)] for lens, each in errors.items()}
 
 
 def _refuse_unsure(solution: BundleSolution, camera: int, cameras: int) -> None:
@@ -325,8 +364,10 @@ def _refuse_unsure(solution: BundleSolution, camera: int, cameras: int) -> None:
 
 def _refuse_moved_cameras(fit: CameraFit, single_fits: Sequence[CameraFit]) -> None:
     """Refuse pairs of images that two cameras fixed to each other cannot have taken."""
-    together = float(np.median(fit.views.rms_px[fit.kept_views]))
-    apart = float(np.median([np.median(one.views.rms_px[one.kept_views]) for one in single_fits]))
+    together = float(np.median(fit.views.view_rms_px[fit.kept_views]))
+    apart = float(
+        np.median([np.median(one.views.view_rms_px[one.kept_views]) for one in single_fits])
+    )
     changes = [
         float(np.abs(values[:2] / one.solution.rig.camera_parameters[0][:2] - 1.0).max())
         for values, one in zip(fit.solution.rig.camera_parameters, single_fits, strict=True)
@@ -346,3 +387,75 @@ def _unsure(camera: int, cameras: int, known: str) -> ConfigurationError:
         "tilt the "
         "board by some 30 degrees, each time another way, and fill the image with it"
     )
+
+
+_RECORDED_PACKAGES: Final = ("vergence", "opencv-python-headless", "numpy", "scipy")
+_ROS_LENSES: Final[dict[str, str]] = {
+    "brown-conrady": "plumb_bob",
+    "rational": "rational_polynomial",
+    "fisheye": "equidistant",
+}
+
+
+def head_file_text(
+    calibration: Calibration, name: str, response: CameraResponse | None = None
+) -> str:
+    """Write the head file of a calibrated pair as TOML text."""
+    document = document_of_pair(
+        calibration.pair,
+        name,
+        noise_px=calibration.noise_px,
+        calibration=calibration_record(calibration),
+        response=response,
+    )
+    return toml_text(document)
+
+
+def calibration_record(calibration: Calibration) -> CalibrationRecord:
+    """Record the origin and uncertainty of a calibrated pair."""
+    sigma = {
+        f"{eye}.camera.{name}": deviation for eye, name, _, deviation in calibration.camera_values
+    }
+    between = calibration.rig.blocks[-2]
+    placed = right_camera_pose_covariance(calibration.rig, calibration.covariance[between, between])
+    names = ("rx", "ry", "rz", "x", "y", "z")
+    deviations = np.sqrt(np.diagonal(placed)).tolist()
+    sigma |= {f"right.head_eye.{n}": d for n, d in zip(names, deviations, strict=True)}
+    return CalibrationRecord(
+        target=str(calibration.observations.target),
+        views=int(calibration.fit.kept_views.sum()),
+        rms_px=rms_length(calibration.fit.solution.residuals_px),
+        rms_heldout_px=rms_length(calibration.held_out_px),
+        corners_sha256=calibration.observations.digest,
+        versions=", ".join(
+            f"{name} {each}" for name, each in package_versions(_RECORDED_PACKAGES).items()
+        ),
+        sigma=sigma,
+    )
+
+
+def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
+    """Convert a camera's calibration to plain values with the keys of ROS's camera_info files."""
+    camera = calibration.camera(0)
+    lens, coefficients = camera.lens
+    return {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": "camera",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": camera.matrix.ravel().tolist()},
+        "distortion_model": _ROS_LENSES[lens],
+        "distortion_coefficients": {
+            "rows": 1,
+            "cols": len(coefficients),
+            "data": np.asarray(coefficients).tolist(),
+        },
+        "calibration": {
+            "target": str(calibration.observations.target),
+            "views": int(calibration.fit.kept_views.sum()),
+            "rms_px": calibration.rms_alone_px[0],
+            "rms_heldout_px": rms_length(calibration.held_out_px),
+            "corners_sha256": calibration.observations.digest,
+            "versions": package_versions(_RECORDED_PACKAGES),
+            "sigma": {name: sigma for _, name, _, sigma in calibration.camera_values},
+        },
+    }

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from operator import itemgetter
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -14,13 +15,11 @@ from vergence.calibration.adjustment import (
     BundleAdjustment,
     BundleSolution,
     CameraRig,
-    LinearisedResiduals,
-    pixel_residuals,
+    choose,
 )
 from vergence.calibration.observations import BoardObservations
 from vergence.errors import ConfigurationError
-from vergence.models.camera import pixels_to_rays
-from vergence.models.lens import BROWN_CONRADY, LENSES, pack_camera
+from vergence.models.lens import BROWN_CONRADY, LENSES
 from vergence.models.parts import FloatArray
 from vergence.models.stereo_files import GREATEST_BASELINE_M, LEAST_BASELINE_M
 from vergence.perception.locate import equivalent_corner_orders
@@ -73,23 +72,6 @@ _PLACEHOLDER_TRANSLATION: Final = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class ViewResiduals:
-    """Residuals of each view with given cameras."""
-
-    reduced_chi: FloatArray
-    """(v) residuals in units of sigma; nan for a view without corners."""
-    rms_px: FloatArray
-    """(v) root mean square length of the residuals, px."""
-
-    def outliers(self, trusted_views: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(v) True for outliers with respect to the trusted views."""
-        chi, px = (np.median(each[trusted_views]) for each in (self.reduced_chi, self.rms_px))
-        worse = self.reduced_chi > _OUTLIER_CHI_RATIO * chi
-        worse &= self.rms_px > _OUTLIER_RMS_RATIO * px
-        return np.asarray(worse | ~np.isfinite(self.reduced_chi))
-
-
-@dataclass(frozen=True, eq=False)
 class CameraFit:
     """Cameras found from the views that agree."""
 
@@ -97,58 +79,27 @@ class CameraFit:
     """Solution of the kept views."""
     kept_views: NDArray[np.bool_]
     """(v) True for kept views, the inliers."""
-    views: ViewResiduals
-    """Residuals of all views."""
+    views: BundleSolution
+    """Residuals of all views with these cameras."""
 
     @property
     def median_noise(self) -> float:
         """Median of the kept views' noise."""
-        return float(np.median(self.views.reduced_chi[self.kept_views]))
+        return float(np.median(self.views.view_chi[self.kept_views]))
 
 
-def compute_view_residuals(problem: BundleAdjustment, linear: LinearisedResiduals) -> ViewResiduals:
-    """Compute the size of each view's residuals."""
-    count = problem.seen.sum(axis=(0, 2))
-    squares = (linear.residuals**2).sum(axis=1)
-    reduced_chi = np.sqrt(squares / np.where(count > 3, 2 * count - 6, np.nan))
-    residuals_px = pixel_residuals(problem, linear)
-    squares_px = np.nansum(residuals_px**2, axis=(0, 2, 3))
-    return ViewResiduals(reduced_chi, np.sqrt(squares_px / np.maximum(count, 1)))
-
-
-def camera_row_for_kernels(
-    lens: str, camera_parameters: FloatArray, size: tuple[int, int]
-) -> FloatArray:
-    """Row of `pack_camera` from parameters in the order of `camera_parameter_names`."""
-    return np.asarray(
-        pack_camera(
-            size, camera_parameters[:2], camera_parameters[2:4], lens, camera_parameters[4:]
-        )
-    )
-
-
-def estimate_board_poses(
-    problem: BundleAdjustment, rig: CameraRig, size: tuple[int, int]
-) -> BoardPoses:
+def estimate_board_poses(problem: BundleAdjustment, rig: CameraRig) -> BoardPoses:
     """Board's pose in each view of one camera (`cv2.solvePnP`); placeholders without corners."""
-    rays = np.asarray(
-        pixels_to_rays(
-            problem.pixels[0], camera_row_for_kernels(rig.lenses[0], rig.camera_parameters[0], size)
-        )
-    )
     rotations, translations = [], []
-    for view in rays:
+    for view in rig.rays(0, problem.pixels[0]):
         seen = np.isfinite(view).all(axis=-1)
         found: Any = (False,)
         if seen.sum() >= _LEAST_POSE_CORNERS:
             with suppress(cv2.error):  # collinear corners
                 found = cv2.solvePnP(
-                    problem.board_corners[seen],
-                    view[seen],
-                    np.eye(3),
-                    None,
+                    problem.board_corners[seen], view[seen], np.eye(3), None,
                     flags=cv2.SOLVEPNP_IPPE,
-                )
+                )  # fmt: skip
         turn, shift = found[1:] if found[0] else (np.zeros(3), _PLACEHOLDER_TRANSLATION)
         rotations.append(cv2.Rodrigues(turn)[0])
         translations.append(np.ravel(shift))
@@ -159,35 +110,12 @@ def initial_camera_guesses(
     problem: BundleAdjustment, lens: str, size: tuple[int, int]
 ) -> list[FloatArray]:
     """Find initial parameters of a camera with OpenCV's own calibration; size in px."""
-    boards, corners = _as_opencv(problem)
-    flags = cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0
-    found = []
-    no_guess: Any = None
-    with suppress(cv2.error):  # OpenCV finds no homography or no focal length
-        result: Any = cv2.calibrateCameraExtended(
-            boards, corners, size, no_guess, no_guess, flags=flags
-        )
-        values = _values_of(result[1], result[2], lens if lens != "fisheye" else BROWN_CONRADY)
-        found.append(_by_angle(values) if lens == "fisheye" else values)
-    if lens == "fisheye":
-        found += _fisheye_starts(problem, size)
+    if lens != "fisheye":
+        found = _opencv_guess(problem, lens, size)
+    else:
+        found = [_by_angle(values) for values in _opencv_guess(problem, BROWN_CONRADY, size)]
+        found += _opencv_guess(problem, lens, size)
     return [each for each in found if np.isfinite(each).all() and (each[:2] > 1.0).all()]
-
-
-def _as_opencv(problem: BundleAdjustment) -> tuple[list[Any], list[Any]]:
-    """List the corners of the board and of the images, view by view."""
-    boards, corners = [], []
-    for view in problem.pixels[0]:
-        seen = np.isfinite(view).all(axis=-1)
-        if seen.any():
-            boards.append(problem.board_corners[seen].astype(np.float32))
-            corners.append(view[seen].astype(np.float32))
-    return boards, corners
-
-
-def _values_of(matrix: FloatArray, coefficients: FloatArray, lens: str) -> FloatArray:
-    pinhole = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
-    return np.array([*pinhole, *np.ravel(coefficients)[: len(LENSES[lens])]])
 
 
 def _by_angle(values: FloatArray) -> FloatArray:
@@ -195,21 +123,31 @@ def _by_angle(values: FloatArray) -> FloatArray:
     return np.array([*values[:4], 1.0 / 3.0 + values[4], 0.0, 0.0, 0.0])
 
 
-def _fisheye_starts(problem: BundleAdjustment, size: tuple[int, int]) -> list[FloatArray]:
-    """Parameters by `cv2.fisheye.calibrate`, tried again with a guess, as wide views need."""
-    boards, corners = _as_opencv(problem)
-    focal = max(size) / np.pi
-    guess = np.array([[focal, 0.0, 0.5 * size[0]], [0.0, focal, 0.5 * size[1]], [0.0, 0.0, 1.0]])
-    place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye  # OpenCV 5 or 4
-    flags = place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW
-    for more in (0, place.CALIB_USE_INTRINSIC_GUESS):
+def _opencv_guess(problem: BundleAdjustment, lens: str, size: tuple[int, int]) -> list[FloatArray]:
+    """Parameters by OpenCV; none if it finds no homography or no focal length."""
+    views = [(there, view) for there, view in zip(problem.seen[0], problem.pixels[0], strict=True)
+             if there.any()]  # fmt: skip
+    boards: Any = [problem.board_corners[there].astype(np.float32) for there, _ in views]
+    corners: Any = [view[there].astype(np.float32) for there, view in views]
+    guess: Any = None
+    calibrate: Any = cv2.calibrateCamera
+    flags = [cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0]
+    if lens == "fisheye":
+        calibrate = cv2.fisheye.calibrate
+        boards, corners = ([one[None].astype(float) for one in each] for each in (boards, corners))
+        focal = max(size) / np.pi
+        guess = np.array(
+            [[focal, 0.0, 0.5 * size[0]], [0.0, focal, 0.5 * size[1]], [0.0, 0.0, 1.0]]
+        )
+        place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye  # 5 or 4
+        own = int(place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW)
+        flags = [own, own | int(place.CALIB_USE_INTRINSIC_GUESS)]  # wide views need the guess
+    for each in flags:
         with suppress(cv2.error):
-            result: Any = cv2.fisheye.calibrate(
-                [board[None].astype(float) for board in boards],  # OpenCV 5 expects rows
-                [corner[None].astype(float) for corner in corners],
-                size, guess.copy(), np.zeros(4), flags=int(flags | more),
-            )  # fmt: skip
-            return [_values_of(result[1], result[2], "fisheye")]
+            start = (None, None) if guess is None else (guess.copy(), np.zeros(4))
+            _, matrix, bends, *_ = calibrate(boards, corners, size, *start, flags=each)
+            return [np.array([*matrix[[0, 1, 0, 1], [0, 1, 2, 2]],
+                              *np.ravel(bends)[: len(LENSES[lens])]])]  # fmt: skip
     return []
 
 
@@ -227,22 +165,29 @@ def fit_consistent_views(observations: BoardObservations) -> CameraFit:
     rng = np.random.default_rng(0)
     count = _SAMPLE_COUNT if len(views) > _VIEWS_PER_SAMPLE else 0
     samples = [views, *(rng.choice(views, _VIEWS_PER_SAMPLE, replace=False) for _ in range(count))]
-    starts: list[tuple[str, FloatArray]] = []
+    tried: list[tuple[float, CameraRig, BoardPoses]] = []
+
+    def try_start(lens: str, values: FloatArray) -> None:
+        rig = CameraRig.single(lens, values)
+        poses = estimate_board_poses(problem, rig)
+        reduced_chi = np.nan_to_num(problem.at(rig, poses).view_chi[views], nan=np.inf)
+        tried.append((float(np.quantile(reduced_chi, _TRUSTED_FRACTION)), rig, poses))
+
     for sample in samples:
         for values in initial_camera_guesses(problem.select(sample), BROWN_CONRADY, size):
-            starts += [(BROWN_CONRADY, values), ("fisheye", _by_angle(values))]
-    best = _best_start(problem, views, starts, size)
-    if best is None or best.reduced_chi > _POOR_START_CHI:
-        wide = [("fisheye", values) for values in _fisheye_starts(problem.select(views), size)]
-        best = _best_start(problem, views, wide, size, best)
-    if best is None:
+            try_start(BROWN_CONRADY, values)
+            try_start("fisheye", _by_angle(values))
+    if not tried or min(tried, key=itemgetter(0))[0] > _POOR_START_CHI:
+        for values in _opencv_guess(problem.select(views), "fisheye", size):
+            try_start("fisheye", values)
+    if not tried:
         raise ConfigurationError(
             "expected photographs of a board that is tilted this way and that, got some from "
             "which no focal length follows"
         )
-    rig, poses = best.rig, best.poses
+    _, rig, poses = min(tried, key=itemgetter(0))
     trusted = max(int(np.ceil(_TRUSTED_FRACTION * len(views))), LEAST_VIEWS)
-    reduced_chi = compute_view_residuals(problem, problem.linearised(rig, poses)).reduced_chi
+    reduced_chi = problem.at(rig, poses).view_chi
     kept = np.zeros(len(reduced_chi), bool)
     for _ in range(_MOST_FITS):
         chosen = np.zeros_like(kept)
@@ -251,93 +196,49 @@ def fit_consistent_views(observations: BoardObservations) -> CameraFit:
             break
         kept = chosen
         solution = problem.select(kept).solve(rig, poses.select(kept))
-        rig, poses = solution.rig, estimate_board_poses(problem, solution.rig, size)
-        reduced_chi = compute_view_residuals(problem, problem.fit_poses(rig, poses)[1]).reduced_chi
+        rig, poses = solution.rig, estimate_board_poses(problem, solution.rig)
+        reduced_chi = problem.fit_poses(rig, poses).view_chi
     return drop_and_reweight_views(problem, solution, kept, poses)
-
-
-class _Start(NamedTuple):
-    """An initial camera, and the board's poses in front of it."""
-
-    reduced_chi: float
-    """Noise at the `_TRUSTED_FRACTION` quantile of the views."""
-    rig: CameraRig
-    poses: BoardPoses
-
-
-def _best_start(
-    problem: BundleAdjustment,
-    views: NDArray[np.intp],
-    starts: Sequence[tuple[str, FloatArray]],
-    size: tuple[int, int],
-    best: _Start | None = None,
-) -> _Start | None:
-    """Choose the start that most views fit, among lenses with parameters and an earlier start."""
-    for lens, values in starts:
-        rig = CameraRig.single(lens, values)
-        poses = estimate_board_poses(problem, rig, size)
-        linear = problem.linearised(rig, poses, by_rig=False)
-        reduced_chi = np.nan_to_num(
-            compute_view_residuals(problem, linear).reduced_chi[views], nan=np.inf
-        )
-        typical = float(np.quantile(reduced_chi, _TRUSTED_FRACTION))
-        if best is None or typical < best.reduced_chi:
-            best = _Start(typical, rig, poses)
-    return best
 
 
 def fit_camera(observations: BoardObservations, lens: str, consistent_fit: CameraFit) -> CameraFit:
     """Find a camera with a given lens from the views that agree, see `fit_consistent_views`."""
-    problem, size = observations.problem, observations.image_sizes[0]
-    mine = consistent_fit.solution.rig
-    found = []
+    problem, first = observations.problem, consistent_fit.solution.rig
+    own, values = first.lenses[0], first.camera_parameters[0]
+    related = [values] if own == lens else []
+    if own == BROWN_CONRADY != lens:
+        related = [_by_angle(values) if lens == "fisheye" else np.append(values, np.zeros(3))]
+
+    def solutions(kept: NDArray[np.bool_], starts: Sequence[FloatArray]) -> list[BundleSolution]:
+        found = []
+        for values in starts:
+            rig = CameraRig.single(lens, values)
+            poses = estimate_board_poses(problem, rig)
+            with suppress(np.linalg.LinAlgError):
+                found.append(problem.select(kept).solve(rig, poses.select(kept)))
+        return found
+
+    fits = []
     # views that only the first fit's lens excluded are tried again
     for kept in (consistent_fit.kept_views, observations.usable[0]):
-        solutions = _solutions(problem, kept, lens, _turned_into(lens, mine), size)
+        found = solutions(kept, related)
         enough = _EQUAL_FIT_RATIO * consistent_fit.solution.reduced_chi
-        if all(solution.reduced_chi > enough for solution in solutions):
-            starts = initial_camera_guesses(problem.select(kept), lens, size)
-            solutions += _solutions(problem, kept, lens, starts, size)
-        if solutions:
-            best = min(solutions, key=lambda each: each.reduced_chi)
-            poses = estimate_board_poses(problem, best.rig, size)
-            found.append(drop_and_reweight_views(problem, best, kept, poses))
+        if all(solution.reduced_chi > enough for solution in found):
+            size = observations.image_sizes[0]
+            found += solutions(kept, initial_camera_guesses(problem.select(kept), lens, size))
+        if found:
+            best = min(found, key=lambda each: each.reduced_chi)
+            poses = estimate_board_poses(problem, best.rig)
+            fits.append(drop_and_reweight_views(problem, best, kept, poses))
         if consistent_fit.kept_views.sum() == observations.usable[0].sum():
             break
-    if not found:
+    if not fits:
         raise ConfigurationError(f"lens: expected one that fits these images, got {lens}")
-    least = min(fit.median_noise for fit in found)
+    least = min(fit.median_noise for fit in fits)
     return max(
-        (fit for fit in found if fit.median_noise <= _EQUAL_FIT_RATIO * least),
+        (fit for fit in fits if fit.median_noise <= _EQUAL_FIT_RATIO * least),
         key=lambda fit: int(fit.kept_views.sum()),
     )
-
-
-def _turned_into(lens: str, rig: CameraRig) -> list[FloatArray]:
-    """Convert a camera to another lens as its start; empty if the models are not related."""
-    values, own = rig.camera_parameters[0], rig.lenses[0]
-    if own == lens:
-        return [values]
-    if own != BROWN_CONRADY:
-        return []
-    return [_by_angle(values) if lens == "fisheye" else np.append(values, np.zeros(3))]
-
-
-def _solutions(
-    problem: BundleAdjustment,
-    kept: NDArray[np.bool_],
-    lens: str,
-    starts: Sequence[FloatArray],
-    size: tuple[int, int],
-) -> list[BundleSolution]:
-    """Solve from each start; leave out starts that fail."""
-    found = []
-    for values in starts:
-        rig = CameraRig.single(lens, values)
-        poses = estimate_board_poses(problem, rig, size)
-        with suppress(np.linalg.LinAlgError):
-            found.append(problem.select(kept).solve(rig, poses.select(kept)))
-    return found
 
 
 def drop_and_reweight_views(
@@ -353,13 +254,14 @@ def drop_and_reweight_views(
     """
     weighted = problem
     for _ in range(_MOST_FITS):
-        poses, linear = problem.fit_poses(solution.rig, poses)
-        views = compute_view_residuals(problem, linear)
-        chosen = ~views.outliers(kept_views)
+        views = problem.fit_poses(solution.rig, poses)
+        poses, noise, rms_px = views.poses, views.view_chi, views.view_rms_px
+        outliers = noise > _OUTLIER_CHI_RATIO * np.median(noise[kept_views])
+        outliers &= rms_px > _OUTLIER_RMS_RATIO * np.median(rms_px[kept_views])
+        chosen = ~outliers & np.isfinite(noise)
         if chosen.sum() < LEAST_VIEWS:
             chosen = kept_views
-        reduced_chi = views.reduced_chi / np.median(views.reduced_chi[chosen])
-        share = np.maximum(reduced_chi / _NOISY_VIEW_RATIO, 1.0) ** 2
+        share = np.maximum(noise / np.median(noise[chosen]) / _NOISY_VIEW_RATIO, 1.0) ** 2
         before = weighted.sigma[:, kept_views]
         weighted = replace(problem, sigma=problem.sigma * share[:, None, None])
         same = np.array_equal(chosen, kept_views)
@@ -372,18 +274,16 @@ def drop_and_reweight_views(
     return CameraFit(solution, kept_views, views)
 
 
-def mistaken_corners_px(
-    problem: BundleAdjustment, rig: CameraRig, size: tuple[int, int]
-) -> FloatArray:
+def mistaken_corners_px(problem: BundleAdjustment, rig: CameraRig) -> FloatArray:
     """(v, n) px from where others of a view put a mistaken corner; 0 for good ones."""
     shown = problem.seen[0].any(axis=-1)
     every = problem.select(shown)
-    poses, mistaken = estimate_board_poses(every, rig, size), np.zeros(every.seen[0].shape, bool)
+    poses, mistaken = estimate_board_poses(every, rig), np.zeros(every.seen[0].shape, bool)
     sigma = np.sqrt((every.sigma[0] ** 2).mean(axis=-1))
     for _ in range(_MOST_FITS):
         rest = replace(every, pixels=np.where(mistaken[..., None], np.nan, every.pixels))
-        poses, linear = rest.fit_poses(rig, poses)
-        away = np.linalg.norm(pixel_residuals(rest, linear)[0], axis=-1)
+        fitted = rest.fit_poses(rig, poses)
+        poses, away = fitted.poses, np.linalg.norm(fitted.residuals_px[0], axis=-1)
         usual = np.maximum(np.nanmedian(away, axis=1, keepdims=True), np.nanmedian(away))
         over = np.nan_to_num(away / np.maximum(_MISTAKEN_RATIO * usual, _MISTAKEN_SIGMAS * sigma))
         # a mistaken corner also pulls the pose, so that only the worst are taken per round
@@ -392,18 +292,10 @@ def mistaken_corners_px(
             break
         mistaken |= worst
     few = mistaken.sum(axis=1) <= _MOST_MISTAKEN_FRACTION * every.seen[0].sum(axis=1)
-    linear = every.linearised(rig, poses, by_rig=False)
+    away = np.linalg.norm(every.at(rig, poses).residuals_px[0], axis=-1)
     away_px = np.zeros(problem.pixels.shape[1:3])
-    away_px[shown] = np.where(
-        mistaken & few[:, None], np.linalg.norm(pixel_residuals(every, linear)[0], axis=-1), 0.0
-    )
+    away_px[shown] = np.where(mistaken & few[:, None], away, 0.0)
     return away_px
-
-
-def cross_validation_folds(views: int) -> list[NDArray[np.bool_]]:
-    """List the views that each fold holds out, (v) masks of neighbours, which may be alike."""
-    folds = min(FOLDS, views)  # of a few views, one each
-    return [np.arange(views) * folds // views == fold for fold in range(folds)]
 
 
 def cross_validation_residuals(
@@ -412,13 +304,15 @@ def cross_validation_residuals(
     """(c, v, n, 2) px, each view by cameras found without it, its pose fitted; nan if not found."""
     problem = solution.problem
     residuals = np.full(problem.pixels.shape, np.nan)
-    for out in cross_validation_folds(problem.pixels.shape[1]):
+    views = problem.pixels.shape[1]
+    folds = min(FOLDS, views)  # of a few views, one each; neighbours, which may be alike, together
+    for fold in range(folds):
+        out = np.arange(views) * folds // views == fold
         trained = problem.select(~out).solve(
             solution.rig, solution.poses.select(~out), _FOLD_TOLERANCE
         )
         tested = problem.select(out)
-        _, linear = tested.fit_poses(trained.rig, solution.poses.select(out))
-        residuals[:, out] = pixel_residuals(tested, linear)
+        residuals[:, out] = tested.fit_poses(trained.rig, solution.poses.select(out)).residuals_px
         if progress is not None:
             progress()
     return residuals
@@ -426,7 +320,7 @@ def cross_validation_residuals(
 
 def cross_validation_mean_squares(fit: CameraFit, problem: BundleAdjustment) -> FloatArray:
     """(v,) mean squares, sigma^2; of the fit, or `_UNSEEN_MEAN_SQUARE`, for views not kept."""
-    errors = fit.views.reduced_chi**2
+    errors = fit.views.view_chi**2
     sigma = problem.sigma[:, fit.kept_views]
     errors[fit.kept_views] = np.nanmean(
         (cross_validation_residuals(fit.solution) / sigma) ** 2, axis=(0, 2, 3)
@@ -484,26 +378,21 @@ def fit_camera_pair(
             f"{both.sum()} of {len(both)}"
         )
     alone = [fit.solution.rig for fit in (left, right)]
-    by_left = estimate_board_poses(
-        observations.problem.select_camera(0), alone[0], observations.image_sizes[0]
-    )
+    curvatures = 0.5 * (alone[0].board_curvatures + alone[1].board_curvatures)
+    by_left = estimate_board_poses(observations.problem.select_camera(0), alone[0])
     orders = equivalent_corner_orders(observations.target)
     turned = [_turned(observations, order, both) for order in orders]
     best: tuple[float, CameraRig, FloatArray] | None = None
     for one in turned:
-        by_right = estimate_board_poses(
-            one.problem.select_camera(1), alone[1], observations.image_sizes[1]
-        )
+        by_right = estimate_board_poses(one.problem.select_camera(1), alone[1])
         turns = by_right.rotation @ by_left.rotation.transpose(0, 2, 1)
         shifts = by_right.translation - np.einsum("vij,vj->vi", turns, by_left.translation)
         for view in np.flatnonzero(both):
             rig = CameraRig(
-                (alone[0].lenses[0], alone[1].lenses[0]),
-                (alone[0].camera_parameters[0], alone[1].camera_parameters[0]),
-                turns[view],
-                shifts[view],
-                0.5 * (alone[0].board_curvatures + alone[1].board_curvatures),
-            )
+                alone[0].lenses + alone[1].lenses,
+                alone[0].camera_parameters + alone[1].camera_parameters,
+                turns[view], shifts[view], curvatures,
+            )  # fmt: skip
             missed = np.stack([_missed_px(each.problem, rig, by_left) for each in turned])
             score = float(np.quantile(missed.min(axis=0)[both], _AGREEING_FRACTION))
             if best is None or score < best[0]:
@@ -524,16 +413,9 @@ def fit_camera_pair(
         observations.problem,
         pixels=np.where(kept[..., None, None], observations.problem.pixels, np.nan),
     )
-    by_right = estimate_board_poses(problem.select_camera(1), alone[1], observations.image_sizes[1])
-    back = rig.rotation.T
-    poses = BoardPoses(
-        np.where(left.kept_views[:, None, None], by_left.rotation, back @ by_right.rotation),
-        np.where(
-            left.kept_views[:, None],
-            by_left.translation,
-            (by_right.translation - rig.translation) @ back.T,
-        ),
-    )
+    by_right = estimate_board_poses(problem.select_camera(1), alone[1])
+    back = by_right.transformed(rig.rotation.T, -rig.rotation.T @ rig.translation)
+    poses = choose(left.kept_views, by_left, back)
     solution = problem.select(trusted).solve(rig, poses.select(trusted))
     fit = drop_and_reweight_views(problem, solution, trusted, poses)
     _check_place(fit.solution.rig)
@@ -569,13 +451,8 @@ def _turned(
 
 def _missed_px(problem: BundleAdjustment, rig: CameraRig, poses: BoardPoses) -> FloatArray:
     """(v) rms reprojection error in the right camera, px; nan without corners."""
-    right = CameraRig.single(rig.lenses[1], rig.camera_parameters[1])._replace(
-        board_curvatures=rig.board_curvatures
-    )
-    moved = BoardPoses(
-        rig.rotation @ poses.rotation, poses.translation @ rig.rotation.T + rig.translation
-    )
+    moved = poses.transformed(rig.rotation, rig.translation)
     one = problem.select_camera(1)
-    squares = pixel_residuals(one, one.linearised(right, moved, by_rig=False))[0] ** 2
+    squares = one.at(rig.alone(1), moved).residuals_px[0] ** 2
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(np.nansum(squares, axis=(1, 2)) / one.seen[0].sum(axis=1)))

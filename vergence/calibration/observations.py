@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -155,15 +155,6 @@ class BoardObservations:
         return sha.hexdigest()
 
 
-class _Seen(NamedTuple):
-    """Detection result of a photograph."""
-
-    size: tuple[int, int]
-    corners_px: FloatArray | None
-    """(n, 2) the board's corners; None if the board was not found."""
-    sigma_px: FloatArray | None
-
-
 def detect_board_corners(
     target: PlanarTarget,
     photographs: Sequence[Sequence[Path]],
@@ -176,64 +167,58 @@ def detect_board_corners(
         make_detector(target, response=response)
         for response in (responses or [None] * len(photographs))
     ]
-    views = len(photographs[0])
-    seen: list[_Seen | str] = []
+    pixels = np.full((len(photographs), len(photographs[0]), len(target.corners_m), 2), np.nan)
+    sigma = pixels.copy()
+    sizes: dict[Path, tuple[int, int]] = {}
+    failures: list[str] = []
     check, notes = LinearResponseCheck(), PhotographNotes([target])
-    for number, path in enumerate(every, 1):
-        seen.append(_look(path, detectors[(number - 1) // views], check, notes))
-        if number == _MISSES_BEFORE_CHECK:
-            _refuse_another(target, every[:number], seen)
+    for number, (path, (camera, view)) in enumerate(
+        zip(every, np.ndindex(pixels.shape[:2]), strict=True), 1
+    ):
+        try:
+            image = read_pixels(path)
+        except VergenceError as error:
+            failures.append(str(error))
+        else:
+            sizes[path] = (image.shape[1], image.shape[0])
+            found = _detect(image, detectors[camera], check, notes)
+            if found is not None:
+                pixels[camera, view], sigma[camera, view] = found
+        if number == _MISSES_BEFORE_CHECK and not np.isfinite(pixels).any():
+            _refuse_another(target, every[:number], sizes)
         if progress is not None:
             progress(number / len(every))
-    failures = [one for one in seen if isinstance(one, str)]
     if len(failures) == len(every):
         raise ConfigurationError(
             f"expected images that can be read, got none in {len(every)}"
             + (f"; the first: {failures[0]}" if failures else "")
         )
-    by_camera = [seen[start : start + views] for start in range(0, len(seen), views)]
-    sizes = tuple(_one_size(files, row) for files, row in zip(photographs, by_camera, strict=True))
-    shape = (len(photographs), views, len(target.corners_m), 2)
-    pixels, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
-    for camera, row in enumerate(by_camera):
-        for view, one in enumerate(row):
-            if isinstance(one, _Seen) and one.corners_px is not None:
-                pixels[camera, view], sigma[camera, view] = one.corners_px, one.sigma_px
-    excluded = {
-        str(path): "it could not be read"
-        for path, one in zip(every, seen, strict=True)
-        if isinstance(one, str)
-    }
-    found = BoardObservations(
+    observations = BoardObservations(
         target=target,
         file_names=tuple(tuple(map(str, files)) for files in photographs),
-        image_sizes=sizes,
+        image_sizes=tuple(_one_size(files, sizes) for files in photographs),
         pixels=pixels,
         sigma=sigma,
-        excluded=excluded,
+        excluded={str(path): "it could not be read" for path in every if path not in sizes},
         remarks=notes.lines(every, [check]),
     )
-    seen = np.isfinite(pixels).any()
-    if len(by_camera) > 1 and seen and np.array_equal(pixels[0], pixels[1], equal_nan=True):
+    seen = np.isfinite(pixels)
+    if len(pixels) > 1 and seen.any() and np.array_equal(pixels[0], pixels[1], equal_nan=True):
         raise ConfigurationError(
             "expected photographs of two cameras, got the same ones for the left and the right"
         )
-    for files, usable, row in zip(photographs, found.usable, by_camera, strict=True):
-        if not usable.any():
-            _refuse_another(target, files, row)
+    for camera, files in enumerate(photographs):
+        if not observations.usable[camera].any():
+            if not seen[camera].any():
+                _refuse_another(target, files, sizes)
             raise _not_found(target, files, "")
-    return found, failures
+    return observations, failures
 
 
-def _look(
-    path: Path, detector: Detector[Any], check: LinearResponseCheck, notes: PhotographNotes
-) -> _Seen | str:
-    """Detect the board, also at half sizes, as large images are soft; a text if unreadable."""
-    try:
-        image = read_pixels(path)
-    except VergenceError as error:
-        return str(error)
-    height, width = image.shape[:2]
+def _detect(
+    image: NDArray[Any], detector: Detector[Any], check: LinearResponseCheck, notes: PhotographNotes
+) -> tuple[FloatArray, FloatArray] | None:
+    """Corners and sigma of the board, px; tried also at half sizes, as large images are soft."""
     scale = 1.0
     found = detector.detect(image)
     if image.dtype == np.int32:  # from a TIFF; cv2.resize does not take it
@@ -243,12 +228,11 @@ def _look(
         scale *= 2.0
         found = detector.detect(image)
     if found is None:
-        return _Seen((width, height), None, None)
+        return None
     check.add(image, [found], detector.response_of(image))
     notes.add(image, [found], check_white=False)
     # pixel centres are at integers
-    corners = scale * (found.corners_px + 0.5) - 0.5
-    return _Seen((width, height), corners, scale * found.corners_sigma_px)
+    return scale * (found.corners_px + 0.5) - 0.5, scale * found.corners_sigma_px
 
 
 def alike_views(pixels: FloatArray, sigma: FloatArray) -> dict[int, int]:
@@ -271,12 +255,10 @@ def alike_views(pixels: FloatArray, sigma: FloatArray) -> dict[int, int]:
 
 
 def _refuse_another(
-    target: PlanarTarget, files: Sequence[Path], seen: Sequence[_Seen | str]
+    target: PlanarTarget, files: Sequence[Path], sizes: Mapping[Path, tuple[int, int]]
 ) -> None:
-    """Refuse photographs of another board before all are searched for this one."""
-    if any(isinstance(one, _Seen) and one.corners_px is not None for one in seen):
-        return
-    readable = [p for p, one in zip(files, seen, strict=True) if isinstance(one, _Seen)]
+    """Refuse photographs of another board, of which those with a size could be read."""
+    readable = [path for path in files if path in sizes]
     there = describe_similar_targets(read_image(readable[0]), [target]) if readable else ""
     if there:
         raise _not_found(target, files, f"; in {readable[0].name} {there}")
@@ -290,12 +272,12 @@ def _not_found(target: PlanarTarget, files: Sequence[Path], hint: str) -> Config
     )
 
 
-def _one_size(files: Sequence[Path], row: Sequence[_Seen | str]) -> tuple[int, int]:
+def _one_size(files: Sequence[Path], sizes: Mapping[Path, tuple[int, int]]) -> tuple[int, int]:
     """Get the common size of a camera's images, px."""
     by_size: dict[tuple[int, int], list[str]] = {}
-    for path, one in zip(files, row, strict=True):
-        if isinstance(one, _Seen):
-            by_size.setdefault(one.size, []).append(path.name)
+    for path in files:
+        if path in sizes:
+            by_size.setdefault(sizes[path], []).append(path.name)
     if not by_size:
         raise ConfigurationError(f"expected images that can be read, got none like {files[0]}")
     ordered = sorted(by_size.items(), key=lambda item: -len(item[1]))

@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,20 +15,18 @@ from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import LogLocator
 from scipy.spatial import ConvexHull, QhullError
 
-from vergence.calibration.adjustment import camera_parameter_names, rms_length
 from vergence.calibration.advice import (
     CELLS,
     advise_next_photographs,
     board_sag,
     board_tilts,
-    camera_names,
     direction_sigma_px_at,
     median_and_corner_sigma_px,
     pixel_grid,
     views_in_cells,
 )
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.files import DepthSigma, depth_sigma_at, depths_to_plot_m, pixel_noise_px
+from vergence.calibration.uncertainty import DepthSigma
 from vergence.files import write_atomic
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.reporting.report import inline_svg
@@ -59,31 +57,42 @@ def write_run(folder: Path, calibration: Calibration, file_text: str, file_name:
     """Write a calibration's file, its tables and its report."""
     (folder / file_name).write_text(file_text, encoding="utf-8")
     names = calibration.rig.names(EYE_NAMES[: len(calibration.single_fits)])
+    told = {**calibration.document(), "advice": advise_next_photographs(calibration)}
     write_json(
         folder / "result.json",
         {
-            **calibration.document(),
-            "advice": advise_next_photographs(calibration),
+            **told,
             "lens_errors": dict(calibration.lens_errors),
             "numbers": dict(zip(names, calibration.rig.packed().tolist(), strict=True)),
             "sigma": dict(zip(names, calibration.sigma.tolist(), strict=True)),
             "covariance": calibration.covariance.tolist(),
         },
     )
-    views, stems = calibration.fit.views, calibration.observations.file_names[0]
-    write_csv(
-        folder / "views.csv",
-        ["view", "kept", "rms_px", "noise"],
-        (
-            [Path(path).name, bool(kept), rms_px, noise]
-            for path, kept, rms_px, noise in zip(
-                stems, calibration.fit.kept_views, views.rms_px, views.reduced_chi, strict=True
-            )
-        ),
-    )
+    views = calibration.fit.views
+    columns = [
+        [Path(path).name for path in calibration.observations.file_names[0]],
+        calibration.fit.kept_views.tolist(), views.view_rms_px, views.view_chi,
+    ]  # fmt: skip
+    write_csv(folder / "views.csv", ["view", "kept", "rms_px", "noise"], zip(*columns, strict=True))
+    several, held = len(calibration.camera_names) > 1, board_tilts(calibration)[0]
     write_page(
-        folder, "cameras.html.jinja", _figures(calibration), **_values(calibration), name=file_name
-    )
+        folder, "cameras.html.jinja", _figures(calibration), **told, name=file_name,
+        calibration=calibration, several=several,
+        head="two cameras" if several else "a camera",
+        sides=calibration.camera_names, side="camera", remarks=calibration.read_errors,
+        every=len(calibration.fit.kept_views), sag=board_sag(calibration),
+        tilt_deg=np.quantile(held.angle_deg, [0.0, 0.5, 1.0]).tolist(),
+        distance_m=[float(held.distance_m.min()), float(held.distance_m.max())],
+        directions=[
+            median_and_corner_sigma_px(calibration, camera)
+            for camera in range(len(calibration.camera_names))
+        ],
+        depths=_depth_rows(calibration) if several else [],
+        numbers=[
+            [f"{camera} {label}", *(format_fixed(one, 2 if label[1] == "_" else 5) for one in pair)]
+            for camera, label, *pair in calibration.camera_values
+        ],
+    )  # fmt: skip
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -109,84 +118,34 @@ def write_page(folder: Path, template: str, figures: Mapping[str, Figure], **val
 
 def _figures(calibration: Calibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
-    drawn = {}
-    for camera, name in enumerate(camera_names(calibration)):
-        drawn[f"residuals-{name}"] = residual_field(calibration, camera)
-        drawn[f"radius-{name}"] = residuals_by_radius(calibration, camera)
-        drawn[f"coverage-{name}"] = image_coverage(calibration, camera)
-        drawn[f"directions-{name}"] = direction_sigma(calibration, camera)
+    by_camera = {
+        "residuals": residual_field, "radius": residuals_by_radius, "coverage": image_coverage,
+        "directions": direction_sigma,
+    }  # fmt: skip
+    drawn = {
+        f"{kind}-{name}": draw(calibration, camera)
+        for camera, name in enumerate(calibration.camera_names)
+        for kind, draw in by_camera.items()
+    }
     drawn["tilts"] = tilt_directions(calibration)
     drawn["distances"] = tilts_by_distance(calibration)
     drawn["views"] = view_residuals(calibration)
     if len(calibration.single_fits) > 1:
-        depth = depth_sigma_at(calibration, depths_to_plot_m(calibration))
+        depth = calibration.depth_sigma_at(depths_to_plot_m(calibration))
         drawn["depth"] = depth_sigma(depth, in_percent=False)
         drawn["depth-relative"] = depth_sigma(depth, in_percent=True)
     return drawn
 
 
-def _values(calibration: Calibration) -> dict[str, Any]:
-    """Collect the values for the template."""
-    names = camera_names(calibration)
-    several = len(names) > 1
-    held, rig = board_tilts(calibration, 0), calibration.rig
-    return {
-        "several": several,
-        "head": "two cameras" if several else "a camera",
-        "names": names,
-        "sides": names,
-        "side": "camera",
-        "target": str(calibration.observations.target),
-        "lens": calibration.lens,
-        "sizes": calibration.observations.image_sizes,
-        "kept": int(calibration.fit.kept_views.sum()),
-        "every": len(calibration.fit.kept_views),
-        "dropped": calibration.dropped,
-        "alone_px": calibration.rms_alone_px,
-        "together_px": rms_length(calibration.fit.solution.residuals_px),
-        "held_out_px": rms_length(calibration.held_out_px),
-        "baseline": calibration.baseline_mm if several else None,
-        "focal": [
-            (float(values[0]), float(calibration.sigma[block][0]))
-            for values, block in zip(rig.camera_parameters, rig.blocks, strict=False)
-        ],
-        "lenses": dict(calibration.lens_errors),
-        "sag": board_sag(calibration),
-        "advice": advise_next_photographs(calibration),
-        "remarks": calibration.read_errors,
-        "tilt_deg": np.quantile(held.angle_deg, [0.0, 0.5, 1.0]).tolist(),
-        "distance_m": [float(held.distance_m.min()), float(held.distance_m.max())],
-        "directions": [
-            median_and_corner_sigma_px(calibration, camera) for camera in range(len(names))
-        ],
-        "depths": _depth_rows(calibration) if several else [],
-        "noise_px": pixel_noise_px(calibration),
-        "numbers": _number_rows(calibration),
-    }
-
-
 def _depth_rows(calibration: Calibration) -> list[list[str]]:
     """Format the rows of the depth table."""
-    depth = depth_sigma_at(calibration, np.array(_DEPTHS_M))
+    depth = calibration.depth_sigma_at(np.array(_DEPTHS_M))
     columns = [1e3 * depth.calibration_m, 1e3 * depth.noise_m, 1e3 * depth.total_m,
                1e2 * depth.total_m / depth.distance_m]  # fmt: skip
     return [
         [f"{distance:g} m", *map(format_number, row)]
         for distance, row in zip(_DEPTHS_M, np.column_stack(columns).tolist(), strict=True)
     ]
-
-
-def _number_rows(calibration: Calibration) -> list[list[str]]:
-    """Format the rows of the table of camera parameters."""
-    rows, rig = [], calibration.rig
-    for name, lens, values, block in zip(
-        camera_names(calibration), rig.lenses, rig.camera_parameters, rig.blocks, strict=False
-    ):
-        sigma = calibration.sigma[block].tolist()
-        for label, *pair in zip(camera_parameter_names(lens), values.tolist(), sigma, strict=True):
-            digits = 2 if label[1] == "_" else 5
-            rows.append([f"{name} {label}", *(format_fixed(each, digits) for each in pair)])
-    return rows
 
 
 Line = tuple[FloatArray, str, dict[str, Any]]
@@ -311,15 +270,18 @@ _AXIS_LIMIT_MEDIANS: Final = 4.0
 """Largest bar in medians of the kept views, unless a kept view exceeds it (chosen)."""
 _MOST_NAMED_VIEWS: Final = 40
 """Largest number of views that all have their names below the bars (chosen)."""
+_BASELINES: Final = (3.0, 100.0)
+"""Nearest and farthest distance of the figure, in baselines (chosen: the range of use)."""
+_NEAR_M: Final = 0.2
+"""Distance from which on the figure reaches in any case, m (chosen: the range of use)."""
+_FAR_M: Final = 5.0
+"""Distance up to which the figure reaches in any case, m (chosen: the range of use)."""
 
 
 def residual_field(calibration: Calibration, camera: int) -> Figure:
     """Draw mean residuals over a camera's image as magnified arrows."""
-    return draw_residual_arrows(
-        *_residuals(calibration, camera),
-        calibration.observations.image_sizes[camera],
-        camera_names(calibration)[camera],
-    )
+    size, name = calibration.observations.image_sizes[camera], calibration.camera_names[camera]
+    return draw_residual_arrows(*_residuals(calibration, camera), size, name)
 
 
 def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
@@ -351,7 +313,7 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
         limit = 1.05 * float(np.quantile(np.abs(along), 0.99))
         panel.set(
             xlabel="radius from the principal point (px)", ylabel="residual (px)",
-            ylim=(-limit, limit), title=camera_names(calibration)[camera],
+            ylim=(-limit, limit), title=calibration.camera_names[camera],
         )  # fmt: skip
         legend_below(figure, 2, fontsize=10)
     return figure
@@ -360,18 +322,16 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
 def image_coverage(calibration: Calibration, camera: int) -> Figure:
     """Draw the corners used by the calibration over the image, and the views in each part of it."""
     views = calibration.fit.solution.problem.pixels[camera]
-    size, name = calibration.observations.image_sizes[camera], camera_names(calibration)[camera]
+    size, name = calibration.observations.image_sizes[camera], calibration.camera_names[camera]
     return draw_corner_coverage(views, size, name, EYE_STYLES[camera]["color"])
 
 
 def tilt_directions(calibration: Calibration) -> Figure:
     """Plot direction and size of the board's tilts."""
+    held = board_tilts(calibration)
+    most = max(40.0, *(1.1 * float(each.angle_deg.max()) for each in held))
     with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
-        most = 40.0
-        for camera, name in enumerate(camera_names(calibration)):
-            held = board_tilts(calibration, camera)
-            panel.plot(*held.tilt_deg.T, label=name, **_dots(camera))
-            most = max(most, 1.1 * float(held.angle_deg.max()))
+        _draw_views(panel, calibration, [each.tilt_deg.T for each in held])
         for ring in range(15, int(most), 15):
             panel.add_patch(Circle((0.0, 0.0), ring, fill=False, ec=GREY, lw=0.8, ls=":"))
             panel.text(
@@ -391,33 +351,35 @@ def tilt_directions(calibration: Calibration) -> Figure:
 
 def tilts_by_distance(calibration: Calibration) -> Figure:
     """Plot the tilt of the board in each view against its distance."""
+    held = board_tilts(calibration)
     with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
-        for camera, name in enumerate(camera_names(calibration)):
-            held = board_tilts(calibration, camera)
-            panel.plot(held.distance_m, held.angle_deg, label=name, **_dots(camera))
+        _draw_views(panel, calibration, [(each.distance_m, each.angle_deg) for each in held])
         panel.set(
             xlabel="distance of the board's middle (m)", ylabel="tilt (°)",
             title="tilt and distance of each view's board",
         )  # fmt: skip
         panel.set_ylim(bottom=0.0)
-        if len(calibration.single_fits) > 1:
+        if len(held) > 1:
             legend_below(figure, 2)
     return figure
 
 
-def _dots(camera: int) -> dict[str, Any]:
-    return {**EYE_STYLES[camera], "linestyle": "none", "ms": 6, "alpha": 0.75, "mew": 0}
+def _draw_views(panel: Axes, calibration: Calibration, places: Sequence[Any]) -> None:
+    for name, style, (across, up) in zip(
+        calibration.camera_names, EYE_STYLES, places, strict=False
+    ):
+        panel.plot(across, up, label=name, **style, linestyle="none", ms=6, alpha=0.75, mew=0)
 
 
 def view_residuals(calibration: Calibration) -> Figure:
     """Plot the root mean square of each view's residuals; views left out are hatched."""
-    fits = dict(zip(camera_names(calibration), calibration.single_fits, strict=True))
+    fits = dict(zip(calibration.camera_names, calibration.single_fits, strict=True))
     colours = [EYE_STYLES[camera]["color"] for camera in range(len(fits))]
     if len(fits) > 1:
         fits["both together"] = calibration.fit
         colours.append(GREEN)
     bars = {
-        name: np.where(np.isfinite(fit.views.reduced_chi), fit.views.rms_px, 0.0)
+        name: np.where(np.isfinite(fit.views.view_chi), fit.views.view_rms_px, 0.0)
         for name, fit in fits.items()
     }
     good = np.concatenate([bars[name][fit.kept_views] for name, fit in fits.items()])
@@ -440,7 +402,7 @@ def view_residuals(calibration: Calibration) -> Figure:
         panel.grid(axis="x", visible=False)
         panel.set_axisbelow(True)
         panel.set(xlim=(-0.7, len(kept) - 0.3), ylim=(0.0, 1.08 * limit), ylabel="rms (px)")
-        labels = truncated_file_stems(calibration.observations.file_names[0])
+        labels = [Path(name).stem[-16:] for name in calibration.observations.file_names[0]]
         step = -(-len(kept) // _MOST_NAMED_VIEWS)
         panel.set_xticks(places[::step], labels[::step], rotation=90, fontsize=9)
         panel.tick_params(axis="x", length=0, pad=10)
@@ -452,27 +414,30 @@ def view_residuals(calibration: Calibration) -> Figure:
 
 def direction_sigma(calibration: Calibration, camera: int) -> Figure:
     """Draw the standard deviation of directions over a camera's image, and the hull of corners."""
-    width, height = calibration.observations.image_sizes[camera]
-    grid = pixel_grid((width, height), _CONTOUR_GRID_COUNT)
-    sigma = direction_sigma_px_at(calibration, camera, grid.reshape(-1, 2)).reshape(
-        _CONTOUR_GRID_COUNT, _CONTOUR_GRID_COUNT
-    )
+    size = calibration.observations.image_sizes[camera]
+    grid = pixel_grid(size, _CONTOUR_GRID_COUNT).transpose(2, 0, 1)
+    sigma = direction_sigma_px_at(calibration, camera, _CONTOUR_GRID_COUNT)
     low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
     pixels, _ = _residuals(calibration, camera)
-    with image_panel((width, height)) as (figure, panel):
-        panel.contourf(
-            *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high)
-        )
-        lines = panel.contour(
-            *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, colors=BLACK, linewidths=0.8
-        )
+    with image_panel(size) as (figure, panel):
+        panel.contourf(*grid, shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high))
+        lines = panel.contour(*grid, shown, _LEVELS_PX, colors=BLACK, linewidths=0.8)
         panel.clabel(lines, fmt="%g", fontsize=10)
         panel.set_facecolor("#bbbbbb")
-        hull = _hull(pixels)
-        panel.plot(*hull.T, "--", color=ORANGE, lw=2.0)
-        panel.set_title(f"{camera_names(calibration)[camera]}, sigma of directions (px)")
+        with suppress(QhullError):  # the pixels are collinear
+            pixels = pixels[ConvexHull(pixels).vertices]
+            pixels = np.append(pixels, pixels[:1], axis=0)
+        panel.plot(*pixels.T, "--", color=ORANGE, lw=2.0)
+        panel.set_title(f"{calibration.camera_names[camera]}, sigma of directions (px)")
     return figure
+
+
+def depths_to_plot_m(calibration: Calibration) -> FloatArray:
+    """(n) distances for a figure, m, evenly spaced on a logarithmic scale."""
+    baseline = float(np.linalg.norm(calibration.rig.translation))
+    near, far = min(_NEAR_M, _BASELINES[0] * baseline), max(_FAR_M, _BASELINES[1] * baseline)
+    return np.geomspace(near, far, 80)
 
 
 def depth_sigma(depth: DepthSigma, in_percent: bool) -> Figure:
@@ -511,22 +476,8 @@ def draw_by_distance(
     return figure
 
 
-def truncated_file_stems(names: Sequence[str]) -> list[str]:
-    """Shorten file names: without folder and suffix, the last 16 characters."""
-    return [name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0][-16:] for name in names]
-
-
 def _residuals(calibration: Calibration, camera: int) -> tuple[FloatArray, FloatArray]:
     """(n, 2) measured corners of the kept views, and residuals projected minus measured, px."""
     solution = calibration.fit.solution
     seen = solution.problem.seen[camera]
     return solution.problem.pixels[camera][seen], solution.residuals_px[camera][seen]
-
-
-def _hull(pixels: FloatArray) -> FloatArray:
-    """Closed convex hull of pixels; the pixels themselves if they are collinear."""
-    try:
-        corners = ConvexHull(pixels).vertices
-    except QhullError:
-        return pixels
-    return np.asarray(pixels[np.append(corners, corners[0])])

@@ -13,19 +13,25 @@ replaces the covariance of independent corners: with v views and p parameters, t
 covariance with weight v / (v + p), and s^2 scaled up to the size of the pulls with the rest.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
+import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vergence.calibration.adjustment import (
     BoardPoses,
     BundleAdjustment,
     BundleSolution,
+    CameraRig,
     cross_matrices,
     project_with_jacobians,
 )
+from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.triangulation import triangulate_views
 
 _LEAST_EIGENVALUE: Final = 1e-15
 """Least eigenvalue of the scaled information matrix; a smaller one belongs to a combination of
@@ -33,6 +39,8 @@ parameters that is not observable (numerical)."""
 _LEAST_LEVERAGE_COMPLEMENT: Final = 1e-3
 """Least eigenvalue of 1 - H_v: a view that alone determines a parameter leaves no residual from
 which to estimate its error (numerical)."""
+_STEP_SIGMAS: Final = 1e-3
+"""Step of finite differences, in standard deviations of each parameter (numerical)."""
 _SIGNIFICANT_SIGMAS: Final = 2.0
 """Standard deviations by which the pulls have to exceed their expectation before their covariance
 is used (chosen)."""
@@ -106,18 +114,94 @@ def board_points_in_camera(solution: BundleSolution, camera: int) -> FloatArray:
     return solution.rig.in_camera(camera, points)
 
 
-def triangulation_covariances(
-    solution: BundleSolution, covariance: FloatArray, points: FloatArray, noise_px: float
-) -> tuple[FloatArray, FloatArray]:
-    """(n, 3, 3) in the left camera, m^2: by the calibration's errors, and by one pair's noise."""
+@dataclass(frozen=True, eq=False)
+class DepthSigma:
+    """Standard deviations of depth along the pair's middle axis; nan outside either image."""
+
+    distance_m: FloatArray
+    """(n) distance from the middle of the baseline."""
+    calibration_m: FloatArray
+    """(n) contribution of calibration errors, which are the same in every pair of images."""
+    noise_m: FloatArray
+    """(n) contribution of the noise of one pair of images."""
+
+    @property
+    def total_m(self) -> FloatArray:
+        """(n) root sum square of both contributions."""
+        return np.asarray(np.hypot(self.calibration_m, self.noise_m))
+
+
+def depth_sigma_at(
+    solution: BundleSolution, covariance: FloatArray, sizes: Sequence[tuple[int, int]],
+    noise_px: float, distance_m: FloatArray,
+) -> DepthSigma:  # fmt: skip
+    """Uncertainty of depth along the bisector of a pair's axes.
+
+    Args:
+        solution: the pair's calibration.
+        covariance: (p, p) covariance of the rig's parameters.
+        sizes: size of both images, px.
+        noise_px: standard deviation of one pair's pixels.
+        distance_m: (n) distances from the baseline's middle.
+    """
+    rig = solution.rig
+    axis = np.array([0.0, 0.0, 1.0]) + rig.rotation[2]
+    axis /= np.linalg.norm(axis)
+    points = -0.5 * rig.rotation.T @ rig.translation + distance_m[:, None] * axis
+    inside = np.ones(len(points), bool)
+    for camera, size in enumerate(sizes):
+        lens, values = rig.lenses[camera], rig.camera_parameters[camera]
+        pixels = project_with_jacobians(lens, values, rig.in_camera(camera, points)).pixels
+        inside &= ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all(axis=-1)
     one = BundleAdjustment(points[:1], np.zeros((2, 1, 1, 2)), np.ones((2, 1, 1, 2)))
     still = BoardPoses(np.eye(3)[None], np.zeros((1, 3)))
-    of_calibration, of_noise = [], []
-    for point in points:
-        linear = replace(one, board_corners=point[None]).linearised(solution.rig, still)
+    sigma = np.full((2, len(points)), np.nan)
+    for number in np.flatnonzero(inside):
+        linear = replace(one, board_corners=points[[number]]).linearised(rig, still)
         by_point, by_rig = linear.pose_jacobian[0, :, 3:], linear.rig_jacobian[0]
         spread = np.linalg.inv(by_point.T @ by_point)
-        moved = spread @ by_point.T @ by_rig
-        of_calibration.append(moved @ covariance @ moved.T)
-        of_noise.append(noise_px**2 * spread)
-    return np.array(of_calibration), np.array(of_noise)
+        by_rig = axis @ spread @ by_point.T @ by_rig
+        sigma[:, number] = np.sqrt(
+            [by_rig @ covariance @ by_rig, noise_px**2 * axis @ spread @ axis]
+        )
+    return DepthSigma(distance_m, *sigma)
+
+
+def depth_sigma_by_head(
+    nominal_head: HeadModel, values: FloatArray, sigma: FloatArray, covariance: FloatArray,
+    views: tuple[FloatArray, FloatArray], along: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Uncertainty of depth by that of a head's parameters, to first order.
+
+    Args:
+        nominal_head: the head before its calibration.
+        values: (p,) its calibrated parameters, see `HeadModel.parameters`.
+        sigma: (p,) size of their deviations, for finite differences; 0 for exact ones.
+        covariance: (p, p) their covariance.
+        views: (n, j) joint angles, and pixels, from which the points are triangulated.
+        along: (n, 3) directions of depth.
+
+    Returns:
+        (n,) standard deviation of depth, m.
+    """
+    free = np.flatnonzero(sigma)
+    steps = _STEP_SIGMAS * np.diag(sigma)[free]
+    moved = nominal_head.with_parameters((values + np.stack([steps, -steps]))[:, :, None])
+    depth = np.einsum("snpi,pi->snp", triangulate_views(moved, *views).point, along)
+    by_value = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
+    inner = covariance[np.ix_(free, free)]
+    return np.asarray(np.sqrt(np.einsum("np,nm,mp->p", by_value, inner, by_value)))
+
+
+def right_camera_pose_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
+    """(6, 6) of r, p in (R^T exp([r]), p = -R^T T), rad, m, from `x_right = R x_left + T`."""
+    vector = Rotation.from_matrix(rig.rotation).as_rotvec()
+    by_vector = np.asarray(cv2.Rodrigues(vector)[1]).reshape(3, 3, 3)
+    # R(v + d) = exp([J d]) R(v)
+    spins = by_vector @ rig.rotation.T
+    turning = np.stack([spins[:, 2, 1], spins[:, 0, 2], spins[:, 1, 0]])
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, :3] = -turning
+    jacobian[3:, :3] = -rig.rotation.T @ cross_matrices(rig.translation) @ turning
+    jacobian[3:, 3:] = -rig.rotation.T
+    return np.asarray(jacobian @ covariance @ jacobian.T)

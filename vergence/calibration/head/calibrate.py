@@ -38,6 +38,7 @@ from vergence.calibration.head.terms import (
     cross_validate_by_pose,
     with_backlash,
 )
+from vergence.calibration.uncertainty import depth_sigma_by_head
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import NECK, FloatArray
@@ -292,11 +293,6 @@ def _listed(head: HeadModel, angles: FloatArray) -> str:
     )
 
 
-_STEP_SIGMAS: Final = 1e-3
-"""Step of a central difference, in prior standard deviations of a parameter: far above rounding,
-with a square far below 1 (numerical)."""
-
-
 @dataclass(frozen=True, eq=False)
 class DepthErrors:
     """Errors along the line from midway between the eyes to fixated points; nan if out of reach."""
@@ -366,20 +362,10 @@ def predict_depth_errors(
     pixels = head.project(q, points)
     fix = triangulate_views(head, q, pixels)
     off = triangulate_views(calibration.nominal_head, q, pixels).point - points
-    free = calibration.solution.problem.prior_sigma > 0.0
-    steps = _STEP_SIGMAS * np.diag(calibration.solution.problem.prior_sigma)[free]
-    values = calibration.solution.state.head_parameters + np.stack([steps, -steps])
-    moved = triangulate_views(
-        calibration.nominal_head.with_parameters(values[:, :, None]), q, pixels
-    ).point
-    depth = np.einsum("snpi,pi->snp", moved, along)
-    depth_derivatives = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
-    spread = np.einsum(
-        "np,nm,mp->p",
-        depth_derivatives,
-        calibration.covariance[np.ix_(free, free)],
-        depth_derivatives,
-    )
+    sigma = depth_sigma_by_head(
+        calibration.nominal_head, calibration.solution.state.head_parameters,
+        calibration.solution.problem.prior_sigma, calibration.covariance, (q, pixels), along,
+    )  # fmt: skip
     floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
     return DepthErrors(
         distance,
@@ -388,7 +374,7 @@ def predict_depth_errors(
             for values in (
                 (off * along).sum(axis=-1),
                 np.linalg.norm(off, axis=-1),
-                np.sqrt(spread),
+                sigma,
                 np.sqrt(floor),
             )
         ),

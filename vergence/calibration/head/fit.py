@@ -82,8 +82,7 @@ def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[BoardPoses]:
     for eye in range(2):
         only = slice(eye, eye + 1)
         problem = BundleAdjustment(frames.corners, frames.pixels[only], frames.sigma[only])
-        width, height = head.cameras.size[eye].tolist()
-        found.append(estimate_board_poses(problem, single_camera_rig(head, eye), (width, height)))
+        found.append(estimate_board_poses(problem, single_camera_rig(head, eye)))
     return found
 
 

@@ -17,15 +17,13 @@ from vergence.calibration.head.fit import (
 )
 from vergence.calibration.head.judge import clustered_head_covariance, head_and_term_covariance
 from vergence.calibration.head.recording import HeadFrames
+from vergence.calibration.uncertainty import depth_sigma_by_head
 from vergence.models.head import HeadModel
 from vergence.models.parts import NECK, FloatArray
 from vergence.perception.locate import equivalent_corner_orders
-from vergence.triangulation import triangulate_views
 
 DEPTHS_M: Final = (1.0, 2.5)
 """Distances straight ahead at which depth is judged, m (chosen: the range of use)."""
-_STEP_SIGMAS: Final = 1e-3
-"""Step of finite differences, in standard deviations of each parameter (numerical)."""
 
 
 _ALWAYS_FITTED_POSES: Final = 60
@@ -218,13 +216,7 @@ def depth_sigma_m(
     ahead = np.array([[0.0, 0.0, depth_m] for depth_m in DEPTHS_M])
     points = ahead + head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
     q = head.fixate(points, head.rest()[NECK])
-    pixels = head.project(q, points)
-    steps = np.diag(_STEP_SIGMAS * np.sqrt(np.diagonal(covariance)))
-    changed = nominal_head.with_parameters((values + np.stack([steps, -steps]))[:, :, None])
-    depth = triangulate_views(changed, q, pixels).point[..., 2]
-    by_step = (depth[0] - depth[1]) / 2.0  # (p, 2)
-    # in units of the steps
-    scale = 1.0 / np.diagonal(steps)
-    correlation = covariance * scale[:, None] * scale
-    squares: FloatArray = np.einsum("id,ij,jd->d", by_step, correlation, by_step)
-    return np.sqrt(squares)
+    return depth_sigma_by_head(
+        nominal_head, values, np.sqrt(np.diagonal(covariance)), covariance,
+        (q, head.project(q, points)), np.array([[0.0, 0.0, 1.0]] * len(points)),
+    )  # fmt: skip

@@ -106,21 +106,14 @@ class CalibrationOptions:
 
 def print_calibration(calibration: "Calibration", out: Path) -> None:
     """Print a calibration: values, residuals, views left out, and the path of its file."""
-    from vergence.calibration.adjustment import camera_parameter_names, rms_length
-    from vergence.models.parts import EYE_NAMES
+    from vergence.calibration.adjustment import rms_length
 
-    several = len(calibration.single_fits) > 1
-    names = list(EYE_NAMES) if several else ["camera"]
+    names = calibration.camera_names
+    several = len(names) > 1
     rows = []
-    for camera, (name, values) in enumerate(
-        zip(names, calibration.rig.camera_parameters, strict=False)
-    ):
-        sigma = calibration.sigma[calibration.rig.blocks[camera]]
-        for label, value, deviation in zip(
-            camera_parameter_names(calibration.lens), values.tolist(), sigma.tolist(), strict=True
-        ):
-            digits = 2 if label[1] == "_" else 5
-            rows.append([name, label, f"{value:.{digits}f}", f"{deviation:.{digits}f}"])
+    for name, label, value, deviation in calibration.camera_values:
+        digits = 2 if label[1] == "_" else 5
+        rows.append([name, label, f"{value:.{digits}f}", f"{deviation:.{digits}f}"])
     if several:
         baseline, deviation = calibration.baseline_mm
         digits = max(2, 1 - math.floor(math.log10(max(deviation, 1e-9))))

@@ -38,7 +38,7 @@ class CalibrateIntrinsics(CalibrationOptions):
 
         if not self.images:
             raise ConfigurationError("expected images or folders of images, got none")
-        from vergence.calibration.files import ros_camera_document
+        from vergence.calibration.calibrate import ros_camera_document
 
         def text(calibration: "Calibration") -> str:
             import yaml

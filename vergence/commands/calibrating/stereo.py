@@ -46,7 +46,7 @@ class CalibrateStereo(CalibrationOptions):
                 f"{len(pairs.unpaired)} of the images have no partner: "
                 f"{join_first_names(path.name for path in pairs.unpaired)}"
             )
-        from vergence.calibration.files import head_file_text
+        from vergence.calibration.calibrate import head_file_text
 
         def text(calibration: "Calibration") -> str:
             return head_file_text(calibration, name, self.parsed_response())
