@@ -81,12 +81,13 @@ class Detection(NamedTuple):
                 "pose: expected a detector made with a camera and its lens model, as by "
                 "make_detector(target, camera), got one without"
             )
-        view = View(self.camera, self.corners_px, corner_noise(self, _UNSTATED_SIGMA_PX))
+        view = View(self.camera, self.corners_px, corner_noise(self))
         return estimate_pose(self.target.corners_m, [view])
 
 
-def corner_noise(found: Detection, unstated_px: float) -> NDArray[np.float64]:
+def corner_noise(found: Detection, unstated_px: float = 0.0) -> NDArray[np.float64]:
     """Noise of a detection's corners, see `View`, with a sigma, px, for those that state none."""
+    unstated_px = unstated_px or _UNSTATED_SIGMA_PX
     if found.corners_covariance_px2 is not None:
         return found.corners_covariance_px2
     return np.where(found.corners_sigma_px > 0.0, found.corners_sigma_px, unstated_px)

@@ -164,7 +164,8 @@ def estimate_pose(
 
     Returns:
         The pose in the frame X of the views; None if no view has four corners that determine it
-        (without any one of them, the others must not be on a line), or if none is in front.
+        (without any one of them, the others must not be on a line), if none is in front, or if
+        they contradict each other so much that no pose is a minimum.
 
     Raises:
         ConfigurationError: an array has another shape, or a noise is not positive.
@@ -186,7 +187,10 @@ def estimate_pose(
     places = origins + ratio * (np.array([place for _, _, place in starts]) - origins)
     states = _States(np.array([turn for _, turn, _ in starts]), places, more)
     degrees = sum(2 * len(eye.rays) for eye in eyes) - 6 - sized
-    return _best(*_minimise(eyes, sized, states), degrees, sized)
+    try:
+        return _best(*_minimise(eyes, sized, states), degrees, sized)
+    except np.linalg.LinAlgError:  # views that contradict each other move it out of sight
+        return None
 
 
 class _Eye(NamedTuple):
@@ -355,6 +359,8 @@ def _best(states: _States, normals: FloatArray, degrees: int, sized: bool) -> Po
             if turned > 1.0 + 2.0 * np.cos(_LEAST_TURN_RAD):
                 continue
         covariance = np.asarray(np.linalg.inv(normals[k, :-1, :-1])[:6, :6], np.float64)
+        if not (np.diagonal(covariance) > 0.0).all():  # out of sight
+            continue
         ratio = exp(states.more[k, -1]) if sized else 1.0
         pose = Pose(matrix, covariance, chi_square, degrees, ratio)
         if best is not None:
