@@ -230,10 +230,9 @@ def _look(corners_m: FloatArray, view: View) -> _Eye:
         whitener = np.linalg.inv(np.linalg.cholesky(blocks))
     except np.linalg.LinAlgError as error:
         raise ConfigurationError("noise: expected a positive definite covariance") from error
-    size = blocks.shape[1]
-    whitener = whitener.reshape(-1, size, size // 2, 1, 2) @ by_ray[seen].reshape(
-        -1, 1, size // 2, 2, 2
-    )
+    count, size, _ = blocks.shape
+    by_ray = by_ray[seen].reshape(count, 1, size // 2, 2, 2)
+    whitener = whitener.reshape(count, size, size // 2, 1, 2) @ by_ray
     return _Eye(
         np.pad(corners_m[seen], ((0, 0), (0, 1))),
         rays[seen],
