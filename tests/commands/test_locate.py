@@ -66,13 +66,24 @@ def test_json_has_a_row_for_each_target_of_a_pair_with_the_true_points(desk, loc
         assert np.shape(row["gap_mm"]) == (4,)
         assert row["spacing_mm"]["mean"] == pytest.approx(120.0, abs=0.5)
         assert row["spacing_mm"]["stated"] == 120.0
+        T_N_C = load_head(desk[0] / "pair.toml").camera_poses(np.zeros(7))
+        truths = [pose, *(np.linalg.inv(T_N_C) @ pose)]
+        for found, truth in zip([row["pose"], *row["eye_poses"].values()], truths, strict=True):
+            error_mm = np.subtract(found["translation_mm"], 1e3 * truth[:3, 3])
+            turned = cv2.Rodrigues(np.array(found["rotation_matrix"]) @ truth[:3, :3].T)[0].ravel()
+            sigma = np.concatenate([found["sigma_mm"], found["sigma_rad"]])
+            assert (np.abs([*error_mm, *turned]) < 4.0 * sigma).all()
+            assert sigma == pytest.approx(np.sqrt(np.diagonal(found["covariance_mm_rad"])))
+            again = cv2.Rodrigues(np.array(found["rotation_vector_rad"]))[0]
+            assert again == pytest.approx(np.array(found["rotation_matrix"]))
+            assert found["other"] is None
 
 
 @pytest.mark.slow
 def test_the_table_and_the_run_folder_hold_what_was_located(locate, tmp_path):
     code, out, err = locate()
     assert (code, err) == (0, "")
-    for word in ("tags of 36h11", "centre", "sigma", "gap", "2 of 3 pairs", "stated 120 mm"):
+    for word in ("tags of 36h11", "centre", "sigma", "gap", "rotation", "2 of 3", "stated 120 mm"):
         assert word in out
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {
@@ -89,6 +100,16 @@ def test_the_table_and_the_run_folder_hold_what_was_located(locate, tmp_path):
     assert len(points) == 8
     assert float(points[5]["z_mm"]) == rows[1]["points_mm"][1][2]
     assert float(points[5]["right_u_px"]) == rows[1]["pixels"][1][1][0]
+    with (tmp_path / "run" / "targets.csv").open(newline="") as file:
+        target = list(csv.DictReader(file))[1]
+    pose = rows[1]["pose"]
+    for axis, place in enumerate("xyz"):
+        assert float(target[f"pose_{place}_mm"]) == pose["translation_mm"][axis]
+        assert float(target[f"pose_r{place}_rad"]) == pose["rotation_vector_rad"][axis]
+        assert float(target[f"sigma_pose_r{place}_rad"]) == pose["sigma_rad"][axis]
+        assert target[f"other_pose_r{place}_rad"] == ""
+    turned = (f"{degrees:.2f}" for degrees in np.degrees(pose["rotation_vector_rad"]))
+    assert " ".join(turned) in out
     assert min(cv2.imread(str(tmp_path / "run" / "locate.png")).shape[:2]) > 700
 
 
