@@ -43,8 +43,7 @@ _PRIOR_SQUARES: Final = 4.0
 """Number of squared residuals that this assumption counts for (chosen: twice a tag's own two)."""
 _LEAST_TURN_RAD: Final = 1e-3  # least rotation between two distinct minima (numerical)
 _LEAST_WIDTH: Final = 1e-6
-"""Squared width of corners, over their length, that counts as a line; and the distance to 1 of a
-corner's leverage, which is 1 if all others are on a line (numerical)."""
+"""Distance to 1 of a corner's leverage, which is 1 if all others are on a line (numerical)."""
 _RIDGE: Final = 1e-9 * np.eye(3)  # makes the leverages of corners on a line sum up to 2 (numerical)
 _LEAST_SIZE_RATIO: Final = 1e-3  # first guess where the lines to the target diverge (numerical)
 _MOST_STEPS: Final = 50  # limit of steps, which damping alone can reach (numerical)
@@ -52,17 +51,13 @@ _DAMPING: Final = 1e-5  # first damping, as a share of the normal matrix's diago
 _DAMPING_RATIO: Final = 10.0  # change of the damping after each step (numerical)
 _LEAST_DECREASE: Final = 1e-9
 """Expected decrease of chi^2 below which a minimum is reached: 3e-5 sigma (numerical)."""
-_HOPELESS: Final = 100.0
-_HOPELESS_RATIO: Final = 10.0
-"""A start is given up if chi^2 will remain above this ratio times the sum of the least one and
-`_HOPELESS` (chosen: far above the odds of a second solution, against time)."""
+_HOPELESS_RATIO: Final = 100.0
+"""A start is given up if its chi^2 + 1 will remain above this ratio times the least one (chosen:
+far above the odds of a second solution, against time)."""
 _RAY_STEP: Final = 1e-5  # half step of the lens's derivative, as a slope (numerical)
 _AROUND: Final = _RAY_STEP * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
-_CROSS: Final = np.array(
-    [[0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]],
-    np.float64,
-)
-"""(3, 9), so that v @ _CROSS is the matrix of w -> w x v, row by row."""
+_CROSS: Final = np.cross(np.eye(3), np.eye(3)[:, None]).swapaxes(1, 2).reshape(3, 9)
+"""v @ _CROSS is the matrix of w -> w x v, row by row."""
 
 
 class Pose(NamedTuple):
@@ -283,9 +278,9 @@ def _minimise(eyes: Sequence[_Eye], sized: bool, states: _States) -> tuple[_Stat
         damped, slopes = normals[left, :-1, :-1], normals[left, :-1, -1]
         np.einsum("sii->si", damped)[:] *= 1.0 + damping[left, None]
         steps = -np.linalg.solve(damped, slopes[:, :, None])[:, :, 0]
-        decreases, chi_squares = -(steps * slopes).sum(axis=1), normals[left, -1, -1]
+        decreases, most = -(steps * slopes).sum(axis=1), normals[:, -1, -1].min() + 1.0
         useful = decreases > _LEAST_DECREASE
-        useful &= chi_squares - decreases < _HOPELESS_RATIO * (normals[:, -1, -1].min() + _HOPELESS)
+        useful &= normals[left, -1, -1] - decreases < _HOPELESS_RATIO * most
         left, steps = left[useful], steps[useful]
         if not len(left):
             break
