@@ -87,8 +87,8 @@ def measure_drawn(count: int) -> None:
                 drawing.draw(pose, rng)
                 seen.append(detector.detect(drawing.frame))
             found = [one for one in seen if one is not None]
+            lost += len(found) < 2
             if len(found) < 2:
-                lost += 1
                 continue
             corners, noise = [d.corners_px for d in found], [corner_noise(d) for d in found]
             views = eye_views(head, q, corners, noise, joint_rad)
@@ -96,18 +96,20 @@ def measure_drawn(count: int) -> None:
                 start = time.perf_counter()
                 alone = eyes == "one eye"
                 pose = found[0].pose if alone else estimate_pose(target.corners_m, views)
-                times_ms[name, eyes].append(1e3 * (time.perf_counter() - start))
+                times_ms[f"{name}, {eyes}"].append(1e3 * (time.perf_counter() - start))
                 apart, used = nearest(pose, truth)
-                for key in ((rig, name), ("total", "")):
-                    errors[(*key, eyes)].append(normalised(apart, used.covariance))
+                told = pose is not None and pose.other is not None
+                for key in (f"{rig} {name}", "total"):
+                    errors[f"{key}, {eyes}"].append((normalised(apart, used.covariance), told))
             flat = 600.0 * cameras[0].rays(corners[0])
             from_opencv.append(opencv_difference(target, flat))
-    print(f"normalised squared error: mean, median, poses ({lost} targets not found)")
+    print(f"normalised squared error, and two solutions ({lost} targets not found)")
     for key, values in errors.items():
-        print(f"  {' '.join(key)}: {np.mean(values):.2f} {np.median(values):.2f} {len(values)}")
+        error, told = np.mean(values, axis=0)
+        print(f"  {key}: {error:.2f}, {100 * told:.1f} % of {len(values)}")
     print(f"largest difference from OpenCV, over the distance: {max(from_opencv):.1e}")
-    for key, values in times_ms.items():
-        print(f"time of a pose, {', '.join(key)}: median {np.median(values):.2f} ms")
+    for key, spent in times_ms.items():
+        print(f"time of a pose, {key}: median {np.median(spent):.2f} ms")
 
 
 def measure_ambiguity(count: int) -> None:
