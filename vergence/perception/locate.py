@@ -295,7 +295,7 @@ def locate_target(
             weighted_sum(of_pixels, weights**2) + of_joints[weights != 0.0].mean(axis=0),
         )
     noise = [corner_noise(side, head.sensor.detection_noise_px) for side in (left, right)]
-    views = eye_views(head, q, pixels.swapaxes(0, 1), noise, joint_rad)
+    views = eye_views(head, q, [left.corners_px, right.corners_px], noise, joint_rad)
     pose = None
     if np.any(fix.valid):
         pose = estimate_pose(target.corners_m, views, size_known=target.size_known)
