@@ -3,17 +3,26 @@
 import csv
 import json
 import tomllib
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from tests.commands.called import call, refused
-from tests.heads import text_of
+from tests.heads import head_of, text_of
 from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at, save_pair
+from tests.perception.test_located import exact
+from tests.perception.test_pictures import result_of
+from vergence.commands.located import print_located_targets
 from vergence.models import load_head
-from vergence.perception.locate import EdgeSpacing, describe_wrong_edges
+from vergence.perception.locate import (
+    EdgeSpacing,
+    describe_wrong_edges,
+    locate_target,
+    write_target_table,
+)
 from vergence.vision.targets import AprilTag
 
 TARGET = "tag:36h11:5:120"
@@ -257,3 +266,23 @@ def test_what_is_wrong_beside_what_was_located_is_said(desk, locate, tmp_path):
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     assert [one["centre_mm"] is None for one in result["located"]] == [False, True]
     assert result["located"][1]["spacing_mm"]["sigma"] is None
+
+
+def test_a_rotation_beside_which_another_fits_is_marked(capsys, tmp_path):
+    head, tag = head_of("pair"), AprilTag(edge_m=0.02)
+    result = result_of(("a.png", tag, (0.0, 0.0, 1.0)))
+    sure = exact(head, head.rest(), tag, pose_at([0.0, 0.0, 0.3], [0.5, 0.4, 0.0]), 0.01)
+    unsure = exact(head, head.rest(), tag, pose_at([0.0, 0.0, 1.0], [0.5, 0.4, 0.0]), 0.5)
+    for sides, marked in ((sure, False), (unsure, True)):
+        one = locate_target(head, head.rest(), "a.png", *sides)
+        print_located_targets(replace(result, located=(one,)))
+        out = capsys.readouterr().out
+        assert ("? two tilts fit the corners" in out) == (out.count("?") == 2) == marked
+        write_target_table(tmp_path / "targets.csv", [one])
+        with (tmp_path / "targets.csv").open(newline="") as file:
+            (row,) = csv.DictReader(file)
+        other = one.document()["pose"]["other"]
+        assert (other is not None) == bool(row["other_pose_rx_rad"]) == marked
+        if marked:
+            assert other["other"] is None
+            assert float(row["other_pose_ry_rad"]) == other["rotation_vector_rad"][1]

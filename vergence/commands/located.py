@@ -27,6 +27,7 @@ def print_located_targets(result: LocateResult) -> None:
         target = every[0].target
         title = f"tags of {target.family}" if isinstance(target, AprilTag) else str(target)
         print_table(head, rows, title=title, shortenable=(0,))
+        print()
         poses = [_pose_row(one) for one in every]
         print_table([*head[:2], "rotation (deg)", "sigma (deg)"], poses, shortenable=(0,))
         print(_together(result, every))
