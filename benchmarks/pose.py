@@ -54,14 +54,13 @@ def normalised(apart: Matrix, covariance: Matrix) -> float:
     return float(apart @ np.linalg.solve(covariance, apart)) / 6.0
 
 
-def opencv_difference(target: Any, pixels: Matrix) -> float:
-    """Relative distance to solvePnPGeneric and solvePnPRefineLM, for a pinhole and equal sigmas."""
-    camera = Camera(size=(1040, 860), matrix=np.diag([600.0, 600.0, 1.0]))
+def opencv_difference(target: Any, camera: Camera, pixels: Matrix) -> float:
+    """Relative distance to solvePnPGeneric and solvePnPRefineLM, for equal sigmas."""
     ours = estimate_pose(target.corners_m, [View(camera, pixels, np.ones(pixels.shape))])
-    board, matrix = np.pad(target.corners_m, ((0, 0), (0, 1))), camera.matrix
-    _, turns, places, _ = cv2.solvePnPGeneric(board, pixels, matrix, None, flags=cv2.SOLVEPNP_IPPE)
+    given = np.pad(target.corners_m, ((0, 0), (0, 1))), pixels, camera.matrix, None
+    _, turns, places, _ = cv2.solvePnPGeneric(*given, flags=cv2.SOLVEPNP_IPPE)
     ends = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-14)
-    w, t = cv2.solvePnPRefineLM(board, pixels, matrix, None, turns[0], places[0], criteria=ends)
+    w, t = cv2.solvePnPRefineLM(*given, turns[0], places[0], criteria=ends)
     theirs = np.block([[cv2.Rodrigues(w)[0], t], [np.eye(4)[3:]]])
     return float(np.abs(nearest(ours, theirs)[1].matrix - theirs).max() / t[2, 0])
 
@@ -101,8 +100,8 @@ def measure_drawn(count: int) -> None:
                 told = pose is not None and pose.other is not None
                 for key in (f"{rig} {name}", "total"):
                     errors[f"{key}, {eyes}"].append((normalised(apart, used.covariance), told))
-            flat = 600.0 * cameras[0].rays(corners[0])
-            from_opencv.append(opencv_difference(target, flat))
+            if not cameras[0].distorts:
+                from_opencv.append(opencv_difference(target, cameras[0], corners[0]))
     print(f"normalised squared error, and two solutions ({lost} targets not found)")
     for key, values in errors.items():
         error, told = np.mean(values, axis=0)
