@@ -47,6 +47,13 @@ def test_json_has_a_row_for_each_target_of_an_image(folder, capsys):
         assert np.shape(row["corners_px"]) == np.shape(row["corners_sigma_px"])
         assert np.shape(row["corners_px"]) == (len(target.corners_m), 2)
         assert 0.0 < min(row["sigma_px"]) < 0.1
+        # of unknown size: the rotation holds, and no length
+        assert row["pose"]["translation_mm"] is row["pose"]["sigma_mm"] is None
+        turned = np.linalg.inv(head.camera_poses(head.rest())[0])[:3, :3] @ pose[:3, :3]
+        np.testing.assert_allclose(row["pose"]["rotation_matrix"], turned, atol=0.01)
+    call("detect", folder / "tag.png", "--target", "tag:36h11", "--json")
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["pose"] is None
 
 
 @pytest.mark.slow

@@ -3,17 +3,26 @@
 import csv
 import json
 import tomllib
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from tests.commands.called import call, refused
-from tests.heads import text_of
+from tests.heads import head_of, text_of
 from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at, save_pair
+from tests.perception.test_located import exact
+from tests.perception.test_pictures import result_of
+from vergence.commands.located import print_located_targets
 from vergence.models import load_head
-from vergence.perception.locate import EdgeSpacing, describe_wrong_edges
+from vergence.perception.locate import (
+    EdgeSpacing,
+    describe_wrong_edges,
+    locate_target,
+    write_target_table,
+)
 from vergence.vision.targets import AprilTag
 
 TARGET = "tag:36h11:5:120"
@@ -66,13 +75,24 @@ def test_json_has_a_row_for_each_target_of_a_pair_with_the_true_points(desk, loc
         assert np.shape(row["gap_mm"]) == (4,)
         assert row["spacing_mm"]["mean"] == pytest.approx(120.0, abs=0.5)
         assert row["spacing_mm"]["stated"] == 120.0
+        T_N_C = load_head(desk[0] / "pair.toml").camera_poses(np.zeros(7))
+        truths = [pose, *(np.linalg.inv(T_N_C) @ pose)]
+        for found, truth in zip([row["pose"], *row["eye_poses"].values()], truths, strict=True):
+            error_mm = np.subtract(found["translation_mm"], 1e3 * truth[:3, 3])
+            turned = cv2.Rodrigues(np.array(found["rotation_matrix"]) @ truth[:3, :3].T)[0].ravel()
+            sigma = np.concatenate([found["sigma_mm"], found["sigma_rad"]])
+            assert (np.abs([*error_mm, *turned]) < 4.0 * sigma).all()
+            assert sigma == pytest.approx(np.sqrt(np.diagonal(found["covariance_mm_rad"])))
+            again = cv2.Rodrigues(np.array(found["rotation_vector_rad"]))[0]
+            assert again == pytest.approx(np.array(found["rotation_matrix"]))
+            assert found["other"] is None
 
 
 @pytest.mark.slow
 def test_the_table_and_the_run_folder_hold_what_was_located(locate, tmp_path):
     code, out, err = locate()
     assert (code, err) == (0, "")
-    for word in ("tags of 36h11", "centre", "sigma", "gap", "2 of 3 pairs", "stated 120 mm"):
+    for word in ("tags of 36h11", "centre", "sigma", "gap", "rotation", "2 of 3", "stated 120 mm"):
         assert word in out
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {
@@ -89,6 +109,16 @@ def test_the_table_and_the_run_folder_hold_what_was_located(locate, tmp_path):
     assert len(points) == 8
     assert float(points[5]["z_mm"]) == rows[1]["points_mm"][1][2]
     assert float(points[5]["right_u_px"]) == rows[1]["pixels"][1][1][0]
+    with (tmp_path / "run" / "targets.csv").open(newline="") as file:
+        target = list(csv.DictReader(file))[1]
+    pose = rows[1]["pose"]
+    for axis, place in enumerate("xyz"):
+        assert float(target[f"pose_{place}_mm"]) == pose["translation_mm"][axis]
+        assert float(target[f"pose_r{place}_rad"]) == pose["rotation_vector_rad"][axis]
+        assert float(target[f"sigma_pose_r{place}_rad"]) == pose["sigma_rad"][axis]
+        assert target[f"other_pose_r{place}_rad"] == ""
+    turned = (f"{degrees:.2f}" for degrees in np.degrees(pose["rotation_vector_rad"]))
+    assert " ".join(turned) in out
     assert min(cv2.imread(str(tmp_path / "run" / "locate.png")).shape[:2]) > 700
 
 
@@ -236,3 +266,23 @@ def test_what_is_wrong_beside_what_was_located_is_said(desk, locate, tmp_path):
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     assert [one["centre_mm"] is None for one in result["located"]] == [False, True]
     assert result["located"][1]["spacing_mm"]["sigma"] is None
+
+
+def test_a_rotation_beside_which_another_fits_is_marked(capsys, tmp_path):
+    head, tag = head_of("pair"), AprilTag(edge_m=0.02)
+    result = result_of(("a.png", tag, (0.0, 0.0, 1.0)))
+    sure = exact(head, head.rest(), tag, pose_at([0.0, 0.0, 0.3], [0.5, 0.4, 0.0]), 0.01)
+    unsure = exact(head, head.rest(), tag, pose_at([0.0, 0.0, 1.0], [0.5, 0.4, 0.0]), 0.5)
+    for sides, marked in ((sure, False), (unsure, True)):
+        one = locate_target(head, head.rest(), "a.png", *sides)
+        print_located_targets(replace(result, located=(one,)))
+        out = capsys.readouterr().out
+        assert ("? two tilts fit the corners" in out) == (out.count("?") == 2) == marked
+        write_target_table(tmp_path / "targets.csv", [one])
+        with (tmp_path / "targets.csv").open(newline="") as file:
+            (row,) = csv.DictReader(file)
+        other = one.document()["pose"]["other"]
+        assert (other is not None) == bool(row["other_pose_rx_rad"]) == marked
+        if marked:
+            assert other["other"] is None
+            assert float(row["other_pose_ry_rad"]) == other["rotation_vector_rad"][1]

@@ -1,5 +1,7 @@
 """Targets at known places come out there, as surely as they say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,7 @@ def test_the_centre_of_a_board_is_surer_than_its_corners_only_as_far_as_pixels_g
 
 def test_a_symmetric_board_is_matched_however_its_corners_were_counted():
     head = head_of("pair")
+    T_C_N = np.linalg.inv(head.camera_poses(head.rest()))
     # in a quarter turn, boards that are not square or have an odd number change shape or colours
     for columns, rows, turns in [(6, 4, 2), (7, 5, 2), (5, 5, 2), (4, 4, 1), (4, 4, 2), (4, 4, 3)]:
         with named(columns, rows, turns):
@@ -62,6 +65,8 @@ def test_a_symmetric_board_is_matched_however_its_corners_were_counted():
             right = right._replace(corners_px=right.corners_px[order])
             one = locate_target(head, head.rest(), "a", left, right)
             assert one.gap_m < 1e-8
+            for found, truth in zip(one.eye_poses, T_C_N @ one.pose.matrix, strict=True):
+                np.testing.assert_allclose(found.matrix, truth, atol=1e-6)
             assert one.spacing.mean_m == pytest.approx(0.03)
 
 
@@ -77,6 +82,23 @@ def test_a_missing_corner_is_null_and_the_others_are_there():
     assert [i for i, gap in enumerate(row["gap_mm"]) if gap is None] == [3, 7]
     assert [pixel is None for pixel in (row["pixels"][0][3], row["pixels"][1][3])] == [True, False]
     np.testing.assert_allclose(row["centre_mm"], [-60.0, 45.0, 600.0], atol=1e-5)
+
+
+def test_the_pose_is_that_of_the_target_if_its_size_is_known_or_not():
+    head, place = load_head("physical"), [0.02, 0.03, 0.6]
+    q, pose = head.fixate(place), pose_at(place, [0.2, -0.4, 0.1])
+    for target, size in zip(TARGETS, ("edge_m", "square_m"), strict=True):
+        sides = exact(head, q, target, pose)
+        known = locate_target(head, q, "a", *sides)
+        unknown = replace(target, **{size: 0.2, "size_known": False})
+        other = locate_target(head, q, "a", *(side._replace(target=unknown) for side in sides))
+        for one in (known, other):
+            np.testing.assert_allclose(one.pose.matrix, pose, atol=1e-6)
+            T_N_C = head.camera_poses(q)
+            for T, found in zip(T_N_C, one.eye_poses, strict=True):
+                np.testing.assert_allclose(T @ found.matrix, pose, atol=1e-6)
+        assert (other.pose.sigma[:3] > known.pose.sigma[:3]).all()
+        assert known.pose.sigma[2] < known.eye_poses[0].sigma[2]
 
 
 @pytest.mark.nightly

@@ -10,7 +10,12 @@ from tests.perception.drawn import pose_at
 from tests.perception.test_located import exact
 from vergence.perception.finding import Photograph
 from vergence.perception.locate import LocateResult, locate_target
-from vergence.perception.pictures import compose_detections, compose_located, shorten_to_width
+from vergence.perception.pictures import (
+    _AXIS_COLOURS,
+    compose_detections,
+    compose_located,
+    shorten_to_width,
+)
 from vergence.vision.targets import AprilTag
 
 HEAD = head_of("pair")
@@ -54,6 +59,24 @@ def test_a_point_far_away_leaves_the_others_their_scale_and_is_counted():
         np.testing.assert_allclose(after.get_xlim(), before.get_xlim(), rtol=0.3, atol=30.0)
     # targets of one scene lie all in the views, a near and a distant one
     assert "outside" not in "".join(titles(compose_located(tags_at(0.4, 0.5, 2.0))))
+
+
+def test_axes_are_drawn_in_the_images_and_in_space():
+    figure = compose_located(tags_at(0.5))
+    length = 0.65 * 0.02  # of a tag that faces the eyes
+    for panel, across, up in zip(figure.axes[2:], (0, 2), (2, 1), strict=True):
+        axes = [line.get_xydata() for line in panel.lines if line.get_color() in _AXIS_COLOURS]
+        for axis, (start, end) in enumerate(axes):
+            step = 1e3 * length * np.eye(3)[axis]
+            np.testing.assert_allclose(start, [0.0, 500.0][:: 1 if across == 0 else -1], atol=1e-2)
+            np.testing.assert_allclose(end - start, step[[across, up]], atol=1e-2)
+        assert len(axes) == 3
+    for panel in figure.axes[:2]:
+        x, y, z = [line for line in panel.lines if line.get_color() in _AXIS_COLOURS]
+        focal = HEAD.cameras.focal.mean()
+        assert np.diff(x.get_xdata())[0] == pytest.approx(focal * length / 0.5, rel=0.05)
+        assert np.diff(y.get_ydata())[0] == pytest.approx(focal * length / 0.5, rel=0.05)
+        assert abs(np.diff(z.get_ydata())[0]) < 0.1
 
 
 def test_without_a_point_there_are_the_images_alone_and_a_word():

@@ -1,11 +1,13 @@
 """Printed results of `vergence locate`: points, standard deviations, measured edge lengths."""
 
+from typing import Final
+
 import numpy as np
 
 from vergence.commands.tables import print_table
 from vergence.perception.finding import tag_number
 from vergence.perception.locate import MM, LocatedTarget, LocateResult, measure_spacing
-from vergence.reporting.text import format_fixed
+from vergence.reporting.text import NONE, format_fixed
 from vergence.vision.targets import AprilTag
 
 
@@ -25,7 +27,31 @@ def print_located_targets(result: LocateResult) -> None:
         target = every[0].target
         title = f"tags of {target.family}" if isinstance(target, AprilTag) else str(target)
         print_table(head, rows, title=title, shortenable=(0,))
-        print(f"{_together(result, every)}\n")
+        print()
+        poses = [_pose_row(one) for one in every]
+        print_table([*head[:2], "rotation (deg)", "sigma (deg)"], poses, shortenable=(0,))
+        print(_together(result, every))
+        if any(_TWO_FIT in row[2] for row in poses):
+            print(f"{_TWO_FIT} two tilts fit the corners: the other is in targets.csv and the JSON")
+        print()
+
+
+_TWO_FIT: Final = "?"
+"""Mark of a rotation besides which another fits."""
+
+
+def _pose_row(located: LocatedTarget) -> list[str]:
+    """Rotation vector from N to T and its sigma about x, y and z of N, degrees."""
+    pose, row = located.pose, _row(located)[:2]
+    if pose is None:
+        return [*row, NONE, NONE]
+    turned, sigma = np.degrees(pose.rotation_vector), np.degrees(pose.sigma[3:])
+    mark = "" if pose.other is None else _TWO_FIT
+    return [
+        *row,
+        " ".join(format_fixed(value, 2) for value in turned) + mark,
+        " ".join(format_fixed(value, 2) for value in sigma),
+    ]
 
 
 def _together(result: LocateResult, every: list[LocatedTarget]) -> str:

@@ -14,12 +14,13 @@ from vergence.models.camera import CameraResponse
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.stereo_files import read_intrinsics
-from vergence.operands import null_nonfinite_rows
+from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
 from vergence.perception.notes import LinearResponseCheck, PhotographNotes, target_key
 from vergence.perception.photographs import list_photographs
 from vergence.vision import Camera, as_grey, make_detector, parse_target
 from vergence.vision.detection import Detection
 from vergence.vision.image import read_pixels
+from vergence.vision.pose import Pose
 from vergence.vision.targets import AprilTag, PlanarTarget, Target
 
 
@@ -147,7 +148,27 @@ class Sighting(NamedTuple):
             "corners_px": null_nonfinite_rows(found.corners_px),
             "sigma_px": null_nonfinite_rows(self.sigma_px),
             "corners_sigma_px": null_nonfinite_rows(found.corners_sigma_px),
+            "pose": None if found.camera is None else pose_document(found.pose, target.size_known),
         }
+
+
+def pose_document(pose: Pose | None, size_known: bool = True) -> dict[str, Any] | None:
+    """Plain values, millimetres and radians; lengths are None if they hold only up to a factor."""
+    if pose is None:
+        return None
+    unit = np.array([1e3 if size_known else np.nan] * 3 + [1.0] * 3)
+    sigma = null_nonfinite_elements(unit * pose.sigma)
+    return {
+        "translation_mm": null_nonfinite_rows(unit[:3] * pose.matrix[:3, 3]),
+        "rotation_vector_rad": pose.rotation_vector.tolist(),
+        "rotation_matrix": pose.matrix[:3, :3].tolist(),
+        "sigma_mm": sigma[:3] if size_known else None,
+        "sigma_rad": sigma[3:],
+        "covariance_mm_rad": null_nonfinite_elements(unit * pose.covariance * unit[:, None]),
+        "chi_square": pose.chi_square,
+        "degrees_of_freedom": pose.degrees,
+        "other": pose_document(pose.other, size_known),
+    }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,6 +22,7 @@ from vergence.perception.finding import (
     PhotographSearch,
     centre_weights,
     parse_targets,
+    pose_document,
     tag_number,
     weighted_sum,
 )
@@ -34,7 +35,8 @@ from vergence.perception.photographs import (
 )
 from vergence.triangulation import Fix, Noise, triangulate_views
 from vergence.vision import Camera
-from vergence.vision.detection import Detection
+from vergence.vision.detection import Detection, corner_noise
+from vergence.vision.pose import Pose, View, estimate_pose, eye_views
 from vergence.vision.targets import (
     AprilTag,
     Checkerboard,
@@ -205,6 +207,11 @@ class LocatedTarget:
     """Standard deviation of the mean distance between neighbouring corners."""
     focal_px: float
     """Mean focal length of the head's cameras, which converts a point's gap to pixels."""
+    pose: Pose | None
+    """Pose of T in N by both eyes; of unknown size, that which they measure. None if no eye's
+    corners determine it, or without a solution."""
+    eye_poses: tuple[Pose | None, Pose | None]
+    """Pose of T in each camera by its own image, of the same size."""
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
@@ -244,6 +251,8 @@ class LocatedTarget:
                 **self.spacing.document(),
                 "sigma": null_nonfinite_elements([MM * self.edge_sigma_m])[0],
             },
+            "pose": pose_document(self.pose),
+            "eye_poses": dict(zip(EYE_NAMES, map(pose_document, self.eye_poses), strict=True)),
         }
 
 
@@ -262,13 +271,16 @@ def locate_target(
         known = np.where(np.isfinite(sigma), sigma, head.sensor.detection_noise_px)
         return triangulate_views(head, q, pixels, Noise(pixel_px=known, joint_rad=joint_rad))
 
-    def candidate(order: NDArray[np.intp]) -> tuple[Fix, FloatArray, FloatArray]:
-        pixels = np.stack([left.corners_px, right.corners_px[order]], axis=1)
-        sigma = np.stack([left.corners_sigma_px, right.corners_sigma_px[order]], axis=1)
-        return fix_of(pixels, sigma), pixels, sigma
+    def candidate(order: NDArray[np.intp]) -> tuple[Fix, FloatArray, FloatArray, Detection]:
+        turned = right._replace(
+            corners_px=right.corners_px[order], corners_sigma_px=right.corners_sigma_px[order]
+        )
+        pixels = np.stack([left.corners_px, turned.corners_px], axis=1)
+        sigma = np.stack([left.corners_sigma_px, turned.corners_sigma_px], axis=1)
+        return fix_of(pixels, sigma), pixels, sigma, turned
 
     candidates = [candidate(order) for order in equivalent_corner_orders(target)]
-    fix, pixels, sigma = min(candidates, key=lambda each: _mismatch(each[0]))
+    fix, pixels, sigma, right = min(candidates, key=lambda each: _mismatch(each[0]))
     of_joints = fix_of(pixels, np.zeros_like(pixels)).covariance
     of_pixels = fix.covariance - of_joints
     if isinstance(target, AprilTag):
@@ -282,6 +294,15 @@ def locate_target(
             weighted_sum(fix.point, weights),
             weighted_sum(of_pixels, weights**2) + of_joints[weights != 0.0].mean(axis=0),
         )
+    noise = [corner_noise(side, head.sensor.detection_noise_px) for side in (left, right)]
+    views = eye_views(head, q, [left.corners_px, right.corners_px], noise, joint_rad)
+    pose = None
+    if np.any(fix.valid):
+        pose = estimate_pose(target.corners_m, views, size_known=target.size_known)
+    corners_m = target.corners_m if pose is None else pose.size_ratio * target.corners_m
+    own_left, own_right = (
+        estimate_pose(corners_m, [View(view.camera, view.corners_px, view.noise)]) for view in views
+    )
     return LocatedTarget(
         pair=pair,
         target=target,
@@ -291,6 +312,8 @@ def locate_target(
         centre=centre,
         edge_sigma_m=_mean_edge_sigma(head, q, target, pixels, fix.point, of_pixels),
         focal_px=float(head.cameras.focal.mean()),
+        pose=pose,
+        eye_poses=(own_left, own_right),
     )
 
 
@@ -525,13 +548,31 @@ def write_target_table(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per target of each pair."""
     columns = ["pair", "target", "id", "points", *_POINT_COLUMNS, "gap_rms_mm"]
     columns += ["spacing_mean_mm", "spacing_spread_mm", "spacing_stated_mm"]
+    columns += [
+        f"{what}pose_{part}"
+        for what in ("", "sigma_", "other_")
+        for part in ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
+    ]
     rows: list[list[object]] = []
     for one in located:
         edges, centre = one.spacing, one.centre
         numbers = [*centre.point, *centre.sigma, one.gap_m, edges.mean_m, edges.spread_m]
         values = [MM * float(number) for number in (*numbers, edges.stated_m)]
+        values += _pose_numbers(one.pose)
         rows.append([one.pair, one.target, tag_number(one.target), int(one.valid.sum()), *values])
     _write(path, columns, rows)
+
+
+def _pose_numbers(pose: Pose | None) -> list[float]:
+    """Pose, its sigma and the second solution: translation, mm, and rotation vector, rad, each."""
+    numbers = np.full((3, 2, 3), np.nan)
+    for row, one in ((0, pose), (2, pose and pose.other)):
+        if one is not None:
+            numbers[row] = one.matrix[:3, 3], one.rotation_vector
+    if pose is not None:
+        numbers[1] = pose.sigma.reshape(2, 3)
+    numbers[:, 0] *= MM
+    return list(numbers.ravel().tolist())
 
 
 def _write(path: Path, columns: list[str], rows: Iterable[list[object]]) -> None:

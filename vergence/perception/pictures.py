@@ -1,6 +1,6 @@
 """Pictures of photographs with their detections, and of located targets in space."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +26,7 @@ from vergence.reporting.style import (
     new_figure,
 )
 from vergence.vision import Detection
+from vergence.vision.pose import Pose
 from vergence.vision.targets import PlanarTarget
 
 COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff4060")
@@ -37,6 +38,27 @@ _LETTER_WIDTH: Final = 0.62
 (chosen)."""
 _NUMBER_PT: Final = (3.5, 12.0)
 """Least and largest font size of a tag's number, pt (chosen: legibility)."""
+
+
+_AXIS_COLOURS: Final = ("#ff2020", "#20c020", "#2060ff")
+"""Colours of a target's axes x, y and z, as OpenCV draws them."""
+_AXIS_LENGTHS: Final = (0.65, 0.3)
+"""Length of the axes of a tag and of a board as a fraction of its extent (chosen: a tag's end in
+its white margin, beside its number; a board's begin at a corner)."""
+
+
+def axes_in_space(target: PlanarTarget, pose: Pose) -> FloatArray:
+    """(4, 3) origin of T and the ends of its axes in the frame of its pose, metres."""
+    share = _AXIS_LENGTHS[tag_number(target) is None]
+    length = share * pose.size_ratio * float(np.ptp(target.corners_m, axis=0).max())
+    ends = length * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    return np.asarray(ends @ pose.matrix[:3, :3].T + pose.matrix[:3, 3])
+
+
+def _draw_axes(panel: Axes, points: FloatArray, width_pt: float) -> None:
+    """Draw axes, (4, 2) origin and ends, x red, y green, z blue."""
+    for end, colour in zip(points[1:], _AXIS_COLOURS, strict=True):
+        panel.plot(*np.stack([points[0], end]).T, lw=width_pt, color=colour, solid_capstyle="round")
 
 
 class TargetColours:
@@ -67,9 +89,16 @@ def target_outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
 
 
 def draw_detections(
-    panel: Axes, image: NDArray[np.uint8], found: Sequence[Detection], colours: TargetColours
+    panel: Axes,
+    image: NDArray[np.uint8],
+    found: Sequence[Detection],
+    colours: TargetColours,
+    axes_px: Mapping[str, FloatArray],
 ) -> None:
-    """Draw an image with its targets: corners, outline, upper left corner, and numbers of tags."""
+    """Draw an image with its targets: corners, outline, upper left corner, and numbers of tags.
+
+    The axes of some are drawn too, (4, 2) pixels of their origin and ends by the target's name.
+    """
     height, width = image.shape
     pt_per_px = 72.0 / panel.figure.dpi * panel.bbox.width / width
     panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
@@ -87,6 +116,8 @@ def draw_detections(
         panel.plot(
             *corners[first], "s", ms=max(7.0 * fine, 2.0), mfc="none", mew=1.8 * fine, **style
         )
+        if str(target) in axes_px:
+            _draw_axes(panel, axes_px[str(target)], max(2.2 * fine, 0.8))
         number = str(tag_number(target)) if tag_number(target) is not None else ""
         if number:
             size_pt = float(np.clip(across_pt / (_LETTER_WIDTH * len(number) + 0.3), *_NUMBER_PT))
@@ -157,7 +188,12 @@ def compose_detections(photographs: Sequence[Photograph]) -> Figure:
         grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
         for place, (name, image, found) in enumerate(photographs):
             panel = figure.add_subplot(grid[divmod(place, columns)])
-            draw_detections(panel, image, found, colours)
+            axes_px = {
+                str(one.target): one.camera.project(axes_in_space(one.target, pose))
+                for one in found
+                if one.camera is not None and (pose := one.pose) is not None
+            }
+            draw_detections(panel, image, found, colours, axes_px)
             panel.set_title(_title(name.name, found, across), fontsize=_TITLE_PT)
     return figure
 
@@ -201,7 +237,8 @@ def compose_located(result: LocateResult) -> Figure:
         grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
         for eye, name in enumerate(EYE_NAMES):
             panel = figure.add_subplot(grid[0, eye])
-            draw_detections(panel, shown[eye].image, shown[eye].detections, colours)
+            axes_px = _located_axes_px(result, eye)
+            draw_detections(panel, shown[eye].image, shown[eye].detections, colours, axes_px)
             nothing = "" if shown[eye].detections else ", nothing found"
             title = shorten_to_width(
                 f"{name}: {shown[eye].path.name}", 0.35 * _FIGURE_WIDTH_IN, _PANEL_TITLE_PT
@@ -212,6 +249,16 @@ def compose_located(result: LocateResult) -> Figure:
         heading = shorten_to_width(_heading(result, seen), 0.95 * _FIGURE_WIDTH_IN, _HEADING_PT)
         figure.suptitle(heading, fontsize=_HEADING_PT)
     return figure
+
+
+def _located_axes_px(result: LocateResult, eye: int) -> dict[str, FloatArray]:
+    """(4, 2) pixels of the axes of the targets located in the pair shown, by name."""
+    pair, axes = result.shown[0].path.name, {}
+    for one in result.located:
+        if one.pair == pair and one.pose is not None:
+            points = axes_in_space(one.target, one.pose)
+            axes[str(one.target)] = result.head.project(result.angles[pair], points)[:, eye]
+    return axes
 
 
 def _draw_space(
@@ -284,6 +331,9 @@ def _draw_view(
         panel.plot(*line.T, lw=0.8 if behind else 1.2, alpha=0.4 if behind else 1.0, color=colour)
         if not behind:
             panel.plot(*points.T, ".", ms=2.5 if many else 4.0, color=colour)
+            if one.pose is not None and drawn.any():
+                ends = MM * axes_in_space(one.target, one.pose)[:, axes]
+                _draw_axes(panel, ends, 0.8 if many or len(seen) > 5 else 1.4)
         if not many and (drawn == one.valid).all():
             for place in eyes[:2][:, axes]:
                 sight = np.stack([place, MM * one.centre.point[list(axes)]])

@@ -539,7 +539,7 @@ class AprilGridDetector(Detector[AprilGrid]):
             middle = middle + fit.origin_distortion_px
             sigma = np.hypot(sigma, fit.origin_distortion_sigma_px)
         point = flat.to_pixels(middle[None])[0]
-        return Detection(board, point, out, sigma, sigmas)
+        return Detection(board, point, out, sigma, sigmas, camera=self.camera)
 
 
 _SEARCH_METHODS: Final = (1, 3)

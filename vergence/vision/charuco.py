@@ -243,7 +243,9 @@ class CharucoDetector(Detector[CharucoBoard]):
                 return None
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
         sigma = origin_sigma_px(transform, board.corners_m[known], sigmas[known])
-        return Detection(board, flat.to_pixels(point[None])[0], out, sigma, sigmas)
+        return Detection(
+            board, flat.to_pixels(point[None])[0], out, sigma, sigmas, camera=self.camera
+        )
 
 
 def _markers(

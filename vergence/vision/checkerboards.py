@@ -476,12 +476,16 @@ class CheckerboardDetector(Detector[Checkerboard]):
         sigmas = np.maximum(sigmas, beside[:, None])
         if not self.target.symmetric:
             first = self.target.columns - 1
-            return Detection(self.target, refined[first], refined, sigmas[first], sigmas)
+            return Detection(
+                self.target, refined[first], refined, sigmas[first], sigmas, camera=self.camera
+            )
         # the diagonals cross in the centre; each of four corners moves it by about a quarter
         outer = [0, self.target.columns - 1, len(refined) - 1, len(refined) - self.target.columns]
         point = diagonal_crossing(flat.to_plane(refined[outer]))
         sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
-        return Detection(self.target, flat.to_pixels(point[None])[0], refined, sigma, sigmas)
+        return Detection(
+            self.target, flat.to_pixels(point[None])[0], refined, sigma, sigmas, camera=self.camera
+        )
 
 
 def _reduced(image: NDArray[np.uint8], most_px: int) -> tuple[NDArray[np.uint8], float]:

@@ -25,6 +25,7 @@ from vergence.models.camera import (
 from vergence.models.lens import BROWN_CONRADY, pack_camera
 from vergence.vision.image import has_colour_channels, measurement_channel
 from vergence.vision.optics import FlatView, IdentityView, flat_view_about, ray_table
+from vergence.vision.pose import Pose, View, estimate_pose
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily, Target
 
 _REGION_MARGIN_SHARE: Final = 0.5
@@ -34,6 +35,9 @@ _REGION_MARGIN_PX: Final = 24
 """Further margin, for the prediction error, px (chosen: as above)."""
 _LEAST_REGION_PX: Final = 24
 """Smallest side of a search region, px (chosen: time against targets at the image's edge)."""
+_UNSTATED_SIGMA_PX: Final = 0.1
+"""Standard deviation of a corner in a pose if its detector states none, px (chosen: that of heads
+made from calibrations)."""
 _NO_RAYS = np.zeros((0, 0, 2), np.float32)
 _NO_RAYS.setflags(write=False)  # read-only like tables of rays, so that kernels compile only once
 _NO_CAMERA = pack_camera((1, 1), np.ones(2), np.zeros(2), BROWN_CONRADY, np.zeros(5))
@@ -55,6 +59,38 @@ class Detection(NamedTuple):
     """Standard deviations of the measured point's u and v, shape (2,)."""
     corners_sigma_px: NDArray[np.float64]
     """Standard deviations of the corners, shape (n, 2); nan as in `corners_px`."""
+    corners_covariance_px2: NDArray[np.float64] | None = None
+    """Covariance of the corners' coordinates u_0, v_0, u_1, ..., shape (2 n, 2 n), px^2; None if
+    their errors are independent."""
+    camera: Camera | None = None
+    """The detector's camera."""
+
+    @property
+    def pose(self) -> Pose | None:
+        """Pose T_C_T of the target in its camera, computed anew each time.
+
+        It has the second solution where two tilts fit the corners. For a target of unknown size
+        (`size_known`), rotation and direction hold, and lengths are proportional to the assumed
+        size. None if the corners do not determine it.
+
+        Raises:
+            ConfigurationError: the detector was made without a camera.
+        """
+        if self.camera is None:
+            raise ConfigurationError(
+                "pose: expected a detector made with a camera and its lens model, as by "
+                "make_detector(target, camera), got one without"
+            )
+        view = View(self.camera, self.corners_px, corner_noise(self))
+        return estimate_pose(self.target.corners_m, [view])
+
+
+def corner_noise(found: Detection, unstated_px: float = 0.0) -> NDArray[np.float64]:
+    """Noise of a detection's corners, see `View`, with a sigma, px, for those that state none."""
+    unstated_px = unstated_px or _UNSTATED_SIGMA_PX
+    if found.corners_covariance_px2 is not None:
+        return found.corners_covariance_px2
+    return np.where(found.corners_sigma_px > 0.0, found.corners_sigma_px, unstated_px)
 
 
 class Frame(NamedTuple):

@@ -268,6 +268,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
                         placed.corners,
                         np.full(2, sigma / 2.0),  # the mean of four corners
                         np.full((4, 2), sigma),
+                        camera=self.camera,
                     )
             if each is not None:
                 found.append(each)
@@ -397,15 +398,18 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     ) -> tuple[Detection | None, TagFit]:
         """Fit a tag once; the tag if it reads as one, and the fit."""
         code = self._code
-        points, sigmas = np.empty((5, 2)), np.empty((5, 2))
+        points, sigmas, covariance = np.empty((5, 2)), np.empty((5, 2)), np.empty((8, 8))
         with interrupts.postponed():  # numba crashes if it cannot build the named tuple
             fit = fit_tag(
                 *frame, self._rays, self._row, _cells_of(code, identity),
-                code.width_at_border, quiet, *effort, corners, points, sigmas,
+                code.width_at_border, quiet, *effort, corners, points, sigmas, covariance,
             )  # fmt: skip
         if not _reads_as_tag(fit, code):
             return None, fit
-        found = Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
+        found = Detection(
+            self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4], covariance,
+            self.camera,
+        )  # fmt: skip
         return found, fit
 
 

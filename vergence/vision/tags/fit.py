@@ -116,12 +116,13 @@ cell is still white there (chosen: such zones against blur)."""
 def _report_fit(
     region: SearchRegion, tag: TagPrint, scale: TagScale, state: FitState, stage: FitStage,
     residuals: PrintResiduals, bent: bool, pixel_variance: float, extra_corner_variance: float,
-    start_corners: FloatArray, points: FloatArray, sigmas: FloatArray,
+    start_corners: FloatArray, points: FloatArray, sigmas: FloatArray, covariance: FloatArray,
 ) -> TagFit:  # fmt: skip
     """Report a fit that has converged; no fit if a point is undetermined or too far outside."""
     height, width = region.image.shape
     moved = largest = 0.0
     reach = 0.5 + _MAX_OUTSIDE_CELLS * scale.cell_px
+    roots, slopes = np.empty((5, 2, MAX_UNKNOWNS)), np.empty((5, 2, 2))
     for k in range(5):
         x, y = _before_bend(state.white_spread_and_bend, *point_in_half_edges(k))
         variance, more = pixel_variance, extra_corner_variance
@@ -136,9 +137,11 @@ def _report_fit(
                 x = y = 0.0
         u, v = transform_point(state.H, x, y)
         unknown_count = MAX_UNKNOWNS if bent else BEND_START
-        a, b, c = _covariance_of(stage.normal_matrix, unknown_count, state.G, u, v, x, y)
+        a, b, c = _covariance_of(stage.normal_matrix, unknown_count, state.G, u, v, x, y, roots[k])
         a, b, c = variance * a + more, variance * b, variance * c + more
-        u, v, sigma_u, sigma_v = _to_image(region.camera, region.undistorted_view, u, v, a, b, c)
+        u, v, sigma_u, sigma_v = _to_image(
+            region.camera, region.undistorted_view, u, v, a, b, c, slopes[k]
+        )
         points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
         if not (-reach < u < width - 1.0 + reach and -reach < v < height - 1.0 + reach):
             return NO_FIT
@@ -147,11 +150,37 @@ def _report_fit(
         largest = max(largest, max(sigma_u, sigma_v))
         if k < 4:
             moved = max(moved, max(abs(u - start_corners[k, 0]), abs(v - start_corners[k, 1])))
+    _join_corners(
+        roots, slopes, MAX_UNKNOWNS if bent else BEND_START, pixel_variance,
+        extra_corner_variance, covariance,
+    )  # fmt: skip
     explained = _explained(stage)
     reading = _read(region, tag, scale, state)
     share = explained / (explained + residuals.unexplained_squares)
     border_step = _step_across_sides(region, tag, state) / residuals.contrast
     return TagFit(residuals.contrast, share, reading, moved, largest, border_step)
+
+
+@subroutine
+def _join_corners(
+    roots: FloatArray, slopes: FloatArray, unknown_count: int, pixel_variance: float,
+    extra_corner_variance: float, covariance: FloatArray,
+) -> None:  # fmt: skip
+    """Covariance of all corners in the image: the edges that they share correlate them."""
+    for j in range(8):
+        root, slope = roots[j // 2], slopes[j // 2, j % 2]
+        for n in range(unknown_count):
+            roots[4, j % 2, n] = slope[0] * root[0, n] + slope[1] * root[1, n]
+        for i in range(8):
+            other, across = slopes[i // 2, i % 2], 0.0
+            for n in range(unknown_count):
+                across += roots[4, j % 2, n] * (
+                    other[0] * roots[i // 2, 0, n] + other[1] * roots[i // 2, 1, n]
+                )
+            covariance[j, i] = pixel_variance * across
+            if j // 2 == i // 2:
+                more = slope[0] * other[0] + slope[1] * other[1]
+                covariance[j, i] += extra_corner_variance * more
 
 
 @subroutine
@@ -235,15 +264,22 @@ def _read(region: SearchRegion, tag: TagPrint, scale: TagScale, state: FitState)
 
 @subroutine
 def _to_image(
-    camera: CameraRow, view: UndistortedView, u: float, v: float, a: float, b: float, c: float
-) -> tuple[float, float, float, float]:
-    """Pixel of a point of the undistorted plane, and its sigmas from the covariance a, b, c."""
+    camera: CameraRow, view: UndistortedView, u: float, v: float, a: float, b: float, c: float,
+    slopes: FloatArray,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Pixel of a point of the undistorted plane, its sigmas from the covariance a, b, c.
+
+    (2, 2) `slopes`, the derivatives of the pixel, are a result too.
+    """
+    slopes[0, 0] = slopes[1, 1] = 1.0
+    slopes[0, 1] = slopes[1, 0] = 0.0
     if view.has_lens:
         left_u, left_v = distorted_pixel(camera, view, u - 0.5, v)
         right_u, right_v = distorted_pixel(camera, view, u + 0.5, v)
         above_u, above_v = distorted_pixel(camera, view, u, v - 0.5)
         below_u, below_v = distorted_pixel(camera, view, u, v + 0.5)
         p, q, r, s = right_u - left_u, below_u - above_u, right_v - left_v, below_v - above_v
+        slopes[0, 0], slopes[0, 1], slopes[1, 0], slopes[1, 1] = p, q, r, s
         along_u = p * p * a + 2.0 * p * q * b + q * q * c
         a, c = along_u, r * r * a + 2.0 * r * s * b + s * s * c
     u, v = distorted_pixel(camera, view, u, v)
@@ -252,14 +288,14 @@ def _to_image(
 
 @subroutine
 def _covariance_of(
-    factor: FloatArray, unknown_count: int, G: FloatArray, u: float, v: float, x: float, y: float
-) -> tuple[float, float, float]:
+    factor: FloatArray, unknown_count: int, G: FloatArray, u: float, v: float, x: float, y: float,
+    J: FloatArray,
+) -> tuple[float, float, float]:  # fmt: skip
     """Variance of u, covariance, variance of v of a point of the plane, for pixels of variance 1.
 
     With J the derivatives of (u, v) by the unknowns and N = L L^T, J N^-1 J^T is the product of
-    L^-1 J^T with itself.
+    L^-1 J^T with itself; `J` becomes that.
     """
-    J = np.empty((2, MAX_UNKNOWNS))
     g, h = G[2, 0], G[2, 1]
     w = g * u + h * v + G[2, 2]
     # derivatives of the plane's coordinates with respect to pixels
@@ -362,12 +398,14 @@ def fit_tag(
     start_corners: FloatArray,
     points: FloatArray,
     sigmas: FloatArray,
+    covariance: FloatArray,
 ) -> TagFit:
     """Fit a tag's edges, and read its cells.
 
     `packed_camera` is that of `pack_camera`, `rays` as in `SearchRegion`, the print as in
     `TagPrint`, the stages as in `FitEffort`. From (4, 2) approximate corners, px, clockwise from
-    the upper left, follow (5, 2) `points`, the corners and the centre, px, and their `sigmas`.
+    the upper left, follow (5, 2) `points`, the corners and the centre, px, their `sigmas`,
+    and the (8, 8) `covariance` of the corners' u and v, px^2.
     `NO_FIT`, with a contrast of 0, is returned if the square is too small or too far outside of the
     image, or if the fit fails.
     """
@@ -458,7 +496,7 @@ def fit_tag(
     unmodelled_variance = (_UNMODELLED_BEND_RATIO * quartic * half_edge_px) ** 2
     return _report_fit(
         region, tag, scale, state, stage, residuals, bent, variance, unmodelled_variance,
-        start_corners, points, sigmas,
+        start_corners, points, sigmas, covariance,
     )  # fmt: skip
 
 
