@@ -20,16 +20,25 @@ these dominate; for a board the residuals do.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from math import exp, inf, log
+from math import cos, exp, inf, log, sin, sqrt
 from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
+from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.camera import Camera
+from vergence.models.fixation import cholesky_factorise, cholesky_solve
 from vergence.models.head import HeadModel
+from vergence.models.kinematics import (
+    Vector,
+    direction_to_outer,
+    point_to_local,
+    point_to_outer,
+    pose_at,
+)
 from vergence.models.parts import EYES, FloatArray
 from vergence.operands import as_operand
 
@@ -51,13 +60,8 @@ _DAMPING: Final = 1e-5  # first damping, as a share of the normal matrix's diago
 _DAMPING_RATIO: Final = 10.0  # change of the damping after each step (numerical)
 _LEAST_DECREASE: Final = 1e-9
 """Expected decrease of chi^2 below which a minimum is reached: 3e-5 sigma (numerical)."""
-_HOPELESS_RATIO: Final = 100.0
-"""A start is given up if its chi^2 + 1 will remain above this ratio times the least one (chosen:
-far above the odds of a second solution, against time)."""
 _RAY_STEP: Final = 1e-5  # half step of the lens's derivative, as a slope (numerical)
 _AROUND: Final = _RAY_STEP * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
-_CROSS: Final = np.cross(np.eye(3), np.eye(3)[:, None]).swapaxes(1, 2).reshape(3, 9)
-"""v @ _CROSS is the matrix of w -> w x v, row by row."""
 
 
 class Pose(NamedTuple):
@@ -166,7 +170,7 @@ def estimate_pose(
         ConfigurationError: an array has another shape, or a noise is not positive.
     """
     corners = as_operand("corners_m", corners_m, "n", 2)
-    eyes = [eye for eye in (_look(corners, view) for view in views) if len(eye.rays)]
+    eyes = [eye for eye in (_look(corners, view) for view in views) if len(eye.corners)]
     starts = [(eye, *solution) for eye in eyes for solution in _ippe(eye)]
     if not starts:
         return None
@@ -176,24 +180,29 @@ def estimate_pose(
         baseline = last.pose[:, 3] - first.pose[:, 3]
         apart = near - far + baseline
         ratio = max(float(apart @ baseline / (apart @ apart)), _LEAST_SIZE_RATIO)
-    more = np.zeros((len(starts), eyes[0].errors.shape[1] + sized))
-    more[:, len(more[0]) - sized :] = log(ratio)
-    origins = np.array([eye.pose[:, 3] for eye, _, _ in starts])
-    places = origins + ratio * (np.array([place for _, _, place in starts]) - origins)
-    states = _States(np.array([turn for _, turn, _ in starts]), places, more)
-    degrees = sum(2 * len(eye.rays) for eye in eyes) - 6 - sized
-    try:
-        return _best(*_minimise(eyes, sized, states), degrees, sized)
-    except np.linalg.LinAlgError:  # views that contradict each other move it out of sight
-        return None
+    count = eyes[0].errors.shape[1]
+    states = np.zeros((len(starts), 12 + count + sized))
+    states[:, 12 + count :] = log(ratio)
+    for state, (eye, turn, place) in zip(states, starts, strict=True):
+        own, origin = state[:12].reshape(3, 4), eye.pose[:, 3]
+        own[:, :3], own[:, 3] = turn, origin + ratio * (place - origin)
+    widths = np.array([eye.whitener.shape[1] for eye in eyes])
+    ends = np.cumsum([len(eye.whitener) for eye in eyes])
+    whitener = np.zeros((ends[-1], widths.max()))
+    for eye, end, width in zip(eyes, ends, widths, strict=True):
+        whitener[end - len(eye.whitener) : end, :width] = eye.whitener
+    poses = np.array([eye.pose for eye in eyes]).reshape(-1, 12)
+    every, errors = (np.concatenate([eye.corners for eye in eyes]), [eye.errors for eye in eyes])
+    problem = _Problem(every, whitener, ends, widths, poses, np.array(errors), sized)
+    normals = _minimise(problem, states)
+    return _best(states, normals, len(whitener) - 6 - sized, sized)
 
 
 class _Eye(NamedTuple):
     """The detected corners of a view, undistorted."""
 
-    corners: FloatArray  # (n, 3) in T, m
-    rays: FloatArray  # (n, 2)
-    whitener: FloatArray  # (n, 2, 2) of independent corners, (1, 2 n, 2 n) of correlated ones
+    corners: FloatArray  # (n, 4) in T, m, and rays
+    whitener: FloatArray  # (2 n, 2) of independent corners, (2 n, 2 n) of correlated ones
     pose: FloatArray  # (3, 4) T_X_C
     errors: FloatArray  # (6, k), see `View`
 
@@ -213,8 +222,9 @@ def _look(corners_m: FloatArray, view: View) -> _Eye:
     if (own <= 0.0).any():
         raise ConfigurationError(f"noise: expected positive values, got {np.nanmin(own):g}")
     rays = camera.rays(pixels)
-    around = np.pad(rays[:, None] + _AROUND, ((0, 0), (0, 0), (0, 1)), constant_values=1.0)
-    around = camera.project(around.reshape(-1, 3)).reshape(count, 2, 2, 2)
+    beside = np.ones((count, 4, 3))
+    beside[..., :2] = rays[:, None] + _AROUND
+    around = camera.project(beside.reshape(-1, 3)).reshape(count, 2, 2, 2)
     by_ray = ((around[:, 0] - around[:, 1]) / (2.0 * _RAY_STEP)).swapaxes(1, 2)
     seen = np.isfinite(rays + own + by_ray.sum(axis=2)).all(axis=1)
     blocks = np.square(own[seen, :, None]) * np.eye(2)
@@ -229,9 +239,8 @@ def _look(corners_m: FloatArray, view: View) -> _Eye:
     by_ray = by_ray[seen].reshape(count, 1, size // 2, 2, 2)
     whitener = whitener.reshape(count, size, size // 2, 1, 2) @ by_ray
     return _Eye(
-        np.pad(corners_m[seen], ((0, 0), (0, 1))),
-        rays[seen],
-        whitener.reshape(blocks.shape),
+        np.concatenate([corners_m, rays], axis=1)[seen],
+        whitener.reshape(-1, size),
         as_operand("pose", view.pose, 4, 4)[:3],
         as_operand("pose_errors", view.pose_errors, 6, "k"),
     )
@@ -239,9 +248,10 @@ def _look(corners_m: FloatArray, view: View) -> _Eye:
 
 def _ippe(eye: _Eye) -> list[tuple[FloatArray, FloatArray]]:
     """The two rotations and places in X of IPPE; none for corners that do not determine them."""
-    if not _determine_pose(eye.corners.tobytes()):
+    if not _determine_pose(eye.corners[:, :2].tobytes()):
         return []
-    found = cv2.solvePnPGeneric(eye.corners, eye.rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    board, rays = eye.corners[:, :3] * (1.0, 1.0, 0.0), np.ascontiguousarray(eye.corners[:, 2:])
+    found = cv2.solvePnPGeneric(board, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     back, origin = eye.pose[:, :3], eye.pose[:, 3]
     return [
         (back @ cv2.Rodrigues(turn)[0], back @ place[:, 0] + origin)
@@ -252,7 +262,7 @@ def _ippe(eye: _Eye) -> list[tuple[FloatArray, FloatArray]]:
 @lru_cache(maxsize=64)
 def _determine_pose(corners_m: bytes) -> bool:
     """True for four corners or more that are not on a line, with or without any one of them."""
-    plane = np.frombuffer(corners_m).reshape(-1, 3)[:, :2]
+    plane = np.frombuffer(corners_m).reshape(-1, 2)
     if len(plane) < 4:
         return False
     plane = (plane - plane.mean(axis=0)) / max(float(np.abs(plane).max()), 1e-300)
@@ -261,88 +271,14 @@ def _determine_pose(corners_m: bytes) -> bool:
     return bool(leverage.sum() > 2.5 and leverage.max() < 1.0 - _LEAST_WIDTH)
 
 
-class _States(NamedTuple):
-    """Points of the search, one from each start."""
-
-    turn: FloatArray  # (s, 3, 3) rotation of T_X_T
-    place: FloatArray  # (s, 3) its translation
-    more: FloatArray  # (s, k) errors of the cameras, then the logarithm of a size that is sought
-
-
-def _minimise(eyes: Sequence[_Eye], sized: bool, states: _States) -> tuple[_States, FloatArray]:
-    """Move each state to a minimum (Levenberg-Marquardt); also the normal matrices there."""
-    normals = _normal_matrices(eyes, sized, states)
-    damping = np.full(len(normals), _DAMPING)
-    left = np.flatnonzero(np.isfinite(normals[:, -1, -1]))
-    for _ in range(_MOST_STEPS):
-        damped, slopes = normals[left, :-1, :-1], normals[left, :-1, -1]
-        np.einsum("sii->si", damped)[:] *= 1.0 + damping[left, None]
-        steps = -np.linalg.solve(damped, slopes[:, :, None])[:, :, 0]
-        decreases, most = -(steps * slopes).sum(axis=1), normals[:, -1, -1].min() + 1.0
-        useful = decreases > _LEAST_DECREASE
-        useful &= normals[left, -1, -1] - decreases < _HOPELESS_RATIO * most
-        left, steps = left[useful], steps[useful]
-        if not len(left):
-            break
-        turned = np.array([cv2.Rodrigues(step)[0] for step in steps[:, 3:6]])
-        trial = _States(
-            turned @ states.turn[left],
-            states.place[left] + steps[:, :3],
-            states.more[left] + steps[:, 6:],
-        )
-        new = _normal_matrices(eyes, sized, trial)
-        better = new[:, -1, -1] < normals[left, -1, -1]
-        for old, moved in zip((*states, normals), (*trial, new), strict=True):
-            old[left[better]] = moved[better]
-        damping[left] *= np.where(better, 1.0 / _DAMPING_RATIO, _DAMPING_RATIO)
-    return states, normals
-
-
-def _normal_matrices(eyes: Sequence[_Eye], sized: bool, states: _States) -> FloatArray:
-    """[J r]^T [J r] of all residuals; its last element, chi^2, is inf for a corner behind."""
-    turn, place, more = states
-    errors = more[:, : more.shape[1] - sized]
-    count, common = len(turn), errors.shape[1]
-    ratio = np.exp(more[:, -1, None, None]) if sized else 1.0
-    # the errors of the cameras have unit variance
-    rows = [np.zeros((count, common, 7 + more.shape[1]))]
-    rows[0][:, :, 6 : 6 + common], rows[0][:, :, -1] = np.eye(common), errors
-    ahead = np.ones(count, bool)
-    for eye in eyes:
-        arm = ratio * eye.corners @ turn.swapaxes(1, 2)
-        point = arm + place[:, None]
-        seen = (point - eye.pose[:, 3]) @ eye.pose[:, :3]
-        depth, ray = seen[:, :, 2:], seen[:, :, :2] / seen[:, :, 2:]
-        ahead &= (depth > 0.0).all(axis=(1, 2))
-        by_point = (eye.pose[:, :2].T - ray[..., None] * eye.pose[:, 2]) / depth[..., None]
-        motion = np.empty((*point.shape, 6 + more.shape[1]))  # of the point, before the camera
-        motion[..., :3] = np.eye(3)
-        motion[..., 3:6] = (arm @ _CROSS).reshape(*arm.shape, 3)
-        moved = (point @ _CROSS).reshape(*arm.shape, 3) @ eye.errors[3:]
-        motion[..., 6 : 6 + common] = -eye.errors[:3] - moved
-        if sized:
-            motion[..., -1] = arm
-        part = np.empty((*ray.shape, 7 + more.shape[1]))
-        part[..., :-1] = by_point @ motion
-        # errors of the cameras are small enough to be linear
-        shift = part[..., 6 : 6 + common] @ errors[:, None, :, None]
-        part[..., -1] = ray - eye.rays + shift[..., 0]
-        part = eye.whitener @ part.reshape(count, *eye.whitener.shape[:2], -1)
-        rows.append(part.reshape(count, -1, 7 + more.shape[1]))
-    every = np.concatenate(rows, axis=1)
-    normals = np.asarray(every.swapaxes(1, 2) @ every)
-    normals[~ahead, -1, -1] = inf
-    return normals
-
-
-def _best(states: _States, normals: FloatArray, degrees: int, sized: bool) -> Pose | None:
+def _best(states: FloatArray, normals: FloatArray, degrees: int, sized: bool) -> Pose | None:
     """The lowest minimum, with the next distinct one if that is not ruled out."""
     best = None
     for k in np.argsort(normals[:, -1, -1]):
         chi_square, matrix = float(normals[k, -1, -1]), np.eye(4)
-        if chi_square == inf:
+        if not chi_square < inf:
             break
-        matrix[:3, :3], matrix[:3, 3] = states.turn[k], states.place[k]
+        matrix[:3] = states[k, :12].reshape(3, 4)
         if best is not None:
             factor = (_PRIOR_SQUARES * _PRIOR_VARIANCE_FACTOR + best.chi_square) / (
                 _PRIOR_SQUARES + degrees
@@ -352,12 +288,148 @@ def _best(states: _States, normals: FloatArray, degrees: int, sized: bool) -> Po
             turned = float(np.sum(best.matrix[:3, :3] * matrix[:3, :3]))
             if turned > 1.0 + 2.0 * np.cos(_LEAST_TURN_RAD):
                 continue
-        covariance = np.asarray(np.linalg.inv(normals[k, :-1, :-1])[:6, :6], np.float64)
-        if not (np.diagonal(covariance) > 0.0).all():  # out of sight
+        try:
+            covariance = np.asarray(np.linalg.inv(normals[k, :-1, :-1])[:6, :6], np.float64)
+        except np.linalg.LinAlgError:
             continue
-        ratio = exp(states.more[k, -1]) if sized else 1.0
+        if not (np.diagonal(covariance) > 0.0).all():  # views that contradict each other
+            continue
+        ratio = exp(states[k, -1]) if sized else 1.0
         pose = Pose(matrix, covariance, chi_square, degrees, ratio)
         if best is not None:
             return best._replace(other=pose)
         best = pose
     return best
+
+
+class _Problem(NamedTuple):
+    """What does not change while the pose is sought; of all views, one after the other."""
+
+    corners: FloatArray  # (n, 4) in T, m, and rays
+    whitener: FloatArray  # (2 n, width) weights of successive residuals
+    ends: NDArray[np.int64]  # (v,) end of each view's rows
+    widths: NDArray[np.int64]  # (v,) used columns of these rows
+    cameras: FloatArray  # (v, 12) T_X_C, row by row
+    errors: FloatArray  # (v, 6, k), see `View`
+    sized: bool
+
+
+@compiled
+def _minimise(problem: _Problem, states: FloatArray) -> FloatArray:
+    """Move each state to a minimum, and return the normal matrices there, see `_normal_matrix`.
+
+    A state is the pose T_X_T, row by row, the errors of the cameras, and the logarithm of the size.
+    """
+    size = states.shape[1] - 6
+    normals = np.zeros((len(states), size + 1, size + 1))
+    rows, step = np.empty((len(problem.whitener), size + 1)), np.empty(size)
+    for s in range(len(states)):
+        state, normal, damping = states[s], normals[s], _DAMPING
+        trial = state.copy()
+        _normal_matrix(problem, state, rows, normal)
+        for _ in range(_MOST_STEPS):
+            factor = normal.copy()
+            for j in range(size):
+                factor[j, j] *= 1.0 + damping
+                step[j] = -normal[size, j]
+            if not cholesky_factorise(factor, size, 0.0):
+                break
+            cholesky_solve(factor, step, size)
+            decrease = 0.0
+            for j in range(size):
+                decrease -= step[j] * normal[size, j]
+            if not decrease > _LEAST_DECREASE:
+                break
+            _move(state, step, trial)
+            _normal_matrix(problem, trial, rows, factor)
+            if factor[size, size] < normal[size, size]:
+                damping /= _DAMPING_RATIO
+                for j in range(len(state)):
+                    state[j] = trial[j]
+                for j in range(size + 1):
+                    for k in range(size + 1):
+                        normal[j, k] = factor[j, k]
+            else:
+                damping *= _DAMPING_RATIO
+    return normals
+
+
+@inlined
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@subroutine
+def _move(state: FloatArray, step: FloatArray, out: FloatArray) -> None:
+    """Add a step to a state; its elements 3 to 5 are a rotation vector in X (Rodrigues)."""
+    turn = (step[3], step[4], step[5])
+    square = turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2]
+    angle = sqrt(square)
+    by_turn, by_square = 1.0, 0.5
+    if angle > 1e-6:
+        by_turn, by_square = sin(angle) / angle, (1.0 - cos(angle)) / square
+    for j in range(3):
+        axis = (state[j], state[4 + j], state[8 + j])
+        once = _cross(turn, axis)
+        twice = _cross(turn, once)
+        for i in range(3):
+            out[4 * i + j] = axis[i] + by_turn * once[i] + by_square * twice[i]
+        out[4 * j + 3] = state[4 * j + 3] + step[j]
+    for j in range(6, len(step)):
+        out[6 + j] = state[6 + j] + step[j]
+
+
+@subroutine
+def _normal_matrix(
+    problem: _Problem, state: FloatArray, rows: FloatArray, normal: FloatArray
+) -> None:
+    """[J r]^T [J r] of all residuals; its last element, chi^2, is inf for a corner behind."""
+    corners, whitener, ends, widths, cameras, errors, sized = problem
+    count, last = errors.shape[2], len(normal) - 1
+    target, ratio = pose_at(state, 0), exp(state[12 + count]) if sized else 1.0
+    white, begin = np.empty(last + 1), 0
+    for k in range(last + 1):
+        for j in range(last + 1):
+            normal[k, j] = 0.0
+    for view in range(len(ends)):
+        camera, error, end = pose_at(cameras[view], 0), errors[view], ends[view]
+        for i in range(begin, end):
+            row, axis = rows[i], i % 2
+            x, y = ratio * corners[i // 2, 0], ratio * corners[i // 2, 1]
+            arm, point = direction_to_outer(target, x, y, 0.0), point_to_outer(target, x, y, 0.0)
+            seen = point_to_local(camera, point[0], point[1], point[2])
+            if not seen[2] > 0.0:
+                normal[last, last] = inf
+                return
+            ray = seen[axis] / seen[2]
+            by_point = direction_to_outer(
+                camera, (1 - axis) / seen[2], axis / seen[2], -ray / seen[2]
+            )
+            by_turn, by_camera_turn = _cross(arm, by_point), _cross(point, by_point)
+            row[last] = ray - corners[i // 2, 2 + axis]
+            for j in range(6, last):
+                row[j] = 0.0
+            for k in range(3):
+                row[k], row[3 + k] = by_point[k], by_turn[k]
+                for j in range(count):
+                    row[6 + j] -= by_point[k] * error[k, j] + by_camera_turn[k] * error[3 + k, j]
+                if sized:
+                    row[6 + count] += arm[k] * by_point[k]
+            for j in range(count):  # small enough to be linear
+                row[last] += row[6 + j] * state[12 + j]
+        for i in range(begin, end):
+            first = i - i % 2 if widths[view] == 2 else begin
+            for k in range(last + 1):
+                white[k] = 0.0
+                for j in range(widths[view]):
+                    white[k] += whitener[i, j] * rows[first + j, k]
+                for j in range(k + 1):
+                    normal[k, j] += white[k] * white[j]
+        begin = end
+    for j in range(count):  # the errors of the cameras have unit variance
+        normal[6 + j, 6 + j] += 1.0
+        normal[last, 6 + j] += state[12 + j]
+        normal[last, last] += state[12 + j] ** 2
+    for k in range(last + 1):
+        for j in range(k):
+            normal[j, k] = normal[k, j]
