@@ -13,7 +13,6 @@ from vergence.calibration.head.preview import CalibrationPreview, preview_calibr
 from vergence.calibration.head.recording import (
     AT_REST,
     HEAD_IDENTITY,
-    LEAST_CORNERS,
     PLACEMENT,
     SUFFIX,
     TARGET,
@@ -72,7 +71,7 @@ class EstimatedBoard(NamedTuple):
 
 def estimate_board_by_last_views(head: HeadModel, frames: HeadFrames) -> EstimatedBoard:
     """Board by the last view of each eye, whose error recurs in its next; else the other's."""
-    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
+    enough = frames.shown
     T_0_N = head.base_pose(frames.joint_positions)
     T_0_C = T_0_N[:, None] @ head.camera_poses(frames.joint_positions)
     corners: list[FloatArray | None] = [None, None]
@@ -431,7 +430,7 @@ def _frame(looker: Looker, view: BoardView) -> HeadFrames:
 
 
 def _eyes_that_see(frame: HeadFrames) -> int:
-    return int((frame.seen.sum(axis=-1) >= LEAST_CORNERS).sum())
+    return int(frame.shown.sum())
 
 
 def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> HeadFrames:

@@ -105,7 +105,7 @@ def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> Initi
     """Find the poses of the board on which most views agree, through a given head."""
     places, turns, shifts = board_corners_and_poses_in_base(head, frames)
     orders = equivalent_corner_orders(frames.target)
-    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
+    enough = frames.shown.copy()
     enough &= np.isfinite(places).all(axis=(-2, -1))  # pixels outside the lens's range
     rotations, translations, spreads = [], [], []
     pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
@@ -202,6 +202,12 @@ class HeadSolution:
     def head(self) -> HeadModel:
         """The fitted head."""
         return self.problem.nominal_head.with_parameters(self.state.head_parameters)
+
+    @property
+    def scatter_ratio(self) -> FloatArray:
+        """(7,) ratio of each actuator's reading scatter to its expectation, as it was fitted."""
+        ratio = self.problem.scatter_ratio
+        return np.ones(7) if ratio is None else ratio
 
     @cached_property
     def squares(self) -> FloatArray:
@@ -310,7 +316,7 @@ def fit_robustly(
     start: HeadUnknowns | None = None,
 ) -> HeadFit:
     """Fit a head robustly, first to the (2, f) inlier views that agree on (b) boards in frame 0."""
-    eligible = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
+    eligible = problem.frames.seen & problem.frames.shown[..., None]
     begin = problem.start(initial_boards)
     if start is not None:
         begin = begin._replace(
@@ -329,12 +335,12 @@ def fit_robustly(
 def refit_inliers_and_scatter(solution: HeadSolution) -> HeadFit:
     """Refine a solution on its inliers, with readings weighted by their scatter."""
     problem = solution.problem
-    eligible = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
+    eligible = problem.frames.seen & problem.frames.shown[..., None]
     kept, scatter_ratio = np.zeros_like(eligible), np.ones(7)
     for _ in range(_MOST_ROUNDS):
         previous = kept, scatter_ratio
         scatter_ratio = reading_scatter_ratio(solution)
-        kept = _inliers(solution, eligible, scatter_ratio)
+        kept = inlier_corners(solution, eligible, scatter_ratio)
         if not kept.any():
             raise np.linalg.LinAlgError("expected views that agree with each other, got none")
         if np.array_equal(kept, previous[0]) and np.allclose(
@@ -346,7 +352,7 @@ def refit_inliers_and_scatter(solution: HeadSolution) -> HeadFit:
     return HeadFit(solution, kept)
 
 
-def _inliers(
+def inlier_corners(
     solution: HeadSolution, eligible: NDArray[np.bool_], scatter_ratio: FloatArray
 ) -> NDArray[np.bool_]:
     """(2, f, n) True for inlier corners of views with mostly inliers and plausible readings."""
@@ -354,9 +360,7 @@ def _inliers(
     fit = eligible & (
         np.nan_to_num(solution.squares, nan=np.inf) < _INLIER_GATE**2 * typical_square
     )
-    already = solution.problem.scatter_ratio
-    known = np.ones(7) if already is None else already
-    errors = np.abs(solution.normalised_reading_errors) * known / scatter_ratio
+    errors = np.abs(solution.normalised_reading_errors) * solution.scatter_ratio / scatter_ratio
     wrong = errors > _INLIER_GATE * np.sqrt(typical_square)
     moved = np.abs(solution.problem.joints_from_actuators) > 0.0
     for eye in range(2):
@@ -378,8 +382,7 @@ def _typical_square(solution: HeadSolution, eligible: NDArray[np.bool_]) -> floa
 
 def reading_scatter_ratio(solution: HeadSolution) -> FloatArray:
     """(7,) scatter of readings over that of quantisation and backlash, at least 1."""
-    own, already = solution.problem.reading_error_unknowns, solution.problem.scatter_ratio
-    known = np.ones(7) if already is None else already
+    own, known = solution.problem.reading_error_unknowns, solution.scatter_ratio
     found = np.ones(7)
     counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))
     typical_square = _typical_square(solution, solution.problem.frames.seen)

@@ -18,7 +18,7 @@ from vergence.calibration.head.fit import (
     InitialBoardPoses,
     estimate_consensus_board_poses,
 )
-from vergence.calibration.head.recording import LEAST_CORNERS, HeadFrames
+from vergence.calibration.head.recording import HeadFrames
 from vergence.calibration.uncertainty import clustered_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -70,7 +70,7 @@ def refuse_few_poses(frames: HeadFrames) -> None:
 
 def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoardPoses) -> None:
     """Refuse a recording with the images of the left and right eye exchanged."""
-    both = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).all(axis=0)
+    both = frames.shown.all(axis=0)
     if not both.any():
         return
     some = frames.select(both)
@@ -86,7 +86,7 @@ def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoard
 def refuse_implausible_solution(solution: HeadSolution, kept_corners: NDArray[np.bool_]) -> None:
     """Refuse a fit with mostly outliers or few poses, and a head far from its file."""
     frames = solution.problem.frames
-    views = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).sum()
+    views = frames.shown.sum()
     fraction = kept_corners.any(axis=-1).sum() / views
     if fraction <= _LEAST_AGREEING_FRACTION:
         raise ConfigurationError(
@@ -140,7 +140,7 @@ def remark_on_few_views(frames: HeadFrames, kept_corners: NDArray[np.bool_]) -> 
     """Remark on eyes without views, or with many views left out."""
     lines = []
     for eye, name in enumerate(EYE_NAMES):
-        views = int((frames.seen[eye].sum(axis=-1) >= LEAST_CORNERS).sum())
+        views = int(frames.shown[eye].sum())
         out = views - int(kept_corners[eye].any(axis=-1).sum())
         if not views:
             lines.append(f"the {name} eye has never seen the board: it stays as its file has it")
@@ -335,7 +335,7 @@ def find_new_placement(
     """All frames with the board's placements on which left-out views agree; None if on no other."""
     frames = solution.problem.frames
     views = np.asarray(kept_corners.any(axis=-1))
-    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
+    enough = frames.shown
     lost = enough.any(axis=0) & ~views.any(axis=0)
     if len(np.unique(frames.pose[lost])) < _LEAST_MOVED_POSES:
         return None

@@ -36,6 +36,10 @@ the dither of some tenths of a degree and the distance of poses of some degrees)
 _STILL_POSE_FRACTION: Final = 0.8
 """Fraction of the poses in which a joint's reading must not change for the joint to count as one
 without dither (chosen)."""
+_FRAME_AXES: Final = {
+    "time_s": 0, "joint_positions": 0, "pixels": 1, "sigma": 1, "placement": 0
+}  # fmt: skip
+"""Axis of the frames in each array of `HeadFrames`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,21 +84,20 @@ class HeadFrames:
     def joined(cls, parts: Sequence["HeadFrames"]) -> "HeadFrames":
         """Join frames of one target, one after the other."""
         return cls(
-            target=parts[0].target, time_s=np.concatenate([part.time_s for part in parts]),
-            joint_positions=np.concatenate([part.joint_positions for part in parts]),
-            pixels=np.concatenate([part.pixels for part in parts], axis=1),
-            sigma=np.concatenate([part.sigma for part in parts], axis=1),
-            placement=np.concatenate([part.placement for part in parts]),
-        )  # fmt: skip
+            target=parts[0].target,
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts], axis=axis)
+                for name, axis in _FRAME_AXES.items()
+            },
+        )
 
     def select(self, frames: NDArray[np.bool_] | IntArray) -> "HeadFrames":
         """Select some of the frames."""
-        return HeadFrames(
-            target=self.target, time_s=self.time_s[frames],
-            joint_positions=self.joint_positions[frames],
-            pixels=self.pixels[:, frames], sigma=self.sigma[:, frames],
-            placement=self.placement[frames],
-        )  # fmt: skip
+        chosen = {
+            name: getattr(self, name)[(slice(None),) * axis + (frames,)]
+            for name, axis in _FRAME_AXES.items()
+        }
+        return replace(self, **chosen)
 
     @cached_property
     def corners(self) -> FloatArray:
@@ -106,6 +109,11 @@ class HeadFrames:
     def seen(self) -> NDArray[np.bool_]:
         """(2, f, n) True for corners that were found."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))
+
+    @cached_property
+    def shown(self) -> NDArray[np.bool_]:
+        """(2, f) True for views with enough corners to determine the board's pose."""
+        return np.asarray(self.seen.sum(axis=-1) >= LEAST_CORNERS)
 
     @cached_property
     def pose(self) -> IntArray:
@@ -310,7 +318,7 @@ def clean_and_renumber_frames(frames: HeadFrames) -> HeadFrames:
 def sort_and_clean_frames(frames: HeadFrames) -> HeadFrames:
     """Sort frames by time; leave out those without the board, and all but one of a head at rest."""
     frames = frames.select(np.argsort(frames.time_s, kind="stable"))
-    shown = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).any(axis=0)
+    shown = frames.shown.any(axis=0)
     fresh = np.ones(len(shown), bool)
     same = np.unique(frames.joint_positions, axis=0, return_inverse=True)[1].ravel()
     for group in np.flatnonzero(np.bincount(same) > 1):
