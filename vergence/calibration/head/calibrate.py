@@ -27,10 +27,7 @@ from vergence.calibration.head.judge import (
     remark_on_changed_baseline,
     remark_on_few_views,
 )
-from vergence.calibration.head.recording import (
-    HeadFrames,
-    sort_and_clean_frames,
-)
+from vergence.calibration.head.recording import HeadFrames, sort_and_clean_frames
 from vergence.calibration.head.terms import (
     AUTO,
     choose_terms,
@@ -234,8 +231,8 @@ def actuator_names(head: HeadModel) -> list[str]:
 def _remarks_on_scatter(solution: HeadSolution) -> list[str]:
     """Report joints whose readings scatter more than quantisation and backlash explain."""
     ratio, names = solution.problem.scatter_ratio, actuator_names(solution.problem.nominal_head)
-    wide = [] if ratio is None else np.flatnonzero(ratio > 1.0).tolist()
-    if ratio is None or not wide:
+    wide = np.flatnonzero(ratio > 1.0).tolist()
+    if not wide:
         return []
     worst = max(wide, key=lambda joint: ratio[joint])
     sigma = solution.problem.reading_error_unknowns.reading_sigma[worst]
@@ -332,16 +329,9 @@ def points_ahead(distance_m: FloatArray) -> FloatArray:
 
 def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
     """(n, 3) points at one distance, turned to the right and then down by angles (n,), m."""
-    return np.asarray(
-        distance_m
-        * np.column_stack(
-            [
-                np.sin(right_rad) * np.cos(down_rad),
-                np.sin(down_rad),
-                np.cos(right_rad) * np.cos(down_rad),
-            ]
-        )
-    )
+    across = np.cos(down_rad)
+    directions = [np.sin(right_rad) * across, np.sin(down_rad), np.cos(right_rad) * across]
+    return np.asarray(distance_m * np.column_stack(directions))
 
 
 def predict_depth_errors(
@@ -349,14 +339,9 @@ def predict_depth_errors(
 ) -> DepthErrors:
     """Predict the errors of depth of the nominal head, and those that the calibration leaves.
 
-    The calibrated head fixates each point; the nominal and the calibrated head triangulate it from
-    the same joint angles and pixels. The uncertainty is to first order in the head's parameters,
-    with derivatives by central differences.
-
-    Args:
-        calibration: the calibration.
-        points_from_eyes_m: (n, 3) points relative to midway between the eyes, in N with the neck at
-            rest, m.
+    The calibrated head fixates (n, 3) points in N, relative to midway between the eyes; both heads
+    triangulate them from the same joint angles and pixels. The uncertainty is to first order in the
+    head's parameters, with derivatives by central differences.
     """
     head = calibration.head
     points = midpoint_between_cameras(head) + points_from_eyes_m
@@ -374,22 +359,8 @@ def predict_depth_errors(
     ).point
     depth = np.einsum("snpi,pi->snp", moved, along)
     depth_derivatives = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
-    spread = np.einsum(
-        "np,nm,mp->p",
-        depth_derivatives,
-        calibration.covariance[np.ix_(free, free)],
-        depth_derivatives,
-    )
+    covariance = calibration.covariance[np.ix_(free, free)]
+    spread = np.einsum("np,nm,mp->p", depth_derivatives, covariance, depth_derivatives)
     floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
-    return DepthErrors(
-        distance,
-        *(
-            np.where(sees, values, np.nan)
-            for values in (
-                (off * along).sum(axis=-1),
-                np.linalg.norm(off, axis=-1),
-                np.sqrt(spread),
-                np.sqrt(floor),
-            )
-        ),
-    )
+    errors = (off * along).sum(axis=-1), np.linalg.norm(off, axis=-1), spread**0.5, floor**0.5
+    return DepthErrors(distance, *(np.where(sees, values, np.nan) for values in errors))

@@ -99,6 +99,8 @@ class InitialBoardPoses(NamedTuple):
     spread_m: float
     """Median rms distance of these views' corners from the poses' corners; median over
     placements."""
+    remark: str = ""
+    """What to tell of a placement that was found among other frames."""
 
 
 def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> InitialBoardPoses:
@@ -119,7 +121,7 @@ def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> Initi
         best, away, order = _medoid(places, here, orders)
         rotations.append(turns[best])
         translations.append(shifts[best])
-        near = away <= 4.0 * np.quantile(away, 0.25) + 0.25 * _size(frames)
+        near = away <= 4.0 * np.quantile(away, 0.25) + 0.25 * frames.size_m
         spreads.append(float(np.median(away[near])))
         for (eye, frame), its, close in zip(here.tolist(), order.tolist(), near, strict=True):
             inlier_views[eye, frame] = close
@@ -165,10 +167,6 @@ def _medoid(
     return (eye, frame), by_order.min(axis=0), by_order.argmin(axis=0)
 
 
-def _size(frames: HeadFrames) -> float:
-    return float(np.ptp(frames.corners, axis=0).max())
-
-
 def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
     """(...) root mean square distance between corners (..., n, 3), m."""
     return np.asarray(np.sqrt(((one - other) ** 2).sum(axis=-1).mean(axis=-1)))
@@ -203,12 +201,6 @@ class HeadSolution:
         """The fitted head."""
         return self.problem.nominal_head.with_parameters(self.state.head_parameters)
 
-    @property
-    def scatter_ratio(self) -> FloatArray:
-        """(7,) ratio of each actuator's reading scatter to its expectation, as it was fitted."""
-        ratio = self.problem.scatter_ratio
-        return np.ones(7) if ratio is None else ratio
-
     @cached_property
     def squares(self) -> FloatArray:
         """(2, f, n) mean square of each corner's residuals, in sigma^2; nan if not found."""
@@ -223,17 +215,23 @@ class HeadSolution:
         return np.where(own.has_frame_error, self.state.frame_errors / sigma, 0.0)
 
     @cached_property
-    def reduced_chi(self) -> float:
-        """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
+    def squares_and_counts(self) -> tuple[float, float, float]:
+        """Sum of squares, in sigma^2, number of residuals, and of the frames' own parameters."""
         counted: NDArray[np.bool_] = self.problem.frames.seen & (self.weights.corners > 0.0)
         own = (
             self.problem.reading_error_unknowns.has_frame_error
             & np.asarray(counted.any(axis=(0, 2)))[:, None]
         )
         # effective number of parameters: a reading error counts by its reduction of variance
-        taken = float((own * (1.0 - self.reading_variance_ratio)).sum()) + self.problem.shared_count
-        measured = 2.0 * float(counted.sum())
-        return float(np.sqrt(2.0 * self.squares[counted].sum() / max(measured - taken, 1.0)))
+        taken = float((own * (1.0 - self.reading_variance_ratio)).sum())
+        return 2.0 * float(self.squares[counted].sum()), 2.0 * float(counted.sum()), taken
+
+    @property
+    def reduced_chi(self) -> float:
+        """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
+        squares, measured, taken = self.squares_and_counts
+        taken += self.problem.shared_count
+        return float(np.sqrt(squares / max(measured - taken, 1.0)))
 
     @cached_property
     def reading_variance_ratio(self) -> FloatArray:
@@ -360,7 +358,9 @@ def inlier_corners(
     fit = eligible & (
         np.nan_to_num(solution.squares, nan=np.inf) < _INLIER_GATE**2 * typical_square
     )
-    errors = np.abs(solution.normalised_reading_errors) * solution.scatter_ratio / scatter_ratio
+    errors = (
+        np.abs(solution.normalised_reading_errors) * solution.problem.scatter_ratio / scatter_ratio
+    )
     wrong = errors > _INLIER_GATE * np.sqrt(typical_square)
     moved = np.abs(solution.problem.joints_from_actuators) > 0.0
     for eye in range(2):
@@ -382,7 +382,7 @@ def _typical_square(solution: HeadSolution, eligible: NDArray[np.bool_]) -> floa
 
 def reading_scatter_ratio(solution: HeadSolution) -> FloatArray:
     """(7,) scatter of readings over that of quantisation and backlash, at least 1."""
-    own, known = solution.problem.reading_error_unknowns, solution.scatter_ratio
+    own, known = solution.problem.reading_error_unknowns, solution.problem.scatter_ratio
     found = np.ones(7)
     counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))
     typical_square = _typical_square(solution, solution.problem.frames.seen)

@@ -8,7 +8,11 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights
+from vergence.calibration.head.adjust import (
+    HeadAdjustment,
+    HeadUnknowns,
+    MeasurementWeights,
+)
 from vergence.calibration.head.fit import (
     HeadSolution,
     estimate_consensus_board_poses,
@@ -91,16 +95,12 @@ class PoseEquations:
         problem, frames = solution.problem, solution.problem.frames
         normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
         assert normal.frame_contributions is not None
+        squares, measured, taken = solution.squares_and_counts
         first = np.unique(frames.pose, return_index=True)[1]
         blocks, slopes = (np.add.reduceat(each, first) for each in normal.frame_contributions)
-        counted = frames.seen & (solution.weights.corners > 0.0)
-        shown = np.asarray(counted.any(axis=(0, 2)))[:, None]
-        read = problem.reading_error_unknowns.has_frame_error & shown
         return cls(
             solution, problem.frame_columns[first], blocks, slopes, normal.matrix, normal.gradient,
-            2.0 * float(solution.squares[counted].sum()),
-            2.0 * float(counted.sum())
-            - float((read * (1.0 - solution.reading_variance_ratio)).sum()),
+            squares, measured - taken,
             float(frames.time_s[-1]),
         )  # fmt: skip
 
@@ -127,15 +127,9 @@ class PoseEquations:
         typical_square = max(self.solution.reduced_chi, 1.0) ** 2
         eligible = late.frames.seen & late.frames.shown[..., None]
         weights = MeasurementWeights.of(eligible)._replace(cauchy_scale=typical_square)
-        for _ in range(_READING_STEPS):
-            normal = late.linearised(there, weights)
-            there = late.moved(there, normal, np.zeros(late.shared_count))
-        found = HeadSolution(late, there, late.linearised(there, weights), weights)
-        weights = MeasurementWeights.of(inlier_corners(found, eligible, found.scatter_ratio))
-        for _ in range(_READING_STEPS):
-            normal = late.linearised(there, weights)
-            there = late.moved(there, normal, np.zeros(late.shared_count))
-        more = PoseEquations.of(HeadSolution(late, there, normal, weights))
+        found = _with_readings_settled(late, there, weights)
+        weights = MeasurementWeights.of(inlier_corners(found, eligible, problem.scatter_ratio))
+        more = PoseEquations.of(_with_readings_settled(late, found.state, weights))
         if more.squares > (_MOST_CHI_RATIO * self.solution.reduced_chi) ** 2 * more.freedom:
             return None  # the board has been moved, or the fit is not near enough
         padded = np.zeros((problem.shared_count + 1,) * 2)
@@ -169,6 +163,16 @@ class PoseEquations:
         boards = step[first : first + 6 * problem.placement_count].reshape(-1, 6)
         values = state.head_parameters + step[: len(problem.prior_mean)]
         return _preview(self.solution, values, state.boards.moved(boards), covariance, self)
+
+
+def _with_readings_settled(
+    problem: HeadAdjustment, state: HeadUnknowns, weights: MeasurementWeights
+) -> HeadSolution:
+    """Fit the frames' own reading errors while all else stays."""
+    for _ in range(_READING_STEPS):
+        normal = problem.linearised(state, weights)
+        state = problem.moved(state, normal, np.zeros(problem.shared_count))
+    return HeadSolution(problem, state, problem.linearised(state, weights), weights)
 
 
 def _preview(

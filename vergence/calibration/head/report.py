@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -74,14 +74,6 @@ _MOST_ROWS: Final = 40
 """Most rows of the table of views left out (chosen: a page's worth; the rest is in views.csv)."""
 
 
-class LeftOutView(NamedTuple):
-    """A view that was left out."""
-
-    time_s: float
-    eye: str
-    why: str
-
-
 def write_run(
     folder: Path,
     calibration: HeadCalibration,
@@ -94,14 +86,13 @@ def write_run(
     (folder / head_file_name).write_text(head_file_text, encoding="utf-8")
     names, units, before = calibration.nominal_head.parameters()
     own = calibration.solution.problem
-    scatter_ratio = np.ones(7) if own.scatter_ratio is None else own.scatter_ratio
-    noisier = zip(actuator_names(calibration.nominal_head), scatter_ratio.tolist(), strict=True)
+    noisier = zip(actuator_names(calibration.nominal_head), own.scatter_ratio.tolist(), strict=True)
     told, left_out = result_document(calibration, unobservable), left_out_views(calibration)
     write_json(
         folder / "result.json",
         {
             **told,
-            "left_out_views": [one._asdict() for one in left_out],
+            "left_out_views": left_out,
             "recording": dict(provenance),
             "noisier": {each: times for each, times in noisier if each},
             "names": list(names),
@@ -120,7 +111,9 @@ def write_run(
         head=calibration.nominal_head.name, name=head_file_name, provenance=provenance,
         headline=_headline(calibration), sides=EYE_NAMES, side="eye",
         maps=[f"{each:g}" for each in _MAP_DISTANCES_M],
-        dropped=[[f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out[:_MOST_ROWS]],
+        dropped=[
+            [f"{one['time_s']:.2f} s, {one['eye']}", one["why"]] for one in left_out[:_MOST_ROWS]
+        ],
         numbers=_number_rows(calibration),
     )  # fmt: skip
 
@@ -163,7 +156,7 @@ def result_document(
     }
 
 
-def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
+def left_out_views(calibration: HeadCalibration) -> list[dict[str, Any]]:
     """List the views that show corners and were left out, in the order of time."""
     frames, residuals = calibration.frames, normalised_view_rms(calibration)
     usual = float(np.median(residuals[calibration.kept_views]))
@@ -181,7 +174,7 @@ def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
 
     lost = np.argwhere((count > 0).T & ~calibration.kept_views.T)
     return [
-        LeftOutView(float(frames.time_s[frame]), EYE_NAMES[eye], why(eye, frame))
+        {"time_s": float(frames.time_s[frame]), "eye": EYE_NAMES[eye], "why": why(eye, frame)}
         for frame, eye in lost.tolist()
     ]
 

@@ -195,7 +195,7 @@ def _richer(fit: HeadFit, terms: Collection[str], cameras: bool) -> HeadFit:
     """Fit the head with terms."""
     problem, start = _extended(fit.solution, terms, cameras)
     # estimate the scatter of the readings again, as a term may explain it
-    problem = replace(problem, scatter_ratio=None)
+    problem = replace(problem, scatter_ratio=np.ones(7))
     return refit_inliers_and_scatter(solve(problem, start, MeasurementWeights.of(fit.kept_corners)))
 
 
@@ -252,8 +252,7 @@ def _gains(
     noise = max(solution.reduced_chi, 1.0) ** 2
     # while a term is missing, its error enlarges the readings' sigma and so reduces the gain
     own = solution.problem.reading_error_unknowns.has_frame_error
-    scatter_ratio = solution.problem.scatter_ratio
-    belief = 1.0 if scatter_ratio is None else float(scatter_ratio.max()) ** 2
+    belief = float(solution.problem.scatter_ratio.max()) ** 2
     worth = _LEAST_TRIAL_FRACTION * 2.0 * own.sum() / belief
     return {
         term: gain / noise
@@ -283,10 +282,9 @@ def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
     kept = richer.kept_corners & simpler.kept_corners
     # judge the readings of both heads by the richer head's sigma
     rich, simple = richer.solution.problem, simpler.solution.problem
-    scatter_ratio = np.ones(7) if simple.scatter_ratio is None else simple.scatter_ratio
     sigma = [each.reading_error_unknowns.reading_sigma for each in (rich, simple)]
     ratio = np.divide(sigma[0], sigma[1], out=np.ones(7), where=sigma[1] > 0.0)
-    simple_errors = cross_validate_by_pose(simpler.solution, kept, ratio * scatter_ratio)
+    simple_errors = cross_validate_by_pose(simpler.solution, kept, ratio * simple.scatter_ratio)
     rich_errors = cross_validate_by_pose(richer.solution, kept)
     less = np.log(simple_errors.pose_mean_squares) - np.log(rich_errors.pose_mean_squares)
     less = less[np.isfinite(less)]
