@@ -75,8 +75,6 @@ class HeadCalibration:
     """Calibration of a head from a recording."""
 
     solution: HeadSolution
-    kept_corners: NDArray[np.bool_]
-    """(2, f, n) True for kept corners, the inliers."""
     held_out_mean_squares: FloatArray
     """(2, f) mean squares of views by heads that were calibrated without them, in units of sigma^2;
     nan for views without kept corners."""
@@ -119,15 +117,24 @@ class HeadCalibration:
         return self.solution.problem.frames
 
     @property
+    def kept_corners(self) -> NDArray[np.bool_]:
+        """(2, f, n) True for kept corners, the inliers."""
+        return self.solution.kept_corners
+
+    @property
     def kept_views(self) -> NDArray[np.bool_]:
         """(2, f) True for kept views, with at least one kept corner."""
         return np.asarray(self.kept_corners.any(axis=-1))
 
     @cached_property
+    def residuals_px(self) -> FloatArray:
+        """(2, f, n, 2) residuals projected minus measured, px."""
+        return self.solution.normal.residuals * self.frames.sigma
+
+    @cached_property
     def rms_px(self) -> float:
         """Root mean square length of the kept corners' residuals, px."""
-        left = self.solution.normal.residuals * self.frames.sigma
-        return rms_length(left[self.kept_corners])
+        return rms_length(self.residuals_px[self.kept_corners])
 
     @cached_property
     def rms_heldout_px(self) -> float:
@@ -188,25 +195,25 @@ def calibrate_head(
         fit = fit_robustly(problem, start.boards, start.inlier_views)
         for place in range(1, _MOST_PLACEMENTS):
             report(0.1 + 0.6 * place / (place + 1.0))
-            more = find_new_placement(fit.solution, fit.kept_corners)
-            near = None if more is None else fit.solution.state
+            more = find_new_placement(fit)
+            near = None if more is None else fit.state
             if more is None:
-                more = find_small_board_motion(fit.solution)
+                more = find_small_board_motion(fit)
             if more is None:
                 break
             remarks.append(more.remark)
             problem = replace(problem, frames=more.frames)
             fit = fit_robustly(problem, more.boards, more.inlier_views, near)
-        refuse_implausible_solution(fit.solution, fit.kept_corners)
+        refuse_implausible_solution(fit)
         report(0.7)
         if tuple(terms) == (AUTO,):
             fit, suspected = choose_terms(fit, estimate_cameras)
             if suspected is not None:
                 remarks.append(_remark_on_harmonics(suspected) + _HARMONICS_HINT)
-        if type(fit.solution.head.links) is not type(file.links):
+        if type(fit.head.links) is not type(file.links):
             remarks.append(_JOINT_AXES_REMARK)
         report(0.8)
-        views = cross_validate_by_pose(fit.solution, fit.kept_corners).view_mean_squares
+        views = cross_validate_by_pose(fit, fit.kept_corners).view_mean_squares
     except np.linalg.LinAlgError:
         raise ConfigurationError(
             "expected frames that agree on where the board is, got some that do not: is the target "
@@ -215,8 +222,7 @@ def calibrate_head(
         ) from None
     report(1.0)
     return HeadCalibration(
-        solution=fit.solution,
-        kept_corners=fit.kept_corners,
+        solution=fit,
         held_out_mean_squares=views,
         recording_remarks=(*remarks, *remark_on_few_views(start.frames, fit.kept_corners)),
     )

@@ -202,6 +202,11 @@ class HeadSolution:
         return self.problem.nominal_head.with_parameters(self.state.head_parameters)
 
     @cached_property
+    def kept_corners(self) -> NDArray[np.bool_]:
+        """(2, f, n) True for the corners that were fitted."""
+        return self.problem.frames.seen & (self.weights.corners > 0.0)
+
+    @cached_property
     def squares(self) -> FloatArray:
         """(2, f, n) mean square of each corner's residuals, in sigma^2; nan if not found."""
         seen = self.problem.frames.seen
@@ -217,7 +222,7 @@ class HeadSolution:
     @cached_property
     def squares_and_counts(self) -> tuple[float, float, float]:
         """Sum of squares, in sigma^2, number of residuals, and of the frames' own parameters."""
-        counted: NDArray[np.bool_] = self.problem.frames.seen & (self.weights.corners > 0.0)
+        counted = self.kept_corners
         own = (
             self.problem.reading_error_unknowns.has_frame_error
             & np.asarray(counted.any(axis=(0, 2)))[:, None]
@@ -298,21 +303,12 @@ _SCATTER_TOLERANCE: Final = 0.05
 """Relative change of a scatter that needs no further fit (numerical)."""
 
 
-@dataclass(frozen=True, eq=False)
-class HeadFit:
-    """A head, and its inlier corners."""
-
-    solution: HeadSolution
-    kept_corners: NDArray[np.bool_]
-    """(2, f, n) True for kept corners, the inliers."""
-
-
 def fit_robustly(
     problem: HeadAdjustment,
     initial_boards: BoardPoses,
     inlier_views: NDArray[np.bool_],
     start: HeadUnknowns | None = None,
-) -> HeadFit:
+) -> HeadSolution:
     """Fit a head robustly, first to the (2, f) inlier views that agree on (b) boards in frame 0."""
     eligible = problem.frames.seen & problem.frames.shown[..., None]
     begin = problem.start(initial_boards)
@@ -330,7 +326,7 @@ def fit_robustly(
     return refit_inliers_and_scatter(solution)
 
 
-def refit_inliers_and_scatter(solution: HeadSolution) -> HeadFit:
+def refit_inliers_and_scatter(solution: HeadSolution) -> HeadSolution:
     """Refine a solution on its inliers, with readings weighted by their scatter."""
     problem = solution.problem
     eligible = problem.frames.seen & problem.frames.shown[..., None]
@@ -347,7 +343,7 @@ def refit_inliers_and_scatter(solution: HeadSolution) -> HeadFit:
             break
         problem = replace(problem, scatter_ratio=scatter_ratio)
         solution = solve(problem, solution.state, MeasurementWeights.of(kept))
-    return HeadFit(solution, kept)
+    return solution
 
 
 def inlier_corners(

@@ -83,9 +83,9 @@ def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoard
         )
 
 
-def refuse_implausible_solution(solution: HeadSolution, kept_corners: NDArray[np.bool_]) -> None:
+def refuse_implausible_solution(solution: HeadSolution) -> None:
     """Refuse a fit with mostly outliers or few poses, and a head far from its file."""
-    frames = solution.problem.frames
+    frames, kept_corners = solution.problem.frames, solution.kept_corners
     views = frames.shown.sum()
     fraction = kept_corners.any(axis=-1).sum() / views
     if fraction <= _LEAST_AGREEING_FRACTION:
@@ -311,12 +311,10 @@ board was moved (chosen: 40 occur by chance once in a million moments, and backl
 errors add to it)."""
 
 
-def find_new_placement(
-    solution: HeadSolution, kept_corners: NDArray[np.bool_]
-) -> InitialBoardPoses | None:
+def find_new_placement(solution: HeadSolution) -> InitialBoardPoses | None:
     """All frames with the board's placements on which left-out views agree; None if on no other."""
     frames = solution.problem.frames
-    views = np.asarray(kept_corners.any(axis=-1))
+    views = np.asarray(solution.kept_corners.any(axis=-1))
     enough = frames.shown
     lost = enough.any(axis=0) & ~views.any(axis=0)
     if len(np.unique(frames.pose[lost])) < _LEAST_MOVED_POSES:

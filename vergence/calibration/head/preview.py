@@ -208,7 +208,7 @@ def preview_calibration(
         near = problem.start(begin.boards)
         if previous is not None:
             near = near._replace(head_parameters=previous.values)
-        found = fit_robustly(problem, begin.boards, begin.inlier_views, near).solution
+        found = fit_robustly(problem, begin.boards, begin.inlier_views, near)
         covariance = head_and_term_covariance(found)
     except np.linalg.LinAlgError:
         return None

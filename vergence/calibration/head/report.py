@@ -47,10 +47,7 @@ from vergence.reporting.style import (
     legend_below,
     new_figure,
 )
-from vergence.reporting.text import (
-    format_fixed,
-    format_number,
-)
+from vergence.reporting.text import format_fixed, format_number
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
 """Distances of the table of depth, m (chosen: the range of use)."""
@@ -140,7 +137,9 @@ def result_document(
     return {
         "depth": [dict(zip(table, row, strict=True)) for row in rows],
         "noise": calibration.solution.reduced_chi,
-        "rms_px": rms_length(residuals_px(calibration)),
+        "rms_px": rms_length(
+            np.where(calibration.kept_corners[..., None], calibration.residuals_px, np.nan)
+        ),
         "rms_heldout_sigma": null_nonfinite_rows(rms_held_out),
         "views": int(calibration.kept_views.sum()),
         "left_out": int((views & ~calibration.kept_views).sum()),
@@ -182,7 +181,7 @@ def left_out_views(calibration: HeadCalibration) -> list[dict[str, Any]]:
 def _view_rows(calibration: HeadCalibration) -> Iterator[list[object]]:
     """Make a row for each frame and eye; missing numbers are empty."""
     frames = calibration.frames
-    residuals = calibration.solution.normal.residuals * frames.sigma
+    residuals = calibration.residuals_px
     counted = kept_or_found_corners(calibration)
     held_out = np.sqrt(calibration.held_out_mean_squares)
     for frame, eye in np.ndindex(len(frames.time_s), 2):
@@ -311,12 +310,6 @@ def kept_or_found_corners(calibration: HeadCalibration) -> NDArray[np.bool_]:
     )
 
 
-def residuals_px(calibration: HeadCalibration) -> FloatArray:
-    """(2, f, n, 2) residuals projected minus measured, px; nan for corners that were not kept."""
-    left = calibration.solution.normal.residuals * calibration.frames.sigma
-    return np.where(calibration.kept_corners[..., None], left, np.nan)
-
-
 def _image(calibration: HeadCalibration, eye: int) -> tuple[tuple[int, int], str]:
     """Size, px, and name of an eye's image."""
     width, height = calibration.nominal_head.cameras.size[eye].tolist()
@@ -333,7 +326,7 @@ def corner_coverage(calibration: HeadCalibration, eye: int) -> Figure:
 def residual_field(calibration: HeadCalibration, eye: int) -> Figure:
     """Draw residuals over an eye's image as magnified arrows."""
     kept = calibration.kept_corners[eye]
-    pixels, residuals = calibration.frames.pixels[eye][kept], residuals_px(calibration)[eye][kept]
+    pixels, residuals = calibration.frames.pixels[eye][kept], calibration.residuals_px[eye][kept]
     return draw_residual_arrows(pixels, residuals, *_image(calibration, eye))
 
 
