@@ -250,7 +250,7 @@ class ReadingErrorTerms:
     @property
     def is_backlash(self) -> NDArray[np.bool_]:
         """(t,) True for backlash."""
-        return np.array(self.kinds, dtype=object) == "play"
+        return np.array([kind == "play" for kind in self.kinds], dtype=np.bool_)
 
     def select(self, frames: NDArray[np.bool_]) -> "ReadingErrorTerms":
         """Select some of the frames."""

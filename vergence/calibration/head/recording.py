@@ -318,7 +318,7 @@ def clean_and_renumber_frames(frames: HeadFrames) -> HeadFrames:
 def sort_and_clean_frames(frames: HeadFrames) -> HeadFrames:
     """Sort frames by time; leave out those without the board, and all but one of a head at rest."""
     frames = frames.select(np.argsort(frames.time_s, kind="stable"))
-    shown = frames.shown.any(axis=0)
+    shown = np.asarray(frames.shown.any(axis=0))
     fresh = np.ones(len(shown), bool)
     same = np.unique(frames.joint_positions, axis=0, return_inverse=True)[1].ravel()
     for group in np.flatnonzero(np.bincount(same) > 1):
