@@ -70,7 +70,7 @@ def refuse_few_poses(frames: HeadFrames) -> None:
 
 def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoardPoses) -> None:
     """Refuse a recording with the images of the left and right eye exchanged."""
-    both = frames.shown.all(axis=0)
+    both = np.asarray(frames.shown.all(axis=0))
     if not both.any():
         return
     some = frames.select(both)
@@ -315,8 +315,7 @@ def find_new_placement(solution: HeadSolution) -> InitialBoardPoses | None:
     """All frames with the board's placements on which left-out views agree; None if on no other."""
     frames = solution.problem.frames
     views = np.asarray(solution.kept_corners.any(axis=-1))
-    enough = frames.shown
-    lost = enough.any(axis=0) & ~views.any(axis=0)
+    lost = np.asarray(frames.shown.any(axis=0) & ~views.any(axis=0))
     if len(np.unique(frames.pose[lost])) < _LEAST_MOVED_POSES:
         return None
     some = frames.select(lost)
