@@ -240,7 +240,7 @@ def _look(corners_m: FloatArray, view: View) -> _Eye:
     whitener = whitener.reshape(count, size, size // 2, 1, 2) @ by_ray
     return _Eye(
         np.concatenate([corners_m, rays], axis=1)[seen],
-        whitener.reshape(-1, size),
+        whitener.reshape(count * size, size),
         as_operand("pose", view.pose, 4, 4)[:3],
         as_operand("pose_errors", view.pose_errors, 6, "k"),
     )

@@ -146,9 +146,9 @@ def test_the_run_folder_has_the_head_all_numbers_and_every_view(found, tmp_path,
 
 def test_the_view_that_was_wrong_is_named(found, tmp_path, undrawn):
     (one,) = left_out_views(found)
-    assert (one.eye, one.time_s) == ("left", found.frames.time_s[WRONG[1]])
-    assert "times sigma, where others leave" in one.why
-    assert one.why in written(tmp_path, found).text
+    assert (one["eye"], one["time_s"]) == ("left", found.frames.time_s[WRONG[1]])
+    assert "times sigma, where others leave" in one["why"]
+    assert one["why"] in written(tmp_path, found).text
 
 
 def test_the_page_says_before_and_after_and_what_was_not_seen(found, tmp_path, undrawn):

@@ -21,7 +21,7 @@ y sin(2q). The eyes' harmonics have zero mean over the recording, as a mean is a
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -36,12 +36,15 @@ from vergence.calibration.adjustment import (
     heights_by_curvature,
     project_with_jacobians,
 )
-from vergence.calibration.head.recording import SAME_POSE_RAD, HeadFrames, ReadingErrorUnknowns
+from vergence.calibration.head.recording import (
+    SAME_POSE_RAD,
+    HeadFrames,
+    IntArray,
+    ReadingErrorUnknowns,
+)
 from vergence.models.geometry import inverse_pose, pose_parameter_twists, rot_z
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, EYES, NECK, FloatArray
-
-IntArray = NDArray[np.intp]
 
 
 class ProjectedBoard(NamedTuple):
@@ -132,7 +135,9 @@ class ParametricHead:
 
         def wrench(place: int) -> FloatArray:
             gradient = in_base @ rotations[place][:, None]
-            return np.concatenate([_cross(places[place], gradient), gradient], axis=-1)
+            return np.concatenate(
+                [np.cross(places[place][:, :, None], gradient), gradient], axis=-1
+            )
 
         columns = self.eye_parameter_indices[eye]
         twists = self.twists[columns, 3 * eye : 3 * eye + 3]
@@ -151,7 +156,7 @@ class ParametricHead:
             by_joints[..., joint] = -(
                 x[..., None] * gradient[..., 1] - y[..., None] * gradient[..., 0]
             )
-        by_board = np.concatenate([_cross(offsets, in_base), in_base], axis=-1)
+        by_board = np.concatenate([np.cross(offsets[:, :, None], in_base), in_base], axis=-1)
         return ProjectedBoard(image.pixels, by_head, by_joints, by_board)
 
 
@@ -169,11 +174,6 @@ def board_points_and_offsets(
     """Corners (n, 3) of boards in frame 0, m, and offsets from each board's origin, by frame."""
     turned = corners @ boards.rotation[pose_index].transpose(0, 2, 1)
     return turned + boards.translation[pose_index][:, None], turned
-
-
-def _cross(points: FloatArray, gradients: FloatArray) -> FloatArray:
-    """(f, n, 2, 3) cross products of points (f, n, 3) and gradients (f, n, 2, 3)."""
-    return np.cross(points[:, :, None], gradients)
 
 
 def _turned(wrench: FloatArray, turn: FloatArray) -> FloatArray:
@@ -376,9 +376,9 @@ class HeadAdjustment:
     nominal_head: HeadModel
     prior_sigma: FloatArray
     frames: HeadFrames
-    scatter_ratio: FloatArray | None = None
+    scatter_ratio: FloatArray = field(default_factory=lambda: np.ones(7))
     """(7,) ratio of each actuator's reading scatter to its expectation by quantisation and
-    backlash; None for 1."""
+    backlash."""
     terms: ReadingErrorTerms = NO_TERMS
     """Reading-error terms."""
 
@@ -386,8 +386,6 @@ class HeadAdjustment:
     def reading_error_unknowns(self) -> ReadingErrorUnknowns:
         """Unknown reading errors of the joints."""
         found = ReadingErrorUnknowns.of(self.nominal_head, self.frames)
-        if self.scatter_ratio is None:
-            return found
         return replace(found, reading_sigma=found.reading_sigma * self.scatter_ratio)
 
     @cached_property

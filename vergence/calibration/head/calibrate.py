@@ -27,10 +27,7 @@ from vergence.calibration.head.judge import (
     remark_on_changed_baseline,
     remark_on_few_views,
 )
-from vergence.calibration.head.recording import (
-    HeadFrames,
-    sort_and_clean_frames,
-)
+from vergence.calibration.head.recording import HeadFrames, sort_and_clean_frames
 from vergence.calibration.head.terms import (
     AUTO,
     choose_terms,
@@ -79,8 +76,6 @@ class HeadCalibration:
     """Calibration of a head from a recording."""
 
     solution: HeadSolution
-    kept_corners: NDArray[np.bool_]
-    """(2, f, n) True for kept corners, the inliers."""
     held_out_mean_squares: FloatArray
     """(2, f) mean squares of views by heads that were calibrated without them, in units of sigma^2;
     nan for views without kept corners."""
@@ -123,15 +118,24 @@ class HeadCalibration:
         return self.solution.problem.frames
 
     @property
+    def kept_corners(self) -> NDArray[np.bool_]:
+        """(2, f, n) True for kept corners, the inliers."""
+        return self.solution.kept_corners
+
+    @property
     def kept_views(self) -> NDArray[np.bool_]:
         """(2, f) True for kept views, with at least one kept corner."""
         return np.asarray(self.kept_corners.any(axis=-1))
 
     @cached_property
+    def residuals_px(self) -> FloatArray:
+        """(2, f, n, 2) residuals projected minus measured, px."""
+        return self.solution.normal.residuals * self.frames.sigma
+
+    @cached_property
     def rms_px(self) -> float:
         """Root mean square length of the kept corners' residuals, px."""
-        left = self.solution.normal.residuals * self.frames.sigma
-        return rms_length(left[self.kept_corners])
+        return rms_length(self.residuals_px[self.kept_corners])
 
     @cached_property
     def rms_heldout_px(self) -> float:
@@ -192,25 +196,25 @@ def calibrate_head(
         fit = fit_robustly(problem, start.boards, start.inlier_views)
         for place in range(1, _MOST_PLACEMENTS):
             report(0.1 + 0.6 * place / (place + 1.0))
-            more = find_new_placement(fit.solution, fit.kept_corners)
-            near = None if more is None else fit.solution.state
+            more = find_new_placement(fit)
+            near = None if more is None else fit.state
             if more is None:
-                more = find_small_board_motion(fit.solution)
+                more = find_small_board_motion(fit)
             if more is None:
                 break
             remarks.append(more.remark)
             problem = replace(problem, frames=more.frames)
             fit = fit_robustly(problem, more.boards, more.inlier_views, near)
-        refuse_implausible_solution(fit.solution, fit.kept_corners)
+        refuse_implausible_solution(fit)
         report(0.7)
         if tuple(terms) == (AUTO,):
             fit, suspected = choose_terms(fit, estimate_cameras)
             if suspected is not None:
                 remarks.append(_remark_on_harmonics(suspected) + _HARMONICS_HINT)
-        if type(fit.solution.head.links) is not type(file.links):
+        if type(fit.head.links) is not type(file.links):
             remarks.append(_JOINT_AXES_REMARK)
         report(0.8)
-        views = cross_validate_by_pose(fit.solution, fit.kept_corners).view_mean_squares
+        views = cross_validate_by_pose(fit, fit.kept_corners).view_mean_squares
     except np.linalg.LinAlgError:
         raise ConfigurationError(
             "expected frames that agree on where the board is, got some that do not: is the target "
@@ -219,8 +223,7 @@ def calibrate_head(
         ) from None
     report(1.0)
     return HeadCalibration(
-        solution=fit.solution,
-        kept_corners=fit.kept_corners,
+        solution=fit,
         held_out_mean_squares=views,
         recording_remarks=(*remarks, *remark_on_few_views(start.frames, fit.kept_corners)),
     )
@@ -235,8 +238,8 @@ def actuator_names(head: HeadModel) -> list[str]:
 def _remarks_on_scatter(solution: HeadSolution) -> list[str]:
     """Report joints whose readings scatter more than quantisation and backlash explain."""
     ratio, names = solution.problem.scatter_ratio, actuator_names(solution.problem.nominal_head)
-    wide = [] if ratio is None else np.flatnonzero(ratio > 1.0).tolist()
-    if ratio is None or not wide:
+    wide = np.flatnonzero(ratio > 1.0).tolist()
+    if not wide:
         return []
     worst = max(wide, key=lambda joint: ratio[joint])
     sigma = solution.problem.reading_error_unknowns.reading_sigma[worst]
@@ -328,16 +331,9 @@ def points_ahead(distance_m: FloatArray) -> FloatArray:
 
 def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
     """(n, 3) points at one distance, turned to the right and then down by angles (n,), m."""
-    return np.asarray(
-        distance_m
-        * np.column_stack(
-            [
-                np.sin(right_rad) * np.cos(down_rad),
-                np.sin(down_rad),
-                np.cos(right_rad) * np.cos(down_rad),
-            ]
-        )
-    )
+    across = np.cos(down_rad)
+    directions = [np.sin(right_rad) * across, np.sin(down_rad), np.cos(right_rad) * across]
+    return np.asarray(distance_m * np.column_stack(directions))
 
 
 def predict_depth_errors(
@@ -345,14 +341,9 @@ def predict_depth_errors(
 ) -> DepthErrors:
     """Predict the errors of depth of the nominal head, and those that the calibration leaves.
 
-    The calibrated head fixates each point; the nominal and the calibrated head triangulate it from
-    the same joint angles and pixels. The uncertainty is to first order in the head's parameters,
-    with derivatives by central differences.
-
-    Args:
-        calibration: the calibration.
-        points_from_eyes_m: (n, 3) points relative to midway between the eyes, in N with the neck at
-            rest, m.
+    The calibrated head fixates (n, 3) points in N, relative to midway between the eyes; both heads
+    triangulate them from the same joint angles and pixels. The uncertainty is to first order in the
+    head's parameters, with derivatives by central differences.
     """
     head = calibration.head
     points = midpoint_between_cameras(head) + points_from_eyes_m
@@ -367,15 +358,5 @@ def predict_depth_errors(
         calibration.solution.problem.prior_sigma, calibration.covariance, (q, pixels), along,
     )  # fmt: skip
     floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
-    return DepthErrors(
-        distance,
-        *(
-            np.where(sees, values, np.nan)
-            for values in (
-                (off * along).sum(axis=-1),
-                np.linalg.norm(off, axis=-1),
-                sigma,
-                np.sqrt(floor),
-            )
-        ),
-    )
+    errors = (off * along).sum(axis=-1), np.linalg.norm(off, axis=-1), sigma, floor**0.5
+    return DepthErrors(distance, *(np.where(sees, values, np.nan) for values in errors))

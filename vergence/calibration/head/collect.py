@@ -8,12 +8,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.calibration.head.fit import board_in_cameras
+from vergence.calibration.head.fit import board_corners_and_poses_in_base
+from vergence.calibration.head.judge import refuse_fixed_eyes
 from vergence.calibration.head.preview import CalibrationPreview, preview_calibration
 from vergence.calibration.head.recording import (
     AT_REST,
     HEAD_IDENTITY,
-    LEAST_CORNERS,
     PLACEMENT,
     SUFFIX,
     TARGET,
@@ -72,18 +72,17 @@ class EstimatedBoard(NamedTuple):
 
 def estimate_board_by_last_views(head: HeadModel, frames: HeadFrames) -> EstimatedBoard:
     """Board by the last view of each eye, whose error recurs in its next; else the other's."""
-    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
-    T_0_N = head.base_pose(frames.joint_positions)
-    T_0_C = T_0_N[:, None] @ head.camera_poses(frames.joint_positions)
-    corners: list[FloatArray | None] = [None, None]
-    for eye, poses in enumerate(board_in_cameras(head, frames)):
-        if enough[eye].any():
-            last = int(np.flatnonzero(enough[eye])[-1])
-            inside = frames.corners @ poses.rotation[last].T + poses.translation[last]
-            corners[eye] = inside @ T_0_C[last, eye, :3, :3].T + T_0_C[last, eye, :3, 3]
-    left, right = corners
-    there = [right if left is None else left, left if right is None else right]
-    return EstimatedBoard(head, np.array(there, dtype=np.float64), False)
+    places, _, _ = board_corners_and_poses_in_base(head, frames)
+    last = [corners[shown][-1:] for corners, shown in zip(places, frames.shown, strict=True)]
+    left, right = (own if len(own) else other for own, other in (last, last[::-1]))
+    return EstimatedBoard(head, np.concatenate([left, right]), False)
+
+
+def _clipped(head: HeadModel, actuators: FloatArray, keep_rad: float = 0.0) -> FloatArray:
+    """Joint angles of actuators, clipped at some distance from their limits."""
+    own = head.actuation
+    keep = np.minimum(keep_rad, 0.5 * (own.upper - own.lower))
+    return own.joints_of(np.clip(np.nan_to_num(actuators), own.lower + keep, own.upper - keep))
 
 
 class PosePlanner:
@@ -130,13 +129,7 @@ class PosePlanner:
         there[:, :2] += aside * np.linalg.norm(there, axis=-1, keepdims=True)
         q = own.actuators_of(np.nan_to_num(head.fixate(there, neck)))
         q[:, EYES] += rng.uniform(-_EYE_OFFSET_RAD, _EYE_OFFSET_RAD, (_CANDIDATES, 4))
-        return self._held(head, q)
-
-    def _held(self, head: HeadModel, actuators: FloatArray) -> FloatArray:
-        """Clip actuators off their limits, and return joint angles."""
-        own = head.actuation
-        keep = np.minimum(self._keep, 0.5 * (own.upper - own.lower))
-        return own.joints_of(np.clip(actuators, own.lower + keep, own.upper - keep))
+        return _clipped(head, q, self._keep)
 
     def _farthest(self, scene: EstimatedBoard, q: FloatArray) -> FloatArray:
         """Choose the posture farthest from the nearest used one, by `_features`."""
@@ -202,6 +195,14 @@ class CollectOptions:
         if self.until is not None and not self.until > 0.0:
             raise ConfigurationError(f"until: expected a percentage above 0, got {self.until}")
 
+    def reached_by(self, found: "CollectedRecording") -> bool:
+        """True if a recording is complete."""
+        if found.poses >= self.poses:
+            return True
+        if self.until is None or found.preview is None or found.poses < _POSES_PER_EVALUATION:
+            return False
+        return bool(found.preview.depth_percent.max() <= self.until)
+
 
 @dataclass
 class CollectedRecording:
@@ -239,32 +240,20 @@ def collect(
     progress: Callable[[float], None] = lambda fraction: None,
     on_evaluation: Callable[[CollectedRecording], None] = lambda found: None,
 ) -> CollectedRecording:
-    """Make a recording, or continue one.
-
-    Args:
-        looker: the head in front of the board.
-        folder: folder of the recording; a new log joins the logs in it.
-        options: options of the collection.
-        log_facts: further facts to store in the log.
-        progress: called with the fraction of the poses done.
-        on_evaluation: called after each evaluation of the recording.
+    """Make a recording, or continue one: a new log with `log_facts` joins those of the folder.
 
     Raises:
         VergenceError: there is no board, it has been moved, or the head fails; earlier frames are
             kept.
     """
-    if not looker.head.actuation.count:
-        raise ConfigurationError(
-            f"expected a head whose eyes move, got {looker.head.name!r}, a fixed pair: "
-            "vergence calibrate stereo is for such"
-        )
+    refuse_fixed_eyes(looker.head)
     if not looker.target.size_known:
         raise ConfigurationError(
             f"target: expected a size in mm, which all lengths come from, got {looker.target}"
         )
     with hold_lock(folder):
         found, number = _earlier(looker, folder, options.moved, log_facts.get(HEAD_IDENTITY, ""))
-        if found.poses < options.poses and not _enough(found, options):
+        if not options.reached_by(found):
             _Run(looker, options, found, number).go(log_facts, progress, on_evaluation)
     return found
 
@@ -296,12 +285,6 @@ def _earlier(
         if len(np.unique(frames.pose)) >= _POSES_PER_EVALUATION:
             found.preview = preview_calibration(looker.head, frames)
     return found, number
-
-
-def _enough(found: CollectedRecording, options: CollectOptions) -> bool:
-    if options.until is None or found.preview is None or found.poses < _POSES_PER_EVALUATION:
-        return False
-    return bool(found.preview.depth_percent.max() <= options.until)
 
 
 class _Run:
@@ -336,7 +319,7 @@ class _Run:
         path = found.folder / f"{self._number:04d}{SUFFIX}"
         lost = 0
         with LogWriter(path, head=looker.head, facts=facts) as log:
-            while found.poses < options.poses and not _enough(found, options):
+            while not options.reached_by(found):
                 if self._pose(log):
                     lost, found.poses = 0, found.poses + 1
                     if found.poses % _POSES_PER_EVALUATION == 0 or found.poses == options.poses:
@@ -354,15 +337,15 @@ class _Run:
 
     def _pose(self, log: LogWriter) -> bool:
         """Record the next pose; return True if the board was seen."""
-        actuation = self._looker.head.actuation
-        base = actuation.actuators_of(self._plan.next_pose(self._scene()))
+        head, actuation = self._looker.head, self._looker.head.actuation
+        scene = self._fitted_board() or estimate_board_by_last_views(head, self._last)
+        base = actuation.actuators_of(self._plan.next_pose(scene))
         moves = actuation.upper > actuation.lower
         kept: list[BoardView] = []
         for number in range(self._options.frames):
             dither = self._rng.uniform(-_DITHER_RAD, _DITHER_RAD, 7) * moves
-            q = actuation.joints_of(np.clip(base + dither, actuation.lower, actuation.upper))
-            board_view = self._looker.look(q)
-            if _eyes_that_see(_frame(self._looker, board_view)):
+            board_view = self._looker.look(_clipped(head, base + dither))
+            if HeadFrames.of_views(self._looker.target, [board_view], [0]).shown.any():
                 _keep(log, board_view)
                 kept.append(board_view)
             else:
@@ -376,10 +359,6 @@ class _Run:
             later_s = self._last.time_s + self._later_s
             self._found.parts.append(replace(self._last, time_s=later_s))
         return bool(kept)
-
-    def _scene(self) -> EstimatedBoard:
-        """Estimate the board's position by the fit to all frames, or else from the last frames."""
-        return self._fitted_board() or estimate_board_by_last_views(self._looker.head, self._last)
 
     def _fitted_board(self) -> EstimatedBoard | None:
         """Get the board's position by the fit to all frames; None if this placement has none."""
@@ -426,25 +405,18 @@ def _keep(log: LogWriter, board_view: BoardView) -> None:
         raise ConfigurationError(log.fault)
 
 
-def _frame(looker: Looker, view: BoardView) -> HeadFrames:
-    return HeadFrames.of_views(looker.target, [view], [0])
-
-
-def _eyes_that_see(frame: HeadFrames) -> int:
-    return int((frame.seen.sum(axis=-1) >= LEAST_CORNERS).sum())
-
-
 def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> HeadFrames:
     """Look around, at guesses (7,) first, until an eye sees the board; one frame of both eyes."""
     looks = 0
     for q in (*first_guesses, *_directions(looker.head)):
         looks += 1
-        frame = _frame(looker, looker.look(q))
-        if _eyes_that_see(frame) == 1:
-            again = _frame(looker, looker.look(_towards(looker.head, frame)))
-            return again if _eyes_that_see(again) else frame
-        if _eyes_that_see(frame):
+        frame = HeadFrames.of_views(looker.target, [looker.look(q)], [0])
+        if frame.shown.all():
             return frame
+        if frame.shown.any():
+            turned = looker.look(_towards(looker.head, frame))
+            again = HeadFrames.of_views(looker.target, [turned], [0])
+            return again if again.shown.any() else frame
     raise ConfigurationError(
         f"expected {looker.target} where the eyes can look, found it in no direction of {looks}: "
         "is it that target, whole, flat, upright, well lit, and neither too near nor too far?"
@@ -456,12 +428,8 @@ def _towards(head: HeadModel, frame: HeadFrames) -> FloatArray:
     T_0_N = head.base_pose(frame.joint_positions[0])
     middle = estimate_board_by_last_views(head, frame).corners_by_eye.mean(axis=(0, 1))
     inside = T_0_N[:3, :3].T @ (middle - T_0_N[:3, 3])
-    return _within(head, head.fixate(inside, frame.joint_positions[0, :3], warn=False))
-
-
-def _within(head: HeadModel, q: FloatArray) -> FloatArray:
-    own = head.actuation
-    return own.joints_of(np.clip(np.nan_to_num(own.actuators_of(q)), own.lower, own.upper))
+    q = head.fixate(inside, frame.joint_positions[0, :3], warn=False)
+    return _clipped(head, head.actuation.actuators_of(q))
 
 
 def _directions(head: HeadModel) -> Iterator[FloatArray]:
@@ -476,7 +444,8 @@ def _directions(head: HeadModel) -> Iterator[FloatArray]:
             )
         for azimuth, elevation in product(_AZIMUTHS, _ELEVATIONS):
             point = _AHEAD_M * np.array([np.tan(azimuth), np.tan(elevation), 1.0])
-            found.append(_within(head, head.fixate(point, neck, warn=False)))
+            q = head.fixate(point, neck, warn=False)
+            found.append(_clipped(head, own.actuators_of(q)))
     found.sort(key=lambda q: float(np.abs(q - rest).sum()))
     taken: list[FloatArray] = []
     for q in found:

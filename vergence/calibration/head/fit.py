@@ -98,13 +98,15 @@ class InitialBoardPoses(NamedTuple):
     spread_m: float
     """Median rms distance of these views' corners from the poses' corners; median over
     placements."""
+    remark: str = ""
+    """What to tell of a placement that was found among other frames."""
 
 
 def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> InitialBoardPoses:
     """Find the poses of the board on which most views agree, through a given head."""
     places, turns, shifts = board_corners_and_poses_in_base(head, frames)
     orders = equivalent_corner_orders(frames.target)
-    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
+    enough = frames.shown.copy()
     enough &= np.isfinite(places).all(axis=(-2, -1))  # pixels outside the lens's range
     rotations, translations, spreads = [], [], []
     pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
@@ -118,7 +120,7 @@ def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> Initi
         best, away, order = _medoid(places, here, orders)
         rotations.append(turns[best])
         translations.append(shifts[best])
-        near = away <= 4.0 * np.quantile(away, 0.25) + 0.25 * _size(frames)
+        near = away <= 4.0 * np.quantile(away, 0.25) + 0.25 * frames.size_m
         spreads.append(float(np.median(away[near])))
         for (eye, frame), its, close in zip(here.tolist(), order.tolist(), near, strict=True):
             inlier_views[eye, frame] = close
@@ -164,10 +166,6 @@ def _medoid(
     return (eye, frame), by_order.min(axis=0), by_order.argmin(axis=0)
 
 
-def _size(frames: HeadFrames) -> float:
-    return float(np.ptp(frames.corners, axis=0).max())
-
-
 def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
     """(...) root mean square distance between corners (..., n, 3), m."""
     return np.asarray(np.sqrt(((one - other) ** 2).sum(axis=-1).mean(axis=-1)))
@@ -203,6 +201,11 @@ class HeadSolution:
         return self.problem.nominal_head.with_parameters(self.state.head_parameters)
 
     @cached_property
+    def kept_corners(self) -> NDArray[np.bool_]:
+        """(2, f, n) True for the corners that were fitted."""
+        return self.problem.frames.seen & (self.weights.corners > 0.0)
+
+    @cached_property
     def squares(self) -> FloatArray:
         """(2, f, n) mean square of each corner's residuals, in sigma^2; nan if not found."""
         seen = self.problem.frames.seen
@@ -216,17 +219,23 @@ class HeadSolution:
         return np.where(own.has_frame_error, self.state.frame_errors / sigma, 0.0)
 
     @cached_property
-    def reduced_chi(self) -> float:
-        """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
-        counted: NDArray[np.bool_] = self.problem.frames.seen & (self.weights.corners > 0.0)
+    def squares_and_counts(self) -> tuple[float, float, float]:
+        """Sum of squares, in sigma^2, number of residuals, and of the frames' own parameters."""
+        counted = self.kept_corners
         own = (
             self.problem.reading_error_unknowns.has_frame_error
             & np.asarray(counted.any(axis=(0, 2)))[:, None]
         )
         # effective number of parameters: a reading error counts by its reduction of variance
-        taken = float((own * (1.0 - self.reading_variance_ratio)).sum()) + self.problem.shared_count
-        measured = 2.0 * float(counted.sum())
-        return float(np.sqrt(2.0 * self.squares[counted].sum() / max(measured - taken, 1.0)))
+        taken = float((own * (1.0 - self.reading_variance_ratio)).sum())
+        return 2.0 * float(self.squares[counted].sum()), 2.0 * float(counted.sum()), taken
+
+    @property
+    def reduced_chi(self) -> float:
+        """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
+        squares, measured, taken = self.squares_and_counts
+        taken += self.problem.shared_count
+        return float(np.sqrt(squares / max(measured - taken, 1.0)))
 
     @cached_property
     def reading_variance_ratio(self) -> FloatArray:
@@ -293,23 +302,14 @@ _SCATTER_TOLERANCE: Final = 0.05
 """Relative change of a scatter that needs no further fit (numerical)."""
 
 
-@dataclass(frozen=True, eq=False)
-class HeadFit:
-    """A head, and its inlier corners."""
-
-    solution: HeadSolution
-    kept_corners: NDArray[np.bool_]
-    """(2, f, n) True for kept corners, the inliers."""
-
-
 def fit_robustly(
     problem: HeadAdjustment,
     initial_boards: BoardPoses,
     inlier_views: NDArray[np.bool_],
     start: HeadUnknowns | None = None,
-) -> HeadFit:
+) -> HeadSolution:
     """Fit a head robustly, first to the (2, f) inlier views that agree on (b) boards in frame 0."""
-    eligible = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
+    eligible = problem.frames.seen & problem.frames.shown[..., None]
     begin = problem.start(initial_boards)
     if start is not None:
         begin = begin._replace(
@@ -325,15 +325,15 @@ def fit_robustly(
     return refit_inliers_and_scatter(solution)
 
 
-def refit_inliers_and_scatter(solution: HeadSolution) -> HeadFit:
+def refit_inliers_and_scatter(solution: HeadSolution) -> HeadSolution:
     """Refine a solution on its inliers, with readings weighted by their scatter."""
     problem = solution.problem
-    eligible = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
+    eligible = problem.frames.seen & problem.frames.shown[..., None]
     kept, scatter_ratio = np.zeros_like(eligible), np.ones(7)
     for _ in range(_MOST_ROUNDS):
         previous = kept, scatter_ratio
         scatter_ratio = reading_scatter_ratio(solution)
-        kept = _inliers(solution, eligible, scatter_ratio)
+        kept = inlier_corners(solution, eligible, scatter_ratio)
         if not kept.any():
             raise np.linalg.LinAlgError("expected views that agree with each other, got none")
         if np.array_equal(kept, previous[0]) and np.allclose(
@@ -342,10 +342,10 @@ def refit_inliers_and_scatter(solution: HeadSolution) -> HeadFit:
             break
         problem = replace(problem, scatter_ratio=scatter_ratio)
         solution = solve(problem, solution.state, MeasurementWeights.of(kept))
-    return HeadFit(solution, kept)
+    return solution
 
 
-def _inliers(
+def inlier_corners(
     solution: HeadSolution, eligible: NDArray[np.bool_], scatter_ratio: FloatArray
 ) -> NDArray[np.bool_]:
     """(2, f, n) True for inlier corners of views with mostly inliers and plausible readings."""
@@ -353,9 +353,9 @@ def _inliers(
     fit = eligible & (
         np.nan_to_num(solution.squares, nan=np.inf) < _INLIER_GATE**2 * typical_square
     )
-    already = solution.problem.scatter_ratio
-    known = np.ones(7) if already is None else already
-    errors = np.abs(solution.normalised_reading_errors) * known / scatter_ratio
+    errors = (
+        np.abs(solution.normalised_reading_errors) * solution.problem.scatter_ratio / scatter_ratio
+    )
     wrong = errors > _INLIER_GATE * np.sqrt(typical_square)
     moved = np.abs(solution.problem.joints_from_actuators) > 0.0
     for eye in range(2):
@@ -377,8 +377,7 @@ def _typical_square(solution: HeadSolution, eligible: NDArray[np.bool_]) -> floa
 
 def reading_scatter_ratio(solution: HeadSolution) -> FloatArray:
     """(7,) scatter of readings over that of quantisation and backlash, at least 1."""
-    own, already = solution.problem.reading_error_unknowns, solution.problem.scatter_ratio
-    known = np.ones(7) if already is None else already
+    own, known = solution.problem.reading_error_unknowns, solution.problem.scatter_ratio
     found = np.ones(7)
     counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))
     typical_square = _typical_square(solution, solution.problem.frames.seen)

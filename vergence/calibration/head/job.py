@@ -18,17 +18,9 @@ from vergence.reporting.runs import package_versions
 
 _RECORDED_PACKAGES: Final = ("vergence", "numpy", "scipy", "opencv-python-headless")
 _REPLACED_ASSUMPTIONS: Final = (
-    "links",
-    "eyes",
-    "joints.origin_m",
-    "joints.rpy_rad",
-    "joints.axis",
-    "joints.alpha_rad",
-    "joints.a_m",
-    "joints.d_m",
-    "joints.offset_rad",
-    "frame",
-)
+    "links", "eyes", "joints.origin_m", "joints.rpy_rad", "joints.axis", "joints.alpha_rad",
+    "joints.a_m", "joints.d_m", "joints.offset_rad", "frame",
+)  # fmt: skip
 """Prefixes of the keys of assumptions that a calibration replaces by estimates."""
 
 
@@ -37,11 +29,9 @@ class HeadOutcome:
     """Result of a calibration job."""
 
     head_file: str = ""
-    """The head file; empty if the recording was refused."""
+    """Text of the head file; empty if the recording was refused."""
     document: Mapping[str, Any] = field(default_factory=dict)
-    """The result as plain values."""
     unobservable: tuple[UnobservableDirection, ...] = ()
-    """Unobservable directions of the recording."""
     files: Mapping[str, bytes] = field(default_factory=dict)
     """The run folder's files by name."""
     refusal: str = ""
@@ -50,23 +40,14 @@ class HeadOutcome:
 
 @dataclass(frozen=True, kw_only=True)
 class HeadJob:
-    """The calibration of a head from one recording.
-
-    Attributes:
-        head: the nominal head, from its file.
-        recording: its recording.
-        estimate_cameras: True to estimate the cameras too.
-        terms: see `calibrate_head`.
-        name: name of the calibrated head.
-        head_file_name: name of the head file to write.
-        recording_path: path of the recording.
-    """
+    """The calibration of a head from one recording, see `calibrate_head`."""
 
     head: HeadModel
     recording: HeadRecording
     estimate_cameras: bool
     terms: tuple[str, ...]
     name: str
+    """Name of the calibrated head."""
     head_file_name: str
     recording_path: str
 
@@ -75,12 +56,9 @@ class HeadJob:
         recorded = self.recording
         try:
             found = calibrate_head(
-                self.head,
-                recorded.frames,
-                estimate_cameras=self.estimate_cameras,
-                terms=self.terms,
-                progress=progress,
-            )
+                self.head, recorded.frames, estimate_cameras=self.estimate_cameras,
+                terms=self.terms, progress=progress,
+            )  # fmt: skip
         except ConfigurationError as error:
             return HeadOutcome(refusal=str(error))
         text = head_file_text(found, recorded.sha256, self.name)

@@ -18,7 +18,7 @@ from vergence.calibration.head.fit import (
     InitialBoardPoses,
     estimate_consensus_board_poses,
 )
-from vergence.calibration.head.recording import LEAST_CORNERS, HeadFrames
+from vergence.calibration.head.recording import HeadFrames
 from vergence.calibration.uncertainty import clustered_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -70,7 +70,7 @@ def refuse_few_poses(frames: HeadFrames) -> None:
 
 def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoardPoses) -> None:
     """Refuse a recording with the images of the left and right eye exchanged."""
-    both = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).all(axis=0)
+    both = np.asarray(frames.shown.all(axis=0))
     if not both.any():
         return
     some = frames.select(both)
@@ -83,10 +83,10 @@ def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoard
         )
 
 
-def refuse_implausible_solution(solution: HeadSolution, kept_corners: NDArray[np.bool_]) -> None:
+def refuse_implausible_solution(solution: HeadSolution) -> None:
     """Refuse a fit with mostly outliers or few poses, and a head far from its file."""
-    frames = solution.problem.frames
-    views = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).sum()
+    frames, kept_corners = solution.problem.frames, solution.kept_corners
+    views = frames.shown.sum()
     fraction = kept_corners.any(axis=-1).sum() / views
     if fraction <= _LEAST_AGREEING_FRACTION:
         raise ConfigurationError(
@@ -140,7 +140,7 @@ def remark_on_few_views(frames: HeadFrames, kept_corners: NDArray[np.bool_]) -> 
     """Remark on eyes without views, or with many views left out."""
     lines = []
     for eye, name in enumerate(EYE_NAMES):
-        views = int((frames.seen[eye].sum(axis=-1) >= LEAST_CORNERS).sum())
+        views = int(frames.shown[eye].sum())
         out = views - int(kept_corners[eye].any(axis=-1).sum())
         if not views:
             lines.append(f"the {name} eye has never seen the board: it stays as its file has it")
@@ -160,13 +160,8 @@ px; to first order it is zero (numerical)."""
 _RIGID_MISFIT: Final = 0.1
 """Fraction of its pixel effect by which a direction may differ from a rigid motion (chosen)."""
 _FIXATION_SLOPES: Final = (
-    (0.0, 0.0),
-    (0.35, 0.0),
-    (-0.35, 0.0),
-    (0.0, 0.3),
-    (0.0, -0.3),
-    (0.3, 0.3),
-)
+    (0.0, 0.0), (0.35, 0.0), (-0.35, 0.0), (0.0, 0.3), (0.0, -0.3), (0.3, 0.3)
+)  # fmt: skip
 """Slopes x/z and y/z of the fixated points at which effects are evaluated (chosen)."""
 _DISTANCES_M: Final = (0.5, 1.0, 2.5)
 """Distances z of the fixated points, m (chosen: the range of use)."""
@@ -234,6 +229,7 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
         if misfit < _RIGID_MISFIT**2 * (rigid[:, axis] ** 2).sum():
             shares.append(share)
             cost = _cost(axis, unit, 1.0 / float(np.linalg.norm(share)))
+            cost += ", if the file is a deviation off"
             found.append(UnobservableDirection(name, remedy, cost))
     if shares:
         remaining = remaining @ np.linalg.svd(np.array(shares))[2][len(shares) :].T
@@ -242,7 +238,12 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
         most = np.argsort(-np.abs(direction))[:3]
         named = [names[each] for each in most if abs(direction[each]) > 0.3] or [names[most[0]]]
         px = float(np.sqrt(np.mean((moved[:, free] * S @ direction) ** 2)))
-        found.append(UnobservableDirection(" against ".join(named), _remedy(named), f"{px:.2g} px"))
+        remedy = next(
+            remedy
+            for parts, remedy in _REMEDIES
+            if any(part in name for part in parts for name in named)
+        )
+        found.append(UnobservableDirection(" against ".join(named), remedy, f"{px:.2g} px"))
     return tuple(found)
 
 
@@ -280,9 +281,9 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
 
 def _cost(axis: int, unit: str, amount: float) -> str:
     if unit == "m":
-        return f"{1e3 * amount:.2g} mm, if the file is a deviation off"
+        return f"{1e3 * amount:.2g} mm"
     aside = "" if axis == 2 else f", {1e3 * amount:.2g} mm aside at 1 m"
-    return f"{np.rad2deg(amount):.2g} degrees{aside}, if the file is a deviation off"
+    return f"{np.rad2deg(amount):.2g} degrees{aside}"
 
 
 _REMEDIES: Final = (
@@ -292,14 +293,6 @@ _REMEDIES: Final = (
     (("",), "turn the joints farther, with the board nearer"),
 )
 """Remedies by parts of the names of parameters that a recording does not determine."""
-
-
-def _remedy(names: list[str]) -> str:
-    return next(
-        remedy
-        for parts, remedy in _REMEDIES
-        if any(part in name for part in parts for name in names)
-    )
 
 
 _LEAST_MOVED_POSES: Final = 3
@@ -318,35 +311,20 @@ board was moved (chosen: 40 occur by chance once in a million moments, and backl
 errors add to it)."""
 
 
-class FramesWithNewPlacement(NamedTuple):
-    """The frames with one more placement of the board."""
-
-    frames: HeadFrames
-    boards: BoardPoses
-    """(b + 1) poses of the board in frame 0."""
-    inlier_views: NDArray[np.bool_]
-    """(2, f) True for views that agree with their placement."""
-    remark: str
-
-
-def find_new_placement(
-    solution: HeadSolution, kept_corners: NDArray[np.bool_]
-) -> FramesWithNewPlacement | None:
+def find_new_placement(solution: HeadSolution) -> InitialBoardPoses | None:
     """All frames with the board's placements on which left-out views agree; None if on no other."""
     frames = solution.problem.frames
-    views = np.asarray(kept_corners.any(axis=-1))
-    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
-    lost = enough.any(axis=0) & ~views.any(axis=0)
+    views = np.asarray(solution.kept_corners.any(axis=-1))
+    lost = np.asarray(frames.shown.any(axis=0) & ~views.any(axis=0))
     if len(np.unique(frames.pose[lost])) < _LEAST_MOVED_POSES:
         return None
     some = frames.select(lost)
     start = estimate_consensus_board_poses(
         solution.head, replace(some, placement=np.zeros(lost.sum(), dtype=np.intp))
     )
-    size = float(np.ptp(frames.corners, axis=0).max())
     agreeing = np.flatnonzero(lost)[start.inlier_views.any(axis=0)]
     if (
-        start.spread_m > _MOST_SPREAD_SIZES * size
+        start.spread_m > _MOST_SPREAD_SIZES * frames.size_m
         or len(np.unique(frames.pose[agreeing])) < _LEAST_MOVED_POSES
         or len(agreeing) < _LEAST_CONTIGUOUS_FRACTION * (agreeing[-1] - agreeing[0] + 1)
     ):
@@ -358,19 +336,20 @@ def find_new_placement(
     inlier_views[:, lost] = start.inlier_views
     boards = solution.state.boards
     first, last = frames.time_s[agreeing[0]], frames.time_s[agreeing[-1]]
-    return FramesWithNewPlacement(
+    return InitialBoardPoses(
         replace(frames, placement=placement, pixels=pixels, sigma=sigma),
         BoardPoses(
             np.concatenate([boards.rotation, start.boards.rotation]),
             np.concatenate([boards.translation, start.boards.translation]),
         ),
         inlier_views,
+        start.spread_m,
         f"the board stands elsewhere in {len(agreeing)} frames, from {first:.1f} to {last:.1f} s: "
         "counted as a new placement",
     )
 
 
-def find_small_board_motion(solution: HeadSolution) -> FramesWithNewPlacement | None:
+def find_small_board_motion(solution: HeadSolution) -> InitialBoardPoses | None:
     """Frames with a new placement from the moment a small motion explains much; else None."""
     problem = solution.problem
     frames = problem.frames
@@ -402,12 +381,9 @@ def find_small_board_motion(solution: HeadSolution) -> FramesWithNewPlacement | 
     placement[later] = placement.max() + 1
     split = replace(frames, placement=placement)
     start = estimate_consensus_board_poses(problem.nominal_head, split)
-    return FramesWithNewPlacement(
-        start.frames,
-        start.boards,
-        start.inlier_views,
-        f"the board seems to have been moved before {frames.time_s[when]:.1f} s: counted as "
-        "a new placement",
+    return start._replace(
+        remark=f"the board seems to have been moved before {frames.time_s[when]:.1f} s: counted as "
+        "a new placement"
     )
 
 

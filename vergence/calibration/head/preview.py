@@ -8,11 +8,16 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights
+from vergence.calibration.head.adjust import (
+    HeadAdjustment,
+    HeadUnknowns,
+    MeasurementWeights,
+)
 from vergence.calibration.head.fit import (
     HeadSolution,
     estimate_consensus_board_poses,
     fit_robustly,
+    inlier_corners,
     parameter_prior_sigma,
 )
 from vergence.calibration.head.judge import clustered_head_covariance, head_and_term_covariance
@@ -24,20 +29,17 @@ from vergence.perception.locate import equivalent_corner_orders
 
 DEPTHS_M: Final = (1.0, 2.5)
 """Distances straight ahead at which depth is judged, m (chosen: the range of use)."""
-
-
 _ALWAYS_FITTED_POSES: Final = 60
 """Poses up to which each evaluation fits the head to all frames (chosen: the usual number)."""
-_REFIT_GROWTH: Final = 1.6
+_REFIT_GROWTH: Final = 2.5
 """Growth of the number of poses after which the head is fitted to all frames again (chosen: fits
 take a time in proportion to all poses; in between the head moves by a fraction of its sigma)."""
-
-
 _MOST_CHI_RATIO: Final = 1.5
 """Ratio of later poses' residuals at the last fit to that fit's own, above which the head is fitted
 to all frames (chosen: it is hardly above 1 near the solution)."""
-
-
+_MOST_GROUPS: Final = 60
+"""Most groups of poses by which the covariance is estimated (chosen: it takes a time in proportion
+to the groups, and more hardly improve it)."""
 _READING_STEPS: Final = 2
 """Steps of the readings' errors of later poses (numerical: they are nearly linear)."""
 
@@ -91,16 +93,12 @@ class PoseEquations:
         problem, frames = solution.problem, solution.problem.frames
         normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
         assert normal.frame_contributions is not None
+        squares, measured, taken = solution.squares_and_counts
         first = np.unique(frames.pose, return_index=True)[1]
         blocks, slopes = (np.add.reduceat(each, first) for each in normal.frame_contributions)
-        counted = frames.seen & (solution.weights.corners > 0.0)
-        shown = np.asarray(counted.any(axis=(0, 2)))[:, None]
-        read = problem.reading_error_unknowns.has_frame_error & shown
         return cls(
             solution, problem.frame_columns[first], blocks, slopes, normal.matrix, normal.gradient,
-            2.0 * float(solution.squares[counted].sum()),
-            2.0 * float(counted.sum())
-            - float((read * (1.0 - solution.reading_variance_ratio)).sum()),
+            squares, measured - taken,
             float(frames.time_s[-1]),
         )  # fmt: skip
 
@@ -118,22 +116,18 @@ class PoseEquations:
             or (errors.has_frame_error[0] != known.has_frame_error[0]).any()
         ):
             return None
-        # find wrong views by the head as it was fitted, which leaves the board and the readings
-        alone = replace(
-            late, nominal_head=self.solution.head, prior_sigma=np.zeros(len(problem.prior_sigma))
+        # the readings follow the board and the head as they were fitted, without wrong corners
+        there = late.start(state.boards)._replace(
+            head_parameters=state.head_parameters,
+            board_curvatures=state.board_curvatures,
+            term_parameters=state.term_parameters,
         )
-        near = alone.start(state.boards)._replace(board_curvatures=state.board_curvatures)
-        every = np.ones(late.frames.seen.shape[:2], dtype=np.bool_)
-        try:
-            found = fit_robustly(alone, state.boards, every, near)
-        except np.linalg.LinAlgError:
-            return None
-        there = state._replace(frame_errors=found.solution.state.frame_errors)
-        weights = MeasurementWeights.of(found.kept_corners)
-        for _ in range(_READING_STEPS):  # the readings follow, as the board goes back
-            there = late.moved(there, late.linearised(there, weights), np.zeros(late.shared_count))
-        normal = late.linearised(there, weights)
-        more = PoseEquations.of(HeadSolution(late, there, normal, weights))
+        typical_square = max(self.solution.reduced_chi, 1.0) ** 2
+        eligible = late.frames.seen & late.frames.shown[..., None]
+        weights = MeasurementWeights.of(eligible)._replace(cauchy_scale=typical_square)
+        found = _with_readings_settled(late, there, weights)
+        weights = MeasurementWeights.of(inlier_corners(found, eligible, problem.scatter_ratio))
+        more = PoseEquations.of(_with_readings_settled(late, found.state, weights))
         if more.squares > (_MOST_CHI_RATIO * self.solution.reduced_chi) ** 2 * more.freedom:
             return None  # the board has been moved, or the fit is not near enough
         padded = np.zeros((problem.shared_count + 1,) * 2)
@@ -159,13 +153,24 @@ class PoseEquations:
         squares = self.squares + float(self.gradient @ step[:-1])
         chi = float(np.sqrt(squares / max(self.freedom - problem.shared_count, 1.0)))
         slopes = self.slopes + np.einsum("fst,ft->fs", self.blocks, step[self.columns])
+        groups = np.arange(len(slopes)) * min(len(slopes), _MOST_GROUPS) // len(slopes)
         covariance = clustered_head_covariance(
-            problem, self.matrix, self.columns, self.blocks, slopes, chi
+            problem, self.matrix, self.columns, self.blocks, slopes, chi, groups
         )
         first = problem.common_count
         boards = step[first : first + 6 * problem.placement_count].reshape(-1, 6)
         values = state.head_parameters + step[: len(problem.prior_mean)]
         return _preview(self.solution, values, state.boards.moved(boards), covariance, self)
+
+
+def _with_readings_settled(
+    problem: HeadAdjustment, state: HeadUnknowns, weights: MeasurementWeights
+) -> HeadSolution:
+    """Fit the frames' own reading errors while all else stays."""
+    for _ in range(_READING_STEPS):
+        normal = problem.linearised(state, weights)
+        state = problem.moved(state, normal, np.zeros(problem.shared_count))
+    return HeadSolution(problem, state, problem.linearised(state, weights), weights)
 
 
 def _preview(
@@ -201,7 +206,7 @@ def preview_calibration(
         near = problem.start(begin.boards)
         if previous is not None:
             near = near._replace(head_parameters=previous.values)
-        found = fit_robustly(problem, begin.boards, begin.inlier_views, near).solution
+        found = fit_robustly(problem, begin.boards, begin.inlier_views, near)
         covariance = head_and_term_covariance(found)
     except np.linalg.LinAlgError:
         return None

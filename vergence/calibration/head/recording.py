@@ -36,6 +36,10 @@ the dither of some tenths of a degree and the distance of poses of some degrees)
 _STILL_POSE_FRACTION: Final = 0.8
 """Fraction of the poses in which a joint's reading must not change for the joint to count as one
 without dither (chosen)."""
+_FRAME_AXES: Final = {
+    "time_s": 0, "joint_positions": 0, "pixels": 1, "sigma": 1, "placement": 0
+}  # fmt: skip
+"""Axis of the frames in each array of `HeadFrames`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,21 +84,20 @@ class HeadFrames:
     def joined(cls, parts: Sequence["HeadFrames"]) -> "HeadFrames":
         """Join frames of one target, one after the other."""
         return cls(
-            target=parts[0].target, time_s=np.concatenate([part.time_s for part in parts]),
-            joint_positions=np.concatenate([part.joint_positions for part in parts]),
-            pixels=np.concatenate([part.pixels for part in parts], axis=1),
-            sigma=np.concatenate([part.sigma for part in parts], axis=1),
-            placement=np.concatenate([part.placement for part in parts]),
-        )  # fmt: skip
+            target=parts[0].target,
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts], axis=axis)
+                for name, axis in _FRAME_AXES.items()
+            },
+        )
 
     def select(self, frames: NDArray[np.bool_] | IntArray) -> "HeadFrames":
         """Select some of the frames."""
-        return HeadFrames(
-            target=self.target, time_s=self.time_s[frames],
-            joint_positions=self.joint_positions[frames],
-            pixels=self.pixels[:, frames], sigma=self.sigma[:, frames],
-            placement=self.placement[frames],
-        )  # fmt: skip
+        chosen = {
+            name: getattr(self, name)[(slice(None),) * axis + (frames,)]
+            for name, axis in _FRAME_AXES.items()
+        }
+        return replace(self, **chosen)
 
     @cached_property
     def corners(self) -> FloatArray:
@@ -102,10 +105,20 @@ class HeadFrames:
         flat = np.column_stack([self.target.corners_m, np.zeros(len(self.target.corners_m))])
         return np.asarray(flat - flat.mean(axis=0))
 
+    @property
+    def size_m(self) -> float:
+        """Length of the board, m."""
+        return float(np.ptp(self.corners, axis=0).max())
+
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
         """(2, f, n) True for corners that were found."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))
+
+    @cached_property
+    def shown(self) -> NDArray[np.bool_]:
+        """(2, f) True for views with enough corners to determine the board's pose."""
+        return np.asarray(self.seen.sum(axis=-1) >= LEAST_CORNERS)
 
     @cached_property
     def pose(self) -> IntArray:
@@ -152,9 +165,9 @@ class ReadingErrorUnknowns:
         shared_actuator: list[int] = []
         resting: list[int] = []
         for joint in np.flatnonzero(moves).tolist():
-            places = [frames.placement == place for place in np.unique(frames.placement)]
             if joint < NECK.stop and all(
-                np.ptp(angles[place, joint]) <= step[joint] for place in places
+                np.ptp(angles[frames.placement == place, joint]) <= step[joint]
+                for place in np.unique(frames.placement)
             ):
                 free[:, joint] = False  # its error only shifts the board's unknown pose
             elif _rests(angles[:, joint], frames.pose, step[joint]):
@@ -172,15 +185,10 @@ class ReadingErrorUnknowns:
 
 def _rests(angles: FloatArray, pose: IntArray, step: float) -> bool:
     """Return True if a joint's reading stays within a step in most poses."""
-    spans = [
-        np.ptp(angles[pose == each])
-        for each, count in zip(*np.unique(pose, return_counts=True), strict=True)
-        if count > 1
-    ]
-    return (
-        bool(len(spans))
-        and float(np.mean(np.array(spans) <= _SAME_READING_STEPS * step)) >= _STILL_POSE_FRACTION
-    )
+    poses, counts = np.unique(pose, return_counts=True)
+    spans = [np.ptp(angles[pose == each]) for each in poses[counts > 1]]
+    still = np.array(spans) <= _SAME_READING_STEPS * step
+    return bool(len(spans)) and float(np.mean(still)) >= _STILL_POSE_FRACTION
 
 
 def _stretches(angles: FloatArray, step: FloatArray, placement: IntArray) -> list[tuple[int, int]]:
@@ -310,7 +318,7 @@ def clean_and_renumber_frames(frames: HeadFrames) -> HeadFrames:
 def sort_and_clean_frames(frames: HeadFrames) -> HeadFrames:
     """Sort frames by time; leave out those without the board, and all but one of a head at rest."""
     frames = frames.select(np.argsort(frames.time_s, kind="stable"))
-    shown = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).any(axis=0)
+    shown = np.asarray(frames.shown.any(axis=0))
     fresh = np.ones(len(shown), bool)
     same = np.unique(frames.joint_positions, axis=0, return_inverse=True)[1].ravel()
     for group in np.flatnonzero(np.bincount(same) > 1):
@@ -431,9 +439,10 @@ def _refuse_other_joints(log: Log, head: HeadModel) -> None:
 def _board_views(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[BoardView], int]:
     """Read a log's board views in the order of time, and count the images taken in motion."""
     count = len(target.corners_m)
-    eyes: list[list[LoggedDetection]] = [[], []]
+    # by eye and time; a detection may have been logged twice
+    eyes: dict[str, dict[float, LoggedDetection]] = {name: {} for name in EYE_NAMES}
     moving = 0
-    still = _Still(log, head)
+    at_rest = _rest_test(log, head)
     for one in log.detections:
         if not len(one.corners_px):
             continue
@@ -444,72 +453,49 @@ def _board_views(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[
             )
         if not (np.isfinite(one.exposed_s) and np.isfinite(one.positions).all()):
             continue
-        if still.at(one.exposed_s, one.positions):
-            eyes[EYE_NAMES.index(one.eye)].append(one)
-        else:
+        if not at_rest(one.exposed_s, one.positions):
             moving += 1
-    left, right = (_once(each) for each in eyes)
-    found = [_view(*pair) for pair in _paired(left, right, 0.5 * head.timing.frame_s)]
-    return sorted(found, key=lambda one: one.time_s), moving
-
-
-class _Still:
-    """Test for rest by the measured joint angles of a log."""
-
-    def __init__(self, log: Log, head: HeadModel) -> None:
-        self._trusted = log.facts.get(AT_REST) == str(True)
-        self._own = head.actuation
-        seen = [(one.exposed_s, one.positions) for one in log.detections]
-        seen += [(one.clock_s, one.positions) for one in log.joints]
-        times = np.array([time_s for time_s, _ in seen])
-        angles = np.array([positions for _, positions in seen]).reshape(-1, 7)
-        known = np.isfinite(times) & np.isfinite(angles).all(axis=-1)
-        order = np.argsort(times[known], kind="stable")
-        self._times = times[known][order]
-        self._angles = self._own.actuators_of(angles[known][order])
-
-    def at(self, time_s: float, positions: FloatArray) -> bool:
-        """True if joints rest around a time at positions; one quantisation step is no motion."""
-        if self._trusted:
-            return True
-        near = slice(
-            *np.searchsorted(self._times, (time_s - _REST_WINDOW_S, time_s + _REST_WINDOW_S))
-        )
-        away = np.abs(self._angles[near] - self._own.actuators_of(positions))
-        after_s = np.abs(self._times[near] - time_s)[:, None]
-        return bool((away - self._own.angle_step <= _STILL_RAD_S * after_s + 1e-9).all())
-
-
-def _once(detections: Sequence[LoggedDetection]) -> list[LoggedDetection]:
-    """Remove detections logged twice, which are equal to the last bit; refuse unequal ones."""
-    by_time: dict[float, LoggedDetection] = {}
-    for one in detections:
-        other = by_time.setdefault(one.exposed_s, one)
+            continue
+        other = eyes[one.eye].setdefault(one.exposed_s, one)
         if not np.array_equal(one.corners_px, other.corners_px, equal_nan=True):
             raise ConfigurationError(
                 f"expected times that tell images apart, got two of the {one.eye} eye at "
                 f"{one.exposed_s:g} s"
             )
-    return list(by_time.values())
+    left, right = (list(each.values()) for each in eyes.values())
+    gaps = np.abs(np.subtract.outer(*([one.exposed_s for one in each] for each in (left, right))))
+    # mutually nearest in time
+    pairs = {
+        i: j
+        for i, j in enumerate(gaps.argmin(axis=1).tolist() if gaps.size else ())
+        if gaps[:, j].argmin() == i and gaps[i, j] <= 0.5 * head.timing.frame_s
+    }
+    found = [_view(one, right[pairs[i]] if i in pairs else None) for i, one in enumerate(left)]
+    taken = set(pairs.values())
+    found += [_view(None, one) for j, one in enumerate(right) if j not in taken]
+    return sorted(found, key=lambda one: one.time_s), moving
 
 
-def _paired(
-    left: Sequence[LoggedDetection], right: Sequence[LoggedDetection], tolerance_s: float
-) -> list[tuple[LoggedDetection | None, LoggedDetection | None]]:
-    """Pair detections of both eyes that are mutually nearest in time; keep unpaired ones too."""
-    partner: dict[int, int] = {}
-    if left and right:
-        times = [[one.exposed_s for one in each] for each in (left, right)]
-        gaps = np.abs(np.subtract.outer(*times))
-        nearest, theirs = gaps.argmin(axis=1).tolist(), gaps.argmin(axis=0).tolist()
-        partner = {
-            i: j for i, j in enumerate(nearest) if theirs[j] == i and gaps[i, j] <= tolerance_s
-        }
-    taken = set(partner.values())
-    return [
-        *((one, right[partner[i]] if i in partner else None) for i, one in enumerate(left)),
-        *((None, one) for j, one in enumerate(right) if j not in taken),
-    ]
+def _rest_test(log: Log, head: HeadModel) -> Callable[[float, FloatArray], bool]:
+    """Test by a log's angles if joints rest around a time; a quantisation step is no motion."""
+    if log.facts.get(AT_REST) == str(True):
+        return lambda time_s, positions: True
+    own = head.actuation
+    seen = [(one.exposed_s, one.positions) for one in log.detections]
+    seen += [(one.clock_s, one.positions) for one in log.joints]
+    times = np.array([time_s for time_s, _ in seen])
+    angles = np.array([positions for _, positions in seen]).reshape(-1, 7)
+    known = np.isfinite(times) & np.isfinite(angles).all(axis=-1)
+    order = np.argsort(times[known], kind="stable")
+    times, angles = times[known][order], own.actuators_of(angles[known][order])
+
+    def at_rest(time_s: float, positions: FloatArray) -> bool:
+        near = slice(*np.searchsorted(times, (time_s - _REST_WINDOW_S, time_s + _REST_WINDOW_S)))
+        away = np.abs(angles[near] - own.actuators_of(positions))
+        after_s = np.abs(times[near] - time_s)[:, None]
+        return bool((away - own.angle_step <= _STILL_RAD_S * after_s + 1e-9).all())
+
+    return at_rest
 
 
 def _view(left: LoggedDetection | None, right: LoggedDetection | None) -> BoardView:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -47,10 +47,7 @@ from vergence.reporting.style import (
     legend_below,
     new_figure,
 )
-from vergence.reporting.text import (
-    format_fixed,
-    format_number,
-)
+from vergence.reporting.text import format_fixed, format_number
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
 """Distances of the table of depth, m (chosen: the range of use)."""
@@ -74,14 +71,6 @@ _MOST_ROWS: Final = 40
 """Most rows of the table of views left out (chosen: a page's worth; the rest is in views.csv)."""
 
 
-class LeftOutView(NamedTuple):
-    """A view that was left out."""
-
-    time_s: float
-    eye: str
-    why: str
-
-
 def write_run(
     folder: Path,
     calibration: HeadCalibration,
@@ -94,14 +83,13 @@ def write_run(
     (folder / head_file_name).write_text(head_file_text, encoding="utf-8")
     names, units, before = calibration.nominal_head.parameters()
     own = calibration.solution.problem
-    scatter_ratio = np.ones(7) if own.scatter_ratio is None else own.scatter_ratio
-    noisier = zip(actuator_names(calibration.nominal_head), scatter_ratio.tolist(), strict=True)
+    noisier = zip(actuator_names(calibration.nominal_head), own.scatter_ratio.tolist(), strict=True)
     told, left_out = result_document(calibration, unobservable), left_out_views(calibration)
     write_json(
         folder / "result.json",
         {
             **told,
-            "left_out_views": [one._asdict() for one in left_out],
+            "left_out_views": left_out,
             "recording": dict(provenance),
             "noisier": {each: times for each, times in noisier if each},
             "names": list(names),
@@ -120,7 +108,9 @@ def write_run(
         head=calibration.nominal_head.name, name=head_file_name, provenance=provenance,
         headline=_headline(calibration), sides=EYE_NAMES, side="eye",
         maps=[f"{each:g}" for each in _MAP_DISTANCES_M],
-        dropped=[[f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out[:_MOST_ROWS]],
+        dropped=[
+            [f"{one['time_s']:.2f} s, {one['eye']}", one["why"]] for one in left_out[:_MOST_ROWS]
+        ],
         numbers=_number_rows(calibration),
     )  # fmt: skip
 
@@ -147,7 +137,9 @@ def result_document(
     return {
         "depth": [dict(zip(table, row, strict=True)) for row in rows],
         "noise": calibration.solution.reduced_chi,
-        "rms_px": rms_length(residuals_px(calibration)),
+        "rms_px": rms_length(
+            np.where(calibration.kept_corners[..., None], calibration.residuals_px, np.nan)
+        ),
         "rms_heldout_sigma": null_nonfinite_rows(rms_held_out),
         "views": int(calibration.kept_views.sum()),
         "left_out": int((views & ~calibration.kept_views).sum()),
@@ -163,7 +155,7 @@ def result_document(
     }
 
 
-def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
+def left_out_views(calibration: HeadCalibration) -> list[dict[str, Any]]:
     """List the views that show corners and were left out, in the order of time."""
     frames, residuals = calibration.frames, normalised_view_rms(calibration)
     usual = float(np.median(residuals[calibration.kept_views]))
@@ -181,7 +173,7 @@ def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
 
     lost = np.argwhere((count > 0).T & ~calibration.kept_views.T)
     return [
-        LeftOutView(float(frames.time_s[frame]), EYE_NAMES[eye], why(eye, frame))
+        {"time_s": float(frames.time_s[frame]), "eye": EYE_NAMES[eye], "why": why(eye, frame)}
         for frame, eye in lost.tolist()
     ]
 
@@ -189,7 +181,7 @@ def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
 def _view_rows(calibration: HeadCalibration) -> Iterator[list[object]]:
     """Make a row for each frame and eye; missing numbers are empty."""
     frames = calibration.frames
-    residuals = calibration.solution.normal.residuals * frames.sigma
+    residuals = calibration.residuals_px
     counted = kept_or_found_corners(calibration)
     held_out = np.sqrt(calibration.held_out_mean_squares)
     for frame, eye in np.ndindex(len(frames.time_s), 2):
@@ -318,12 +310,6 @@ def kept_or_found_corners(calibration: HeadCalibration) -> NDArray[np.bool_]:
     )
 
 
-def residuals_px(calibration: HeadCalibration) -> FloatArray:
-    """(2, f, n, 2) residuals projected minus measured, px; nan for corners that were not kept."""
-    left = calibration.solution.normal.residuals * calibration.frames.sigma
-    return np.where(calibration.kept_corners[..., None], left, np.nan)
-
-
 def _image(calibration: HeadCalibration, eye: int) -> tuple[tuple[int, int], str]:
     """Size, px, and name of an eye's image."""
     width, height = calibration.nominal_head.cameras.size[eye].tolist()
@@ -340,7 +326,7 @@ def corner_coverage(calibration: HeadCalibration, eye: int) -> Figure:
 def residual_field(calibration: HeadCalibration, eye: int) -> Figure:
     """Draw residuals over an eye's image as magnified arrows."""
     kept = calibration.kept_corners[eye]
-    pixels, residuals = calibration.frames.pixels[eye][kept], residuals_px(calibration)[eye][kept]
+    pixels, residuals = calibration.frames.pixels[eye][kept], calibration.residuals_px[eye][kept]
     return draw_residual_arrows(pixels, residuals, *_image(calibration, eye))
 
 

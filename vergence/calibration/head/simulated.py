@@ -77,25 +77,10 @@ def simulate_recording(
     dither_rad: float = np.deg2rad(0.3).item(),
     reading_errors: JointReadingErrors | None = None,
 ) -> SimulatedRecording:
-    """Simulate a recording of boards by a true head.
+    """Simulate a recording by a true head whose joints are read as the nominal head's.
 
-    Args:
-        head: the nominal head, which reads the joints.
-        true_head: the true head, which looks.
-        rng: the source of randomness.
-        target: the board.
-        poses: number of poses.
-        frames_per_pose: frames per pose, each with all joints dithered.
-        noise_px: standard deviation of each coordinate of a corner.
-        distances_m: distances of the board, one placement after the other.
-        move_neck: True to move the neck as well.
-        off_axis: scale of the random gaze offsets from the board; 0 to fixate it.
-        dither_rad: amplitude of the dither about a pose.
-        reading_errors: systematic errors of the readings, besides quantisation.
-
-    Raises:
-        ConfigurationError: the target has no corners of its own, or is hardly ever whole in both
-            images.
+    The board stands at `distances_m`, one placement after the other. `off_axis` scales the random
+    offsets of the gaze from it; 0 fixates it. `dither_rad` is the dither of a pose's frames.
     """
     board = parse_target(target)
     if isinstance(board, TagFamily):
@@ -207,20 +192,10 @@ _Corners = tuple[FloatArray | None, FloatArray | None]
 
 
 class SimulatedLooker:
-    """`Looker` of a simulated head, with encoders and backlash of the kinematic plant.
+    """`Looker` of a simulated head before a board of pose T_0_T, by the kinematic plant.
 
-    Args:
-        head: the nominal head model.
-        target: the board.
-        pose: (4, 4) pose of the board, T_0_T.
-        rng: the source of all noise.
-        true_head: the true head; None for the nominal one.
-        drawn: True to detect the board in rendered images; else its corners are projected, with the
-            detection noise of the head's sensor.
-
-    Attributes:
-        images: rendered images of the last look by eye, (height, width) grey levels; empty if
-            `drawn` is False.
+    The board is detected in rendered `images` if `drawn`; else its corners are projected, with the
+    detection noise of the head's sensor.
     """
 
     def __init__(
@@ -239,13 +214,11 @@ class SimulatedLooker:
         self._pose, self._rng, self._looks = pose, rng, 0
         self._plant = simulation_of(make_plant("kinematic", head, true_head=true_head))
         self._seed = rng.integers(2**63, size=1, dtype=np.uint64)
+        eyes = range(2 if drawn else 0)
         self._drawings = [
-            TargetRenderer(Camera.of(self._true, eye), target, head.rendering)
-            for eye in range(2 if drawn else 0)
+            TargetRenderer(Camera.of(self._true, eye), target, head.rendering) for eye in eyes
         ]
-        self._detectors = [
-            make_detector(target, Camera.of(head, eye)) for eye in range(2 if drawn else 0)
-        ]
+        self._detectors = [make_detector(target, Camera.of(head, eye)) for eye in eyes]
 
     def look(self, q: FloatArray) -> BoardView:
         """See `Looker.look`."""
@@ -261,11 +234,8 @@ class SimulatedLooker:
         )
         true_q = self._plant.truth().positions[0]
         found = self._drawn(true_q) if self._drawings else self._projected(true_q)
-        (left, left_sigma), (right, right_sigma) = found
-        return BoardView(
-            _LOOK_S * self._looks, reading.positions[0].copy(), (left, right),
-            (left_sigma, right_sigma),
-        )  # fmt: skip
+        corners, sigma = zip(*found, strict=True)
+        return BoardView(_LOOK_S * self._looks, reading.positions[0].copy(), corners, sigma)
 
     def close(self) -> None:
         """See `Looker.close`."""

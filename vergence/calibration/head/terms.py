@@ -17,7 +17,6 @@ from vergence.calibration.head.adjust import (
     ReducedNormalEquations,
 )
 from vergence.calibration.head.fit import (
-    HeadFit,
     HeadSolution,
     parameter_prior_sigma,
     refit_inliers_and_scatter,
@@ -144,7 +143,7 @@ def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
 class ChosenTerms(NamedTuple):
     """The head with the terms that its recording calls for."""
 
-    fit: HeadFit
+    fit: HeadSolution
     """Fit with the accepted terms that a head's file can hold. Harmonics are not among these:
     readings are not corrected by them, so that the other parameters are best without them."""
     solution_with_harmonics: HeadSolution | None
@@ -152,32 +151,32 @@ class ChosenTerms(NamedTuple):
     file cannot hold harmonics, so they are only reported. None if they are not called for."""
 
 
-def choose_terms(fit: HeadFit, estimate_cameras: bool) -> ChosenTerms:
+def choose_terms(fit: HeadSolution, estimate_cameras: bool) -> ChosenTerms:
     """Add the terms that a recording calls for, most significant first."""
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
     while left:
-        gains = _gains(some.solution, chosen, left, estimate_cameras)
+        gains = _gains(some, chosen, left, estimate_cameras)
         if not gains:
             break
         best = max(gains, key=lambda term: gains[term])
         left.discard(best)
         with suppress(np.linalg.LinAlgError):  # the fit with this term fails
             richer = _richer(some, (*chosen, best), estimate_cameras)
-            scatters = np.any(richer.solution.problem.scatter_ratio != 1.0)
+            scatters = np.any(richer.problem.scatter_ratio != 1.0)
             least = _LEAST_GAIN_OF_PLAY if best == "play" and scatters else _LEAST_GAIN
             if _predicts_better(richer, some, least):
                 some, chosen = richer, (*chosen, best)
     lasting = tuple(term for term in chosen if term != "harmonics")
     return ChosenTerms(
         _richer(fit, lasting, estimate_cameras) if lasting else fit,
-        some.solution if lasting != chosen else None,
+        some if lasting != chosen else None,
     )
 
 
-def _thinned(fit: HeadFit) -> HeadFit:
+def _thinned(fit: HeadSolution) -> HeadSolution:
     """Fit some of the frames of each pose, which select terms as well in less time."""
-    own, state = fit.solution.problem, fit.solution.state
+    own, state = fit.problem, fit.state
     frames = len(own.frames.time_s)
     some = np.arange(frames) % -(-frames // _MOST_FRAMES) == 0
     if some.all():
@@ -188,14 +187,14 @@ def _thinned(fit: HeadFit) -> HeadFit:
         board_curvatures=state.board_curvatures,
         frame_errors=state.frame_errors[some],
     )
-    return HeadFit(solve(problem, start, MeasurementWeights.of(kept)), kept)
+    return solve(problem, start, MeasurementWeights.of(kept))
 
 
-def _richer(fit: HeadFit, terms: Collection[str], cameras: bool) -> HeadFit:
+def _richer(fit: HeadSolution, terms: Collection[str], cameras: bool) -> HeadSolution:
     """Fit the head with terms."""
-    problem, start = _extended(fit.solution, terms, cameras)
+    problem, start = _extended(fit, terms, cameras)
     # estimate the scatter of the readings again, as a term may explain it
-    problem = replace(problem, scatter_ratio=None)
+    problem = replace(problem, scatter_ratio=np.ones(7))
     return refit_inliers_and_scatter(solve(problem, start, MeasurementWeights.of(fit.kept_corners)))
 
 
@@ -252,8 +251,7 @@ def _gains(
     noise = max(solution.reduced_chi, 1.0) ** 2
     # while a term is missing, its error enlarges the readings' sigma and so reduces the gain
     own = solution.problem.reading_error_unknowns.has_frame_error
-    scatter_ratio = solution.problem.scatter_ratio
-    belief = 1.0 if scatter_ratio is None else float(scatter_ratio.max()) ** 2
+    belief = float(solution.problem.scatter_ratio.max()) ** 2
     worth = _LEAST_TRIAL_FRACTION * 2.0 * own.sum() / belief
     return {
         term: gain / noise
@@ -278,16 +276,15 @@ def _chance(numbers: int) -> float:
     return float(chi2.ppf(1.0 - _FALSE_TRIAL_PROBABILITY, numbers)) if numbers else np.inf
 
 
-def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
+def _predicts_better(richer: HeadSolution, simpler: HeadSolution, least: float) -> bool:
     """True if a term's mean log gain on held-out poses is significant and reaches `least`."""
     kept = richer.kept_corners & simpler.kept_corners
     # judge the readings of both heads by the richer head's sigma
-    rich, simple = richer.solution.problem, simpler.solution.problem
-    scatter_ratio = np.ones(7) if simple.scatter_ratio is None else simple.scatter_ratio
+    rich, simple = richer.problem, simpler.problem
     sigma = [each.reading_error_unknowns.reading_sigma for each in (rich, simple)]
     ratio = np.divide(sigma[0], sigma[1], out=np.ones(7), where=sigma[1] > 0.0)
-    simple_errors = cross_validate_by_pose(simpler.solution, kept, ratio * scatter_ratio)
-    rich_errors = cross_validate_by_pose(richer.solution, kept)
+    simple_errors = cross_validate_by_pose(simpler, kept, ratio * simple.scatter_ratio)
+    rich_errors = cross_validate_by_pose(richer, kept)
     less = np.log(simple_errors.pose_mean_squares) - np.log(rich_errors.pose_mean_squares)
     less = less[np.isfinite(less)]
     surely = _SIGNIFICANT_SIGMAS * np.std(less) / np.sqrt(max(len(less), 1))

@@ -290,9 +290,9 @@ def refine_by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEyeFi
     start_of_board = estimate_consensus_board_poses(start_head, frames)
     problem = HeadAdjustment(start_head, prior_sigma, start_of_board.frames)
     fit = fit_robustly(problem, start_of_board.boards, start_of_board.inlier_views)
-    residuals = fit.solution.normal.residuals * problem.frames.sigma
+    residuals = fit.normal.residuals * problem.frames.sigma
     return HeadEyeFit(
-        np.asarray(fit.solution.head.head_eye),
+        np.asarray(fit.head.head_eye),
         rms_length(residuals[fit.kept_corners]),
         np.asarray(fit.kept_corners.any(axis=-1)),
     )
