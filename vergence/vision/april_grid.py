@@ -29,7 +29,7 @@ from vergence.vision.corners import (
     refine_and_check,
 )
 from vergence.vision.detection import Detection, Detector, Frame
-from vergence.vision.optics import FlatView, IdentityView, fit_homography, origin_sigma_px
+from vergence.vision.optics import FlatView, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
     LEAST_CONFIRMED_FRACTION,
@@ -230,9 +230,7 @@ class CornerSearch:
     predicted corners of the tags that have been tried.
     """
 
-    def __init__(
-        self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | IdentityView
-    ) -> None:
+    def __init__(self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView) -> None:
         count = board.columns * board.rows
         self.found: Tags = np.full((count, 4, 2), np.nan)
         self.predicted: Tags = np.full((count, 4, 2), np.nan)
@@ -378,7 +376,7 @@ class CornerSearch:
 
 
 def _count_other_tags(
-    image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | IdentityView, tags: Tags
+    image: NDArray[np.uint8], board: AprilGrid, flat: FlatView, tags: Tags
 ) -> int:
     """Count tags next to found ones, on a board's grid, where the board has another tag or none."""
     columns = board.columns + 2

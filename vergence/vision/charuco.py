@@ -25,7 +25,7 @@ from vergence.vision.corners import (
     square_centres,
 )
 from vergence.vision.detection import Detection, Detector, Frame
-from vergence.vision.optics import FlatView, IdentityView, fit_homography, origin_sigma_px
+from vergence.vision.optics import FlatView, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
     LEAST_CONFIRMED_FRACTION,
@@ -288,7 +288,7 @@ def _most(found: list[Detection]) -> list[Detection]:
 
 
 def _project_board(
-    flat: FlatView | IdentityView, transform: NDArray[np.float64], board_m: NDArray[np.float64]
+    flat: FlatView, transform: NDArray[np.float64], board_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Pixels of positions on the board, shape (n, 2)."""
     return flat.to_pixels(np.asarray(cv2.perspectiveTransform(board_m[None], transform)[0], float))

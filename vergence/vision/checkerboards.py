@@ -28,7 +28,7 @@ from vergence.vision.corners import (
 )
 from vergence.vision.detection import Detection, Detector, Frame
 from vergence.vision.image import smooth_for_square_search
-from vergence.vision.optics import FlatView, IdentityView
+from vergence.vision.optics import FlatView
 from vergence.vision.prints import board_continues_beyond, squares_alternate
 from vergence.vision.targets import Checkerboard
 
@@ -515,7 +515,7 @@ def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
 
 
 def _refine_strays(
-    image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView | IdentityView
+    image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Refine stray corners again; None if one does not agree with the others in the end.
 
