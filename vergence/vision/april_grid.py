@@ -48,16 +48,15 @@ from vergence.vision.tag_families import (
     library_family,
 )
 
-_SEARCH_SCALES: Final = (0.5, 1.0, 1.0, 2.0)
-"""Image scale of each search method, quick ones first; the third reads bits of 2.5 px (chosen:
-small tags against time)."""
-_DILATIONS: Final = {
-    0: cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)),
-    2: np.ones((2, 2), np.uint8),
-}
-"""Kernel that dilates white, by search method; the first for all others."""
-_DILATION_SHIFT_PX: Final = (1.0, 1.0, 0.5, 1.0)
-"""Inward move of a tag's edges by that dilation, by search method, px (numerical)."""
+_CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+_SEARCH_METHODS: Final = (
+    (0.5, _CROSS, 1.0),
+    (1.0, _CROSS, 1.0),
+    (1.0, np.ones((2, 2), np.uint8), 0.5),
+    (2.0, _CROSS, 1.0),
+)
+"""Search methods, quick ones first: image scale, kernel that dilates white, and inward move of a
+tag's edges by it, px. The third reads bits of 2.5 px (chosen: small tags against time)."""
 _LEAST_SIDE_PX: Final = 24
 """Smallest side of a scaled image that is searched, px (chosen)."""
 _MAX_NEIGHBOUR_ERROR: Final = 0.35
@@ -75,25 +74,25 @@ _THREAD: Final = threading.local()
 
 
 def find_grid_tags(image: NDArray[np.uint8], method_index: int) -> list[FoundSquare]:
-    """Find tags with a border of two bits in an image, by a search method of `_SEARCH_SCALES`.
+    """Find tags with a border of two bits in an image, by one of `_SEARCH_METHODS`.
 
     The squares at the corners of tags connect all black to one region; dilating white by a pixel
     separates them. The corners are accurate to a pixel or two.
     """
-    scale = _SEARCH_SCALES[method_index]
+    scale, kernel, shift_px = _SEARCH_METHODS[method_index]
     if min(image.shape) * scale < _LEAST_SIDE_PX or (
         scale > 1.0 and image.size > MAX_ENLARGED_PIXELS
     ):
         return []
     method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
     sized = image if scale == 1.0 else cv2.resize(image, None, None, scale, scale, method)
-    wide = cv2.dilate(sized, _DILATIONS.get(method_index, _DILATIONS[0]))
+    wide = cv2.dilate(sized, kernel)
     if not hasattr(_THREAD, "detector"):
         _THREAD.detector = _make_detector()
     found = []
     for each in _THREAD.detector.detect(np.ascontiguousarray(wide)):
         # the library has pixel edges at integers, and counts corners from the lower left
-        corners = _widened(np.asarray(each.corners, float)[::-1], _DILATION_SHIFT_PX[method_index])
+        corners = _widened(np.asarray(each.corners, float)[::-1], shift_px)
         found.append(FoundSquare(each.tag_id, each.hamming, corners / scale - 0.5))
     return found
 
@@ -224,16 +223,11 @@ def known_corner_mask(tags: Tags) -> NDArray[np.bool_]:
 
 
 class CornerSearch:
-    """State of a search for the corners of a board in an image.
-
-    `found` has the corners of all tags that have been found, nan for others; `predicted` the
-    predicted corners of the tags that have been tried.
-    """
+    """Search for a board's corners: `found` ones, and `predicted` ones of tags tried; else nan."""
 
     def __init__(self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView) -> None:
         count = board.columns * board.rows
-        self.found: Tags = np.full((count, 4, 2), np.nan)
-        self.predicted: Tags = np.full((count, 4, 2), np.nan)
+        self.found, self.predicted = np.full((2, count, 4, 2), np.nan)
         self._image = image
         self._board = board
         self._flat = flat
@@ -444,10 +438,10 @@ class AprilGridDetector(Detector[AprilGrid]):
         return self._search(frame.grey, methods)
 
     def _detect_all(self, frame: Frame) -> list[Detection]:
-        return self._search(frame.grey, range(len(_SEARCH_SCALES)))
+        return self._search(frame.grey, range(len(_SEARCH_METHODS)))
 
     def _detect_rest(self, frame: Frame) -> list[Detection]:
-        return self._search(frame.grey, range(len(_QUICK_METHODS), len(_SEARCH_SCALES)))
+        return self._search(frame.grey, range(len(_QUICK_METHODS), len(_SEARCH_METHODS)))
 
     def _detect_in(
         self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
@@ -540,8 +534,8 @@ class AprilGridDetector(Detector[AprilGrid]):
         return Detection(board, point, out, sigma, sigmas)
 
 
-_SEARCH_METHODS: Final = (1, 3)
-"""Search methods of `_SEARCH_SCALES` that are tried (numerical: indices)."""
+_OTHER_GRID_METHODS: Final = (1, 3)
+"""Search methods that are tried for other boards (numerical: indices)."""
 _LEAST_OTHER_TAGS: Final = 3
 """Least number of tags of a board (chosen)."""
 _SPACING_STEP: Final = 0.01
@@ -557,7 +551,7 @@ def alternative_grids(
     estimated spacing, and the edge of the missed board's tags.
     """
     asked = missed_grid or AprilGrid()
-    for method_index in _SEARCH_METHODS:
+    for method_index in _OTHER_GRID_METHODS:
         found = find_grid_tags(image, method_index)
         if len(found) < _LEAST_OTHER_TAGS:
             continue
