@@ -49,14 +49,10 @@ above)."""
 def deviation_and_contrast(
     greys: FloatArray, cells: FloatArray, j: int, i: int, max_radius: int
 ) -> tuple[float, float]:
-    """Compare a cell with the smallest neighbourhood that has both colours.
+    """Compare the cell of row j and column i with the smallest neighbourhood of both colours.
 
-    Args:
-        greys: (rows, columns) grey levels in the image, nan for cells that are not seen.
-        cells: (rows, columns) the print, 0 black to 1 white, nan for cells not compared.
-        j: row of the cell.
-        i: column of the cell.
-        max_radius: cells to each side, at most, of that neighbourhood.
+    The (rows, columns) greys are nan where cells are not seen; the print's cells are 0 black to 1
+    white, nan where not compared. The neighbourhood has at most `max_radius` cells to each side.
 
     Returns:
         Distance of the cell towards its printed colour from the middle between light and dark, and
@@ -278,8 +274,8 @@ def board_continues_beyond(
 ) -> bool:
     """Check for four squares at the next corners beyond a side: a part of a larger board.
 
-    The surroundings of a board may alternate by chance. At a corner they must do so both along the
-    line of corners and across it, with nearly the contrast of the board's own squares.
+    Its surroundings may alternate by chance: at a corner they must do so both along the line of
+    corners and across it, with nearly the contrast of the board's own squares.
     """
     for inwards in (grid, grid.swapaxes(0, 1)):
         turned = len(inwards) % 2 == 1  # the last side has the colours exchanged
