@@ -128,10 +128,10 @@ _Placed = list[tuple[FoundSquare, int, int]]
 
 
 def _largest_group(tags: list[FoundSquare], columns: int, gap_to_edge_ratio: float) -> _Placed:
-    """Largest connected group of tags that are arranged as on a board of so many columns.
+    """Largest connected group of tags, of different numbers, arranged as with so many columns.
 
-    Only neighbours are compared: lens distortion bends a whole board, but hardly moves neighbours
-    relative to each other. No number occurs twice.
+    Only neighbours are compared: lens distortion bends a whole board, but hardly moves these
+    relative to each other.
     """
     if not tags:
         return []
@@ -240,10 +240,10 @@ class CornerSearch:
     def refine_corners_of(
         self, wanted: NDArray[np.bool_], predicted: Tags, step: float | None = None
     ) -> None:
-        """Refine corners, and drop those without the printed contrast.
+        """Refine wanted corners, (tags, 4), and drop those without the printed contrast.
 
-        The mask of those is (tags, 4). Of their tags all four corners are predicted. `step` is the
-        largest move as a fraction of the distance to the next edge; None for the window's reach.
+        Of their tags all four corners are predicted. `step` is the largest move as a fraction of
+        the distance to the next edge; None for the window's reach.
         """
         numbers, own = np.nonzero(wanted)
         if not len(numbers):
@@ -284,7 +284,7 @@ class CornerSearch:
         self._refine_beside(np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)), np.inf)
 
     def refine_neighbours_of_whole_tags(self, tried: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Refine the corners of tags next to complete ones, except some; return their numbers."""
+        """Refine the corners of untried tags next to complete ones; return their numbers."""
         places, whole = self._board.tag_cells, known_corner_mask(self.found).all(axis=1)
         apart = np.abs(places[:, None] - places).max(axis=-1)
         new = np.flatnonzero(~tried & ((apart <= 1) & whole).any(axis=1))

@@ -93,11 +93,9 @@ class CornerCluster(NamedTuple):
 
 
 def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> list[CornerCluster]:
-    """Find a few clusters with about as many corners as a board, the nearest in size first.
+    """Find clusters, in an image without much noise, of about as many corners as a board has.
 
-    Args:
-        image: grey levels, shape (height, width), without much noise.
-        board_corner_count: number of corners of the board.
+    There are a few, the nearest in size first.
     """
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
     found, hessians, ranges = _corners(smooth)
@@ -413,10 +411,9 @@ class CheckerboardDetector(Detector[Checkerboard]):
         step_squares: float = math.inf,
         colours: tuple[bool, ...] = (True,),
     ) -> Detection | None:
-        """Refine corners and read the board; None if a corner is out of place.
+        """Refine corners with an initial error and read the board; None if one is out of place.
 
-        `initial_error_px` is the error of the given corners, `step_squares` the largest move in
-        squares; `colours` are tried for the first square, true for dark.
+        `colours` are tried for the first square, true for dark.
         """
         square = shortest_square_edge_px(grid)
         if not square >= _LEAST_SQUARE_PX:

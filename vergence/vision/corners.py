@@ -61,14 +61,9 @@ def refine_corners(
     """
     size = 2 * (half_side_px + _RIM_PX) + 1
     whole = np.rint(corners).astype(int) - size // 2
-    # windows side by side in one image; pixels beyond the border repeat the last ones
-    columns, rows = np.moveaxis(whole[:, :, None] + np.arange(size), 1, 0)
-    np.clip(rows, 0, image.shape[0] - 1, out=rows)
-    np.clip(columns, 0, image.shape[1] - 1, out=columns)
-    windows = image[rows.T[:, :, None], columns].reshape(size, -1)
-    smooth = cv2.GaussianBlur(windows, (3, 3), _BLUR_PX)
+    smooth = cv2.GaussianBlur(_windows(image, whole, size), (3, 3), _BLUR_PX)
     twice = cv2.resize(smooth, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-    # corners are shifted by their windows
+    # the windows are side by side in one image: corners are shifted by their windows
     shift = whole.astype(float)
     shift[:, 0] -= size * np.arange(len(corners))
     start = ((corners - shift + 0.5) * 2 - 0.5).astype(np.float32)
@@ -76,6 +71,20 @@ def refine_corners(
         twice, start, (2 * half_side_px, 2 * half_side_px), (-1, -1), _TERMINATION
     )
     return np.asarray((fine.astype(float) + 0.5) / 2 - 0.5 + shift, float)
+
+
+@compiled
+def _windows(image: NDArray[np.uint8], starts: NDArray[np.int_], size: int) -> NDArray[np.uint8]:
+    """Square windows of an image side by side; pixels beyond its border repeat the last ones."""
+    height, width = image.shape
+    out = np.empty((size, size * len(starts)), np.uint8)
+    for row in range(size):
+        for n in range(len(starts)):
+            y = min(max(starts[n, 1] + row, 0), height - 1)
+            for column in range(size):
+                x = min(max(starts[n, 0] + column, 0), width - 1)
+                out[row, n * size + column] = image[y, x]
+    return out
 
 
 def refine_and_check(

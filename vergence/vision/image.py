@@ -133,14 +133,7 @@ def measurement_channel(image: ArrayLike, size: tuple[int, int] | None = None) -
     """8-bit levels in which targets are measured: grey, or the green channel of a colour image.
 
     Green has half of the pixels of a Bayer mosaic, and lies between red and blue in the chromatic
-    aberration of a lens.
-
-    Args:
-        image: see `as_grey`.
-        size: see `as_grey`.
-
-    Raises:
-        ConfigurationError: see `as_grey`.
+    aberration of a lens. See `as_grey`.
     """
     return as_grey(np.asarray(image)[..., 1] if has_colour_channels(image) else image, size)
 
@@ -325,18 +318,10 @@ def open_capture(
 ) -> cv2.VideoCapture:
     """Open a camera, a video file or a stream with OpenCV.
 
-    The options below are requests to a camera of this machine, which may choose other values.
-
-    Args:
-        source: see `open_video`.
-        option_name: name of the option or field that gives the source, for messages.
-        pixel_format: four letters, such as MJPG; empty for the camera's default.
-        size: (width, height), px; None for the camera's default.
-        frame_rate_hz: images a second; None for the camera's default.
-        exposure_s: exposure time to lock, s; None leaves the exposure control unchanged.
-
-    Raises:
-        ConfigurationError: the source does not exist, or cannot be opened.
+    The options are requests to a camera of this machine, which may choose other values: the pixel
+    format is four letters, such as MJPG, the size (width, height), and an exposure is locked. By
+    default the camera's own settings stay. The name is that of the option or field that gives the
+    source, for messages. `ConfigurationError` as in `open_video`.
     """
     device = is_local_camera(source)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg has a log of its own

@@ -210,16 +210,10 @@ def _transformed(points: NDArray[np.float64], matrix: NDArray[np.float64]) -> ND
 
 @lru_cache(maxsize=4)
 def ray_table(camera: Camera, supersampling: int, margin_px: int) -> NDArray[np.float32]:
-    """Rays of every sample of a frame with a margin around it.
+    """Rays (x / z, y / z) of every sample of a frame with a margin around it.
 
-    Args:
-        camera: camera of the eye.
-        supersampling: samples per pixel along each axis.
-        margin_px: pixels added on each side of the frame.
-
-    Returns:
-        (x / z, y / z) of each sample, shape ((height + 2 margin) * supersampling,
-        (width + 2 margin) * supersampling, 2).
+    There are some samples per pixel along each axis. The shape is ((height + 2 margin) *
+    supersampling, (width + 2 margin) * supersampling, 2).
     """
     u, v = (
         (np.arange((length + 2 * margin_px) * supersampling) + 0.5) / supersampling

@@ -74,10 +74,7 @@ PAPERS: Final = {name: Paper(*size, name) for name, size in _SIZES_MM.items()}
 
 
 def parse_paper(text: str) -> Paper:
-    """Parse a size of paper.
-
-    Args:
-        text: a name of `PAPERS` in any case, or WIDTHxHEIGHT in mm.
+    """Parse a name of `PAPERS` in any case, or WIDTHxHEIGHT in mm.
 
     Raises:
         UnknownNameError: no paper has that name.
@@ -98,11 +95,7 @@ def parse_paper(text: str) -> Paper:
 
 
 def require_printable(target: Target) -> PlanarTarget:
-    """Return a target that is fully specified for printing.
-
-    Raises:
-        ConfigurationError: the target is a whole family of tags, or lacks its size.
-    """
+    """Return a target unless it is a whole family of tags, or lacks its size, which is refused."""
     if isinstance(target, TagFamily):
         raise ConfigurationError(
             f"target: expected one tag with its number and its edge in mm, such as {target}:0:120, "
@@ -151,14 +144,7 @@ def lay_out_sheet(target: PlanarTarget, paper: Paper) -> PrintSheet:
     """Place a board on paper, upright and at true scale, with the ruler beside its white margin.
 
     The ruler is below the board if it fits there, else to its right; of portrait and landscape
-    the one with more room is taken.
-
-    Args:
-        target: the board.
-        paper: the size of paper.
-
-    Raises:
-        ConfigurationError: the board does not fit.
+    the one with more room is taken. `ConfigurationError` if the board does not fit.
     """
     width_mm, height_mm, rim_mm = _frame_mm(target)
     places = _places(width_mm, height_mm, paper)
@@ -256,16 +242,11 @@ def _smaller(target: PlanarTarget, paper: Paper) -> str:
 
 
 def black_outlines(cells: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
-    """Outlines of a board's black cells; drawn as one path, they have no seams.
+    """Outlines of a board's black cells, in cells; drawn as one path, they have no seams.
 
-    Args:
-        cells: the board, 0 black, 255 white; shape (rows, columns).
-
-    Returns:
-        Closed polygons in cells from the upper left corner, each (n, 2) of (x, y) without
-        repeating the first vertex. With y down they run clockwise around black and
-        counterclockwise around white holes, so that both the even-odd and the nonzero winding
-        rule fill the black.
+    They are closed polygons, each (n, 2) of (x, y) from the upper left corner, without repeating
+    the first vertex. With y down they run clockwise around black and counterclockwise around white
+    holes, so that both the even-odd and the nonzero winding rule fill the black.
     """
     black = np.pad(np.asarray(cells) == 0, 1).astype(np.int8)
     across, along = np.diff(black, axis=0)[:, 1:-1], np.diff(black, axis=1)[1:-1]
@@ -324,16 +305,9 @@ _RC: Final[Any] = {
 
 
 def draw_sheet(sheet: PrintSheet, path: Path, dpi: float) -> None:
-    """Write a sheet as PDF, SVG or PNG, atomically; equal sheets give equal bytes.
+    """Write a sheet as PDF, SVG or PNG by the suffix, atomically; equal sheets give equal bytes.
 
-    Args:
-        sheet: the sheet.
-        path: the file, whose suffix selects the format; replaced if it exists. Its folder must
-            exist.
-        dpi: resolution of a PNG, pixels per inch.
-
-    Raises:
-        OSError: the file cannot be written.
+    The resolution is that of a PNG. An existing file is replaced; its folder must exist.
     """
     # imported here so that a command that lays out in vain ends sooner
     from matplotlib import style

@@ -218,33 +218,30 @@ def squares_alternate(
     for lines in (corners[:, 1:-1], corners.swapaxes(0, 1)):  # the outermost ones extrapolated
         lines[0] = (1.0 + _OUTER_SHARE) * lines[1] - _OUTER_SHARE * lines[2]
         lines[-1] = (1.0 + _OUTER_SHARE) * lines[-2] - _OUTER_SHARE * lines[-3]
-    seen, wrong, inner_unseen = _count_squares(image, corners, upper_left_dark)
-    return bool(inner_unseen == 0 and wrong <= _MAX_WRONG_FRACTION * max(seen, 1))
+    return bool(_alternate(image, corners, upper_left_dark))
 
 
 @compiled
-def _count_squares(
-    image: NDArray[np.uint8], corners: Grid, first_dark: bool
-) -> tuple[int, int, int]:
-    """Count the squares seen, those of the wrong colour, and the inner ones that are not seen."""
+def _alternate(image: NDArray[np.uint8], corners: Grid, first_dark: bool) -> bool:
+    """Implement `squares_alternate`, whose inner squares must all be seen."""
     greys = _square_greys(image, corners)
     rows, columns = greys.shape
     cells = np.empty((rows, columns))
     for j in range(rows):
         for i in range(columns):
             cells[j, i] = 1.0 if ((j + i) % 2 == 1) == first_dark else 0.0
-    seen = wrong = inner_unseen = 0
+    seen = wrong = 0
     for j in range(rows):
         for i in range(columns):
             if greys[j, i] != greys[j, i]:
                 if 0 < j < rows - 1 and 0 < i < columns - 1:
-                    inner_unseen += 1
+                    return False
                 continue
             seen += 1
             beyond, contrast = deviation_and_contrast(greys, cells, j, i, 1)
             if not (contrast >= LEAST_CONTRAST_GREY and beyond > _LEAST_SQUARE_CONTRAST * contrast):
                 wrong += 1
-    return seen, wrong, inner_unseen
+    return wrong <= _MAX_WRONG_FRACTION * max(seen, 1)
 
 
 @subroutine
