@@ -26,6 +26,7 @@ from vergence.vision.corners import (
     corner_sigmas,
     estimate_noise_grey,
     fit_smooth_homography,
+    in_image,
     refine_and_check,
 )
 from vergence.vision.detection import Detection, Detector, Frame
@@ -249,20 +250,18 @@ class CornerSearch:
         if not len(numbers):
             return
         self.predicted[wanted] = predicted[wanted]
-        height, width = self._image.shape
         lengths = np.linalg.norm(predicted - np.roll(predicted, 1, axis=1), axis=-1)[numbers]
         free = self._free * np.nan_to_num(np.nanmin(lengths, axis=1))
         half_sides_px = np.clip(np.rint(WINDOW_FRACTION * free), *WINDOW_PX).astype(int)
         self._half_sides_px[numbers] = half_sides_px
         start = predicted[wanted]
         places = np.full(start.shape, np.nan)
-        end = np.array([width - 1.0, height - 1.0])
-        inside = ((start > 0.0) & (start < end)).all(axis=1)
+        inside = in_image(self._image, start)
         for half_side_px in np.unique(half_sides_px[inside]).tolist():
             chosen = np.flatnonzero(inside & (half_sides_px == half_side_px))
             refined, moved, settled = refine_and_check(self._image, start[chosen], half_side_px)
             limit = half_side_px + 1.0 if step is None else np.maximum(step * free[chosen], 1.0)
-            good = settled & (moved <= limit) & ((refined > 0.0) & (refined < end)).all(axis=1)
+            good = settled & (moved <= limit) & in_image(self._image, refined)
             places[chosen[good]] = refined[good]
         self.found[numbers, own] = places
         tags = np.unique(numbers)
@@ -275,7 +274,7 @@ class CornerSearch:
 
     def find_neighbouring_tags(self) -> None:
         """Search for tags next to those found, repeatedly outwards."""
-        tried = np.asarray(known_corner_mask(self.found).any(axis=1), np.bool_)
+        tried = known_corner_mask(self.found).any(axis=1)
         while len(new := self.refine_neighbours_of_whole_tags(tried)):
             tried[new] = True
             seen = new[np.isfinite(self.predicted[new]).all(axis=(1, 2))]
@@ -378,18 +377,17 @@ def _count_other_tags(
         return 0
     around = replace(board, columns=columns, rows=board.rows + 2)
     # the board in the middle of this one
-    numbers = np.full((board.rows + 2, columns), -1)
-    numbers[1:-1, 1:-1] = np.arange(len(tags)).reshape(board.rows, board.columns)
-    inner = np.flatnonzero(numbers >= 0)
+    numbers = np.arange(len(tags)).reshape(board.rows, board.columns)
+    numbers = np.pad(numbers, 1, constant_values=-1).ravel()
     search = CornerSearch(image, around, flat)
     placed = np.full(search.found.shape, np.nan)
-    placed[inner] = tags
-    whole = np.asarray(known_corner_mask(placed).all(axis=1), np.bool_)
+    placed[numbers >= 0] = tags
+    whole = known_corner_mask(placed).all(axis=1)
     search.refine_corners_of(np.repeat(whole[:, None], 4, axis=1), placed)
     beside = search.refine_neighbours_of_whole_tags(whole)
     seen = beside[known_corner_mask(search.found[beside]).sum(axis=1) >= _LEAST_OTHER_CORNERS]
     read = search.read_numbers(seen)
-    return int(((read >= 0) & (read != numbers.ravel()[seen])).sum())
+    return int(((read >= 0) & (read != numbers[seen])).sum())
 
 
 @lru_cache(maxsize=1)
@@ -462,6 +460,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         x0, y0, x1, y1 = region or (0, 0, width, height)
         part = np.ascontiguousarray(image[y0:y1, x0:x1])
         board, count = self.target, self.target.columns * self.target.rows
+        sufficient = _SUFFICIENT_FRACTION * 4 * count
         best: Detection | None = None
         most, exceeded = 0, False
         for method_index in methods:
@@ -477,10 +476,8 @@ class AprilGridDetector(Detector[AprilGrid]):
                 seen = 0 if found is None else int(np.isfinite(found.corners_px[:, 0]).sum())
                 if seen > most:
                     best, most = found, seen
-            if best is not None and (
-                most >= _SUFFICIENT_FRACTION * len(best.corners_px)
-                or method_index >= _FIRST_PARTIAL_METHOD
-            ):
+            enough = method_index >= _FIRST_PARTIAL_METHOD or most >= sufficient
+            if best is not None and enough:
                 break
         if best is None or exceeded:
             return []
@@ -582,11 +579,8 @@ def alternative_grids(
 
 def _spacing(found: list[FoundSquare], asked: AprilGrid) -> float:
     """Median ratio of gap to edge of tags with consecutive numbers."""
-    ratios = [
-        np.linalg.norm(second.corners[0] - first.corners[1])
-        / np.linalg.norm(first.corners[1] - first.corners[0])
-        for first, second in pairwise(sorted(found, key=lambda each: each.id))
-        if second.id == first.id + 1
-    ]
+    by_id = sorted(found, key=lambda each: each.id)
+    pairs = [(a.corners, b.corners) for a, b in pairwise(by_id) if b.id == a.id + 1]
+    ratios = [np.linalg.norm(b[0] - a[1]) / np.linalg.norm(a[1] - a[0]) for a, b in pairs]
     in_row = [ratio for ratio in ratios if ratio < 1.0]
     return float(np.median(in_row)) if in_row else asked.spacing

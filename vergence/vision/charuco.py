@@ -21,6 +21,7 @@ from vergence.vision.corners import (
     corner_sigmas,
     estimate_corner_scatter_px,
     estimate_noise_grey,
+    in_image,
     refine_and_check,
     square_centres,
     window_half_side_px,
@@ -201,9 +202,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         step_squares: float | None = None,
     ) -> Detection | None:
         """Refine given corners; None if they do not form the board."""
-        height, width = image.shape
-        inside = ((places > 0.0) & (places < (width - 1.0, height - 1.0))).all(axis=1)
-        known = np.flatnonzero(inside)
+        known = np.flatnonzero(in_image(image, places))
         if len(known) < _LEAST_CORNERS:
             return None
         corners, board_m = places[known], board.corners_m[known]

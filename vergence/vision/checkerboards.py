@@ -18,6 +18,7 @@ from vergence.vision.corners import (
     crossing_asymmetries,
     estimate_corner_scatter_px,
     estimate_noise_grey,
+    in_image,
     is_even_unmirrored_grid,
     loo_residuals_and_scales,
     refine_and_check,
@@ -389,12 +390,9 @@ class CheckerboardDetector(Detector[Checkerboard]):
         return None
 
     def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
-        size = (self.target.rows, self.target.columns, 2)
-        height, width = frame.grey.shape
-        corners = predicted.corners_px
-        if not ((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all():
+        if not in_image(frame.grey, predicted.corners_px).all():
             return None
-        grid = corners.reshape(size)
+        grid = predicted.corners_px.reshape(self.target.rows, self.target.columns, 2)
         # a narrow window first: one wide enough for a moved target is less exact
         colours = (True, False) if self.target.symmetric else (True,)
         for initial_error_px in (0.0, _PREDICTION_ERROR_SQUARES * shortest_square_edge_px(grid)):

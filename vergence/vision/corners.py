@@ -50,6 +50,12 @@ Grid = NDArray[np.float64]
 """Corners by row and column, shape (rows, columns, 2), px."""
 
 
+def in_image(image: NDArray[np.uint8], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Mask of the corners, (n, 2), that lie inside the image; nan does not."""
+    height, width = image.shape
+    return np.asarray(((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all(axis=1))
+
+
 def refine_corners(
     image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int
 ) -> NDArray[np.float64]:

@@ -57,20 +57,21 @@ class Paper:
         return f"{self.name} ({size})" if self.name else size
 
 
-_SIZES_MM: Final = {
-    "a5": (148.0, 210.0),
-    "a4": (210.0, 297.0),
-    "a3": (297.0, 420.0),
-    "a2": (420.0, 594.0),
-    "a1": (594.0, 841.0),
-    "a0": (841.0, 1189.0),
-    "letter": (215.9, 279.4),
-    "legal": (215.9, 355.6),
-    "tabloid": (279.4, 431.8),
+PAPERS: Final = {
+    name: Paper(short_mm, long_mm, name)
+    for name, short_mm, long_mm in (
+        ("a5", 148.0, 210.0),
+        ("a4", 210.0, 297.0),
+        ("a3", 297.0, 420.0),
+        ("a2", 420.0, 594.0),
+        ("a1", 594.0, 841.0),
+        ("a0", 841.0, 1189.0),
+        ("letter", 215.9, 279.4),
+        ("legal", 215.9, 355.6),
+        ("tabloid", 279.4, 431.8),
+    )
 }
-"""ISO 216 and ANSI sizes, each series in ascending order."""
-PAPERS: Final = {name: Paper(*size, name) for name, size in _SIZES_MM.items()}
-"""Named sizes of paper."""
+"""Named sizes of paper: ISO 216 and ANSI, each series in ascending order."""
 
 
 def parse_paper(text: str) -> Paper:
