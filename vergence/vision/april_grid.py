@@ -274,7 +274,7 @@ class CornerSearch:
 
     def find_neighbouring_tags(self) -> None:
         """Search for tags next to those found, repeatedly outwards."""
-        tried = known_corner_mask(self.found).any(axis=1)
+        tried = np.asarray(known_corner_mask(self.found).any(axis=1), np.bool_)
         while len(new := self.refine_neighbours_of_whole_tags(tried)):
             tried[new] = True
             seen = new[np.isfinite(self.predicted[new]).all(axis=(1, 2))]
@@ -377,12 +377,12 @@ def _count_other_tags(
         return 0
     around = replace(board, columns=columns, rows=board.rows + 2)
     # the board in the middle of this one
-    numbers = np.arange(len(tags)).reshape(board.rows, board.columns)
-    numbers = np.pad(numbers, 1, constant_values=-1).ravel()
+    own = np.arange(len(tags)).reshape(board.rows, board.columns)
+    numbers = np.pad(own, 1, constant_values=-1).ravel()
     search = CornerSearch(image, around, flat)
     placed = np.full(search.found.shape, np.nan)
     placed[numbers >= 0] = tags
-    whole = known_corner_mask(placed).all(axis=1)
+    whole = np.asarray(known_corner_mask(placed).all(axis=1), np.bool_)
     search.refine_corners_of(np.repeat(whole[:, None], 4, axis=1), placed)
     beside = search.refine_neighbours_of_whole_tags(whole)
     seen = beside[known_corner_mask(search.found[beside]).sum(axis=1) >= _LEAST_OTHER_CORNERS]
