@@ -21,7 +21,7 @@ from vergence.envs.targets.motion import target_position
 from vergence.errors import ConfigurationError
 from vergence.kernels import GufuncKernel
 from vergence.models.camera import Camera
-from vergence.vision.optics import flat_view_about
+from vergence.vision.optics import FlatView
 
 LENGTHS = range(10)
 NO_NUMBERS = ("text", None, 1j, ["a"], [[1.0, 2.0], [3.0]], {})
@@ -148,7 +148,7 @@ CALLS = [
     (partial(vergence.triangulate_views, HEAD), [Q, PIXELS]),
     (CAMERA.project, [POINT[None]]),
     (CAMERA.rays, [PIXELS]),
-    (partial(flat_view_about, CAMERA), [PIXELS]),
+    (partial(FlatView, CAMERA), [PIXELS]),
     (LAW.gains, [PIXELS]),
     (LAW.command, [Q, PIXELS]),
     (LAYOUT.decode, [np.zeros(LAYOUT.size)]),

@@ -43,13 +43,16 @@ class PrintTarget:
         """Run the command."""
         self._check()
         from vergence.vision import parse_target
-        from vergence.vision.printing import lay_out_sheet, parse_paper, require_printable
+        from vergence.vision.printing import (
+            draw_sheet,
+            lay_out_sheet,
+            parse_paper,
+            require_printable,
+        )
 
         paper = parse_paper(self.paper)
         sheet = lay_out_sheet(require_printable(parse_target(self.target)), paper)
         dpi = self._resolution(sheet.width_mm * sheet.height_mm)
-        from vergence.vision.printed_sheet import draw_sheet
-
         self.out.parent.mkdir(parents=True, exist_ok=True)
         draw_sheet(sheet, self.out, dpi)
         turned = "landscape" if sheet.landscape else "portrait"

@@ -26,10 +26,11 @@ from vergence.vision.corners import (
     corner_sigmas,
     estimate_noise_grey,
     fit_smooth_homography,
+    in_image,
     refine_and_check,
 )
 from vergence.vision.detection import Detection, Detector, Frame
-from vergence.vision.optics import FlatView, IdentityView, fit_homography, origin_sigma_px
+from vergence.vision.optics import FlatView, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
     LEAST_CONFIRMED_FRACTION,
@@ -48,16 +49,15 @@ from vergence.vision.tag_families import (
     library_family,
 )
 
-_SEARCH_SCALES: Final = (0.5, 1.0, 1.0, 2.0)
-"""Image scale of each search method, quick ones first; the third reads bits of 2.5 px (chosen:
-small tags against time)."""
-_DILATIONS: Final = {
-    0: cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)),
-    2: np.ones((2, 2), np.uint8),
-}
-"""Kernel that dilates white, by search method; the first for all others."""
-_DILATION_SHIFT_PX: Final = (1.0, 1.0, 0.5, 1.0)
-"""Inward move of a tag's edges by that dilation, by search method, px (numerical)."""
+_CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+_SEARCH_METHODS: Final = (
+    (0.5, _CROSS, 1.0),
+    (1.0, _CROSS, 1.0),
+    (1.0, np.ones((2, 2), np.uint8), 0.5),
+    (2.0, _CROSS, 1.0),
+)
+"""Search methods, quick ones first: image scale, kernel that dilates white, and inward move of a
+tag's edges by it, px. The third reads bits of 2.5 px (chosen: small tags against time)."""
 _LEAST_SIDE_PX: Final = 24
 """Smallest side of a scaled image that is searched, px (chosen)."""
 _MAX_NEIGHBOUR_ERROR: Final = 0.35
@@ -75,25 +75,25 @@ _THREAD: Final = threading.local()
 
 
 def find_grid_tags(image: NDArray[np.uint8], method_index: int) -> list[FoundSquare]:
-    """Find tags with a border of two bits in an image, by a search method of `_SEARCH_SCALES`.
+    """Find tags with a border of two bits in an image, by one of `_SEARCH_METHODS`.
 
     The squares at the corners of tags connect all black to one region; dilating white by a pixel
     separates them. The corners are accurate to a pixel or two.
     """
-    scale = _SEARCH_SCALES[method_index]
+    scale, kernel, shift_px = _SEARCH_METHODS[method_index]
     if min(image.shape) * scale < _LEAST_SIDE_PX or (
         scale > 1.0 and image.size > MAX_ENLARGED_PIXELS
     ):
         return []
     method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
     sized = image if scale == 1.0 else cv2.resize(image, None, None, scale, scale, method)
-    wide = cv2.dilate(sized, _DILATIONS.get(method_index, _DILATIONS[0]))
+    wide = cv2.dilate(sized, kernel)
     if not hasattr(_THREAD, "detector"):
         _THREAD.detector = _make_detector()
     found = []
     for each in _THREAD.detector.detect(np.ascontiguousarray(wide)):
         # the library has pixel edges at integers, and counts corners from the lower left
-        corners = _widened(np.asarray(each.corners, float)[::-1], _DILATION_SHIFT_PX[method_index])
+        corners = _widened(np.asarray(each.corners, float)[::-1], shift_px)
         found.append(FoundSquare(each.tag_id, each.hamming, corners / scale - 0.5))
     return found
 
@@ -129,10 +129,10 @@ _Placed = list[tuple[FoundSquare, int, int]]
 
 
 def _largest_group(tags: list[FoundSquare], columns: int, gap_to_edge_ratio: float) -> _Placed:
-    """Largest connected group of tags that are arranged as on a board of so many columns.
+    """Largest connected group of tags, of different numbers, arranged as with so many columns.
 
-    Only neighbours are compared: lens distortion bends a whole board, but hardly moves neighbours
-    relative to each other. No number occurs twice.
+    Only neighbours are compared: lens distortion bends a whole board, but hardly moves these
+    relative to each other.
     """
     if not tags:
         return []
@@ -224,18 +224,11 @@ def known_corner_mask(tags: Tags) -> NDArray[np.bool_]:
 
 
 class CornerSearch:
-    """State of a search for the corners of a board in an image.
+    """Search for a board's corners: `found` ones, and `predicted` ones of tags tried; else nan."""
 
-    `found` has the corners of all tags that have been found, nan for others; `predicted` the
-    predicted corners of the tags that have been tried.
-    """
-
-    def __init__(
-        self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | IdentityView
-    ) -> None:
+    def __init__(self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView) -> None:
         count = board.columns * board.rows
-        self.found: Tags = np.full((count, 4, 2), np.nan)
-        self.predicted: Tags = np.full((count, 4, 2), np.nan)
+        self.found, self.predicted = np.full((2, count, 4, 2), np.nan)
         self._image = image
         self._board = board
         self._flat = flat
@@ -248,29 +241,27 @@ class CornerSearch:
     def refine_corners_of(
         self, wanted: NDArray[np.bool_], predicted: Tags, step: float | None = None
     ) -> None:
-        """Refine corners, and drop those without the printed contrast.
+        """Refine wanted corners, (tags, 4), and drop those without the printed contrast.
 
-        The mask of those is (tags, 4). Of their tags all four corners are predicted. `step` is the
-        largest move as a fraction of the distance to the next edge; None for the window's reach.
+        Of their tags all four corners are predicted. `step` is the largest move as a fraction of
+        the distance to the next edge; None for the window's reach.
         """
         numbers, own = np.nonzero(wanted)
         if not len(numbers):
             return
         self.predicted[wanted] = predicted[wanted]
-        height, width = self._image.shape
         lengths = np.linalg.norm(predicted - np.roll(predicted, 1, axis=1), axis=-1)[numbers]
         free = self._free * np.nan_to_num(np.nanmin(lengths, axis=1))
         half_sides_px = np.clip(np.rint(WINDOW_FRACTION * free), *WINDOW_PX).astype(int)
         self._half_sides_px[numbers] = half_sides_px
         start = predicted[wanted]
         places = np.full(start.shape, np.nan)
-        end = np.array([width - 1.0, height - 1.0])
-        inside = ((start > 0.0) & (start < end)).all(axis=1)
+        inside = in_image(self._image, start)
         for half_side_px in np.unique(half_sides_px[inside]).tolist():
             chosen = np.flatnonzero(inside & (half_sides_px == half_side_px))
             refined, moved, settled = refine_and_check(self._image, start[chosen], half_side_px)
             limit = half_side_px + 1.0 if step is None else np.maximum(step * free[chosen], 1.0)
-            good = settled & (moved <= limit) & ((refined > 0.0) & (refined < end)).all(axis=1)
+            good = settled & (moved <= limit) & in_image(self._image, refined)
             places[chosen[good]] = refined[good]
         self.found[numbers, own] = places
         tags = np.unique(numbers)
@@ -292,7 +283,7 @@ class CornerSearch:
         self._refine_beside(np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)), np.inf)
 
     def refine_neighbours_of_whole_tags(self, tried: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Refine the corners of tags next to complete ones, except some; return their numbers."""
+        """Refine the corners of untried tags next to complete ones; return their numbers."""
         places, whole = self._board.tag_cells, known_corner_mask(self.found).all(axis=1)
         apart = np.abs(places[:, None] - places).max(axis=-1)
         new = np.flatnonzero(~tried & ((apart <= 1) & whole).any(axis=1))
@@ -378,7 +369,7 @@ class CornerSearch:
 
 
 def _count_other_tags(
-    image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | IdentityView, tags: Tags
+    image: NDArray[np.uint8], board: AprilGrid, flat: FlatView, tags: Tags
 ) -> int:
     """Count tags next to found ones, on a board's grid, where the board has another tag or none."""
     columns = board.columns + 2
@@ -386,18 +377,17 @@ def _count_other_tags(
         return 0
     around = replace(board, columns=columns, rows=board.rows + 2)
     # the board in the middle of this one
-    numbers = np.full((board.rows + 2, columns), -1)
-    numbers[1:-1, 1:-1] = np.arange(len(tags)).reshape(board.rows, board.columns)
-    inner = np.flatnonzero(numbers >= 0)
+    own = np.arange(len(tags)).reshape(board.rows, board.columns)
+    numbers = np.pad(own, 1, constant_values=-1).ravel()
     search = CornerSearch(image, around, flat)
     placed = np.full(search.found.shape, np.nan)
-    placed[inner] = tags
+    placed[numbers >= 0] = tags
     whole = np.asarray(known_corner_mask(placed).all(axis=1), np.bool_)
     search.refine_corners_of(np.repeat(whole[:, None], 4, axis=1), placed)
     beside = search.refine_neighbours_of_whole_tags(whole)
     seen = beside[known_corner_mask(search.found[beside]).sum(axis=1) >= _LEAST_OTHER_CORNERS]
     read = search.read_numbers(seen)
-    return int(((read >= 0) & (read != numbers.ravel()[seen])).sum())
+    return int(((read >= 0) & (read != numbers[seen])).sum())
 
 
 @lru_cache(maxsize=1)
@@ -446,10 +436,10 @@ class AprilGridDetector(Detector[AprilGrid]):
         return self._search(frame.grey, methods)
 
     def _detect_all(self, frame: Frame) -> list[Detection]:
-        return self._search(frame.grey, range(len(_SEARCH_SCALES)))
+        return self._search(frame.grey, range(len(_SEARCH_METHODS)))
 
     def _detect_rest(self, frame: Frame) -> list[Detection]:
-        return self._search(frame.grey, range(len(_QUICK_METHODS), len(_SEARCH_SCALES)))
+        return self._search(frame.grey, range(len(_QUICK_METHODS), len(_SEARCH_METHODS)))
 
     def _detect_in(
         self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
@@ -470,6 +460,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         x0, y0, x1, y1 = region or (0, 0, width, height)
         part = np.ascontiguousarray(image[y0:y1, x0:x1])
         board, count = self.target, self.target.columns * self.target.rows
+        sufficient = _SUFFICIENT_FRACTION * 4 * count
         best: Detection | None = None
         most, exceeded = 0, False
         for method_index in methods:
@@ -485,10 +476,8 @@ class AprilGridDetector(Detector[AprilGrid]):
                 seen = 0 if found is None else int(np.isfinite(found.corners_px[:, 0]).sum())
                 if seen > most:
                     best, most = found, seen
-            if best is not None and (
-                most >= _SUFFICIENT_FRACTION * len(best.corners_px)
-                or method_index >= _FIRST_PARTIAL_METHOD
-            ):
+            enough = method_index >= _FIRST_PARTIAL_METHOD or most >= sufficient
+            if best is not None and enough:
                 break
         if best is None or exceeded:
             return []
@@ -542,8 +531,8 @@ class AprilGridDetector(Detector[AprilGrid]):
         return Detection(board, point, out, sigma, sigmas, camera=self.camera)
 
 
-_SEARCH_METHODS: Final = (1, 3)
-"""Search methods of `_SEARCH_SCALES` that are tried (numerical: indices)."""
+_OTHER_GRID_METHODS: Final = (1, 3)
+"""Search methods that are tried for other boards (numerical: indices)."""
 _LEAST_OTHER_TAGS: Final = 3
 """Least number of tags of a board (chosen)."""
 _SPACING_STEP: Final = 0.01
@@ -559,7 +548,7 @@ def alternative_grids(
     estimated spacing, and the edge of the missed board's tags.
     """
     asked = missed_grid or AprilGrid()
-    for method_index in _SEARCH_METHODS:
+    for method_index in _OTHER_GRID_METHODS:
         found = find_grid_tags(image, method_index)
         if len(found) < _LEAST_OTHER_TAGS:
             continue
@@ -590,11 +579,8 @@ def alternative_grids(
 
 def _spacing(found: list[FoundSquare], asked: AprilGrid) -> float:
     """Median ratio of gap to edge of tags with consecutive numbers."""
-    ratios = [
-        np.linalg.norm(second.corners[0] - first.corners[1])
-        / np.linalg.norm(first.corners[1] - first.corners[0])
-        for first, second in pairwise(sorted(found, key=lambda each: each.id))
-        if second.id == first.id + 1
-    ]
+    by_id = sorted(found, key=lambda each: each.id)
+    pairs = [(a.corners, b.corners) for a, b in pairwise(by_id) if b.id == a.id + 1]
+    ratios = [np.linalg.norm(b[0] - a[1]) / np.linalg.norm(a[1] - a[0]) for a, b in pairs]
     in_row = [ratio for ratio in ratios if ratio < 1.0]
     return float(np.median(in_row)) if in_row else asked.spacing

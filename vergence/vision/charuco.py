@@ -21,11 +21,13 @@ from vergence.vision.corners import (
     corner_sigmas,
     estimate_corner_scatter_px,
     estimate_noise_grey,
+    in_image,
     refine_and_check,
     square_centres,
+    window_half_side_px,
 )
 from vergence.vision.detection import Detection, Detector, Frame
-from vergence.vision.optics import FlatView, IdentityView, fit_homography, origin_sigma_px
+from vergence.vision.optics import FlatView, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
     LEAST_CONFIRMED_FRACTION,
@@ -42,8 +44,8 @@ _PROBE_MARGINS: Final = 0.45
 """Distance of grey samples from a corner along both axes, in margins of a marker (chosen)."""
 _LEAST_MARKER_CORRELATION: Final = 0.4
 """Least correlation of a marker's grey levels with its print (chosen)."""
-_Projection = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Function from positions on the board, (n, 2) m, to pixels, (n, 2)."""
+_Levels = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Function from positions on the board, (n, m, 2) m, to grey levels there, (n, m)."""
 _WINDOW_MARGINS: Final = 0.85
 """Half side of the refinement window, in margins of a marker; it must not contain the marker's
 corners (chosen)."""
@@ -97,47 +99,48 @@ class CharucoDetector(Detector[CharucoBoard]):
         """
         scale = min(_QUICK_SEARCH_SIDE_PX / max(frame.grey.shape), 1.0)
         if scale == 1.0 or (way is not None and way % 2):
-            return self._scaled(frame.grey, 1.0)
-        found = self._scaled(frame.grey, scale)
+            return self._search(frame.grey)
+        found = self._search(frame.grey, scale)
         whole = bool(found) and bool(np.isfinite(found[0].corners_px).all())
         if whole or (way is not None and not found):
             return found
-        return _most(found + self._scaled(frame.grey, 1.0))  # small markers may be missing
+        return _most(found + self._search(frame.grey))  # small markers may be missing
 
     def _detect_all(self, frame: Frame) -> list[Detection]:
         return self._detect_some(frame) or self._detect_rest(frame)
 
     def _detect_rest(self, frame: Frame) -> list[Detection]:
-        return self._scaled(frame.grey, 2.0) if frame.grey.size <= MAX_ENLARGED_PIXELS else []
-
-    def _scaled(self, image: NDArray[np.uint8], scale: float) -> list[Detection]:
-        """Search the image at another scale."""
-        part = image
-        if scale != 1.0:
-            method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
-            part = np.asarray(cv2.resize(image, None, None, scale, scale, method), np.uint8)
-        return self._best_of(image, part, scale=scale)
+        return self._search(frame.grey, 2.0) if frame.grey.size <= MAX_ENLARGED_PIXELS else []
 
     def _detect_in(
         self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
-        x0, y0, x1, y1 = region
-        return self._best_of(frame.grey, np.ascontiguousarray(frame.grey[y0:y1, x0:x1]), (x0, y0))
+        return self._search(frame.grey, 1.0, region)
 
-    def _best_of(
+    def _search(
         self,
         image: NDArray[np.uint8],
-        part: NDArray[np.uint8],
-        shift: tuple[int, int] = (0, 0),
         scale: float = 1.0,
+        region: tuple[int, int, int, int] | None = None,
     ) -> list[Detection]:
-        """Detection in the layout with most corners, in a part of the image at a shift in it."""
-        found = []
-        markers, numbers = _markers(part, self.target)
-        own = numbers < self.target.columns * self.target.rows // 2
-        ids: Any
+        """Detection in the layout with most corners, in an image or a region of it, scaled."""
+        height, width = image.shape
+        x0, y0, x1, y1 = region or (0, 0, width, height)
+        part = np.ascontiguousarray(image[y0:y1, x0:x1])
+        if scale != 1.0:
+            method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
+            part = np.asarray(cv2.resize(part, None, None, scale, scale, method), np.uint8)
+        board = self.target
+        every = board.opencv_board().getDictionary()
+        some = every.bytesList[: (board.columns + 2) * (board.rows + 2) // 2]  # of larger boards
+        dictionary = cv2.aruco.Dictionary(some, every.markerSize, every.maxCorrectionBits)
+        markers, numbers = find_markers(part, dictionary)
+        own = numbers < board.columns * board.rows // 2
         if not own.any():  # OpenCV would search for them again
             return []
+        found = []
+        shift = (x0, y0)
+        ids: Any
         seen = (markers.astype(float) + 0.5) / scale - 0.5 + shift
         for board in self._layouts:
             search = cv2.aruco.CharucoDetector(board.opencv_board())
@@ -199,9 +202,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         step_squares: float | None = None,
     ) -> Detection | None:
         """Refine given corners; None if they do not form the board."""
-        height, width = image.shape
-        inside = ((places > 0.0) & (places < (width - 1.0, height - 1.0))).all(axis=1)
-        known = np.flatnonzero(inside)
+        known = np.flatnonzero(in_image(image, places))
         if len(known) < _LEAST_CORNERS:
             return None
         corners, board_m = places[known], board.corners_m[known]
@@ -209,31 +210,29 @@ class CharucoDetector(Detector[CharucoBoard]):
         square = _square_px(corners, board_m, board.square_m)
         margin = 0.5 * (1.0 - board.marker_m / board.square_m) * square
         wide = min(WINDOW_FRACTION * square, max(_WINDOW_MARGINS * margin, WINDOW_PX[0]))
-        half_side_px = int(min(max(round(wide), WINDOW_PX[0]), WINDOW_PX[1]))
+        half_side_px = window_half_side_px(wide)
         refined, moved, settled = refine_and_check(image, corners, half_side_px)
         limit = half_side_px + 1.0 if step_squares is None else step_squares * square
-        good = settled & (moved <= limit)
+        used = settled & (moved <= limit)
         ideal = flat.to_plane(refined)
-        transform = fit_homography(board_m[good], ideal[good]) if good.sum() >= 4 else None
+        enough = used.sum() >= _LEAST_CORNERS
+        transform = fit_homography(board_m[used], ideal[used]) if enough else None
         if transform is None:
             return None
         beside = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
-        used = good
         near = np.linalg.norm(beside, axis=1) <= _MAX_RESIDUAL_SQUARES * square
-        project = partial(_project_board, flat, transform)
-        good = good & near & _alternating_corners(image, board, known, project)
+        levels = partial(_levels_on, image, flat, transform)
+        good = used & near & _alternating_corners(board, known, levels)
         if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
             return None
         known, refined, ideal = known[good], refined[good], ideal[good]
-        if _confirmed_fraction(image, board, known, project) < LEAST_CONFIRMED_FRACTION:
+        if _confirmed_fraction(board, known, levels) < LEAST_CONFIRMED_FRACTION:
             return None
-        out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
-        out[known] = refined
-        grid = out.reshape(board.rows - 1, board.columns - 1, 2)
-        noise = estimate_noise_grey(image, _plain_squares(board, grid))
-        even = np.full(out.shape, np.nan)
-        even[known] = ideal
-        grid_sigma_px = estimate_corner_scatter_px(even.reshape(grid.shape)) or DEFAULT_SIGMA_PX
+        out, sigmas, even = np.full((3, len(board.corners_m), 2), np.nan)
+        out[known], even[known] = refined, ideal
+        size = (board.rows - 1, board.columns - 1, 2)
+        noise = estimate_noise_grey(image, _plain_squares(board, out.reshape(size)))
+        grid_sigma_px = estimate_corner_scatter_px(even.reshape(size)) or DEFAULT_SIGMA_PX
         sigmas[known] = np.maximum(
             corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px
         )
@@ -246,19 +245,6 @@ class CharucoDetector(Detector[CharucoBoard]):
         return Detection(
             board, flat.to_pixels(point[None])[0], out, sigma, sigmas, camera=self.camera
         )
-
-
-def _markers(
-    image: NDArray[np.uint8], board: CharucoBoard
-) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """Corners and numbers of the markers of boards up to two columns and rows larger."""
-    every = board.opencv_board().getDictionary()
-    own = cv2.aruco.Dictionary(
-        every.bytesList[: (board.columns + 2) * (board.rows + 2) // 2],
-        every.markerSize,
-        every.maxCorrectionBits,
-    )
-    return find_markers(image, own)
 
 
 def find_markers(
@@ -289,42 +275,40 @@ def _most(found: list[Detection]) -> list[Detection]:
     return sorted(found, key=lambda each: -int(np.isfinite(each.corners_px[:, 0]).sum()))[:1]
 
 
-def _project_board(
-    flat: FlatView | IdentityView, transform: NDArray[np.float64], board_m: NDArray[np.float64]
+def _levels_on(
+    image: NDArray[np.uint8],
+    flat: FlatView,
+    transform: NDArray[np.float64],
+    board_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Pixels of positions on the board, shape (n, 2)."""
-    return flat.to_pixels(np.asarray(cv2.perspectiveTransform(board_m[None], transform)[0], float))
+    """Grey levels, (n, m), at positions on the board, (n, m, 2) m."""
+    plane = np.asarray(cv2.perspectiveTransform(board_m.reshape(1, -1, 2), transform)[0], float)
+    return grey_at_pixels(image, flat.to_pixels(plane).reshape(board_m.shape))
 
 
 def _alternating_corners(
-    image: NDArray[np.uint8], board: CharucoBoard, corners: NDArray[np.intp], project: _Projection
+    board: CharucoBoard, corners: NDArray[np.intp], levels: _Levels
 ) -> NDArray[np.bool_]:
     """Mask of the corners of some numbers around which black and white alternate as printed."""
     away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
-    probes = board.corners_m[corners][:, None] + away * CORNER_PROBES
-    greys = grey_at_pixels(image, project(probes.reshape(-1, 2)).reshape(probes.shape))
+    greys = levels(board.corners_m[corners][:, None] + away * CORNER_PROBES)
     row, column = np.divmod(corners, board.columns - 1)
     dark = ((row + column) % 2 == 0) == upper_left_is_dark(board)
     contrast = corner_contrasts(greys, np.where(dark, 1.0, -1.0))
     return np.asarray(contrast > least_corner_contrast(contrast))
 
 
-def _confirmed_fraction(
-    image: NDArray[np.uint8], board: CharucoBoard, corners: NDArray[np.intp], project: _Projection
-) -> float:
+def _confirmed_fraction(board: CharucoBoard, corners: NDArray[np.intp], levels: _Levels) -> float:
     """Fraction of the markers beside some corners whose image agrees with their print."""
     row, column = np.divmod(corners, board.columns - 1)
     beside = np.zeros((board.rows, board.columns), bool)
-    for down in range(2):
-        for right in range(2):
-            beside[row + down, column + right] = True
+    for down, right in np.ndindex(2, 2):
+        beside[row + down, column + right] = True
     rows, columns = np.indices(beside.shape)
     marked = ((rows + columns) % 2 == 1) == upper_left_is_dark(board)
     chosen = (beside & marked).ravel()
     middles_m, printed = _squares(board)
-    places = middles_m[chosen]
-    greys = grey_at_pixels(image, project(places.reshape(-1, 2)).reshape(places.shape))
-    alike = (normalised(greys) * printed[chosen]).sum(axis=1)
+    alike = (normalised(levels(middles_m[chosen])) * printed[chosen]).sum(axis=1)
     return float((alike > _LEAST_MARKER_CORRELATION).mean())
 
 

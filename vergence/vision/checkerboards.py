@@ -18,6 +18,7 @@ from vergence.vision.corners import (
     crossing_asymmetries,
     estimate_corner_scatter_px,
     estimate_noise_grey,
+    in_image,
     is_even_unmirrored_grid,
     loo_residuals_and_scales,
     refine_and_check,
@@ -25,10 +26,11 @@ from vergence.vision.corners import (
     refine_corners_robustly,
     shortest_square_edge_px,
     square_centres,
+    window_half_side_px,
 )
 from vergence.vision.detection import Detection, Detector, Frame
 from vergence.vision.image import smooth_for_square_search
-from vergence.vision.optics import FlatView, IdentityView
+from vergence.vision.optics import FlatView
 from vergence.vision.prints import board_continues_beyond, squares_alternate
 from vergence.vision.targets import Checkerboard
 
@@ -82,17 +84,6 @@ _MARGIN_PX: Final = 6.0
 """Additional margin around a cluster, px (chosen)."""
 
 
-class _Saddles(NamedTuple):
-    """Saddle points of the grey levels."""
-
-    places: NDArray[np.int64]
-    """(n, 2) u and v, px."""
-    hessians: NDArray[np.float64]
-    """(n, 3) second derivatives d2/du2, d2/dudv, d2/dv2."""
-    ranges: NDArray[np.int16]
-    """(n,) range of grey levels on the circle around each; 0 if not sampled yet."""
-
-
 class CornerCluster(NamedTuple):
     """A connected cluster of corners."""
 
@@ -103,18 +94,16 @@ class CornerCluster(NamedTuple):
 
 
 def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> list[CornerCluster]:
-    """Find a few clusters with about as many corners as a board, the nearest in size first.
+    """Find clusters, in an image without much noise, of about as many corners as a board has.
 
-    Args:
-        image: grey levels, shape (height, width), without much noise.
-        board_corner_count: number of corners of the board.
+    There are a few, the nearest in size first.
     """
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
-    saddles = _crossed(smooth, _saddles(smooth))
-    count = len(saddles.places)
+    found, hessians, ranges = _corners(smooth)
+    count = len(found)
     if count < _LEAST_SIZE_RATIO * board_corner_count:
         return []
-    first, second = _of_squares(count, *_edges(smooth, saddles))
+    first, second = _of_squares(count, *_edges(smooth, found, hessians, ranges))
     # imported here so that commands that seek no board start sooner
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -126,11 +115,11 @@ def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> l
         (sizes >= _LEAST_SIZE_RATIO * board_corner_count)
         & (sizes <= _MAX_SIZE_RATIO * board_corner_count)
     )
-    lengths = np.linalg.norm(saddles.places[first] - saddles.places[second], axis=1)
+    lengths = np.linalg.norm(found[first] - found[second], axis=1)
     out = []
     nearest = np.argsort(np.abs(sizes[alike] - board_corner_count), kind="stable")
     for k in alike[nearest][:_MOST_CLUSTERS]:
-        places = saddles.places[cluster == k]
+        places = found[cluster == k]
         margin = _MARGIN_EDGES * float(np.median(lengths[cluster[first] == k])) + _MARGIN_PX
         low = np.floor(np.maximum(places.min(axis=0) - margin, 0))
         high = np.ceil(np.minimum(places.max(axis=0) + margin + 1, image.shape[::-1]))
@@ -139,8 +128,14 @@ def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> l
     return out
 
 
-def _saddles(smooth: NDArray[np.uint8]) -> _Saddles:
-    """Find the strongest saddles, one per neighbourhood."""
+def _corners(
+    smooth: NDArray[np.uint8],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int16]]:
+    """Find the strongest saddles of the grey levels, with four changes of light and dark around.
+
+    Their places, (n, 2) u and v, px; second derivatives d2/du2, d2/dudv, d2/dv2, (n, 3); and the
+    range of grey levels on the circle around each, (n,).
+    """
     second: Any = [
         cv2.Sobel(smooth, cv2.CV_32F, *orders, ksize=3, scale=0.25)
         for orders in ((2, 0), (1, 1), (0, 2))
@@ -152,15 +147,10 @@ def _saddles(smooth: NDArray[np.uint8]) -> _Saddles:
     if len(u) > _MOST_SADDLES:
         strongest = np.argpartition(strength[v, u], -_MOST_SADDLES)[-_MOST_SADDLES:]
         u, v = u[strongest], v[strongest]
-    hessians = np.stack([uu[v, u], uv[v, u], vv[v, u]], axis=1).astype(float)
-    return _Saddles(np.stack([u, v], axis=1), hessians, np.zeros(len(u), np.int16))
-
-
-def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
-    """Select saddles with four changes between light and dark around them."""
+    places = np.stack([u, v], axis=1)
     angles = 2.0 * np.pi * np.arange(_CIRCLE_SAMPLES) / _CIRCLE_SAMPLES
     circle = np.rint(_CIRCLE_RADIUS_PX * np.column_stack([np.cos(angles), np.sin(angles)]))
-    greys = _greys_at(smooth, saddles.places[:, None] + circle)
+    greys = _greys_at(smooth, places[:, None] + circle)
     high, low = greys.max(axis=1), greys.min(axis=1)
     light = 2 * greys > (high + low)[:, None]
     changes = (light != np.roll(light, 1, axis=1)).sum(axis=1)
@@ -173,20 +163,23 @@ def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
     from scipy.spatial import cKDTree
 
     # a corner midway between pixels is equally strong in all of them
-    same = cKDTree(saddles.places[numbers]).query_pairs(
-        0.5 * _SADDLE_WINDOW_PX, output_type="ndarray"
-    )
+    same = cKDTree(places[numbers]).query_pairs(0.5 * _SADDLE_WINDOW_PX, output_type="ndarray")
     numbers = np.delete(numbers, same[:, 1])
-    return _Saddles(saddles.places[numbers], saddles.hessians[numbers], ranges[numbers])
+    (u, v), ranges = places[numbers].T, ranges[numbers]
+    hessians = np.stack([uu[v, u], uv[v, u], vv[v, u]], axis=1).astype(float)
+    return places[numbers], hessians, ranges
 
 
 def _edges(
-    smooth: NDArray[np.uint8], saddles: _Saddles
+    smooth: NDArray[np.uint8],
+    places: NDArray[np.int64],
+    hessians: NDArray[np.float64],
+    ranges: NDArray[np.int16],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of saddles with an edge between them, as (m,) indices of the first and the second."""
+    """Pairs of corners with an edge between them, as (m,) indices of the first and the second."""
     from scipy.spatial import cKDTree
 
-    places, (uu, uv, vv) = saddles.places.astype(float), saddles.hessians.T
+    uu, uv, vv = hessians.T
     near = min(_NEIGHBOUR_COUNT + 1, len(places))
     _distances, found = cKDTree(places).query(places, k=near)
     first = np.repeat(np.arange(len(places)), near - 1)
@@ -196,9 +189,9 @@ def _edges(
     edge = 2.0 * np.arctan2(along[:, 1], along[:, 0])
     kept = np.cos(axis[first] - axis[second]) < _MAX_AXIS_COSINE
     kept &= np.abs(np.cos(edge - axis[first])) < _MAX_EDGE_AXIS_COSINE
-    ranges = saddles.ranges[first], saddles.ranges[second]
-    kept &= np.minimum(*ranges) > _LEAST_RANGE_RATIO * np.maximum(*ranges)
-    first, second, along = first[kept], second[kept], along[kept]
+    least, most = np.sort([ranges[first], ranges[second]], axis=0)
+    kept &= least > _LEAST_RANGE_RATIO * most
+    first, second, along, most = first[kept], second[kept], along[kept], most[kept]
     length = np.linalg.norm(along, axis=1, keepdims=True)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / length
     # the sign of the mixed derivative along and across the edge gives its light side
@@ -206,12 +199,11 @@ def _edges(
     bend += along[:, 1] * (uv[first] * across[:, 0] + vv[first] * across[:, 1])
     away = np.maximum(_EDGE_SAMPLE_OFFSET * length, _LEAST_SAMPLE_OFFSET_PX)
     aside = np.sign(bend)[:, None] * across * away
-    least = _LEAST_EDGE_CONTRAST * np.maximum(saddles.ranges[first], saddles.ranges[second])
     kept = np.ones(len(first), np.bool_)
     for share in _EDGE_SAMPLE_FRACTIONS:
         middle = places[first] + share * along
         step = _greys_at(smooth, middle + aside) - _greys_at(smooth, middle - aside)
-        kept &= step > least
+        kept &= step > _LEAST_EDGE_CONTRAST * most
     return first[kept], second[kept]
 
 
@@ -219,9 +211,9 @@ def _of_squares(
     count: int, first: NDArray[np.int64], second: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Select edges, see `_edges`, that close to a square by three more edges."""
-    either = np.concatenate([first, second]), np.concatenate([second, first])
     from scipy.sparse import csr_array
 
+    either = np.concatenate([first, second]), np.concatenate([second, first])
     edges = csr_array((np.ones(2 * len(first), np.int32), either), shape=(count, count))
     edges.data[:] = 1
     # two corners with two common neighbours are opposite in a square
@@ -323,30 +315,20 @@ class CheckerboardDetector(Detector[Checkerboard]):
 
     def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
         """Search clusters of corners in the image at one size after another."""
-        sizes = (
-            _CLUSTER_SEARCH_SIDES_PX
-            if way is None
-            else (_SIDES_IN_TURN_PX[way % len(_SIDES_IN_TURN_PX)],)
-        )
-        for most_px in sizes:
-            found = self._in_clusters(frame.grey, most_px)
-            if found:
-                return found
-        return []
-
-    def _in_clusters(self, image: NDArray[np.uint8], most_px: int) -> list[Detection]:
-        """Search clusters of corners in the image reduced to a longer side of `most_px`."""
-        small, scale = _reduced(image, most_px)
-        calm = smooth_for_square_search(small)
-        if calm is None:
-            return []
-        for cluster in find_corner_clusters(calm, self.target.columns * self.target.rows):
-            x0, y0 = (math.floor(value / scale) for value in cluster.region[:2])
-            x1, y1 = (math.ceil(value / scale) for value in cluster.region[2:])
-            near = (cluster.corners_px + 0.5) / scale - 0.5
-            found = self._first_of(image, (_BY_SQUARES,), (x0, y0, x1, y1), near)
-            if found:
-                return found
+        sides_px: tuple[int, ...] = _CLUSTER_SEARCH_SIDES_PX
+        if way is not None:
+            sides_px = (_SIDES_IN_TURN_PX[way % len(_SIDES_IN_TURN_PX)],)
+        for most_px in sides_px:
+            calm, scale = _calmed(frame.grey, most_px)[1:]
+            if calm is None:
+                continue
+            for cluster in find_corner_clusters(calm, self.target.columns * self.target.rows):
+                x0, y0 = (math.floor(value / scale) for value in cluster.region[:2])
+                x1, y1 = (math.ceil(value / scale) for value in cluster.region[2:])
+                near = (cluster.corners_px + 0.5) / scale - 0.5
+                found = self._first_of(frame.grey, (_BY_SQUARES,), (x0, y0, x1, y1), near)
+                if found:
+                    return found
         return []
 
     def _detect_all(self, frame: Frame) -> list[Detection]:
@@ -366,13 +348,13 @@ class CheckerboardDetector(Detector[Checkerboard]):
     ) -> list[Detection]:
         """Search an image, or a region of it, by some methods until one finds the board.
 
-        If squares run into each other in the image, OpenCV's corners are displaced. `near`,
-        (n, 2) px, are corners of squares found otherwise, to correct them.
+        Where squares run into each other, OpenCV displaces corners; `near`, (n, 2) px, are corners
+        of squares found otherwise, to correct them.
         """
         height, width = image.shape
         x0, y0, x1, y1 = region or (0, 0, width, height)
-        small, scale = _reduced(np.ascontiguousarray(image[y0:y1, x0:x1]), _SQUARE_SEARCH_SIDE_PX)
-        calm = smooth_for_square_search(small)
+        part = np.ascontiguousarray(image[y0:y1, x0:x1])
+        small, calm, scale = _calmed(part, _SQUARE_SEARCH_SIDE_PX)
         if calm is None:
             return []
         size = (self.target.columns, self.target.rows)
@@ -398,7 +380,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if self.target.columns == self.target.rows:
             orders += [np.swapaxes(order, 0, 1) for order in orders]
         orders = [order for order in orders if is_even_unmirrored_grid(order)]
-        orders.sort(key=_to_the_right)
+        orders.sort(key=_cosine_to_the_left)
         # a symmetric board keeps its colours after 180 degrees, and its first square may be light
         for dark in (True, False) if self.target.symmetric else (True,):
             for order in orders:
@@ -408,12 +390,9 @@ class CheckerboardDetector(Detector[Checkerboard]):
         return None
 
     def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
-        size = (self.target.rows, self.target.columns, 2)
-        height, width = frame.grey.shape
-        corners = predicted.corners_px
-        if not ((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all():
+        if not in_image(frame.grey, predicted.corners_px).all():
             return None
-        grid = corners.reshape(size)
+        grid = predicted.corners_px.reshape(self.target.rows, self.target.columns, 2)
         # a narrow window first: one wide enough for a moved target is less exact
         colours = (True, False) if self.target.symmetric else (True,)
         for initial_error_px in (0.0, _PREDICTION_ERROR_SQUARES * shortest_square_edge_px(grid)):
@@ -430,16 +409,15 @@ class CheckerboardDetector(Detector[Checkerboard]):
         step_squares: float = math.inf,
         colours: tuple[bool, ...] = (True,),
     ) -> Detection | None:
-        """Refine corners and read the board; None if a corner is out of place.
+        """Refine corners with an initial error and read the board; None if one is out of place.
 
-        `initial_error_px` is the error of the given corners, `step_squares` the largest move in
-        squares; `colours` are tried for the first square, true for dark.
+        `colours` are tried for the first square, true for dark.
         """
         square = shortest_square_edge_px(grid)
         if not square >= _LEAST_SQUARE_PX:
             return None
         most = min(max(_LARGE_WINDOW_SQUARES * square, WINDOW_PX[1]), _LARGE_WINDOW_PX)
-        half_side_px = _window_px(WINDOW_FRACTION * square, (WINDOW_PX[0], round(most)))
+        half_side_px = window_half_side_px(WINDOW_FRACTION * square, (WINDOW_PX[0], round(most)))
         corners = grid.reshape(-1, 2)
         # corners of a reduced image, for example, are too inexact for the small window
         if initial_error_px > 1.0:
@@ -481,25 +459,22 @@ class CheckerboardDetector(Detector[Checkerboard]):
             )
         # the diagonals cross in the centre; each of four corners moves it by about a quarter
         outer = [0, self.target.columns - 1, len(refined) - 1, len(refined) - self.target.columns]
-        point = diagonal_crossing(flat.to_plane(refined[outer]))
+        point = _diagonal_crossing(flat.to_plane(refined[outer]))
         sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
         return Detection(
             self.target, flat.to_pixels(point[None])[0], refined, sigma, sigmas, camera=self.camera
         )
 
 
-def _reduced(image: NDArray[np.uint8], most_px: int) -> tuple[NDArray[np.uint8], float]:
-    """Reduce an image to a longer side, unless it is smaller; also the scale."""
+def _calmed(
+    image: NDArray[np.uint8], most_px: int
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None, float]:
+    """An image reduced to a longer side, that one smoothed, None if it shows nothing; the scale."""
     scale = min(most_px / max(image.shape), 1.0)
-    if scale == 1.0:
-        return image, scale
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return np.asarray(small, np.uint8), scale
-
-
-def _window_px(wanted_px: float, limits_px: tuple[int, int]) -> int:
-    """Half side of a window within its limits, px."""
-    return int(min(max(round(wanted_px), limits_px[0]), limits_px[1]))
+    if scale < 1.0:
+        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        image = np.asarray(small, np.uint8)
+    return image, smooth_for_square_search(image), scale
 
 
 def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
@@ -519,15 +494,13 @@ def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
 
 
 def _refine_strays(
-    image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView | IdentityView
+    image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Refine stray corners again; None if one does not agree with the others in the end.
+    """Refine stray corners from their predictions; None if one does not agree in the end.
 
     The edge of a shadow, a spot or an error of the search moves a single corner and leaves its
-    squares readable. Such a corner is refined again, starting from the prediction by the others.
-
-    Also the residuals of those that were or are strays, (n,) px; 0 for the others, and for those at
-    which edges clearly cross.
+    squares readable. Also the residuals of those that were or are strays, (n,) px; 0 for the
+    others, and for those at which edges clearly cross.
     """
     corners, strays = grid.reshape(-1, 2).copy(), np.zeros(grid[..., 0].size, bool)
     for last in range(_MAX_STRAY_ROUNDS + 1):
@@ -554,8 +527,8 @@ def _refine_stray(
     image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
 ) -> NDArray[np.float64]:
     """Refine corners from predictions; nan where no edges cross nearby."""
-    half_side_px = _window_px(_STRAY_WINDOW_SQUARES * square, _STRAY_WINDOW_PX)
-    again = refine_corners_robustly(image, corners, half_side_px)
+    half_side_px = window_half_side_px(_STRAY_WINDOW_SQUARES * square, _STRAY_WINDOW_PX)
+    again = refine_corners_robustly(image, np.ascontiguousarray(corners), half_side_px)
     asymmetry = _asymmetries(image, np.where(np.isfinite(again), again, corners), square)
     return np.where((asymmetry < _MAX_ASYMMETRY)[:, None], again, np.nan)
 
@@ -564,7 +537,7 @@ def _asymmetries(
     image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
 ) -> NDArray[np.float64]:
     """(n,) asymmetries of corners of squares with edges of a length."""
-    half_side_px = _window_px(_CROSSING_SQUARES * square, _CROSSING_PX)
+    half_side_px = window_half_side_px(_CROSSING_SQUARES * square, _CROSSING_PX)
     return crossing_asymmetries(image, np.ascontiguousarray(corners), half_side_px)
 
 
@@ -578,13 +551,13 @@ def _by_neighbours(grid: Grid) -> NDArray[np.float64]:
     return np.asarray(np.nanmedian(np.stack(places)[:, 1:-1, 1:-1], axis=0).reshape(-1, 2))
 
 
-def _to_the_right(grid: Grid) -> float:
-    """Minus the cosine of the direction of the first row."""
+def _cosine_to_the_left(grid: Grid) -> float:
+    """Cosine between the first row and the direction to the left."""
     along = grid[0, -1] - grid[0, 0]
     return -float(along[0] / np.linalg.norm(along))
 
 
-def diagonal_crossing(quad: NDArray[np.float64]) -> NDArray[np.float64]:
+def _diagonal_crossing(quad: NDArray[np.float64]) -> NDArray[np.float64]:
     """Crossing of a quadrilateral's diagonals, shape (2,); its corners in cyclic order, (4, 2)."""
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = quad.tolist()
     ux, uy, vx, vy = cx - ax, cy - ay, dx - bx, dy - by

@@ -50,6 +50,12 @@ Grid = NDArray[np.float64]
 """Corners by row and column, shape (rows, columns, 2), px."""
 
 
+def in_image(image: NDArray[np.uint8], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Mask of the corners, (n, 2), that lie inside the image; nan does not."""
+    height, width = image.shape
+    return np.asarray(((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all(axis=1))
+
+
 def refine_corners(
     image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int
 ) -> NDArray[np.float64]:
@@ -59,9 +65,8 @@ def refine_corners(
     biases corners towards the pixel grid. A light blur and doubled sampling divide that bias by
     three or four.
     """
-    rim = half_side_px + _RIM_PX
-    size = 2 * rim + 1
-    whole = np.rint(corners).astype(int) - rim
+    size = 2 * (half_side_px + _RIM_PX) + 1
+    whole = np.rint(corners).astype(int) - size // 2
     smooth = cv2.GaussianBlur(_windows(image, whole, size), (3, 3), _BLUR_PX)
     twice = cv2.resize(smooth, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
     # the windows are side by side in one image: corners are shifted by their windows
@@ -72,6 +77,20 @@ def refine_corners(
         twice, start, (2 * half_side_px, 2 * half_side_px), (-1, -1), _TERMINATION
     )
     return np.asarray((fine.astype(float) + 0.5) / 2 - 0.5 + shift, float)
+
+
+@compiled
+def _windows(image: NDArray[np.uint8], starts: NDArray[np.int_], size: int) -> NDArray[np.uint8]:
+    """Square windows of an image side by side; pixels beyond its border repeat the last ones."""
+    height, width = image.shape
+    out = np.empty((size, size * len(starts)), np.uint8)
+    for row in range(size):
+        for n in range(len(starts)):
+            y = min(max(starts[n, 1] + row, 0), height - 1)
+            for column in range(size):
+                x = min(max(starts[n, 0] + column, 0), width - 1)
+                out[row, n * size + column] = image[y, x]
+    return out
 
 
 def refine_and_check(
@@ -87,26 +106,17 @@ def refine_and_check(
     return refined, np.abs(refined - start).max(axis=1), settled
 
 
+@compiled
 def refine_corners_robustly(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int
-) -> NDArray[np.float64]:
-    r"""Refine corners by the edges that meet at them, robust to other edges in the window.
+    image: NDArray[np.uint8], corners: FloatArray, half_side_px: int
+) -> FloatArray:
+    """Refine corners by the edges that meet at them, robust to other edges in the window.
 
     This minimises as `refine_corners` does, but weights a pixel whose edge passes the corner at a
     distance d by 1 / (1 + (d / s)^2)^2 (Geman and McClure). Edges of shadows and of the next
-    squares so have little influence.
-
-    Returns nan if no two edges cross or the window is left.
+    squares so have little influence. nan if no two edges cross or the window is left.
     """
-    out = np.empty(corners.shape)
-    _refine_corners_robustly(image, np.ascontiguousarray(corners), half_side_px, out)
-    return out
-
-
-@compiled
-def _refine_corners_robustly(
-    image: NDArray[np.uint8], corners: FloatArray, half_side_px: int, out: FloatArray
-) -> None:
+    out = np.empty((len(corners), 2))
     height, width = image.shape
     for n in range(len(corners)):
         u, v = corners[n, 0], corners[n, 1]
@@ -142,6 +152,7 @@ def _refine_corners_robustly(
             if du * du + dv * dv < _CONVERGED_STEP_PX**2:
                 out[n, 0], out[n, 1] = u, v
                 break
+    return out
 
 
 def corner_sigmas(
@@ -234,24 +245,14 @@ def estimate_noise_grey(image: NDArray[np.uint8], flat_points_px: NDArray[np.flo
                _LEAST_NOISE_GREY)  # fmt: skip
 
 
-def _windows(image: NDArray[np.uint8], corners: NDArray[np.int_], size: int) -> NDArray[np.uint8]:
-    """Square windows of an image side by side; pixels beyond its border repeat the last ones."""
-    height, width = image.shape
-    out = np.empty((size, size * len(corners)), np.uint8)
-    for i, (x, y) in enumerate(corners.tolist()):
-        place = out[:, i * size : (i + 1) * size]
-        if x >= 0 and y >= 0 and x + size <= width and y + size <= height:
-            place[:] = image[y : y + size, x : x + size]
-        else:
-            rows = np.clip(np.arange(y, y + size), 0, height - 1)
-            columns = np.clip(np.arange(x, x + size), 0, width - 1)
-            place[:] = image[np.ix_(rows, columns)]
-    return out
-
-
 _MAX_SECOND_DIFFERENCE: Final = 0.35
 """Largest second difference of a corner and its two neighbours, as a fraction of the neighbours'
 distance (chosen)."""
+
+
+def window_half_side_px(wanted_px: float, limits_px: tuple[int, int] = WINDOW_PX) -> int:
+    """Half side of a window within its limits, px."""
+    return int(min(max(round(wanted_px), limits_px[0]), limits_px[1]))
 
 
 def shortest_square_edge_px(grid: Grid) -> float:
@@ -303,16 +304,13 @@ _BINOMIALS: Final = np.array(
 
 @compiled
 def estimate_corner_scatter_px(grid: NDArray[np.float64]) -> float:
-    """Standard deviation of corners about a smooth grid, of each coordinate, px.
+    """Standard deviation of corners, nan if unknown, about a smooth grid, of each coordinate, px.
 
     It includes errors beyond pixel noise: uneven print, the pixel grid, compression. Perspective
     and lens turn a line into a polynomial, nearly of degree n - 1, which the n-th difference of
     n + 1 corners in a row cancels. That difference has (2n)! / n!^2 times the variance of one
     coordinate. The order is five, or less if a row has fewer corners; in rows of three it is two,
     and the difference of the next row is subtracted.
-
-    Args:
-        grid: (rows, columns, 2) the corners, px; nan for unknown ones.
     """
     squares, count = 0.0, 0
     for axis in range(2):
@@ -348,7 +346,7 @@ _CORNERS_PER_COEFFICIENT: Final = 1.6
 """Least number of corners per coefficient of that polynomial (chosen: avoids overfitting)."""
 
 
-class PolynomialFit(NamedTuple):
+class _PolynomialFit(NamedTuple):
     """Residuals of corners after the polynomial that explains them best."""
 
     coefficients: int
@@ -363,19 +361,16 @@ class PolynomialFit(NamedTuple):
     """(n,) ratio of each residual to that from a fit to the others."""
 
 
-def fit_polynomial(
+def _fit_polynomial(
     values: NDArray[np.float64],
     basis: NDArray[np.float64],
     counts: NDArray[np.intp],
     spent: int = 0,
-) -> PolynomialFit:
+) -> _PolynomialFit:
     """Fit the polynomial with the least generalised cross validation (Golub, Heath, Wahba 1979).
 
-    Args:
-        values: (n, 2) values to fit.
-        basis: (n, p) orthonormal polynomials, lower degrees first.
-        counts: numbers of first terms to choose from.
-        spent: parameters per coordinate that an earlier fit has taken.
+    Of the orthonormal polynomials (n, p), lower degrees first, it takes one of the counts of first
+    terms. An earlier fit has spent some parameters per coordinate of the values, (n, 2).
     """
     shares = basis.T @ values
     explained = np.concatenate([[0.0], np.cumsum((shares**2).sum(axis=1))])[counts]
@@ -383,14 +378,14 @@ def fit_polynomial(
     free = np.maximum(len(values) - (counts + spent), 1e-9)
     best = int(np.argmin(unexplained / free**2))
     used = basis[:, : counts[best]]
-    return PolynomialFit(
+    return _PolynomialFit(
         int(counts[best]), float(unexplained[best]), float(free[best]),
         values - used @ shares[: counts[best]],
         1.0 - (used**2).sum(axis=1) - spent / len(values),
     )  # fmt: skip
 
 
-def monomials(
+def _monomials(
     places: NDArray[np.float64], highest: int, corners_per_coefficient: float, spent: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Monomials at places in -1..1, (n, p), lower degrees first; cumulative counts by degree.
@@ -413,17 +408,10 @@ def monomials(
 
 
 def loo_residuals_and_scales(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Residual of each corner from its prediction by all others, and the scale of its sigma.
+    """Residual of each corner from its prediction by all others, (n, 2) px, and its scale, (n,).
 
     Leaving a corner out raises the standard deviation of its residual by that scale. The prediction
     is a homography of the board plus a polynomial for remaining lens distortion.
-
-    Args:
-        grid: (rows, columns, 2) the corners, px.
-
-    Returns:
-        (rows * columns, 2) the residuals, px. (rows * columns,) ratio of the standard deviation of
-        their coordinates to that of a corner.
     """
     rows, columns, _ = grid.shape
     places, basis, counts = _polynomials(rows, columns)
@@ -433,7 +421,7 @@ def loo_residuals_and_scales(grid: Grid) -> tuple[NDArray[np.float64], NDArray[n
         places[outer].astype(np.float32), corners[outer].astype(np.float32)
     )
     values = corners - cv2.perspectiveTransform(places[None], transform)[0]
-    fit = fit_polynomial(values, basis, counts)
+    fit = _fit_polynomial(values, basis, counts)
     return fit.residuals / fit.independence[:, None], 1.0 / np.sqrt(fit.independence)
 
 
@@ -444,7 +432,7 @@ def _polynomials(
     """Corners of a board scaled to -1..1, (n, 2); polynomials on them; their count per degree."""
     x, y = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
     places = np.column_stack([x.ravel(), y.ravel()])
-    terms, counts = monomials(places, _MAX_GRID_DEGREE, _CORNERS_PER_COEFFICIENT)
+    terms, counts = _monomials(places, _MAX_GRID_DEGREE, _CORNERS_PER_COEFFICIENT)
     allowed = counts[_LEAST_GRID_DEGREE:] if len(counts) > _LEAST_GRID_DEGREE else counts[-1:]
     return places, np.linalg.qr(terms)[0], allowed
 
@@ -504,11 +492,11 @@ def fit_smooth_homography(
             if transform is None:
                 return None
             values = (pixels - cv2.perspectiveTransform(board_m[None], transform)[0])[good]
-            terms, counts = monomials(
+            terms, counts = _monomials(
                 places[good], degree, _PART_CORNERS_PER_COEFFICIENT, _HOMOGRAPHY_PARAMETERS
             )
             basis = np.linalg.qr(terms)[0]
-            fit = fit_polynomial(values, basis, np.append(0, counts), _HOMOGRAPHY_PARAMETERS)
+            fit = _fit_polynomial(values, basis, np.append(0, counts), _HOMOGRAPHY_PARAMETERS)
             beside = np.abs(fit.residuals / np.maximum(fit.independence, 0.1)[:, None]).max(axis=1)
             if most_px is None:
                 sigma = 1.48 * float(np.median(np.abs(fit.residuals)))

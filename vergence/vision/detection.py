@@ -24,7 +24,7 @@ from vergence.models.camera import (
 )
 from vergence.models.lens import BROWN_CONRADY, pack_camera
 from vergence.vision.image import has_colour_channels, measurement_channel
-from vergence.vision.optics import FlatView, IdentityView, flat_view_about, ray_table
+from vergence.vision.optics import FlatView, ray_table
 from vergence.vision.pose import Pose, View, estimate_pose
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily, Target
 
@@ -251,9 +251,9 @@ class Detector(ABC, Generic[TargetT]):
                 f"predicted: expected corners_px of shape {expected}, got {corners}"
             )
 
-    def _flat(self, pixels: NDArray[np.float64]) -> FlatView | IdentityView:
+    def _flat(self, pixels: NDArray[np.float64]) -> FlatView:
         """Undistorted plane around some pixels."""
-        return IdentityView() if self._lens is None else flat_view_about(self._lens, pixels)
+        return FlatView(self._lens, pixels)
 
     @abstractmethod
     def _detect_all(self, frame: Frame) -> list[Detection]:

@@ -34,7 +34,7 @@ from vergence.vision.optics import ray_table
 from vergence.vision.targets import PlanarTarget, outline_m, texture
 
 
-def gaussian_radius_and_sigma(wanted_sigma: float) -> tuple[int, float]:
+def _gaussian_radius_and_sigma(wanted_sigma: float) -> tuple[int, float]:
     """Radius of a Gaussian kernel and the sigma that gives its taps the wanted standard deviation.
 
     A kernel of three taps costs half as much as one of five and reaches a variance of 2/3.
@@ -48,7 +48,7 @@ def gaussian_radius_and_sigma(wanted_sigma: float) -> tuple[int, float]:
     return round(2.5 * wanted_sigma), wanted_sigma
 
 
-def motion_blur_kernel(displacement: NDArray[np.float64]) -> NDArray[np.float32]:
+def _motion_blur_kernel(displacement: NDArray[np.float64]) -> NDArray[np.float32]:
     """Kernel of a uniform motion: a line through its centre with a displacement in samples."""
     count = max(math.ceil(4 * math.hypot(displacement[0], displacement[1])), 2)
     fraction = (np.arange(count) + 0.5) / count - 0.5
@@ -56,42 +56,29 @@ def motion_blur_kernel(displacement: NDArray[np.float64]) -> NDArray[np.float32]
     x, y = fraction * displacement[0] + half_x, fraction * displacement[1] + half_y
     kernel = np.zeros((2 * half_y + 1, 2 * half_x + 1), np.float32)
     left, top = np.floor(x).astype(int), np.floor(y).astype(int)
-    for column, row, weight in (
-        (left, top, (left + 1 - x) * (top + 1 - y)),
-        (left + 1, top, (x - left) * (top + 1 - y)),
-        (left, top + 1, (left + 1 - x) * (y - top)),
-        (left + 1, top + 1, (x - left) * (y - top)),
-    ):
-        np.add.at(kernel, (row, column), weight / count)
+    for down, rows in enumerate((top + 1 - y, y - top)):
+        for right, columns in enumerate((left + 1 - x, x - left)):
+            np.add.at(kernel, (top + down, left + right), columns * rows / count)
     return kernel
 
 
-NOISE_MEAN: Final = 128
+_NOISE_MEAN: Final = 128
 """Stored level of noise 0 (numerical: middle of 8 bits)."""
-NOISE_UNIT: Final = 24.0
+_NOISE_UNIT: Final = 24.0
 """Stored levels per standard deviation; 127 levels cover five of them (chosen: resolution
 against clipping)."""
 
 
-def noise_window(
+def _noise_window(
     rng: np.random.Generator, shape: tuple[int, int], longest_side_px: int
 ) -> NDArray[np.uint8]:
-    """Independent normal numbers for the pixels of a region.
+    """Normal numbers n for the pixels of a region, as ``_NOISE_MEAN + _NOISE_UNIT * n``.
 
     Sampling normal numbers for each frame would cost as much as rendering the board. Instead they
-    come from a bank, a fixed table of normal numbers that is equal in every process; the frame's
-    generator picks the region's start in it among more than a million positions. The noise of a
-    pixel is then independent from frame to frame, except if two windows start within a few pixels
-    of each other, about once in 10,000 pairs of frames.
-
-    Args:
-        rng: generator that picks the start; one number is drawn.
-        shape: (height, width) of the region.
-        longest_side_px: longest side of the frame, which determines the size of the bank.
-
-    Returns:
-        Numbers stored as ``NOISE_MEAN + NOISE_UNIT * n``, n standard normal; a read-only view of
-        the given shape.
+    come from a bank, a fixed table of normal numbers that is equal in every process and as large as
+    the frame's longest side demands; the frame's generator picks the region's start in it among
+    more than a million positions. The noise of a pixel is then independent from frame to frame,
+    except if two windows start within a few pixels of each other, about once in 10,000 pairs.
     """
     bank = _bank(max(2048, 1 << (longest_side_px + longest_side_px // 2 - 1).bit_length()))
     height, width = shape
@@ -103,7 +90,7 @@ def noise_window(
 @lru_cache(maxsize=2)
 def _bank(side: int) -> NDArray[np.uint8]:
     numbers = np.random.default_rng(side).standard_normal((side, side), np.float32)
-    bank = np.rint(NOISE_MEAN + NOISE_UNIT * numbers).clip(0, 255)
+    bank = np.rint(_NOISE_MEAN + _NOISE_UNIT * numbers).clip(0, 255)
     levels: NDArray[np.uint8] = bank.astype(np.uint8)
     levels.setflags(write=False)
     return levels
@@ -137,6 +124,8 @@ _MOST_OVERSAMPLING: Final = 6
 """Largest factor on the number of samples along each axis (chosen: aliasing against time)."""
 _TEXTURE_RIM: Final = 9
 """Surround of the board in a texture, texels (chosen: room for the texture's blur)."""
+_EDGE_PARTS: Final = 8
+"""Parts of an edge of the board whose ends bound it in an image with lens distortion (chosen)."""
 _NOISE_MARGIN_PX: Final = 12
 """Width of the background around the board that has noise too, for detectors that look there,
 px (chosen: realism against time)."""
@@ -166,7 +155,16 @@ class TargetRenderer:
 
     def __init__(self, camera: Camera, target: PlanarTarget, rendering: Rendering) -> None:
         """Start with an empty frame."""
-        _check(rendering)
+        greys = (rendering.black_grey, rendering.background_grey, rendering.white_grey)
+        if not (0 <= greys[0] <= greys[1] <= greys[2] <= 255 and greys[0] < greys[2]):
+            raise ConfigurationError(
+                f"rendering: expected 0 <= black <= background <= white <= 255, got {greys}"
+            )
+        if rendering.blur_px < 0 or rendering.noise_grey < 0 or rendering.supersampling < 1:
+            raise ConfigurationError(
+                "rendering: expected blur and noise not negative and at least one sample a pixel, "
+                f"got {rendering}"
+            )
         self.camera = camera
         self.target = target
         self.rendering = rendering
@@ -182,7 +180,10 @@ class TargetRenderer:
             (camera.height, camera.width), self._background, np.uint8
         )
         self._outline_T = np.pad(outline_m(target), ((0, 0), (0, 1)), constant_values=1.0)
-        self._outline_fine_T = _along_edges(self._outline_T, 8)
+        if camera.distorts:  # points along the edges, which the lens bends
+            steps = np.arange(_EDGE_PARTS)[:, None, None] / _EDGE_PARTS
+            along = np.roll(self._outline_T, -1, axis=0) - self._outline_T
+            self._outline_T = (self._outline_T + steps * along).reshape(-1, 3)
 
     def draw(
         self,
@@ -215,33 +216,35 @@ class TargetRenderer:
         texels, texture_blur, blur = self._choose_level(spacing, oversampling)
         smear = scale * np.asarray(smear_px, float)
         smear_length = math.hypot(smear[0], smear[1])
-        half_kernel, sigma = gaussian_radius_and_sigma(blur)
+        half_kernel, sigma = _gaussian_radius_and_sigma(blur)
+        # of the blur around the board within the frame
         reach = math.ceil((half_kernel + 0.5 * smear_length) / scale) + 2
-        window = self._window(bounds, reach)
-        if window is None:
+        reach = min(reach, _TABLE_MARGIN_PX)
+        width, height = self.camera.width, self.camera.height
+        u0, v0, u1, v1 = bounds
+        left, right = max(math.floor(u0), 0) - reach, min(math.ceil(u1), width) + reach + 1
+        top, bottom = max(math.floor(v0), 0) - reach, min(math.ceil(v1), height) + reach + 1
+        x0, y0, x1, y1 = max(left, 0), max(top, 0), min(right, width), min(bottom, height)
+        if x0 >= x1 or y0 >= y1:
             return
-        drawn, padded = window
+        padded = (left, top, right, bottom)
         samples: NDArray[Any] = self._sample(board, padded, texels, texture_blur, oversampling)
         if half_kernel > 0:
             size = 2 * half_kernel + 1
             samples = cv2.GaussianBlur(samples, (size, size), sigma)
         if smear_length > 0.1:
-            samples = cv2.filter2D(samples, -1, motion_blur_kernel(smear))
+            samples = cv2.filter2D(samples, -1, _motion_blur_kernel(smear))
         if scale > 1:
-            height, width = samples.shape
-            samples = cv2.resize(
-                samples, (width // scale, height // scale), interpolation=cv2.INTER_AREA
-            )
-        x0, y0, x1, y1 = drawn
-        px, py = padded[0], padded[1]
-        self._expose(samples[y0 - py : y1 - py, x0 - px : x1 - px], drawn, rng)
+            size_px = (right - left, bottom - top)
+            samples = cv2.resize(samples, size_px, interpolation=cv2.INTER_AREA)
+        inner = samples[y0 - top : y1 - top, x0 - left : x1 - left]
+        self._expose(inner, (x0, y0, x1, y1), rng)
 
     def _bounds_px(
         self, board: NDArray[np.float64], pose: NDArray[np.float64]
     ) -> tuple[float, float, float, float] | None:
         """Smallest u and v of the board and the largest; None if its front is not visible."""
-        outline = self._outline_fine_T if self.camera.distorts else self._outline_T
-        points = outline @ board.T
+        points = self._outline_T @ board.T
         if min(points[:, 2].tolist()) < _LEAST_DEPTH_M:
             return None
         (_, _, a, x), (_, _, b, y), (_, _, c, z), _ = pose.tolist()
@@ -285,20 +288,6 @@ class TargetRenderer:
             blur = min(max(math.floor(10 * exact) / 10, _FINE_BLURS[0]), _FINE_BLURS[1])
             done = (mean / texels) ** 2 * (1 / 12 + blur**2)
         return texels, blur, math.sqrt(max(wanted - done, 0.0))
-
-    def _window(
-        self, bounds: tuple[float, float, float, float], reach: int
-    ) -> tuple[Region, Region] | None:
-        """Region of the board within the frame, and that region plus the reach of the blur."""
-        width, height = self.camera.width, self.camera.height
-        reach = min(reach, _TABLE_MARGIN_PX)
-        u0, v0, u1, v1 = bounds
-        left, right = max(math.floor(u0), 0) - reach, min(math.ceil(u1), width) + reach + 1
-        top, bottom = max(math.floor(v0), 0) - reach, min(math.ceil(v1), height) + reach + 1
-        inner = (max(left, 0), max(top, 0), min(right, width), min(bottom, height))
-        if inner[0] >= inner[2] or inner[1] >= inner[3]:
-            return None
-        return inner, (left, top, right, bottom)
 
     def _sample(
         self,
@@ -352,43 +341,38 @@ class TargetRenderer:
             board = np.asarray(cv2.LUT(board, self._encoded), np.uint8)
         x0, y0, x1, y1 = drawn
         if rng is None or rendering.noise_grey == 0:
-            cv2.convertScaleAbs(
-                board, self.frame[y0:y1, x0:x1], self._contrast, rendering.black_grey
-            )
+            frame = self.frame[y0:y1, x0:x1]
+            cv2.convertScaleAbs(board, frame, self._contrast, rendering.black_grey)
             self.region = drawn
             return
         height, width = self.frame.shape
         rx0, ry0 = max(x0 - _NOISE_MARGIN_PX, 0), max(y0 - _NOISE_MARGIN_PX, 0)
         rx1, ry1 = min(x1 + _NOISE_MARGIN_PX, width), min(y1 + _NOISE_MARGIN_PX, height)
-        noise = noise_window(rng, (ry1 - ry0, rx1 - rx0), max(width, height))
-        gain = rendering.noise_grey / NOISE_UNIT
+        noise = _noise_window(rng, (ry1 - ry0, rx1 - rx0), max(width, height))
+        gain = rendering.noise_grey / _NOISE_UNIT
         self.region = (rx0, ry0, rx1, ry1)
         # around the board: plain background and noise
         cv2.convertScaleAbs(
             noise,
             self.frame[ry0:ry1, rx0:rx1],
             gain,
-            rendering.background_grey - NOISE_MEAN * gain,
+            rendering.background_grey - _NOISE_MEAN * gain,
         )
         cv2.addWeighted(
             board,
             self._contrast,
             noise[y0 - ry0 : y1 - ry0, x0 - rx0 : x1 - rx0],
             gain,
-            rendering.black_grey - NOISE_MEAN * gain,
+            rendering.black_grey - _NOISE_MEAN * gain,
             self.frame[y0:y1, x0:x1],
         )
 
 
 def _encoding(rendering: Rendering, light: NDArray[np.float64]) -> tuple[float, NDArray[np.uint8]]:
-    """Table from fractions of light between black and white to fractions of grey, both 0 to 255.
+    """Fraction of light of the background between black and white, and grey by that fraction.
 
-    Args:
-        rendering: the grey levels of black, background and white.
-        light: (256,) light of each grey level, see `light_table`.
-
-    Returns:
-        The fraction of light of the background, and the table, shape (256,).
+    Fractions are 0 to 255; the table, (256,), gives fractions of grey. The light is that of each
+    grey level, (256,), see `light_table`.
     """
     levels, contrast = np.arange(256.0), rendering.white_grey - rendering.black_grey
     greys = (rendering.black_grey, rendering.background_grey, rendering.white_grey)
@@ -425,23 +409,3 @@ def _level(
     shift = _TEXTURE_RIM - 0.5
     to_texture = [[scale, 0, texels * x + shift], [0, scale, texels * y + shift], [0, 0, 1]]
     return image, np.array(to_texture)
-
-
-def _check(rendering: Rendering) -> None:
-    greys = (rendering.black_grey, rendering.background_grey, rendering.white_grey)
-    if not (0 <= greys[0] <= greys[1] <= greys[2] <= 255 and greys[0] < greys[2]):
-        raise ConfigurationError(
-            f"rendering: expected 0 <= black <= background <= white <= 255, got {greys}"
-        )
-    if rendering.blur_px < 0 or rendering.noise_grey < 0 or rendering.supersampling < 1:
-        raise ConfigurationError(
-            "rendering: expected blur and noise not negative and at least one sample a pixel, "
-            f"got {rendering}"
-        )
-
-
-def _along_edges(outline: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
-    """Points along the closed outline, for edges that lens distortion bends."""
-    steps = np.arange(parts)[:, None, None] / parts
-    points = outline + steps * (np.roll(outline, -1, axis=0) - outline)
-    return np.asarray(points.reshape(-1, outline.shape[1]), float)

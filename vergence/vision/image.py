@@ -106,7 +106,13 @@ def as_grey(
             f"image: expected the camera's {size[0]} x {size[1]} px, got {width} x {height}"
         )
     if response is not None:
-        array = _light(array, parse_response(response))
+        curve = parse_response(response)
+        light = (
+            light_table(curve)[array]
+            if array.dtype == np.uint8
+            else 255.0 * to_light(_levels(array) / 255.0, curve)
+        )
+        array = np.asarray(light, np.float32)
     elif array.dtype != np.uint8:
         array = np.rint(_levels(array)).astype(np.uint8)
     if colour:
@@ -127,14 +133,7 @@ def measurement_channel(image: ArrayLike, size: tuple[int, int] | None = None) -
     """8-bit levels in which targets are measured: grey, or the green channel of a colour image.
 
     Green has half of the pixels of a Bayer mosaic, and lies between red and blue in the chromatic
-    aberration of a lens.
-
-    Args:
-        image: see `as_grey`.
-        size: see `as_grey`.
-
-    Raises:
-        ConfigurationError: see `as_grey`.
+    aberration of a lens. See `as_grey`.
     """
     return as_grey(np.asarray(image)[..., 1] if has_colour_channels(image) else image, size)
 
@@ -142,25 +141,12 @@ def measurement_channel(image: ArrayLike, size: tuple[int, int] | None = None) -
 def grey_if_channels_equal(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Convert a video frame of a grey camera back to grey: OpenCV decodes grey as BGR.
 
-    Args:
-        frame: (height, width) or (height, width, 3) as decoded by OpenCV.
-
-    Returns:
-        The frame, or its grey levels if all channels are equal up to the rounding of codecs.
+    It stays as it is unless all channels are equal up to the rounding of codecs.
     """
     if not has_colour_channels(frame):
         return frame
     some = frame[::_COLOURS_EVERY_PX, ::_COLOURS_EVERY_PX]
     return frame if np.ptp(some, axis=2).max() > _MAX_CHANNEL_DIFFERENCE else as_grey(frame)
-
-
-def _light(array: NDArray[Any], response: CameraResponse) -> NDArray[np.float32]:
-    """Convert levels of any depth to light, 0 to 255."""
-    if array.dtype == np.uint8:
-        light = light_table(response)[array]
-    else:
-        light = 255.0 * to_light(_levels(array) / 255.0, response)
-    return np.asarray(light, np.float32)
 
 
 def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
@@ -187,33 +173,24 @@ def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def smooth_for_square_search(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
-    """Smooth a noisy image for searches for squares.
+    """Smooth an image for searches for squares; itself if it has little noise, None if only noise.
 
     Noise makes such a search take ten times as long on an empty wall. It is estimated by the
     median of second differences, which edges hardly affect.
-
-    Args:
-        image: grey levels, shape (height, width).
-
-    Returns:
-        The smoothed image; the image itself if it has little noise; None if nothing exceeds the
-        noise, so that there is nothing to find.
     """
     if min(image.shape) < _LEAST_SIDE_PX:
         return None
     part = image[:: max(image.shape[0] // 200, 1)].astype(np.int16)  # a subset of rows suffices
     second = np.abs(2 * part[:, 1:-1] - part[:, :-2] - part[:, 2:])
     noise = float(np.median(second)) / _MEDIAN_SECOND_DIFFERENCE
-    if noise <= _LOW_NOISE_GREY:
-        plain = int(image.max()) - int(image.min()) < _LEAST_RANGE_GREY + 10.0 * noise
-        return None if plain else image
-    blur_px = 1.0 if noise <= _HIGH_NOISE_GREY else 2.0
-    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), np.uint8)
-    # smoothing divides white noise by 2 sqrt(pi) blur; its extremes are at about five sigma
-    left = noise / (2.0 * math.sqrt(math.pi) * blur_px)
-    if int(smooth.max()) - int(smooth.min()) < _LEAST_RANGE_GREY + 10.0 * left:
-        return None
-    return smooth
+    left, smooth = noise, image
+    if noise > _LOW_NOISE_GREY:
+        blur_px = 1.0 if noise <= _HIGH_NOISE_GREY else 2.0
+        smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), np.uint8)
+        # smoothing divides white noise by 2 sqrt(pi) blur; its extremes are at about five sigma
+        left = noise / (2.0 * math.sqrt(math.pi) * blur_px)
+    plain = int(smooth.max()) - int(smooth.min()) < _LEAST_RANGE_GREY + 10.0 * left
+    return None if plain else smooth
 
 
 @contextmanager
@@ -227,56 +204,50 @@ def suppress_opencv_log() -> Iterator[None]:
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
-    """Read an image file as 8-bit grey levels.
+    """Read an image file as 8-bit grey levels, shape (height, width).
 
     Args:
-        path: see `read_pixels`.
-
-    Returns:
-        Grey levels, shape (height, width).
+        path: path of a PNG, JPEG, TIFF or other format that OpenCV reads, of any depth.
 
     Raises:
-        UnreadableFileError: see `read_pixels`.
+        UnreadableFileError: the file is missing, empty, or no image.
     """
     return as_grey(read_pixels(path))
 
 
 def read_pixels(path: str | Path) -> NDArray[Any]:
-    """Read an image file with its own bit depth and colours.
+    """Read an image file, see `read_image`, with its own bit depth and colours.
 
-    Args:
-        path: path of a PNG, JPEG, TIFF or other format that OpenCV reads, of any depth.
-
-    Returns:
-        (height, width) grey or (height, width, 3) BGR: pixels as stored, so those of the sensor;
-        an orientation tag is not applied.
-
-    Raises:
-        UnreadableFileError: the file is missing, empty, or no image.
+    (height, width) grey or (height, width, 3) BGR: pixels as stored, so those of the sensor; an
+    orientation tag is not applied.
     """
-    expected = "an image that OpenCV reads, such as PNG or JPEG"
+
+    def unreadable(path: str, reason: str) -> UnreadableFileError:
+        return UnreadableFileError(path, reason, "an image that OpenCV reads, such as PNG or JPEG")
+
     try:
         content = Path(path).read_bytes()
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise UnreadableFileError(str(path), reason, expected) from error
+        raise unreadable(str(path), (error.strerror or str(error)).lower()) from error
     except ValueError as error:  # a null byte in the path
-        raise UnreadableFileError(repr(str(path)), str(error), expected) from error
+        raise unreadable(repr(str(path)), str(error)) from error
     if not content:
-        raise UnreadableFileError(str(path), "empty", expected)
+        raise unreadable(str(path), "empty")
     levels = np.frombuffer(content, np.uint8)
     _, start = _find_orientation(content)
     if start and _TIFF_HEADER.match(content):  # which OpenCV turns whatever the flags
         levels = levels.copy()
         levels[start : start + 2] = [1, 0] if content[:1] == b"I" else [0, 1]
     flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    read: Any = None
+    cause: cv2.error | None = None
     try:
         with suppress_opencv_log():
-            read: Any = cv2.imdecode(levels, flags)
+            read = cv2.imdecode(levels, flags)
     except cv2.error as error:  # sizes beyond OpenCV's limits, damaged headers
-        raise UnreadableFileError(str(path), "no image, or a damaged one", expected) from error
+        cause = error
     if read is None or read.size == 0:
-        raise UnreadableFileError(str(path), "no image, or a damaged one", expected)
+        raise unreadable(str(path), "no image, or a damaged one") from cause
     return np.asarray(read)
 
 
@@ -329,10 +300,9 @@ def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
     Raises:
         ConfigurationError: the source does not exist, or cannot be opened.
     """
-    device = is_local_camera(source)
     capture = open_capture(source, "live")
     try:
-        yield _images(capture, _MAX_MISSED_IMAGES if device else 0)
+        yield _images(capture, _MAX_MISSED_IMAGES if is_local_camera(source) else 0)
     finally:
         capture.release()
 
@@ -348,18 +318,10 @@ def open_capture(
 ) -> cv2.VideoCapture:
     """Open a camera, a video file or a stream with OpenCV.
 
-    The options below are requests to a camera of this machine, which may choose other values.
-
-    Args:
-        source: see `open_video`.
-        option_name: name of the option or field that gives the source, for messages.
-        pixel_format: four letters, such as MJPG; empty for the camera's default.
-        size: (width, height), px; None for the camera's default.
-        frame_rate_hz: images a second; None for the camera's default.
-        exposure_s: exposure time to lock, s; None leaves the exposure control unchanged.
-
-    Raises:
-        ConfigurationError: the source does not exist, or cannot be opened.
+    The options are requests to a camera of this machine, which may choose other values: the pixel
+    format is four letters, such as MJPG, the size (width, height), and an exposure is locked. By
+    default the camera's own settings stay. The name is that of the option or field that gives the
+    source, for messages. `ConfigurationError` as in `open_video`.
     """
     device = is_local_camera(source)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg has a log of its own
@@ -401,16 +363,14 @@ def _device_path(source: str) -> str:
 def _open(source: str, device: bool, what: str) -> cv2.VideoCapture:
     if device:
         path = _device_path(source)
-        number = re.fullmatch(r"/dev/video(\d+)", path)
         if not os.path.exists(path):
             raise ConfigurationError(
                 f"{what}: expected a camera, got {source}: no such device; there are: "
                 f"{', '.join(list_camera_devices()) or 'none'}"
             )
         # V4L2 only: FFmpeg and GStreamer open cameras too, but queue old images
-        if number:
-            return cv2.VideoCapture(int(number[1]), cv2.CAP_V4L2)
-        return cv2.VideoCapture(path, cv2.CAP_V4L2)
+        number = re.fullmatch(r"/dev/video(\d+)", path)
+        return cv2.VideoCapture(int(number[1]) if number else path, cv2.CAP_V4L2)
     if "://" not in source and not Path(source).is_file():
         raise ConfigurationError(
             f"{what}: expected the number of a camera, a path such as /dev/video0, a video file or "

@@ -1,6 +1,5 @@
 """Undistorted plane of an eye for images and kernels, and homographies of it."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 from math import sqrt
 from typing import Any, Final, NamedTuple
@@ -21,11 +20,9 @@ _DIFFERENCE_STEP_RAD: Final = 1e-4
 
 @subroutine
 def image_to_square_homography(corners: FloatArray, G: FloatArray) -> None:
-    """Compute the homography from the image to the plane of a square of corners (-1, -1) to (1, 1).
+    """Compute the homography G, (3, 3), from the image to the plane of a square.
 
-    Args:
-        corners: (4, 2) images of (-1, -1), (1, -1), (1, 1), (-1, 1).
-        G: (3, 3) result.
+    The corners, (4, 2), are the images of (-1, -1), (1, -1), (1, 1), (-1, 1).
     """
     ax, ay, bx, by = corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1]
     cx, cy, dx, dy = corners[2, 0], corners[2, 1], corners[3, 0], corners[3, 1]
@@ -47,12 +44,7 @@ def image_to_square_homography(corners: FloatArray, G: FloatArray) -> None:
 
 @subroutine
 def square_to_image_homography(G: FloatArray, H: FloatArray) -> None:
-    """Compute the homography from the plane to the image, see `image_to_square_homography`.
-
-    Args:
-        G: (3, 3) homography from the image to the plane.
-        H: (3, 3) result, the adjugate of G.
-    """
+    """Compute the homography H from the plane to the image: the adjugate of G."""
     a, b, c = G[0, 0], G[0, 1], G[0, 2]
     d, e, f = G[1, 0], G[1, 1], G[1, 2]
     g, h, i = G[2, 0], G[2, 1], G[2, 2]
@@ -79,14 +71,7 @@ class UndistortedView(NamedTuple):
 
 @subroutine
 def set_view_along(camera: CameraRow, x: float, y: float, view: UndistortedView) -> None:
-    """Compute the view around a ray.
-
-    Args:
-        camera: camera of the eye.
-        x: X / Z of the ray.
-        y: Y / Z of the ray.
-        view: result, its homographies.
-    """
+    """Compute the homographies of the view around a ray (x, y, 1)."""
     u, v = ray_to_pixel(camera, x, y)
     # the rotation from the ray to the optical axis (Rodrigues)
     norm = sqrt(x * x + y * y + 1.0)
@@ -114,8 +99,7 @@ def set_view_along(camera: CameraRow, x: float, y: float, view: UndistortedView)
 
 
 @compiled
-def view_along(packed_camera: FloatArray, x: float, y: float) -> UndistortedView:
-    """View around a ray, see `set_view_along`, by a packed camera, see `pack_camera`."""
+def _view_along(packed_camera: FloatArray, x: float, y: float) -> UndistortedView:
     view = UndistortedView(True, np.empty((3, 3)), np.empty((3, 3)))
     set_view_along(camera_at(packed_camera, 0), x, y, view)
     return view
@@ -153,13 +137,9 @@ def transform_point(H: FloatArray, x: float, y: float) -> tuple[float, float]:
 def undistorted_point(
     rays: NDArray[np.float32], view: UndistortedView, u: float, v: float
 ) -> tuple[float, float]:
-    """Approximate point of a view's plane for a pixel, by interpolated rays.
+    """Approximate point of a view's plane for a pixel in or near the image, by interpolated rays.
 
-    Args:
-        rays: (height, width, 2) rays of the pixels; (0, 0, 2) for an undistorted image.
-        view: the plane.
-        u: u of the pixel, px; may be slightly outside of the image.
-        v: v of the pixel, px, likewise.
+    The (height, width, 2) rays are those of the pixels; (0, 0, 2) for an undistorted image.
     """
     if not view.has_lens:
         return u, v
@@ -193,32 +173,34 @@ def grey_at(image: NDArray[np.uint8], u: float, v: float) -> float:
     return grey
 
 
-def flat_view_about(camera: Camera, pixels: ArrayLike) -> "FlatView":
-    """View of a pinhole camera that looks at the mean of some pixels, (n, 2)."""
-    x, y = camera.rays(as_operand("pixels", pixels, "n", 2).mean(axis=0)[None])[0].tolist()
-    view = view_along(camera.row, x, y)
-    return FlatView(camera, view.plane_from_ray, view.ray_from_plane)
-
-
-@dataclass(frozen=True)
 class FlatView:
-    """An undistorted plane that agrees with the image to first order at one point, in pixels."""
+    """An undistorted plane that agrees with an image to first order at the mean of some pixels.
 
-    camera: Camera
-    """Camera of the image."""
-    plane_from_ray: NDArray[np.float64]
-    """(3, 3) homography from rays (x / z, y / z) to the plane."""
-    ray_from_plane: NDArray[np.float64]
-    """(3, 3) inverse of it."""
+    Its unit there is one pixel. Without a lens it is the image itself.
+
+    Args:
+        camera: camera of the image; None for an image without lens distortion.
+        pixels: (n, 2) these pixels.
+    """
+
+    def __init__(self, camera: Camera | None, pixels: ArrayLike) -> None:
+        self._camera = camera
+        if camera is not None:
+            middle = as_operand("pixels", pixels, "n", 2).mean(axis=0)
+            self._view = _view_along(camera.row, *camera.rays(middle[None])[0].tolist())
 
     def to_plane(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points of the plane for pixels of the image, shape (n, 2)."""
-        return _transformed(self.camera.rays(pixels), self.plane_from_ray)
+        if self._camera is None:
+            return pixels
+        return _transformed(self._camera.rays(pixels), self._view.plane_from_ray)
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels of the image for points of the plane, the inverse of `to_plane`, shape (n, 2)."""
-        rays = _transformed(points, self.ray_from_plane)
-        return np.asarray(rays_to_pixels(rays, self.camera.row))
+        if self._camera is None:
+            return points
+        rays = _transformed(points, self._view.ray_from_plane)
+        return np.asarray(rays_to_pixels(rays, self._camera.row))
 
 
 def _transformed(points: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -226,30 +208,12 @@ def _transformed(points: NDArray[np.float64], matrix: NDArray[np.float64]) -> ND
     return np.asarray(cv2.perspectiveTransform(points[None], matrix)[0]) if len(points) else points
 
 
-class IdentityView:
-    """View of an image without lens distortion: the image itself."""
-
-    def to_plane(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the pixels, shape (n, 2)."""
-        return pixels
-
-    def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the points, shape (n, 2)."""
-        return points
-
-
 @lru_cache(maxsize=4)
 def ray_table(camera: Camera, supersampling: int, margin_px: int) -> NDArray[np.float32]:
-    """Rays of every sample of a frame with a margin around it.
+    """Rays (x / z, y / z) of every sample of a frame with a margin around it.
 
-    Args:
-        camera: camera of the eye.
-        supersampling: samples per pixel along each axis.
-        margin_px: pixels added on each side of the frame.
-
-    Returns:
-        (x / z, y / z) of each sample, shape ((height + 2 margin) * supersampling,
-        (width + 2 margin) * supersampling, 2).
+    There are some samples per pixel along each axis. The shape is ((height + 2 margin) *
+    supersampling, (width + 2 margin) * supersampling, 2).
     """
     u, v = (
         (np.arange((length + 2 * margin_px) * supersampling) + 0.5) / supersampling
@@ -266,11 +230,9 @@ def ray_table(camera: Camera, supersampling: int, margin_px: int) -> NDArray[np.
 def fit_homography(
     board_m: NDArray[np.float64], pixels: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Least-squares homography from the board's plane to the image; None if corners are collinear.
+    """Least-squares homography from corners on a board, (n, 2), to these in the image, (n, 2).
 
-    Args:
-        board_m: (n, 2) corners on the board, m.
-        pixels: (n, 2) these corners in the image, px.
+    None if the corners are collinear.
     """
     transform: Any = cv2.findHomography(board_m, pixels, 0)[0]
     if transform is None or not np.isfinite(transform).all():
@@ -283,12 +245,8 @@ def origin_sigma_px(
 ) -> NDArray[np.float64]:
     """Standard deviations of the board's origin in the image by a homography of corners, (2,) px.
 
-    They are large if the corners do not surround the origin.
-
-    Args:
-        homography: the homography.
-        board_m: (n, 2) corners on the board, m.
-        sigmas: (n, 2) their standard deviations in the image, px.
+    They are large if the corners, (n, 2) m on the board with sigmas (n, 2) px in the image, do not
+    surround the origin.
     """
     scale = 1.0 / np.abs(board_m).max()
     H = homography @ np.diag([1.0 / scale, 1.0 / scale, 1.0])
@@ -302,7 +260,6 @@ def origin_sigma_px(
     normal = np.einsum("nij,nik,ni->jk", rows, rows, 1.0 / sigmas**2)
     middle = np.zeros((2, 8))
     middle[0, 2] = middle[1, 5] = 1.0
-    middle[0, 6:8] = middle[1, 6:8] = 0.0
     middle /= H[2, 2]
     spread = middle @ np.linalg.pinv(normal, hermitian=True) @ middle.T
     return np.sqrt(np.diagonal(spread))

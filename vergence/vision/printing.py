@@ -1,20 +1,24 @@
-"""Lay out a target on a sheet of paper at true scale, with a ruler to check the print.
+"""Lay out a target on a sheet of paper at true scale, and draw it with a ruler and its name.
 
 Lengths on a sheet are millimetres from its upper left corner, x right and y down.
 """
 
 import math
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.files import atomic_file
 from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, TagFamily, Target
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RULER_MM: Final = 100.0
 """Length of the ruler beside the board (chosen: long enough to check the scale, fits on A5)."""
@@ -53,27 +57,25 @@ class Paper:
         return f"{self.name} ({size})" if self.name else size
 
 
-_SIZES_MM: Final = {
-    "a5": (148.0, 210.0),
-    "a4": (210.0, 297.0),
-    "a3": (297.0, 420.0),
-    "a2": (420.0, 594.0),
-    "a1": (594.0, 841.0),
-    "a0": (841.0, 1189.0),
-    "letter": (215.9, 279.4),
-    "legal": (215.9, 355.6),
-    "tabloid": (279.4, 431.8),
+PAPERS: Final = {
+    name: Paper(short_mm, long_mm, name)
+    for name, short_mm, long_mm in (
+        ("a5", 148.0, 210.0),
+        ("a4", 210.0, 297.0),
+        ("a3", 297.0, 420.0),
+        ("a2", 420.0, 594.0),
+        ("a1", 594.0, 841.0),
+        ("a0", 841.0, 1189.0),
+        ("letter", 215.9, 279.4),
+        ("legal", 215.9, 355.6),
+        ("tabloid", 279.4, 431.8),
+    )
 }
-"""ISO 216 and ANSI sizes, each series in ascending order."""
-PAPERS: Final = {name: Paper(*size, name) for name, size in _SIZES_MM.items()}
-"""Named sizes of paper."""
+"""Named sizes of paper: ISO 216 and ANSI, each series in ascending order."""
 
 
 def parse_paper(text: str) -> Paper:
-    """Parse a size of paper.
-
-    Args:
-        text: a name of `PAPERS` in any case, or WIDTHxHEIGHT in mm.
+    """Parse a name of `PAPERS` in any case, or WIDTHxHEIGHT in mm.
 
     Raises:
         UnknownNameError: no paper has that name.
@@ -94,11 +96,7 @@ def parse_paper(text: str) -> Paper:
 
 
 def require_printable(target: Target) -> PlanarTarget:
-    """Return a target that is fully specified for printing.
-
-    Raises:
-        ConfigurationError: the target is a whole family of tags, or lacks its size.
-    """
+    """Return a target unless it is a whole family of tags, or lacks its size, which is refused."""
     if isinstance(target, TagFamily):
         raise ConfigurationError(
             f"target: expected one tag with its number and its edge in mm, such as {target}:0:120, "
@@ -147,102 +145,79 @@ def lay_out_sheet(target: PlanarTarget, paper: Paper) -> PrintSheet:
     """Place a board on paper, upright and at true scale, with the ruler beside its white margin.
 
     The ruler is below the board if it fits there, else to its right; of portrait and landscape
-    the one with more room is taken.
-
-    Args:
-        target: the board.
-        paper: the size of paper.
-
-    Raises:
-        ConfigurationError: the board does not fit.
+    the one with more room is taken. `ConfigurationError` if the board does not fit.
     """
-    frame = _Frame.of(target)
-    found = [place for place in _places(paper) if place.slack_mm(frame) >= -_SLACK_MM]
-    if not found:
-        raise ConfigurationError(_too_large(target, frame, paper))
-    place = max(found, key=lambda place: (not place.upright, place.slack_mm(frame)))
-    width, height = place.width_mm, place.height_mm
+    width_mm, height_mm, rim_mm = _frame_mm(target)
+    places = _places(width_mm, height_mm, paper)
+    if not places:
+        raise ConfigurationError(_too_large(target, paper))
+    place = max(places, key=lambda place: (not place.upright, place.slack_mm))
     # lengths along the direction from the board to the ruler: to the right or down
-    sheet, board = (width, frame.width_mm) if place.upright else (height, frame.height_mm)
-    spare = max(0.0, sheet - board - RULER_STRIP_MM)
+    along = 0 if place.upright else 1
+    sheet = place.sheet_mm[along]
+    spare = max(0.0, sheet - (width_mm, height_mm)[along] - RULER_STRIP_MM)
     ruler = sheet - RULER_STRIP_MM - min(spare / 3.0, _MAX_EXTRA_MARGIN_MM)
+    width, height = place.sheet_mm
     if place.upright:
-        left, top = 0.5 * (ruler - frame.width_mm), 0.5 * (height - frame.height_mm)
+        left, top = 0.5 * (ruler - width_mm), 0.5 * (height - height_mm)
         zero = (ruler, 0.5 * (height + RULER_MM))
     else:
-        left, top = 0.5 * (width - frame.width_mm), 0.5 * (ruler - frame.height_mm)
+        left, top = 0.5 * (width - width_mm), 0.5 * (ruler - height_mm)
         zero = (0.5 * (width - RULER_MM), ruler)
-    return PrintSheet(
-        target=target,
-        paper=paper,
-        width_mm=width,
-        height_mm=height,
-        board_corner_mm=(left + frame.rim_mm, top + frame.rim_mm),
-        ruler_zero_mm=zero,
-        ruler_upright=place.upright,
-    )
+    corner = (left + rim_mm, top + rim_mm)
+    return PrintSheet(target, paper, width, height, corner, zero, place.upright)
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """A board with its white margin."""
+def _frame_mm(target: PlanarTarget, scale: float = 1.0) -> tuple[float, float, float]:
+    """Width and height of a scaled board with its white margin, and the margin to add to its cells.
 
-    width_mm: float
-    height_mm: float
-    rim_mm: float
-    """White margin to add on each side of the board's cells; negative if they have more than
-    needed."""
-
-    @classmethod
-    def of(cls, target: PlanarTarget, scale: float = 1.0) -> "_Frame":
-        """Frame of a board, its lengths multiplied by a scale."""
-        cell = scale * _MM_PER_M * target.cell_m
-        rows, columns = target.cells.shape
-        y, x = np.nonzero(target.cells == 0)
-        white = min(x.min(), y.min(), columns - 1 - x.max(), rows - 1 - y.max())
-        shorter = cell * (min(rows, columns) - 2 * white)
-        quiet = cell * (_QUIET_ZONE_SQUARES if isinstance(target, Checkerboard) else 1.0)
-        rim = max(quiet, _QUIET_ZONE_FRACTION * shorter, _UNPRINTED_MARGIN_MM) - cell * white
-        return cls(cell * columns + 2.0 * rim, cell * rows + 2.0 * rim, rim)
+    That margin is negative if the cells have more than needed.
+    """
+    cell = scale * _MM_PER_M * target.cell_m
+    rows, columns = target.cells.shape
+    y, x = np.nonzero(target.cells == 0)
+    white = min(x.min(), y.min(), columns - 1 - x.max(), rows - 1 - y.max())
+    shorter = cell * (min(rows, columns) - 2 * white)
+    quiet = cell * (_QUIET_ZONE_SQUARES if isinstance(target, Checkerboard) else 1.0)
+    rim = max(quiet, _QUIET_ZONE_FRACTION * shorter, _UNPRINTED_MARGIN_MM) - cell * white
+    return cell * columns + 2.0 * rim, cell * rows + 2.0 * rim, rim
 
 
-@dataclass(frozen=True)
-class _Place:
-    """An orientation of a sheet and a position of its ruler."""
+class _Place(NamedTuple):
+    """An orientation of a sheet, a position of its ruler, and the room left for a board."""
 
-    width_mm: float
-    height_mm: float
+    sheet_mm: tuple[float, float]
     upright: bool
-
-    def slack_mm(self, frame: _Frame) -> float:
-        """Room left in the tighter direction; negative if the board does not fit."""
-        width, height = _needs_mm(frame, self.upright)
-        return min(self.width_mm - width, self.height_mm - height)
+    slack_mm: float
 
 
-def _needs_mm(frame: _Frame, upright: bool) -> tuple[float, float]:
-    """Width and height of the smallest sheet for a frame and a ruler."""
+def _needs_mm(width_mm: float, height_mm: float, upright: bool) -> tuple[float, float]:
+    """Width and height of the smallest sheet for a board with its margin and a ruler."""
     ruler = RULER_MM + 2.0 * _UNPRINTED_MARGIN_MM
     if upright:
-        return frame.width_mm + RULER_STRIP_MM, max(frame.height_mm, ruler)
-    return max(frame.width_mm, ruler), frame.height_mm + RULER_STRIP_MM
+        return width_mm + RULER_STRIP_MM, max(height_mm, ruler)
+    return max(width_mm, ruler), height_mm + RULER_STRIP_MM
 
 
-def _places(paper: Paper) -> Iterator[_Place]:
+def _places(width_mm: float, height_mm: float, paper: Paper) -> list[_Place]:
+    """Ways to place a board with its margin on paper."""
+    portrait, landscape = (paper.short_mm, paper.long_mm), (paper.long_mm, paper.short_mm)
+    found = []
     for upright in (False, True):
-        yield _Place(paper.short_mm, paper.long_mm, upright)
-        yield _Place(paper.long_mm, paper.short_mm, upright)
+        needs = _needs_mm(width_mm, height_mm, upright)
+        for sheet in (portrait, landscape):
+            slack = min(sheet[0] - needs[0], sheet[1] - needs[1])
+            if slack >= -_SLACK_MM:
+                found.append(_Place(sheet, upright, slack))
+    return found
 
 
-def _fits(frame: _Frame, paper: Paper) -> bool:
-    return any(place.slack_mm(frame) >= -_SLACK_MM for place in _places(paper))
-
-
-def _too_large(target: PlanarTarget, frame: _Frame, paper: Paper) -> str:
-    width, height = min((_needs_mm(frame, upright) for upright in (False, True)), key=math.prod)
+def _too_large(target: PlanarTarget, paper: Paper) -> str:
+    size = _frame_mm(target)[:2]
+    width, height = min((_needs_mm(*size, upright) for upright in (False, True)), key=math.prod)
     series = [name for name in PAPERS if name.startswith("a") == (paper.name[:1] in ("", "a"))]
     others = [name for name in PAPERS if name not in series]
-    larger = next((name for name in (*series, *others) if _fits(frame, PAPERS[name])), None)
+    larger = next((name for name in (*series, *others) if _places(*size, PAPERS[name])), None)
     if larger is None:
         larger = f"{math.ceil(width)}x{math.ceil(height)}"
     return (
@@ -257,7 +232,8 @@ def _smaller(target: PlanarTarget, paper: Paper) -> str:
     low, high = 0.0, 1.0
     for _ in range(40):
         scale = 0.5 * (low + high)
-        low, high = (scale, high) if _fits(_Frame.of(target, scale), paper) else (low, scale)
+        fits = _places(*_frame_mm(target, scale)[:2], paper)
+        low, high = (scale, high) if fits else (low, scale)
     for name, words in (("square_m", "squares"), ("edge_m", "an edge"), ("tag_m", "tags")):
         length_mm = low * _MM_PER_M * float(getattr(target, name, 0.0))
         if length_mm >= 1.0:
@@ -267,29 +243,24 @@ def _smaller(target: PlanarTarget, paper: Paper) -> str:
 
 
 def black_outlines(cells: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
-    """Outlines of a board's black cells; drawn as one path, they have no seams.
+    """Outlines of a board's black cells, in cells; drawn as one path, they have no seams.
 
-    Args:
-        cells: the board, 0 black, 255 white; shape (rows, columns).
-
-    Returns:
-        Closed polygons in cells from the upper left corner, each (n, 2) of (x, y) without
-        repeating the first vertex. With y down they run clockwise around black and
-        counterclockwise around white holes, so that both the even-odd and the nonzero winding
-        rule fill the black.
+    They are closed polygons, each (n, 2) of (x, y) from the upper left corner, without repeating
+    the first vertex. With y down they run clockwise around black and counterclockwise around white
+    holes, so that both the even-odd and the nonzero winding rule fill the black.
     """
     black = np.pad(np.asarray(cells) == 0, 1).astype(np.int8)
-    # directed edges between black and white: end vertices (row, column) by start vertex
     across, along = np.diff(black, axis=0)[:, 1:-1], np.diff(black, axis=1)[1:-1]
+    # directed edges between black and white: end vertices (row, column) by start vertex
     edges: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for sign, steps in ((1, (0, 1)), (-1, (0, -1))):
-        for row, column in np.argwhere(across == sign).tolist():
-            start = (row, column if sign > 0 else column + 1)
-            edges.setdefault(start, []).append((start[0], start[1] + steps[1]))
-    for sign in (1, -1):
-        for row, column in np.argwhere(along == sign).tolist():
-            start = (row + 1, column) if sign > 0 else (row, column)
-            edges.setdefault(start, []).append((start[0] - sign, start[1]))
+    for change, sign, (start_row, start_column), (down, right) in (
+        (across, 1, (0, 0), (0, 1)),
+        (across, -1, (0, 1), (0, -1)),
+        (along, 1, (1, 0), (-1, 0)),
+        (along, -1, (0, 0), (1, 0)),
+    ):
+        for row, column in (np.argwhere(change == sign) + (start_row, start_column)).tolist():
+            edges.setdefault((row, column), []).append((row + down, column + right))
     loops = []
     while edges:
         loop = [next(iter(edges))]
@@ -301,12 +272,123 @@ def black_outlines(cells: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
             if end == loop[0]:
                 break
             loop.append(end)
-        loops.append(_corners(np.array(loop)))
+        vertices = np.array(loop)
+        step = vertices - np.roll(vertices, 1, axis=0)
+        turns = (step != np.roll(step, -1, axis=0)).any(axis=1)
+        loops.append(np.asarray(vertices[turns][:, ::-1], np.float64))
     return loops
 
 
-def _corners(loop: NDArray[np.int_]) -> NDArray[np.float64]:
-    """Vertices (x, y) at which a closed polygon of (row, column) changes direction."""
-    step = loop - np.roll(loop, 1, axis=0)
-    turns = (step != np.roll(step, -1, axis=0)).any(axis=1)
-    return np.asarray(loop[turns][:, ::-1], np.float64)
+_RULER_TEXT: Final = f"print at 100 %, measure this: {RULER_MM:g} mm"
+"""Text next to the ruler."""
+_MM_PER_INCH: Final = 25.4
+"""Millimetres per inch (physical: definition of the inch)."""
+_POINTS_PER_INCH: Final = 72.0
+"""Points per inch, the unit of PDF pages (physical: definition of the point)."""
+_TEXT_PT: Final = 8.0
+"""Font size, at which a board's longest text is shorter than the ruler, pt (chosen)."""
+_RULER_TOP_MM: Final = 0.6
+"""Distance of the ruler from the board's margin, mm (chosen: layout)."""
+_TEXT_LINE_OFFSETS_MM: Final = (4.6, 8.2)
+"""Distances of the lines of text from the board's margin, mm (chosen: layout)."""
+# Number of the ruler's intervals, lengths of its ticks and width of its strokes (chosen).
+_RULER_INTERVALS: Final = 10
+_TICK_MM: Final = 2.0
+_END_TICK_MM: Final = 3.2
+_STROKE_MM: Final = 0.2
+_RC: Final[Any] = {
+    "font.family": "DejaVu Sans",
+    "pdf.fonttype": 42,
+    "pdf.compression": 6,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "vergence",
+}
+
+
+def draw_sheet(sheet: PrintSheet, path: Path, dpi: float) -> None:
+    """Write a sheet as PDF, SVG or PNG by the suffix, atomically; equal sheets give equal bytes.
+
+    The resolution is that of a PNG. An existing file is replaced; its folder must exist.
+    """
+    # imported here so that a command that lays out in vain ends sooner
+    from matplotlib import style
+
+    # default settings: the user's may crop the sheet or change its font
+    with style.context(["default", _RC]), atomic_file(path) as partial:
+        figure = _figure(sheet)
+        ending = path.suffix.lower()
+        if ending == ".pdf":
+            _write_pdf(figure, partial, f"{sheet.target}")
+        elif ending == ".svg":
+            figure.savefig(partial, format="svg", metadata={"Date": None})
+        else:
+            figure.savefig(partial, format="png", dpi=dpi, metadata={"Software": None})
+
+
+def _figure(sheet: PrintSheet) -> "Figure":
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+    from matplotlib.transforms import Affine2D
+
+    figure = Figure(figsize=(sheet.width_mm / _MM_PER_INCH, sheet.height_mm / _MM_PER_INCH))
+    FigureCanvasAgg(figure)
+    inches = Affine2D().scale(1.0, -1.0).translate(0.0, sheet.height_mm).scale(1.0 / _MM_PER_INCH)
+    page = inches + figure.dpi_scale_trans
+    turned = Affine2D().rotate_deg(-90.0 if sheet.ruler_upright else 0.0)
+    strip = turned.translate(*sheet.ruler_zero_mm) + page
+    for loops, transform in ((sheet.black_outlines_mm, page), (_ruler(), strip)):
+        closed = (Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops)
+        path = Outline.make_compound_path(*closed)  # one path is filled without seams
+        patch = PathPatch(path, facecolor="black", linewidth=0.0, transform=transform)
+        patch.set_snap(False)  # snapping to whole pixels would move edges by up to half a pixel
+        figure.add_artist(patch)
+    for text, v in zip((_RULER_TEXT, f"{sheet.target}"), _TEXT_LINE_OFFSETS_MM, strict=True):
+        figure.text(
+            *(0.0, v, text),
+            transform=strip,
+            rotation=90.0 if sheet.ruler_upright else 0.0,
+            rotation_mode="anchor",
+            verticalalignment="top",
+            fontsize=_TEXT_PT,
+            parse_math=False,
+        )
+    return figure
+
+
+def _ruler() -> list[NDArray[np.float64]]:
+    """Rectangles of the ruler; its first and last ticks are centred at 0 and 100 mm."""
+    half = 0.5 * _STROKE_MM
+    boxes = [(-half, _RULER_TOP_MM, RULER_MM + half, _RULER_TOP_MM + _STROKE_MM)]
+    for tick in range(_RULER_INTERVALS + 1):
+        place = tick * RULER_MM / _RULER_INTERVALS
+        length = _END_TICK_MM if tick % _RULER_INTERVALS == 0 else _TICK_MM
+        boxes.append((place - half, _RULER_TOP_MM, place + half, _RULER_TOP_MM + length))
+    return [np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) for x0, y0, x1, y1 in boxes]
+
+
+def _write_pdf(figure: "Figure", path: Path, title: str) -> None:
+    """Write a figure as a PDF page for which printing dialogs default to no scaling.
+
+    This is a preference in the document's catalog, which `Figure.savefig` cannot set.
+    """
+    from matplotlib.backends import backend_pdf
+
+    pdf: Any = backend_pdf
+    metadata = {"Title": title, "CreationDate": None, "Producer": None, "Creator": "vergence"}
+    file = pdf.PdfFile(path, metadata=metadata)
+    try:
+        wish = {"PrintScaling": pdf.Name("None")}
+        catalog = {"Type": pdf.Name("Catalog"), "Pages": file.pagesObject}
+        catalog["ViewerPreferences"] = wish
+        file.writeObject(file.rootObject, catalog)  # replaces the catalog that is already written
+        figure.dpi = _POINTS_PER_INCH  # the unit of a page
+        width, height = (float(edge) for edge in figure.get_size_inches())
+        file.newPage(width, height)
+        renderer = pdf.RendererPdf(file, _POINTS_PER_INCH, height, width)
+        figure.draw(renderer)
+        renderer.finalize()
+        file.finalize()
+    finally:
+        file.close()

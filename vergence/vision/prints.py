@@ -49,14 +49,10 @@ above)."""
 def deviation_and_contrast(
     greys: FloatArray, cells: FloatArray, j: int, i: int, max_radius: int
 ) -> tuple[float, float]:
-    """Compare a cell with the smallest neighbourhood that has both colours.
+    """Compare the cell of row j and column i with the smallest neighbourhood of both colours.
 
-    Args:
-        greys: (rows, columns) grey levels in the image, nan for cells that are not seen.
-        cells: (rows, columns) the print, 0 black to 1 white, nan for cells not compared.
-        j: row of the cell.
-        i: column of the cell.
-        max_radius: cells to each side, at most, of that neighbourhood.
+    The (rows, columns) greys are nan where cells are not seen; the print's cells are 0 black to 1
+    white, nan where not compared. The neighbourhood has at most `max_radius` cells to each side.
 
     Returns:
         Distance of the cell towards its printed colour from the middle between light and dark, and
@@ -222,33 +218,30 @@ def squares_alternate(
     for lines in (corners[:, 1:-1], corners.swapaxes(0, 1)):  # the outermost ones extrapolated
         lines[0] = (1.0 + _OUTER_SHARE) * lines[1] - _OUTER_SHARE * lines[2]
         lines[-1] = (1.0 + _OUTER_SHARE) * lines[-2] - _OUTER_SHARE * lines[-3]
-    seen, wrong, inner_unseen = _count_squares(image, corners, upper_left_dark)
-    return bool(inner_unseen == 0 and wrong <= _MAX_WRONG_FRACTION * max(seen, 1))
+    return bool(_alternate(image, corners, upper_left_dark))
 
 
 @compiled
-def _count_squares(
-    image: NDArray[np.uint8], corners: Grid, first_dark: bool
-) -> tuple[int, int, int]:
-    """Count the squares seen, those of the wrong colour, and the inner ones that are not seen."""
+def _alternate(image: NDArray[np.uint8], corners: Grid, first_dark: bool) -> bool:
+    """Implement `squares_alternate`, whose inner squares must all be seen."""
     greys = _square_greys(image, corners)
     rows, columns = greys.shape
     cells = np.empty((rows, columns))
     for j in range(rows):
         for i in range(columns):
             cells[j, i] = 1.0 if ((j + i) % 2 == 1) == first_dark else 0.0
-    seen = wrong = inner_unseen = 0
+    seen = wrong = 0
     for j in range(rows):
         for i in range(columns):
             if greys[j, i] != greys[j, i]:
                 if 0 < j < rows - 1 and 0 < i < columns - 1:
-                    inner_unseen += 1
+                    return False
                 continue
             seen += 1
             beyond, contrast = deviation_and_contrast(greys, cells, j, i, 1)
             if not (contrast >= LEAST_CONTRAST_GREY and beyond > _LEAST_SQUARE_CONTRAST * contrast):
                 wrong += 1
-    return seen, wrong, inner_unseen
+    return wrong <= _MAX_WRONG_FRACTION * max(seen, 1)
 
 
 @subroutine
@@ -278,8 +271,8 @@ def board_continues_beyond(
 ) -> bool:
     """Check for four squares at the next corners beyond a side: a part of a larger board.
 
-    The surroundings of a board may alternate by chance. At a corner they must do so both along the
-    line of corners and across it, with nearly the contrast of the board's own squares.
+    Its surroundings may alternate by chance: at a corner they must do so both along the line of
+    corners and across it, with nearly the contrast of the board's own squares.
     """
     for inwards in (grid, grid.swapaxes(0, 1)):
         turned = len(inwards) % 2 == 1  # the last side has the colours exchanged

@@ -1,6 +1,5 @@
 """Checkerboards of every size: whole ones, in order, in uneven light; no other board."""
 
-import pickle
 from dataclasses import replace
 
 import cv2
@@ -460,10 +459,3 @@ def test_asymmetry_tells_crossing_edges_from_a_square_and_an_edge():
     places = np.array([[29.5, 29.5], [29.5, 44.5], [10.0, 44.5]])
     found = crossing_asymmetries(cv2.GaussianBlur(image, (0, 0), 0.8), places, 6)
     assert found == pytest.approx([0.0, 4.0 / 3.0, 2.0], abs=0.15)
-
-
-def test_a_copy_through_pickle_says_the_same():
-    target = board(9, 6)
-    one, detector = drawn(target), detector_of(target)
-    again = pickle.loads(pickle.dumps(detector)).detect(one.image)
-    np.testing.assert_array_equal(again.corners_px, detector.detect(one.image).corners_px)
