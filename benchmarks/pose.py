@@ -161,6 +161,8 @@ def main() -> None:
     if given.folder is None:
         measure_drawn(given.count)
         measure_ambiguity(2 * given.count)
+    elif given.head is None:
+        parser.error("expected --head beside the folder")
     else:
         compare_eyes(given.folder, given.head, given.target)
 

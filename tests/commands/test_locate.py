@@ -117,8 +117,8 @@ def test_the_table_and_the_run_folder_hold_what_was_located(locate, tmp_path):
         assert float(target[f"pose_r{place}_rad"]) == pose["rotation_vector_rad"][axis]
         assert float(target[f"sigma_pose_r{place}_rad"]) == pose["sigma_rad"][axis]
         assert target[f"other_pose_r{place}_rad"] == ""
-    turned = (f"{degrees:.2f}" for degrees in np.degrees(pose["rotation_vector_rad"]))
-    assert " ".join(turned) in out
+    for degrees in np.degrees(pose["rotation_vector_rad"]):
+        assert f" {degrees:.2f}" in out
     assert min(cv2.imread(str(tmp_path / "run" / "locate.png")).shape[:2]) > 700
 
 

@@ -94,11 +94,26 @@ def test_the_pose_is_that_of_the_target_if_its_size_is_known_or_not():
         other = locate_target(head, q, "a", *(side._replace(target=unknown) for side in sides))
         for one in (known, other):
             np.testing.assert_allclose(one.pose.matrix, pose, atol=1e-6)
-            T_N_C = head.camera_poses(q)
-            for T, found in zip(T_N_C, one.eye_poses, strict=True):
-                np.testing.assert_allclose(T @ found.matrix, pose, atol=1e-6)
+        for T, found in zip(head.camera_poses(q), known.eye_poses, strict=True):
+            np.testing.assert_allclose(T @ found.matrix, pose, atol=1e-6)
+        of_eye = other.document()["eye_poses"]["left"]  # which does not know how large it is
+        assert of_eye["translation_mm"] is of_eye["sigma_mm"] is None
+        assert of_eye["rotation_vector_rad"] == pytest.approx(
+            known.eye_poses[0].rotation_vector.tolist(), abs=1e-6
+        )
         assert (other.pose.sigma[:3] > known.pose.sigma[:3]).all()
         assert known.pose.sigma[2] < known.eye_poses[0].sigma[2]
+
+
+def test_corners_that_no_pose_explains_say_so_and_name_no_second_tilt():
+    head, place = load_head("physical"), [0.02, 0.03, 0.6]
+    q, pose = head.fixate(place), pose_at(place, [0.2, -0.4, 0.1])
+    for target in TARGETS:
+        sides = exact(head, q, target, pose)
+        assert not locate_target(head, q, "a", *sides).pose.contradicted
+        wrong = locate_target(head, q + [0, 0, 0, 0.05, 0.05, 0, 0], "a", *sides)
+        assert wrong.pose.contradicted
+        assert wrong.pose.other is None
 
 
 @pytest.mark.nightly

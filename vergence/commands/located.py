@@ -49,8 +49,8 @@ def _pose_row(located: LocatedTarget) -> list[str]:
     mark = "" if pose.other is None else _TWO_FIT
     return [
         *row,
-        " ".join(format_fixed(value, 2) for value in turned) + mark,
-        " ".join(format_fixed(value, 2) for value in sigma),
+        " ".join(f"{value:7.2f}" for value in turned) + mark,
+        " ".join(f"{value:6.3f}" for value in sigma),
     ]
 
 

@@ -252,7 +252,10 @@ class LocatedTarget:
                 "sigma": null_nonfinite_elements([MM * self.edge_sigma_m])[0],
             },
             "pose": pose_document(self.pose),
-            "eye_poses": dict(zip(EYE_NAMES, map(pose_document, self.eye_poses), strict=True)),
+            "eye_poses": {
+                name: pose_document(pose, self.target.size_known)
+                for name, pose in zip(EYE_NAMES, self.eye_poses, strict=True)
+            },
         }
 
 
@@ -299,9 +302,9 @@ def locate_target(
     pose = None
     if np.any(fix.valid):
         pose = estimate_pose(target.corners_m, views, size_known=target.size_known)
-    corners_m = target.corners_m if pose is None else pose.size_ratio * target.corners_m
     own_left, own_right = (
-        estimate_pose(corners_m, [View(view.camera, view.corners_px, view.noise)]) for view in views
+        estimate_pose(target.corners_m, [View(view.camera, view.corners_px, view.noise)])
+        for view in views
     )
     return LocatedTarget(
         pair=pair,
@@ -456,6 +459,13 @@ class LocateResult:
             said.append(
                 f"lines of sight miss each other by more than {most:.2g} px in {len(apart)} of "
                 f"{len(crossed)} places, by {worst.gap_px:.1f} px in {worst.pair}: expected a head "
+                "file of these cameras as they stand, and joint angles of that moment"
+            )
+        refuted = [one for one in crossed if one.pose is not None and one.pose.contradicted]
+        if refuted:
+            said.append(
+                f"no pose explains the corners of both images in "
+                f"{join_first_names(dict.fromkeys(one.pair for one in refuted))}: expected a head "
                 "file of these cameras as they stand, and joint angles of that moment"
             )
         for every in self.located_by_target():

@@ -42,6 +42,8 @@ _NUMBER_PT: Final = (3.5, 12.0)
 
 _AXIS_COLOURS: Final = ("#ff2020", "#20c020", "#2060ff")
 """Colours of a target's axes x, y and z, as OpenCV draws them."""
+_MOST_DRAWN_AXES: Final = 12
+"""Most targets whose axes are drawn in space (chosen: more tangle)."""
 _AXIS_LENGTHS: Final = (0.65, 0.3)
 """Length of the axes of a tag and of a board as a fraction of its extent (chosen: a tag's end in
 its white margin, beside its number; a board's begin at a corner)."""
@@ -57,8 +59,11 @@ def axes_in_space(target: PlanarTarget, pose: Pose) -> FloatArray:
 
 def _draw_axes(panel: Axes, points: FloatArray, width_pt: float) -> None:
     """Draw axes, (4, 2) origin and ends, x red, y green, z blue."""
-    for end, colour in zip(points[1:], _AXIS_COLOURS, strict=True):
-        panel.plot(*np.stack([points[0], end]).T, lw=width_pt, color=colour, solid_capstyle="round")
+    for axis, end, colour in zip("xyz", points[1:], _AXIS_COLOURS, strict=True):
+        line = np.stack([points[0], end]).T
+        panel.plot(
+            *line, lw=width_pt, color=colour, solid_capstyle="round", label=f"{axis} of target"
+        )
 
 
 class TargetColours:
@@ -279,7 +284,7 @@ def _draw_space(
     for panel, (title, across, up, xlabel, ylabel) in zip(panels, _VIEWS, strict=True):
         _draw_view(panel, seen, near, eyes, (across, up), colours, shown)
         panel.set(xlabel=xlabel, ylabel=ylabel, title=title)
-    legend_below(figure, 2)
+    legend_below(figure, 5)
     figure.draw_without_rendering()  # ellipses are scaled to the panels' final size
     _draw_sigma(panels, seen, near, colours)
     if outside:
@@ -331,7 +336,7 @@ def _draw_view(
         panel.plot(*line.T, lw=0.8 if behind else 1.2, alpha=0.4 if behind else 1.0, color=colour)
         if not behind:
             panel.plot(*points.T, ".", ms=2.5 if many else 4.0, color=colour)
-            if one.pose is not None and drawn.any():
+            if one.pose is not None and drawn.any() and len(seen) <= _MOST_DRAWN_AXES:
                 ends = MM * axes_in_space(one.target, one.pose)[:, axes]
                 _draw_axes(panel, ends, 0.8 if many or len(seen) > 5 else 1.4)
         if not many and (drawn == one.valid).all():

@@ -50,6 +50,9 @@ _PRIOR_VARIANCE_FACTOR: Final = 4.0
 docs/vision.md has up to 1.6 times)."""
 _PRIOR_SQUARES: Final = 4.0
 """Number of squared residuals that this assumption counts for (chosen: twice a tag's own two)."""
+_CONTRADICTING_CHI: Final = 10.0
+"""Residuals, in their sigmas, from which corners contradict each other (chosen: public photographs
+by a pair calibrated from others have up to 4)."""
 _LEAST_TURN_RAD: Final = 1e-3  # least rotation between two distinct minima (numerical)
 _LEAST_WIDTH: Final = 1e-6
 """Distance to 1 of a corner's leverage, which is 1 if all others are on a line (numerical)."""
@@ -81,7 +84,12 @@ class Pose(NamedTuple):
     other: "Pose | None" = None
     """The second solution, where the data do not rule it out with a probability of 0.99; the better
     one comes first, and each has its own covariance. Both see the target at nearly the same place
-    with another tilt."""
+    with another tilt. None where the corners contradict any pose."""
+
+    @property
+    def contradicted(self) -> bool:
+        """True if no pose explains the corners: residuals of ten sigmas, rms."""
+        return self.chi_square > _CONTRADICTING_CHI**2 * self.degrees
 
     @property
     def sigma(self) -> FloatArray:
@@ -174,13 +182,16 @@ def estimate_pose(
     starts = [(eye, *solution) for eye in eyes for solution in _ippe(eye)]
     if not starts:
         return None
+    count = eyes[0].errors.shape[1]
+    if any(eye.errors.shape[1] != count for eye in eyes):
+        found = ", ".join(str(eye.errors.shape[1]) for eye in eyes)
+        raise ConfigurationError(f"pose_errors: expected as many in each view, got {found}")
     (first, _, near), (last, _, far), ratio = starts[0], starts[-1], 1.0
     sized = not size_known and bool((eyes[0].pose[:, 3] != eyes[-1].pose[:, 3]).any())
     if sized and first is not last:  # the lines to the target from both ends meet at this size
         baseline = last.pose[:, 3] - first.pose[:, 3]
         apart = near - far + baseline
         ratio = max(float(apart @ baseline / (apart @ apart)), _LEAST_SIZE_RATIO)
-    count = eyes[0].errors.shape[1]
     states = np.zeros((len(starts), 12 + count + sized))
     states[:, 12 + count :] = log(ratio)
     for state, (eye, turn, place) in zip(states, starts, strict=True):
@@ -227,10 +238,8 @@ def _look(corners_m: FloatArray, view: View) -> _Eye:
     around = camera.project(beside.reshape(-1, 3)).reshape(count, 2, 2, 2)
     by_ray = ((around[:, 0] - around[:, 1]) / (2.0 * _RAY_STEP)).swapaxes(1, 2)
     seen = np.isfinite(rays + own + by_ray.sum(axis=2)).all(axis=1)
-    blocks = np.square(own[seen, :, None]) * np.eye(2)
-    if correlated:
-        both = np.repeat(seen, 2)
-        blocks = noise[None, both][:, :, both]
+    both = np.repeat(seen, 2)
+    blocks = noise[both][None, :, both] if correlated else np.square(own[seen, :, None]) * np.eye(2)
     try:
         whitener = np.linalg.inv(np.linalg.cholesky(blocks))
     except np.linalg.LinAlgError as error:
@@ -299,6 +308,8 @@ def _best(states: FloatArray, normals: FloatArray, degrees: int, sized: bool) ->
         if best is not None:
             return best._replace(other=pose)
         best = pose
+        if best.contradicted:  # the odds of a second one mean nothing
+            break
     return best
 
 

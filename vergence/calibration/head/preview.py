@@ -1,5 +1,6 @@
 """Preview of a head calibration while it is recorded: a fit that grows pose by pose."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -198,9 +199,10 @@ def preview_calibration(
             )
             if _ALWAYS_FITTED_POSES < poses < _REFIT_GROWTH * fitted:
                 known = previous.later or PoseEquations.of(previous.solution)
-                more = known.with_later(frames)
-                if more is not None:
-                    return more.preview()
+                with suppress(np.linalg.LinAlgError):  # then a fit to all frames follows
+                    more = known.with_later(frames)
+                    if more is not None:
+                        return more.preview()
         begin = estimate_consensus_board_poses(head, frames)
         problem = HeadAdjustment(head, parameter_prior_sigma(head), begin.frames)
         near = problem.start(begin.boards)
