@@ -82,10 +82,12 @@ def info(name: str) -> None:
 
 
 def board() -> None:
-    """A board is found in an image."""
+    """A board is found in an image, and its pose."""
     camera, rendering = rig("simulated")
     target = Checkerboard(columns=5, rows=4, square_m=0.03)
-    make_detector(target, camera).detect(scene(camera, target, pose(0, 0, 1), rendering).image)
+    image = scene(camera, target, pose(0, 0, 1), rendering).image
+    found = make_detector(target, camera).detect(image)
+    assert found is not None and found.pose is not None
 
 
 SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (

@@ -92,6 +92,8 @@ _LEAST_DAMPING: Final = 1e-13
 """Damping of the first step; it matters only if the matrix is singular (numerical)."""
 _MOST_DAMPING: Final = 1e9
 """Damping above which the iteration ends (numerical)."""
+_ROUNDING: Final = 1e-12
+"""Relative change of a cost by rounding (numerical)."""
 _ABSOLUTE_RIDGE: Final = 1e-200
 """Ridge that lets a view without corners have an inverse (numerical)."""
 _POSE_TOLERANCE: Final = 1e-12
@@ -110,7 +112,7 @@ _Normal = TypeVar("_Normal")
 
 def damped_least_squares(
     linearised: Callable[[_State], _Normal],
-    moved: Callable[[_State, _Normal, FloatArray], _State],
+    moved: Callable[[_State, _Normal, FloatArray, FloatArray], _State],
     state: _State,
     *,
     tolerance: float,
@@ -123,7 +125,7 @@ def damped_least_squares(
     Args:
         linearised: normal equations at a state; may raise `LinAlgError`. Attributes: `cost` (...),
             sum of squares; `matrix` (..., s, s); `gradient` (..., s), half of the cost's.
-        moved: the state after a step (..., s).
+        moved: the state after a step (..., s) of a damping (...).
         state: the start; of a batch a NamedTuple of arrays (..., ...), as the equations are then.
         tolerance: change of the cost below which the iteration ends.
         relative_tolerance: the same, as a fraction of the cost.
@@ -144,7 +146,7 @@ def damped_least_squares(
         step = -_solve_damped(now.matrix, damping[..., None] * unit, now.gradient[..., None])[
             ..., 0
         ]
-        there = moved(state, now, step)
+        there = moved(state, now, step, damping)
         try:
             then = linearised(there)
             change = now.cost - then.cost
@@ -159,7 +161,10 @@ def damped_least_squares(
         if other is not None:
             now = other
             continue
-        done = np.abs(change) <= np.maximum(tolerance, relative_tolerance * np.asarray(now.cost))
+        limit = np.maximum(tolerance, relative_tolerance * np.asarray(now.cost))
+        # a rejected step ends it only where no step can be better but by rounding
+        rounding = np.minimum(limit, _ROUNDING * np.maximum(now.cost, 1.0))
+        done = np.abs(change) <= np.where(better, limit, rounding)
         if (done | (damping > _MOST_DAMPING)).all():
             break
     return state, now
@@ -441,7 +446,7 @@ class BundleAdjustment:
         """Fit the poses to given cameras; without derivatives by these."""
         poses, linear = damped_least_squares(
             lambda poses: self.linearised(rig, poses, by_rig=False),
-            lambda poses, _, steps: poses.moved(steps),
+            lambda poses, _, steps, __: poses.moved(steps),
             start,
             tolerance=_POSE_TOLERANCE,
             relative_tolerance=_POSE_TOLERANCE,
@@ -469,13 +474,12 @@ class BundleAdjustment:
             )
 
         def moved(
-            state: tuple[CameraRig, BoardPoses], now: _RigEquations, step: FloatArray
-        ) -> tuple[CameraRig, BoardPoses]:
+            state: tuple[CameraRig, BoardPoses], now: _RigEquations, step: FloatArray,
+            damping: FloatArray,
+        ) -> tuple[CameraRig, BoardPoses]:  # fmt: skip
             rig, poses = state
-            return (
-                rig.unpacked(rig.packed() + step),
-                poses.moved(-now.own_step - now.by_rig @ step),
-            )
+            own_step = now.own_step / (1.0 + damping)
+            return rig.unpacked(rig.packed() + step), poses.moved(-own_step - now.by_rig @ step)
 
         (rig, found), now = damped_least_squares(
             linearised,

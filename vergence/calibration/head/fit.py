@@ -269,7 +269,7 @@ def solve(
 
     state, now = damped_least_squares(
         lambda state: problem.linearised(state, weights),
-        problem.moved,
+        lambda state, now, step, _: problem.moved(state, now, step),
         start,
         tolerance=tolerance,
         relative_tolerance=_ROBUST_TOLERANCE if robust else _COST_ROUNDING,

@@ -38,6 +38,8 @@ take a time in proportion to all poses; in between the head moves by a fraction 
 _MOST_CHI_RATIO: Final = 1.5
 """Ratio of later poses' residuals at the last fit to that fit's own, above which the head is fitted
 to all frames (chosen: it is hardly above 1 near the solution)."""
+_LEAST_KEPT_FRACTION: Final = 0.5
+"""Fraction of the later corners that have to fit (chosen: far below that of a board at rest)."""
 _MOST_GROUPS: Final = 60
 """Most groups of poses by which the covariance is estimated (chosen: it takes a time in proportion
 to the groups, and more hardly improve it)."""
@@ -127,7 +129,10 @@ class PoseEquations:
         eligible = late.frames.seen & late.frames.shown[..., None]
         weights = MeasurementWeights.of(eligible)._replace(cauchy_scale=typical_square)
         found = _with_readings_settled(late, there, weights)
-        weights = MeasurementWeights.of(inlier_corners(found, eligible, problem.scatter_ratio))
+        kept = inlier_corners(found, eligible, problem.scatter_ratio)
+        if kept.sum() < _LEAST_KEPT_FRACTION * eligible.sum():
+            return None  # the board has been moved far
+        weights = MeasurementWeights.of(kept)
         more = PoseEquations.of(_with_readings_settled(late, found.state, weights))
         if more.squares > (_MOST_CHI_RATIO * self.solution.reduced_chi) ** 2 * more.freedom:
             return None  # the board has been moved, or the fit is not near enough

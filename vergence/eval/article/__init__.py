@@ -12,9 +12,8 @@ Every experiment is a folder with these files, to be read in this order:
 - `section.jinja`: the text of its section in the report.
 
 To add an experiment, make such a folder and name it in
-`vergence.eval.article.registry.EXPERIMENTS`. An experiment that imports a higher layer lies in
-that layer, as `vergence.calibration.head.article` does. `run` gives the mapper independent,
-picklable jobs. Their randomness comes from `job_rng` or from the streams of the plants, so the
+`vergence.eval.article.registry.EXPERIMENTS`. `run` gives the mapper independent, picklable jobs.
+Their randomness comes from `job_rng` or from the streams of the plants, so the
 table is the same wherever they run. Code judges only in the column of verdicts. The text is written
 by a person: it states our numbers beside the article's, in sentences that hold for any numbers.
 `docs/reproduce.md` interprets them; its numbers are tested.
