@@ -87,7 +87,8 @@ def board() -> None:
     target = Checkerboard(columns=5, rows=4, square_m=0.03)
     image = scene(camera, target, pose(0, 0, 1), rendering).image
     found = make_detector(target, camera).detect(image)
-    assert found is not None and found.pose is not None
+    assert found is not None
+    assert found.pose is not None
 
 
 SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
