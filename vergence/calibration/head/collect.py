@@ -91,6 +91,8 @@ class PosePlanner:
     def __init__(self, rng: np.random.Generator, dither_rad: float, used: FloatArray) -> None:
         self._rng, self._keep = rng, dither_rad + _LIMIT_DISTANCE_RAD
         self._used = list(used)
+        self._scene: EstimatedBoard | None = None
+        self._features: list[FloatArray] = []
 
     def next_pose(self, scene: EstimatedBoard) -> FloatArray:
         """(7,) rad, most different from earlier postures, the board inside both images."""
@@ -102,9 +104,7 @@ class PosePlanner:
             high = size[:, None] - 1.0 - room
             inside = ((pixels > room) & (pixels < high)).all(axis=(1, 2, 3))
             if inside.any():
-                chosen = self._farthest(scene, q[inside])
-                self._used.append(chosen)
-                return chosen
+                return self._farthest(scene, q[inside], pixels[inside])
         raise ConfigurationError(
             "expected a board that fits into both images at once, got one that does not, however "
             "the head turns: put it farther away, or before the middle of the head"
@@ -131,18 +131,28 @@ class PosePlanner:
         q[:, EYES] += rng.uniform(-_EYE_OFFSET_RAD, _EYE_OFFSET_RAD, (_CANDIDATES, 4))
         return _clipped(head, q, self._keep)
 
-    def _farthest(self, scene: EstimatedBoard, q: FloatArray) -> FloatArray:
-        """Choose the posture farthest from the nearest used one, by `_features`."""
-        if not self._used:
-            return np.asarray(q[0])
-        away = _features(scene, q)[:, None] - _features(scene, np.array(self._used))
-        nearest = np.linalg.norm(away, axis=-1).min(axis=1)
-        return np.asarray(q[int(nearest.argmax())])
+    def _farthest(self, scene: EstimatedBoard, q: FloatArray, pixels: FloatArray) -> FloatArray:
+        """Use the posture farthest from the nearest used one, by `_features`."""
+        known = self._scene
+        if self._used and not (
+            known is not None
+            and known.head is scene.head
+            and np.array_equal(known.corners_by_eye, scene.corners_by_eye)
+        ):
+            used = np.array(self._used)
+            self._features = list(_features(scene, used, scene.pixels(used)))
+        self._scene, features, best = scene, _features(scene, q, pixels), 0
+        if self._used:
+            away = features[:, None] - np.array(self._features)
+            best = int(np.linalg.norm(away, axis=-1).min(axis=1).argmax())
+        self._used.append(q[best])
+        self._features.append(features[best])
+        return np.asarray(q[best])
 
 
-def _features(scene: EstimatedBoard, q: FloatArray) -> FloatArray:
+def _features(scene: EstimatedBoard, q: FloatArray, pixels: FloatArray) -> FloatArray:
     """(k, 7) features to compare postures: the board's position in both images, and the neck."""
-    places = np.nan_to_num(scene.pixels(q).mean(axis=-2) / scene.head.cameras.size)
+    places = np.nan_to_num(pixels.mean(axis=-2) / scene.head.cameras.size)
     neck = _NECK_WEIGHT / (2.0 * _FARTHEST_NECK_RAD) * q[:, NECK]
     return np.concatenate([places.reshape(len(q), -1), neck], axis=-1)
 
