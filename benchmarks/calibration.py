@@ -257,7 +257,7 @@ def likelihood_ratio(fit: CameraFit, truth: Truth) -> float:
     """Excess of the sum of squares at the truth over the least one, relative to its expectation."""
     solution = fit.solution
     there = solution.problem.fit_poses(truth.rig, truth.poses.select(fit.kept_views))
-    more = float(there.linearisation.cost.sum() - (solution.linearisation.residuals**2).sum())
+    more = float((there.residuals**2).sum() - (solution.residuals**2).sum())
     return more / solution.reduced_chi**2 / len(truth.rig.packed())
 
 

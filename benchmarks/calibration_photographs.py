@@ -40,7 +40,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import BundleAdjustment, BundleSolution, CameraRig
+from vergence.calibration.adjustment import BundleAdjustment, CameraRig
 from vergence.calibration.cameras import (
     estimate_board_poses,
     fit_camera,
@@ -208,13 +208,13 @@ def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -
     rig = rig._replace(board_curvatures=np.zeros(3))
     fitted = problem.fit_poses(rig, start)
     for _ in range(_BENDINGS if bent else 0):
-        solution = BundleSolution(problem, rig, fitted.poses, problem.linearised(rig, fitted.poses))
-        by_bend = solution.reduced_rig_jacobian[..., rig.blocks[-1]]
-        left = fitted.linearisation.residuals.ravel()
-        step = np.linalg.lstsq(by_bend.reshape(-1, 3), -left, rcond=None)[0]
+        now, bend = problem.linearised(rig, fitted.poses), rig.blocks[-1]
+        step = -np.linalg.lstsq(now.matrix[bend, bend], now.gradient[bend], rcond=None)[0]
         rig = rig._replace(board_curvatures=rig.board_curvatures + step)
         fitted = problem.fit_poses(rig, fitted.poses)
-    return np.asarray(np.sqrt(fitted.linearisation.cost / problem.seen.sum(axis=(0, 2))))
+    return np.asarray(
+        np.sqrt((fitted.residuals**2).sum(axis=(0, 2, 3)) / problem.seen.sum(axis=(0, 2)))
+    )
 
 
 def _halves(views: int) -> list[NDArray[np.bool_]]:

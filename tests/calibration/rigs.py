@@ -42,8 +42,8 @@ def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
     """Observations of the board with noise; corners outside of an image are not found."""
     corners = np.column_stack([board.corners_m, np.zeros(len(board.corners_m))])
     shape = (len(rig.camera_parameters), len(poses.translation), len(corners), 2)
-    true = BundleAdjustment(corners, np.zeros(shape), np.ones(shape)).at(rig, poses)
-    pixels = true.residuals_px + noise_px * rng.standard_normal(shape)
+    true = BundleAdjustment(corners, np.zeros(shape), np.ones(shape)).residuals(rig, poses)
+    pixels = true + noise_px * rng.standard_normal(shape)
     outside = ~((pixels > 0.0) & (pixels < np.array(size) - 1.0)).all(axis=-1)
     whole = ~outside.any(axis=-1)[..., None, None]  # a checkerboard is found whole or not at all
     names = tuple(tuple(f"{eye}{view}.png" for view in range(shape[1])) for eye in "lr"[: shape[0]])
@@ -76,6 +76,6 @@ def as_calibrated(rig, poses, seen, dropped=()):
 def _fit(problem, rig, poses, kept):
     one = problem.select(kept)
     return CameraFit(
-        BundleSolution(one, rig, poses.select(kept), one.linearised(rig, poses.select(kept))), kept,
-        problem.at(rig, poses),
+        BundleSolution(one, rig, poses.select(kept)), kept,
+        BundleSolution(problem, rig, poses),
     )  # fmt: skip

@@ -18,7 +18,7 @@ problem has
 and its covariance is the camera block of the full problem's covariance.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, NamedTuple, TypeVar
@@ -50,7 +50,7 @@ def camera_parameters(head: HeadModel, eye: int) -> tuple[str, FloatArray]:
 
 
 class ProjectedPoints(NamedTuple):
-    """Pixels and their Jacobians."""
+    """Pixels of points in a camera's frame, and their Jacobians."""
 
     pixels: FloatArray
     """(..., 2) px."""
@@ -271,6 +271,25 @@ class CameraRig(NamedTuple):
         """(..., 3) points of the left camera's frame in a camera's frame, m."""
         return points @ self.rotation.T + self.translation if camera else points
 
+    def project(self, camera: int, points: FloatArray) -> tuple[ProjectedPoints, NDArray[np.intp]]:
+        """Project (..., 3) points of the left camera's frame, m.
+
+        Also the (k,) places of the parameters, those of the camera Jacobian, in `packed`.
+        """
+        seen = project_with_jacobians(
+            self.lenses[camera], self.camera_parameters[camera], self.in_camera(camera, points)
+        )
+        every = np.arange(self.blocks[-1].start)
+        own = every[self.blocks[camera]]
+        if camera == 0:
+            return seen, own
+        by_vector = cv2.Rodrigues(Rotation.from_matrix(self.rotation).as_rotvec())[1]
+        turning = np.einsum("kij,...j->...ik", by_vector.reshape(3, 3, 3), points)
+        by_rig = [seen.camera_jacobian, seen.point_jacobian @ turning, seen.point_jacobian]
+        return ProjectedPoints(
+            seen.pixels, seen.point_jacobian @ self.rotation, np.concatenate(by_rig, axis=-1)
+        ), np.append(own, every[self.blocks[-2]])
+
     def unpacked(self, row: FloatArray) -> "CameraRig":
         """Make a rig from a packed array."""
         *cameras, between, bend = (row[block] for block in self.blocks)
@@ -311,54 +330,132 @@ class CameraRig(NamedTuple):
         return [*names, "bend_xx", "bend_yy", "bend_xy"]
 
 
-class LinearisedResiduals(NamedTuple):
-    """Residuals divided by sigma, and their Jacobians, view by view."""
+class ReducedNormalEquations(NamedTuple):
+    """Normal equations of shared unknowns; each group's own ones eliminated (Schur complement).
 
-    residuals: FloatArray
-    """(v, m): m = 2 n c, camera by camera; 0 for corners that were not found."""
-    pose_jacobian: FloatArray
-    """(v, m, 6) Jacobian by a small rotation of the board in the left camera's frame, and a
-    translation."""
-    rig_jacobian: FloatArray
-    """(v, m, p) Jacobian by the parameters of `CameraRig.packed`."""
-
-    @property
-    def cost(self) -> FloatArray:
-        """(v) sum of squares of each view."""
-        return np.asarray((self.residuals**2).sum(axis=1))
-
-    @property
-    def matrix(self) -> FloatArray:
-        """(v, 6, 6) normal matrix of each view's pose."""
-        return np.asarray(self.pose_jacobian.transpose(0, 2, 1) @ self.pose_jacobian)
-
-    @property
-    def gradient(self) -> FloatArray:
-        """(v, 6) gradient of each view's pose."""
-        return np.asarray(np.einsum("vmk,vm->vk", self.pose_jacobian, self.residuals))
-
-    def eliminated(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Reduced Jacobian J', (v, m, p), and minus the poses' derivative and their own step."""
-        right = np.concatenate(
-            [self.pose_jacobian.transpose(0, 2, 1) @ self.rig_jacobian, self.gradient[..., None]],
-            axis=-1,
-        )
-        diagonal = np.einsum("vii->vi", self.matrix)
-        solved = _solve_damped(self.matrix, _LEAST_DAMPING * diagonal, right)
-        by_rig, step = solved[..., :-1], solved[..., -1]
-        return self.rig_jacobian - self.pose_jacobian @ by_rig, by_rig, step
-
-
-class _RigEquations(NamedTuple):
-    """Normal equations of the rig's parameters, each view's pose eliminated."""
+    A group has unknowns of its own: a view the board's pose, a frame of a head its reading errors.
+    """
 
     cost: float
+    """Sum of squares."""
+    matrix: FloatArray
+    """(s, s) normal matrix of the shared unknowns."""
+    gradient: FloatArray
+    """(s,) gradient, half of the cost's."""
+    own_by_shared: FloatArray
+    """(g, o, s_g) negative derivative of each group's own unknowns by those in its columns."""
+    own_step: FloatArray
+    """(g, o) negative step of the groups' own unknowns while the shared ones stay."""
+    own_matrix: FloatArray
+    """(g, o, o) normal matrix of each group's own unknowns."""
+    residuals: FloatArray
+    """(c, g, n, 2) residuals divided by sigma; 0 for corners that were not found."""
+    group_parts: tuple[FloatArray, FloatArray] | None
+    """(g, s_g, s_g) and (g, s_g) each group's parts of matrix and gradient, if they were kept."""
+
+
+class GroupedEquations:
+    """Sums of the equations of groups, from which `ReducedNormalEquations` follow.
+
+    Args:
+        columns: (g, s_g) places of each group's unknowns among the shared ones; -1 for none.
+        common_count: how many leading ones all groups have in common.
+        own_matrix: (g, o, o) the prior's normal matrix of the groups' own unknowns.
+        own_gradient: (g, o) the prior's gradient.
+        keep_parts: keep the parts of each group.
+    """
+
+    def __init__(
+        self, columns: NDArray[np.intp], common_count: int, own_matrix: FloatArray,
+        own_gradient: FloatArray, *, keep_parts: bool = False,
+    ) -> None:  # fmt: skip
+        groups, width = columns.shape
+        self._columns, self._common = columns, common_count
+        self._own_matrix, self._own_gradient = own_matrix.copy(), own_gradient.copy()
+        self._across = np.zeros((groups, own_matrix.shape[-1], width))
+        self._matrix = np.zeros((common_count, common_count))
+        self._blocks = np.zeros((groups, width, width - common_count))
+        self._gradients = np.zeros((groups, width))
+        self._parts = np.zeros((groups, width, width)) if keep_parts else None
+
+    def add(self, jacobian: FloatArray, residuals: FloatArray, columns: NDArray[np.intp]) -> None:
+        """Add (g, m) residuals with (g, m, k + o) Jacobian, own unknowns last, at (k,) columns."""
+        known = len(columns)
+        common = columns[columns < self._common]
+        count = len(common)
+        turned = jacobian.transpose(0, 2, 1)
+        product, pulls = turned @ jacobian, (turned @ residuals[..., None])[..., 0]
+        # all groups share the common block: sum it at once
+        self._matrix[np.ix_(common, common)] += product[:, :count, :count].sum(axis=0)
+        self._blocks[:, columns] += product[:, :known, count:known]
+        if self._parts is not None:
+            self._parts[:, columns[:, None], columns] += product[:, :known, :known]
+        self._gradients[:, columns] += pulls[:, :known]
+        self._own_matrix += product[:, known:, known:]
+        self._own_gradient += pulls[:, known:]
+        self._across[:, :, columns] += product[:, known:, :known]
+
+    def reduced(
+        self, cost: float, residuals: FloatArray, prior_information: FloatArray,
+        deviation: FloatArray,
+    ) -> ReducedNormalEquations:  # fmt: skip
+        """Eliminate the own unknowns; (s,) prior of the shared ones and deviation from its mean."""
+        common, across, gone = self._common, self._across, self._across.transpose(0, 2, 1)
+        diagonal = np.einsum("gii->gi", self._own_matrix)
+        solved = _solve_damped(
+            self._own_matrix, _LEAST_DAMPING * diagonal,
+            np.concatenate([across, self._own_gradient[..., None]], axis=-1),
+        )  # fmt: skip
+        by_shared, step = solved[..., :-1], solved[..., -1]
+        gradients = self._gradients - (gone @ step[..., None])[..., 0]
+        parts = None if self._parts is None else (self._parts - gone @ by_shared, gradients)
+        # -1, the last, takes what belongs to no unknown
+        size = len(prior_information) + 1
+        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        matrix[:common, :common] = self._matrix
+        matrix[:common, :common] -= (gone[:, :common] @ by_shared[..., :common]).sum(axis=0)
+        others = self._blocks - gone @ by_shared[..., common:]
+        rest = self._columns[:, common:]
+        np.add.at(matrix, (np.arange(common)[None, :, None], rest[:, None, :]), others[:, :common])
+        np.add.at(matrix, (rest[:, :, None], rest[:, None, :]), others[:, common:])
+        np.add.at(gradient, self._columns, gradients)
+        matrix[common:, :common] = matrix[:common, common:].T
+        return ReducedNormalEquations(
+            cost + float((prior_information * deviation**2).sum()),
+            matrix[:-1, :-1] + np.diag(prior_information),
+            gradient[:-1] + prior_information * deviation,
+            by_shared, step, self._own_matrix, residuals, parts,
+        )  # fmt: skip
+
+
+def normalised_residuals(
+    pixels: FloatArray, measured: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals of (..., 2) px over sigma, and 1 / sigma; 0 for what was not measured."""
+    found = np.isfinite(measured).all(axis=-1, keepdims=True)
+    scale = np.where(found, 1.0 / np.where(found, sigma, 1.0), 0.0)
+    return np.where(found, scale * (pixels - np.where(found, measured, 0.0)), 0.0), scale
+
+
+def heights_by_curvature(corners: FloatArray) -> FloatArray:
+    """(n, 3) derivative of a board's height at corners (n, 2 or 3), m, by its curvatures, m^2."""
+    x, y = (corners - corners.mean(axis=0))[:, :2].T
+    return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
+
+
+def bent_board(corners: FloatArray, curvatures: FloatArray) -> FloatArray:
+    """(n, 3) corners of a flat board, m, bent by curvatures (3,), 1/m."""
+    bent = corners.copy()
+    bent[:, 2] += heights_by_curvature(corners) @ curvatures
+    return bent
+
+
+class _PoseEquations(NamedTuple):
+    """Normal equations of each view's pose, for given cameras."""
+
+    cost: FloatArray
     matrix: FloatArray
     gradient: FloatArray
-    linear: LinearisedResiduals
-    by_rig: FloatArray
-    """(v, 6, p) and `own_step` (v, 6): see `LinearisedResiduals.eliminated`."""
-    own_step: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,141 +483,136 @@ class BundleAdjustment:
         only = slice(camera, camera + 1)
         return BundleAdjustment(self.board_corners, self.pixels[only], self.sigma[only])
 
-    @cached_property
-    def heights(self) -> FloatArray:
-        """(n, 3) derivative of each corner's height above the flat board by curvature, m^2."""
-        return heights_by_curvature(
-            self.board_corners[:, :2] - self.board_corners[:, :2].mean(axis=0)
-        )
-
     def points(self, rig: CameraRig, poses: BoardPoses) -> FloatArray:
         """(v, n, 3) the board's corners in the left camera's frame, metres."""
         return self._turned(rig, poses) + poses.translation[:, None]
 
     def _turned(self, rig: CameraRig, poses: BoardPoses) -> FloatArray:
-        bent = self.board_corners.copy()
-        bent[:, 2] += self.heights @ rig.board_curvatures
+        bent = bent_board(self.board_corners, rig.board_curvatures)
         return np.asarray(bent @ poses.rotation.transpose(0, 2, 1))
 
-    def linearised(
+    def rows(
         self, rig: CameraRig, poses: BoardPoses, *, by_rig: bool = True
-    ) -> LinearisedResiduals:
-        """Residuals and Jacobians at cameras and poses; by the rig's parameters if `by_rig`."""
-        turned = self._turned(rig, poses)
-        points = turned + poses.translation[:, None]
-        views, corners = points.shape[:2]
-        by_bend = poses.rotation[:, None, :, 2, None] * self.heights[:, None]
-        *cameras, between, bend = rig.blocks
-        parts: list[list[FloatArray]] = [[], [], []]
-        for camera, (lens, values) in enumerate(
-            zip(rig.lenses, rig.camera_parameters, strict=True)
-        ):
-            jacobian = np.zeros((views, corners, 2, bend.stop if by_rig else 0))
-            seen = project_with_jacobians(lens, values, rig.in_camera(camera, points))
-            by_left = seen.point_jacobian @ rig.rotation if camera else seen.point_jacobian
-            if by_rig:
-                jacobian[..., cameras[camera]] = seen.camera_jacobian
-                jacobian[..., bend] = by_left @ by_bend
-                if camera > 0:
-                    vector = Rotation.from_matrix(rig.rotation).as_rotvec()
-                    by_vector = np.asarray(cv2.Rodrigues(vector)[1]).reshape(3, 3, 3)
-                    turning = np.einsum("kij,vnj->vnik", by_vector, points)
-                    jacobian[..., between] = np.concatenate(
-                        [seen.point_jacobian @ turning, seen.point_jacobian], axis=-1
-                    )
-            found = self.seen[camera][..., None]
-            weight = np.where(found, 1.0 / np.where(found, self.sigma[camera], 1.0), 0.0)
-            residual = np.where(found, seen.pixels - np.where(found, self.pixels[camera], 0.0), 0.0)
-            parts[0].append((weight * residual).reshape(views, -1))
-            # a small rotation d of the board moves a corner by d x turned
-            by_pose = np.concatenate([np.cross(turned[..., None, :], by_left), by_left], axis=-1)
-            parts[1].append((weight[..., None] * by_pose).reshape(views, -1, 6))
-            parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
-        return LinearisedResiduals(*(np.concatenate(part, axis=1) for part in parts))
+    ) -> Iterator[tuple[FloatArray, FloatArray, NDArray[np.intp]]]:
+        """Each camera's residuals over sigma (v, m), their Jacobian (v, m, k + 6), and columns.
 
-    def at(self, rig: CameraRig, poses: BoardPoses) -> "BundleSolution":
-        """Residuals at given cameras and poses, without derivatives by the cameras."""
-        return BundleSolution(self, rig, poses, self.linearised(rig, poses, by_rig=False))
+        The last six are by a small rotation of the board in the left camera's frame, and a
+        translation; the others, if `by_rig`, by the parameters of `CameraRig.packed` at (k,).
+        """
+        turned = self._turned(rig, poses)
+        points, views = turned + poses.translation[:, None], len(turned)
+        by_bend = (
+            poses.rotation[:, None, :, 2, None] * heights_by_curvature(self.board_corners)[:, None]
+        )
+        bend = np.arange(len(rig.packed()))[rig.blocks[-1]]
+        for camera in range(len(rig.lenses)):
+            seen, columns = rig.project(camera, points)
+            # a small rotation d of the board moves a corner by d x turned
+            by = [np.cross(turned[..., None, :], seen.point_jacobian), seen.point_jacobian]
+            if by_rig:
+                by = [seen.camera_jacobian, seen.point_jacobian @ by_bend, *by]
+            residuals, scale = normalised_residuals(
+                seen.pixels, self.pixels[camera], self.sigma[camera]
+            )
+            jacobian = np.concatenate(by, axis=-1)
+            jacobian = np.where(scale[..., None] > 0.0, scale[..., None] * jacobian, 0.0)
+            yield (
+                residuals.reshape(views, -1),
+                jacobian.reshape(views, residuals[0].size, -1),
+                np.append(columns, bend) if by_rig else bend[:0],
+            )
+
+    def residuals(self, rig: CameraRig, poses: BoardPoses) -> FloatArray:
+        """(c, v, n, 2) residuals divided by sigma; 0 for corners that were not found."""
+        rows = [residuals for residuals, *_ in self.rows(rig, poses, by_rig=False)]
+        return np.stack(rows).reshape(self.pixels.shape)
+
+    def linearised(
+        self, rig: CameraRig, poses: BoardPoses, *, keep_parts: bool = False
+    ) -> ReducedNormalEquations:
+        """Normal equations of the rig's parameters, the views' poses eliminated."""
+        views, row, prior = len(poses.rotation), rig.packed(), rig.prior_information
+        equations = GroupedEquations(
+            np.broadcast_to(np.arange(len(row)), (views, len(row))), len(row),
+            np.zeros((views, 6, 6)), np.zeros((views, 6)), keep_parts=keep_parts,
+        )  # fmt: skip
+        found = []
+        for residuals, jacobian, columns in self.rows(rig, poses):
+            equations.add(jacobian, residuals, columns)
+            found.append(residuals)
+        residuals = np.stack(found).reshape(self.pixels.shape)
+        return equations.reduced(float((residuals**2).sum()), residuals, prior, row)
 
     def fit_poses(self, rig: CameraRig, start: BoardPoses) -> "BundleSolution":
-        """Fit the poses to given cameras; without derivatives by these."""
-        poses, linear = damped_least_squares(
-            lambda poses: self.linearised(rig, poses, by_rig=False),
+        """Fit the poses to given cameras."""
+
+        def linearised(poses: BoardPoses) -> _PoseEquations:
+            total = _PoseEquations(
+                *(np.zeros((len(poses.rotation), *shape)) for shape in ((), (6, 6), (6,)))
+            )
+            for residuals, jacobian, _ in self.rows(rig, poses, by_rig=False):
+                turned = jacobian.transpose(0, 2, 1)
+                total.cost[:] += (residuals**2).sum(axis=1)
+                total.matrix[:] += turned @ jacobian
+                total.gradient[:] += (turned @ residuals[..., None])[..., 0]
+            return total
+
+        poses, _ = damped_least_squares(
+            linearised,
             lambda poses, _, steps, __: poses.moved(steps),
             start,
             tolerance=_POSE_TOLERANCE,
             relative_tolerance=_POSE_TOLERANCE,
         )
-        return BundleSolution(self, rig, poses, linear)
+        return BundleSolution(self, rig, poses)
 
     def solve(
         self, start: CameraRig, poses: BoardPoses, tolerance: float = _TOLERANCE
     ) -> "BundleSolution":
         """Cameras and poses with the least squares; `LinAlgError` if they are not determined."""
-        prior = start.prior_information
-
-        def linearised(state: tuple[CameraRig, BoardPoses]) -> _RigEquations:
-            row, linear = state[0].packed(), self.linearised(*state)
-            reduced, by_rig, own_step = linear.eliminated()
-            # view by view: one large product would wait for threads, where others use the CPU too
-            information = reduced.transpose(0, 2, 1) @ reduced
-            return _RigEquations(
-                float(linear.cost.sum() + prior @ row**2),
-                information.sum(axis=0) + np.diag(prior),
-                reduced.reshape(-1, len(row)).T @ linear.residuals.ravel() + prior * row,
-                linear,
-                by_rig,
-                own_step,
-            )
 
         def moved(
-            state: tuple[CameraRig, BoardPoses], now: _RigEquations, step: FloatArray,
+            state: tuple[CameraRig, BoardPoses], now: ReducedNormalEquations, step: FloatArray,
             damping: FloatArray,
         ) -> tuple[CameraRig, BoardPoses]:  # fmt: skip
             rig, poses = state
             own_step = now.own_step / (1.0 + damping)
-            return rig.unpacked(rig.packed() + step), poses.moved(-own_step - now.by_rig @ step)
+            return rig.unpacked(rig.packed() + step), poses.moved(
+                -own_step - now.own_by_shared @ step
+            )
 
-        (rig, found), now = damped_least_squares(
-            linearised,
+        (rig, found), _ = damped_least_squares(
+            lambda state: self.linearised(*state),
             moved,
             (start, self.fit_poses(start, poses).poses),
             tolerance=0.0,
             relative_tolerance=tolerance,
         )
-        return BundleSolution(self, rig, found, now.linear)
-
-
-def heights_by_curvature(corners: FloatArray) -> FloatArray:
-    """(n, 3) derivative of a board's height at (n, 2) corners, m, by its curvatures, m^2."""
-    x, y = corners.T
-    return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
+        return BundleSolution(self, rig, found)
 
 
 def cross_matrices(vectors: FloatArray) -> FloatArray:
     """(..., 3, 3) matrices of the cross product with vectors (..., 3)."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [zero, -z, y, z, zero, -x, -y, x, zero]
-    return np.stack(rows, axis=-1).reshape(*vectors.shape, 3)
+    return np.asarray(np.cross(np.eye(3), vectors[..., None, :]))
 
 
 @dataclass(frozen=True, eq=False)
 class BundleSolution:
-    """Cameras and poses, mostly those that fit best, and the residuals and Jacobians there."""
+    """Cameras and poses, mostly those that fit best, and the residuals there."""
 
     problem: BundleAdjustment
     rig: CameraRig
     poses: BoardPoses
-    linearisation: LinearisedResiduals
-    """Residuals divided by sigma and Jacobians."""
+
+    @cached_property
+    def residuals(self) -> FloatArray:
+        """(c, v, n, 2) residuals divided by sigma; 0 for corners that were not found."""
+        return self.problem.residuals(self.rig, self.poses)
 
     @property
     def residuals_px(self) -> FloatArray:
         """(c, v, n, 2) projected minus measured pixels; nan for corners that were not found."""
-        cameras, views, corners, _ = self.problem.pixels.shape
-        residuals = self.linearisation.residuals.reshape(views, cameras, corners, 2)
-        scaled = residuals.transpose(1, 0, 2, 3) * self.problem.sigma
+        scaled = self.residuals * self.problem.sigma
         return np.where(self.problem.seen[..., None], scaled, np.nan)
 
     @cached_property
@@ -528,7 +620,7 @@ class BundleSolution:
         """(v) noise of each view, residuals over sigma; nan for a view without corners."""
         count = self.problem.seen.sum(axis=(0, 2))
         freedom = np.where(count > 3, 2 * count - 6, np.nan)
-        return np.sqrt(self.linearisation.cost / freedom)
+        return np.asarray(np.sqrt((self.residuals**2).sum(axis=(0, 2, 3)) / freedom))
 
     @cached_property
     def view_rms_px(self) -> FloatArray:
@@ -536,22 +628,19 @@ class BundleSolution:
         count = np.maximum(self.problem.seen.sum(axis=(0, 2)), 1)
         return np.asarray(np.sqrt(np.nansum(self.residuals_px**2, axis=(0, 2, 3)) / count))
 
-    @cached_property
-    def reduced_rig_jacobian(self) -> FloatArray:
-        """(v, m, p) Jacobian of the residuals by the rig's parameters, poses eliminated."""
-        return self.linearisation.eliminated()[0]
-
     @property
     def reduced_chi(self) -> float:
         """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
         estimated = 6 * len(self.poses.translation) + len(self.rig.packed())
         freedom = max(2 * int(self.problem.seen.sum()) - estimated, 1)
-        return float(np.sqrt((self.linearisation.residuals**2).sum() / freedom))
+        return float(np.sqrt((self.residuals**2).sum() / freedom))
 
     @cached_property
-    def information(self) -> FloatArray:
-        """(v, p, p) each view's information on the rig's parameters, if sigma is right."""
-        return np.asarray(self.reduced_rig_jacobian.transpose(0, 2, 1) @ self.reduced_rig_jacobian)
+    def view_parts(self) -> tuple[FloatArray, FloatArray]:
+        """(v, p, p) and (v, p) each view's information on the rig's parameters, and gradient."""
+        parts = self.problem.linearised(self.rig, self.poses, keep_parts=True).group_parts
+        assert parts is not None
+        return parts
 
 
 def rms_length(residuals_px: FloatArray) -> float:

@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.calibration.adjustment import heights_by_curvature
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.uncertainty import board_points_in_camera, direction_sigma_px
 from vergence.models.parts import EYE_NAMES, FloatArray
@@ -125,7 +126,7 @@ def direction_sigma_px_at(calibration: Calibration, camera: int, count: int) -> 
 
 def board_sag(calibration: Calibration) -> BoardSag:
     """Compute the sag of the board, the spread of its corners' heights, and its uncertainty."""
-    heights = calibration.fit.solution.problem.heights
+    heights = heights_by_curvature(calibration.fit.solution.problem.board_corners)
     height = heights @ calibration.rig.board_curvatures
     between = heights[height.argmax()] - heights[height.argmin()]
     block = calibration.rig.blocks[-1]

@@ -170,7 +170,7 @@ def fit_consistent_views(observations: BoardObservations) -> CameraFit:
     def try_start(lens: str, values: FloatArray) -> None:
         rig = CameraRig.single(lens, values)
         poses = estimate_board_poses(problem, rig)
-        reduced_chi = np.nan_to_num(problem.at(rig, poses).view_chi[views], nan=np.inf)
+        reduced_chi = np.nan_to_num(BundleSolution(problem, rig, poses).view_chi[views], nan=np.inf)
         tried.append((float(np.quantile(reduced_chi, _TRUSTED_FRACTION)), rig, poses))
 
     for sample in samples:
@@ -187,7 +187,7 @@ def fit_consistent_views(observations: BoardObservations) -> CameraFit:
         )
     _, rig, poses = min(tried, key=itemgetter(0))
     trusted = max(int(np.ceil(_TRUSTED_FRACTION * len(views))), LEAST_VIEWS)
-    reduced_chi = problem.at(rig, poses).view_chi
+    reduced_chi = BundleSolution(problem, rig, poses).view_chi
     kept = np.zeros(len(reduced_chi), bool)
     for _ in range(_MOST_FITS):
         chosen = np.zeros_like(kept)
@@ -292,7 +292,7 @@ def mistaken_corners_px(problem: BundleAdjustment, rig: CameraRig) -> FloatArray
             break
         mistaken |= worst
     few = mistaken.sum(axis=1) <= _MOST_MISTAKEN_FRACTION * every.seen[0].sum(axis=1)
-    away = np.linalg.norm(every.at(rig, poses).residuals_px[0], axis=-1)
+    away = np.linalg.norm(BundleSolution(every, rig, poses).residuals_px[0], axis=-1)
     away_px = np.zeros(problem.pixels.shape[1:3])
     away_px[shown] = np.where(mistaken & few[:, None], away, 0.0)
     return away_px
@@ -453,6 +453,6 @@ def _missed_px(problem: BundleAdjustment, rig: CameraRig, poses: BoardPoses) -> 
     """(v) rms reprojection error in the right camera, px; nan without corners."""
     moved = poses.transformed(rig.rotation, rig.translation)
     one = problem.select_camera(1)
-    squares = one.at(rig.alone(1), moved).residuals_px[0] ** 2
+    squares = BundleSolution(one, rig.alone(1), moved).residuals_px[0] ** 2
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(np.nansum(squares, axis=(1, 2)) / one.seen[0].sum(axis=1)))

@@ -14,7 +14,7 @@ covariance with weight v / (v + p), and s^2 scaled up to the size of the pulls w
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -22,8 +22,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.calibration.adjustment import (
-    BoardPoses,
-    BundleAdjustment,
     BundleSolution,
     CameraRig,
     cross_matrices,
@@ -48,14 +46,8 @@ is used (chosen)."""
 
 def rig_covariance(solution: BundleSolution) -> FloatArray:
     """(p, p) covariance of the rig's parameters, see `CameraRig.packed`."""
-    gradients = np.einsum(
-        "vmp,vm->vp", solution.reduced_rig_jacobian, solution.linearisation.residuals
-    )
     return clustered_covariance(
-        solution.information,
-        gradients,
-        solution.reduced_chi,
-        np.diag(solution.rig.prior_information),
+        *solution.view_parts, solution.reduced_chi, np.diag(solution.rig.prior_information)
     )
 
 
@@ -148,22 +140,20 @@ def depth_sigma_at(
     axis = np.array([0.0, 0.0, 1.0]) + rig.rotation[2]
     axis /= np.linalg.norm(axis)
     points = -0.5 * rig.rotation.T @ rig.translation + distance_m[:, None] * axis
+    by_point, by_rig = np.zeros((len(points), 4, 3)), np.zeros((len(points), 4, len(covariance)))
     inside = np.ones(len(points), bool)
     for camera, size in enumerate(sizes):
-        lens, values = rig.lenses[camera], rig.camera_parameters[camera]
-        pixels = project_with_jacobians(lens, values, rig.in_camera(camera, points)).pixels
-        inside &= ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all(axis=-1)
-    one = BundleAdjustment(points[:1], np.zeros((2, 1, 1, 2)), np.ones((2, 1, 1, 2)))
-    still = BoardPoses(np.eye(3)[None], np.zeros((1, 3)))
+        (seen, columns), rows = rig.project(camera, points), slice(2 * camera, 2 * camera + 2)
+        inside &= ((seen.pixels > -0.5) & (seen.pixels < np.array(size) - 0.5)).all(axis=-1)
+        by_point[:, rows] = seen.point_jacobian
+        by_rig[:, rows, columns] = seen.camera_jacobian
     sigma = np.full((2, len(points)), np.nan)
-    for number in np.flatnonzero(inside):
-        linear = replace(one, board_corners=points[[number]]).linearised(rig, still)
-        by_point, by_rig = linear.pose_jacobian[0, :, 3:], linear.rig_jacobian[0]
-        spread = np.linalg.inv(by_point.T @ by_point)
-        by_rig = axis @ spread @ by_point.T @ by_rig
-        sigma[:, number] = np.sqrt(
-            [by_rig @ covariance @ by_rig, noise_px**2 * axis @ spread @ axis]
-        )
+    by_point, by_rig = by_point[inside], by_rig[inside]
+    turned = by_point.swapaxes(-1, -2)
+    along = axis @ np.linalg.inv(turned @ by_point)
+    by_rig = ((along[:, None] @ turned) @ by_rig)[:, 0]
+    sigma[0, inside] = np.sqrt(np.einsum("np,pq,nq->n", by_rig, covariance, by_rig))
+    sigma[1, inside] = noise_px * np.sqrt(along @ axis)
     return DepthSigma(distance_m, *sigma)
 
 

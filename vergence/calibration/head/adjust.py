@@ -30,10 +30,14 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import (
     BoardPoses,
+    GroupedEquations,
+    ReducedNormalEquations,
+    bent_board,
     camera_parameter_names,
     camera_parameters,
     cross_matrices,
     heights_by_curvature,
+    normalised_residuals,
     project_with_jacobians,
 )
 from vergence.calibration.head.recording import (
@@ -345,30 +349,6 @@ class MeasurementWeights(NamedTuple):
         return cls(kept_corners.astype(np.float64), np.ones((kept_corners.shape[1], 7)))
 
 
-class ReducedNormalEquations(NamedTuple):
-    """Normal equations of shared unknowns; single frames' errors eliminated (Schur complement)."""
-
-    cost: float
-    """Weighted sum of squares."""
-    matrix: FloatArray
-    """(s, s) normal matrix of the shared unknowns: head parameters, bend, reading-error terms,
-    boards, shared errors."""
-    gradient: FloatArray
-    """(s,) gradient, half of the cost's."""
-    frame_error_sensitivity: FloatArray
-    """(f, 7, s_f) negative derivative of the frames' own errors by the shared unknowns in
-    `HeadAdjustment.frame_columns`."""
-    negative_frame_step: FloatArray
-    """(f, 7) negative step of the frames' own errors while the shared unknowns stay."""
-    frame_normal_matrices: FloatArray
-    """(f, 7, 7) normal matrix of each frame's own errors."""
-    residuals: FloatArray
-    """(2, f, n, 2) residuals divided by sigma; 0 for corners that were not found."""
-    frame_contributions: tuple[FloatArray, FloatArray] | None = None
-    """(f, s_f, s_f) and (f, s_f) each frame's parts of matrix and gradient, see
-    `HeadAdjustment.frame_columns`."""
-
-
 @dataclass(frozen=True, eq=False)
 class HeadAdjustment:
     """The adjustment problem: a nominal head, its (p,) prior sigmas (0: fixed), its frames."""
@@ -417,11 +397,6 @@ class HeadAdjustment:
         return len(self.prior_mean) + CURVATURE_COUNT + len(self.terms.names)
 
     @cached_property
-    def _heights(self) -> FloatArray:
-        """(n, 3) derivative of each corner's height by curvature, m^2."""
-        return heights_by_curvature(self.frames.corners[:, :2])
-
-    @cached_property
     def prior_information(self) -> FloatArray:
         """(s,) prior information of each shared unknown, 1 / sigma^2."""
         own = self.reading_error_unknowns
@@ -457,88 +432,63 @@ class HeadAdjustment:
             own.actuator_readings + errors + self.terms.evaluate(state.term_parameters)[0]
         )
 
-    def corners(self, state: HeadUnknowns) -> FloatArray:
-        """(n, 3) the bent board's corners, metres."""
-        out = self.frames.corners.copy()
-        out[:, 2] += self._heights @ state.board_curvatures
-        return out
-
     def linearised(
-        self, state: HeadUnknowns, weights: MeasurementWeights, *, keep_frame_parts: bool = False
+        self, state: HeadUnknowns, weights: MeasurementWeights, *, keep_parts: bool = False
     ) -> ReducedNormalEquations:
-        """Assemble the normal equations at a state, maybe with each frame's contributions."""
+        """Assemble the normal equations at a state, maybe with each frame's parts.
+
+        The shared unknowns are head parameters, bend, reading-error terms, boards, shared errors.
+        """
         chain = ParametricHead(self.nominal_head, state.head_parameters)
-        q = self.joint_angles(state)
+        q, own = self.joint_angles(state), self.reading_error_unknowns
         points, turned = board_points_and_offsets(
-            self.corners(state), state.boards, self.frames.placement
-        )
-        f, own = len(q), self.reading_error_unknowns
-        residuals = np.zeros(self.frames.pixels.shape)
+            bent_board(self.frames.corners, state.board_curvatures), state.boards,
+            self.frames.placement,
+        )  # fmt: skip
         normals = state.boards.rotation[self.frames.placement][:, :, 2]
+        heights = heights_by_curvature(self.frames.corners)
         sigma = np.where(own.reading_sigma > 0.0, own.reading_sigma, 1.0)
         kept = np.where(own.has_frame_error, state.frame_errors / sigma, 0.0)
-        p, width, head = len(self.prior_mean), self.frame_columns.shape[1], self.common_count
+        p, width = len(self.prior_mean), self.frame_columns.shape[1]
         by_term = self.terms.evaluate(state.term_parameters)[1][:, None, None]
         far, cut = _CAUCHY_SIGMAS**2 * np.array([1.0, 2.0 * weights.cauchy_scale])
         far = far if np.isfinite(cut) else np.inf
         trust = weights.angles / (1.0 + kept**2 / far)
         cost = float((weights.angles * _loss(kept**2, far)).sum())
-        inner = (trust / sigma**2)[..., None] * np.eye(7)
-        pull, across = trust * kept / sigma, np.zeros((f, 7, width))
-        blocks, frame_gradients = np.zeros((f, width, width - head)), np.zeros((f, width))
-        matrix, gradient = np.zeros((self.shared_count + 1,) * 2), np.zeros(self.shared_count + 1)
-        whole = np.zeros((f, width, width) if keep_frame_parts else 0)
+        equations = GroupedEquations(
+            self.frame_columns, self.common_count, (trust / sigma**2)[..., None] * np.eye(7),
+            trust * kept / sigma, keep_parts=keep_parts,
+        )  # fmt: skip
+        residuals = np.zeros(self.frames.pixels.shape)
         for eye in range(2):
             seen = chain.project_board(eye, q, points, turned)
-            found = self.frames.seen[eye][..., None]
-            scale = np.where(found, 1.0 / np.where(found, self.frames.sigma[eye], 1.0), 0.0)
-            raw = seen.pixels - np.where(found, self.frames.pixels[eye], 0.0)
-            residuals[eye] = np.where(found, scale * raw, 0.0)
+            residuals[eye], scale = normalised_residuals(
+                seen.pixels, self.frames.pixels[eye], self.frames.sigma[eye]
+            )
             square = (residuals[eye] ** 2).sum(axis=-1)
             cost += float((weights.corners[eye] * _loss(square, cut)).sum())
             root = np.sqrt(weights.corners[eye] / (1.0 + square / cut))[..., None]
-            r = (root * residuals[eye]).reshape(f, -1, 1)
             lift = np.einsum("fncj,fj->fnc", seen.board_jacobian[..., 3:], normals)
-            by_bend = lift[..., None] * self._heights[None, :, None]
             by_angle = seen.joint_jacobian @ self.joints_from_actuators
-            by_run = np.where((own.shared_error_index >= 0)[:, None, None], by_angle, 0.0)
-            mine = np.where(own.has_frame_error[:, None, None], by_angle, 0.0)
-            by_terms = by_angle[..., self.terms.actuator_index] * by_term
             rows = np.concatenate(
-                [seen.head_jacobian, by_bend, by_terms, seen.board_jacobian, by_run, mine], axis=-1
+                [
+                    seen.head_jacobian,
+                    lift[..., None] * heights[None, :, None],
+                    by_angle[..., self.terms.actuator_index] * by_term,
+                    seen.board_jacobian,
+                    np.where((own.shared_error_index >= 0)[:, None, None], by_angle, 0.0),
+                    np.where(own.has_frame_error[:, None, None], by_angle, 0.0),
+                ],
+                axis=-1,
             )
             rows *= (root * scale)[..., None]
             if np.isnan(seen.pixels).any():  # corners behind the camera that were not measured
                 np.nan_to_num(rows, copy=False)
-            rows = rows.reshape(f, -1, rows.shape[-1])
-            product = rows.transpose(0, 2, 1) @ rows
-            pulls = (rows.transpose(0, 2, 1) @ r)[..., 0]
-            columns = np.concatenate([chain.eye_parameter_indices[eye], np.arange(p, width)])
-            # all frames share the head's own block: sum it at once
-            numbers = len(chain.eye_parameter_indices[eye]) + head - p
-            common = columns[:numbers]
-            matrix[np.ix_(common, common)] += product[:, :numbers, :numbers].sum(axis=0)
-            blocks[:, columns] += product[:, :-7, numbers:-7]
-            if keep_frame_parts:
-                whole[:, columns[:, None], columns] += product[:, :-7, :-7]
-            frame_gradients[:, columns] += pulls[:, :-7]
-            inner += product[:, -7:, -7:]
-            pull += pulls[:, -7:]
-            across[:, :, columns] += product[:, -7:, :-7]
-        own_by_shared = np.linalg.solve(inner, np.concatenate([across, pull[..., None]], axis=-1))
-        own_by_shared, own_step = own_by_shared[..., :-1], own_by_shared[..., -1]
-        gone = across.transpose(0, 2, 1)
-        matrix[:head, :head] -= (gone[:, :head] @ own_by_shared[..., :head]).sum(axis=0)
-        others = blocks - gone @ own_by_shared[..., head:]
-        parts = (whole - gone @ own_by_shared, frame_gradients) if keep_frame_parts else None
-        frame_gradients -= (gone @ own_step[..., None])[..., 0]
-        rest = self.frame_columns[:, head:]
-        rows_of_head = np.arange(head)[None, :, None]
-        np.add.at(matrix, (rows_of_head, rest[:, None, :]), others[:, :head])
-        np.add.at(matrix, (rest[:, :, None], rest[:, None, :]), others[:, head:])
-        np.add.at(gradient, self.frame_columns, frame_gradients)
-        matrix[head:, :head] = matrix[:head, head:].T
-        matrix, gradient = matrix[:-1, :-1], gradient[:-1]
+            equations.add(
+                rows.reshape(len(q), -1, rows.shape[-1]),
+                (root * residuals[eye]).reshape(len(q), -1),
+                np.concatenate([chain.eye_parameter_indices[eye], np.arange(p, width)]),
+            )
         deviation = np.concatenate(
             [
                 state.head_parameters - self.prior_mean,
@@ -548,12 +498,7 @@ class HeadAdjustment:
                 state.shared_errors,
             ]
         )
-        matrix[np.diag_indices(self.shared_count)] += self.prior_information
-        gradient = gradient + self.prior_information * deviation
-        cost += float((self.prior_information * deviation**2).sum())
-        return ReducedNormalEquations(
-            cost, matrix, gradient, own_by_shared, own_step, inner, residuals, parts
-        )
+        return equations.reduced(cost, residuals, self.prior_information, deviation)
 
     def moved(
         self, state: HeadUnknowns, normal: ReducedNormalEquations, step: FloatArray
@@ -561,8 +506,8 @@ class HeadAdjustment:
         """Apply a step of the shared unknowns; the frames' own errors follow."""
         p, c, b = len(self.prior_mean), self.common_count, 6 * self.placement_count
         padded = np.append(step, 0.0)
-        follow = normal.negative_frame_step + np.einsum(
-            "fjs,fs->fj", normal.frame_error_sensitivity, padded[self.frame_columns]
+        follow = normal.own_step + np.einsum(
+            "fjs,fs->fj", normal.own_by_shared, padded[self.frame_columns]
         )
         terms = state.term_parameters + step[p + CURVATURE_COUNT : c]
         # the true angles take the linearised step although backlash is not linear

@@ -12,6 +12,7 @@ from vergence.calibration.adjustment import (
     BoardPoses,
     BundleAdjustment,
     CameraRig,
+    ReducedNormalEquations,
     camera_parameters,
     damped_least_squares,
 )
@@ -20,7 +21,6 @@ from vergence.calibration.head.adjust import (
     HeadAdjustment,
     HeadUnknowns,
     MeasurementWeights,
-    ReducedNormalEquations,
 )
 from vergence.calibration.head.recording import LEAST_CORNERS, HeadFrames
 from vergence.models.head import HeadModel
@@ -241,7 +241,7 @@ class HeadSolution:
     def reading_variance_ratio(self) -> FloatArray:
         """(f, 7) ratio of posterior to prior variance of the reading errors, shared ones fixed."""
         sigma = self.problem.reading_error_unknowns.reading_sigma
-        inner = np.diagonal(np.linalg.inv(self.normal.frame_normal_matrices), axis1=1, axis2=2)
+        inner = np.diagonal(np.linalg.inv(self.normal.own_matrix), axis1=1, axis2=2)
         return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
 
 

@@ -94,11 +94,11 @@ class PoseEquations:
     def of(cls, solution: HeadSolution) -> "PoseEquations":
         """Split the normal equations of frames by pose."""
         problem, frames = solution.problem, solution.problem.frames
-        normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
-        assert normal.frame_contributions is not None
+        normal = problem.linearised(solution.state, solution.weights, keep_parts=True)
+        assert normal.group_parts is not None
         squares, measured, taken = solution.squares_and_counts
         first = np.unique(frames.pose, return_index=True)[1]
-        blocks, slopes = (np.add.reduceat(each, first) for each in normal.frame_contributions)
+        blocks, slopes = (np.add.reduceat(each, first) for each in normal.group_parts)
         return cls(
             solution, problem.frame_columns[first], blocks, slopes, normal.matrix, normal.gradient,
             squares, measured - taken,

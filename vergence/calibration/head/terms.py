@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from vergence.calibration.adjustment import ReducedNormalEquations
 from vergence.calibration.head.adjust import (
     TERM_KINDS,
     HeadAdjustment,
     HeadUnknowns,
     MeasurementWeights,
-    ReducedNormalEquations,
 )
 from vergence.calibration.head.fit import (
     HeadSolution,
