@@ -20,6 +20,7 @@ these dominate; for a board the residuals do.
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import accumulate
 from math import cos, exp, inf, log, sin, sqrt
 from typing import Final, NamedTuple
 
@@ -29,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, inlined, subroutine
-from vergence.models.camera import Camera
+from vergence.models.camera import Camera, rays_to_pixels
 from vergence.models.fixation import cholesky_factorise, cholesky_solve
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (
@@ -64,6 +65,7 @@ _DAMPING_RATIO: Final = 10.0  # change of the damping after each step (numerical
 _LEAST_DECREASE: Final = 1e-9
 """Expected decrease of chi^2 below which a minimum is reached: 3e-5 sigma (numerical)."""
 _RAY_STEP: Final = 1e-5  # half step of the lens's derivative, as a slope (numerical)
+_NORMALISED: Final = np.eye(3)  # camera matrix of rays (physical)
 _AROUND: Final = _RAY_STEP * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 
 
@@ -198,7 +200,7 @@ def estimate_pose(
         own, origin = state[:12].reshape(3, 4), eye.pose[:, 3]
         own[:, :3], own[:, 3] = turn, origin + ratio * (place - origin)
     widths = np.array([eye.whitener.shape[1] for eye in eyes])
-    ends = np.cumsum([len(eye.whitener) for eye in eyes])
+    ends = np.array([*accumulate(len(eye.whitener) for eye in eyes)])
     whitener = np.zeros((ends[-1], widths.max()))
     for eye, end, width in zip(eyes, ends, widths, strict=True):
         whitener[end - len(eye.whitener) : end, :width] = eye.whitener
@@ -233,23 +235,24 @@ def _look(corners_m: FloatArray, view: View) -> _Eye:
     if (own <= 0.0).any():
         raise ConfigurationError(f"noise: expected positive values, got {np.nanmin(own):g}")
     rays = camera.rays(pixels)
-    beside = np.ones((count, 4, 3))
-    beside[..., :2] = rays[:, None] + _AROUND
-    around = camera.project(beside.reshape(-1, 3)).reshape(count, 2, 2, 2)
-    by_ray = ((around[:, 0] - around[:, 1]) / (2.0 * _RAY_STEP)).swapaxes(1, 2)
+    around = rays_to_pixels(rays[:, None] + _AROUND, camera.row)
+    by_ray = (around[:, :2] - around[:, 2:]).swapaxes(1, 2) / (2.0 * _RAY_STEP)
     seen = np.isfinite(rays + own + by_ray.sum(axis=2)).all(axis=1)
-    both = np.repeat(seen, 2)
-    blocks = noise[both][None, :, both] if correlated else np.square(own[seen, :, None]) * np.eye(2)
-    try:
-        whitener = np.linalg.inv(np.linalg.cholesky(blocks))
-    except np.linalg.LinAlgError as error:
-        raise ConfigurationError("noise: expected a positive definite covariance") from error
-    count, size, _ = blocks.shape
-    by_ray = by_ray[seen].reshape(count, 1, size // 2, 2, 2)
-    whitener = whitener.reshape(count, size, size // 2, 1, 2) @ by_ray
+    by_ray = by_ray[seen]
+    if correlated:
+        both = np.flatnonzero(np.repeat(seen, 2))
+        try:
+            inverse = np.linalg.inv(np.linalg.cholesky(noise[both[:, None], both]))
+        except np.linalg.LinAlgError as error:
+            raise ConfigurationError("noise: expected a positive definite covariance") from error
+        whitener = (inverse.reshape(len(inverse), len(by_ray), 1, 2) @ by_ray).reshape(
+            inverse.shape
+        )
+    else:
+        whitener = (by_ray / own[seen, :, None]).reshape(-1, 2)
     return _Eye(
         np.concatenate([corners_m, rays], axis=1)[seen],
-        whitener.reshape(count * size, size),
+        whitener,
         as_operand("pose", view.pose, 4, 4)[:3],
         as_operand("pose_errors", view.pose_errors, 6, "k"),
     )
@@ -260,7 +263,7 @@ def _ippe(eye: _Eye) -> list[tuple[FloatArray, FloatArray]]:
     if not _determine_pose(eye.corners[:, :2].tobytes()):
         return []
     board, rays = eye.corners[:, :3] * (1.0, 1.0, 0.0), np.ascontiguousarray(eye.corners[:, 2:])
-    found = cv2.solvePnPGeneric(board, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    found = cv2.solvePnPGeneric(board, rays, _NORMALISED, None, flags=cv2.SOLVEPNP_IPPE)
     back, origin = eye.pose[:, :3], eye.pose[:, 3]
     return [
         (back @ cv2.Rodrigues(turn)[0], back @ place[:, 0] + origin)
@@ -294,14 +297,14 @@ def _best(states: FloatArray, normals: FloatArray, degrees: int, sized: bool) ->
             )
             if chi_square - best.chi_square > 2.0 * max(factor, 1.0) * log(_LEAST_ODDS):
                 break
-            turned = float(np.sum(best.matrix[:3, :3] * matrix[:3, :3]))
+            turned = float(np.vdot(best.matrix[:3, :3], matrix[:3, :3]))
             if turned > 1.0 + 2.0 * np.cos(_LEAST_TURN_RAD):
                 continue
         try:
             covariance = np.asarray(np.linalg.inv(normals[k, :-1, :-1])[:6, :6], np.float64)
         except np.linalg.LinAlgError:
             continue
-        if not (np.diagonal(covariance) > 0.0).all():  # views that contradict each other
+        if not np.diagonal(covariance).min() > 0.0:  # views that contradict each other
             continue
         ratio = exp(states[k, -1]) if sized else 1.0
         pose = Pose(matrix, covariance, chi_square, degrees, ratio)
