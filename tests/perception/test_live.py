@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from tests.perception.test_target_finder import HEAD, side_by_side
-from vergence.perception.live import FamilyTracker, LiveStatistics, make_live_finders, watch_targets
+from vergence.perception.finding import (
+    FamilyTracker,
+    LiveStatistics,
+    make_live_finders,
+    watch_targets,
+)
 from vergence.vision import Detection, make_detector
 from vergence.vision.targets import AprilTag, Checkerboard, TagFamily
 

@@ -106,9 +106,10 @@ def test_what_is_there_in_place_of_a_grid_is_said():
 
 def row_notes(asked, images):
     target = parse_targets([asked])[0]
-    check, detector = PhotographNotes([target]), make_detector(target)
+    check = PhotographNotes([target], check_white=False)
+    detector = make_detector(target)
     for image in images:
-        check.add(image, [detector.detect(image)], check_white=False)
+        check.add(image, [detector.detect(image)])
     return list(check.lines())
 
 

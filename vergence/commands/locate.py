@@ -112,9 +112,8 @@ def _say_rest(head: "HeadModel") -> None:
     import numpy as np
 
     from vergence.models.parts import EYES
-    from vergence.perception.photographs import eyes_move
 
-    if not eyes_move(head):
+    if not head.actuation.count:
         return
     rest = zip(head.joints[EYES], np.degrees(head.rest()[EYES]), strict=True)
     angles = ", ".join(f"{name} {angle:z.3g}" for name, angle in dict(rest).items() if name)

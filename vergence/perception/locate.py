@@ -20,6 +20,7 @@ from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
 from vergence.perception.finding import (
     Photograph,
     PhotographSearch,
+    TargetFinder,
     centre_weights,
     parse_targets,
     pose_document,
@@ -28,7 +29,6 @@ from vergence.perception.finding import (
 )
 from vergence.perception.notes import target_key
 from vergence.perception.photographs import (
-    eyes_move,
     join_first_names,
     pair_up,
     read_joint_angles,
@@ -409,7 +409,7 @@ class LocateResult:
                 pair: dict(zip(self.head.joints, q.tolist(), strict=True))
                 for pair, q in self.angles.items()
             }
-            if eyes_move(self.head)
+            if self.head.actuation.count  # else frame N follows the neck, and points do not move
             else None,
             "located": self.rows(),
             "spacing_mm": {name: each.document() for name, each in self.spacings().items()},
@@ -489,14 +489,18 @@ def locate(
     targets = parse_targets(target)
     curve = None if response is None else parse_response(response)
     model = load_head(head)
-    pairs, unpaired, is_single = pair_up(left, right)
+    pairs, unpaired = pair_up(left, right)
     angles = read_joint_angles(model, joints, [pair.name for pair in pairs])
-    search = PhotographSearch(targets, [Camera.of(model, eye) for eye in range(2)], curve)
+    finders = [TargetFinder(targets, Camera.of(model, eye), curve) for eye in range(2)]
+    search = PhotographSearch(targets, [list(zip(finders, pair, strict=True)) for pair in pairs])
     read: dict[str, FloatArray] = {}
     located: list[LocatedTarget] = []
     missed: list[MissedTarget] = []
     shown, rank = None, -1
-    for left_one, right_one in search.search(pairs, progress, is_single=is_single, kind=" pairs"):
+    for view in search.search(progress, is_single=not left.is_dir(), kind=" pairs"):
+        if not view:
+            continue
+        left_one, right_one = view
         name, sides = left_one.path.name, (left_one.detections, right_one.detections)
         read[name] = angles[name]
         here, not_here = _match(model, angles[name], name, *sides)

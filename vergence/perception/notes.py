@@ -43,18 +43,18 @@ against false remarks)."""
 class PhotographNotes:
     """Notes on all photographs of a run, one line each."""
 
-    def __init__(self, targets: Sequence[Target]) -> None:
+    def __init__(self, targets: Sequence[Target], *, check_white: bool = True) -> None:
+        self._check_white = check_white
         self._asked = self._unseen = list(targets)
         self._images = self._clipped = 0
         self._rows: dict[PlanarTarget, list[NDArray[np.bool_]]] = defaultdict(list)
 
-    def add(
-        self, image: NDArray[Any], detections: Sequence[Detection], *, check_white: bool = True
-    ) -> None:
-        """Add an image, grey for a check of its white, and all its detections."""
+    def add(self, image: NDArray[np.uint8], detections: Sequence[Detection]) -> None:
+        """Add an image and all its detections."""
         self._images += 1
         self._unseen = [t for t in self._unseen if not any(is_of_target(d, t) for d in detections)]
-        self._clipped += check_white and any(_is_white_clipped(image, each) for each in detections)
+        if self._check_white:
+            self._clipped += any(_is_white_clipped(image, each) for each in detections)
         for each in detections:
             if isinstance(each.target, AprilGrid | CharucoBoard):
                 self._rows[each.target].append(_rows_seen_and_in_view(each, image.shape))

@@ -109,8 +109,6 @@ class PairedImages(NamedTuple):
     """In the order of the left images' names."""
     unpaired: list[Path]
     """Images without a partner, those of the left folder first."""
-    single: bool
-    """True if two files were given, not folders."""
 
 
 def pair_up(left: Path, right: Path) -> PairedImages:
@@ -118,7 +116,7 @@ def pair_up(left: Path, right: Path) -> PairedImages:
     for place in (left, right):
         require_existing(place)
     if not left.is_dir() and not right.is_dir():
-        return PairedImages([ImagePair(left, right)], [], True)
+        return PairedImages([ImagePair(left, right)], [])
     if not (left.is_dir() and right.is_dir()):
         folder, other = (left, right) if left.is_dir() else (right, left)
         raise ConfigurationError(
@@ -167,33 +165,32 @@ def pair_images(
         )
     paired = {path for pair in pairs for path in pair}
     everyone = list(lefts) if one_folder else [*lefts, *rights]
-    return PairedImages(pairs, [path for path in everyone if path not in paired], False)
+    return PairedImages(pairs, [path for path in everyone if path not in paired])
 
 
 def _keys(path: Path, eye: int, side_required: bool) -> list[str]:
     """Possible keys of an image: its name without the word for the side, the likeliest first."""
-    keys = [] if side_required else [path.stem]
+    stem = path.stem
+    keys = [] if side_required else [stem]
     for words in _SIDE_WORDS:
-        for start, end in _places(path.stem, words[eye]):
-            # the key holds the kind of word, so that `l` matches only `r`
-            keys.append(
-                f"{path.stem[:start]}{_SIDE_PLACEHOLDER}{words[0]}{_SIDE_PLACEHOLDER}{path.stem[end:]}"
-            )
+        # the key holds the kind of word, so that `l` matches only `r`
+        side = f"{_SIDE_PLACEHOLDER}{words[0]}{_SIDE_PLACEHOLDER}"
+        matches = list(re.finditer(re.escape(words[eye]), stem, re.IGNORECASE))
+        keys += [
+            f"{stem[: match.start()]}{side}{stem[match.end() :]}"
+            for match in reversed(matches)
+            if _is_word(match[0], stem[: match.start()][-1:], stem[match.end() :][:1])
+        ]
     return keys
 
 
-def _places(stem: str, word: str) -> list[tuple[int, int]]:
-    """Positions at which a word is separate in a name, the last one first."""
-    found = []
-    for match in re.finditer(re.escape(word), stem, re.IGNORECASE):
-        before, text, after = stem[: match.start()][-1:], match[0], stem[match.end() :][:1]
-        begins = not before.isalpha() or (before.islower() and text[0].isupper())
-        ends = not after.isalpha() or (text[-1] != text[-1].upper() and after.isupper())
-        if text[-1].isdigit():
-            ends = not after.isalnum()
-        if begins and ends:
-            found.append(match.span())
-    return found[::-1]
+def _is_word(text: str, before: str, after: str) -> bool:
+    """True if a text is a word of its own between two characters, which may be empty."""
+    if before.isalpha() and not (before.islower() and text[0].isupper()):
+        return False
+    if text[-1].isdigit():
+        return not after.isalnum()
+    return not after.isalpha() or (text[-1].islower() and after.isupper())
 
 
 Row = dict[str, Any]
@@ -255,12 +252,8 @@ def _of_tables(content: Any) -> list[Any]:
 _LIMIT_TOLERANCE_RAD: Final = 0.1
 """Tolerance of a joint's limits, rad: encoders have an offset, and limits are rounded (chosen:
 these against angles in the wrong unit)."""
-_RADIANS_PER_SUFFIX: Final = {"_rad": 1.0, "_deg": math.pi / 180.0}
-
-
-def eyes_move(head: HeadModel) -> bool:
-    """True if points depend on joint angles: frame N follows the neck, so only eye joints count."""
-    return head.actuation.count > 0
+_RADIANS_PER_SUFFIX: Final = {"_rad": 1.0, "_deg": math.pi / 180.0, "": 1.0}
+"""Units of columns by the suffix after a joint's name; a joint's own name counts first, so last."""
 
 
 def read_joint_angles(
@@ -334,17 +327,19 @@ def parse_joint_angles(head: HeadModel, row: Row, where: str) -> FloatArray:
 def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
     """Angles of a row by the names of joints and actuators, rad."""
     names = dict.fromkeys(name for name in (*head.joints, *head.actuation.names) if name)
+    columns = {
+        f"{name}{suffix}": (name, unit)
+        for suffix, unit in _RADIANS_PER_SUFFIX.items()
+        for name in names
+    }
     found: dict[str, float] = {}
     for column, value in row.items():
-        name, unit = column, 1.0
-        for suffix, size in _RADIANS_PER_SUFFIX.items():
-            if column not in names and column.endswith(suffix):
-                name, unit = column.removesuffix(suffix), size
-        if name not in names:
+        if column not in columns:
             raise ConfigurationError(
                 f"{where}: expected joints among {', '.join(names) or 'none (a fixed pair)'}, "
                 f"got {column!r:.80}"
             )
+        name, unit = columns[column]
         if name in found:
             raise ConfigurationError(f"{where}: expected {name} once, got it twice")
         found[name] = unit * parse_finite_number(value, f"{where}: {column}")
