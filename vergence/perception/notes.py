@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final
 
 import cv2
 import numpy as np
@@ -33,7 +33,7 @@ from vergence.vision.targets import (
     neighbour_pairs,
 )
 
-BoardT = TypeVar("BoardT", AprilGrid, CharucoBoard)
+_Board = AprilGrid | CharucoBoard
 _CLIPPED_GREY: Final = 254
 """Grey level from which on a pixel counts as clipped (chosen: just below 255, the largest)."""
 _MAX_CLIPPED_FRACTION: Final = 0.15
@@ -48,7 +48,7 @@ class PhotographNotes:
         self._check_white = check_white
         self._asked = self._unseen = list(targets)
         self._images = self._clipped = 0
-        self._rows: dict[PlanarTarget, list[NDArray[np.bool_]]] = defaultdict(list)
+        self._rows: dict[_Board, list[NDArray[np.bool_]]] = defaultdict(list)
 
     def add(self, image: NDArray[np.uint8], detections: Sequence[Detection]) -> None:
         """Add an image and all its detections."""
@@ -57,7 +57,7 @@ class PhotographNotes:
         if self._check_white:
             self._clipped += any(_is_white_clipped(image, each) for each in detections)
         for each in detections:
-            if isinstance(each.target, AprilGrid | CharucoBoard):
+            if isinstance(each.target, _Board):
                 self._rows[each.target].append(_rows_seen_and_in_view(each, image.shape))
 
     def lines(
@@ -135,7 +135,7 @@ def _rows_seen_and_in_view(found: Detection, shape: tuple[int, ...]) -> NDArray[
     return np.stack([known.reshape(rows, -1).any(axis=1), in_view.reshape(rows, -1).all(axis=1)])
 
 
-def _fitting_board(target: BoardT, views: Sequence[NDArray[np.bool_]]) -> BoardT:
+def _fitting_board(target: _Board, views: Sequence[NDArray[np.bool_]]) -> _Board:
     """The board, or that of fewer rows if no image shows the last and most show their place."""
     seen, in_view = np.stack(views, axis=1)
     count = int(np.flatnonzero(seen.any(axis=0))[-1]) + 1
@@ -252,9 +252,9 @@ def _grids(image: NDArray[np.uint8], target: AprilGrid | None, camera: Camera | 
     for other in alternative_grids(image, target):
         found = make_detector(other, camera).detect(image)
         if found is not None:
-            other = _fitting_board(other, [_rows_seen_and_in_view(found, image.shape)])
+            rows = _fitting_board(other, [_rows_seen_and_in_view(found, image.shape)]).rows
             size = f"{1000 * other.tag_m:g}" if target is not None else "TAG"
-            name = f"aprilgrid:{other.columns}x{other.rows}:{size}:{other.spacing:g}"
+            name = f"aprilgrid:{other.columns}x{rows}:{size}:{other.spacing:g}"
             return [f"{name} (tags, and their gap by their edge)"]
     return []
 
@@ -275,6 +275,7 @@ def _charuco(image: NDArray[np.uint8], target: CharucoBoard, camera: Camera | No
     other = alternative_charuco(corners, seen, target, dictionary)
     found = None if other in (None, target) else make_detector(other, camera).search(image)
     if found is not None:
+        assert isinstance(found.target, CharucoBoard)
         rows = _rows_seen_and_in_view(found, image.shape)
         if not rows[1, : np.flatnonzero(rows[0])[0]].any():  # else its ids begin later
             return [str(_fitting_board(found.target, [rows]))]
