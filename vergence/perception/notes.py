@@ -167,8 +167,6 @@ _MARKERS: Final = (
 _LEAST_MARKERS: Final = 4
 """Least markers that show a board, and least missing first ids that show that its ids begin later
 (chosen: boards against clutter and hidden markers)."""
-_MAX_NAMED_TARGETS: Final = 5
-"""Most targets that a hint names (chosen: completeness against length)."""
 _MAX_IMAGE_SIDE_PX: Final = 1280
 """Longest side of the image that is searched, px; larger images are reduced (chosen: small targets
 against the time of a dozen searches in 12 megapixels)."""
@@ -202,9 +200,7 @@ def describe_similar_targets(
     there = list(dict.fromkeys(there))
     if not there:
         return ""
-    more = f" and {len(there) - _MAX_NAMED_TARGETS} more" if len(there) > _MAX_NAMED_TARGETS else ""
-    verb = "is" if len(there) == 1 else "are"
-    return f"{', '.join(there[:_MAX_NAMED_TARGETS])}{more} {verb} there"
+    return f"{join_first_names(there)} {'is' if len(there) == 1 else 'are'} there"
 
 
 def _reduced(

@@ -22,8 +22,6 @@ SUFFIXES: Final = (
     ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm", ".jp2",
 )  # fmt: skip
 """Extensions of files that count as photographs; other files of a folder are ignored."""
-_MAX_NAMES: Final = 5
-"""Most names in a message; further ones are only counted (chosen: completeness against length)."""
 
 
 def natural_sort_key(path: Path) -> tuple[object, ...]:
@@ -39,15 +37,13 @@ def photographs_in_folder(folder: Path) -> list[Path]:
         there = [path for path in folder.iterdir() if not path.name.startswith(".")]
     except OSError as error:
         raise ConfigurationError(f"{folder}: {error.strerror or error}") from error
-    found = sorted(
-        (path for path in there if path.suffix.lower() in SUFFIXES), key=natural_sort_key
-    )
+    found = [path for path in there if path.suffix.lower() in SUFFIXES]
     if not found:
         raise ConfigurationError(
             f"{folder}: expected a folder with images ({', '.join(SUFFIXES)}) right in it, got "
             f"{f'none among {len(there)} files' if there else 'an empty one'}"
         )
-    return found
+    return sorted(found, key=natural_sort_key)
 
 
 def require_existing(path: Path) -> None:
@@ -77,11 +73,11 @@ def list_photographs(paths: Sequence[Path]) -> list[Path]:
     return found
 
 
-def join_first_names(names: Iterable[str]) -> str:
-    """Join names for a message: the first few, and the number of further ones."""
+def join_first_names(names: Iterable[str], most: int = 5) -> str:
+    """Join names for a message: the first few (chosen: legibility), and how many more there are."""
     every = list(names)
-    said = ", ".join(every[:_MAX_NAMES])
-    return said if len(every) <= _MAX_NAMES else f"{said} and {len(every) - _MAX_NAMES} more"
+    said = ", ".join(every[:most])
+    return said if len(every) <= most else f"{said} and {len(every) - most} more"
 
 
 _SIDE_WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
@@ -137,7 +133,7 @@ def pair_images(
     for path in rights:
         for key in _keys(path, 1, one_folder):
             by_key[key].append(path)
-    taken: dict[Path, Path] = {}
+    taken: dict[Path, Path] = {}  # left image by its right one
     for path in lefts:
         found = next((by_key[key] for key in _keys(path, 0, one_folder) if key in by_key), [])
         rivals = [(path, found)] if len(found) > 1 else []
@@ -148,23 +144,20 @@ def pair_images(
             )
         taken |= dict.fromkeys(found, path)
     pairs = [ImagePair(left, right) for right, left in taken.items()]
-    swapped = (
-        {key for path in side for key in _keys(path, eye, True)}
-        for eye, side in enumerate((rights, lefts))
-    )
-    if not pairs and set.intersection(*swapped):
-        raise ConfigurationError(
-            f"expected the left eye's images before the right one's, got {lefts[0]} and "
-            f"{rights[0]}: by their names they are the other way round"
-        )
     if not pairs:
+        swapped = {key for path in lefts for key in _keys(path, 1, True)}
+        if swapped.intersection(key for path in rights for key in _keys(path, 0, True)):
+            raise ConfigurationError(
+                f"expected the left eye's images before the right one's, got {lefts[0]} and "
+                f"{rights[0]}: by their names they are the other way round"
+            )
         raise ConfigurationError(
             "expected images whose names differ by left and right, l and r, cam0 and cam1 or not "
             f"at all, got {join_first_names(p.name for p in lefts)} in {lefts[0].parent} and "
             f"{join_first_names(p.name for p in rights)} in {rights[0].parent}"
         )
-    paired = {path for pair in pairs for path in pair}
-    everyone = list(lefts) if one_folder else [*lefts, *rights]
+    everyone = lefts if one_folder else [*lefts, *rights]
+    paired = {*taken, *taken.values()}
     return PairedImages(pairs, [path for path in everyone if path not in paired])
 
 
@@ -300,9 +293,7 @@ def parse_joint_angles(head: HeadModel, row: Row, where: str) -> FloatArray:
     own = head.actuation
     joints = [name for name in dict.fromkeys(head.joints[EYES]) if name]
     lacking = [name for name in joints if name not in given]
-    q = head.rest()
-    for place, name in enumerate(head.joints):
-        q[place] = given.get(name, q[place])
+    q = np.array([given.get(n, a) for n, a in zip(head.joints, head.rest(), strict=True)])
     if lacking:
         if not own.count or not all(name in given for name in own.names):
             raise ConfigurationError(

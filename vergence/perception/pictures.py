@@ -17,6 +17,7 @@ from vergence.files import atomic_file
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.finding import Photograph, tag_number
 from vergence.perception.locate import MM, LocatedTarget, LocateResult
+from vergence.perception.photographs import join_first_names
 from vergence.reporting.style import (
     BLUE,
     GREY,
@@ -289,8 +290,7 @@ def _draw_space(
 
 def _heading(result: LocateResult, seen: Sequence[LocatedTarget]) -> str:
     count = len({one.pair for one in seen})
-    names = list(dict.fromkeys(str(one.target) for one in seen))
-    what = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    what = join_first_names(dict.fromkeys(str(one.target) for one in seen), 3)
     if not seen:
         why = "the lines of sight do not cross" if result.located else "no target in both images"
         return f"head {result.head.name}: {why}, nothing located"
