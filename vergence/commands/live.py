@@ -33,7 +33,7 @@ def watch_camera(
     as_json: bool,
 ) -> int:
     """Watch until Ctrl-C, the end of a video or a time, s; exit code 1 if no target was found."""
-    from vergence.perception.finding import LiveStatistics, make_live_finders, watch_targets
+    from vergence.perception.finding import LiveStatistics, make_live_finder, watch_targets
     from vergence.vision.image import is_local_camera, open_video
 
     statistics = LiveStatistics(targets)
@@ -46,7 +46,7 @@ def watch_camera(
         with open_video(source) as images, shown as live:
             in_time = watch_targets(
                 images,
-                make_live_finders(targets, camera, camera_response),
+                [make_live_finder(target, camera, camera_response) for target in targets],
                 statistics,
                 time.monotonic,
                 time_limit_s=seconds,

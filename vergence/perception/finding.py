@@ -272,15 +272,13 @@ def target_centre_px(detection: Detection, camera: Camera | None) -> tuple[Float
         return detection.point_px, detection.sigma_px
     seen: NDArray[np.bool_] = np.asarray(np.isfinite(detection.corners_px).all(axis=-1))
     weights = centre_weights(target.corners_m, seen)
-    nowhere = np.full(2, np.nan)
-    if seen.sum() < 4 or not np.isfinite(weights).all():
-        return nowhere, nowhere
-    corners = detection.corners_px[seen]
-    plane = corners if camera is None else camera.rays(corners)
-    fitted: Any = cv2.findHomography(target.corners_m[seen], plane)
-    homography = fitted[0]
+    homography: Any = None
+    if seen.sum() >= 4 and np.isfinite(weights).all():
+        corners = detection.corners_px[seen]
+        plane = corners if camera is None else camera.rays(corners)
+        homography = cv2.findHomography(target.corners_m[seen], plane)[0]
     if homography is None:
-        return nowhere, nowhere
+        return np.full(2, np.nan), np.full(2, np.nan)
     ray = homography @ [*target.corners_m.mean(axis=0), 1.0]
     middle = ray[:2] / ray[2]
     if camera is not None:
@@ -301,20 +299,14 @@ LiveFinder = Callable[[NDArray[np.uint8]], Sequence[Detection]]
 """Finds targets in the next image of a sequence."""
 
 
-def make_live_finders(
-    targets: Sequence[Target],
-    camera: Camera | None = None,
-    response: CameraResponse | None = None,
-) -> list[LiveFinder]:
-    """Make a finder for each target in live images."""
-    detectors = [make_detector(target, camera, response) for target in targets]
-    return [
-        FamilyTracker(each) if isinstance(each.target, TagFamily) else _board_finder(Tracker(each))
-        for each in detectors
-    ]
-
-
-def _board_finder(tracker: Tracker) -> LiveFinder:
+def make_live_finder(
+    target: Target, camera: Camera | None = None, response: CameraResponse | None = None
+) -> LiveFinder:
+    """Make a finder for a target in live images."""
+    detector = make_detector(target, camera, response)
+    if isinstance(target, TagFamily):
+        return FamilyTracker(detector)
+    tracker = Tracker(detector)
     return lambda image: [found] if (found := tracker.find(image)) is not None else []
 
 

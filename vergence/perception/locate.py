@@ -159,17 +159,14 @@ def describe_wrong_edges(name: str, edges: Sequence[tuple[str, EdgeSpacing]]) ->
     found = low if low == high else f"{low} to {high}"
     sigma = MM * float(np.median([each.sigma_m for _, each in off]))
     ratio = float(np.median(lengths)) / stated
-    hints = [
-        f"; {why}"
-        for k, why in _UNIT_MISTAKE_HINTS.items()
-        if abs(ratio / k - 1.0) < _UNIT_RATIO_TOLERANCE
-    ]
+    mistakes = _UNIT_MISTAKE_HINTS.items()
+    near = (f"; {why}" for k, why in mistakes if abs(ratio / k - 1.0) < _UNIT_RATIO_TOLERANCE)
     where = join_first_names(dict.fromkeys(pair for pair, _ in off))
     if len(edges) > 1:
         where = f"{len(off)} of {len(edges)} places ({where})"
     return (
         f"{name}: edges are {found} mm in {where}, expected {stated:g} ± {sigma:.2g} mm: joint "
-        f"angles, the head's calibration or the size do not fit{''.join(hints[:1])}"
+        f"angles, the head's calibration or the size do not fit{next(near, '')}"
     )
 
 
@@ -188,8 +185,8 @@ class LocatedTarget:
     """Triangulation of its n corners."""
     centre: Fix
     """Triangulation of its centre: of a board, by the weights of its corners."""
-    edge_sigma_m: float
-    """Standard deviation of the mean distance between neighbouring corners."""
+    spacing: EdgeSpacing
+    """Distances between its neighbouring corners."""
     focal_px: float
     """Mean focal length of the head's cameras, which converts a point's gap to pixels."""
     pose: Pose | None
@@ -202,11 +199,6 @@ class LocatedTarget:
     def valid(self) -> NDArray[np.bool_]:
         """(n,) True for corners with a solution."""
         return self.fix.valid
-
-    @property
-    def spacing(self) -> EdgeSpacing:
-        """Distances between its neighbouring corners."""
-        return measure_spacing(self.target, [self.fix.point], self.edge_sigma_m)
 
     @property
     def gap_m(self) -> float:
@@ -234,7 +226,7 @@ class LocatedTarget:
             "gap_mm": null_nonfinite_elements(MM * self.fix.gap),
             "spacing_mm": {
                 **self.spacing.document(),
-                "sigma": null_nonfinite_elements([MM * self.edge_sigma_m])[0],
+                "sigma": null_nonfinite_elements([MM * self.spacing.sigma_m])[0],
             },
             "pose": pose_document(self.pose),
             "eye_poses": {
@@ -290,6 +282,7 @@ def locate_target(
         estimate_pose(target.corners_m, [View(view.camera, view.corners_px, view.noise)])
         for view in views
     )
+    edge_sigma_m = _mean_edge_sigma(head, q, target, pixels, fix.point, of_pixels)
     return LocatedTarget(
         pair=pair,
         target=target,
@@ -297,7 +290,7 @@ def locate_target(
         sigma_px=sigma.swapaxes(0, 1),
         fix=fix,
         centre=centre,
-        edge_sigma_m=_mean_edge_sigma(head, q, target, pixels, fix.point, of_pixels),
+        spacing=measure_spacing(target, [fix.point], edge_sigma_m),
         focal_px=float(head.cameras.focal.mean()),
         pose=pose,
         eye_poses=(own_left, own_right),
