@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.camera import CameraResponse
@@ -62,7 +62,7 @@ class TargetFinder:
         self.response_check = LinearResponseCheck()
         self._detectors = [make_detector(target, camera, response) for target in targets]
 
-    def find(self, image: ArrayLike) -> list[Detection]:
+    def find(self, image: NDArray[Any]) -> list[Detection]:
         """Find all targets, in the order of the targets given, tags sorted by their numbers."""
         found: list[Detection] = []
         for detector in self._detectors:

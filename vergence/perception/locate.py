@@ -271,7 +271,7 @@ def locate_target(
             point=weighted_sum(fix.point, weights),
             gap=weighted_sum(fix.gap, weights),
             covariance=weighted_sum(of_pixels, weights**2) + of_joints[weights != 0.0].mean(axis=0),
-            valid=np.isfinite(weights).all(),
+            valid=np.asarray(np.isfinite(weights).all()),
         )
     noise = [corner_noise(side, head.sensor.detection_noise_px) for side in (left, right)]
     views = eye_views(head, q, [left.corners_px, right.corners_px], noise, joint_rad)

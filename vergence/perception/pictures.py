@@ -259,6 +259,10 @@ def compose_located(result: LocateResult) -> Figure:
     return figure
 
 
+_Drawn = Sequence[tuple[LocatedTarget, NDArray[np.bool_]]]
+"""Targets with an (n,) mask of their corners that the views of space show."""
+
+
 def _draw_space(
     figure: Figure,
     panels: Sequence[Axes],
@@ -273,15 +277,15 @@ def _draw_space(
     away = [np.linalg.norm(one.fix.point, axis=-1) for one in seen]
     usual = np.median([np.median(d[one.valid]) for d, one in zip(away, seen, strict=True)])
     most = _FAR_DISTANCE_RATIO * usual
-    near = [one.valid & (d <= most) for d, one in zip(away, seen, strict=True)]
-    outside = int(sum(one.valid.sum() for one in seen) - sum(each.sum() for each in near))
+    near = [(one, one.valid & (d <= most)) for d, one in zip(away, seen, strict=True)]
+    outside = int(sum(one.valid.sum() - drawn.sum() for one, drawn in near))
     shown = result.shown[0].path.name
     for panel, (title, across, up, xlabel, ylabel) in zip(panels, _VIEWS, strict=True):
-        _draw_view(panel, seen, near, eyes, (across, up), colours, shown)
+        _draw_view(panel, near, eyes, [across, up], colours, shown)
         panel.set(xlabel=xlabel, ylabel=ylabel, title=title)
     legend_below(figure, 5)
     figure.draw_without_rendering()  # ellipses are scaled to the panels' final size
-    _draw_sigma(panels, seen, near, colours)
+    _draw_sigma(panels, near, colours)
     if outside:
         points = "point lies" if outside == 1 else "points lie"
         farther = f"{outside} {points} farther away, outside"
@@ -300,10 +304,9 @@ def _heading(result: LocateResult, seen: Sequence[LocatedTarget]) -> str:
 
 def _draw_view(
     panel: Axes,
-    seen: Sequence[LocatedTarget],
-    near: Sequence[NDArray[np.bool_]],
+    near: _Drawn,
     eyes: FloatArray,
-    axes: tuple[int, int],
+    axes: list[int],
     colours: TargetColours,
     shown: str,
 ) -> None:
@@ -311,9 +314,9 @@ def _draw_view(
         panel.plot(
             *eyes[eye::2][:, axes].T, "s", color=_EYE_COLOURS[eye], ms=8, label=f"{name} eye"
         )
-    pairs = {one.pair for one in seen}
+    pairs = {one.pair for one, _ in near}
     many, crowded = len(pairs) > 1, len(pairs) > _MOST_DRAWN_PAIRS
-    for one, drawn in zip(seen, near, strict=True):
+    for one, drawn in near:
         points, colour = MM * one.fix.point[:, axes], colours[str(one.target)]
         points = np.where(drawn[:, None], points, np.nan)
         line = target_outline(one.target, points)
@@ -321,29 +324,24 @@ def _draw_view(
         panel.plot(*line.T, lw=0.8 if behind else 1.2, alpha=0.4 if behind else 1.0, color=colour)
         if not behind:
             panel.plot(*points.T, ".", ms=2.5 if many else 4.0, color=colour)
-            if one.pose is not None and drawn.any() and len(seen) <= _MOST_DRAWN_AXES:
+            if one.pose is not None and drawn.any() and len(near) <= _MOST_DRAWN_AXES:
                 ends = MM * axes_in_space(one.target, one.pose)[:, axes]
-                _draw_axes(panel, ends, 0.8 if many or len(seen) > 5 else 1.4)
+                _draw_axes(panel, ends, 0.8 if many or len(near) > 5 else 1.4)
         if not many and (drawn == one.valid).all():
             for place in eyes[:2][:, axes]:
-                sight = np.stack([place, MM * one.centre.point[list(axes)]])
-                panel.plot(*sight.T, ":", color=GREY, lw=1.0 if len(seen) <= 5 else 0.4)
+                sight = np.stack([place, MM * one.centre.point[axes]])
+                panel.plot(*sight.T, ":", color=GREY, lw=1.0 if len(near) <= 5 else 0.4)
     panel.set_aspect("equal", adjustable="datalim")
     if axes[1] == 1:
         panel.invert_yaxis()
     panel.margins(0.08)
 
 
-def _draw_sigma(
-    panels: Sequence[Axes],
-    seen: Sequence[LocatedTarget],
-    near: Sequence[NDArray[np.bool_]],
-    colours: TargetColours,
-) -> None:
+def _draw_sigma(panels: Sequence[Axes], near: _Drawn, colours: TargetColours) -> None:
     """Draw covariance ellipses at outermost corners, at the first scale that makes them visible."""
     chosen = [
         (MM * one.fix.point[corner], MM**2 * one.fix.covariance[corner], one)
-        for one, drawn in zip(seen, near, strict=True)
+        for one, drawn in near
         for corner in _outermost(one, drawn)
     ]
     if not chosen:
