@@ -33,7 +33,7 @@ def result_of(*places: tuple[str, AprilTag, tuple[float, float, float]], swap: b
     nothing = [Photograph(Path("a.png"), IMAGE, [])] * 2
     return LocateResult(
         head=HEAD,
-        angles=dict.fromkeys(names, HEAD.rest()), pairs=names, located=tuple(located), missed=(),
+        angles=dict.fromkeys(names, HEAD.rest()), located=tuple(located), missed=(),
         remarks=(), unpaired=(), failures=(), shown=tuple((photographs or [nothing])[0]),
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from vergence.models.parts import FloatArray
 from vergence.perception.finding import PhotographSearch, TargetFinder
 from vergence.perception.notes import LinearResponseCheck, describe_similar_targets
 from vergence.perception.photographs import join_first_names
-from vergence.vision import Detection, make_detector, parse_target, read_image
+from vergence.vision import Detection, parse_target, read_image
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily
 
 _MISSES_BEFORE_CHECK: Final = 6
@@ -157,12 +157,12 @@ class _BoardFinder(TargetFinder):
     def __init__(
         self, target: PlanarTarget, response: CameraResponse | None, check: LinearResponseCheck
     ) -> None:
-        self._detector = make_detector(target, response=response)
-        self.response_check = check
+        super().__init__([target], response=response)
+        self.response_check = check  # one of all cameras
 
     def find(self, image: NDArray[Any]) -> list[Detection]:
-        scale = 1.0
-        found = self._detector.detect(image)
+        scale, (detector,) = 1.0, self._detectors
+        found = detector.detect(image)
         if image.dtype == np.int32:  # from a TIFF; cv2.resize does not take it
             image = image.astype(np.float32)
         while found is None and max(image.shape[:2]) > _LARGE_IMAGE_PX:
@@ -170,10 +170,10 @@ class _BoardFinder(TargetFinder):
                 cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             )
             scale *= 2.0
-            found = self._detector.detect(image)
+            found = detector.detect(image)
         if found is None:
             return []
-        self.response_check.add(image, [found], self._detector.response_of(image))
+        self.response_check.add(image, [found], detector.response_of(image))
         corners = scale * (found.corners_px + 0.5) - 0.5  # pixel centres are at integers
         sigma = scale * found.corners_sigma_px
         return [found._replace(corners_px=corners, corners_sigma_px=sigma)]

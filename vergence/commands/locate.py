@@ -91,7 +91,7 @@ def _nothing(targets: tuple[str, ...], result: "LocateResult") -> str:
     names = ", ".join(targets)
     if result.located:
         return f"no point of {names} has an answer: the lines of sight do not cross"
-    count = len(result.pairs)
+    count = len(result.angles)
     pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
     from vergence.perception.finding import parse_targets
     from vergence.perception.notes import describe_similar_targets

@@ -115,8 +115,8 @@ class PhotographSearch:
                 progress(number / len(self._views))
         if len(self.failures) == len(self._views):
             raise ConfigurationError(
-                f"expected images that can be read, got none in {len(self._views)}{kind}; the "
-                f"first: {self.failures[0]}"
+                f"expected images that can be read, got none in {len(self._views)}{kind}"
+                + "".join(f"; the first: {why}" for why in self.failures[:1])
             )
 
     def remarks(self, paths: Iterable[Path]) -> tuple[str, ...]:

@@ -334,9 +334,7 @@ class LocateResult:
 
     head: HeadModel
     angles: dict[str, FloatArray]
-    """(7,) joint angles by pair, rad."""
-    pairs: tuple[str, ...]
-    """Names of the pairs that could be read."""
+    """(7,) joint angles, rad, by the name of each pair that could be read."""
     located: tuple[LocatedTarget, ...]
     missed: tuple[MissedTarget, ...]
     remarks: tuple[str, ...]
@@ -372,7 +370,7 @@ class LocateResult:
         return {
             "head": self.head.name,
             "head_digest": self.head.digest,
-            "pairs": list(self.pairs),
+            "pairs": list(self.angles),
             "joints_rad": {
                 pair: dict(zip(self.head.joints, q.tolist(), strict=True))
                 for pair, q in self.angles.items()
@@ -466,7 +464,7 @@ def locate(
     angles = read_joint_angles(model, joints, [pair.name for pair in pairs])
     finders = [TargetFinder(targets, Camera.of(model, eye), curve) for eye in range(2)]
     search = PhotographSearch(targets, [list(zip(finders, pair, strict=True)) for pair in pairs])
-    read: dict[str, FloatArray] = {}
+    angles_read: dict[str, FloatArray] = {}
     located: list[LocatedTarget] = []
     missed: list[MissedTarget] = []
     shown, rank = None, -1
@@ -475,7 +473,7 @@ def locate(
             continue
         left_one, right_one = view
         name, sides = left_one.path.name, (left_one.detections, right_one.detections)
-        read[name] = angles[name]
+        angles_read[name] = angles[name]
         here, not_here = _match(model, angles[name], name, *sides)
         located += here
         missed += not_here
@@ -485,8 +483,7 @@ def locate(
     assert shown is not None  # else the search has raised an error
     return LocateResult(
         head=model,
-        angles=read,
-        pairs=tuple(read),
+        angles=angles_read,
         located=tuple(located),
         missed=tuple(missed),
         remarks=search.remarks([path for pair in pairs for path in pair]),

@@ -298,7 +298,7 @@ def _heading(result: LocateResult, seen: Sequence[LocatedTarget]) -> str:
     if not seen:
         why = "the lines of sight do not cross" if result.located else "no target in both images"
         return f"head {result.head.name}: {why}, nothing located"
-    pairs = f"{count} of {len(result.pairs)} pairs" if len(result.pairs) > 1 else seen[0].pair
+    pairs = f"{count} of {len(result.angles)} pairs" if len(result.angles) > 1 else seen[0].pair
     return f"head {result.head.name}: {what}, {pairs}"
 
 
