@@ -158,9 +158,9 @@ def test_live_ends_when_its_time_is_over_or_by_ctrl_c(video, capsys, monkeypatch
     words = ("detect", "--live", video, "--target", "tag:36h11:5:120", "--json")
     call(*words, "--seconds", "1e-6")  # the tag is not in the first image
     assert json.loads(capsys.readouterr().out)["images"] == 1
-    from vergence.perception import live
+    from vergence.perception import finding
 
-    add, seen = live.LiveStatistics.add, []
+    add, seen = finding.LiveStatistics.add, []
 
     def interrupted(self, *measured):
         add(self, *measured)
@@ -168,7 +168,7 @@ def test_live_ends_when_its_time_is_over_or_by_ctrl_c(video, capsys, monkeypatch
         if len(seen) == 10:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(live.LiveStatistics, "add", interrupted)
+    monkeypatch.setattr(finding.LiveStatistics, "add", interrupted)
     assert call(*words) == 0
     assert json.loads(capsys.readouterr().out)["images"] == 10
 

@@ -28,13 +28,7 @@ def corners_in_space(target: PlanarTarget, pose: np.ndarray) -> np.ndarray:
 
 
 class Studio:
-    """Both eyes of a head, and a target before them.
-
-    Args:
-        head: the head.
-        target: the target.
-        q: (7,) joint angles; at rest by default.
-    """
+    """Both eyes of a head at joint angles, at rest by default, and a target before them."""
 
     def __init__(self, head: HeadModel, target: PlanarTarget, q: np.ndarray | None = None) -> None:
         self.target = target

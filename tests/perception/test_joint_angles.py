@@ -7,8 +7,9 @@ import pytest
 
 from tests.eval.refusals import not_refused
 from tests.heads import head_of
+from tests.naming import refused
 from vergence import load_head
-from vergence.errors import ConfigurationError, UnreadableFileError
+from vergence.errors import UnreadableFileError
 from vergence.perception.photographs import read_joint_angles
 
 Q = [0.0, 0.0, 0.0, 0.1, -0.2, 0.12, 0.3]
@@ -52,7 +53,7 @@ def test_a_row_for_each_pair_names_its_left_image(tmp_path):
         assert found["a.png"][4] == 0.25
 
 
-def test_actuators_that_tie_joints_may_be_given_in_their_place(tmp_path):
+def test_actuators_that_tie_joints_may_be_given_in_their_place_and_without_a_file_rest(tmp_path):
     head = head_of("tied")
     values = {"tilt": 0.1, "version": 0.2, "vergence": 0.3, "neck_yaw": 0.4}
     q = read_joint_angles(head, write(tmp_path / "q.json", values), ["a"])["a"]
@@ -60,10 +61,6 @@ def test_actuators_that_tie_joints_may_be_given_in_their_place(tmp_path):
     joints = {"eyes_tilt": 0.1, "left_pan": 0.35, "right_pan": 0.05}
     other = read_joint_angles(head, write(tmp_path / "q.json", joints), ["a"])["a"]
     np.testing.assert_allclose(other[3:], q[3:], atol=1e-15)
-
-
-def test_a_head_without_a_file_is_at_rest():
-    head = head_of("tied")
     np.testing.assert_array_equal(read_joint_angles(head, None, ["a"])["a"], head.rest())
 
 
@@ -98,15 +95,14 @@ def test_what_cannot_be_is_refused_in_one_line_that_names_the_file(tmp_path):
     assert not_refused(attempt, named) == []
 
 
-def test_a_file_that_is_not_there_or_no_text_is_named(tmp_path):
-    with pytest.raises(UnreadableFileError, match=r"none\.json: No such file"):
-        read_joint_angles(load_head("physical"), tmp_path / "none.json", PAIRS)
-    (tmp_path / "q.json").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(UnreadableFileError, match="no text in UTF-8"):
-        read_joint_angles(load_head("physical"), tmp_path / "q.json", PAIRS)
-
-
-def test_joints_of_a_fixed_pair_are_refused_with_the_reason(tmp_path):
-    (tmp_path / "q.json").write_text('{"left_pan": 0.1}', encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=r"none \(a fixed pair\), got 'left_pan'"):
-        read_joint_angles(head_of("pair"), tmp_path / "q.json", ["a.png"])
+def test_a_file_that_is_not_there_or_no_text_and_joints_of_a_fixed_pair_are_named(tmp_path):
+    file = tmp_path / "q.json"
+    refused(r"q\.json: No such file", read_joint_angles, load_head("physical"), file, PAIRS,
+            error=UnreadableFileError)  # fmt: skip
+    file.write_bytes(b"\xff\xfe\x00")
+    refused("no text in UTF-8", read_joint_angles, load_head("physical"), file, PAIRS,
+            error=UnreadableFileError)  # fmt: skip
+    write(file, {"left_pan": 0.1})
+    refused(
+        r"none \(a fixed pair\), got 'left_pan'", read_joint_angles, head_of("pair"), file, PAIRS
+    )

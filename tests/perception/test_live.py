@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from tests.perception.test_target_finder import HEAD, side_by_side
-from vergence.perception.live import FamilyTracker, LiveStatistics, make_live_finders, watch_targets
+from vergence.perception.finding import (
+    FamilyTracker,
+    LiveStatistics,
+    make_live_finder,
+    watch_targets,
+)
 from vergence.vision import Detection, make_detector
 from vergence.vision.targets import AprilTag, Checkerboard, TagFamily
 
@@ -19,40 +24,28 @@ def at(u, v, target=TAG):
     return Detection(target, np.array([u, v]), np.zeros((4, 2)), np.full(2, 0.1), np.zeros((4, 2)))
 
 
-def test_rates_are_of_the_window_and_totals_of_all():
-    statistics = LiveStatistics([TAG], window_s=1.0)
-    for image in range(40):
-        statistics.add(0.1 * image, 0.02, [at(1.0, 2.0)] if image >= 20 and image % 2 else [])
-    state = statistics.window_summary()
-    (tag,) = state.targets
-    assert (state.images, state.seconds) == (40, pytest.approx(3.92))
-    assert state.frame_rate_hz == pytest.approx(10.0)
-    assert state.detection_ms == pytest.approx(20.0)
-    assert tag.rate == pytest.approx(0.5, abs=0.06)
-    assert (tag.images_with_target, tag.images) == (6, 11)
-    (tag,) = statistics.run_summary().targets
-    assert (tag.images_with_target, tag.images, tag.rate) == (10, 40, 0.25)
-    assert tag.document()["images_without"] == 30
-
-
-def test_the_summary_is_over_the_whole_run():
+def test_rates_noise_and_points_are_of_the_window_and_of_the_whole_run():
     rng = np.random.default_rng(1)
     statistics = LiveStatistics([TAG], window_s=1.0)
     points = rng.normal([5000.0, 240.0], [0.4, 0.1], (400, 2))
     points[200:] += 3.0  # the camera was bumped half way
-    for image, point in enumerate(points):
-        statistics.add(
-            0.05 * image if image < 200 else 10.0 + 0.1 * (image - 200), 0.01, [at(*point)]
-        )
-    (tag,), (last,) = statistics.run_summary().targets, statistics.window_summary().targets
-    np.testing.assert_allclose(tag.noise_px, points.std(axis=0, ddof=1), rtol=1e-9)
-    np.testing.assert_allclose(tag.point_px, points.mean(axis=0), rtol=1e-12)
+    times_s = np.concatenate([0.05 * np.arange(200), 10.0 + 0.1 * np.arange(200)])
+    for image, (time_s, point) in enumerate(zip(times_s, points, strict=True)):
+        statistics.add(time_s, 0.02, [at(*point)] if image % 2 else [])
+    run, window = statistics.run_summary(), statistics.window_summary()
+    (tag,), (last,) = run.targets, window.targets
+    assert (run.images, run.seconds) == (400, pytest.approx(29.92))
+    assert (run.frame_rate_hz, window.frame_rate_hz) == pytest.approx((399 / 29.9, 10.0))
+    assert (run.detection_ms, window.detection_ms) == pytest.approx((20.0, 20.0))
+    assert (tag.images_with_target, tag.images, tag.rate) == (200, 400, 0.5)
+    assert (last.images_with_target, last.images) == (6, 11)
+    assert tag.document()["images_without"] == 200
+    np.testing.assert_allclose(tag.noise_px, points[1::2].std(axis=0, ddof=1), rtol=1e-9)
+    np.testing.assert_allclose(tag.point_px, points[1::2].mean(axis=0), rtol=1e-12)
     np.testing.assert_allclose(tag.sigma_px, 0.1, rtol=1e-9)
-    # the window has ten images after the bump: their noise by itself
+    # the window has images after the bump alone: their noise by itself
     assert (last.noise_px < 1.0).all()
     assert (tag.noise_px > 1.4).all()
-    assert statistics.run_summary().frame_rate_hz == pytest.approx(399 / 29.9)
-    assert statistics.window_summary().frame_rate_hz == pytest.approx(10.0)
 
 
 def test_targets_that_were_asked_for_are_shown_unseen_and_others_once_seen():
@@ -90,7 +83,6 @@ class Counting:
 
     def __init__(self) -> None:
         self.own, self.full, self.quick = make_detector(TagFamily()), 0, 0
-
         self.track = self.own.track
 
     def detect_all(self, image):
@@ -122,37 +114,26 @@ def test_tags_that_stay_are_followed_and_found_in_every_image():
 @pytest.mark.slow
 def test_tags_that_blink_are_found_whenever_they_are_there():
     find = FamilyTracker(Counting())
-    for image in range(20):
-        assert numbers(find(NOTHING if image % 3 == 2 else BOTH)) == (
-            [] if image % 3 == 2 else [3, 7]
-        )
-
-
-def test_a_tag_that_comes_is_found_at_once_or_within_fifteen_images():
-    find = FamilyTracker(Counting())
-    for _ in range(20):
-        assert numbers(find(NOTHING)) == []
-    assert numbers(find(LEFT_ALONE)) == numbers(find(LEFT_ALONE))
-    assert len(numbers(find(LEFT_ALONE))) == 1
-    seen = [len(find(BOTH)) for _ in range(16)]
-    assert seen[-1] == 2
+    for image in [BOTH, BOTH, NOTHING] * 7:
+        assert numbers(find(image)) == ([] if image is NOTHING else [3, 7])
 
 
 @pytest.mark.slow
-def test_a_tag_that_went_is_not_searched_for_for_ever():
+def test_a_tag_that_comes_is_found_at_once_or_soon_and_one_that_went_is_soon_given_up():
     counting = Counting()
     find = FamilyTracker(counting)
-    find(BOTH)
+    for _ in range(20):
+        assert numbers(find(NOTHING)) == []
+    assert [len(find(LEFT_ALONE)) for _ in range(2)] == [1, 1]
+    assert len([find(BOTH) for _ in range(16)][-1]) == 2
     for _ in range(40):
         find(LEFT_ALONE)
     before = counting.full
-    for _ in range(30):
-        assert len(find(LEFT_ALONE)) == 1
+    assert [len(find(LEFT_ALONE)) for _ in range(30)] == [1] * 30
     assert counting.full - before == 2
 
 
 def test_each_target_has_its_finder():
-    finders = make_live_finders(
-        [TagFamily(), next(iter(make_detector(TagFamily()).detect_all(BOTH))).target]
-    )
+    one_tag = make_detector(TagFamily()).detect_all(BOTH)[0].target
+    finders = [make_live_finder(target) for target in (TagFamily(), one_tag)]
     assert [numbers(find(BOTH)) for find in finders] == [[3, 7], [3]]

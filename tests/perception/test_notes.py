@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.naming import named
 from tests.perception.drawn import Studio, pose_at
 from tests.vision.poses import pose
 from tests.vision.scenes import levels, rig, scene
@@ -44,9 +45,12 @@ def test_a_large_images_camera_is_reduced_with_it():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("shown", "asked", "there"),
-    [
+def test_a_charuco_board_of_other_counts_is_named_with_the_layout_that_is_there():
+    def spelled(name):
+        counts, _, legacy = name.partition(":")
+        return f"charuco:{counts}:40:30:4X4_50{':legacy' if legacy else ''}"
+
+    for cases in [
         ("6x5", "5x4", "6x5"),  # its inner corners
         ("6x5", "7x5", "6x5"),
         ("6x6", "6x6:L", "6x6"),  # not the taller board of the same numbers
@@ -54,19 +58,13 @@ def test_a_large_images_camera_is_reduced_with_it():
         ("5x6", "5x5:L", "5x6"),
         ("5x6:L", "5x5", "5x6:L"),
         ("7x5:L", "9x4:L", "7x5"),
-    ],
-)
-def test_a_charuco_board_of_other_counts_is_named_with_the_layout_that_is_there(
-    shown, asked, there
-):
-    def spelled(name):
-        counts, _, legacy = name.partition(":")
-        return f"charuco:{counts}:40:30:4X4_50{':legacy' if legacy else ''}"
-
-    image = drawn(spelled(shown))
-    assert make_detector(*parse_targets([spelled(asked)])).detect(image) is None
-    assert hint(image, spelled(asked)) == f"{spelled(there)} is there"
-    assert make_detector(*parse_targets([spelled(there)])).detect(image) is not None
+    ]:
+        shown, asked, there = map(spelled, cases)
+        image = drawn(shown)
+        with named(*cases):
+            assert make_detector(*parse_targets([asked])).detect(image) is None
+            assert hint(image, asked) == f"{there} is there"
+            assert make_detector(*parse_targets([there])).detect(image) is not None
 
 
 @pytest.mark.slow
@@ -106,27 +104,25 @@ def test_what_is_there_in_place_of_a_grid_is_said():
 
 def row_notes(asked, images):
     target = parse_targets([asked])[0]
-    check, detector = PhotographNotes([target]), make_detector(target)
+    check = PhotographNotes([target], check_white=False)
+    detector = make_detector(target)
     for image in images:
-        check.add(image, [detector.detect(image)], check_white=False)
+        check.add(image, [detector.detect(image)])
     return list(check.lines())
 
 
-@pytest.mark.parametrize(
-    ("asked", "there"),
-    [
+def test_the_board_without_the_rows_that_no_image_shows_is_named():
+    for asked, there in [
         ("aprilgrid:3x4:40:0.3", "aprilgrid:3x3:40:0.3"),
         ("aprilgrid:3x5:40:0.3", "aprilgrid:3x3:40:0.3"),
         ("charuco:6x6:40:30:4X4_50", "charuco:6x5:40:30:4X4_50"),
         ("charuco:6x5:40:30:4X4_50:legacy", "charuco:6x4:40:30:4X4_50"),
         ("charuco:6x6:40:30:4X4_50:legacy", "charuco:6x4:40:30:4X4_50:legacy"),
-    ],
-)
-def test_the_board_without_the_rows_that_no_image_shows_is_named(asked, there):
-    (line,) = row_notes(asked, [drawn(there, 200)])
-    assert line.startswith(f"{asked}: its last row is in 0 of 1 images")
-    assert f"the board is {there}," in line
-    assert row_notes(there, [drawn(there, 200)]) == []
+    ]:
+        (line,) = row_notes(asked, [drawn(there, 200)])
+        assert line.startswith(f"{asked}: its last row is in 0 of 1 images")
+        assert f"the board is {there}," in line
+        assert row_notes(there, [drawn(there, 200)]) == []
 
 
 @pytest.mark.slow
@@ -143,51 +139,46 @@ def test_a_row_that_one_image_shows_or_that_is_out_of_view_is_not_missed(asked):
     assert row_notes(asked, [whole[:end]]) == []
 
 
-def image_of(name: str, response: str) -> np.ndarray:
+def image_of(name: str, response: str, z_m: float = 0.6, blur_px: float = 0.9) -> np.ndarray:
     """A target near the eye, as a camera of a response sees it, in colours."""
     camera, rendering = rig("simulated")
-    softer = replace(rendering, blur_px=0.9)
-    rng = np.random.default_rng(2)
-    drawn = scene(camera, make_planar_target(name), pose(0, 0, 0.6, (0.2, 0.3, 0.1)), softer, rng)
+    blurred, rng = replace(rendering, blur_px=blur_px), np.random.default_rng(2)
+    place = pose(0, 0, z_m, (0.2, 0.3, 0.1))
+    drawn = scene(camera, make_planar_target(name), place, blurred, rng)
     encoded = np.interp(drawn.image, light_table(response), np.arange(256.0))
     return cv2.cvtColor(levels(encoded), cv2.COLOR_GRAY2BGR)
 
 
-@pytest.mark.slow
-def test_encoded_levels_that_are_taken_for_light_are_noticed():
-    finder = TargetFinder([make_planar_target("checkerboard")], response="linear")
-    assert finder.find(image_of("checkerboard", "srgb"))
-    (line,) = finder.response_check.lines()
-    assert "were srgb, not linear" in line
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("radius_px", [2.0, 2.5])
-def test_a_lens_out_of_focus_is_no_response(radius_px):
-    """It blurs to a disk, whose edges are no Gaussian's, and even all the same."""
-    camera, rendering = rig("simulated")
-    sharp = replace(rendering, blur_px=0.3)
-    target = make_planar_target("checkerboard")
-    drawn = scene(camera, target, pose(0, 0, 0.5, (0.2, 0.3, 0.1)), sharp, np.random.default_rng(2))
-    side = np.arange(-4.0, 4.5, 0.5)
-    disk = (np.hypot(*np.meshgrid(side, side)) < radius_px).astype(np.float32)
-    disk = cv2.resize(disk, (9, 9), interpolation=cv2.INTER_AREA)
-    image = levels(cv2.filter2D(drawn.image.astype(np.float32), -1, disk / disk.sum()))
-    finder = TargetFinder([target], response="linear")
-    assert finder.find(image)
-    assert finder.response_check.lines() == []
-
-
-@pytest.mark.parametrize("response", ["srgb", "linear"])
-def test_nothing_is_said_of_a_response_that_is_stated_rightly(response):
+def response_lines(image, response):
     finder = TargetFinder([make_planar_target("checkerboard")], response=response)
-    assert finder.find(image_of("checkerboard", response))
-    assert finder.response_check.lines() == []
+    assert finder.find(image)
+    return finder.response_check.lines()
+
+
+@pytest.mark.slow
+def test_encoded_levels_that_are_taken_for_light_are_noticed_and_no_others():
+    for response in ("srgb", "linear"):
+        image = image_of("checkerboard", response)
+        assert response_lines(image, response) == []
+        if response == "srgb":
+            (line,) = response_lines(image, "linear")
+            assert "were srgb, not linear" in line
+
+
+@pytest.mark.slow
+def test_a_lens_out_of_focus_is_no_response():
+    """It blurs to a disk, whose edges are no Gaussian's, and even all the same."""
+    sharp = image_of("checkerboard", "linear", 0.5, blur_px=0.3)[..., 0].astype(np.float32)
+    side = np.arange(-4.0, 4.5, 0.5)
+    for radius_px in (2.0, 2.5):
+        disk = (np.hypot(*np.meshgrid(side, side)) < radius_px).astype(np.float32)
+        disk = cv2.resize(disk, (9, 9), interpolation=cv2.INTER_AREA)
+        blurred = levels(cv2.filter2D(sharp, -1, disk / disk.sum()))
+        assert response_lines(blurred, "linear") == []
 
 
 def test_few_edges_tell_nothing():
     check = LinearResponseCheck()
-    finder = TargetFinder([make_planar_target("tag")])
     image = image_of("tag", "srgb")
-    check.add(image, finder.find(image), "linear")
+    check.add(image, TargetFinder([make_planar_target("tag")]).find(image), "linear")
     assert check.lines() == []

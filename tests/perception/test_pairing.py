@@ -51,22 +51,21 @@ def test_other_names_are_none(tmp_path):
 def test_numbers_are_in_their_order_and_what_has_no_partner_is_named(tmp_path):
     left = folder_of(tmp_path / "l", "left10.jpg", "left2.jpg", "left1.jpg", "left3.jpg", "a.txt")
     right = folder_of(tmp_path / "r", "right1.jpg", "right2.jpg", "right10.jpg", "right4.jpg")
-    pairs, alone, single = pair_up(left, right)
+    pairs, alone = pair_up(left, right)
     assert [pair.name for pair in pairs] == ["left1.jpg", "left2.jpg", "left10.jpg"]
     assert [path.name for path in alone] == ["left3.jpg", "right4.jpg"]
-    assert not single
 
 
 def test_one_folder_may_hold_both_sides_and_two_images_are_a_pair_whatever_their_names(tmp_path):
     both = folder_of(
         tmp_path / "both", "left1.jpg", "right1.jpg", "left2.jpg", "right2.jpg", "x.png"
     )
-    pairs, alone, _ = pair_up(both, both)
+    pairs, alone = pair_up(both, both)
     names = [(pair.left.name, pair.right.name) for pair in pairs]
     assert names == [("left1.jpg", "right1.jpg"), ("left2.jpg", "right2.jpg")]
     assert [path.name for path in alone] == ["x.png"]
-    pairs, alone, single = pair_up(both / "x.png", both / "left1.jpg")
-    assert (pairs[0].name, alone, single) == ("x.png", [], True)
+    pairs, alone = pair_up(both / "x.png", both / "left1.jpg")
+    assert (pairs[0].name, alone) == ("x.png", [])
 
 
 def test_what_is_ambiguous_empty_swapped_or_not_there_is_refused(tmp_path):

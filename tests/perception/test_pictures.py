@@ -33,7 +33,7 @@ def result_of(*places: tuple[str, AprilTag, tuple[float, float, float]], swap: b
     nothing = [Photograph(Path("a.png"), IMAGE, [])] * 2
     return LocateResult(
         head=HEAD,
-        angles=dict.fromkeys(names, HEAD.rest()), pairs=names, located=tuple(located), missed=(),
+        angles=dict.fromkeys(names, HEAD.rest()), located=tuple(located), missed=(),
         remarks=(), unpaired=(), failures=(), shown=tuple((photographs or [nothing])[0]),
     )  # fmt: skip
 
@@ -91,6 +91,14 @@ def test_without_a_point_there_are_the_images_alone_and_a_word():
         assert ["nothing found" in title for title in titles(figure)] == [not result.located] * 2
 
 
+def boxes_apart(figure, texts):
+    """Boxes of texts in a drawn figure, of which no two overlap."""
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in texts]
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    return boxes
+
+
 @pytest.mark.slow
 def test_long_titles_do_not_overlap():
     tag = AprilTag(edge_m=0.02)
@@ -98,11 +106,8 @@ def test_long_titles_do_not_overlap():
     found = [exact(HEAD, HEAD.rest(), tag, pose_at((0.0, 0.0, 0.5)))[0]]
     for count in (1, 6):
         figure = compose_detections([Photograph(Path(name), IMAGE, found)] * count)
-        figure.draw_without_rendering()
-        boxes = [panel.title.get_window_extent() for panel in figure.axes]
-        page = figure.bbox
+        boxes, page = boxes_apart(figure, [panel.title for panel in figure.axes]), figure.bbox
         assert all(page.x0 <= box.x0 and box.x1 <= page.x1 for box in boxes)
-        assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
         assert all("1 tag" in title and "left.jpg" in title for title in titles(figure))
 
 
@@ -111,10 +116,7 @@ def test_numbers_of_small_tags_do_not_overlap():
     places = [pose_at((0.03 * i, 0.0, 1.0)) for i in range(3)]
     found = [exact(HEAD, HEAD.rest(), *one)[0] for one in zip(tags, places, strict=True)]
     figure = compose_detections([Photograph(Path("a.png"), IMAGE, found)])
-    figure.draw_without_rendering()
-    boxes = [text.get_window_extent() for text in figure.axes[0].texts]
-    assert len(boxes) == 3
-    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    assert len(boxes_apart(figure, figure.axes[0].texts)) == 3
 
 
 def test_a_text_loses_its_middle_where_it_is_too_wide():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.eval.refusals import not_refused
+from tests.naming import refused
 from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
 from vergence.perception.finding import TargetFinder, parse_targets, tag_number
@@ -36,6 +36,8 @@ def test_a_family_is_found_by_number_and_a_stated_tag_keeps_its_size():
     assert [str(one.target) for one in found] == ["tag:36h11:7:100", "tag:36h11:3"]
     found = TargetFinder(parse_targets(["tag:36h11"])).find(image)
     assert [tag_number(one.target) for one in found] == [3, 7]
+    for texts in ([], ["tag"], ["nothing:1"]):
+        refused("target: expected", parse_targets, texts)
 
 
 @pytest.mark.slow
@@ -77,8 +79,3 @@ def test_a_board_of_markers_is_one_target_whose_edges_are_as_stated(head, name, 
         errors = one.fix.point - corners_in_space(targets[0], pose)
         assert np.sqrt(np.mean((errors / one.fix.sigma) ** 2)) < 1.5
         assert one.spacing.edge_count == 4 * 20  # edges of tags; the gaps between them are no edges
-
-
-def test_no_target_and_texts_that_are_none_are_refused():
-    cases = [(texts, "target: expected") for texts in ([], ["tag"], ["nothing:1"])]
-    assert not_refused(parse_targets, cases) == []

@@ -12,17 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import BundleAdjustment
-from vergence.errors import ConfigurationError, VergenceError
+from vergence.errors import ConfigurationError
 from vergence.models.camera import CameraResponse
 from vergence.models.parts import FloatArray
-from vergence.perception.notes import (
-    LinearResponseCheck,
-    PhotographNotes,
-    describe_similar_targets,
-)
+from vergence.perception.finding import PhotographSearch, TargetFinder
+from vergence.perception.notes import LinearResponseCheck, describe_similar_targets
 from vergence.perception.photographs import join_first_names
-from vergence.vision import Detector, make_detector, parse_target, read_image
-from vergence.vision.image import read_pixels
+from vergence.vision import Detection, parse_target, read_image
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily
 
 _MISSES_BEFORE_CHECK: Final = 6
@@ -155,6 +151,34 @@ class BoardObservations:
         return sha.hexdigest()
 
 
+class _BoardFinder(TargetFinder):
+    """Finds a board, tried also at half sizes, as large images are soft."""
+
+    def __init__(
+        self, target: PlanarTarget, response: CameraResponse | None, check: LinearResponseCheck
+    ) -> None:
+        super().__init__([target], response=response)
+        self.response_check = check  # one of all cameras
+
+    def find(self, image: NDArray[Any]) -> list[Detection]:
+        scale, (detector,) = 1.0, self._detectors
+        found = detector.detect(image)
+        if image.dtype == np.int32:  # from a TIFF; cv2.resize does not take it
+            image = image.astype(np.float32)
+        while found is None and max(image.shape[:2]) > _LARGE_IMAGE_PX:
+            image = np.asarray(
+                cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            )
+            scale *= 2.0
+            found = detector.detect(image)
+        if found is None:
+            return []
+        self.response_check.add(image, [found], detector.response_of(image))
+        corners = scale * (found.corners_px + 0.5) - 0.5  # pixel centres are at integers
+        sigma = scale * found.corners_sigma_px
+        return [found._replace(corners_px=corners, corners_sigma_px=sigma)]
+
+
 def detect_board_corners(
     target: PlanarTarget,
     photographs: Sequence[Sequence[Path]],
@@ -163,36 +187,29 @@ def detect_board_corners(
 ) -> tuple[BoardObservations, list[str]]:
     """Find a board in (c, v) photographs; also a line for each file that could not be read."""
     every = [path for files in photographs for path in files]
-    detectors = [
-        make_detector(target, response=response)
+    check = LinearResponseCheck()
+    finders = [
+        _BoardFinder(target, response, check)
         for response in (responses or [None] * len(photographs))
+    ]
+    views = [
+        [(finder, path)]
+        for finder, files in zip(finders, photographs, strict=True)
+        for path in files
     ]
     pixels = np.full((len(photographs), len(photographs[0]), len(target.corners_m), 2), np.nan)
     sigma = pixels.copy()
     sizes: dict[Path, tuple[int, int]] = {}
-    failures: list[str] = []
-    check, notes = LinearResponseCheck(), PhotographNotes([target])
-    for number, (path, (camera, view)) in enumerate(
-        zip(every, np.ndindex(pixels.shape[:2]), strict=True), 1
+    search = PhotographSearch([target], views, check_white=False)
+    for number, (found, place) in enumerate(
+        zip(search.search(progress), np.ndindex(pixels.shape[:2]), strict=True), 1
     ):
-        try:
-            image = read_pixels(path)
-        except VergenceError as error:
-            failures.append(str(error))
-        else:
+        for path, image, detections in found:
             sizes[path] = (image.shape[1], image.shape[0])
-            found = _detect(image, detectors[camera], check, notes)
-            if found is not None:
-                pixels[camera, view], sigma[camera, view] = found
+            for one in detections:
+                pixels[place], sigma[place] = one.corners_px, one.corners_sigma_px
         if number == _MISSES_BEFORE_CHECK and not np.isfinite(pixels).any():
             _refuse_another(target, every[:number], sizes)
-        if progress is not None:
-            progress(number / len(every))
-    if len(failures) == len(every):
-        raise ConfigurationError(
-            f"expected images that can be read, got none in {len(every)}"
-            + (f"; the first: {failures[0]}" if failures else "")
-        )
     observations = BoardObservations(
         target=target,
         file_names=tuple(tuple(map(str, files)) for files in photographs),
@@ -200,7 +217,7 @@ def detect_board_corners(
         pixels=pixels,
         sigma=sigma,
         excluded={str(path): "it could not be read" for path in every if path not in sizes},
-        remarks=notes.lines(every, [check]),
+        remarks=search.remarks(every),
     )
     seen = np.isfinite(pixels)
     if len(pixels) > 1 and seen.any() and np.array_equal(pixels[0], pixels[1], equal_nan=True):
@@ -212,27 +229,7 @@ def detect_board_corners(
             if not seen[camera].any():
                 _refuse_another(target, files, sizes)
             raise _not_found(target, files, "")
-    return observations, failures
-
-
-def _detect(
-    image: NDArray[Any], detector: Detector[Any], check: LinearResponseCheck, notes: PhotographNotes
-) -> tuple[FloatArray, FloatArray] | None:
-    """Corners and sigma of the board, px; tried also at half sizes, as large images are soft."""
-    scale = 1.0
-    found = detector.detect(image)
-    if image.dtype == np.int32:  # from a TIFF; cv2.resize does not take it
-        image = image.astype(np.float32)
-    while found is None and max(image.shape[:2]) > _LARGE_IMAGE_PX:
-        image = np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-        scale *= 2.0
-        found = detector.detect(image)
-    if found is None:
-        return None
-    check.add(image, [found], detector.response_of(image))
-    notes.add(image, [found], check_white=False)
-    # pixel centres are at integers
-    return scale * (found.corners_px + 0.5) - 0.5, scale * found.corners_sigma_px
+    return observations, search.failures
 
 
 def alike_views(pixels: FloatArray, sigma: FloatArray) -> dict[int, int]:

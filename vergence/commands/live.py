@@ -18,7 +18,7 @@ from vergence.reporting.text import format_fixed
 if TYPE_CHECKING:
     from vergence.models.camera import CameraResponse
     from vergence.models.parts import FloatArray
-    from vergence.perception.live import LiveSummary
+    from vergence.perception.finding import LiveSummary
     from vergence.vision import Camera
     from vergence.vision.targets import Target
 
@@ -33,7 +33,7 @@ def watch_camera(
     as_json: bool,
 ) -> int:
     """Watch until Ctrl-C, the end of a video or a time, s; exit code 1 if no target was found."""
-    from vergence.perception.live import LiveStatistics, make_live_finders, watch_targets
+    from vergence.perception.finding import LiveStatistics, make_live_finder, watch_targets
     from vergence.vision.image import is_local_camera, open_video
 
     statistics = LiveStatistics(targets)
@@ -46,7 +46,7 @@ def watch_camera(
         with open_video(source) as images, shown as live:
             in_time = watch_targets(
                 images,
-                make_live_finders(targets, camera, camera_response),
+                [make_live_finder(target, camera, camera_response) for target in targets],
                 statistics,
                 time.monotonic,
                 time_limit_s=seconds,
@@ -90,7 +90,7 @@ def _line(state: "LiveSummary") -> str:
 
 
 def _picture(state: "LiveSummary", last: bool = False) -> Group:
-    from vergence.perception.live import WINDOW_S
+    from vergence.perception.finding import WINDOW_S
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     missing = ("missing in",) if last else ()

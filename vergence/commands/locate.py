@@ -91,7 +91,7 @@ def _nothing(targets: tuple[str, ...], result: "LocateResult") -> str:
     names = ", ".join(targets)
     if result.located:
         return f"no point of {names} has an answer: the lines of sight do not cross"
-    count = len(result.pairs)
+    count = len(result.angles)
     pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
     from vergence.perception.finding import parse_targets
     from vergence.perception.notes import describe_similar_targets
@@ -112,9 +112,8 @@ def _say_rest(head: "HeadModel") -> None:
     import numpy as np
 
     from vergence.models.parts import EYES
-    from vergence.perception.photographs import eyes_move
 
-    if not eyes_move(head):
+    if not head.actuation.count:
         return
     rest = zip(head.joints[EYES], np.degrees(head.rest()[EYES]), strict=True)
     angles = ", ".join(f"{name} {angle:z.3g}" for name, angle in dict(rest).items() if name)

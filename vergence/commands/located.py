@@ -58,7 +58,7 @@ def _together(result: LocateResult, every: list[LocatedTarget]) -> str:
     """Summary line on targets of one kind in all pairs."""
     target = every[0].target
     edges = measure_spacing(target, [one.fix.point for one in every])
-    found = f"{len({one.pair for one in every if one.valid.any()})} of {len(result.pairs)} pairs"
+    found = f"{len({one.pair for one in every if one.valid.any()})} of {len(result.angles)} pairs"
     if not edges.edge_count:
         return found
     of_tags = tag_number(target) is not None

@@ -1,11 +1,9 @@
 """Find targets in pairs of photographs, triangulate them, and judge the result."""
 
 import csv
-import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -20,6 +18,7 @@ from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
 from vergence.perception.finding import (
     Photograph,
     PhotographSearch,
+    TargetFinder,
     centre_weights,
     parse_targets,
     pose_document,
@@ -28,7 +27,6 @@ from vergence.perception.finding import (
 )
 from vergence.perception.notes import target_key
 from vergence.perception.photographs import (
-    eyes_move,
     join_first_names,
     pair_up,
     read_joint_angles,
@@ -161,32 +159,15 @@ def describe_wrong_edges(name: str, edges: Sequence[tuple[str, EdgeSpacing]]) ->
     found = low if low == high else f"{low} to {high}"
     sigma = MM * float(np.median([each.sigma_m for _, each in off]))
     ratio = float(np.median(lengths)) / stated
-    hints = [
-        f"; {why}"
-        for k, why in _UNIT_MISTAKE_HINTS.items()
-        if abs(ratio / k - 1.0) < _UNIT_RATIO_TOLERANCE
-    ]
+    mistakes = _UNIT_MISTAKE_HINTS.items()
+    near = (f"; {why}" for k, why in mistakes if abs(ratio / k - 1.0) < _UNIT_RATIO_TOLERANCE)
     where = join_first_names(dict.fromkeys(pair for pair, _ in off))
     if len(edges) > 1:
         where = f"{len(off)} of {len(edges)} places ({where})"
     return (
         f"{name}: edges are {found} mm in {where}, expected {stated:g} ± {sigma:.2g} mm: joint "
-        f"angles, the head's calibration or the size do not fit{''.join(hints[:1])}"
+        f"angles, the head's calibration or the size do not fit{next(near, '')}"
     )
-
-
-class TargetCentre(NamedTuple):
-    """The centre of a target in frame N."""
-
-    point: FloatArray
-    """(3,) metres; nan without a solution."""
-    covariance: FloatArray
-    """(3, 3) m^2."""
-
-    @property
-    def sigma(self) -> FloatArray:
-        """(3,) standard deviations, metres."""
-        return np.sqrt(np.diagonal(self.covariance))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -202,9 +183,10 @@ class LocatedTarget:
     """(2, n, 2) their standard deviations."""
     fix: Fix
     """Triangulation of its n corners."""
-    centre: TargetCentre
-    edge_sigma_m: float
-    """Standard deviation of the mean distance between neighbouring corners."""
+    centre: Fix
+    """Triangulation of its centre: of a board, by the weights of its corners."""
+    spacing: EdgeSpacing
+    """Distances between its neighbouring corners."""
     focal_px: float
     """Mean focal length of the head's cameras, which converts a point's gap to pixels."""
     pose: Pose | None
@@ -213,15 +195,10 @@ class LocatedTarget:
     eye_poses: tuple[Pose | None, Pose | None]
     """Pose of T in each camera by its own image, of the same size."""
 
-    @cached_property
+    @property
     def valid(self) -> NDArray[np.bool_]:
         """(n,) True for corners with a solution."""
-        return np.asarray(self.fix.valid, bool)
-
-    @property
-    def spacing(self) -> EdgeSpacing:
-        """Distances between its neighbouring corners."""
-        return measure_spacing(self.target, [self.fix.point], self.edge_sigma_m)
+        return self.fix.valid
 
     @property
     def gap_m(self) -> float:
@@ -249,7 +226,7 @@ class LocatedTarget:
             "gap_mm": null_nonfinite_elements(MM * self.fix.gap),
             "spacing_mm": {
                 **self.spacing.document(),
-                "sigma": null_nonfinite_elements([MM * self.edge_sigma_m])[0],
+                "sigma": null_nonfinite_elements([MM * self.spacing.sigma_m])[0],
             },
             "pose": pose_document(self.pose),
             "eye_poses": {
@@ -274,38 +251,38 @@ def locate_target(
         known = np.where(np.isfinite(sigma), sigma, head.sensor.detection_noise_px)
         return triangulate_views(head, q, pixels, Noise(pixel_px=known, joint_rad=joint_rad))
 
-    def candidate(order: NDArray[np.intp]) -> tuple[Fix, FloatArray, FloatArray, Detection]:
-        turned = right._replace(
-            corners_px=right.corners_px[order], corners_sigma_px=right.corners_sigma_px[order]
-        )
-        pixels = np.stack([left.corners_px, turned.corners_px], axis=1)
-        sigma = np.stack([left.corners_sigma_px, turned.corners_sigma_px], axis=1)
-        return fix_of(pixels, sigma), pixels, sigma, turned
+    def candidate(order: NDArray[np.intp]) -> tuple[Fix, FloatArray, FloatArray]:
+        pixels = np.stack([left.corners_px, right.corners_px[order]], axis=1)
+        sigma = np.stack([left.corners_sigma_px, right.corners_sigma_px[order]], axis=1)
+        return fix_of(pixels, sigma), pixels, sigma
 
-    candidates = [candidate(order) for order in equivalent_corner_orders(target)]
-    fix, pixels, sigma, right = min(candidates, key=lambda each: _mismatch(each[0]))
+    candidates = map(candidate, equivalent_corner_orders(target))
+    fix, pixels, sigma = min(candidates, key=lambda each: _mismatch(each[0]))
+    right = right._replace(corners_px=pixels[:, 1], corners_sigma_px=sigma[:, 1])
     of_joints = fix_of(pixels, np.zeros_like(pixels)).covariance
     of_pixels = fix.covariance - of_joints
     if isinstance(target, AprilTag):
-        middle = fix_of(
+        centre = fix_of(
             np.stack([left.point_px, right.point_px]), np.stack([left.sigma_px, right.sigma_px])
         )
-        centre = TargetCentre(middle.point, middle.covariance)
     else:  # pixel errors average out over a board's corners, joint errors do not
-        weights = centre_weights(target.corners_m, np.asarray(fix.valid, bool))
-        centre = TargetCentre(
-            weighted_sum(fix.point, weights),
-            weighted_sum(of_pixels, weights**2) + of_joints[weights != 0.0].mean(axis=0),
+        weights = centre_weights(target.corners_m, fix.valid)
+        centre = Fix(
+            point=weighted_sum(fix.point, weights),
+            gap=weighted_sum(fix.gap, weights),
+            covariance=weighted_sum(of_pixels, weights**2) + of_joints[weights != 0.0].mean(axis=0),
+            valid=np.asarray(np.isfinite(weights).all()),
         )
     noise = [corner_noise(side, head.sensor.detection_noise_px) for side in (left, right)]
     views = eye_views(head, q, [left.corners_px, right.corners_px], noise, joint_rad)
     pose = None
-    if np.any(fix.valid):
+    if fix.valid.any():
         pose = estimate_pose(target.corners_m, views, size_known=target.size_known)
     own_left, own_right = (
         estimate_pose(target.corners_m, [View(view.camera, view.corners_px, view.noise)])
         for view in views
     )
+    edge_sigma_m = _mean_edge_sigma(head, q, target, pixels, fix.point, of_pixels)
     return LocatedTarget(
         pair=pair,
         target=target,
@@ -313,7 +290,7 @@ def locate_target(
         sigma_px=sigma.swapaxes(0, 1),
         fix=fix,
         centre=centre,
-        edge_sigma_m=_mean_edge_sigma(head, q, target, pixels, fix.point, of_pixels),
+        spacing=measure_spacing(target, [fix.point], edge_sigma_m),
         focal_px=float(head.cameras.focal.mean()),
         pose=pose,
         eye_poses=(own_left, own_right),
@@ -333,11 +310,11 @@ def equivalent_corner_orders(target: PlanarTarget) -> list[NDArray[np.intp]]:
 
 def _mismatch(fix: Fix) -> float:
     """Cost of matching two views of a board: rms gap, plus a penalty for corners not solved."""
-    valid = np.asarray(fix.valid, bool)
+    valid = fix.valid
     return _rms(fix.gap[valid]) + 1e3 * float((~valid).mean()) if valid.any() else np.inf
 
 
-MAX_GAP_PX: Final = 2.0
+_MAX_GAP_PX: Final = 2.0
 """Largest distance between the lines of sight of a calibrated pair, px (chosen: false against
 missed remarks)."""
 
@@ -357,9 +334,7 @@ class LocateResult:
 
     head: HeadModel
     angles: dict[str, FloatArray]
-    """(7,) joint angles by pair, rad."""
-    pairs: tuple[str, ...]
-    """Names of the pairs that could be read."""
+    """(7,) joint angles, rad, by the name of each pair that could be read."""
     located: tuple[LocatedTarget, ...]
     missed: tuple[MissedTarget, ...]
     remarks: tuple[str, ...]
@@ -386,15 +361,6 @@ class LocateResult:
             kinds[kind].append(one)
         return list(kinds.values())
 
-    def spacings(self) -> dict[str, EdgeSpacing]:
-        """Distances between neighbouring corners over all pairs, by target."""
-        return {
-            str(target): measure_spacing(
-                target, [one.fix.point for one in self.located if one.target == target]
-            )
-            for target in dict.fromkeys(one.target for one in self.located)
-        }
-
     def rows(self) -> list[dict[str, Any]]:
         """One row per located target and pair, plain values."""
         return [one.document() for one in self.located]
@@ -404,15 +370,20 @@ class LocateResult:
         return {
             "head": self.head.name,
             "head_digest": self.head.digest,
-            "pairs": list(self.pairs),
+            "pairs": list(self.angles),
             "joints_rad": {
                 pair: dict(zip(self.head.joints, q.tolist(), strict=True))
                 for pair, q in self.angles.items()
             }
-            if eyes_move(self.head)
+            if self.head.actuation.count  # else frame N follows the neck, and points do not move
             else None,
             "located": self.rows(),
-            "spacing_mm": {name: each.document() for name, each in self.spacings().items()},
+            "spacing_mm": {
+                str(target): measure_spacing(
+                    target, [one.fix.point for one in self.located if one.target == target]
+                ).document()
+                for target in dict.fromkeys(one.target for one in self.located)
+            },
             "missed": [
                 {"pair": pair, "target": str(target), "why": why}
                 for pair, target, why in self.missed
@@ -433,46 +404,46 @@ class LocateResult:
         for pair, target, seen_in in self.missed:
             missed[str(target), seen_in].append(pair)
         for (name, seen_in), names in sorted(missed.items()):
-            where = f"in the {seen_in} image only"
-            if seen_in == "twice":
-                where = "more than once in an image"
+            where = "more than once in an image"
+            if seen_in != "twice":
+                where = f"in the {seen_in} image only"
             pairs = "pair" if len(names) == 1 else "pairs"
             said.append(f"{name} found {where} of {len(names)} {pairs}: {join_first_names(names)}")
         return said + self._doubts()
 
     def _doubts(self) -> list[str]:
         """Signs that the head file and the images do not belong together, one line each."""
+        fitting = "a head file of these cameras as they stand, and joint angles of that moment"
+
+        def pairs_of(every: Iterable[LocatedTarget]) -> str:
+            return join_first_names(dict.fromkeys(one.pair for one in every))
+
         said = []
         crossed = [one for one in self.located if one.valid.any()]
-        lost = [one.pair for one in self.located if not one.valid.any()]
-        if lost:
+        if lost := [one for one in self.located if not one.valid.any()]:
             said.append(
-                f"the lines of sight do not cross before the eyes in "
-                f"{join_first_names(dict.fromkeys(lost))} (are left and right swapped?)"
+                f"the lines of sight do not cross before the eyes in {pairs_of(lost)} (are left "
+                "and right swapped?)"
             )
         # coarse encoders separate the lines of sight by as much as their error turns an eye
         blur_rad = float(np.max(np.asarray(Noise.of(self.head).joint_rad)[EYES]))
-        most = max(MAX_GAP_PX, 4.0 * blur_rad * float(self.head.cameras.focal.max()))
-        apart = [one for one in crossed if one.gap_px > most]
-        if apart:
+        most = max(_MAX_GAP_PX, 4.0 * blur_rad * float(self.head.cameras.focal.max()))
+        if apart := [one for one in crossed if one.gap_px > most]:
             worst = max(apart, key=lambda one: one.gap_px)
             said.append(
                 f"lines of sight miss each other by more than {most:.2g} px in {len(apart)} of "
-                f"{len(crossed)} places, by {worst.gap_px:.1f} px in {worst.pair}: expected a head "
-                "file of these cameras as they stand, and joint angles of that moment"
+                f"{len(crossed)} places, by {worst.gap_px:.1f} px in {worst.pair}: expected "
+                + fitting
             )
-        refuted = [one for one in crossed if one.pose is not None and one.pose.contradicted]
-        if refuted:
+        if refuted := [one for one in crossed if one.pose is not None and one.pose.contradicted]:
             said.append(
-                f"no pose explains the corners of both images in "
-                f"{join_first_names(dict.fromkeys(one.pair for one in refuted))}: expected a head "
-                "file of these cameras as they stand, and joint angles of that moment"
+                f"no pose explains the corners of both images in {pairs_of(refuted)}: expected "
+                + fitting
             )
         for every in self.located_by_target():
             measured = [one for one in every if one.spacing.edge_count]
             names = join_first_names(dict.fromkeys(str(one.target) for one in measured))
-            edges = [(one.pair, one.spacing) for one in measured]
-            said.append(describe_wrong_edges(names, edges))
+            said.append(describe_wrong_edges(names, [(one.pair, one.spacing) for one in measured]))
         return [text for text in said if text]
 
 
@@ -489,16 +460,20 @@ def locate(
     targets = parse_targets(target)
     curve = None if response is None else parse_response(response)
     model = load_head(head)
-    pairs, unpaired, is_single = pair_up(left, right)
+    pairs, unpaired = pair_up(left, right)
     angles = read_joint_angles(model, joints, [pair.name for pair in pairs])
-    search = PhotographSearch(targets, [Camera.of(model, eye) for eye in range(2)], curve)
-    read: dict[str, FloatArray] = {}
+    finders = [TargetFinder(targets, Camera.of(model, eye), curve) for eye in range(2)]
+    search = PhotographSearch(targets, [list(zip(finders, pair, strict=True)) for pair in pairs])
+    angles_read: dict[str, FloatArray] = {}
     located: list[LocatedTarget] = []
     missed: list[MissedTarget] = []
     shown, rank = None, -1
-    for left_one, right_one in search.search(pairs, progress, is_single=is_single, kind=" pairs"):
+    for view in search.search(progress, is_single=not left.is_dir(), kind=" pairs"):
+        if not view:
+            continue
+        left_one, right_one = view
         name, sides = left_one.path.name, (left_one.detections, right_one.detections)
-        read[name] = angles[name]
+        angles_read[name] = angles[name]
         here, not_here = _match(model, angles[name], name, *sides)
         located += here
         missed += not_here
@@ -508,8 +483,7 @@ def locate(
     assert shown is not None  # else the search has raised an error
     return LocateResult(
         head=model,
-        angles=read,
-        pairs=tuple(read),
+        angles=angles_read,
         located=tuple(located),
         missed=tuple(missed),
         remarks=search.remarks([path for pair in pairs for path in pair]),
@@ -538,58 +512,52 @@ def _match(
 
 
 _POINT_COLUMNS: Final = [f"{what}{axis}_mm" for what in ("", "sigma_") for axis in "xyz"]
+_PIXEL_COLUMNS: Final = [
+    f"{what}{eye}_{axis}_px" for what in ("", "sigma_") for eye in EYE_NAMES for axis in "uv"
+]
+_POSE_COLUMNS: Final = [
+    f"{what}pose_{part}"
+    for what in ("", "sigma_", "other_")
+    for part in ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
+]
 
 
 def write_corner_table(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per corner of each target; cells without a solution are empty."""
-    columns = ["pair", "target", "id", "point", *_POINT_COLUMNS, "gap_mm"]
-    for what in ("", "sigma_"):
-        columns += [f"{what}{eye}_{axis}_px" for eye in EYE_NAMES for axis in "uv"]
     rows = []
     for one in located:
         point, sigma, gap = MM * one.fix.point, MM * one.fix.sigma, MM * one.fix.gap
         numbers = np.column_stack([point, sigma, gap, *one.pixels, *one.sigma_px])
-        for number, row in enumerate(numbers):
-            rows.append([one.pair, one.target, tag_number(one.target), number, *row.tolist()])
-    _write(path, columns, rows)
+        rows += [(one, number, row) for number, row in enumerate(numbers)]
+    _write(path, "point", [*_POINT_COLUMNS, "gap_mm", *_PIXEL_COLUMNS], rows)
 
 
 def write_target_table(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per target of each pair."""
-    columns = ["pair", "target", "id", "points", *_POINT_COLUMNS, "gap_rms_mm"]
-    columns += ["spacing_mean_mm", "spacing_spread_mm", "spacing_stated_mm"]
-    columns += [
-        f"{what}pose_{part}"
-        for what in ("", "sigma_", "other_")
-        for part in ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
-    ]
-    rows: list[list[object]] = []
+    columns = [*_POINT_COLUMNS, "gap_rms_mm", "spacing_mean_mm", "spacing_spread_mm"]
+    rows = []
     for one in located:
         edges, centre = one.spacing, one.centre
-        numbers = [*centre.point, *centre.sigma, one.gap_m, edges.mean_m, edges.spread_m]
-        values = [MM * float(number) for number in (*numbers, edges.stated_m)]
-        values += _pose_numbers(one.pose)
-        rows.append([one.pair, one.target, tag_number(one.target), int(one.valid.sum()), *values])
-    _write(path, columns, rows)
+        lengths = [one.gap_m, edges.mean_m, edges.spread_m, edges.stated_m]
+        numbers = [MM * np.concatenate([centre.point, centre.sigma, lengths])]
+        poses = np.full((3, 6), np.nan)  # translation and rotation vector
+        for row, pose in ((0, one.pose), (2, one.pose and one.pose.other)):
+            if pose is not None:
+                poses[row] = [*pose.matrix[:3, 3], *pose.rotation_vector]
+        if one.pose is not None:
+            poses[1] = one.pose.sigma
+        poses[:, :3] *= MM
+        rows.append((one, int(one.valid.sum()), np.concatenate([*numbers, poses.ravel()])))
+    _write(path, "points", [*columns, "spacing_stated_mm", *_POSE_COLUMNS], rows)
 
 
-def _pose_numbers(pose: Pose | None) -> list[float]:
-    """Pose, its sigma and the second solution: translation, mm, and rotation vector, rad, each."""
-    numbers = np.full((3, 2, 3), np.nan)
-    for row, one in ((0, pose), (2, pose and pose.other)):
-        if one is not None:
-            numbers[row] = one.matrix[:3, 3], one.rotation_vector
-    if pose is not None:
-        numbers[1] = pose.sigma.reshape(2, 3)
-    numbers[:, 0] *= MM
-    return list(numbers.ravel().tolist())
-
-
-def _write(path: Path, columns: list[str], rows: Iterable[list[object]]) -> None:
+def _write(
+    path: Path, count: str, columns: Sequence[str], rows: Iterable[tuple[LocatedTarget, int, Any]]
+) -> None:
+    """Write rows of a target, a number under the heading `count`, and (n) numbers or nan."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        for row in rows:
-            writer.writerow(
-                ["" if isinstance(v, float) and not math.isfinite(v) else v for v in row]
-            )
+        writer.writerow(["pair", "target", "id", count, *columns])
+        for one, number, values in rows:
+            cells = null_nonfinite_elements(values)  # None is written as an empty cell
+            writer.writerow([one.pair, one.target, tag_number(one.target), number, *cells])

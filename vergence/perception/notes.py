@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -33,6 +33,7 @@ from vergence.vision.targets import (
     neighbour_pairs,
 )
 
+_Board = AprilGrid | CharucoBoard
 _CLIPPED_GREY: Final = 254
 """Grey level from which on a pixel counts as clipped (chosen: just below 255, the largest)."""
 _MAX_CLIPPED_FRACTION: Final = 0.15
@@ -43,20 +44,20 @@ against false remarks)."""
 class PhotographNotes:
     """Notes on all photographs of a run, one line each."""
 
-    def __init__(self, targets: Sequence[Target]) -> None:
+    def __init__(self, targets: Sequence[Target], *, check_white: bool = True) -> None:
+        self._check_white = check_white
         self._asked = self._unseen = list(targets)
         self._images = self._clipped = 0
-        self._rows: dict[PlanarTarget, list[NDArray[np.bool_]]] = defaultdict(list)
+        self._rows: dict[_Board, list[NDArray[np.bool_]]] = defaultdict(list)
 
-    def add(
-        self, image: NDArray[Any], detections: Sequence[Detection], *, check_white: bool = True
-    ) -> None:
-        """Add an image, grey for a check of its white, and all its detections."""
+    def add(self, image: NDArray[np.uint8], detections: Sequence[Detection]) -> None:
+        """Add an image and all its detections."""
         self._images += 1
         self._unseen = [t for t in self._unseen if not any(is_of_target(d, t) for d in detections)]
-        self._clipped += check_white and any(_is_white_clipped(image, each) for each in detections)
+        if self._check_white:
+            self._clipped += any(_is_white_clipped(image, each) for each in detections)
         for each in detections:
-            if isinstance(each.target, AprilGrid | CharucoBoard):
+            if isinstance(each.target, _Board):
                 self._rows[each.target].append(_rows_seen_and_in_view(each, image.shape))
 
     def lines(
@@ -71,7 +72,7 @@ class PhotographNotes:
                 f"{target}: its last row is in 0 of {len(views)} images, though its place is in "
                 f"view: if nothing covers it, the board is {other}, whose middle is elsewhere"
                 for target, views in self._rows.items()
-                if (other := _fitting_board(target, views)) is not None
+                if (other := _fitting_board(target, views)) != target
             ]
             if self._clipped:
                 said.append(
@@ -134,22 +135,21 @@ def _rows_seen_and_in_view(found: Detection, shape: tuple[int, ...]) -> NDArray[
     return np.stack([known.reshape(rows, -1).any(axis=1), in_view.reshape(rows, -1).all(axis=1)])
 
 
-def _fitting_board(target: PlanarTarget, views: Sequence[NDArray[np.bool_]]) -> PlanarTarget | None:
-    """Board of fewer rows, if no image shows the last rows and most show their place; else None."""
+def _fitting_board(target: _Board, views: Sequence[NDArray[np.bool_]]) -> _Board:
+    """The board, or that of fewer rows if no image shows the last and most show their place."""
     seen, in_view = np.stack(views, axis=1)
     count = int(np.flatnonzero(seen.any(axis=0))[-1]) + 1
     if count == seen.shape[1] or in_view[:, count].mean() <= 0.5:
-        return None
+        return target
     if isinstance(target, AprilGrid):
         return replace(target, rows=count)
-    assert isinstance(target, CharucoBoard)
     dark = upper_left_is_dark(target)
     if not dark and count % 2 == 0:  # no board of that layout ends there
-        return None
+        return target
     try:
         return replace(target, rows=count + 1, legacy=not dark)
     except ConfigurationError:  # too few rows
-        return None
+        return target
 
 
 _SIZE_OFFSETS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
@@ -167,8 +167,6 @@ _MARKERS: Final = (
 _LEAST_MARKERS: Final = 4
 """Least markers that show a board, and least missing first ids that show that its ids begin later
 (chosen: boards against clutter and hidden markers)."""
-_MAX_NAMED_TARGETS: Final = 5
-"""Most targets that a hint names (chosen: completeness against length)."""
 _MAX_IMAGE_SIDE_PX: Final = 1280
 """Longest side of the image that is searched, px; larger images are reduced (chosen: small targets
 against the time of a dozen searches in 12 megapixels)."""
@@ -202,9 +200,7 @@ def describe_similar_targets(
     there = list(dict.fromkeys(there))
     if not there:
         return ""
-    more = f" and {len(there) - _MAX_NAMED_TARGETS} more" if len(there) > _MAX_NAMED_TARGETS else ""
-    verb = "is" if len(there) == 1 else "are"
-    return f"{', '.join(there[:_MAX_NAMED_TARGETS])}{more} {verb} there"
+    return f"{join_first_names(there)} {'is' if len(there) == 1 else 'are'} there"
 
 
 def _reduced(
@@ -252,17 +248,11 @@ def _grids(image: NDArray[np.uint8], target: AprilGrid | None, camera: Camera | 
     for other in alternative_grids(image, target):
         found = make_detector(other, camera).detect(image)
         if found is not None:
-            other = _with_fitting_rows(found, image)
-            size = "" if target is None else f"{1000 * target.tag_m:g}"
-            name = f"aprilgrid:{other.columns}x{other.rows}:{size or 'TAG'}:{other.spacing:g}"
+            rows = _fitting_board(other, [_rows_seen_and_in_view(found, image.shape)]).rows
+            size = f"{1000 * other.tag_m:g}" if target is not None else "TAG"
+            name = f"aprilgrid:{other.columns}x{rows}:{size}:{other.spacing:g}"
             return [f"{name} (tags, and their gap by their edge)"]
     return []
-
-
-def _with_fitting_rows(found: Detection, image: NDArray[np.uint8]) -> Any:
-    """The target found, or the board of fewer rows that fits the image better."""
-    views = [_rows_seen_and_in_view(found, image.shape)]
-    return _fitting_board(found.target, views) or found.target
 
 
 def _charuco(image: NDArray[np.uint8], target: CharucoBoard, camera: Camera | None) -> list[str]:
@@ -281,9 +271,10 @@ def _charuco(image: NDArray[np.uint8], target: CharucoBoard, camera: Camera | No
     other = alternative_charuco(corners, seen, target, dictionary)
     found = None if other in (None, target) else make_detector(other, camera).search(image)
     if found is not None:
-        there, in_view = _rows_seen_and_in_view(found, image.shape)
-        if not in_view[: np.flatnonzero(there)[0]].any():  # else its ids begin later
-            return [str(_with_fitting_rows(found, image))]
+        assert isinstance(found.target, CharucoBoard)
+        rows = _rows_seen_and_in_view(found, image.shape)
+        if not rows[1, : np.flatnonzero(rows[0])[0]].any():  # else its ids begin later
+            return [str(_fitting_board(found.target, [rows]))]
     own = dictionary.removeprefix("DICT_")
     if min(seen) >= _LEAST_MARKERS and max(seen) - min(seen) < 2 * len(seen):
         return [f"a board of {own} whose ids begin at {min(seen)} in place of 0"]
@@ -381,34 +372,30 @@ def _strip(
     image: NDArray[np.uint8], start: FloatArray, end: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
     """Pixels along an edge: signed distances from it, px, positive towards white, and levels."""
-    size = image.shape[::-1]
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    low = np.maximum(np.floor(low - _STRIP_HALF_WIDTH_PX).astype(int), 0)
-    high = np.minimum(np.ceil(high + _STRIP_HALF_WIDTH_PX).astype(int) + 1, size)
-    if (high - low < 2).any():
+    ends = np.stack([start, end])
+    low = np.maximum(np.floor(ends.min(axis=0) - _STRIP_HALF_WIDTH_PX).astype(int), 0)
+    high = np.ceil(ends.max(axis=0) + _STRIP_HALF_WIDTH_PX).astype(int) + 1
+    levels = image[low[1] : high[1], low[0] : high[0]].astype(float)
+    if min(levels.shape) < 2:
         return None
-    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
-    along = end - start
-    length = float(np.hypot(*along))
-    along = along / length
-    du, dv = u - start[0], v - start[1]
+    v, u = np.mgrid[: levels.shape[0], : levels.shape[1]]
+    du, dv = u + low[0] - start[0], v + low[1] - start[1]
+    length = float(np.hypot(*(end - start)))
+    along = (end - start) / length
     share = (du * along[0] + dv * along[1]) / length
     across = dv * along[0] - du * along[1]
-    near = (
-        (share > _EDGE_END_FRACTION)
-        & (share < 1.0 - _EDGE_END_FRACTION)
-        & (np.abs(across) <= _STRIP_HALF_WIDTH_PX)
+    near = (np.abs(share - 0.5) < 0.5 - _EDGE_END_FRACTION) & (
+        np.abs(across) <= _STRIP_HALF_WIDTH_PX
     )
-    away, level = across[near], image[v[near], u[near]].astype(float)
-    far = np.abs(away) > 0.6 * _STRIP_HALF_WIDTH_PX
-    sides = [level[far & (away < 0.0)], level[far & (away > 0.0)]]
+    away, level = across[near], levels[near]
+    far = 0.6 * _STRIP_HALF_WIDTH_PX
+    sides = [level[away < -far], level[away > far]]
     if min(map(len, sides)) < 4:
         return None
     before, after = map(np.median, sides)
     if abs(after - before) < _LEAST_CONTRAST_GREY or (level >= _CLIPPED_LIGHT_GREY).any():
         return None
-    away = -away if before > after else away
-    return away, level
+    return (-away if before > after else away), level
 
 
 def _residual_squares(away: FloatArray, level: FloatArray, response: CameraResponse) -> float:

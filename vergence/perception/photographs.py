@@ -22,8 +22,6 @@ SUFFIXES: Final = (
     ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm", ".jp2",
 )  # fmt: skip
 """Extensions of files that count as photographs; other files of a folder are ignored."""
-_MAX_NAMES: Final = 5
-"""Most names in a message; further ones are only counted (chosen: completeness against length)."""
 
 
 def natural_sort_key(path: Path) -> tuple[object, ...]:
@@ -39,15 +37,13 @@ def photographs_in_folder(folder: Path) -> list[Path]:
         there = [path for path in folder.iterdir() if not path.name.startswith(".")]
     except OSError as error:
         raise ConfigurationError(f"{folder}: {error.strerror or error}") from error
-    found = sorted(
-        (path for path in there if path.suffix.lower() in SUFFIXES), key=natural_sort_key
-    )
+    found = [path for path in there if path.suffix.lower() in SUFFIXES]
     if not found:
         raise ConfigurationError(
             f"{folder}: expected a folder with images ({', '.join(SUFFIXES)}) right in it, got "
             f"{f'none among {len(there)} files' if there else 'an empty one'}"
         )
-    return found
+    return sorted(found, key=natural_sort_key)
 
 
 def require_existing(path: Path) -> None:
@@ -77,11 +73,11 @@ def list_photographs(paths: Sequence[Path]) -> list[Path]:
     return found
 
 
-def join_first_names(names: Iterable[str]) -> str:
-    """Join names for a message: the first few, and the number of further ones."""
+def join_first_names(names: Iterable[str], most: int = 5) -> str:
+    """Join names for a message: the first few (chosen: legibility), and how many more there are."""
     every = list(names)
-    said = ", ".join(every[:_MAX_NAMES])
-    return said if len(every) <= _MAX_NAMES else f"{said} and {len(every) - _MAX_NAMES} more"
+    said = ", ".join(every[:most])
+    return said if len(every) <= most else f"{said} and {len(every) - most} more"
 
 
 _SIDE_WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
@@ -109,8 +105,6 @@ class PairedImages(NamedTuple):
     """In the order of the left images' names."""
     unpaired: list[Path]
     """Images without a partner, those of the left folder first."""
-    single: bool
-    """True if two files were given, not folders."""
 
 
 def pair_up(left: Path, right: Path) -> PairedImages:
@@ -118,7 +112,7 @@ def pair_up(left: Path, right: Path) -> PairedImages:
     for place in (left, right):
         require_existing(place)
     if not left.is_dir() and not right.is_dir():
-        return PairedImages([ImagePair(left, right)], [], True)
+        return PairedImages([ImagePair(left, right)], [])
     if not (left.is_dir() and right.is_dir()):
         folder, other = (left, right) if left.is_dir() else (right, left)
         raise ConfigurationError(
@@ -139,7 +133,7 @@ def pair_images(
     for path in rights:
         for key in _keys(path, 1, one_folder):
             by_key[key].append(path)
-    taken: dict[Path, Path] = {}
+    taken: dict[Path, Path] = {}  # left image by its right one
     for path in lefts:
         found = next((by_key[key] for key in _keys(path, 0, one_folder) if key in by_key), [])
         rivals = [(path, found)] if len(found) > 1 else []
@@ -150,50 +144,46 @@ def pair_images(
             )
         taken |= dict.fromkeys(found, path)
     pairs = [ImagePair(left, right) for right, left in taken.items()]
-    swapped = (
-        {key for path in side for key in _keys(path, eye, True)}
-        for eye, side in enumerate((rights, lefts))
-    )
-    if not pairs and set.intersection(*swapped):
-        raise ConfigurationError(
-            f"expected the left eye's images before the right one's, got {lefts[0]} and "
-            f"{rights[0]}: by their names they are the other way round"
-        )
     if not pairs:
+        swapped = {key for path in lefts for key in _keys(path, 1, True)}
+        if swapped.intersection(key for path in rights for key in _keys(path, 0, True)):
+            raise ConfigurationError(
+                f"expected the left eye's images before the right one's, got {lefts[0]} and "
+                f"{rights[0]}: by their names they are the other way round"
+            )
         raise ConfigurationError(
             "expected images whose names differ by left and right, l and r, cam0 and cam1 or not "
             f"at all, got {join_first_names(p.name for p in lefts)} in {lefts[0].parent} and "
             f"{join_first_names(p.name for p in rights)} in {rights[0].parent}"
         )
-    paired = {path for pair in pairs for path in pair}
-    everyone = list(lefts) if one_folder else [*lefts, *rights]
-    return PairedImages(pairs, [path for path in everyone if path not in paired], False)
+    everyone = lefts if one_folder else [*lefts, *rights]
+    paired = {*taken, *taken.values()}
+    return PairedImages(pairs, [path for path in everyone if path not in paired])
 
 
 def _keys(path: Path, eye: int, side_required: bool) -> list[str]:
     """Possible keys of an image: its name without the word for the side, the likeliest first."""
-    keys = [] if side_required else [path.stem]
+    stem = path.stem
+    keys = [] if side_required else [stem]
     for words in _SIDE_WORDS:
-        for start, end in _places(path.stem, words[eye]):
-            # the key holds the kind of word, so that `l` matches only `r`
-            keys.append(
-                f"{path.stem[:start]}{_SIDE_PLACEHOLDER}{words[0]}{_SIDE_PLACEHOLDER}{path.stem[end:]}"
-            )
+        # the key holds the kind of word, so that `l` matches only `r`
+        side = f"{_SIDE_PLACEHOLDER}{words[0]}{_SIDE_PLACEHOLDER}"
+        matches = list(re.finditer(re.escape(words[eye]), stem, re.IGNORECASE))
+        keys += [
+            f"{stem[: match.start()]}{side}{stem[match.end() :]}"
+            for match in reversed(matches)
+            if _is_word(match[0], stem[: match.start()][-1:], stem[match.end() :][:1])
+        ]
     return keys
 
 
-def _places(stem: str, word: str) -> list[tuple[int, int]]:
-    """Positions at which a word is separate in a name, the last one first."""
-    found = []
-    for match in re.finditer(re.escape(word), stem, re.IGNORECASE):
-        before, text, after = stem[: match.start()][-1:], match[0], stem[match.end() :][:1]
-        begins = not before.isalpha() or (before.islower() and text[0].isupper())
-        ends = not after.isalpha() or (text[-1] != text[-1].upper() and after.isupper())
-        if text[-1].isdigit():
-            ends = not after.isalnum()
-        if begins and ends:
-            found.append(match.span())
-    return found[::-1]
+def _is_word(text: str, before: str, after: str) -> bool:
+    """True if a text is a word of its own between two characters, which may be empty."""
+    if before.isalpha() and not (before.islower() and text[0].isupper()):
+        return False
+    if text[-1].isdigit():
+        return not after.isalnum()
+    return not after.isalpha() or (text[-1].islower() and after.isupper())
 
 
 Row = dict[str, Any]
@@ -255,12 +245,8 @@ def _of_tables(content: Any) -> list[Any]:
 _LIMIT_TOLERANCE_RAD: Final = 0.1
 """Tolerance of a joint's limits, rad: encoders have an offset, and limits are rounded (chosen:
 these against angles in the wrong unit)."""
-_RADIANS_PER_SUFFIX: Final = {"_rad": 1.0, "_deg": math.pi / 180.0}
-
-
-def eyes_move(head: HeadModel) -> bool:
-    """True if points depend on joint angles: frame N follows the neck, so only eye joints count."""
-    return head.actuation.count > 0
+_RADIANS_PER_SUFFIX: Final = {"_rad": 1.0, "_deg": math.pi / 180.0, "": 1.0}
+"""Units of columns by the suffix after a joint's name; a joint's own name counts first, so last."""
 
 
 def read_joint_angles(
@@ -307,9 +293,7 @@ def parse_joint_angles(head: HeadModel, row: Row, where: str) -> FloatArray:
     own = head.actuation
     joints = [name for name in dict.fromkeys(head.joints[EYES]) if name]
     lacking = [name for name in joints if name not in given]
-    q = head.rest()
-    for place, name in enumerate(head.joints):
-        q[place] = given.get(name, q[place])
+    q = np.array([given.get(n, a) for n, a in zip(head.joints, head.rest(), strict=True)])
     if lacking:
         if not own.count or not all(name in given for name in own.names):
             raise ConfigurationError(
@@ -334,17 +318,19 @@ def parse_joint_angles(head: HeadModel, row: Row, where: str) -> FloatArray:
 def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
     """Angles of a row by the names of joints and actuators, rad."""
     names = dict.fromkeys(name for name in (*head.joints, *head.actuation.names) if name)
+    columns = {
+        f"{name}{suffix}": (name, unit)
+        for suffix, unit in _RADIANS_PER_SUFFIX.items()
+        for name in names
+    }
     found: dict[str, float] = {}
     for column, value in row.items():
-        name, unit = column, 1.0
-        for suffix, size in _RADIANS_PER_SUFFIX.items():
-            if column not in names and column.endswith(suffix):
-                name, unit = column.removesuffix(suffix), size
-        if name not in names:
+        if column not in columns:
             raise ConfigurationError(
                 f"{where}: expected joints among {', '.join(names) or 'none (a fixed pair)'}, "
                 f"got {column!r:.80}"
             )
+        name, unit = columns[column]
         if name in found:
             raise ConfigurationError(f"{where}: expected {name} once, got it twice")
         found[name] = unit * parse_finite_number(value, f"{where}: {column}")

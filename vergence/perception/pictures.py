@@ -1,6 +1,8 @@
 """Pictures of photographs with their detections, and of located targets in space."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
 
@@ -8,7 +10,6 @@ import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
@@ -16,6 +17,7 @@ from vergence.files import atomic_file
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.perception.finding import Photograph, tag_number
 from vergence.perception.locate import MM, LocatedTarget, LocateResult
+from vergence.perception.photographs import join_first_names
 from vergence.reporting.style import (
     BLUE,
     GREY,
@@ -27,7 +29,7 @@ from vergence.reporting.style import (
 )
 from vergence.vision import Detection
 from vergence.vision.pose import Pose
-from vergence.vision.targets import PlanarTarget
+from vergence.vision.targets import AprilTag, PlanarTarget
 
 COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff4060")
 """Colours of targets, assigned in order; they stand out from grey images."""
@@ -66,15 +68,12 @@ def _draw_axes(panel: Axes, points: FloatArray, width_pt: float) -> None:
         )
 
 
-class TargetColours:
-    """Assignment of a fixed colour to each target of a figure."""
+TargetColours = Mapping[str, str]
 
-    def __init__(self) -> None:
-        self._given: dict[str, str] = {}
 
-    def of(self, target: PlanarTarget) -> str:
-        """The target's colour."""
-        return self._given.setdefault(str(target), COLOURS[len(self._given) % len(COLOURS)])
+def _new_colours() -> TargetColours:
+    """Colours by the name of a target, the next one for each name asked for first."""
+    return defaultdict(cycle(COLOURS).__next__)
 
 
 def target_outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
@@ -109,7 +108,7 @@ def draw_detections(
     panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
     for detection in found:
         target, corners = detection.target, detection.corners_px
-        style: dict[str, Any] = {"color": colours.of(target)}
+        style: dict[str, Any] = {"color": colours[str(target)]}
         outline = target_outline(target, corners)
         # marks of a small target are small, so that they lie on no other
         across_pt = pt_per_px * float(np.ptp(outline, axis=0).min())
@@ -123,8 +122,8 @@ def draw_detections(
         )
         if str(target) in axes_px:
             _draw_axes(panel, axes_px[str(target)], max(2.2 * fine, 0.8))
-        number = str(tag_number(target)) if tag_number(target) is not None else ""
-        if number:
+        if isinstance(target, AprilTag):
+            number = str(target.id)
             size_pt = float(np.clip(across_pt / (_LETTER_WIDTH * len(number) + 0.3), *_NUMBER_PT))
             edge = patheffects.withStroke(linewidth=0.25 * size_pt, foreground="black", alpha=0.75)
             panel.text(
@@ -147,20 +146,16 @@ def shorten_to_width(text: str, width_in: float, size_pt: float) -> str:
 
 
 def _title(name: str, found: Sequence[Detection], width_in: float) -> str:
-    """An image's name and its detections, on two lines if they are too wide for one."""
-    what = _what(found)
+    """An image's name, its boards and number of tags, on two lines if too wide for one."""
+    said = [str(one.target) for one in found if tag_number(one.target) is None]
+    tags = len(found) - len(said)
+    if tags:
+        said.append(f"{tags} {'tag' if tags == 1 else 'tags'}")
+    what = ", ".join(said) or "nothing found"
     line = f"{name}: {what}"
     if shorten_to_width(line, width_in, _TITLE_PT) == line:
         return line
     return "\n".join(shorten_to_width(part, width_in, _TITLE_PT) for part in (name, what))
-
-
-def _what(found: Sequence[Detection]) -> str:
-    """Summary of an image's detections: boards by name, and the number of tags."""
-    boards = [str(one.target) for one in found if tag_number(one.target) is None]
-    tags = len(found) - len(boards)
-    count = [f"{tags} {'tag' if tags == 1 else 'tags'}"] if tags else []
-    return ", ".join([*boards, *count]) or "nothing found"
 
 
 def draw_photographs(photographs: Sequence[Photograph], path: Path) -> None:
@@ -187,7 +182,7 @@ def compose_detections(photographs: Sequence[Photograph]) -> Figure:
         across * max(tall[start : start + columns]) + 0.5
         for start in range(0, len(photographs), columns)
     ]
-    colours = TargetColours()
+    colours = _new_colours()
     with figure_style():
         figure = new_figure(across * columns, sum(heights))
         grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
@@ -231,7 +226,9 @@ would shrink all others to a dot (chosen)."""
 
 def compose_located(result: LocateResult) -> Figure:
     """Compose the figure: the images of both eyes, and the targets in space."""
-    shown, colours = result.shown, TargetColours()
+    shown, colours = result.shown, _new_colours()
+    pair = shown[0].path.name
+    posed = [(one, one.pose) for one in result.located if one.pair == pair and one.pose is not None]
     tall = max(each.image.shape[0] / each.image.shape[1] for each in shown)
     top = 0.5 * _FIGURE_WIDTH_IN * tall + 0.4
     with figure_style():
@@ -242,7 +239,12 @@ def compose_located(result: LocateResult) -> Figure:
         grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
         for eye, name in enumerate(EYE_NAMES):
             panel = figure.add_subplot(grid[0, eye])
-            axes_px = _located_axes_px(result, eye)
+            axes_px = {
+                str(one.target): result.head.project(
+                    result.angles[pair], axes_in_space(one.target, pose)
+                )[:, eye]
+                for one, pose in posed
+            }
             draw_detections(panel, shown[eye].image, shown[eye].detections, colours, axes_px)
             nothing = "" if shown[eye].detections else ", nothing found"
             title = shorten_to_width(
@@ -250,25 +252,20 @@ def compose_located(result: LocateResult) -> Figure:
             )
             panel.set_title(f"{title}{nothing}", color=_EYE_COLOURS[eye], fontsize=_PANEL_TITLE_PT)
         if seen:
-            _draw_space(figure, grid, result, seen, colours)
+            panels = [figure.add_subplot(grid[1, column]) for column in range(len(_VIEWS))]
+            _draw_space(figure, panels, result, seen, colours)
         heading = shorten_to_width(_heading(result, seen), 0.95 * _FIGURE_WIDTH_IN, _HEADING_PT)
         figure.suptitle(heading, fontsize=_HEADING_PT)
     return figure
 
 
-def _located_axes_px(result: LocateResult, eye: int) -> dict[str, FloatArray]:
-    """(4, 2) pixels of the axes of the targets located in the pair shown, by name."""
-    pair, axes = result.shown[0].path.name, {}
-    for one in result.located:
-        if one.pair == pair and one.pose is not None:
-            points = axes_in_space(one.target, one.pose)
-            axes[str(one.target)] = result.head.project(result.angles[pair], points)[:, eye]
-    return axes
+_Drawn = Sequence[tuple[LocatedTarget, NDArray[np.bool_]]]
+"""Targets with an (n,) mask of their corners that the views of space show."""
 
 
 def _draw_space(
     figure: Figure,
-    grid: GridSpec,
+    panels: Sequence[Axes],
     result: LocateResult,
     seen: Sequence[LocatedTarget],
     colours: TargetColours,
@@ -277,48 +274,39 @@ def _draw_space(
     eyes = np.concatenate(
         [MM * result.head.camera_poses(q)[:, :3, 3] for q in result.angles.values()]
     )
-    near = _near(seen)
-    outside = int(sum(one.valid.sum() for one in seen) - sum(each.sum() for each in near))
+    away = [np.linalg.norm(one.fix.point, axis=-1) for one in seen]
+    usual = np.median([np.median(d[one.valid]) for d, one in zip(away, seen, strict=True)])
+    most = _FAR_DISTANCE_RATIO * usual
+    near = [(one, one.valid & (d <= most)) for d, one in zip(away, seen, strict=True)]
+    outside = int(sum(one.valid.sum() - drawn.sum() for one, drawn in near))
     shown = result.shown[0].path.name
-    panels = [figure.add_subplot(grid[1, column]) for column in range(len(_VIEWS))]
     for panel, (title, across, up, xlabel, ylabel) in zip(panels, _VIEWS, strict=True):
-        _draw_view(panel, seen, near, eyes, (across, up), colours, shown)
+        _draw_view(panel, near, eyes, [across, up], colours, shown)
         panel.set(xlabel=xlabel, ylabel=ylabel, title=title)
     legend_below(figure, 5)
     figure.draw_without_rendering()  # ellipses are scaled to the panels' final size
-    _draw_sigma(panels, seen, near, colours)
+    _draw_sigma(panels, near, colours)
     if outside:
         points = "point lies" if outside == 1 else "points lie"
         farther = f"{outside} {points} farther away, outside"
         panels[0].set_title(f"{panels[0].get_title()}\n{farther}", fontsize=_PANEL_TITLE_PT)
 
 
-def _near(seen: Sequence[LocatedTarget]) -> list[NDArray[np.bool_]]:
-    """Mask of each target's points that are near enough to be drawn, (n,) each."""
-    away = [np.linalg.norm(one.fix.point, axis=-1) for one in seen]
-    usual = np.median([np.median(d[one.valid]) for d, one in zip(away, seen, strict=True)])
-    return [
-        one.valid & (d <= _FAR_DISTANCE_RATIO * usual) for d, one in zip(away, seen, strict=True)
-    ]
-
-
 def _heading(result: LocateResult, seen: Sequence[LocatedTarget]) -> str:
     count = len({one.pair for one in seen})
-    names = list(dict.fromkeys(str(one.target) for one in seen))
-    what = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    what = join_first_names(dict.fromkeys(str(one.target) for one in seen), 3)
     if not seen:
         why = "the lines of sight do not cross" if result.located else "no target in both images"
         return f"head {result.head.name}: {why}, nothing located"
-    pairs = f"{count} of {len(result.pairs)} pairs" if len(result.pairs) > 1 else seen[0].pair
+    pairs = f"{count} of {len(result.angles)} pairs" if len(result.angles) > 1 else seen[0].pair
     return f"head {result.head.name}: {what}, {pairs}"
 
 
 def _draw_view(
     panel: Axes,
-    seen: Sequence[LocatedTarget],
-    near: Sequence[NDArray[np.bool_]],
+    near: _Drawn,
     eyes: FloatArray,
-    axes: tuple[int, int],
+    axes: list[int],
     colours: TargetColours,
     shown: str,
 ) -> None:
@@ -326,66 +314,58 @@ def _draw_view(
         panel.plot(
             *eyes[eye::2][:, axes].T, "s", color=_EYE_COLOURS[eye], ms=8, label=f"{name} eye"
         )
-    pairs = {one.pair for one in seen}
+    pairs = {one.pair for one, _ in near}
     many, crowded = len(pairs) > 1, len(pairs) > _MOST_DRAWN_PAIRS
-    for one, drawn in zip(seen, near, strict=True):
-        points, colour = MM * one.fix.point[:, axes], colours.of(one.target)
+    for one, drawn in near:
+        points, colour = MM * one.fix.point[:, axes], colours[str(one.target)]
         points = np.where(drawn[:, None], points, np.nan)
         line = target_outline(one.target, points)
         behind = crowded and one.pair != shown
         panel.plot(*line.T, lw=0.8 if behind else 1.2, alpha=0.4 if behind else 1.0, color=colour)
         if not behind:
             panel.plot(*points.T, ".", ms=2.5 if many else 4.0, color=colour)
-            if one.pose is not None and drawn.any() and len(seen) <= _MOST_DRAWN_AXES:
+            if one.pose is not None and drawn.any() and len(near) <= _MOST_DRAWN_AXES:
                 ends = MM * axes_in_space(one.target, one.pose)[:, axes]
-                _draw_axes(panel, ends, 0.8 if many or len(seen) > 5 else 1.4)
+                _draw_axes(panel, ends, 0.8 if many or len(near) > 5 else 1.4)
         if not many and (drawn == one.valid).all():
             for place in eyes[:2][:, axes]:
-                sight = np.stack([place, MM * one.centre.point[list(axes)]])
-                panel.plot(*sight.T, ":", color=GREY, lw=1.0 if len(seen) <= 5 else 0.4)
+                sight = np.stack([place, MM * one.centre.point[axes]])
+                panel.plot(*sight.T, ":", color=GREY, lw=1.0 if len(near) <= 5 else 0.4)
     panel.set_aspect("equal", adjustable="datalim")
     if axes[1] == 1:
         panel.invert_yaxis()
     panel.margins(0.08)
 
 
-def _draw_sigma(
-    panels: Sequence[Axes],
-    seen: Sequence[LocatedTarget],
-    near: Sequence[NDArray[np.bool_]],
-    colours: TargetColours,
-) -> None:
+def _draw_sigma(panels: Sequence[Axes], near: _Drawn, colours: TargetColours) -> None:
     """Draw covariance ellipses at outermost corners, at the first scale that makes them visible."""
     chosen = [
         (MM * one.fix.point[corner], MM**2 * one.fix.covariance[corner], one)
-        for one, drawn in zip(seen, near, strict=True)
+        for one, drawn in near
         for corner in _outermost(one, drawn)
     ]
     if not chosen:
         return
     largest = np.median([np.sqrt(np.linalg.eigvalsh(c)[-1]) for _, c, _ in chosen])
-    panel = panels[0]
-    ends = panel.transData.transform([(0.0, 0.0), (largest, 0.0)])
-    size_pt = (ends[1, 0] - ends[0, 0]) * 72.0 / panel.figure.dpi
+    ends = panels[0].transData.transform([(0.0, 0.0), (largest, 0.0)])
+    size_pt = (ends[1, 0] - ends[0, 0]) * 72.0 / panels[0].figure.dpi
     scale = next((s for s in _ELLIPSE_SIGMAS if s * size_pt >= _LEAST_SEMI_AXIS_PT), None)
     if scale is None:
         return
-    for panel, (_, across, up, _, _) in zip(panels, _VIEWS, strict=True):
+    for panel, (_, *axes, _, _) in zip(panels, _VIEWS, strict=True):
         for point, covariance, one in chosen:
-            flat = covariance[np.ix_((across, up), (across, up))]
-            values, vectors = np.linalg.eigh(flat)
-            width, height = 2.0 * scale * np.sqrt(np.maximum(values, 0.0))
-            ellipse = Ellipse(
-                (point[across], point[up]),
-                width,
-                height,
-                angle=np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])),
-                fill=False,
-                edgecolor=colours.of(one.target),
-                lw=0.8,
-                alpha=0.8,
+            values, vectors = np.linalg.eigh(covariance[np.ix_(axes, axes)])
+            panel.add_patch(
+                Ellipse(
+                    as_float_pair(point[axes]),
+                    *(2.0 * scale * np.sqrt(np.maximum(values, 0.0))),
+                    angle=np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])),
+                    fill=False,
+                    edgecolor=colours[str(one.target)],
+                    lw=0.8,
+                    alpha=0.8,
+                )
             )
-            panel.add_patch(ellipse)
         panel.set_title(f"{panel.get_title()}; ellipses: {scale} sigma")
 
 
@@ -395,5 +375,4 @@ def _outermost(one: LocatedTarget, drawn: NDArray[np.bool_]) -> list[int]:
     if not len(valid):
         return []
     x, y = one.target.corners_m[valid].T
-    ends = [valid[along.argmin()] for along in (x + y, y - x, -x - y, x - y)]
-    return [int(end) for end in dict.fromkeys(ends)]
+    return list(dict.fromkeys(int(valid[d.argmin()]) for d in (x + y, y - x, -x - y, x - y)))
