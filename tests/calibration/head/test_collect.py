@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head import preview
-from vergence.calibration.head.calibrate import calibrate_head
+from vergence.calibration.head import calibrate
+from vergence.calibration.head.calibrate import (
+    DEPTHS_M,
+    calibrate_head,
+    depth_sigma_m,
+    preview_calibration,
+)
 from vergence.calibration.head.collect import (
     CollectOptions,
     advise_recording,
@@ -16,7 +21,6 @@ from vergence.calibration.head.collect import (
     image_coverage_percent,
 )
 from vergence.calibration.head.fit import parameter_prior_sigma
-from vergence.calibration.head.preview import DEPTHS_M, depth_sigma_m, preview_calibration
 from vergence.calibration.head.recording import read_recording
 from vergence.calibration.head.simulated import SimulatedLooker, board_ahead, simulate_recording
 from vergence.errors import ConfigurationError
@@ -267,7 +271,7 @@ def test_a_kill_loses_one_frame_at_most_and_the_next_run_goes_on(tmp_path):
 
 @pytest.mark.slow
 def test_poses_added_to_a_fit_tell_what_a_fit_to_all_frames_tells(monkeypatch):
-    monkeypatch.setattr(preview, "_ALWAYS_FITTED_POSES", 10)
+    monkeypatch.setattr(calibrate, "_ALWAYS_FITTED_POSES", 10)
     rng = np.random.default_rng(3)
     frames = simulate_recording(HEAD, TRUE, rng, poses=16, frames_per_pose=3, target=SMALL).frames
     first = preview_calibration(HEAD, frames.select(frames.pose < 11))

@@ -56,7 +56,7 @@ def undrawn(monkeypatch):
 
 
 def written(folder, found, unseen=UNSEEN):
-    write_run(folder, found, unseen, "name = 'mine'\n", "mine.toml", FACTS)
+    write_run(folder, found, result_document(found, unseen), "name = 'mine'\n", "mine.toml", FACTS)
     return Page((folder / "calibration.html").read_text(encoding="utf-8"))
 
 

@@ -9,7 +9,7 @@ import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights, ReadingErrorTerms
 from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.fit import parameter_prior_sigma
-from vergence.calibration.head.job import head_file_text
+from vergence.calibration.head.report import head_file_text
 from vergence.calibration.head.simulated import JointReadingErrors, simulate_recording
 from vergence.calibration.head.terms import AUTO, dh_to_joint_axes, parse_terms, with_backlash
 from vergence.errors import ConfigurationError

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from vergence.calibration.head.calibrate import CalibrationPreview, preview_calibration
 from vergence.calibration.head.fit import board_corners_and_poses_in_base
 from vergence.calibration.head.judge import refuse_fixed_eyes
-from vergence.calibration.head.preview import CalibrationPreview, preview_calibration
 from vergence.calibration.head.recording import (
     AT_REST,
     HEAD_IDENTITY,

@@ -237,12 +237,34 @@ class HeadSolution:
         taken += self.problem.shared_count
         return float(np.sqrt(squares / max(measured - taken, 1.0)))
 
+    def normal_and_frame_parts(self) -> tuple[ReducedNormalEquations, FloatArray, FloatArray]:
+        """Normal equations, and the frames' parts of their matrix and gradient."""
+        normal = self.problem.linearised(self.state, self.weights, keep_frame_parts=True)
+        assert normal.frame_contributions is not None
+        return normal, *normal.frame_contributions
+
     @cached_property
     def reading_variance_ratio(self) -> FloatArray:
         """(f, 7) ratio of posterior to prior variance of the reading errors, shared ones fixed."""
         sigma = self.problem.reading_error_unknowns.reading_sigma
         inner = np.diagonal(np.linalg.inv(self.normal.frame_normal_matrices), axis1=1, axis2=2)
         return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
+
+
+def masked_mean(values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+    """Mean over the last axis of the values under a mask; nan where there are none."""
+    count = mask.sum(axis=-1)
+    total = np.where(mask, values, 0.0).sum(axis=-1)
+    return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+
+
+def restart(problem: HeadAdjustment, state: HeadUnknowns) -> HeadUnknowns:
+    """Start of a problem at the shared unknowns of a like one, without reading errors."""
+    return problem.start(state.boards)._replace(
+        head_parameters=state.head_parameters,
+        board_curvatures=state.board_curvatures,
+        term_parameters=state.term_parameters,
+    )
 
 
 def solve(
@@ -261,8 +283,10 @@ def solve(
         state: HeadUnknowns, now: ReducedNormalEquations
     ) -> ReducedNormalEquations | None:
         nonlocal weights
-        cauchy_scale = _typical_weighted_square(problem, now, weights)
-        if not (robust and cauchy_scale < _SCALE_UPDATE_RATIO * weights.cauchy_scale):
+        counted = problem.frames.seen & (weights.corners > 0.0)
+        typical_square = 0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1)))
+        cauchy_scale = max(typical_square, 1.0)
+        if not cauchy_scale < _SCALE_UPDATE_RATIO * weights.cauchy_scale:
             return None
         weights = weights._replace(cauchy_scale=cauchy_scale)
         return problem.linearised(state, weights)
@@ -276,17 +300,9 @@ def solve(
         # damping in units of the prior: it does not hold back steps along directions that the
         # frames hardly determine because they determine others well
         damping_unit=problem.prior_information,
-        reweighted=reweighted,
+        reweighted=reweighted if robust else lambda state, now: None,
     )
     return HeadSolution(problem, state, now, weights)
-
-
-def _typical_weighted_square(
-    problem: HeadAdjustment, now: ReducedNormalEquations, weights: MeasurementWeights
-) -> float:
-    """Typical (median) mean square of a corner's residuals, in units of sigma^2; at least 1."""
-    counted = problem.frames.seen & (weights.corners > 0.0)
-    return max(0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1))), 1.0)
 
 
 _INLIER_GATE: Final = 5.0

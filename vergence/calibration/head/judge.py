@@ -353,9 +353,7 @@ def find_small_board_motion(solution: HeadSolution) -> InitialBoardPoses | None:
     """Frames with a new placement from the moment a small motion explains much; else None."""
     problem = solution.problem
     frames = problem.frames
-    normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
-    assert normal.frame_contributions is not None
-    blocks, slopes = normal.frame_contributions
+    normal, blocks, slopes = solution.normal_and_frame_parts()
     size, six = problem.shared_count, np.arange(6)
     inverse = np.linalg.inv(normal.matrix)
     best, when = 0.0, 0
@@ -394,9 +392,7 @@ _RANK_TOLERANCE: Final = 1e-9
 def head_and_term_covariance(solution: HeadSolution) -> FloatArray:
     """(p + t, p + t) covariance of `HeadModel.parameters`, then of the reading-error terms."""
     problem = solution.problem
-    normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
-    assert normal.frame_contributions is not None
-    blocks, slopes = normal.frame_contributions
+    normal, blocks, slopes = solution.normal_and_frame_parts()
     return clustered_head_covariance(
         problem, normal.matrix, problem.frame_columns, blocks, slopes, solution.reduced_chi,
         problem.frames.pose,

@@ -18,8 +18,10 @@ from vergence.calibration.head.adjust import (
 )
 from vergence.calibration.head.fit import (
     HeadSolution,
+    masked_mean,
     parameter_prior_sigma,
     refit_inliers_and_scatter,
+    restart,
     solve,
 )
 from vergence.errors import ConfigurationError
@@ -57,14 +59,8 @@ def cross_validate_by_pose(
         if not kept_corners[:, out].any() or not kept_corners[:, ~out].any():
             continue
         trained = problem.select(~out)
-        start = trained.start(state.boards)._replace(
-            head_parameters=state.head_parameters,
-            board_curvatures=state.board_curvatures,
-            term_parameters=state.term_parameters,
-        )
-        found = solve(
-            trained, start, MeasurementWeights.of(kept_corners[:, ~out]), tolerance=_FOLD_TOLERANCE
-        )
+        known = MeasurementWeights.of(kept_corners[:, ~out])
+        found = solve(trained, restart(trained, state), known, tolerance=_FOLD_TOLERANCE)
         # fit only the board and the reading errors of these frames again
         judged = replace(
             problem.select(out),
@@ -73,21 +69,18 @@ def cross_validate_by_pose(
             terms=problem.terms.select(out).fixed_at(found.state.term_parameters),
             scatter_ratio=problem.scatter_ratio if scatter_ratio is None else scatter_ratio,
         )
-        known = judged.start(state.boards)._replace(board_curvatures=state.board_curvatures)
-        best = solve(
-            judged, known, MeasurementWeights.of(kept_corners[:, out]), tolerance=_FOLD_TOLERANCE
-        )
+        start = judged.start(state.boards)._replace(board_curvatures=state.board_curvatures)
         counted = kept_corners[:, out]
-        total = np.where(counted, best.squares, 0.0).sum(axis=-1)
-        count = counted.sum(axis=-1)
-        views[:, out] = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+        best = solve(judged, start, MeasurementWeights.of(counted), tolerance=_FOLD_TOLERANCE)
+        views[:, out] = masked_mean(best.squares, counted)
+        total, count = np.where(counted, best.squares, 0.0).sum(axis=-1), counted.sum(axis=-1)
         own = judged.reading_error_unknowns.has_frame_error & np.asarray(count.any(axis=0))[:, None]
         for number in np.unique(pose[out]):
             here = pose[out] == number
-            corners = total[:, here].sum() / max(count[:, here].sum(), 1)
-            squares = (best.normalised_reading_errors[here] ** 2)[own[here]]
-            read = squares.sum() / max(own[here].sum(), 1)
-            poses[number] = corners + read if count[:, here].any() else np.nan
+            if count[:, here].any():
+                squares = (best.normalised_reading_errors[here] ** 2)[own[here]]
+                read = squares.sum() / max(own[here].sum(), 1)
+                poses[number] = total[:, here].sum() / count[:, here].sum() + read
     return CrossValidationErrors(views, poses)
 
 
@@ -140,19 +133,16 @@ def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
     return with_backlash(head, np.zeros(7)) if "play" in terms else head
 
 
-class ChosenTerms(NamedTuple):
-    """The head with the terms that its recording calls for."""
+def choose_terms(
+    fit: HeadSolution, estimate_cameras: bool
+) -> tuple[HeadSolution, HeadSolution | None]:
+    """Add the terms that a recording calls for, most significant first.
 
-    fit: HeadSolution
-    """Fit with the accepted terms that a head's file can hold. Harmonics are not among these:
-    readings are not corrected by them, so that the other parameters are best without them."""
-    solution_with_harmonics: HeadSolution | None
-    """Solution with the harmonics that the recording calls for, of some of the frames; a head's
-    file cannot hold harmonics, so they are only reported. None if they are not called for."""
-
-
-def choose_terms(fit: HeadSolution, estimate_cameras: bool) -> ChosenTerms:
-    """Add the terms that a recording calls for, most significant first."""
+    Returns:
+        The fit with those that a head's file can hold, which are not harmonics: readings are not
+        corrected by them, so that the other parameters are best without them. If the recording
+        calls for harmonics, also a fit of some frames with them, only to be reported; else None.
+    """
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
     while left:
@@ -168,10 +158,8 @@ def choose_terms(fit: HeadSolution, estimate_cameras: bool) -> ChosenTerms:
             if _predicts_better(richer, some, least):
                 some, chosen = richer, (*chosen, best)
     lasting = tuple(term for term in chosen if term != "harmonics")
-    return ChosenTerms(
-        _richer(fit, lasting, estimate_cameras) if lasting else fit,
-        some if lasting != chosen else None,
-    )
+    best_fit = _richer(fit, lasting, estimate_cameras) if lasting else fit
+    return best_fit, some if lasting != chosen else None
 
 
 def _thinned(fit: HeadSolution) -> HeadSolution:
@@ -182,11 +170,7 @@ def _thinned(fit: HeadSolution) -> HeadSolution:
     if some.all():
         return fit
     problem, kept = own.select(some), fit.kept_corners[:, some]
-    start = problem.start(state.boards)._replace(
-        head_parameters=state.head_parameters,
-        board_curvatures=state.board_curvatures,
-        frame_errors=state.frame_errors[some],
-    )
+    start = restart(problem, state)._replace(frame_errors=state.frame_errors[some])
     return solve(problem, start, MeasurementWeights.of(kept))
 
 
