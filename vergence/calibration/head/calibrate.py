@@ -1,6 +1,6 @@
 """Calibration of a head from frames of a board, its depth errors, and a preview while it grows."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from vergence.calibration.adjustment import BoardPoses, rms_length
+from vergence.calibration.head import judge
 from vergence.calibration.head.adjust import (
     HeadAdjustment,
     HeadUnknowns,
@@ -24,18 +25,6 @@ from vergence.calibration.head.fit import (
     inlier_corners,
     parameter_prior_sigma,
     restart,
-)
-from vergence.calibration.head.judge import (
-    clustered_head_covariance,
-    find_new_placement,
-    find_small_board_motion,
-    head_and_term_covariance,
-    refuse_few_poses,
-    refuse_fixed_eyes,
-    refuse_implausible_solution,
-    refuse_swapped_eyes,
-    remark_on_changed_baseline,
-    remark_on_few_views,
 )
 from vergence.calibration.head.recording import HeadFrames, sort_and_clean_frames
 from vergence.calibration.head.terms import (
@@ -98,9 +87,9 @@ class HeadCalibration:
         """Remarks on the recording and the calibration, a line each."""
         return (
             *self.recording_remarks,
-            *_remarks_on_terms(self.solution, self.terms),
+            *_remarks_on_terms(self),
             *_remarks_on_scatter(self.solution),
-            *remark_on_changed_baseline(self.solution),
+            *judge.remark_on_changed_baseline(self.solution),
         )
 
     @property
@@ -113,7 +102,18 @@ class HeadCalibration:
         """The calibrated head."""
         if not self.solution.problem.terms.is_backlash.any():
             return self.solution.head
-        return with_backlash(self.solution.head, _significant_backlash(self.solution, self.terms))
+        return with_backlash(self.solution.head, self.significant_backlash)
+
+    @property
+    def significant_backlash(self) -> FloatArray:
+        """(7,) backlash by actuator, rad; 0 if not significant."""
+        out, own = np.zeros(7), self.solution.problem.terms
+        for term, joint, backlash in zip(
+            self.terms, own.actuator_index, own.is_backlash, strict=True
+        ):
+            if backlash and term.significant:
+                out[joint] = max(term.value, 0.0)
+        return out
 
     @cached_property
     def terms(self) -> tuple[FittedTerm, ...]:
@@ -164,7 +164,7 @@ class HeadCalibration:
 
     @cached_property
     def _covariance(self) -> FloatArray:
-        return head_and_term_covariance(self.solution)
+        return judge.head_and_term_covariance(self.solution)
 
     @property
     def sigma(self) -> FloatArray:
@@ -193,14 +193,14 @@ def calibrate_head(
         ConfigurationError: the frames give no calibration; the message says why.
     """
     report = progress or (lambda fraction: None)
-    refuse_fixed_eyes(head)
+    judge.refuse_fixed_eyes(head)
     frames = sort_and_clean_frames(frames)
-    refuse_few_poses(frames)
+    judge.refuse_few_poses(frames)
     file, head = head, convert_for_terms(head, terms)
     remarks: list[str] = []
     try:
         start = estimate_consensus_board_poses(head, frames)
-        refuse_swapped_eyes(head, frames, start)
+        judge.refuse_swapped_eyes(head, frames, start)
         report(0.1)
         problem = HeadAdjustment(
             head, parameter_prior_sigma(head, estimate_cameras), start.frames,
@@ -209,14 +209,14 @@ def calibrate_head(
         fit = fit_robustly(problem, start.boards, start.inlier_views)
         for place in range(1, _MOST_PLACEMENTS):
             report(0.1 + 0.6 * place / (place + 1.0))
-            far = find_new_placement(fit)
-            more = far or find_small_board_motion(fit)
+            far = judge.find_new_placement(fit)
+            more = far or judge.find_small_board_motion(fit)
             if more is None:
                 break
             remarks.append(more.remark)
             problem = replace(problem, frames=more.frames)
             fit = fit_robustly(problem, more.boards, more.inlier_views, far and fit.state)
-        refuse_implausible_solution(fit)
+        judge.refuse_implausible_solution(fit)
         report(0.7)
         if tuple(terms) == (AUTO,):
             fit, suspected = choose_terms(fit, estimate_cameras)
@@ -225,7 +225,7 @@ def calibrate_head(
         if type(fit.head.links) is not type(file.links):
             remarks.append(_JOINT_AXES_REMARK)
         report(0.8)
-        views = cross_validate_by_pose(fit, fit.kept_corners).view_mean_squares
+        views, _ = cross_validate_by_pose(fit, fit.kept_corners)
     except np.linalg.LinAlgError:
         raise ConfigurationError(
             "expected frames that agree on where the board is, got some that do not: is the target "
@@ -236,7 +236,7 @@ def calibrate_head(
     return HeadCalibration(
         solution=fit,
         held_out_mean_squares=views,
-        recording_remarks=(*remarks, *remark_on_few_views(start.frames, fit.kept_corners)),
+        recording_remarks=(*remarks, *judge.remark_on_few_views(start.frames, fit.kept_corners)),
     )
 
 
@@ -249,10 +249,9 @@ def actuator_names(head: HeadModel) -> list[str]:
 def _remarks_on_scatter(solution: HeadSolution) -> list[str]:
     """Report joints whose readings scatter more than quantisation and backlash explain."""
     ratio, names = solution.problem.scatter_ratio, actuator_names(solution.problem.nominal_head)
-    wide = np.flatnonzero(ratio > 1.0).tolist()
+    wide, worst = np.flatnonzero(ratio > 1.0).tolist(), int(ratio.argmax())
     if not wide:
         return []
-    worst = max(wide, key=lambda joint: ratio[joint])
     sigma = solution.problem.reading_error_unknowns.reading_sigma[worst]
     return [
         f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their "
@@ -262,19 +261,9 @@ def _remarks_on_scatter(solution: HeadSolution) -> list[str]:
     ]
 
 
-def _significant_backlash(solution: HeadSolution, terms: Sequence[FittedTerm]) -> FloatArray:
-    """(7,) backlash by actuator, rad; 0 if not significant."""
-    out, own = np.zeros(7), solution.problem.terms
-    for term, joint, backlash in zip(terms, own.actuator_index, own.is_backlash, strict=True):
-        if backlash and term.significant:
-            out[joint] = max(term.value, 0.0)
-    return out
-
-
-def _remarks_on_terms(solution: HeadSolution, terms: Sequence[FittedTerm]) -> list[str]:
+def _remarks_on_terms(found: HeadCalibration) -> list[str]:
     """Remark on the terms found, and on those that the head's file cannot hold."""
-    head, lines = solution.problem.nominal_head, []
-    play = _significant_backlash(solution, terms)
+    head, play, lines = found.nominal_head, found.significant_backlash, []
     if play.any():
         line = f"the actuators have backlash, in degrees: {_listed(head, play)}"
         if head.actuators is None and play[NECK.stop :].any():
@@ -282,10 +271,10 @@ def _remarks_on_terms(solution: HeadSolution, terms: Sequence[FittedTerm]) -> li
         if play[: NECK.stop].any():
             line += "; a head's file has no place for that of the neck"
         lines.append(line)
-    if not solution.problem.terms.is_backlash.all():
+    if not found.solution.problem.terms.is_backlash.all():
         lines.append(
-            f"{_remark_on_harmonics(solution)}: the head is that of readings which are corrected "
-            "by the terms of result.json"
+            f"{_remark_on_harmonics(found.solution)}: the head is that of readings which are "
+            "corrected by the terms of result.json"
         )
     return lines
 
@@ -307,8 +296,7 @@ def _listed(head: HeadModel, angles: FloatArray) -> str:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class DepthErrors:
+class DepthErrors(NamedTuple):
     """Errors along the line from midway between the eyes to fixated points; nan if out of reach."""
 
     distance_m: FloatArray
@@ -356,18 +344,16 @@ def predict_depth_errors(
     triangulate them from the same joint angles and pixels. The uncertainty is to first order in the
     head's parameters, with derivatives by central differences.
     """
-    head = calibration.head
+    head, nominal, fit = calibration.head, calibration.nominal_head, calibration.solution
     points = midpoint_between_cameras(head) + points_from_eyes_m
     distance = np.linalg.norm(points_from_eyes_m, axis=-1)
     along = points_from_eyes_m / distance[:, None]
     q, sees = fixation_angles_and_visibility(head, points)
     pixels = head.project(q, points)
     fix = triangulate_views(head, q, pixels)
-    off = triangulate_views(calibration.nominal_head, q, pixels).point - points
-    sigma = depth_sigma_by_head(
-        calibration.nominal_head, calibration.solution.state.head_parameters,
-        calibration.solution.problem.prior_sigma, calibration.covariance, (q, pixels), along,
-    )  # fmt: skip
+    off = triangulate_views(nominal, q, pixels).point - points
+    values, spread = fit.state.head_parameters, fit.problem.prior_sigma
+    sigma = depth_sigma_by_head(nominal, values, spread, calibration.covariance, (q, pixels), along)
     floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
     errors = (off * along).sum(axis=-1), np.linalg.norm(off, axis=-1), sigma, floor**0.5
     return DepthErrors(distance, *(np.where(sees, values, np.nan) for values in errors))
@@ -479,16 +465,18 @@ class PoseEquations:
         pull = np.zeros(problem.shared_count + 1)
         np.add.at(padded, (more.columns[:, :, None], more.columns[:, None]), more.blocks)
         np.add.at(pull, more.columns, more.slopes)
+        by_pose = {
+            name: np.concatenate([getattr(self, name), getattr(more, name)])
+            for name in ("columns", "blocks", "slopes")
+        }
         return replace(
-            self,
-            columns=np.concatenate([self.columns, more.columns]),
-            blocks=np.concatenate([self.blocks, more.blocks]),
-            slopes=np.concatenate([self.slopes, more.slopes]),
+            more,
+            **by_pose,
+            solution=self.solution,
             matrix=self.matrix + padded[:-1, :-1],
             gradient=self.gradient + pull[:-1],
             squares=self.squares + more.squares,
             freedom=self.freedom + more.freedom,
-            ended_s=more.ended_s,
         )
 
     def preview(self) -> CalibrationPreview | None:
@@ -499,7 +487,7 @@ class PoseEquations:
         chi = float(np.sqrt(squares / max(self.freedom - problem.shared_count, 1.0)))
         slopes = self.slopes + np.einsum("fst,ft->fs", self.blocks, step[self.columns])
         groups = np.arange(len(slopes)) * min(len(slopes), _MOST_GROUPS) // len(slopes)
-        covariance = clustered_head_covariance(
+        covariance = judge.clustered_head_covariance(
             problem, self.matrix, self.columns, self.blocks, slopes, chi, groups
         )
         first = problem.common_count
@@ -553,7 +541,7 @@ def preview_calibration(
         if previous is not None:
             near = near._replace(head_parameters=previous.values)
         found = fit_robustly(problem, begin.boards, begin.inlier_views, near)
-        covariance = head_and_term_covariance(found)
+        covariance = judge.head_and_term_covariance(found)
     except np.linalg.LinAlgError:
         return None
     return _preview(found, found.state.head_parameters, found.state.boards, covariance)

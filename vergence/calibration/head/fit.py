@@ -51,19 +51,12 @@ _OTHER_COEFFICIENT_SIGMA: Final = 0.1
 
 def parameter_prior_sigma(head: HeadModel, estimate_cameras: bool = True) -> FloatArray:
     """(p,) prior sigmas of parameters; cameras' from the head's record if any, or 0: fixed."""
-    names = head.parameters().names
     spreads = standard_deviations(head.geometry, PRIOR)
-    record = head.calibration
-    for place, name in enumerate(names):
-        own = name.rpartition(".")[2]
-        if ".camera." not in name:
-            continue
-        if spreads[place] == 0.0:
-            spreads[place] = _COEFFICIENT_SIGMA.get(own, _OTHER_COEFFICIENT_SIGMA)
-        if record is not None and name in record.sigma:
-            spreads[place] = record.sigma[name]
-        if not estimate_cameras:
-            spreads[place] = 0.0
+    known = {} if head.calibration is None else head.calibration.sigma
+    for place, name in enumerate(head.parameters().names):
+        if ".camera." in name:
+            own = _COEFFICIENT_SIGMA.get(name.rpartition(".")[2], _OTHER_COEFFICIENT_SIGMA)
+            spreads[place] = known.get(name, spreads[place] or own) if estimate_cameras else 0.0
     return spreads
 
 
@@ -78,12 +71,11 @@ def single_camera_rig(head: HeadModel, eye: int) -> CameraRig:
 
 def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[BoardPoses]:
     """Find the board's pose in each camera, frame by frame; a placeholder without the board."""
-    found = []
-    for eye in range(2):
-        only = slice(eye, eye + 1)
-        problem = BundleAdjustment(frames.corners, frames.pixels[only], frames.sigma[only])
-        found.append(estimate_board_poses(problem, single_camera_rig(head, eye)))
-    return found
+    every = BundleAdjustment(frames.corners, frames.pixels, frames.sigma)
+    return [
+        estimate_board_poses(every.select_camera(eye), single_camera_rig(head, eye))
+        for eye in range(2)
+    ]
 
 
 class InitialBoardPoses(NamedTuple):
@@ -106,8 +98,8 @@ def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> Initi
     """Find the poses of the board on which most views agree, through a given head."""
     places, turns, shifts = board_corners_and_poses_in_base(head, frames)
     orders = equivalent_corner_orders(frames.target)
-    enough = frames.shown.copy()
-    enough &= np.isfinite(places).all(axis=(-2, -1))  # pixels outside the lens's range
+    # pixels may be outside the lens's range
+    enough = frames.shown & np.isfinite(places).all(axis=(-2, -1))
     rotations, translations, spreads = [], [], []
     pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
     inlier_views = np.zeros(enough.shape, dtype=bool)
@@ -141,15 +133,14 @@ def board_corners_and_poses_in_base(
     T_0_C = head.base_pose(frames.joint_positions)[:, None] @ head.camera_poses(
         frames.joint_positions
     )
-    places, turns, shifts = [], [], []
+    found = []
     for eye, seen in enumerate(board_in_cameras(head, frames)):
         T = T_0_C[:, eye]
         turn = T[:, :3, :3] @ seen.rotation
         shift = (T[:, :3, :3] @ seen.translation[..., None])[..., 0] + T[:, :3, 3]
-        turns.append(turn)
-        shifts.append(shift)
-        places.append(frames.corners @ turn.transpose(0, 2, 1) + shift[:, None])
-    return np.stack(places), np.stack(turns), np.stack(shifts)
+        found.append((frames.corners @ turn.transpose(0, 2, 1) + shift[:, None], turn, shift))
+    places, turns, shifts = map(np.stack, zip(*found, strict=True))
+    return places, turns, shifts
 
 
 def _medoid(

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,21 +35,16 @@ _FOLD_TOLERANCE: Final = 1.0
 """Change of the cost below which a fold's fit ends (numerical)."""
 
 
-class CrossValidationErrors(NamedTuple):
-    """Mean squares of residuals by view and by pose, of heads fitted without these poses."""
-
-    view_mean_squares: FloatArray
-    """(2, f) mean square of the corners in units of sigma^2; nan for views without kept corners."""
-    pose_mean_squares: FloatArray
-    """(poses) mean square of the corners plus mean square of the reading errors, in units of
-    sigma^2; nan for poses without kept corners. One reading weighs as much as many corners, as its
-    error is estimated from them."""
-
-
 def cross_validate_by_pose(
     solution: HeadSolution, kept_corners: NDArray[np.bool_], scatter_ratio: FloatArray | None = None
-) -> CrossValidationErrors:
-    """Judge views and readings by heads calibrated without their poses; (2, f, n) kept corners."""
+) -> tuple[FloatArray, FloatArray]:
+    """Judge views and readings by heads calibrated without their poses; (2, f, n) kept corners.
+
+    Returns:
+        (2, f) mean square of the corners of views, in units of sigma^2, and (poses) mean square of
+        the corners plus mean square of the reading errors; nan without kept corners. One reading
+        weighs as much as many corners, as its error is estimated from them.
+    """
     problem, state, pose = solution.problem, solution.state, solution.problem.frames.pose
     views = np.full(kept_corners.shape[:2], np.nan)
     poses = np.full(int(pose.max()) + 1, np.nan)
@@ -81,7 +76,7 @@ def cross_validate_by_pose(
                 squares = (best.normalised_reading_errors[here] ** 2)[own[here]]
                 read = squares.sum() / max(own[here].sum(), 1)
                 poses[number] = total[:, here].sum() / count[:, here].sum() + read
-    return CrossValidationErrors(views, poses)
+    return views, poses
 
 
 def with_backlash(head: HeadModel, actuator_backlash_rad: FloatArray) -> HeadModel:
@@ -102,8 +97,8 @@ TERMS: Final = (*TERM_KINDS, "axes")
 _FALSE_TRIAL_PROBABILITY: Final = 1e-3
 """Probability that an absent term is tried, if all errors are independent (chosen)."""
 _LEAST_GAIN: Final = 0.02
-"""Least gain of a term in the mean logarithm of the poses' cross-validation errors, see
-`CrossValidationErrors` (chosen: less is not worth a term)."""
+"""Least gain of a term in the mean logarithm of the poses' mean squares by
+`cross_validate_by_pose` (chosen: less is not worth a term)."""
 _LEAST_GAIN_OF_PLAY: Final = 0.15
 """Least gain of backlash if readings scatter even with it. A reading error also changes the
 difference to the previous reading, whose sign then predicts some of the error, just as with
@@ -267,9 +262,9 @@ def _predicts_better(richer: HeadSolution, simpler: HeadSolution, least: float) 
     rich, simple = richer.problem, simpler.problem
     sigma = [each.reading_error_unknowns.reading_sigma for each in (rich, simple)]
     ratio = np.divide(sigma[0], sigma[1], out=np.ones(7), where=sigma[1] > 0.0)
-    simple_errors = cross_validate_by_pose(simpler, kept, ratio * simple.scatter_ratio)
-    rich_errors = cross_validate_by_pose(richer, kept)
-    less = np.log(simple_errors.pose_mean_squares) - np.log(rich_errors.pose_mean_squares)
+    _, simple_squares = cross_validate_by_pose(simpler, kept, ratio * simple.scatter_ratio)
+    _, rich_squares = cross_validate_by_pose(richer, kept)
+    less = np.log(simple_squares) - np.log(rich_squares)
     less = less[np.isfinite(less)]
     surely = _SIGNIFICANT_SIGMAS * np.std(less) / np.sqrt(max(len(less), 1))
     return len(less) > 1 and bool(np.mean(less) >= max(surely, least))
