@@ -44,14 +44,6 @@ from vergence.triangulation import triangulate_views
 
 _MOST_PLACEMENTS: Final = 8
 """Most fits to a recording, each after the first with another placement of the board (chosen)."""
-_HARMONICS_HINT: Final = (
-    ": a head file cannot store them; --terms harmonics estimates them, and calibrates the head "
-    "for readings corrected by them"
-)
-_JOINT_AXES_REMARK: Final = (
-    "the joints are described by their axes one by one, which may be turned in ways that D-H "
-    "numbers lack"
-)
 _SIGNIFICANT_SIGMAS: Final = 2.0
 """Standard deviations above which a parameter is significant (chosen)."""
 
@@ -215,15 +207,22 @@ def calibrate_head(
                 break
             remarks.append(more.remark)
             problem = replace(problem, frames=more.frames)
-            fit = fit_robustly(problem, more.boards, more.inlier_views, far and fit.state)
+            fit = fit_robustly(problem, more.boards, more.inlier_views, fit.state if far else None)
         judge.refuse_implausible_solution(fit)
         report(0.7)
         if tuple(terms) == (AUTO,):
             fit, suspected = choose_terms(fit, estimate_cameras)
             if suspected is not None:
-                remarks.append(_remark_on_harmonics(suspected) + _HARMONICS_HINT)
+                remarks.append(
+                    f"{_remark_on_harmonics(suspected)}: a head file cannot store them; --terms "
+                    "harmonics estimates them, and calibrates the head for readings corrected by "
+                    "them"
+                )
         if type(fit.head.links) is not type(file.links):
-            remarks.append(_JOINT_AXES_REMARK)
+            remarks.append(
+                "the joints are described by their axes one by one, which may be turned in ways "
+                "that D-H numbers lack"
+            )
         report(0.8)
         views, _ = cross_validate_by_pose(fit, fit.kept_corners)
     except np.linalg.LinAlgError:
@@ -465,14 +464,12 @@ class PoseEquations:
         pull = np.zeros(problem.shared_count + 1)
         np.add.at(padded, (more.columns[:, :, None], more.columns[:, None]), more.blocks)
         np.add.at(pull, more.columns, more.slopes)
-        by_pose = {
-            name: np.concatenate([getattr(self, name), getattr(more, name)])
-            for name in ("columns", "blocks", "slopes")
-        }
         return replace(
             more,
-            **by_pose,
             solution=self.solution,
+            columns=np.concatenate([self.columns, more.columns]),
+            blocks=np.concatenate([self.blocks, more.blocks]),
+            slopes=np.concatenate([self.slopes, more.slopes]),
             matrix=self.matrix + padded[:-1, :-1],
             gradient=self.gradient + pull[:-1],
             squares=self.squares + more.squares,

@@ -31,7 +31,6 @@ from vergence.perception.locate import equivalent_corner_orders
 from vergence.recording.looking import BoardView, Looker
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
-from vergence.vision.targets import PlanarTarget
 
 _CANDIDATES: Final = 400
 """Random postures from which the next one is chosen (chosen: more take longer)."""
@@ -213,8 +212,7 @@ class CollectedRecording:
     """Content of a recording so far."""
 
     folder: Path
-    target: PlanarTarget
-    placement: int
+    placement: int = 0
     """Number of the board's present placement."""
     parts: list[HeadFrames] = field(default_factory=list)
     """Frames of earlier runs, and of each pose, with times one after the other."""
@@ -267,7 +265,7 @@ def _earlier(
         raise ConfigurationError(f"{folder}: expected a folder, got a file")
     logs = list_logs(folder) if any(folder.glob(f"*{SUFFIX}")) else []
     number = 1 + max((int(log.stem) for log in logs if log.stem.isdecimal()), default=0)
-    found = CollectedRecording(folder, looker.target, 0)
+    found = CollectedRecording(folder)
     if logs:
         before = read_logs(logs, looker.head, looker.target)
         if before.head_identity != head_identity:

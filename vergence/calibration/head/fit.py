@@ -246,7 +246,8 @@ def masked_mean(values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
     """Mean over the last axis of the values under a mask; nan where there are none."""
     count = mask.sum(axis=-1)
     total = np.where(mask, values, 0.0).sum(axis=-1)
-    return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+    mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+    return np.asarray(mean)
 
 
 def restart(problem: HeadAdjustment, state: HeadUnknowns) -> HeadUnknowns:

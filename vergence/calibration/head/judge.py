@@ -174,8 +174,6 @@ _RIGID_MOTIONS: Final = (
 )
 """Rigid motions of the eyes in N, about and along x, y and z, with units."""
 
-_NO_NECK_REMEDY: Final = "a neck; without one, N is where the file has it"
-
 
 class UnobservableDirection(NamedTuple):
     """A direction that a recording does not determine, in words."""
@@ -216,7 +214,9 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
             )
         )
     remaining = unobserved @ right_vectors[~redundant].T
-    remedy = "move the neck" if any(solution.problem.nominal_head.joints[NECK]) else _NO_NECK_REMEDY
+    remedy = "a neck; without one, N is where the file has it"
+    if any(solution.problem.nominal_head.joints[NECK]):
+        remedy = "move the neck"
     shares: list[FloatArray] = []
     by_remaining = scaled @ remaining
     for axis, (name, unit) in enumerate(_RIGID_MOTIONS if by_remaining.shape[1] else ()):

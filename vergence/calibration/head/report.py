@@ -288,7 +288,7 @@ def _view_columns(calibration: HeadCalibration) -> dict[str, Sequence[object]]:
 
 def _figures(calibration: HeadCalibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
-    drawn = {
+    drawn: dict[str, Figure | None] = {
         "depth": depth_error_by_distance(calibration),
         "views": residuals_over_time(calibration),
         "joints": joint_angle_coverage(calibration),
@@ -302,13 +302,9 @@ def _figures(calibration: HeadCalibration) -> dict[str, Figure]:
         drawn[f"residuals-{name}"] = draw_residual_arrows(pixels[kept], residuals[kept], *image)
         views = np.where(kept[..., None], pixels, np.nan)
         drawn[f"coverage-{name}"] = draw_corner_coverage(views, *image, EYE_STYLES[eye]["color"])
-    errors = determined_reading_errors(calibration)
-    if errors:
-        drawn["readings"] = reading_error_histograms(calibration, errors)
-    correlated = correlated_parameters(calibration)
-    if len(correlated):
-        drawn["correlations"] = parameter_correlations(calibration, correlated)
-    return drawn
+    drawn["readings"] = reading_error_histograms(calibration)
+    drawn["correlations"] = parameter_correlations(calibration)
+    return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
 def _number_rows(calibration: HeadCalibration) -> list[list[str]]:
@@ -415,16 +411,13 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
         strips.grid(axis="y", visible=False)
         strips.tick_params(axis="y", length=0)
         strips.autoscale_view()
-        joints = np.degrees(q[:, 3:])
         for eye, name in enumerate(EYE_NAMES):
-            down, right = _tilt_and_pan(nominal_head.joints[3 + 2 * eye : 5 + 2 * eye])
-            eyes.plot(
-                joints[:, 2 * eye + right], joints[:, 2 * eye + down], linestyle="none", ms=5,
-                mew=0, alpha=0.8, label=name, **EYE_STYLES[eye],
-            )  # fmt: skip
-        down, right = _tilt_and_pan(nominal_head.joints[3:5])
+            down, right = np.degrees(q[:, _tilt_and_pan(nominal_head, eye)]).T
+            style = {"linestyle": "none", "ms": 5, "mew": 0, "alpha": 0.8, **EYE_STYLES[eye]}
+            eyes.plot(right, down, label=name, **style)
+        down, right = _tilt_and_pan(nominal_head, 0)
         across, above = (
-            ", ".join(dict.fromkeys(nominal_head.joints[joint] for joint in (3 + own, 5 + own)))
+            ", ".join(dict.fromkeys(nominal_head.joints[joint] for joint in (own, own + 2)))
             for own in (right, down)
         )
         eyes.set(xlabel=f"{across} (°)", ylabel=f"{above} (°)", title="both eyes' joints")
@@ -433,30 +426,26 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
     return figure
 
 
-def _tilt_and_pan(names: tuple[str, ...]) -> tuple[int, int]:
-    """Choose the eye joints for the vertical and the horizontal axis of the figure."""
-    return (1, 0) if "pan" in names[0] and "pan" not in names[1] else (0, 1)
+def _tilt_and_pan(head: HeadModel, eye: int) -> list[int]:
+    """Choose an eye's joints for the vertical and the horizontal axis of the figure."""
+    first, second = 3 + 2 * eye, 4 + 2 * eye
+    swapped = "pan" in head.joints[first] and "pan" not in head.joints[second]
+    return [second, first] if swapped else [first, second]
 
 
-def correlated_parameters(calibration: HeadCalibration) -> NDArray[np.intp]:
-    """Find the estimated parameters with strong correlations, the strongest if there are many."""
+def parameter_correlations(calibration: HeadCalibration) -> Figure | None:
+    """Draw strong correlations between estimated parameters, the strongest if there are many."""
     free = np.flatnonzero(calibration.solution.problem.prior_sigma > 0.0)
-    size = np.abs(_correlation(calibration)[np.ix_(free, free)])
-    np.fill_diagonal(size, 0.0)
-    best = size.max(axis=1, initial=0.0)
-    chosen = np.argsort(-best, kind="stable")[:_MOST_PARAMETERS]
-    return np.sort(free[chosen[best[chosen] >= _STRONG_CORRELATION]])
-
-
-def _correlation(calibration: HeadCalibration) -> FloatArray:
     sigma = np.where(calibration.sigma > 0.0, calibration.sigma, 1.0)
-    return np.asarray(calibration.covariance / np.outer(sigma, sigma))
-
-
-def parameter_correlations(calibration: HeadCalibration, chosen: NDArray[np.intp]) -> Figure:
-    """Draw the correlations between parameters that the recording hardly separates."""
+    correlation = np.asarray(calibration.covariance / np.outer(sigma, sigma))
+    others = np.abs(correlation[np.ix_(free, free)]) * (1.0 - np.eye(len(free)))
+    best = others.max(axis=1, initial=0.0)
+    chosen = np.argsort(-best, kind="stable")[:_MOST_PARAMETERS]
+    chosen = np.sort(free[chosen[best[chosen] >= _STRONG_CORRELATION]])
+    if not len(chosen):
+        return None
     names = [calibration.nominal_head.parameters().names[k] for k in chosen]
-    values = _correlation(calibration)[np.ix_(chosen, chosen)]
+    values = correlation[np.ix_(chosen, chosen)]
     strong = (np.abs(values) >= _STRONG_CORRELATION) & ~np.eye(len(chosen), dtype=bool)
     texts = np.where(strong, [[f"{100.0 * each:.0f}" for each in row] for row in values], "")
     with panels(PAGE_WIDTH, 2.2 + 0.3 * len(chosen)) as (figure, panel):
@@ -468,23 +457,19 @@ def parameter_correlations(calibration: HeadCalibration, chosen: NDArray[np.intp
     return figure
 
 
-def determined_reading_errors(calibration: HeadCalibration) -> dict[str, FloatArray]:
-    """(n,) errors by actuator, rad, of readings whose variance the images at least halve."""
-    own = calibration.solution.problem.reading_error_unknowns.has_frame_error
-    determined = calibration.solution.reading_variance_ratio < _MOST_VARIANCE_RATIO
-    errors = {}
-    for k, name in enumerate(actuator_names(calibration.nominal_head)):
-        single = own[:, k] & determined[:, k] & calibration.kept_views.any(axis=0)
-        if single.any():
-            errors[name] = calibration.solution.state.frame_errors[single, k]
-    return errors
-
-
-def reading_error_histograms(
-    calibration: HeadCalibration, errors: Mapping[str, FloatArray]
-) -> Figure:
-    """Draw histograms of reading errors by actuator, with the uniform density of quantisation."""
-    names = actuator_names(calibration.nominal_head)
+def reading_error_histograms(calibration: HeadCalibration) -> Figure | None:
+    """Draw histograms of the reading errors that images determine, and quantisation's density."""
+    fit, names = calibration.solution, actuator_names(calibration.nominal_head)
+    determined = fit.reading_variance_ratio < _MOST_VARIANCE_RATIO
+    determined &= fit.problem.reading_error_unknowns.has_frame_error
+    determined &= np.asarray(calibration.kept_views.any(axis=0))[:, None]
+    errors = {
+        name: fit.state.frame_errors[determined[:, k], k]
+        for k, name in enumerate(names)
+        if determined[:, k].any()
+    }
+    if not errors:
+        return None
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)
     with panels(PAGE_WIDTH, 0.4 + 2.3 * rows, rows, columns, squeeze=False) as (figure, grid):
