@@ -194,14 +194,14 @@ def test_a_board_of_nearly_another_size_is_pointed_out(usual):
 def test_all_but_redundant_directions_are_told_if_the_neck_moves(usual):
     told = unobservable_directions(usual[3].solution)
     assert [one.what.split(" ")[0] for one in told] == ["10"]
-    assert told[0].remedy == ""
+    assert told[0].cure == ""
 
 
 @pytest.mark.nightly
 def test_without_the_neck_the_eyes_place_in_it_is_not_told():
     head, _, frames = drawn(move_neck=False)
     told = unobservable_directions(calibrate_head(head, frames).solution)
-    assert [(one.what, one.remedy) for one in told[1:]] == [
+    assert [(one.what, one.cure) for one in told[1:]] == [
         ("tilt of both eyes in common", "move the neck"),
         ("roll of both eyes in common", "move the neck"),
         ("shift of both eyes to the side", "move the neck"),

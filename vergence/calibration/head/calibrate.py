@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from vergence.calibration.adjustment import BoardPoses, rms_length
@@ -311,27 +311,18 @@ class DepthErrors(NamedTuple):
     """(n,) standard deviation of depth of a single settled fixation from the noise of pixels and
     encoders."""
 
-    @property
-    def nominal_error_percent(self) -> FloatArray:
-        """(n,) depth error of the nominal head, percent of the distance."""
-        return np.asarray(1e2 * self.nominal_error_m / self.distance_m)
-
-    @property
-    def sigma_percent(self) -> FloatArray:
-        """(n,) standard deviation of depth from the calibration, percent of the distance."""
-        return np.asarray(1e2 * self.sigma_m / self.distance_m)
+    def percent(self, error_m: FloatArray) -> FloatArray:
+        """(n,) errors in percent of the distance."""
+        return np.asarray(1e2 * error_m / self.distance_m)
 
 
-def points_ahead(distance_m: FloatArray) -> FloatArray:
-    """(n, 3) points straight ahead, m."""
-    return np.asarray(distance_m[:, None] * np.array([0.0, 0.0, 1.0]))
-
-
-def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
-    """(n, 3) points at one distance, turned to the right and then down by angles (n,), m."""
+def points_at_angles(
+    distance_m: ArrayLike, right_rad: ArrayLike = 0.0, down_rad: ArrayLike = 0.0
+) -> FloatArray:
+    """(n, 3) points at distances ahead, m, turned to the right and then down by angles (n,)."""
     across = np.cos(down_rad)
     directions = [np.sin(right_rad) * across, np.sin(down_rad), np.cos(right_rad) * across]
-    return np.asarray(distance_m * np.column_stack(directions))
+    return np.asarray(np.expand_dims(distance_m, -1) * np.stack(directions, axis=-1))
 
 
 def predict_depth_errors(

@@ -179,7 +179,7 @@ class UnobservableDirection(NamedTuple):
     """A direction that a recording does not determine, in words."""
 
     what: str
-    remedy: str
+    cure: str
     """Remedy, to be recorded; empty if nothing helps and nothing depends on it."""
     cost: str
     """Effect of an error of one prior standard deviation in the head's file."""

@@ -397,16 +397,16 @@ def read_logs(
 
 def _target_of(log: Log, target: PlanarTarget | None) -> PlanarTarget:
     """Get the board of a log; refuse one that differs from the expected board."""
-    text = log.facts.get(TARGET, "")
-    if not text and target is None:
-        raise ConfigurationError(
-            f"{log.path}: expected the board among the log's facts, or as --target, got neither"
-        )
+    if not log.facts.get(TARGET):
+        if target is None:
+            raise ConfigurationError(
+                f"{log.path}: expected the board among the log's facts, or as --target, got neither"
+            )
+        return target
     try:
-        own = parse_board(text, accept_single_tag=True) if text else target
+        own = parse_board(log.facts[TARGET], accept_single_tag=True)
     except ConfigurationError as error:
         raise ConfigurationError(f"{log.path}: {error}") from error
-    assert own is not None
     if target is not None and str(own) != str(target):
         raise ConfigurationError(f"{log.path}: target: expected {target}, got a log of {own}")
     return own

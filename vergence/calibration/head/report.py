@@ -21,7 +21,6 @@ from vergence.calibration.head.calibrate import (
     HeadCalibration,
     actuator_names,
     calibrate_head,
-    points_ahead,
     points_at_angles,
     predict_depth_errors,
 )
@@ -206,14 +205,14 @@ def result_document(
     calibration: HeadCalibration, unobservable: Sequence[UnobservableDirection]
 ) -> dict[str, Any]:
     """Convert the result to plain values for JSON."""
-    depth = predict_depth_errors(calibration, points_ahead(np.array(_TABLE_DISTANCES_M)))
+    depth = predict_depth_errors(calibration, points_at_angles(np.array(_TABLE_DISTANCES_M)))
     table = {
         "distance_m": depth.distance_m,
         "before_mm": 1e3 * depth.nominal_error_m,
         "before_vector_mm": 1e3 * depth.nominal_error_norm_m,
-        "before_percent": depth.nominal_error_percent,
+        "before_percent": depth.percent(depth.nominal_error_m),
         "after_sigma_mm": 1e3 * depth.sigma_m,
-        "after_percent": depth.sigma_percent,
+        "after_percent": depth.percent(depth.sigma_m),
         "floor_mm": 1e3 * depth.noise_floor_m,
     }
     rows = zip(*(null_nonfinite_elements(values) for values in table.values()), strict=True)
@@ -235,9 +234,7 @@ def result_document(
         "placements": int(frames.placement.max()) + 1,
         "target": str(frames.target),
         "terms": [each._asdict() for each in calibration.terms],
-        "unseen": [
-            {"what": each.what, "cure": each.remedy, "cost": each.cost} for each in unobservable
-        ],
+        "unseen": [each._asdict() for each in unobservable],
         "remarks": list(calibration.remarks),
     }
 
@@ -496,7 +493,7 @@ def reading_error_histograms(calibration: HeadCalibration) -> Figure | None:
 def depth_error_by_distance(calibration: HeadCalibration) -> Figure:
     """Plot depth errors straight ahead: before, after, and the noise of a single fixation."""
     distance_m = np.geomspace(_DISTANCE_TICKS_M[0], _DISTANCE_TICKS_M[-1], 60)
-    depth = predict_depth_errors(calibration, points_ahead(distance_m))
+    depth = predict_depth_errors(calibration, points_at_angles(distance_m))
     return draw_by_distance(
         depth.distance_m,
         (
@@ -518,8 +515,9 @@ def depth_error_maps(calibration: HeadCalibration, distance_m: float) -> Figure:
     depth = predict_depth_errors(calibration, points)
     title = f"before, at {distance_m:g} m: error (%)"
     with panels(PAGE_WIDTH, 5.0, 1, 2) as (figure, (before, after)):
-        _draw_map(before, depth.nominal_error_percent, title, signed=True)
-        _draw_map(after, depth.sigma_percent, f"after, at {distance_m:g} m: one sigma (%)")
+        _draw_map(before, depth.percent(depth.nominal_error_m), title, signed=True)
+        title = f"after, at {distance_m:g} m: one sigma (%)"
+        _draw_map(after, depth.percent(depth.sigma_m), title)
     return figure
 
 
