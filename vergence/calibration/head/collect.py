@@ -1,8 +1,8 @@
 """Collect the poses of a head calibration: plan, look, judge, and preview what they determine."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -398,8 +398,9 @@ def _keep(log: LogWriter, view: BoardView) -> None:
 
 def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> HeadFrames:
     """Look around, at guesses (7,) first, until an eye sees the board; one frame of both eyes."""
-    head, looks = looker.head, [*first_guesses, *_directions(looker.head)]
-    for q in looks:
+    head, looks = looker.head, 0
+    for q in chain(first_guesses, _directions(head)):
+        looks += 1
         frame = HeadFrames.of_views(looker.target, [looker.look(q)], [0])
         if frame.shown.all():
             return frame
@@ -412,14 +413,13 @@ def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> Head
             again = HeadFrames.of_views(looker.target, [view], [0])
             return again if again.shown.any() else frame
     raise ConfigurationError(
-        f"expected {looker.target} where the eyes can look, found it in no direction of "
-        f"{len(looks)}: is it that target, whole, flat, upright, well lit, and neither too near "
-        "nor too far?"
+        f"expected {looker.target} where the eyes can look, found it in no direction of {looks}: "
+        "is it that target, whole, flat, upright, well lit, and neither too near nor too far?"
     )
 
 
-def _directions(head: HeadModel) -> list[FloatArray]:
-    """List (7,) joint angles for all directions, nearest to rest first."""
+def _directions(head: HeadModel) -> Iterator[FloatArray]:
+    """Generate (7,) joint angles for all directions, nearest to rest first."""
     own, rest = head.actuation, head.rest()
     found = [rest]
     for yaw, pitch in product(_NECK_SHARES, _NECK_SHARES):
@@ -436,7 +436,7 @@ def _directions(head: HeadModel) -> list[FloatArray]:
     for q in found:
         if all(np.abs(q - one).max() > _SAME_POSTURE_RAD for one in taken):
             taken.append(q)
-    return taken
+            yield q
 
 
 _CELLS: Final = 4
