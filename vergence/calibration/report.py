@@ -1,7 +1,7 @@
 """Run folder of a calibration: camera file, tables and HTML report."""
 
 import csv
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -9,10 +9,12 @@ from typing import Any, Final
 import jinja2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import LogLocator
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from vergence.calibration.advice import (
@@ -69,11 +71,13 @@ def write_run(folder: Path, calibration: Calibration, file_text: str, file_name:
         },
     )
     views = calibration.fit.views
-    columns = [
-        [Path(path).name for path in calibration.observations.file_names[0]],
-        calibration.fit.kept_views.tolist(), views.view_rms_px, views.view_chi,
-    ]  # fmt: skip
-    write_csv(folder / "views.csv", ["view", "kept", "rms_px", "noise"], zip(*columns, strict=True))
+    columns = {
+        "view": [Path(path).name for path in calibration.observations.file_names[0]],
+        "kept": calibration.fit.kept_views.tolist(),
+        "rms_px": views.view_rms_px.tolist(),
+        "noise": views.view_chi.tolist(),
+    }
+    write_csv(folder / "views.csv", columns)
     several, held = len(calibration.camera_names) > 1, board_tilts(calibration)[0]
     write_page(
         folder, "cameras.html.jinja", _figures(calibration), **told, name=file_name,
@@ -95,10 +99,10 @@ def write_run(folder: Path, calibration: Calibration, file_text: str, file_name:
     )  # fmt: skip
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a table with a header."""
+def write_csv(path: Path, columns: Mapping[str, Sequence[object]]) -> None:
+    """Write a table with a header; None is an empty field."""
     with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([columns, *rows])
+        csv.writer(file).writerows([columns, *zip(*columns.values(), strict=True)])
 
 
 def write_page(folder: Path, template: str, figures: Mapping[str, Figure], **values: Any) -> None:
@@ -235,11 +239,36 @@ def thinning_slice(count: int) -> slice:
 
 
 @contextmanager
-def single_panel(width: float, height: float) -> Iterator[tuple[Figure, Axes]]:
-    """Style a figure with one panel, sizes in inches, while it is drawn."""
+def panels(
+    width: float, height: float, rows: int = 1, columns: int = 1, **options: Any
+) -> Iterator[tuple[Figure, Any]]:
+    """Style a figure with one panel or an array of them, sizes in inches, while it is drawn."""
     with figure_style():
         figure = new_figure(width, height)
-        yield figure, figure.add_subplot()
+        yield figure, figure.subplots(rows, columns, **options)
+
+
+def draw_matrix(
+    panel: Axes, values: FloatArray, texts: NDArray[np.str_], colours: str,
+    colour_range: tuple[float, float], fontsize: float, **options: Any,
+) -> AxesImage:  # fmt: skip
+    """Draw a matrix of numbers as colours with a text in each cell."""
+    image = panel.imshow(
+        np.ma.masked_invalid(values), cmap=colours, norm=Normalize(*colour_range), **options
+    )
+    for row, column in np.argwhere(texts != "").tolist():
+        panel.text(
+            column, row, str(texts[row, column]), ha="center", va="center", fontsize=fontsize,
+            color=BLACK,
+        )  # fmt: skip
+    panel.tick_params(length=0)
+    panel.grid(False)
+    return image
+
+
+def residual_limit(kept: FloatArray, medians: float) -> float:
+    """End of an axis of residuals: some medians of kept views, unless one of them exceeds it."""
+    return max(1.15 * float(kept.max()), medians * float(np.median(kept)))
 
 
 @contextmanager
@@ -248,7 +277,7 @@ def image_panel(size: tuple[int, int]) -> Iterator[tuple[Figure, Axes]]:
     width, height = size
     beside, above = _MARGINS_IN
     high = (CAMERA_FIGURE_WIDTH - beside) * height / width + above
-    with single_panel(CAMERA_FIGURE_WIDTH, high) as (figure, panel):
+    with panels(CAMERA_FIGURE_WIDTH, high) as (figure, panel):
         panel.set(
             xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
             xlabel="u (px)", ylabel="v (px)",
@@ -294,7 +323,7 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
     across = residuals[:, 1] * unit[:, 0] - residuals[:, 0] * unit[:, 1]
     edges = np.linspace(0.0, radius.max(), _RINGS + 1)
     ring = np.clip(np.digitize(radius, edges) - 1, 0, _RINGS - 1)
-    with single_panel(CAMERA_FIGURE_WIDTH, 3.9) as (figure, panel):
+    with panels(CAMERA_FIGURE_WIDTH, 3.9) as (figure, panel):
         every = thinning_slice(len(radius))
         panel.plot(
             radius[every], along[every], ".", ms=4, color=GREY, alpha=0.4, mew=0, rasterized=True
@@ -330,7 +359,7 @@ def tilt_directions(calibration: Calibration) -> Figure:
     """Plot direction and size of the board's tilts."""
     held = board_tilts(calibration)
     most = max(40.0, *(1.1 * float(each.angle_deg.max()) for each in held))
-    with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
+    with panels(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
         _draw_views(panel, calibration, [each.tilt_deg.T for each in held])
         for ring in range(15, int(most), 15):
             panel.add_patch(Circle((0.0, 0.0), ring, fill=False, ec=GREY, lw=0.8, ls=":"))
@@ -352,7 +381,7 @@ def tilt_directions(calibration: Calibration) -> Figure:
 def tilts_by_distance(calibration: Calibration) -> Figure:
     """Plot the tilt of the board in each view against its distance."""
     held = board_tilts(calibration)
-    with single_panel(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
+    with panels(CAMERA_FIGURE_WIDTH, 5.2) as (figure, panel):
         _draw_views(panel, calibration, [(each.distance_m, each.angle_deg) for each in held])
         panel.set(
             xlabel="distance of the board's middle (m)", ylabel="tilt (°)",
@@ -383,10 +412,10 @@ def view_residuals(calibration: Calibration) -> Figure:
         for name, fit in fits.items()
     }
     good = np.concatenate([bars[name][fit.kept_views] for name, fit in fits.items()])
-    limit = max(1.15 * float(good.max()), _AXIS_LIMIT_MEDIANS * float(np.median(good)))
+    limit = residual_limit(good, _AXIS_LIMIT_MEDIANS)
     kept = calibration.fit.kept_views
     places, wide = np.arange(len(kept)), 0.8 / len(fits)
-    with single_panel(PAGE_WIDTH, 4.0) as (figure, panel):
+    with panels(PAGE_WIDTH, 4.0) as (figure, panel):
         for number, (name, fit) in enumerate(fits.items()):
             at = places + wide * (number - 0.5 * (len(fits) - 1))
             colour = colours[number]
@@ -459,7 +488,7 @@ def draw_by_distance(
     *, ticks_m: Sequence[float] = (), columns: int = 3,
 ) -> Figure:  # fmt: skip
     """Plot lines over the distance, with logarithmic axes; `ticks_m` end at the panel's edges."""
-    with single_panel(CAMERA_FIGURE_WIDTH, 4.4) as (figure, panel):
+    with panels(CAMERA_FIGURE_WIDTH, 4.4) as (figure, panel):
         for values, label, style in lines:
             panel.loglog(distance_m, values, label=label, **style)
         panel.set(xlabel=labels[0], ylabel=labels[1])

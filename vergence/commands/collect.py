@@ -17,8 +17,8 @@ from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from vergence.calibration.head.calibrate import CalibrationPreview
     from vergence.calibration.head.collect import CollectedRecording
-    from vergence.calibration.head.preview import CalibrationPreview
     from vergence.models.head import HeadModel
     from vergence.recording.looking import Looker
     from vergence.vision.targets import PlanarTarget
@@ -197,7 +197,7 @@ def _evaluated(recording: "CollectedRecording", head: "HeadModel") -> str:
 
 
 def _depth(preview: "CalibrationPreview") -> str:
-    from vergence.calibration.head.preview import DEPTHS_M
+    from vergence.calibration.head.calibrate import DEPTHS_M
 
     return " and ".join(
         f"{percent:.2g} % at {depth_m:g} m"

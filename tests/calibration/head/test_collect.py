@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head import preview
-from vergence.calibration.head.calibrate import calibrate_head
+from vergence.calibration.head import calibrate
+from vergence.calibration.head.calibrate import (
+    DEPTHS_M,
+    calibrate_head,
+    depth_sigma_m,
+    preview_calibration,
+)
 from vergence.calibration.head.collect import (
     CollectOptions,
     advise_recording,
@@ -16,7 +21,6 @@ from vergence.calibration.head.collect import (
     image_coverage_percent,
 )
 from vergence.calibration.head.fit import parameter_prior_sigma
-from vergence.calibration.head.preview import DEPTHS_M, depth_sigma_m, preview_calibration
 from vergence.calibration.head.recording import read_recording
 from vergence.calibration.head.simulated import SimulatedLooker, board_ahead, simulate_recording
 from vergence.errors import ConfigurationError
@@ -64,7 +68,7 @@ def collected(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(collected):
+def test_a_recording_holds_so_many_poses_that_both_eyes_see_and_makes_a_calibration(collected):
     folder, _, found, evaluated = collected
     frames = read_recording(folder, HEAD).frames
     assert (len(frames.time_s), frames.pose.max()) == (24, 11)
@@ -78,13 +82,9 @@ def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(c
     within = [np.ptp(frames.joint_positions[frames.pose == pose], axis=0) for pose in range(12)]
     assert np.max(within) < np.deg2rad(0.7)
     assert (np.mean(within, axis=0) > HEAD.sensor.encoder_resolution_rad).all()
-
-
-@pytest.mark.slow
-def test_a_recording_makes_a_calibration(collected):
-    found = calibrate_head(HEAD, read_recording(collected[0], HEAD).frames)
-    assert 0.8 < found.solution.reduced_chi < 1.2
-    assert found.kept_corners.all()
+    calibration = calibrate_head(HEAD, frames)
+    assert 0.8 < calibration.solution.reduced_chi < 1.2
+    assert calibration.kept_corners.all()
 
 
 @pytest.mark.slow
@@ -98,14 +98,11 @@ def test_other_heads_see_their_boards_too(name, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_board_aside_is_looked_for_and_found(tmp_path):
+def test_a_board_aside_is_looked_for_and_one_that_is_nowhere_refused(tmp_path):
     looker = Counted(aside_m=0.7)
     assert looker.look(HEAD.rest()).corners_px == (None, None)
-    found = collect(looker, tmp_path, CollectOptions(poses=3, frames=2), {})
+    found = collect(looker, tmp_path / "aside", CollectOptions(poses=3, frames=2), {})
     assert found.frames().seen.all()
-
-
-def test_a_board_that_is_nowhere_is_refused_and_nothing_is_written(tmp_path):
     with pytest.raises(ConfigurationError, match="found it in no direction of 1"):
         collect(Counted(distance_m=-0.7), tmp_path / "new", CollectOptions(), {})
     assert not (tmp_path / "new").exists()
@@ -267,7 +264,7 @@ def test_a_kill_loses_one_frame_at_most_and_the_next_run_goes_on(tmp_path):
 
 @pytest.mark.slow
 def test_poses_added_to_a_fit_tell_what_a_fit_to_all_frames_tells(monkeypatch):
-    monkeypatch.setattr(preview, "_ALWAYS_FITTED_POSES", 10)
+    monkeypatch.setattr(calibrate, "_ALWAYS_FITTED_POSES", 10)
     rng = np.random.default_rng(3)
     frames = simulate_recording(HEAD, TRUE, rng, poses=16, frames_per_pose=3, target=SMALL).frames
     first = preview_calibration(HEAD, frames.select(frames.pose < 11))

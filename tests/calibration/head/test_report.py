@@ -12,7 +12,6 @@ from tests.calibration.test_report import Page
 from vergence.calibration.head import report
 from vergence.calibration.head.calibrate import (
     calibrate_head,
-    points_ahead,
     points_at_angles,
     predict_depth_errors,
 )
@@ -56,14 +55,14 @@ def undrawn(monkeypatch):
 
 
 def written(folder, found, unseen=UNSEEN):
-    write_run(folder, found, unseen, "name = 'mine'\n", "mine.toml", FACTS)
+    write_run(folder, found, result_document(found, unseen), "name = 'mine'\n", "mine.toml", FACTS)
     return Page((folder / "calibration.html").read_text(encoding="utf-8"))
 
 
 @pytest.mark.nightly
 def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
     aside = points_at_angles(1.0, np.array([-0.4]), np.array([0.3]))
-    from_eyes = np.concatenate([points_ahead(DISTANCES_M), aside])
+    from_eyes = np.concatenate([points_at_angles(DISTANCES_M), aside])
     points = midpoint_between_cameras(found.head) + from_eyes
     q = found.head.fixate(points)
     free = found.sigma > 1e-8
@@ -82,8 +81,8 @@ def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
 
 @pytest.mark.slow
 def test_the_error_before_is_the_one_that_the_true_head_tells(found, true):
-    depth = predict_depth_errors(found, points_ahead(DISTANCES_M))
-    points = midpoint_between_cameras(true) + points_ahead(DISTANCES_M)
+    depth = predict_depth_errors(found, points_at_angles(DISTANCES_M))
+    points = midpoint_between_cameras(true) + points_at_angles(DISTANCES_M)
     q = true.fixate(points)
     off = triangulate_views(HEAD, q, true.cameras.principal).point - points
     assert (np.abs(off[:, 2]) > 4.0 * depth.sigma_m).all()
@@ -91,24 +90,21 @@ def test_the_error_before_is_the_one_that_the_true_head_tells(found, true):
     np.testing.assert_allclose(depth.nominal_error_norm_m, np.linalg.norm(off, axis=-1), rtol=0.2)
 
 
-def test_the_floor_is_that_of_a_settled_fixation(found):
-    q = found.head.fixate(midpoint_between_cameras(found.head) + points_ahead(DISTANCES_M))
+def test_the_floor_is_that_of_a_settled_fixation_and_nothing_beyond_the_limits_has_one(found):
+    q = found.head.fixate(midpoint_between_cameras(found.head) + points_at_angles(DISTANCES_M))
     floor = triangulate_gaze(found.head, q).sigma[:, 2]
-    depth = predict_depth_errors(found, points_ahead(DISTANCES_M))
+    depth = predict_depth_errors(found, points_at_angles(DISTANCES_M))
     np.testing.assert_allclose(depth.noise_floor_m, floor, rtol=1e-6)
-
-
-def test_directions_beyond_the_limits_have_no_error(found):
     depth = predict_depth_errors(found, points_at_angles(1.0, np.array([0.0, 1.4]), np.zeros(2)))
-    assert np.isfinite(depth.sigma_m).tolist() == [True, False]
-    assert np.isfinite(depth.nominal_error_m).tolist() == [True, False]
+    for values in (depth.sigma_m, depth.nominal_error_m, depth.noise_floor_m):
+        assert np.isfinite(values).tolist() == [True, False]
 
 
 def test_the_document_is_plain_and_counts_every_view(found):
     told = json.loads(json.dumps(result_document(found, UNSEEN), allow_nan=False))
     assert (told["views"], told["left_out"], told["frames"], told["poses"]) == (47, 1, 24, 12)
     row = next(row for row in told["depth"] if row["distance_m"] == 1.0)
-    depth = predict_depth_errors(found, points_ahead(np.ones(1)))
+    depth = predict_depth_errors(found, points_at_angles(np.ones(1)))
     assert row["before_mm"] == pytest.approx(1e3 * depth.nominal_error_m[0])
     assert row["after_percent"] == pytest.approx(0.1 * row["after_sigma_mm"])
     assert told["unseen"][0] == {
@@ -153,7 +149,7 @@ def test_the_view_that_was_wrong_is_named(found, tmp_path, undrawn):
 
 def test_the_page_says_before_and_after_and_what_was_not_seen(found, tmp_path, undrawn):
     text = written(tmp_path, found).text
-    depth = predict_depth_errors(found, points_ahead(DISTANCES_M))
+    depth = predict_depth_errors(found, points_at_angles(DISTANCES_M))
     values_mm = (np.abs(1e3 * one) for one in (depth.nominal_error_m, depth.sigma_m))
     before, after = ("{}, {} and {}".format(*map(format_number, one)) for one in values_mm)
     assert f"{before} mm off in depth at 0.5, 1 and 2.5 m" in text

@@ -1,31 +1,30 @@
-"""Calibration of a head from frames of a board, and its depth errors."""
+"""Calibration of a head from frames of a board, its depth errors, and a preview while it grows."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_factor, cho_solve
 
-from vergence.calibration.adjustment import rms_length
-from vergence.calibration.head.adjust import HeadAdjustment, ReadingErrorTerms
+from vergence.calibration.adjustment import BoardPoses, rms_length
+from vergence.calibration.head import judge
+from vergence.calibration.head.adjust import (
+    HeadAdjustment,
+    HeadUnknowns,
+    MeasurementWeights,
+    ReadingErrorTerms,
+)
 from vergence.calibration.head.fit import (
     HeadSolution,
     estimate_consensus_board_poses,
     fit_robustly,
+    inlier_corners,
     parameter_prior_sigma,
-)
-from vergence.calibration.head.judge import (
-    find_new_placement,
-    find_small_board_motion,
-    head_and_term_covariance,
-    refuse_few_poses,
-    refuse_fixed_eyes,
-    refuse_implausible_solution,
-    refuse_swapped_eyes,
-    remark_on_changed_baseline,
-    remark_on_few_views,
+    restart,
 )
 from vergence.calibration.head.recording import HeadFrames, sort_and_clean_frames
 from vergence.calibration.head.terms import (
@@ -40,18 +39,11 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import NECK, FloatArray
 from vergence.models.posture import fixation_angles_and_visibility, midpoint_between_cameras
+from vergence.perception.locate import equivalent_corner_orders
 from vergence.triangulation import triangulate_views
 
 _MOST_PLACEMENTS: Final = 8
 """Most fits to a recording, each after the first with another placement of the board (chosen)."""
-_HARMONICS_HINT: Final = (
-    ": a head file cannot store them; --terms harmonics estimates them, and calibrates the head "
-    "for readings corrected by them"
-)
-_JOINT_AXES_REMARK: Final = (
-    "the joints are described by their axes one by one, which may be turned in ways that D-H "
-    "numbers lack"
-)
 _SIGNIFICANT_SIGMAS: Final = 2.0
 """Standard deviations above which a parameter is significant (chosen)."""
 
@@ -87,9 +79,9 @@ class HeadCalibration:
         """Remarks on the recording and the calibration, a line each."""
         return (
             *self.recording_remarks,
-            *_remarks_on_terms(self.solution, self.terms),
+            *_remarks_on_terms(self),
             *_remarks_on_scatter(self.solution),
-            *remark_on_changed_baseline(self.solution),
+            *judge.remark_on_changed_baseline(self.solution),
         )
 
     @property
@@ -102,7 +94,18 @@ class HeadCalibration:
         """The calibrated head."""
         if not self.solution.problem.terms.is_backlash.any():
             return self.solution.head
-        return with_backlash(self.solution.head, _significant_backlash(self.solution, self.terms))
+        return with_backlash(self.solution.head, self.significant_backlash)
+
+    @property
+    def significant_backlash(self) -> FloatArray:
+        """(7,) backlash by actuator, rad; 0 if not significant."""
+        out, own = np.zeros(7), self.solution.problem.terms
+        for term, joint, backlash in zip(
+            self.terms, own.actuator_index, own.is_backlash, strict=True
+        ):
+            if backlash and term.significant:
+                out[joint] = max(term.value, 0.0)
+        return out
 
     @cached_property
     def terms(self) -> tuple[FittedTerm, ...]:
@@ -153,7 +156,7 @@ class HeadCalibration:
 
     @cached_property
     def _covariance(self) -> FloatArray:
-        return head_and_term_covariance(self.solution)
+        return judge.head_and_term_covariance(self.solution)
 
     @property
     def sigma(self) -> FloatArray:
@@ -182,39 +185,46 @@ def calibrate_head(
         ConfigurationError: the frames give no calibration; the message says why.
     """
     report = progress or (lambda fraction: None)
-    refuse_fixed_eyes(head)
+    judge.refuse_fixed_eyes(head)
     frames = sort_and_clean_frames(frames)
-    refuse_few_poses(frames)
+    judge.refuse_few_poses(frames)
     file, head = head, convert_for_terms(head, terms)
     remarks: list[str] = []
     try:
         start = estimate_consensus_board_poses(head, frames)
-        refuse_swapped_eyes(head, frames, start)
+        judge.refuse_swapped_eyes(head, frames, start)
         report(0.1)
-        problem = HeadAdjustment(head, parameter_prior_sigma(head, estimate_cameras), start.frames)
-        problem = replace(problem, terms=ReadingErrorTerms.of_frames(head, start.frames, terms))
+        problem = HeadAdjustment(
+            head, parameter_prior_sigma(head, estimate_cameras), start.frames,
+            terms=ReadingErrorTerms.of_frames(head, start.frames, terms),
+        )  # fmt: skip
         fit = fit_robustly(problem, start.boards, start.inlier_views)
         for place in range(1, _MOST_PLACEMENTS):
             report(0.1 + 0.6 * place / (place + 1.0))
-            more = find_new_placement(fit)
-            near = None if more is None else fit.state
-            if more is None:
-                more = find_small_board_motion(fit)
+            far = judge.find_new_placement(fit)
+            more = far or judge.find_small_board_motion(fit)
             if more is None:
                 break
             remarks.append(more.remark)
             problem = replace(problem, frames=more.frames)
-            fit = fit_robustly(problem, more.boards, more.inlier_views, near)
-        refuse_implausible_solution(fit)
+            fit = fit_robustly(problem, more.boards, more.inlier_views, fit.state if far else None)
+        judge.refuse_implausible_solution(fit)
         report(0.7)
         if tuple(terms) == (AUTO,):
             fit, suspected = choose_terms(fit, estimate_cameras)
             if suspected is not None:
-                remarks.append(_remark_on_harmonics(suspected) + _HARMONICS_HINT)
+                remarks.append(
+                    f"{_remark_on_harmonics(suspected)}: a head file cannot store them; --terms "
+                    "harmonics estimates them, and calibrates the head for readings corrected by "
+                    "them"
+                )
         if type(fit.head.links) is not type(file.links):
-            remarks.append(_JOINT_AXES_REMARK)
+            remarks.append(
+                "the joints are described by their axes one by one, which may be turned in ways "
+                "that D-H numbers lack"
+            )
         report(0.8)
-        views = cross_validate_by_pose(fit, fit.kept_corners).view_mean_squares
+        views, _ = cross_validate_by_pose(fit, fit.kept_corners)
     except np.linalg.LinAlgError:
         raise ConfigurationError(
             "expected frames that agree on where the board is, got some that do not: is the target "
@@ -225,7 +235,7 @@ def calibrate_head(
     return HeadCalibration(
         solution=fit,
         held_out_mean_squares=views,
-        recording_remarks=(*remarks, *remark_on_few_views(start.frames, fit.kept_corners)),
+        recording_remarks=(*remarks, *judge.remark_on_few_views(start.frames, fit.kept_corners)),
     )
 
 
@@ -238,10 +248,9 @@ def actuator_names(head: HeadModel) -> list[str]:
 def _remarks_on_scatter(solution: HeadSolution) -> list[str]:
     """Report joints whose readings scatter more than quantisation and backlash explain."""
     ratio, names = solution.problem.scatter_ratio, actuator_names(solution.problem.nominal_head)
-    wide = np.flatnonzero(ratio > 1.0).tolist()
+    wide, worst = np.flatnonzero(ratio > 1.0).tolist(), int(ratio.argmax())
     if not wide:
         return []
-    worst = max(wide, key=lambda joint: ratio[joint])
     sigma = solution.problem.reading_error_unknowns.reading_sigma[worst]
     return [
         f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their "
@@ -251,19 +260,9 @@ def _remarks_on_scatter(solution: HeadSolution) -> list[str]:
     ]
 
 
-def _significant_backlash(solution: HeadSolution, terms: Sequence[FittedTerm]) -> FloatArray:
-    """(7,) backlash by actuator, rad; 0 if not significant."""
-    out, own = np.zeros(7), solution.problem.terms
-    for term, joint, backlash in zip(terms, own.actuator_index, own.is_backlash, strict=True):
-        if backlash and term.significant:
-            out[joint] = max(term.value, 0.0)
-    return out
-
-
-def _remarks_on_terms(solution: HeadSolution, terms: Sequence[FittedTerm]) -> list[str]:
+def _remarks_on_terms(found: HeadCalibration) -> list[str]:
     """Remark on the terms found, and on those that the head's file cannot hold."""
-    head, lines = solution.problem.nominal_head, []
-    play = _significant_backlash(solution, terms)
+    head, play, lines = found.nominal_head, found.significant_backlash, []
     if play.any():
         line = f"the actuators have backlash, in degrees: {_listed(head, play)}"
         if head.actuators is None and play[NECK.stop :].any():
@@ -271,10 +270,10 @@ def _remarks_on_terms(solution: HeadSolution, terms: Sequence[FittedTerm]) -> li
         if play[: NECK.stop].any():
             line += "; a head's file has no place for that of the neck"
         lines.append(line)
-    if not solution.problem.terms.is_backlash.all():
+    if not found.solution.problem.terms.is_backlash.all():
         lines.append(
-            f"{_remark_on_harmonics(solution)}: the head is that of readings which are corrected "
-            "by the terms of result.json"
+            f"{_remark_on_harmonics(found.solution)}: the head is that of readings which are "
+            "corrected by the terms of result.json"
         )
     return lines
 
@@ -296,8 +295,7 @@ def _listed(head: HeadModel, angles: FloatArray) -> str:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class DepthErrors:
+class DepthErrors(NamedTuple):
     """Errors along the line from midway between the eyes to fixated points; nan if out of reach."""
 
     distance_m: FloatArray
@@ -313,27 +311,18 @@ class DepthErrors:
     """(n,) standard deviation of depth of a single settled fixation from the noise of pixels and
     encoders."""
 
-    @property
-    def nominal_error_percent(self) -> FloatArray:
-        """(n,) depth error of the nominal head, percent of the distance."""
-        return np.asarray(1e2 * self.nominal_error_m / self.distance_m)
-
-    @property
-    def sigma_percent(self) -> FloatArray:
-        """(n,) standard deviation of depth from the calibration, percent of the distance."""
-        return np.asarray(1e2 * self.sigma_m / self.distance_m)
+    def percent(self, error_m: FloatArray) -> FloatArray:
+        """(n,) errors in percent of the distance."""
+        return np.asarray(1e2 * error_m / self.distance_m)
 
 
-def points_ahead(distance_m: FloatArray) -> FloatArray:
-    """(n, 3) points straight ahead, m."""
-    return np.asarray(distance_m[:, None] * np.array([0.0, 0.0, 1.0]))
-
-
-def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
-    """(n, 3) points at one distance, turned to the right and then down by angles (n,), m."""
+def points_at_angles(
+    distance_m: ArrayLike, right_rad: ArrayLike = 0.0, down_rad: ArrayLike = 0.0
+) -> FloatArray:
+    """(n, 3) points at distances ahead, m, turned to the right and then down by angles (n,)."""
     across = np.cos(down_rad)
     directions = [np.sin(right_rad) * across, np.sin(down_rad), np.cos(right_rad) * across]
-    return np.asarray(distance_m * np.column_stack(directions))
+    return np.asarray(np.expand_dims(distance_m, -1) * np.stack(directions, axis=-1))
 
 
 def predict_depth_errors(
@@ -345,18 +334,216 @@ def predict_depth_errors(
     triangulate them from the same joint angles and pixels. The uncertainty is to first order in the
     head's parameters, with derivatives by central differences.
     """
-    head = calibration.head
+    head, nominal, fit = calibration.head, calibration.nominal_head, calibration.solution
     points = midpoint_between_cameras(head) + points_from_eyes_m
     distance = np.linalg.norm(points_from_eyes_m, axis=-1)
     along = points_from_eyes_m / distance[:, None]
     q, sees = fixation_angles_and_visibility(head, points)
     pixels = head.project(q, points)
     fix = triangulate_views(head, q, pixels)
-    off = triangulate_views(calibration.nominal_head, q, pixels).point - points
-    sigma = depth_sigma_by_head(
-        calibration.nominal_head, calibration.solution.state.head_parameters,
-        calibration.solution.problem.prior_sigma, calibration.covariance, (q, pixels), along,
-    )  # fmt: skip
+    off = triangulate_views(nominal, q, pixels).point - points
+    values, spread = fit.state.head_parameters, fit.problem.prior_sigma
+    sigma = depth_sigma_by_head(nominal, values, spread, calibration.covariance, (q, pixels), along)
     floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
     errors = (off * along).sum(axis=-1), np.linalg.norm(off, axis=-1), sigma, floor**0.5
     return DepthErrors(distance, *(np.where(sees, values, np.nan) for values in errors))
+
+
+DEPTHS_M: Final = (1.0, 2.5)
+"""Distances straight ahead at which depth is judged, m (chosen: the range of use)."""
+_ALWAYS_FITTED_POSES: Final = 60
+"""Poses up to which each evaluation fits the head to all frames (chosen: the usual number)."""
+_REFIT_GROWTH: Final = 2.5
+"""Growth of the number of poses after which the head is fitted to all frames again (chosen: fits
+take a time in proportion to all poses; in between the head moves by a fraction of its sigma)."""
+_MOST_CHI_RATIO: Final = 1.5
+"""Ratio of later poses' residuals at the last fit to that fit's own, above which the head is fitted
+to all frames (chosen: it is hardly above 1 near the solution)."""
+_LEAST_KEPT_FRACTION: Final = 0.5
+"""Fraction of the later corners that have to fit (chosen: far below that of a board at rest)."""
+_MOST_GROUPS: Final = 60
+"""Most groups of poses by which the covariance is estimated (chosen: it takes a time in proportion
+to the groups, and more hardly improve it)."""
+_READING_STEPS: Final = 2
+"""Steps of the readings' errors of later poses (numerical: they are nearly linear)."""
+
+
+class CalibrationPreview(NamedTuple):
+    """Preliminary calibration from the recording so far."""
+
+    head: HeadModel
+    """The fitted head."""
+    values: FloatArray
+    """(p,) its parameters, see `HeadModel.parameters`."""
+    boards: BoardPoses
+    """(b) poses of the board in frame 0."""
+    depth_percent: FloatArray
+    """(2,) standard deviation of depth at `DEPTHS_M` ahead that comes from the head's parameters,
+    in per cent of the depth."""
+    solution: HeadSolution
+    """The last fit to all frames."""
+    later: "PoseEquations | None"
+    """What poses told after that fit; None after the fit itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEquations:
+    """Normal equations of a recording by pose, linearised where the last fit to all frames ended.
+
+    Later poses add their own equations, and one step from that fit solves all: a fit to all frames
+    takes a time in proportion to their number.
+    """
+
+    solution: HeadSolution
+    """The last fit to all frames."""
+    columns: NDArray[np.intp]
+    """(poses, s_f) indices of each pose's unknowns, see `HeadAdjustment.frame_columns`."""
+    blocks: FloatArray
+    """(poses, s_f, s_f) part of each pose in the normal matrix."""
+    slopes: FloatArray
+    """(poses, s_f) part of each pose in the gradient."""
+    matrix: FloatArray
+    gradient: FloatArray
+    squares: float
+    """Sum of squares of all residuals, in units of sigma^2."""
+    freedom: float
+    """Number of residuals minus the effective number of the frames' own parameters."""
+    ended_s: float
+    """Time of the last frame."""
+
+    @classmethod
+    def of(cls, solution: HeadSolution) -> "PoseEquations":
+        """Split the normal equations of frames by pose."""
+        frames = solution.problem.frames
+        normal, *parts = solution.normal_and_frame_parts()
+        squares, measured, taken = solution.squares_and_counts
+        first = np.unique(frames.pose, return_index=True)[1]
+        blocks, slopes = (np.add.reduceat(each, first) for each in parts)
+        return cls(
+            solution, solution.problem.frame_columns[first], blocks, slopes, normal.matrix,
+            normal.gradient, squares, measured - taken, float(frames.time_s[-1]),
+        )  # fmt: skip
+
+    def with_later(self, frames: HeadFrames) -> "PoseEquations | None":
+        """Add what frames after the last one tell; None where that takes a fit to all frames."""
+        problem, state = self.solution.problem, self.solution.state
+        late = replace(problem, frames=frames.select(frames.time_s > self.ended_s))
+        if not len(late.frames.time_s):
+            return None
+        errors, known = (each.reading_error_unknowns for each in (late, problem))
+        if (
+            late.placement_count != problem.placement_count
+            or len(equivalent_corner_orders(frames.target)) > 1
+            or len(errors.shared_error_actuator) + len(known.shared_error_actuator)
+            or (errors.has_frame_error[0] != known.has_frame_error[0]).any()
+        ):
+            return None
+        # the readings follow the board and the head as they were fitted, without wrong corners
+        there = restart(late, state)
+        typical_square = max(self.solution.reduced_chi, 1.0) ** 2
+        eligible = late.frames.seen & late.frames.shown[..., None]
+        weights = MeasurementWeights.of(eligible)._replace(cauchy_scale=typical_square)
+        found = _with_readings_settled(late, there, weights)
+        kept = inlier_corners(found, eligible, problem.scatter_ratio)
+        if kept.sum() < _LEAST_KEPT_FRACTION * eligible.sum():
+            return None  # the board has been moved far
+        weights = MeasurementWeights.of(kept)
+        more = PoseEquations.of(_with_readings_settled(late, found.state, weights))
+        if more.squares > (_MOST_CHI_RATIO * self.solution.reduced_chi) ** 2 * more.freedom:
+            return None  # the board has been moved, or the fit is not near enough
+        padded = np.zeros((problem.shared_count + 1,) * 2)
+        pull = np.zeros(problem.shared_count + 1)
+        np.add.at(padded, (more.columns[:, :, None], more.columns[:, None]), more.blocks)
+        np.add.at(pull, more.columns, more.slopes)
+        return replace(
+            more,
+            solution=self.solution,
+            columns=np.concatenate([self.columns, more.columns]),
+            blocks=np.concatenate([self.blocks, more.blocks]),
+            slopes=np.concatenate([self.slopes, more.slopes]),
+            matrix=self.matrix + padded[:-1, :-1],
+            gradient=self.gradient + pull[:-1],
+            squares=self.squares + more.squares,
+            freedom=self.freedom + more.freedom,
+        )
+
+    def preview(self) -> CalibrationPreview | None:
+        """Solve the equations; None if they do not determine depth."""
+        problem, state = self.solution.problem, self.solution.state
+        step = np.append(-cho_solve(cho_factor(self.matrix), self.gradient), 0.0)
+        squares = self.squares + float(self.gradient @ step[:-1])
+        chi = float(np.sqrt(squares / max(self.freedom - problem.shared_count, 1.0)))
+        slopes = self.slopes + np.einsum("fst,ft->fs", self.blocks, step[self.columns])
+        groups = np.arange(len(slopes)) * min(len(slopes), _MOST_GROUPS) // len(slopes)
+        covariance = judge.clustered_head_covariance(
+            problem, self.matrix, self.columns, self.blocks, slopes, chi, groups
+        )
+        first = problem.common_count
+        boards = step[first : first + 6 * problem.placement_count].reshape(-1, 6)
+        values = state.head_parameters + step[: len(problem.prior_mean)]
+        return _preview(self.solution, values, state.boards.moved(boards), covariance, self)
+
+
+def _with_readings_settled(
+    problem: HeadAdjustment, state: HeadUnknowns, weights: MeasurementWeights
+) -> HeadSolution:
+    """Fit the frames' own reading errors while all else stays."""
+    for _ in range(_READING_STEPS):
+        normal = problem.linearised(state, weights)
+        state = problem.moved(state, normal, np.zeros(problem.shared_count))
+    return HeadSolution(problem, state, problem.linearised(state, weights), weights)
+
+
+def _preview(
+    solution: HeadSolution, values: FloatArray, boards: BoardPoses, covariance: FloatArray,
+    later: PoseEquations | None = None,
+) -> CalibrationPreview | None:  # fmt: skip
+    head = solution.problem.nominal_head
+    sigma = depth_sigma_m(head, values, covariance)
+    if not np.isfinite(sigma).all():
+        return None
+    percent = 100.0 * sigma / np.array(DEPTHS_M)
+    return CalibrationPreview(
+        head.with_parameters(values), values, boards, percent, solution, later
+    )
+
+
+def preview_calibration(
+    head: HeadModel, frames: HeadFrames, previous: CalibrationPreview | None = None
+) -> CalibrationPreview | None:
+    """Fit a head to frames so far, from `previous`; None if they do not determine a head yet."""
+    try:
+        if previous is not None:
+            poses, fitted = (
+                each.pose[-1] + 1 for each in (frames, previous.solution.problem.frames)
+            )
+            if _ALWAYS_FITTED_POSES < poses < _REFIT_GROWTH * fitted:
+                known = previous.later or PoseEquations.of(previous.solution)
+                with suppress(np.linalg.LinAlgError):  # then a fit to all frames follows
+                    more = known.with_later(frames)
+                    if more is not None:
+                        return more.preview()
+        begin = estimate_consensus_board_poses(head, frames)
+        problem = HeadAdjustment(head, parameter_prior_sigma(head), begin.frames)
+        near = problem.start(begin.boards)
+        if previous is not None:
+            near = near._replace(head_parameters=previous.values)
+        found = fit_robustly(problem, begin.boards, begin.inlier_views, near)
+        covariance = judge.head_and_term_covariance(found)
+    except np.linalg.LinAlgError:
+        return None
+    return _preview(found, found.state.head_parameters, found.state.boards, covariance)
+
+
+def depth_sigma_m(
+    nominal_head: HeadModel, values: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """(2,) sigma, m, along N's z of points `DEPTHS_M` ahead, from (p, p) covariance alone."""
+    head = nominal_head.with_parameters(values)
+    ahead = np.array([[0.0, 0.0, depth_m] for depth_m in DEPTHS_M])
+    points = ahead + head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+    q = head.fixate(points, head.rest()[NECK])
+    return depth_sigma_by_head(
+        nominal_head, values, np.sqrt(np.diagonal(covariance)), covariance,
+        (q, head.project(q, points)), np.array([[0.0, 0.0, 1.0]] * len(points)),
+    )  # fmt: skip

@@ -2,15 +2,15 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from vergence.calibration.head.calibrate import CalibrationPreview, preview_calibration
 from vergence.calibration.head.fit import board_corners_and_poses_in_base
 from vergence.calibration.head.judge import refuse_fixed_eyes
-from vergence.calibration.head.preview import CalibrationPreview, preview_calibration
 from vergence.calibration.head.recording import (
     AT_REST,
     HEAD_IDENTITY,
@@ -21,6 +21,7 @@ from vergence.calibration.head.recording import (
     clean_and_renumber_frames,
     list_logs,
     read_logs,
+    refuse_unknown_size,
 )
 from vergence.errors import ConfigurationError
 from vergence.files import hold_lock
@@ -30,7 +31,6 @@ from vergence.perception.locate import equivalent_corner_orders
 from vergence.recording.looking import BoardView, Looker
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
-from vergence.vision.targets import PlanarTarget
 
 _CANDIDATES: Final = 400
 """Random postures from which the next one is chosen (chosen: more take longer)."""
@@ -64,8 +64,8 @@ class EstimatedBoard(NamedTuple):
         """(..., 2, n, 2) predicted corners in both eyes at joint angles (..., 7), px."""
         T_0_N = self.head.base_pose(q)[..., None, :, :]
         found = []
-        for eye in range(2):
-            inside = (self.corners_by_eye[eye] - T_0_N[..., :3, 3]) @ T_0_N[..., 0, :3, :3]
+        for eye, corners in enumerate(self.corners_by_eye):
+            inside = (corners - T_0_N[..., :3, 3]) @ T_0_N[..., 0, :3, :3]
             found.append(self.head.project(q[..., None, :], inside)[..., eye, :])
         return np.stack(found, axis=-3)
 
@@ -96,13 +96,11 @@ class PosePlanner:
 
     def next_pose(self, scene: EstimatedBoard) -> FloatArray:
         """(7,) rad, most different from earlier postures, the board inside both images."""
-        size = scene.head.cameras.size
-        q = self._candidates(scene)
+        size, q = scene.head.cameras.size[:, None], self._candidates(scene)
         pixels = scene.pixels(q)
         for margin in _KNOWN_MARGINS if scene.is_fitted else _MARGINS:
-            room = margin * size[:, None, :1]
-            high = size[:, None] - 1.0 - room
-            inside = ((pixels > room) & (pixels < high)).all(axis=(1, 2, 3))
+            room = margin * size[..., :1]
+            inside = ((pixels > room) & (pixels < size - 1.0 - room)).all(axis=(1, 2, 3))
             if inside.any():
                 return self._farthest(scene, q[inside], pixels[inside])
         raise ConfigurationError(
@@ -114,14 +112,9 @@ class PosePlanner:
         """(k, 7) random joint angles with the board somewhere near both images."""
         rng, head = self._rng, scene.head
         own, rest = head.actuation, head.rest()
-        neck = np.clip(
-            rest[NECK] + rng.uniform(-1.0, 1.0, (_CANDIDATES, 3)) * _FARTHEST_NECK_RAD,
-            own.lower[NECK],
-            own.upper[NECK],
-        )
-        stretched = np.zeros((_CANDIDATES, 7))
-        stretched[:, NECK] = neck
-        T_0_N = head.base_pose(stretched)
+        neck = rest[NECK] + rng.uniform(-1.0, 1.0, (_CANDIDATES, 3)) * _FARTHEST_NECK_RAD
+        neck = np.clip(neck, own.lower[NECK], own.upper[NECK])
+        T_0_N = head.base_pose(np.pad(neck, ((0, 0), (0, 4))))
         middle = scene.corners_by_eye.mean(axis=(0, 1))
         there = np.einsum("kji,kj->ki", T_0_N[:, :3, :3], middle - T_0_N[:, :3, 3])
         half_view = 0.5 * head.cameras.size.min(axis=0) / head.cameras.focal.max(axis=0)
@@ -219,8 +212,7 @@ class CollectedRecording:
     """Content of a recording so far."""
 
     folder: Path
-    target: PlanarTarget
-    placement: int
+    placement: int = 0
     """Number of the board's present placement."""
     parts: list[HeadFrames] = field(default_factory=list)
     """Frames of earlier runs, and of each pose, with times one after the other."""
@@ -257,10 +249,7 @@ def collect(
             kept.
     """
     refuse_fixed_eyes(looker.head)
-    if not looker.target.size_known:
-        raise ConfigurationError(
-            f"target: expected a size in mm, which all lengths come from, got {looker.target}"
-        )
+    refuse_unknown_size(looker.target)
     with hold_lock(folder):
         found, number = _earlier(looker, folder, options.moved, log_facts.get(HEAD_IDENTITY, ""))
         if not options.reached_by(found):
@@ -276,7 +265,7 @@ def _earlier(
         raise ConfigurationError(f"{folder}: expected a folder, got a file")
     logs = list_logs(folder) if any(folder.glob(f"*{SUFFIX}")) else []
     number = 1 + max((int(log.stem) for log in logs if log.stem.isdecimal()), default=0)
-    found = CollectedRecording(folder, looker.target, 0)
+    found = CollectedRecording(folder)
     if logs:
         before = read_logs(logs, looker.head, looker.target)
         if before.head_identity != head_identity:
@@ -330,44 +319,42 @@ class _Run:
         lost = 0
         with LogWriter(path, head=looker.head, facts=facts) as log:
             while not options.reached_by(found):
-                if self._pose(log):
-                    lost, found.poses = 0, found.poses + 1
-                    if found.poses % _POSES_PER_EVALUATION == 0 or found.poses == options.poses:
-                        known = preview_calibration(looker.head, found.frames(), found.preview)
-                        found.preview = known or found.preview
-                        evaluated(found)
-                    progress(found.poses / options.poses)
-                else:
+                if not self._pose(log):
                     lost += 1
-                if lost == _MOST_LOST_POSES:
-                    raise ConfigurationError(
-                        f"expected {looker.target} where it was, found it in none of the last "
-                        f"{lost} poses: has it been moved (--moved), or covered?"
-                    )
+                    if lost == _MOST_LOST_POSES:
+                        raise ConfigurationError(
+                            f"expected {looker.target} where it was, found it in none of the last "
+                            f"{lost} poses: has it been moved (--moved), or covered?"
+                        )
+                    continue
+                lost, found.poses = 0, found.poses + 1
+                if found.poses % _POSES_PER_EVALUATION == 0 or found.poses == options.poses:
+                    known = preview_calibration(looker.head, found.frames(), found.preview)
+                    found.preview = known or found.preview
+                    evaluated(found)
+                progress(found.poses / options.poses)
 
     def _pose(self, log: LogWriter) -> bool:
         """Record the next pose; return True if the board was seen."""
-        head, actuation = self._looker.head, self._looker.head.actuation
-        scene = self._fitted_board() or estimate_board_by_last_views(head, self._last)
-        base = actuation.actuators_of(self._plan.next_pose(scene))
-        moves = actuation.upper > actuation.lower
+        looker, found, own = self._looker, self._found, self._looker.head.actuation
+        scene = self._fitted_board() or estimate_board_by_last_views(looker.head, self._last)
+        base = own.actuators_of(self._plan.next_pose(scene))
         kept: list[BoardView] = []
         for number in range(self._options.frames):
-            dither = self._rng.uniform(-_DITHER_RAD, _DITHER_RAD, 7) * moves
-            board_view = self._looker.look(_clipped(head, base + dither))
-            if HeadFrames.of_views(self._looker.target, [board_view], [0]).shown.any():
-                _keep(log, board_view)
-                kept.append(board_view)
+            dither = self._rng.uniform(-_DITHER_RAD, _DITHER_RAD, 7) * (own.upper > own.lower)
+            view = looker.look(_clipped(looker.head, base + dither))
+            if HeadFrames.of_views(looker.target, [view], [0]).shown.any():
+                _keep(log, view)
+                kept.append(view)
             else:
-                self._found.looks_without_board += 1
+                found.looks_without_board += 1
             if number + 1 == _LOOKS_BEFORE_GIVING_UP and not kept:
                 break
         self._last = self._first  # the last detection may have been a wrong one
         if kept:
-            places = [self._found.placement] * len(kept)
-            self._last = HeadFrames.of_views(self._looker.target, kept, places)
-            later_s = self._last.time_s + self._later_s
-            self._found.parts.append(replace(self._last, time_s=later_s))
+            places = [found.placement] * len(kept)
+            self._last = HeadFrames.of_views(looker.target, kept, places)
+            found.parts.append(replace(self._last, time_s=self._last.time_s + self._later_s))
         return bool(kept)
 
     def _fitted_board(self) -> EstimatedBoard | None:
@@ -375,10 +362,10 @@ class _Run:
         found = self._found
         if found.preview is None or not found.is_placed:
             return None
-        place = len({int(place) for part in found.parts for place in part.placement}) - 1
-        if place >= len(found.preview.boards.translation):
-            return None
         boards = found.preview.boards
+        place = len({int(place) for part in found.parts for place in part.placement}) - 1
+        if place >= len(boards.translation):
+            return None
         corners = self._last.corners @ boards.rotation[place].T + boards.translation[place]
         return EstimatedBoard(found.preview.head, np.stack([corners, corners]), True)
 
@@ -398,18 +385,12 @@ class _Run:
             )
 
 
-def _keep(log: LogWriter, board_view: BoardView) -> None:
+def _keep(log: LogWriter, view: BoardView) -> None:
     """Write a view to the log and to disk."""
-    nothing, unknown = np.empty((0, 2)), np.full(2, np.nan)
-    time_s, positions, *_ = board_view
-    for name, corners, sigma in zip(
-        EYE_NAMES, board_view.corners_px, board_view.sigma_px, strict=True
-    ):
-        found = nothing if corners is None else corners
-        deviation = nothing if sigma is None else sigma
-        log.detection(
-            LoggedDetection(name, time_s, time_s, positions, unknown, unknown, found, deviation)
-        )
+    unknown, (time_s, positions, *by_kind) = np.full(2, np.nan), view
+    for name, *found in zip(EYE_NAMES, *by_kind, strict=True):
+        seen = (np.empty((0, 2)) if each is None else each for each in found)
+        log.detection(LoggedDetection(name, time_s, time_s, positions, unknown, unknown, *seen))
     log.sync()
     if log.fault:
         raise ConfigurationError(log.fault)
@@ -417,29 +398,24 @@ def _keep(log: LogWriter, board_view: BoardView) -> None:
 
 def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> HeadFrames:
     """Look around, at guesses (7,) first, until an eye sees the board; one frame of both eyes."""
-    looks = 0
-    for q in (*first_guesses, *_directions(looker.head)):
+    head, looks = looker.head, 0
+    for q in chain(first_guesses, _directions(head)):
         looks += 1
         frame = HeadFrames.of_views(looker.target, [looker.look(q)], [0])
         if frame.shown.all():
             return frame
-        if frame.shown.any():
-            turned = looker.look(_towards(looker.head, frame))
-            again = HeadFrames.of_views(looker.target, [turned], [0])
+        if frame.shown.any():  # turn both eyes to the board that one of them has seen
+            T_0_N = head.base_pose(frame.joint_positions[0])
+            middle = estimate_board_by_last_views(head, frame).corners_by_eye.mean(axis=(0, 1))
+            inside = T_0_N[:3, :3].T @ (middle - T_0_N[:3, 3])
+            turned = head.fixate(inside, frame.joint_positions[0, :3], warn=False)
+            view = looker.look(_clipped(head, head.actuation.actuators_of(turned)))
+            again = HeadFrames.of_views(looker.target, [view], [0])
             return again if again.shown.any() else frame
     raise ConfigurationError(
         f"expected {looker.target} where the eyes can look, found it in no direction of {looks}: "
         "is it that target, whole, flat, upright, well lit, and neither too near nor too far?"
     )
-
-
-def _towards(head: HeadModel, frame: HeadFrames) -> FloatArray:
-    """(7,) joint angles that turn both eyes to a board that one of them has seen."""
-    T_0_N = head.base_pose(frame.joint_positions[0])
-    middle = estimate_board_by_last_views(head, frame).corners_by_eye.mean(axis=(0, 1))
-    inside = T_0_N[:3, :3].T @ (middle - T_0_N[:3, 3])
-    q = head.fixate(inside, frame.joint_positions[0, :3], warn=False)
-    return _clipped(head, head.actuation.actuators_of(q))
 
 
 def _directions(head: HeadModel) -> Iterator[FloatArray]:
@@ -449,9 +425,8 @@ def _directions(head: HeadModel) -> Iterator[FloatArray]:
     for yaw, pitch in product(_NECK_SHARES, _NECK_SHARES):
         neck = rest[:3].copy()
         for joint, share in ((0, yaw), (2, pitch)):
-            neck[joint] += abs(share) * (
-                (own.upper if share > 0.0 else own.lower)[joint] - neck[joint]
-            )
+            limit = (own.upper if share > 0.0 else own.lower)[joint]
+            neck[joint] += abs(share) * (limit - neck[joint])
         for azimuth, elevation in product(_AZIMUTHS, _ELEVATIONS):
             point = _AHEAD_M * np.array([np.tan(azimuth), np.tan(elevation), 1.0])
             q = head.fixate(point, neck, warn=False)

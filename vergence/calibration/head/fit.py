@@ -51,19 +51,12 @@ _OTHER_COEFFICIENT_SIGMA: Final = 0.1
 
 def parameter_prior_sigma(head: HeadModel, estimate_cameras: bool = True) -> FloatArray:
     """(p,) prior sigmas of parameters; cameras' from the head's record if any, or 0: fixed."""
-    names = head.parameters().names
     spreads = standard_deviations(head.geometry, PRIOR)
-    record = head.calibration
-    for place, name in enumerate(names):
-        own = name.rpartition(".")[2]
-        if ".camera." not in name:
-            continue
-        if spreads[place] == 0.0:
-            spreads[place] = _COEFFICIENT_SIGMA.get(own, _OTHER_COEFFICIENT_SIGMA)
-        if record is not None and name in record.sigma:
-            spreads[place] = record.sigma[name]
-        if not estimate_cameras:
-            spreads[place] = 0.0
+    known = {} if head.calibration is None else head.calibration.sigma
+    for place, name in enumerate(head.parameters().names):
+        if ".camera." in name:
+            own = _COEFFICIENT_SIGMA.get(name.rpartition(".")[2], _OTHER_COEFFICIENT_SIGMA)
+            spreads[place] = known.get(name, spreads[place] or own) if estimate_cameras else 0.0
     return spreads
 
 
@@ -78,12 +71,11 @@ def single_camera_rig(head: HeadModel, eye: int) -> CameraRig:
 
 def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[BoardPoses]:
     """Find the board's pose in each camera, frame by frame; a placeholder without the board."""
-    found = []
-    for eye in range(2):
-        only = slice(eye, eye + 1)
-        problem = BundleAdjustment(frames.corners, frames.pixels[only], frames.sigma[only])
-        found.append(estimate_board_poses(problem, single_camera_rig(head, eye)))
-    return found
+    every = BundleAdjustment(frames.corners, frames.pixels, frames.sigma)
+    return [
+        estimate_board_poses(every.select_camera(eye), single_camera_rig(head, eye))
+        for eye in range(2)
+    ]
 
 
 class InitialBoardPoses(NamedTuple):
@@ -106,8 +98,8 @@ def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> Initi
     """Find the poses of the board on which most views agree, through a given head."""
     places, turns, shifts = board_corners_and_poses_in_base(head, frames)
     orders = equivalent_corner_orders(frames.target)
-    enough = frames.shown.copy()
-    enough &= np.isfinite(places).all(axis=(-2, -1))  # pixels outside the lens's range
+    # pixels may be outside the lens's range
+    enough = frames.shown & np.isfinite(places).all(axis=(-2, -1))
     rotations, translations, spreads = [], [], []
     pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
     inlier_views = np.zeros(enough.shape, dtype=bool)
@@ -141,15 +133,14 @@ def board_corners_and_poses_in_base(
     T_0_C = head.base_pose(frames.joint_positions)[:, None] @ head.camera_poses(
         frames.joint_positions
     )
-    places, turns, shifts = [], [], []
+    found = []
     for eye, seen in enumerate(board_in_cameras(head, frames)):
         T = T_0_C[:, eye]
         turn = T[:, :3, :3] @ seen.rotation
         shift = (T[:, :3, :3] @ seen.translation[..., None])[..., 0] + T[:, :3, 3]
-        turns.append(turn)
-        shifts.append(shift)
-        places.append(frames.corners @ turn.transpose(0, 2, 1) + shift[:, None])
-    return np.stack(places), np.stack(turns), np.stack(shifts)
+        found.append((frames.corners @ turn.transpose(0, 2, 1) + shift[:, None], turn, shift))
+    places, turns, shifts = map(np.stack, zip(*found, strict=True))
+    return places, turns, shifts
 
 
 def _medoid(
@@ -237,12 +228,35 @@ class HeadSolution:
         taken += self.problem.shared_count
         return float(np.sqrt(squares / max(measured - taken, 1.0)))
 
+    def normal_and_frame_parts(self) -> tuple[ReducedNormalEquations, FloatArray, FloatArray]:
+        """Normal equations, and the frames' parts of their matrix and gradient."""
+        normal = self.problem.linearised(self.state, self.weights, keep_parts=True)
+        assert normal.group_parts is not None
+        return normal, *normal.group_parts
+
     @cached_property
     def reading_variance_ratio(self) -> FloatArray:
         """(f, 7) ratio of posterior to prior variance of the reading errors, shared ones fixed."""
         sigma = self.problem.reading_error_unknowns.reading_sigma
         inner = np.diagonal(np.linalg.inv(self.normal.own_matrix), axis1=1, axis2=2)
         return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
+
+
+def masked_mean(values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+    """Mean over the last axis of the values under a mask; nan where there are none."""
+    count = mask.sum(axis=-1)
+    total = np.where(mask, values, 0.0).sum(axis=-1)
+    mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+    return np.asarray(mean)
+
+
+def restart(problem: HeadAdjustment, state: HeadUnknowns) -> HeadUnknowns:
+    """Start of a problem at the shared unknowns of a like one, without reading errors."""
+    return problem.start(state.boards)._replace(
+        head_parameters=state.head_parameters,
+        board_curvatures=state.board_curvatures,
+        term_parameters=state.term_parameters,
+    )
 
 
 def solve(
@@ -261,8 +275,10 @@ def solve(
         state: HeadUnknowns, now: ReducedNormalEquations
     ) -> ReducedNormalEquations | None:
         nonlocal weights
-        cauchy_scale = _typical_weighted_square(problem, now, weights)
-        if not (robust and cauchy_scale < _SCALE_UPDATE_RATIO * weights.cauchy_scale):
+        counted = problem.frames.seen & (weights.corners > 0.0)
+        typical_square = 0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1)))
+        cauchy_scale = max(typical_square, 1.0)
+        if not cauchy_scale < _SCALE_UPDATE_RATIO * weights.cauchy_scale:
             return None
         weights = weights._replace(cauchy_scale=cauchy_scale)
         return problem.linearised(state, weights)
@@ -276,17 +292,9 @@ def solve(
         # damping in units of the prior: it does not hold back steps along directions that the
         # frames hardly determine because they determine others well
         damping_unit=problem.prior_information,
-        reweighted=reweighted,
+        reweighted=reweighted if robust else lambda state, now: None,
     )
     return HeadSolution(problem, state, now, weights)
-
-
-def _typical_weighted_square(
-    problem: HeadAdjustment, now: ReducedNormalEquations, weights: MeasurementWeights
-) -> float:
-    """Typical (median) mean square of a corner's residuals, in units of sigma^2; at least 1."""
-    counted = problem.frames.seen & (weights.corners > 0.0)
-    return max(0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1))), 1.0)
 
 
 _INLIER_GATE: Final = 5.0

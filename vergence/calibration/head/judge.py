@@ -11,7 +11,6 @@ from vergence.calibration.head.adjust import (
     CURVATURE_COUNT,
     HeadAdjustment,
     ParametricHead,
-    board_points_and_offsets,
 )
 from vergence.calibration.head.fit import (
     HeadSolution,
@@ -175,14 +174,12 @@ _RIGID_MOTIONS: Final = (
 )
 """Rigid motions of the eyes in N, about and along x, y and z, with units."""
 
-_NO_NECK_REMEDY: Final = "a neck; without one, N is where the file has it"
-
 
 class UnobservableDirection(NamedTuple):
     """A direction that a recording does not determine, in words."""
 
     what: str
-    remedy: str
+    cure: str
     """Remedy, to be recorded; empty if nothing helps and nothing depends on it."""
     cost: str
     """Effect of an error of one prior standard deviation in the head's file."""
@@ -191,9 +188,8 @@ class UnobservableDirection(NamedTuple):
 def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirection, ...]:
     """Describe the directions that a recording does not determine."""
     prior_sigma = solution.problem.prior_sigma
-    free = np.flatnonzero(prior_sigma > 0.0)
+    free, p = np.flatnonzero(prior_sigma > 0.0), len(prior_sigma)
     S = prior_sigma[free]
-    p = len(prior_sigma)
     matrix, known = solution.normal.matrix, solution.problem.prior_information
     rest, across = matrix[p:, p:], matrix[:p, p:]
     data_information = (
@@ -204,24 +200,25 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
     if not unobserved.shape[1]:
         return ()
     moved, rigid = _effects(solution)
-    effect = moved[:, free] * S @ unobserved  # px per prior standard deviation along each direction
-    size = np.sqrt(len(moved))
-    _, strength, right_vectors = np.linalg.svd(effect, full_matrices=False)
+    scaled = moved[:, free] * S  # px per prior standard deviation
+    _, strength, right_vectors = np.linalg.svd(scaled @ unobserved, full_matrices=False)
     found: list[UnobservableDirection] = []
-    redundant = int((strength / size < _NO_EFFECT_PX).sum())
-    if redundant:
+    redundant = strength / np.sqrt(len(moved)) < _NO_EFFECT_PX
+    if redundant.any():
         found.append(
             UnobservableDirection(
-                f"{redundant} combinations of numbers that describe one and the same head, such as "
-                "a joint's offset against the camera's turn about its axis",
+                f"{redundant.sum()} combinations of numbers that describe one and the same head, "
+                "such as a joint's offset against the camera's turn about its axis",
                 "",
                 "nothing depends on them: judge optical axes and points, never single numbers",
             )
         )
-    remaining = unobserved @ right_vectors[strength / size >= _NO_EFFECT_PX].T
-    remedy = "move the neck" if any(solution.problem.nominal_head.joints[NECK]) else _NO_NECK_REMEDY
+    remaining = unobserved @ right_vectors[~redundant].T
+    remedy = "a neck; without one, N is where the file has it"
+    if any(solution.problem.nominal_head.joints[NECK]):
+        remedy = "move the neck"
     shares: list[FloatArray] = []
-    by_remaining = moved[:, free] * S @ remaining
+    by_remaining = scaled @ remaining
     for axis, (name, unit) in enumerate(_RIGID_MOTIONS if by_remaining.shape[1] else ()):
         # the combination whose effects are a rigid motion, if there is one
         share = np.linalg.lstsq(by_remaining, rigid[:, axis], rcond=None)[0]
@@ -237,12 +234,9 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
     for direction in remaining.T:
         most = np.argsort(-np.abs(direction))[:3]
         named = [names[each] for each in most if abs(direction[each]) > 0.3] or [names[most[0]]]
-        px = float(np.sqrt(np.mean((moved[:, free] * S @ direction) ** 2)))
-        remedy = next(
-            remedy
-            for parts, remedy in _REMEDIES
-            if any(part in name for part in parts for name in named)
-        )
+        px = float(np.sqrt(np.mean((scaled @ direction) ** 2)))
+        every = " ".join(named)
+        remedy = next(cure for parts, cure in _REMEDIES if any(part in every for part in parts))
         found.append(UnobservableDirection(" against ".join(named), remedy, f"{px:.2g} px"))
     return tuple(found)
 
@@ -263,8 +257,7 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     own = head.actuation
     q = own.joints_of(own.actuators_of(np.nan_to_num(q)) + beside * (own.upper > own.lower))
     T = head.base_pose(q[0])
-    boards = BoardPoses(np.broadcast_to(T[:3, :3], (len(q), 3, 3)), points @ T[:3, :3].T + T[:3, 3])
-    there, _ = board_points_and_offsets(np.zeros((1, 3)), boards, np.arange(len(q)))
+    there = (points @ T[:3, :3].T + T[:3, 3])[:, None]
     turned = there - T[:3, 3]
     moved, rigid = [], []
     into_n = np.kron(np.eye(2), T[:3, :3])
@@ -334,14 +327,11 @@ def find_new_placement(solution: HeadSolution) -> InitialBoardPoses | None:
     pixels, sigma, inlier_views = frames.pixels.copy(), frames.sigma.copy(), views.copy()
     pixels[:, lost], sigma[:, lost] = start.frames.pixels, start.frames.sigma
     inlier_views[:, lost] = start.inlier_views
-    boards = solution.state.boards
+    boards = map(np.concatenate, zip(solution.state.boards, start.boards, strict=True))
     first, last = frames.time_s[agreeing[0]], frames.time_s[agreeing[-1]]
     return InitialBoardPoses(
         replace(frames, placement=placement, pixels=pixels, sigma=sigma),
-        BoardPoses(
-            np.concatenate([boards.rotation, start.boards.rotation]),
-            np.concatenate([boards.translation, start.boards.translation]),
-        ),
+        BoardPoses(*boards),
         inlier_views,
         start.spread_m,
         f"the board stands elsewhere in {len(agreeing)} frames, from {first:.1f} to {last:.1f} s: "
@@ -353,9 +343,7 @@ def find_small_board_motion(solution: HeadSolution) -> InitialBoardPoses | None:
     """Frames with a new placement from the moment a small motion explains much; else None."""
     problem = solution.problem
     frames = problem.frames
-    normal = problem.linearised(solution.state, solution.weights, keep_parts=True)
-    assert normal.group_parts is not None
-    blocks, slopes = normal.group_parts
+    normal, blocks, slopes = solution.normal_and_frame_parts()
     size, six = problem.shared_count, np.arange(6)
     inverse = np.linalg.inv(normal.matrix)
     best, when = 0.0, 0
@@ -394,9 +382,7 @@ _RANK_TOLERANCE: Final = 1e-9
 def head_and_term_covariance(solution: HeadSolution) -> FloatArray:
     """(p + t, p + t) covariance of `HeadModel.parameters`, then of the reading-error terms."""
     problem = solution.problem
-    normal = problem.linearised(solution.state, solution.weights, keep_parts=True)
-    assert normal.group_parts is not None
-    blocks, slopes = normal.group_parts
+    normal, blocks, slopes = solution.normal_and_frame_parts()
     return clustered_head_covariance(
         problem, normal.matrix, problem.frame_columns, blocks, slopes, solution.reduced_chi,
         problem.frames.pose,

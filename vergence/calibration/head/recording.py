@@ -123,16 +123,11 @@ class HeadFrames:
     @cached_property
     def pose(self) -> IntArray:
         """(f,) number of the pose that each frame belongs to, see `SAME_POSE_RAD`."""
-        numbers = np.zeros(len(self.time_s), dtype=np.intp)
-        first = 0
+        numbers, first, q = np.zeros(len(self.time_s), dtype=np.intp), 0, self.joint_positions
         for frame in range(1, len(numbers)):
-            near = (
-                np.abs(self.joint_positions[frame] - self.joint_positions[first]).max()
-                < SAME_POSE_RAD
-            )
-            same = near and self.placement[frame] == self.placement[first]
-            numbers[frame] = numbers[frame - 1] + (not same)
-            if not same:
+            near = np.abs(q[frame] - q[first]).max() < SAME_POSE_RAD
+            if not (near and self.placement[frame] == self.placement[first]):
+                numbers[frame:] += 1
                 first = frame
         return numbers
 
@@ -184,11 +179,10 @@ class ReadingErrorUnknowns:
 
 
 def _rests(angles: FloatArray, pose: IntArray, step: float) -> bool:
-    """Return True if a joint's reading stays within a step in most poses."""
-    poses, counts = np.unique(pose, return_counts=True)
-    spans = [np.ptp(angles[pose == each]) for each in poses[counts > 1]]
-    still = np.array(spans) <= _SAME_READING_STEPS * step
-    return bool(len(spans)) and float(np.mean(still)) >= _STILL_POSE_FRACTION
+    """Return True if a joint's reading stays within a step in most poses of several frames."""
+    poses = np.flatnonzero(np.bincount(pose) > 1)
+    still = [np.ptp(angles[pose == each]) <= _SAME_READING_STEPS * step for each in poses]
+    return bool(still) and float(np.mean(still)) >= _STILL_POSE_FRACTION
 
 
 def _stretches(angles: FloatArray, step: FloatArray, placement: IntArray) -> list[tuple[int, int]]:
@@ -292,20 +286,25 @@ def read_recording(
     else:
         found = read_logs(list_logs(path), head, target, progress)
     board, count = found.frames.target, len(found.frames.time_s)
-    if not board.size_known:
-        raise ConfigurationError(
-            f"target: expected a size in mm, which all lengths come from, got {board}"
-        )
+    refuse_unknown_size(board)
     frames = clean_and_renumber_frames(found.frames)
     if not len(frames.time_s):
         raise ConfigurationError(f"{path}: expected frames that show {board}, got none in {count}")
-    remarks = list(found.remarks)
+    remarks = found.remarks
     if len(frames.time_s) < count:
-        remarks.append(
+        remarks += (
             f"{count - len(frames.time_s)} of {count} frames left out: "
-            "they do not show the board, or repeat an earlier frame"
+            "they do not show the board, or repeat an earlier frame",
         )
-    return replace(found, frames=frames, remarks=tuple(remarks))
+    return replace(found, frames=frames, remarks=remarks)
+
+
+def refuse_unknown_size(target: PlanarTarget) -> None:
+    """Refuse a board without a size."""
+    if not target.size_known:
+        raise ConfigurationError(
+            f"target: expected a size in mm, which all lengths come from, got {target}"
+        )
 
 
 def clean_and_renumber_frames(frames: HeadFrames) -> HeadFrames:
@@ -349,7 +348,7 @@ def read_logs(
     """Read all frames of logs, one after the other; by default of the board they name."""
     views: list[BoardView] = []
     placement: list[int] = []
-    files, remarks, failures = [], [], []
+    files, failures = [], []
     looked: dict[str, str] = {}
     begins_s, moving, unlike, cut = 0.0, 0, 0, 0
     for number, path in enumerate(paths, 1):
@@ -371,11 +370,11 @@ def read_logs(
             )
         files.append(path.name)
         found, moved = _board_views(log, head, target)
-        views += [one._replace(time_s=one.time_s - found[0].time_s + begins_s) for one in found]
         text = log.facts.get(PLACEMENT, "0")
         place = _placement(text, float(text) if text.isdecimal() else -1.0, str(path))
-        placement += [place] * len(found)
         if found:
+            views += [one._replace(time_s=one.time_s - found[0].time_s + begins_s) for one in found]
+            placement += [place] * len(found)
             begins_s = views[-1].time_s + _LOG_GAP_S
         moving += moved
         unlike += log.head.digest != head.digest
@@ -384,32 +383,30 @@ def read_logs(
             progress(number / len(paths))
     if target is None or not files:
         raise ConfigurationError(f"expected logs that can be read, got none; {failures[0]}")
-    if moving:
-        remarks.append(f"{moving} images left out, as joints were moving")
-    if unlike:
-        remarks.append(
-            f"{unlike} of {len(files)} logs: the head had other numbers than {head.name}"
-        )
-    if cut:
-        remarks.append(f"{cut} of {len(files)} logs are cut off: read up to there")
+    remarks = {
+        f"{moving} images left out, as joints were moving": moving,
+        f"{unlike} of {len(files)} logs: the head had other numbers than {head.name}": unlike,
+        f"{cut} of {len(files)} logs are cut off: read up to there": cut,
+    }
     return HeadRecording(
         frames=HeadFrames.of_views(target, views, placement), files=tuple(files),
-        remarks=tuple(remarks), read_errors=tuple(failures), head_identity=next(iter(looked)),
+        remarks=tuple(line for line, count in remarks.items() if count),
+        read_errors=tuple(failures), head_identity=next(iter(looked)),
     )  # fmt: skip
 
 
 def _target_of(log: Log, target: PlanarTarget | None) -> PlanarTarget:
     """Get the board of a log; refuse one that differs from the expected board."""
-    text = log.facts.get(TARGET, "")
-    if not text and target is None:
-        raise ConfigurationError(
-            f"{log.path}: expected the board among the log's facts, or as --target, got neither"
-        )
+    if not log.facts.get(TARGET):
+        if target is None:
+            raise ConfigurationError(
+                f"{log.path}: expected the board among the log's facts, or as --target, got neither"
+            )
+        return target
     try:
-        own = parse_board(text, accept_single_tag=True) if text else target
+        own = parse_board(log.facts[TARGET], accept_single_tag=True)
     except ConfigurationError as error:
         raise ConfigurationError(f"{log.path}: {error}") from error
-    assert own is not None
     if target is not None and str(own) != str(target):
         raise ConfigurationError(f"{log.path}: target: expected {target}, got a log of {own}")
     return own
@@ -446,7 +443,7 @@ def _board_views(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[
     for one in log.detections:
         if not len(one.corners_px):
             continue
-        if len(one.corners_px) != count or len(one.corners_sigma_px) != count:
+        if not len(one.corners_px) == len(one.corners_sigma_px) == count:
             raise ConfigurationError(
                 f"{log.path}: /detection: expected the {count} corners of {target}, got "
                 f"{len(one.corners_px)}"
@@ -481,13 +478,12 @@ def _rest_test(log: Log, head: HeadModel) -> Callable[[float, FloatArray], bool]
     if log.facts.get(AT_REST) == str(True):
         return lambda time_s, positions: True
     own = head.actuation
-    seen = [(one.exposed_s, one.positions) for one in log.detections]
-    seen += [(one.clock_s, one.positions) for one in log.joints]
-    times = np.array([time_s for time_s, _ in seen])
-    angles = np.array([positions for _, positions in seen]).reshape(-1, 7)
-    known = np.isfinite(times) & np.isfinite(angles).all(axis=-1)
-    order = np.argsort(times[known], kind="stable")
-    times, angles = times[known][order], own.actuators_of(angles[known][order])
+    seen = [(one.exposed_s, *one.positions) for one in log.detections]
+    seen += [(one.clock_s, *one.positions) for one in log.joints]
+    rows = np.array(seen).reshape(-1, 8)
+    rows = rows[np.isfinite(rows).all(axis=-1)]
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    times, angles = rows[:, 0], own.actuators_of(rows[:, 1:])
 
     def at_rest(time_s: float, positions: FloatArray) -> bool:
         near = slice(*np.searchsorted(times, (time_s - _REST_WINDOW_S, time_s + _REST_WINDOW_S)))
@@ -529,7 +525,7 @@ def _read_photographs(
     names = [pair.name for pair in found.pairs]
     rows = read_pair_rows(tables[0], names)
     taken = [_read_row(head, rows[name], f"{tables[0]}: {name}") for name in names]
-    untimed = [name for name, row in zip(names, taken, strict=True) if row[2] is None]
+    untimed = [name for name in names if _TIME_COLUMN not in rows[name]]
     if 0 < len(untimed) < len(names):
         raise ConfigurationError(
             f"{tables[0]}: expected {_TIME_COLUMN} of all pairs or of none, got none of "
@@ -545,29 +541,28 @@ def _read_photographs(
             )
     views = [
         BoardView(
-            float(view) if time_s is None else time_s, positions,
+            view if untimed else time_s, positions,
             (seen.pixels[0, view], seen.pixels[1, view]),
             (seen.sigma[0, view], seen.sigma[1, view]),
         )
         for view, (positions, _, time_s) in enumerate(taken)
     ]  # fmt: skip
-    remarks: tuple[str, ...] = ()
-    if found.unpaired:
-        names_alone = join_first_names(one.name for one in found.unpaired)
-        remarks = (f"{len(found.unpaired)} images without a partner left out: {names_alone}",)
+    alone = [one.name for one in found.unpaired]
+    remark = f"{len(alone)} images without a partner left out: {join_first_names(alone)}"
     files = [str(one.relative_to(path)) for pair in found.pairs for one in pair]
     return HeadRecording(
         frames=HeadFrames.of_views(target, views, [place for _, place, _ in taken]),
-        files=(*files, tables[0].name), remarks=remarks, read_errors=tuple(failures),
+        files=(*files, tables[0].name), remarks=(remark,) if alone else (),
+        read_errors=tuple(failures),
     )  # fmt: skip
 
 
-def _read_row(head: HeadModel, row: Row, where: str) -> tuple[FloatArray, int, float | None]:
-    """Read joint angles, rad, the placement, and perhaps the time of a pair of photographs."""
+def _read_row(head: HeadModel, row: Row, where: str) -> tuple[FloatArray, int, float]:
+    """Read joint angles, rad, placement and time, by default 0, of a pair of photographs."""
+    time_s, place = (
+        parse_finite_number(row.get(name, 0), f"{where}: {name}")
+        for name in (_TIME_COLUMN, PLACEMENT)
+    )
     angles = {name: value for name, value in row.items() if name not in (_TIME_COLUMN, PLACEMENT)}
-    time_s = None
-    if _TIME_COLUMN in row:
-        time_s = parse_finite_number(row[_TIME_COLUMN], f"{where}: {_TIME_COLUMN}")
-    raw = row.get(PLACEMENT, 0)
-    place = _placement(raw, parse_finite_number(raw, f"{where}: {PLACEMENT}"), where)
-    return parse_joint_angles(head, angles, where), place, time_s
+    placement = _placement(row.get(PLACEMENT, 0), place, where)
+    return parse_joint_angles(head, angles, where), placement, time_s

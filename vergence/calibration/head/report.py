@@ -1,12 +1,16 @@
-"""Run folder of a calibrated head: head file, tables and HTML report."""
+"""Calibration of a head from one recording as a job, and its run folder: head file, tables, report.
 
-from collections.abc import Iterator, Mapping, Sequence
+A job runs in this process, in another one, or on a cluster.
+"""
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
@@ -16,75 +20,147 @@ from vergence.calibration.adjustment import rms_length
 from vergence.calibration.head.calibrate import (
     HeadCalibration,
     actuator_names,
-    points_ahead,
+    calibrate_head,
     points_at_angles,
     predict_depth_errors,
 )
-from vergence.calibration.head.judge import UnobservableDirection
-from vergence.calibration.head.recording import LEAST_CORNERS
+from vergence.calibration.head.fit import masked_mean
+from vergence.calibration.head.judge import UnobservableDirection, unobservable_directions
+from vergence.calibration.head.recording import LEAST_CORNERS, HeadRecording
 from vergence.calibration.report import (
     EYE_STYLES,
     PAGE_WIDTH,
-    Line,
     draw_by_distance,
     draw_corner_coverage,
+    draw_matrix,
     draw_residual_arrows,
-    single_panel,
+    panels,
+    residual_limit,
     thinning_slice,
     write_csv,
     write_page,
 )
-from vergence.models.parts import EYE_NAMES, NECK, FloatArray
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.head_file import check_head_name, head_to_toml
+from vergence.models.parts import EYE_NAMES, NECK, CalibrationRecord, FloatArray
 from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
 from vergence.reporting.runs import package_versions, write_json
-from vergence.reporting.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    figure_style,
-    legend_below,
-    new_figure,
-)
+from vergence.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, legend_below
 from vergence.reporting.text import format_fixed, format_number
 
-DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
+_TABLE_DISTANCES_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
 """Distances of the table of depth, m (chosen: the range of use)."""
 _SUMMARY_DISTANCES_M: Final = (0.5, 1.0, 2.5)
-"""Distances of the summary at the top of the report, m (chosen)."""
+"""Distances of the summary at the top of the report, m (chosen among `_TABLE_DISTANCES_M`)."""
 _MAP_DISTANCES_M: Final = (1.0, 2.5)
 """Distances of the maps of depth errors, m (chosen)."""
 _UNIT_FORMATS: Final[dict[str, tuple[float, str, int]]] = {
-    "rad": (180.0 / np.pi, "°", 4),
-    "m": (1e3, "mm", 3),
-    "px": (1.0, "px", 2),
+    "rad": (180.0 / np.pi, " (°)", 4),
+    "m": (1e3, " (mm)", 3),
+    "px": (1.0, " (px)", 2),
     "1": (1.0, "", 5),
 }
 """Format of each unit in the table of parameters: factor, name, and digits."""
-
-
-_VIEW_COLUMNS: Final = (
-    "time_s", "pose", "placement", "eye", "kept", "corners", "rms_px", "rms_heldout_sigma"
-)  # fmt: skip
 _MOST_ROWS: Final = 40
 """Most rows of the table of views left out (chosen: a page's worth; the rest is in views.csv)."""
+_RECORDED_PACKAGES: Final = ("vergence", "numpy", "scipy", "opencv-python-headless")
+_REPLACED_ASSUMPTIONS: Final = (
+    "links", "eyes", "joints.origin_m", "joints.rpy_rad", "joints.axis", "joints.alpha_rad",
+    "joints.a_m", "joints.d_m", "joints.offset_rad", "frame",
+)  # fmt: skip
+"""Prefixes of the keys of assumptions that a calibration replaces by estimates."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadOutcome:
+    """Result of a calibration job."""
+
+    head_file: str = ""
+    """Text of the head file; empty if the recording was refused."""
+    document: Mapping[str, Any] = field(default_factory=dict)
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    """The run folder's files by name."""
+    refusal: str = ""
+    """Reason of a refusal; empty if there is a head."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadJob:
+    """The calibration of a head from one recording, see `calibrate_head`."""
+
+    head: HeadModel
+    recording: HeadRecording
+    estimate_cameras: bool
+    terms: tuple[str, ...]
+    name: str
+    """Name of the calibrated head."""
+    head_file_name: str
+    recording_path: str
+
+    def __call__(self, progress: Callable[[float], None] | None = None) -> HeadOutcome:
+        """Calibrate the head and make its files."""
+        recorded = self.recording
+        try:
+            found = calibrate_head(
+                self.head, recorded.frames, estimate_cameras=self.estimate_cameras,
+                terms=self.terms, progress=progress,
+            )  # fmt: skip
+        except ConfigurationError as error:
+            return HeadOutcome(refusal=str(error))
+        text = head_file_text(found, recorded.sha256, self.name)
+        told = result_document(found, unobservable_directions(found.solution))
+        provenance = {
+            "recording": self.recording_path,
+            "files": ", ".join(recorded.files),
+            "target": str(recorded.frames.target),
+            "sha256": recorded.sha256,
+        }
+        with tempfile.TemporaryDirectory(prefix="vergence-") as folder:
+            write_run(Path(folder), found, told, text, self.head_file_name, provenance)
+            files = {each.name: each.read_bytes() for each in Path(folder).iterdir()}
+        told |= {
+            "recording": self.recording_path,
+            "remarks": [*recorded.remarks, *found.remarks],
+            "not_read": list(recorded.read_errors),
+        }
+        return HeadOutcome(head_file=text, document=told, files=files)
+
+
+def head_file_text(calibration: HeadCalibration, sha256: str, name: str) -> str:
+    """TOML text of a calibrated head, with origin (`sha256` of measurements) and uncertainty."""
+    check_head_name(name)
+    free = calibration.solution.problem.prior_sigma > 0.0
+    names = np.array(calibration.nominal_head.parameters().names)[free]
+    record = CalibrationRecord(
+        target=str(calibration.frames.target),
+        views=int(calibration.kept_views.sum()),
+        rms_px=calibration.rms_px,
+        rms_heldout_px=calibration.rms_heldout_px,
+        corners_sha256=sha256,
+        versions=", ".join(map(" ".join, package_versions(_RECORDED_PACKAGES).items())),
+        sigma=dict(zip(names.tolist(), calibration.sigma[free].tolist(), strict=True)),
+    )
+    assumptions = {
+        key: why
+        for key, why in calibration.nominal_head.assumptions.items()
+        if not key.startswith(_REPLACED_ASSUMPTIONS)
+    }
+    return head_to_toml(
+        replace(calibration.head, name=name, assumptions=assumptions, calibration=record)
+    )
 
 
 def write_run(
-    folder: Path,
-    calibration: HeadCalibration,
-    unobservable: Sequence[UnobservableDirection],
-    head_file_text: str,
-    head_file_name: str,
-    provenance: Mapping[str, str],
-) -> None:
-    """Write a calibration's head file, its tables and its report."""
+    folder: Path, calibration: HeadCalibration, told: Mapping[str, Any], head_file_text: str,
+    head_file_name: str, provenance: Mapping[str, str],
+) -> None:  # fmt: skip
+    """Write a calibration's head file, its tables and its report, see `result_document`."""
     (folder / head_file_name).write_text(head_file_text, encoding="utf-8")
     names, units, before = calibration.nominal_head.parameters()
     own = calibration.solution.problem
     noisier = zip(actuator_names(calibration.nominal_head), own.scatter_ratio.tolist(), strict=True)
-    told, left_out = result_document(calibration, unobservable), left_out_views(calibration)
+    left_out = left_out_views(calibration)
     write_json(
         folder / "result.json",
         {
@@ -102,11 +178,21 @@ def write_run(
             "versions": package_versions(),
         },
     )
-    write_csv(folder / "views.csv", _VIEW_COLUMNS, _view_rows(calibration))
+    write_csv(folder / "views.csv", _view_columns(calibration))
     write_page(
         folder, "head/head.html.jinja", _figures(calibration), **told,
         head=calibration.nominal_head.name, name=head_file_name, provenance=provenance,
-        headline=_headline(calibration), sides=EYE_NAMES, side="eye",
+        # distance, error before, and deviation after, for distances that the eyes reach
+        headline=[
+            (
+                f"{row['distance_m']:g}", format_number(abs(row["before_mm"])),
+                format_number(row["after_sigma_mm"]),
+            )
+            for row in told["depth"]
+            if row["distance_m"] in _SUMMARY_DISTANCES_M
+            and None not in (row["before_mm"], row["after_sigma_mm"])
+        ],
+        sides=EYE_NAMES, side="eye",
         maps=[f"{each:g}" for each in _MAP_DISTANCES_M],
         dropped=[
             [f"{one['time_s']:.2f} s, {one['eye']}", one["why"]] for one in left_out[:_MOST_ROWS]
@@ -119,14 +205,14 @@ def result_document(
     calibration: HeadCalibration, unobservable: Sequence[UnobservableDirection]
 ) -> dict[str, Any]:
     """Convert the result to plain values for JSON."""
-    depth = predict_depth_errors(calibration, points_ahead(np.array(DEPTHS_M)))
+    depth = predict_depth_errors(calibration, points_at_angles(np.array(_TABLE_DISTANCES_M)))
     table = {
         "distance_m": depth.distance_m,
         "before_mm": 1e3 * depth.nominal_error_m,
         "before_vector_mm": 1e3 * depth.nominal_error_norm_m,
-        "before_percent": depth.nominal_error_percent,
+        "before_percent": depth.percent(depth.nominal_error_m),
         "after_sigma_mm": 1e3 * depth.sigma_m,
-        "after_percent": depth.sigma_percent,
+        "after_percent": depth.percent(depth.sigma_m),
         "floor_mm": 1e3 * depth.noise_floor_m,
     }
     rows = zip(*(null_nonfinite_elements(values) for values in table.values()), strict=True)
@@ -148,9 +234,7 @@ def result_document(
         "placements": int(frames.placement.max()) + 1,
         "target": str(frames.target),
         "terms": [each._asdict() for each in calibration.terms],
-        "unseen": [
-            {"what": each.what, "cure": each.remedy, "cost": each.cost} for each in unobservable
-        ],
+        "unseen": [each._asdict() for each in unobservable],
         "remarks": list(calibration.remarks),
     }
 
@@ -178,51 +262,46 @@ def left_out_views(calibration: HeadCalibration) -> list[dict[str, Any]]:
     ]
 
 
-def _view_rows(calibration: HeadCalibration) -> Iterator[list[object]]:
-    """Make a row for each frame and eye; missing numbers are empty."""
-    frames = calibration.frames
-    residuals = calibration.residuals_px
-    counted = kept_or_found_corners(calibration)
-    held_out = np.sqrt(calibration.held_out_mean_squares)
-    for frame, eye in np.ndindex(len(frames.time_s), 2):
-        mine = counted[eye, frame]
-        squares = (residuals[eye, frame][mine] ** 2).sum(axis=-1)
-        left = np.sqrt(squares.mean()) if len(squares) else np.nan
-        numbers = [float(left), float(held_out[eye, frame])]
-        yield [
-            repr(float(frames.time_s[frame])), int(frames.pose[frame]),
-            int(frames.placement[frame]), EYE_NAMES[eye],
-            bool(calibration.kept_views[eye, frame]), int(mine.sum()),
-            *(repr(each) if np.isfinite(each) else "" for each in numbers),
-        ]  # fmt: skip
-
-
-def _headline(calibration: HeadCalibration) -> list[tuple[str, str, str]]:
-    """Format distance, error before, and deviation after, for distances that the eyes reach."""
-    depth = predict_depth_errors(calibration, points_ahead(np.array(_SUMMARY_DISTANCES_M)))
-    rows = zip(_SUMMARY_DISTANCES_M, 1e3 * depth.nominal_error_m, 1e3 * depth.sigma_m, strict=True)
-    return [
-        (f"{distance:g}", format_number(abs(before)), format_number(after))
-        for distance, before, after in rows
-        if np.isfinite(before) and np.isfinite(after)
-    ]
+def _view_columns(calibration: HeadCalibration) -> dict[str, Sequence[object]]:
+    """Make columns with a row for each frame and eye; None for missing numbers."""
+    frames, residuals = calibration.frames, calibration.residuals_px
+    counted, count = kept_or_found_corners(calibration), len(calibration.frames.time_s)
+    rms_px = np.full((count, 2), np.nan)
+    for frame, eye in np.argwhere(counted.any(axis=-1).T):
+        squares = (residuals[eye, frame][counted[eye, frame]] ** 2).sum(axis=-1)
+        rms_px[frame, eye] = np.sqrt(squares.mean())
+    held_out = np.sqrt(calibration.held_out_mean_squares.T.ravel())
+    return {
+        "time_s": np.repeat(frames.time_s, 2).tolist(),
+        "pose": np.repeat(frames.pose, 2).tolist(),
+        "placement": np.repeat(frames.placement, 2).tolist(),
+        "eye": EYE_NAMES * count,
+        "kept": calibration.kept_views.T.ravel().tolist(),
+        "corners": counted.sum(axis=-1).T.ravel().tolist(),
+        "rms_px": null_nonfinite_elements(rms_px.ravel()),
+        "rms_heldout_sigma": null_nonfinite_elements(held_out),
+    }
 
 
 def _figures(calibration: HeadCalibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
-    drawn = {"depth": depth_error_by_distance(calibration)}
+    drawn: dict[str, Figure | None] = {
+        "depth": depth_error_by_distance(calibration),
+        "views": residuals_over_time(calibration),
+        "joints": joint_angle_coverage(calibration),
+    }
     for distance in _MAP_DISTANCES_M:
         drawn[f"map-{distance:g}"] = depth_error_maps(calibration, distance)
-    drawn["views"] = residuals_over_time(calibration)
     for eye, name in enumerate(EYE_NAMES):
-        drawn[f"residuals-{name}"] = residual_field(calibration, eye)
-        drawn[f"coverage-{name}"] = corner_coverage(calibration, eye)
-    drawn["joints"] = joint_angle_coverage(calibration)
-    if determined_reading_errors(calibration):
-        drawn["readings"] = reading_error_histograms(calibration)
-    if len(correlated_parameters(calibration)):
-        drawn["correlations"] = parameter_correlations(calibration)
-    return drawn
+        width, height = calibration.nominal_head.cameras.size[eye].tolist()
+        image, kept = ((int(width), int(height)), name), calibration.kept_corners[eye]
+        pixels, residuals = calibration.frames.pixels[eye], calibration.residuals_px[eye]
+        drawn[f"residuals-{name}"] = draw_residual_arrows(pixels[kept], residuals[kept], *image)
+        views = np.where(kept[..., None], pixels, np.nan)
+        drawn[f"coverage-{name}"] = draw_corner_coverage(views, *image, EYE_STYLES[eye]["color"])
+    drawn["readings"] = reading_error_histograms(calibration)
+    drawn["correlations"] = parameter_correlations(calibration)
+    return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
 def _number_rows(calibration: HeadCalibration) -> list[list[str]]:
@@ -237,7 +316,7 @@ def _number_rows(calibration: HeadCalibration) -> list[list[str]]:
         free = spread > 0.0
         rows.append(
             [
-                f"{name} ({said})" if said else name,
+                name + said,
                 format_fixed(scale * before, digits),
                 format_fixed(scale * after, digits),
                 format_fixed(scale * sigma if free else None, digits),
@@ -266,27 +345,24 @@ _ANGLES_DEG: Final = np.arange(-30.0, 31.0, 10.0)
 
 def residuals_over_time(calibration: HeadCalibration) -> Figure:
     """Plot each view's residuals over time, also those by heads calibrated without it."""
-    rms = normalised_view_rms(calibration)
+    rms, kept_views = normalised_view_rms(calibration), calibration.kept_views
     held_out = np.sqrt(calibration.held_out_mean_squares)
-    usual = rms[calibration.kept_views]
-    limit = max(1.15 * float(usual.max()), _AXIS_LIMIT_MEDIANS * float(np.median(usual)))
-    time = calibration.frames.time_s
-    with figure_style():
-        figure = new_figure(PAGE_WIDTH, 4.6)
-        for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
-            kept = np.flatnonzero(calibration.kept_views[eye])
+    limit = residual_limit(rms[kept_views], _AXIS_LIMIT_MEDIANS)
+    with panels(PAGE_WIDTH, 4.6, 2, 1, sharex=True) as (figure, both):
+        for eye, panel in enumerate(both):
+            kept = np.flatnonzero(kept_views[eye])
             kept = kept[thinning_slice(len(kept))]
-            out = ~np.isnan(rms[eye]) & ~calibration.kept_views[eye]
-            styles: tuple[tuple[NDArray[np.intp], *Line], ...] = (
+            out = np.flatnonzero(~np.isnan(rms[eye]) & ~kept_views[eye])
+            for at, values, label, style in (
                 (kept, held_out, "by heads that did not know it",
                  {"marker": "o", "ms": 6.5, "mfc": "none", "mec": GREY, "mew": 0.8}),
                 (kept, rms, "kept", {**EYE_STYLES[eye], "marker": "o", "ms": 3.5, "mew": 0}),
-                (np.flatnonzero(out), rms, "left out, at the edge if more",
+                (out, rms, "left out, at the edge if more",
                  {"marker": "x", "color": BLACK, "ms": 6, "mew": 1.4}),
-            )  # fmt: skip
-            for at, values, label, style in styles:
+            ):  # fmt: skip
                 shown = np.minimum(values[eye, at], 0.96 * limit)
-                panel.plot(time[at], shown, linestyle="none", label=label, **style)
+                time_s = calibration.frames.time_s[at]
+                panel.plot(time_s, shown, linestyle="none", label=label, **style)
             panel.set(ylim=(0.0, limit), ylabel="rms / sigma", title=f"{EYE_NAMES[eye]} eye")
         legend_below(figure, 3, fontsize=10)
         panel.set_xlabel("time (s)")
@@ -297,10 +373,7 @@ def normalised_view_rms(calibration: HeadCalibration) -> FloatArray:
     """(2, f) rms of kept corners (or all), in sigma; nan without corners, inf behind the camera."""
     counted = kept_or_found_corners(calibration)
     squares = np.nan_to_num(calibration.solution.squares, nan=np.inf)
-    total = np.where(counted, squares, 0.0).sum(axis=-1)
-    count = counted.sum(axis=-1)
-    mean = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
-    return np.asarray(np.sqrt(mean))
+    return np.asarray(np.sqrt(masked_mean(squares, counted)))
 
 
 def kept_or_found_corners(calibration: HeadCalibration) -> NDArray[np.bool_]:
@@ -308,26 +381,6 @@ def kept_or_found_corners(calibration: HeadCalibration) -> NDArray[np.bool_]:
     return np.where(
         calibration.kept_views[..., None], calibration.kept_corners, calibration.frames.seen
     )
-
-
-def _image(calibration: HeadCalibration, eye: int) -> tuple[tuple[int, int], str]:
-    """Size, px, and name of an eye's image."""
-    width, height = calibration.nominal_head.cameras.size[eye].tolist()
-    return (int(width), int(height)), EYE_NAMES[eye]
-
-
-def corner_coverage(calibration: HeadCalibration, eye: int) -> Figure:
-    """Draw the kept corners over an eye's image."""
-    kept = calibration.kept_corners[eye][..., None]
-    views = np.where(kept, calibration.frames.pixels[eye], np.nan)
-    return draw_corner_coverage(views, *_image(calibration, eye), EYE_STYLES[eye]["color"])
-
-
-def residual_field(calibration: HeadCalibration, eye: int) -> Figure:
-    """Draw residuals over an eye's image as magnified arrows."""
-    kept = calibration.kept_corners[eye]
-    pixels, residuals = calibration.frames.pixels[eye][kept], calibration.residuals_px[eye][kept]
-    return draw_residual_arrows(pixels, residuals, *_image(calibration, eye))
 
 
 def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
@@ -339,9 +392,7 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
     angles, limits = np.degrees(own.actuators_of(q)), np.degrees([own.lower, own.upper])
     names = actuator_names(calibration.nominal_head)
     moves = [k for k, name in enumerate(names) if name and own.upper[k] > own.lower[k]]
-    with figure_style():
-        figure = new_figure(PAGE_WIDTH, 4.6)
-        strips, eyes = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
+    with panels(PAGE_WIDTH, 4.6, 1, 2, width_ratios=(1.4, 1.0)) as (figure, (strips, eyes)):
         # dots one below the other in the order of the recording
         height = np.linspace(-0.32, 0.32, len(q)) if len(q) > 1 else np.zeros(1)
         for row, k in enumerate(moves):
@@ -357,16 +408,13 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
         strips.grid(axis="y", visible=False)
         strips.tick_params(axis="y", length=0)
         strips.autoscale_view()
-        joints = np.degrees(q[:, 3:])
         for eye, name in enumerate(EYE_NAMES):
-            down, right = _tilt_and_pan(nominal_head.joints[3 + 2 * eye : 5 + 2 * eye])
-            eyes.plot(
-                joints[:, 2 * eye + right], joints[:, 2 * eye + down], linestyle="none", ms=5,
-                mew=0, alpha=0.8, label=name, **EYE_STYLES[eye],
-            )  # fmt: skip
-        down, right = _tilt_and_pan(nominal_head.joints[3:5])
+            down, right = np.degrees(q[:, _tilt_and_pan(nominal_head, eye)]).T
+            style = {"linestyle": "none", "ms": 5, "mew": 0, "alpha": 0.8, **EYE_STYLES[eye]}
+            eyes.plot(right, down, label=name, **style)
+        down, right = _tilt_and_pan(nominal_head, 0)
         across, above = (
-            ", ".join(dict.fromkeys(nominal_head.joints[joint] for joint in (3 + own, 5 + own)))
+            ", ".join(dict.fromkeys(nominal_head.joints[joint] for joint in (own, own + 2)))
             for own in (right, down)
         )
         eyes.set(xlabel=f"{across} (°)", ylabel=f"{above} (°)", title="both eyes' joints")
@@ -375,73 +423,56 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
     return figure
 
 
-def _tilt_and_pan(names: tuple[str, ...]) -> tuple[int, int]:
-    """Choose the eye joints for the vertical and the horizontal axis of the figure."""
-    return (1, 0) if "pan" in names[0] and "pan" not in names[1] else (0, 1)
+def _tilt_and_pan(head: HeadModel, eye: int) -> list[int]:
+    """Choose an eye's joints for the vertical and the horizontal axis of the figure."""
+    first, second = 3 + 2 * eye, 4 + 2 * eye
+    swapped = "pan" in head.joints[first] and "pan" not in head.joints[second]
+    return [second, first] if swapped else [first, second]
 
 
-def correlated_parameters(calibration: HeadCalibration) -> NDArray[np.intp]:
-    """Find the estimated parameters with strong correlations, the strongest if there are many."""
+def parameter_correlations(calibration: HeadCalibration) -> Figure | None:
+    """Draw strong correlations between estimated parameters, the strongest if there are many."""
     free = np.flatnonzero(calibration.solution.problem.prior_sigma > 0.0)
-    size = np.abs(_correlation(calibration)[np.ix_(free, free)])
-    np.fill_diagonal(size, 0.0)
-    best = size.max(axis=1, initial=0.0)
-    chosen = np.argsort(-best, kind="stable")[:_MOST_PARAMETERS]
-    return np.sort(free[chosen[best[chosen] >= _STRONG_CORRELATION]])
-
-
-def _correlation(calibration: HeadCalibration) -> FloatArray:
     sigma = np.where(calibration.sigma > 0.0, calibration.sigma, 1.0)
-    return np.asarray(calibration.covariance / np.outer(sigma, sigma))
-
-
-def parameter_correlations(calibration: HeadCalibration) -> Figure:
-    """Draw the correlations between parameters that the recording hardly separates."""
-    chosen = correlated_parameters(calibration)
+    correlation = np.asarray(calibration.covariance / np.outer(sigma, sigma))
+    others = np.abs(correlation[np.ix_(free, free)]) * (1.0 - np.eye(len(free)))
+    best = others.max(axis=1, initial=0.0)
+    chosen = np.argsort(-best, kind="stable")[:_MOST_PARAMETERS]
+    chosen = np.sort(free[chosen[best[chosen] >= _STRONG_CORRELATION]])
+    if not len(chosen):
+        return None
     names = [calibration.nominal_head.parameters().names[k] for k in chosen]
-    values = _correlation(calibration)[np.ix_(chosen, chosen)]
-    count = len(chosen)
-    with single_panel(PAGE_WIDTH, 2.2 + 0.3 * count) as (figure, panel):
-        image = panel.imshow(values, cmap="PuOr", norm=Normalize(-1.8, 1.8))
-        for row, column in np.argwhere(
-            (np.abs(values) >= _STRONG_CORRELATION) & ~np.eye(count, dtype=bool)
-        ):
-            panel.text(
-                column, row, f"{100.0 * values[row, column]:.0f}", ha="center", va="center",
-                fontsize=9, color=BLACK,
-            )  # fmt: skip
-        panel.set_xticks(range(count), names, rotation=90, fontsize=10)
-        panel.set_yticks(range(count), names, fontsize=10)
-        panel.tick_params(length=0)
-        panel.grid(False)
+    values = correlation[np.ix_(chosen, chosen)]
+    strong = (np.abs(values) >= _STRONG_CORRELATION) & ~np.eye(len(chosen), dtype=bool)
+    texts = np.where(strong, [[f"{100.0 * each:.0f}" for each in row] for row in values], "")
+    with panels(PAGE_WIDTH, 2.2 + 0.3 * len(chosen)) as (figure, panel):
+        image = draw_matrix(panel, values, texts, "PuOr", (-1.8, 1.8), 9)
+        panel.set_xticks(range(len(chosen)), names, rotation=90, fontsize=10)
+        panel.set_yticks(range(len(chosen)), names, fontsize=10)
         bar = figure.colorbar(image, ax=panel, shrink=0.6, label="correlation")
         bar.ax.set_ylim(-1.0, 1.0)
     return figure
 
 
-def determined_reading_errors(calibration: HeadCalibration) -> dict[str, FloatArray]:
-    """(n,) errors by actuator, rad, of readings whose variance the images at least halve."""
-    own = calibration.solution.problem.reading_error_unknowns.has_frame_error
-    determined = calibration.solution.reading_variance_ratio < _MOST_VARIANCE_RATIO
-    errors = {}
-    for k, name in enumerate(actuator_names(calibration.nominal_head)):
-        single = own[:, k] & determined[:, k] & calibration.kept_views.any(axis=0)
-        if single.any():
-            errors[name] = calibration.solution.state.frame_errors[single, k]
-    return errors
-
-
-def reading_error_histograms(calibration: HeadCalibration) -> Figure:
-    """Draw histograms of reading errors by actuator, with the uniform density of quantisation."""
-    errors, names = determined_reading_errors(calibration), actuator_names(calibration.nominal_head)
+def reading_error_histograms(calibration: HeadCalibration) -> Figure | None:
+    """Draw histograms of the reading errors that images determine, and quantisation's density."""
+    fit, names = calibration.solution, actuator_names(calibration.nominal_head)
+    determined = fit.reading_variance_ratio < _MOST_VARIANCE_RATIO
+    determined &= fit.problem.reading_error_unknowns.has_frame_error
+    determined &= np.asarray(calibration.kept_views.any(axis=0))[:, None]
+    errors = {
+        name: fit.state.frame_errors[determined[:, k], k]
+        for k, name in enumerate(names)
+        if determined[:, k].any()
+    }
+    if not errors:
+        return None
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)
-    with figure_style():
-        figure = new_figure(PAGE_WIDTH, 0.4 + 2.3 * rows)
-        panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        for panel in panels[len(errors) :]:
+    with panels(PAGE_WIDTH, 0.4 + 2.3 * rows, rows, columns, squeeze=False) as (figure, grid):
+        for panel in grid.ravel()[len(errors) :]:
             panel.set_axis_off()
-        for panel, (name, values) in zip(panels, errors.items(), strict=False):
+        for panel, (name, values) in zip(grid.ravel(), errors.items(), strict=False):
             step = np.degrees(calibration.nominal_head.actuation.angle_step[names.index(name)])
             values = np.degrees(values)
             reach = 1.05 * max(float(np.abs(values).max()), 0.75 * step)
@@ -462,7 +493,7 @@ def reading_error_histograms(calibration: HeadCalibration) -> Figure:
 def depth_error_by_distance(calibration: HeadCalibration) -> Figure:
     """Plot depth errors straight ahead: before, after, and the noise of a single fixation."""
     distance_m = np.geomspace(_DISTANCE_TICKS_M[0], _DISTANCE_TICKS_M[-1], 60)
-    depth = predict_depth_errors(calibration, points_ahead(distance_m))
+    depth = predict_depth_errors(calibration, points_at_angles(distance_m))
     return draw_by_distance(
         depth.distance_m,
         (
@@ -482,33 +513,30 @@ def depth_error_maps(calibration: HeadCalibration, distance_m: float) -> Figure:
     right, down = np.meshgrid(np.radians(_ANGLES_DEG), np.radians(_ANGLES_DEG))
     points = points_at_angles(distance_m, right.ravel(), down.ravel())
     depth = predict_depth_errors(calibration, points)
-    with figure_style():
-        figure = new_figure(PAGE_WIDTH, 5.0)
-        before, after = figure.subplots(1, 2)
-        title = f"before, at {distance_m:g} m: error (%)"
-        _table(before, depth.nominal_error_percent, title, signed=True)
-        _table(after, depth.sigma_percent, f"after, at {distance_m:g} m: one sigma (%)")
+    title = f"before, at {distance_m:g} m: error (%)"
+    with panels(PAGE_WIDTH, 5.0, 1, 2) as (figure, (before, after)):
+        _draw_map(before, depth.percent(depth.nominal_error_m), title, signed=True)
+        title = f"after, at {distance_m:g} m: one sigma (%)"
+        _draw_map(after, depth.percent(depth.sigma_m), title)
     return figure
 
 
-def _table(panel: Axes, percent: FloatArray, title: str, signed: bool = False) -> None:
+def _draw_map(panel: Axes, percent: FloatArray, title: str, signed: bool = False) -> None:
     """Draw a table of numbers by direction; colours get darker away from 0."""
     count = len(_ANGLES_DEG)
-    grid = percent.reshape(count, count)
-    most = max(float(np.nanmax(np.abs(grid), initial=0.0)), 1e-9)
-    low = -most if signed else 0.0
-    panel.imshow(
-        np.ma.masked_invalid(grid), cmap="PuOr" if signed else "Blues",
-        norm=Normalize(1.6 * low, 1.6 * most), aspect="auto",
+    most = max(float(np.nanmax(np.abs(percent), initial=0.0)), 1e-9)
+    digits = 2 if most >= 0.5 else 3
+    texts = [
+        format_fixed(each, digits, signed=signed) if np.isfinite(each) else ""
+        for each in percent.tolist()
+    ]
+    draw_matrix(
+        panel, percent.reshape(count, count), np.reshape(texts, (count, count)),
+        "PuOr" if signed else "Blues", (-1.6 * most if signed else 0.0, 1.6 * most), 10,
+        aspect="auto",
     )  # fmt: skip
     panel.set_facecolor("#dddddd")
-    digits = 2 if most >= 0.5 else 3
-    for row, column in np.argwhere(np.isfinite(grid)).tolist():
-        text = format_fixed(float(grid[row, column]), digits, signed=signed)
-        panel.text(column, row, text, ha="center", va="center", fontsize=10, color=BLACK)
     labels = [f"{angle:g}" for angle in np.abs(_ANGLES_DEG)]
     panel.set_xticks(range(count), labels)
     panel.set_yticks(range(count), labels)
     panel.set(xlabel="left    (°)    right", ylabel="down    (°)    up", title=title)
-    panel.tick_params(length=0)
-    panel.grid(False)

@@ -1,7 +1,7 @@
 """Simulated recordings of a head in front of a board: projected corners with noise, no images."""
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,21 +20,18 @@ from vergence.recording.looking import BoardView
 from vergence.vision import Camera, TargetRenderer, make_detector, parse_target
 from vergence.vision.targets import PlanarTarget, TagFamily
 
-BORDER_PX: Final = 5.0
-"""Least distance of a corner to the image's border, px (chosen)."""
+_DRAWN_BORDER_PX: Final = 5.0
+"""Least distance of a corner to the image's border in a recording, px (chosen)."""
 _MOST_TRIES: Final = 200
 """Random postures tried per accepted pose, on average, before an error is raised (numerical)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SimulatedRecording:
-    """A simulated recording, and its ground truth."""
+class SimulatedRecording(NamedTuple):
+    """A simulated recording, the true joint angles (f, 7), rad, and the boards in frame 0."""
 
     frames: HeadFrames
     true_q: FloatArray
-    """(f, 7) true joint angles, rad."""
     boards: BoardPoses
-    """(b) true poses of the board in frame 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +49,9 @@ class JointReadingErrors:
         self, motors: FloatArray, previous: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(f, 7) angles of (f, 7) motors, rad, and (7,) the last behind the backlash."""
-        behind = []
+        behind, half = [], 0.5 * self.backlash_rad
         for motor in motors:
-            previous = np.clip(
-                previous, motor - 0.5 * self.backlash_rad, motor + 0.5 * self.backlash_rad
-            )
+            previous = np.clip(previous, motor - half, motor + half)
             behind.append(previous)
         waves = [np.cos(motors), np.sin(motors), np.cos(2.0 * motors), np.sin(2.0 * motors)]
         return np.array(behind) + np.einsum("hfj,jh->fj", waves, self.harmonics_rad), previous
@@ -104,7 +99,7 @@ def simulate_recording(
     chain = ParametricHead(true_head, true_head.parameters().values)
     size = true_head.cameras.size[0]
     reading_errors = JointReadingErrors() if reading_errors is None else reading_errors
-    behind = own.actuators_of(head.rest())
+    behind, rest = own.actuators_of(head.rest()), head.rest()[:3]
     angles: list[FloatArray] = []
     read: list[FloatArray] = []
     pixels: list[FloatArray] = []
@@ -113,7 +108,6 @@ def simulate_recording(
         if len(angles) == poses:
             break
         place = len(angles) * len(ahead) // poses
-        rest = head.rest()[:3]
         q = np.zeros(7)
         if move_neck:
             q[:3] = np.clip(rest + rng.uniform(-0.35, 0.35, 3), own.lower[:3], own.upper[:3])
@@ -131,8 +125,7 @@ def simulate_recording(
         seen = np.stack(
             [chain.project_board(eye, turned, points, offsets).pixels for eye in range(2)]
         )
-        inside = (seen > BORDER_PX) & (seen < size - 1.0 - BORDER_PX)
-        if inside.all():
+        if ((seen > _DRAWN_BORDER_PX) & (seen < size - 1.0 - _DRAWN_BORDER_PX)).all():
             behind = then
             angles.append(turned)
             read.append(own.joints_of(motors))
@@ -142,19 +135,16 @@ def simulate_recording(
         raise ConfigurationError(
             f"expected a board that both eyes see whole, got {target} at {distances_m} m"
         )
-    true_q = np.concatenate(angles)
-    return SimulatedRecording(
-        frames=HeadFrames(
-            target=board,
-            time_s=0.1 * np.arange(len(true_q), dtype=np.float64),
-            joint_positions=quantised(head, np.concatenate(read)),
-            pixels=np.concatenate(pixels, axis=1),
-            sigma=np.full((2, len(true_q), len(corners), 2), noise_px),
-            placement=np.array(placement, dtype=np.intp),
-        ),
-        true_q=true_q,
-        boards=boards,
+    found = np.concatenate(pixels, axis=1)
+    frames = HeadFrames(
+        target=board,
+        time_s=0.1 * np.arange(len(placement), dtype=np.float64),
+        joint_positions=quantised(head, np.concatenate(read)),
+        pixels=found,
+        sigma=np.full(found.shape, noise_px),
+        placement=np.array(placement, dtype=np.intp),
     )
+    return SimulatedRecording(frames, np.concatenate(angles), boards)
 
 
 def quantised(head: HeadModel, q: FloatArray) -> FloatArray:
@@ -213,8 +203,7 @@ class SimulatedLooker:
         self._true = head if true_head is None else true_head
         self._pose, self._rng, self._looks = pose, rng, 0
         self._plant = simulation_of(make_plant("kinematic", head, true_head=true_head))
-        self._seed = rng.integers(2**63, size=1, dtype=np.uint64)
-        eyes = range(2 if drawn else 0)
+        self._seed, eyes = rng.integers(2**63, size=1, dtype=np.uint64), range(2 if drawn else 0)
         self._drawings = [
             TargetRenderer(Camera.of(self._true, eye), target, head.rendering) for eye in eyes
         ]
@@ -223,14 +212,10 @@ class SimulatedLooker:
     def look(self, q: FloatArray) -> BoardView:
         """See `Looker.look`."""
         self._looks += 1
+        trials = np.array([self._looks], dtype=np.uint64)  # new backlash state per look
+        motions = motion_rows(np.array([[0.0, 0.0, 1.0]]))
         reading = self._plant.begin(
-            TrialStart(
-                ids=np.arange(1),
-                seeds=self._seed,
-                trials=np.array([self._looks], dtype=np.uint64),  # new backlash state per look
-                positions=np.array(q)[None],
-                motions=motion_rows(np.array([[0.0, 0.0, 1.0]])),
-            )
+            TrialStart(np.arange(1), self._seed, trials, np.array(q)[None], motions)
         )
         true_q = self._plant.truth().positions[0]
         found = self._drawn(true_q) if self._drawings else self._projected(true_q)
@@ -245,15 +230,13 @@ class SimulatedLooker:
         corners = self.target.corners_m @ self._pose[:3, :2].T + self._pose[:3, 3]
         T_0_N = self._true.base_pose(q)
         pixels = self._true.project(q, (corners - T_0_N[:3, 3]) @ T_0_N[:3, :3])
-        found: list[_Corners] = []
-        for eye in range(2):
-            seen, most = pixels[:, eye], self._true.cameras.size[eye] - 1.0 - _BORDER_PX
-            if not ((seen >= _BORDER_PX) & (seen <= most)).all():
-                found.append((None, None))
-                continue
-            noise_px = self.head.sensor.detection_noise_px
-            sigma = np.full(seen.shape, max(noise_px, _LEAST_SIGMA_PX))
-            found.append((seen + noise_px * self._rng.standard_normal(seen.shape), sigma))
+        found: list[_Corners] = [(None, None), (None, None)]
+        noise_px = self.head.sensor.detection_noise_px
+        for eye, size in enumerate(self._true.cameras.size):
+            seen = pixels[:, eye]
+            if ((seen >= _BORDER_PX) & (seen <= size - 1.0 - _BORDER_PX)).all():
+                sigma = np.full(seen.shape, max(noise_px, _LEAST_SIGMA_PX))
+                found[eye] = seen + noise_px * self._rng.standard_normal(seen.shape), sigma
         return found
 
     def _drawn(self, q: FloatArray) -> list[_Corners]:

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,10 @@ from vergence.calibration.head.adjust import (
 )
 from vergence.calibration.head.fit import (
     HeadSolution,
+    masked_mean,
     parameter_prior_sigma,
     refit_inliers_and_scatter,
+    restart,
     solve,
 )
 from vergence.errors import ConfigurationError
@@ -33,21 +35,16 @@ _FOLD_TOLERANCE: Final = 1.0
 """Change of the cost below which a fold's fit ends (numerical)."""
 
 
-class CrossValidationErrors(NamedTuple):
-    """Mean squares of residuals by view and by pose, of heads fitted without these poses."""
-
-    view_mean_squares: FloatArray
-    """(2, f) mean square of the corners in units of sigma^2; nan for views without kept corners."""
-    pose_mean_squares: FloatArray
-    """(poses) mean square of the corners plus mean square of the reading errors, in units of
-    sigma^2; nan for poses without kept corners. One reading weighs as much as many corners, as its
-    error is estimated from them."""
-
-
 def cross_validate_by_pose(
     solution: HeadSolution, kept_corners: NDArray[np.bool_], scatter_ratio: FloatArray | None = None
-) -> CrossValidationErrors:
-    """Judge views and readings by heads calibrated without their poses; (2, f, n) kept corners."""
+) -> tuple[FloatArray, FloatArray]:
+    """Judge views and readings by heads calibrated without their poses; (2, f, n) kept corners.
+
+    Returns:
+        (2, f) mean square of the corners of views, in units of sigma^2, and (poses) mean square of
+        the corners plus mean square of the reading errors; nan without kept corners. One reading
+        weighs as much as many corners, as its error is estimated from them.
+    """
     problem, state, pose = solution.problem, solution.state, solution.problem.frames.pose
     views = np.full(kept_corners.shape[:2], np.nan)
     poses = np.full(int(pose.max()) + 1, np.nan)
@@ -57,14 +54,8 @@ def cross_validate_by_pose(
         if not kept_corners[:, out].any() or not kept_corners[:, ~out].any():
             continue
         trained = problem.select(~out)
-        start = trained.start(state.boards)._replace(
-            head_parameters=state.head_parameters,
-            board_curvatures=state.board_curvatures,
-            term_parameters=state.term_parameters,
-        )
-        found = solve(
-            trained, start, MeasurementWeights.of(kept_corners[:, ~out]), tolerance=_FOLD_TOLERANCE
-        )
+        known = MeasurementWeights.of(kept_corners[:, ~out])
+        found = solve(trained, restart(trained, state), known, tolerance=_FOLD_TOLERANCE)
         # fit only the board and the reading errors of these frames again
         judged = replace(
             problem.select(out),
@@ -73,22 +64,19 @@ def cross_validate_by_pose(
             terms=problem.terms.select(out).fixed_at(found.state.term_parameters),
             scatter_ratio=problem.scatter_ratio if scatter_ratio is None else scatter_ratio,
         )
-        known = judged.start(state.boards)._replace(board_curvatures=state.board_curvatures)
-        best = solve(
-            judged, known, MeasurementWeights.of(kept_corners[:, out]), tolerance=_FOLD_TOLERANCE
-        )
+        start = judged.start(state.boards)._replace(board_curvatures=state.board_curvatures)
         counted = kept_corners[:, out]
-        total = np.where(counted, best.squares, 0.0).sum(axis=-1)
-        count = counted.sum(axis=-1)
-        views[:, out] = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+        best = solve(judged, start, MeasurementWeights.of(counted), tolerance=_FOLD_TOLERANCE)
+        views[:, out] = masked_mean(best.squares, counted)
+        total, count = np.where(counted, best.squares, 0.0).sum(axis=-1), counted.sum(axis=-1)
         own = judged.reading_error_unknowns.has_frame_error & np.asarray(count.any(axis=0))[:, None]
         for number in np.unique(pose[out]):
             here = pose[out] == number
-            corners = total[:, here].sum() / max(count[:, here].sum(), 1)
-            squares = (best.normalised_reading_errors[here] ** 2)[own[here]]
-            read = squares.sum() / max(own[here].sum(), 1)
-            poses[number] = corners + read if count[:, here].any() else np.nan
-    return CrossValidationErrors(views, poses)
+            if count[:, here].any():
+                squares = (best.normalised_reading_errors[here] ** 2)[own[here]]
+                read = squares.sum() / max(own[here].sum(), 1)
+                poses[number] = total[:, here].sum() / count[:, here].sum() + read
+    return views, poses
 
 
 def with_backlash(head: HeadModel, actuator_backlash_rad: FloatArray) -> HeadModel:
@@ -109,8 +97,8 @@ TERMS: Final = (*TERM_KINDS, "axes")
 _FALSE_TRIAL_PROBABILITY: Final = 1e-3
 """Probability that an absent term is tried, if all errors are independent (chosen)."""
 _LEAST_GAIN: Final = 0.02
-"""Least gain of a term in the mean logarithm of the poses' cross-validation errors, see
-`CrossValidationErrors` (chosen: less is not worth a term)."""
+"""Least gain of a term in the mean logarithm of the poses' mean squares by
+`cross_validate_by_pose` (chosen: less is not worth a term)."""
 _LEAST_GAIN_OF_PLAY: Final = 0.15
 """Least gain of backlash if readings scatter even with it. A reading error also changes the
 difference to the previous reading, whose sign then predicts some of the error, just as with
@@ -140,19 +128,16 @@ def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
     return with_backlash(head, np.zeros(7)) if "play" in terms else head
 
 
-class ChosenTerms(NamedTuple):
-    """The head with the terms that its recording calls for."""
+def choose_terms(
+    fit: HeadSolution, estimate_cameras: bool
+) -> tuple[HeadSolution, HeadSolution | None]:
+    """Add the terms that a recording calls for, most significant first.
 
-    fit: HeadSolution
-    """Fit with the accepted terms that a head's file can hold. Harmonics are not among these:
-    readings are not corrected by them, so that the other parameters are best without them."""
-    solution_with_harmonics: HeadSolution | None
-    """Solution with the harmonics that the recording calls for, of some of the frames; a head's
-    file cannot hold harmonics, so they are only reported. None if they are not called for."""
-
-
-def choose_terms(fit: HeadSolution, estimate_cameras: bool) -> ChosenTerms:
-    """Add the terms that a recording calls for, most significant first."""
+    Returns:
+        The fit with those that a head's file can hold, which are not harmonics: readings are not
+        corrected by them, so that the other parameters are best without them. If the recording
+        calls for harmonics, also a fit of some frames with them, only to be reported; else None.
+    """
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
     while left:
@@ -168,10 +153,8 @@ def choose_terms(fit: HeadSolution, estimate_cameras: bool) -> ChosenTerms:
             if _predicts_better(richer, some, least):
                 some, chosen = richer, (*chosen, best)
     lasting = tuple(term for term in chosen if term != "harmonics")
-    return ChosenTerms(
-        _richer(fit, lasting, estimate_cameras) if lasting else fit,
-        some if lasting != chosen else None,
-    )
+    best_fit = _richer(fit, lasting, estimate_cameras) if lasting else fit
+    return best_fit, some if lasting != chosen else None
 
 
 def _thinned(fit: HeadSolution) -> HeadSolution:
@@ -182,11 +165,7 @@ def _thinned(fit: HeadSolution) -> HeadSolution:
     if some.all():
         return fit
     problem, kept = own.select(some), fit.kept_corners[:, some]
-    start = problem.start(state.boards)._replace(
-        head_parameters=state.head_parameters,
-        board_curvatures=state.board_curvatures,
-        frame_errors=state.frame_errors[some],
-    )
+    start = restart(problem, state)._replace(frame_errors=state.frame_errors[some])
     return solve(problem, start, MeasurementWeights.of(kept))
 
 
@@ -283,9 +262,9 @@ def _predicts_better(richer: HeadSolution, simpler: HeadSolution, least: float) 
     rich, simple = richer.problem, simpler.problem
     sigma = [each.reading_error_unknowns.reading_sigma for each in (rich, simple)]
     ratio = np.divide(sigma[0], sigma[1], out=np.ones(7), where=sigma[1] > 0.0)
-    simple_errors = cross_validate_by_pose(simpler, kept, ratio * simple.scatter_ratio)
-    rich_errors = cross_validate_by_pose(richer, kept)
-    less = np.log(simple_errors.pose_mean_squares) - np.log(rich_errors.pose_mean_squares)
+    _, simple_squares = cross_validate_by_pose(simpler, kept, ratio * simple.scatter_ratio)
+    _, rich_squares = cross_validate_by_pose(richer, kept)
+    less = np.log(simple_squares) - np.log(rich_squares)
     less = less[np.isfinite(less)]
     surely = _SIGNIFICANT_SIGMAS * np.std(less) / np.sqrt(max(len(less), 1))
     return len(less) > 1 and bool(np.mean(less) >= max(surely, least))

@@ -22,7 +22,7 @@ from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.calibration.head.job import HeadJob, HeadOutcome
+    from vergence.calibration.head.report import HeadJob, HeadOutcome
     from vergence.commands.options import RunFolder
     from vergence.models.head import HeadModel
 
@@ -120,8 +120,8 @@ class CalibrateHead:
 
     def _jobs(self, outs: list[Path]) -> "list[HeadJob]":
         """Read the recordings."""
-        from vergence.calibration.head.job import HeadJob
         from vergence.calibration.head.recording import read_recording
+        from vergence.calibration.head.report import HeadJob
         from vergence.calibration.head.terms import parse_terms
         from vergence.calibration.observations import parse_board
         from vergence.models.head_file import check_head_name, load_head
@@ -221,10 +221,10 @@ def print_head_calibration(outcome: "HeadOutcome", out: Path) -> None:
         f"{told['rms_px']:.3f} px (length, rms) are left, {told['noise']:.2f} times what the "
         "detector says\n"
     )
-    if outcome.unobservable:
+    if told["unseen"]:
         print_table(
             ["not determined by this recording", "cure", "cost"],
-            [[one.what, one.remedy or "none needed", one.cost] for one in outcome.unobservable],
+            [[one["what"], one["cure"] or "none needed", one["cost"]] for one in told["unseen"]],
             wrapped=(0, 1, 2), shortenable=(0, 1, 2),
         )  # fmt: skip
     print(out)
