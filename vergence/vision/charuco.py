@@ -206,8 +206,8 @@ class CharucoDetector(Detector[CharucoBoard]):
         transform = fit_homography(board_m[used], ideal[used]) if enough else None
         if transform is None:
             return None
-        beside = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
-        near = np.linalg.norm(beside, axis=1) <= _MAX_RESIDUAL_SQUARES * square
+        off = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
+        near = np.linalg.norm(off, axis=1) <= _MAX_RESIDUAL_SQUARES * square
         # black and white must alternate around a corner as printed
         away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
         greys = _greys(image, flat, transform, board_m[:, None] + away * CORNER_PROBES)
@@ -218,13 +218,12 @@ class CharucoDetector(Detector[CharucoBoard]):
         if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
             return None
         known, refined, ideal, unit = known[good], refined[good], ideal[good], unit[good]
-        markers_m, printed = _markers(board)
-        apart_m = markers_m.mean(axis=1)[:, None] - board.corners_m[known]
-        beside_m, printed = (
-            each[(np.abs(apart_m) < board.square_m).all(axis=-1).any(axis=1)]
-            for each in (markers_m, printed)
-        )
-        alike = (normalised(_greys(image, flat, transform, beside_m)) * printed).sum(axis=1)
+        beside = np.zeros((board.rows, board.columns), bool)
+        for down, right in np.ndindex(2, 2):
+            beside[row[good] + down, column[good] + right] = True
+        squares, markers_m, printed = _markers(board)
+        shown = _greys(image, flat, transform, markers_m[beside.ravel()[squares]])
+        alike = (normalised(shown) * printed[beside.ravel()[squares]]).sum(axis=1)
         if (alike > _LEAST_MARKER_CORRELATION).mean() < LEAST_CONFIRMED_FRACTION:
             return None
         even = np.full(grid.shape, np.nan)
@@ -282,18 +281,18 @@ def _greys(image: Image, flat: FlatView, transform: FloatArray, board_m: FloatAr
 
 
 @lru_cache(maxsize=8)
-def _markers(board: CharucoBoard) -> tuple[FloatArray, FloatArray]:
-    """Centres of all cells of squares with a marker, (n, cells, 2) m; their normalised print."""
+def _markers(board: CharucoBoard) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Squares with a marker, centres of their cells, (n, cells, 2) m, and normalised prints."""
     rows, columns = board.rows, board.columns
     size = len(board.cells) // rows
     x, y = (np.arange(size * count) + 0.5 for count in (columns, rows))
     middles_m = board.cell_m * (np.stack(np.meshgrid(x, y), axis=-1) - board.origin_cells)
     by_square = (rows, size, columns, size)
     places_m = middles_m.reshape(*by_square, 2).swapaxes(1, 2).reshape(rows * columns, -1, 2)
-    printed = board.cells.astype(float).reshape(by_square).swapaxes(1, 2)
-    printed = printed.reshape(rows * columns, -1)
-    marked = np.ptp(printed, axis=1) > 0.0
-    return places_m[marked], normalised(printed[marked])
+    cells = board.cells.astype(float).reshape(by_square).swapaxes(1, 2)
+    printed = cells.reshape(rows * columns, -1)
+    marked = np.flatnonzero(np.ptp(printed, axis=1))
+    return marked, places_m[marked], normalised(printed[marked])
 
 
 _MOST_COLUMNS: Final = 24

@@ -45,11 +45,11 @@ def _predict_rest(
         depth_m = apart_m / max(apart, 1e-6)
     x, y = rays.T
     # along the axes of the fixed frame, in depths
-    fixed = [
-        before[i, 0] * x + before[i, 1] * y + before[i, 2] + (before[i, 3] - now[i, 3]) / depth_m
-        for i in range(3)
-    ]
-    x, y, z = (now[0, j] * fixed[0] + now[1, j] * fixed[1] + now[2, j] * fixed[2] for j in range(3))
+    fixed = before[:3, 0, None] * x + before[:3, 1, None] * y + before[:3, 2, None]
+    fixed += ((before[:3, 3] - now[:3, 3]) / depth_m)[:, None]
+    x, y, z = (
+        now[0, :3, None] * fixed[0] + now[1, :3, None] * fixed[1] + now[2, :3, None] * fixed[2]
+    )
     if (z < _LEAST_DEPTH_RATIO).any():
         return pixels
     moved = np.asarray(rays_to_pixels(np.stack([x / z, y / z], axis=1), camera.row))
