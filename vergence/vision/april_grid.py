@@ -1,36 +1,30 @@
 """Detection of AprilGrids, whole or in part, and of what other grid an image shows."""
 
-import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
-import pyapriltags
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.vision.charuco import (
-    LEAST_ARRANGED_FRACTION,
-    alternative_columns,
-    alternative_rows,
-)
+from vergence.models.parts import FloatArray
+from vergence.vision.charuco import LEAST_ARRANGED_FRACTION, alternative_columns
 from vergence.vision.corners import (
     DEFAULT_SIGMA_PX,
     MAX_ENLARGED_PIXELS,
     WINDOW_FRACTION,
     WINDOW_PX,
-    corner_sigmas,
     estimate_noise_grey,
     fit_smooth_homography,
     in_image,
     refine_and_check,
 )
-from vergence.vision.detection import Detection, Detector, Frame
-from vergence.vision.optics import FlatView, fit_homography, origin_sigma_px
+from vergence.vision.detection import Detection, Detector, Frame, Region, cut_out
+from vergence.vision.optics import FlatView, Image, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
     LEAST_CONFIRMED_FRACTION,
@@ -41,12 +35,11 @@ from vergence.vision.prints import (
     normalised,
 )
 from vergence.vision.tag_families import (
-    CORRECTED_BITS,
     GRID_BORDER_BITS,
     GRID_FAMILY,
     AprilGrid,
     FoundSquare,
-    library_family,
+    find_squares,
 )
 
 _CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -65,16 +58,13 @@ _MAX_NEIGHBOUR_ERROR: Final = 0.35
 them (chosen: allows for lens distortion)."""
 _MAX_NEIGHBOUR_STEPS: Final = 2
 """Most rows and columns between a tag and one that it predicts (chosen)."""
-Tags = NDArray[np.float64]
+Tags = FloatArray
 """Corners of tags, px, shape (tags, 4, 2); nan for unknown ones."""
 _UNIT_SQUARE: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], np.float32)
 """Corners of a tag in units of its edge (numerical)."""
 
-_THREAD: Final = threading.local()
-"""Holds the library's detector of each thread; it is not thread-safe."""
 
-
-def find_grid_tags(image: NDArray[np.uint8], method_index: int) -> list[FoundSquare]:
+def find_grid_tags(image: Image, method_index: int) -> list[FoundSquare]:
     """Find tags with a border of two bits in an image, by one of `_SEARCH_METHODS`.
 
     The squares at the corners of tags connect all black to one region; dilating white by a pixel
@@ -85,20 +75,14 @@ def find_grid_tags(image: NDArray[np.uint8], method_index: int) -> list[FoundSqu
         scale > 1.0 and image.size > MAX_ENLARGED_PIXELS
     ):
         return []
-    method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
-    sized = image if scale == 1.0 else cv2.resize(image, None, None, scale, scale, method)
-    wide = cv2.dilate(sized, kernel)
-    if not hasattr(_THREAD, "detector"):
-        _THREAD.detector = _make_detector()
-    found = []
-    for each in _THREAD.detector.detect(np.ascontiguousarray(wide)):
-        # the library has pixel edges at integers, and counts corners from the lower left
-        corners = _widened(np.asarray(each.corners, float)[::-1], shift_px)
-        found.append(FoundSquare(each.tag_id, each.hamming, corners / scale - 0.5))
-    return found
+    wide = cv2.dilate(cut_out(image, scale=scale).image, kernel)
+    return [
+        each._replace(corners=_widened(each.corners + 0.5, shift_px) / scale - 0.5)
+        for each in find_squares(np.asarray(wide, np.uint8), GRID_FAMILY, GRID_BORDER_BITS)
+    ]
 
 
-def _widened(corners: NDArray[np.float64], by: float) -> NDArray[np.float64]:
+def _widened(corners: FloatArray, by: float) -> FloatArray:
     """Corners, (4, 2), of a quadrilateral with its edges moved outwards by a distance."""
     along = np.roll(corners, -1, axis=0) - corners
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
@@ -107,33 +91,10 @@ def _widened(corners: NDArray[np.float64], by: float) -> NDArray[np.float64]:
     return np.asarray(corners + by * (back - along) / np.maximum(np.abs(sine), 0.2)[:, None])
 
 
-def _make_detector() -> Any:
-    """Make a detector of the library for the family with the wider border of AprilGrids."""
-    detector: Any = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
-    family = library_family(detector.libc, GRID_FAMILY)
-    code = family.contents
-    wider = GRID_BORDER_BITS - 1
-    code.width_at_border += 2 * wider
-    code.total_width += 2 * wider
-    for bit in range(int(code.nbits)):
-        code.bit_x[bit] += wider
-        code.bit_y[bit] += wider
-    detector.libc.apriltag_detector_add_family_bits(
-        detector.tag_detector_ptr, family, CORRECTED_BITS[GRID_FAMILY]
-    )
-    return detector
-
-
-_Placed = list[tuple[FoundSquare, int, int]]
-"""Tags with their rows, counted from below, and columns."""
-
-
-def _largest_group(tags: list[FoundSquare], columns: int, gap_to_edge_ratio: float) -> _Placed:
-    """Largest connected group of tags, of different numbers, arranged as with so many columns.
-
-    Only neighbours are compared: lens distortion bends a whole board, but hardly moves these
-    relative to each other.
-    """
+def _largest_group(
+    tags: list[FoundSquare], columns: int, gap_to_edge_ratio: float
+) -> list[FoundSquare]:
+    """Largest connected group of tags, of different numbers, arranged as with so many columns."""
     if not tags:
         return []
     numbers = np.array([each.id for each in tags])
@@ -143,6 +104,7 @@ def _largest_group(tags: list[FoundSquare], columns: int, gap_to_edge_ratio: flo
     steps = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
     fits = np.zeros(steps.shape, bool)
     for i in range(len(tags)):
+        # only neighbours: lens distortion bends a whole board, but hardly moves these
         others = np.flatnonzero(steps[i] <= _MAX_NEIGHBOUR_STEPS)
         away = (1.0 + gap_to_edge_ratio) * np.stack(
             [column[others] - column[i], row[i] - row[others]], -1
@@ -151,34 +113,27 @@ def _largest_group(tags: list[FoundSquare], columns: int, gap_to_edge_ratio: flo
         beside = np.linalg.norm(predicted - corners[others].mean(axis=1), axis=1)
         most = _MAX_NEIGHBOUR_ERROR * np.maximum(steps[i, others], 1) * edge[others]
         fits[i, others] = beside < most
-    fits &= fits.T
-    fits &= (numbers[:, None] != numbers) | np.eye(len(tags), dtype=bool)
-    best: list[int] = []
-    left = set(range(len(tags)))
-    while left:
-        group: list[int] = []
-        rim = [left.pop()]
-        while rim:
-            i = rim.pop()
-            if numbers[i] not in numbers[group]:
-                group.append(i)
-            more = left.intersection(np.flatnonzero(fits[i]).tolist())
-            left -= more
-            rim.extend(more)
-        best = max(best, group, key=len)
-    return [(tags[i], int(row[i]), int(column[i])) for i in best]
+    fits = (fits & fits.T & (numbers[:, None] != numbers)) | np.eye(len(tags), dtype=bool)
+    group, before = np.arange(len(tags)), np.array([])
+    while not np.array_equal(group, before):  # each joins the first group that it touches
+        group, before = np.where(fits, group, len(tags)).min(axis=1), group
+    different = [
+        np.unique(np.where(group == k, numbers, -1), return_index=True) for k in range(len(tags))
+    ]
+    first = max((index[number >= 0] for number, index in different), key=len)
+    return [tags[i] for i in first]
 
 
-def _on_tag(places: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_tag(places: FloatArray, corners: FloatArray) -> FloatArray:
     """Pixels of places on a tag, in units of its edges, by its corners, (4, 2) px."""
     transform = cv2.getPerspectiveTransform(_UNIT_SQUARE, corners.astype(np.float32))
     return np.asarray(cv2.perspectiveTransform(places, transform))
 
 
-def _tags_of(placed: _Placed, count: int) -> Tags:
-    """Corners of the tags that are placed, of a number in all."""
+def _tags_of(found: list[FoundSquare], count: int) -> Tags:
+    """Corners of the tags that are found, of a number in all."""
     tags = np.full((count, 4, 2), np.nan)
-    for each, _row, _column in placed:
+    for each in found:
         tags[each.id] = each.corners
     return tags
 
@@ -187,19 +142,19 @@ def _gap_ratio_and_edge_px(tags: Tags, target: AprilGrid) -> tuple[float, float]
     """Median ratio of gap to tag edge and the mean edge, px; both nan without two neighbours."""
     grid = np.full((target.rows, target.columns, 4, 2), np.nan)
     grid[tuple(target.tag_cells.T)] = tags
-    gaps, edges = [], []
-    for side, (a, b, c, d) in ((grid, (0, 1, 3, 2)), (grid.swapaxes(0, 1), (0, 3, 1, 2))):
-        for start, end in ((a, b), (c, d)):
-            edge = np.linalg.norm(side[:, :, end] - side[:, :, start], axis=-1)
-            gap = np.linalg.norm(side[:, 1:, start] - side[:, :-1, end], axis=-1)
-            mean = 0.5 * (edge[:, 1:] + edge[:, :-1])
-            gaps.append((gap / mean).ravel())
-            edges.append(mean.ravel())
-    ratios, lengths = np.concatenate(gaps), np.concatenate(edges)
-    there = np.isfinite(ratios)
-    if not there.any():
+    ratios, lengths = [np.empty(0)], [np.empty(0)]
+    for side, start, end in (
+        (grid, 0, 1), (grid, 3, 2), (grid.swapaxes(0, 1), 0, 3), (grid.swapaxes(0, 1), 1, 2)
+    ):  # fmt: skip
+        edge = np.linalg.norm(side[:, :, end] - side[:, :, start], axis=-1)
+        gap = np.linalg.norm(side[:, 1:, start] - side[:, :-1, end], axis=-1)
+        mean = 0.5 * (edge[:, 1:] + edge[:, :-1])
+        there = np.isfinite(gap / mean)
+        ratios.append((gap / mean)[there])
+        lengths.append(mean[there])
+    if not np.concatenate(ratios).size:
         return np.nan, np.nan
-    return float(np.median(ratios[there])), float(lengths[there].mean())
+    return float(np.median(np.concatenate(ratios))), float(np.concatenate(lengths).mean())
 
 
 _PROBE_FRACTION: Final = 0.45
@@ -226,17 +181,22 @@ def known_corner_mask(tags: Tags) -> NDArray[np.bool_]:
 class CornerSearch:
     """Search for a board's corners: `found` ones, and `predicted` ones of tags tried; else nan."""
 
-    def __init__(self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView) -> None:
-        count = board.columns * board.rows
-        self.found, self.predicted = np.full((2, count, 4, 2), np.nan)
+    def __init__(self, image: Image, board: AprilGrid, flat: FlatView) -> None:
+        self.found, self.predicted, self._unit_sigmas = np.full(
+            (3, board.columns * board.rows, 4, 2), np.nan
+        )
         self._image = image
         self._board = board
         self._flat = flat
         self._least_contrast = np.nan
         # distance from a corner to the next edge, as a ratio to a tag's edge
         self._free = min(board.spacing, 2.0 * board.bit_m / board.tag_m)
-        self._half_sides_px = np.zeros(count, int)
         self._corners_m = board.corners_m.reshape(-1, 4, 2)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(tags, 4) mask of the corners found."""
+        return known_corner_mask(self.found)
 
     def refine_corners_of(
         self, wanted: NDArray[np.bool_], predicted: Tags, step: float | None = None
@@ -246,45 +206,47 @@ class CornerSearch:
         Of their tags all four corners are predicted. `step` is the largest move as a fraction of
         the distance to the next edge; None for the window's reach.
         """
-        numbers, own = np.nonzero(wanted)
-        if not len(numbers):
+        if not wanted.any():
             return
-        self.predicted[wanted] = predicted[wanted]
+        numbers = np.nonzero(wanted)[0]
+        self.predicted[wanted] = start = predicted[wanted]
         lengths = np.linalg.norm(predicted - np.roll(predicted, 1, axis=1), axis=-1)[numbers]
         free = self._free * np.nan_to_num(np.nanmin(lengths, axis=1))
         half_sides_px = np.clip(np.rint(WINDOW_FRACTION * free), *WINDOW_PX).astype(int)
-        self._half_sides_px[numbers] = half_sides_px
-        start = predicted[wanted]
-        places = np.full(start.shape, np.nan)
+        places, sigmas = np.full((2, *start.shape), np.nan)
         inside = in_image(self._image, start)
         for half_side_px in np.unique(half_sides_px[inside]).tolist():
             chosen = np.flatnonzero(inside & (half_sides_px == half_side_px))
-            refined, moved, settled = refine_and_check(self._image, start[chosen], half_side_px)
+            refined, moved, settled, sigmas[chosen] = refine_and_check(
+                self._image, start[chosen], half_side_px
+            )
             limit = half_side_px + 1.0 if step is None else np.maximum(step * free[chosen], 1.0)
             good = settled & (moved <= limit) & in_image(self._image, refined)
             places[chosen[good]] = refined[good]
-        self.found[numbers, own] = places
+        self.found[wanted], self._unit_sigmas[wanted] = places, sigmas
         tags = np.unique(numbers)
+        probes = _UNIT_SQUARE[:, None] + _PROBE_FRACTION * self._free * CORNER_PROBES
+        greys = self._greys(tags, probes.reshape(-1, 2)).reshape(-1, 4, 4)
         contrast = np.full(wanted.shape, np.nan)
-        contrast[tags] = self._contrasts(tags)
-        seen = contrast[wanted & np.isfinite(contrast)]
+        contrast[tags] = corner_contrasts(greys, np.array([1.0, -1.0, 1.0, -1.0]))
+        seen = contrast[wanted & self.known]
         if np.isnan(self._least_contrast) and len(seen):
             self._least_contrast = least_corner_contrast(seen)
         self.found[wanted & ~(contrast > self._least_contrast)] = np.nan
 
     def find_neighbouring_tags(self) -> None:
         """Search for tags next to those found, repeatedly outwards."""
-        tried = np.asarray(known_corner_mask(self.found).any(axis=1), np.bool_)
+        tried = np.asarray(self.known.any(axis=1), np.bool_)
         while len(new := self.refine_neighbours_of_whole_tags(tried)):
             tried[new] = True
             seen = new[np.isfinite(self.predicted[new]).all(axis=(1, 2))]
             self.found[np.setdiff1d(new, seen[self.tags_matching_print(seen)])] = np.nan
-        there = known_corner_mask(self.found)
-        self._refine_beside(np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)), np.inf)
+        cut = self.known.any(axis=1) & ~self.known.all(axis=1)
+        self._refine_beside(np.flatnonzero(cut), np.inf)
 
     def refine_neighbours_of_whole_tags(self, tried: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Refine the corners of untried tags next to complete ones; return their numbers."""
-        places, whole = self._board.tag_cells, known_corner_mask(self.found).all(axis=1)
+        places, whole = self._board.tag_cells, self.known.all(axis=1)
         apart = np.abs(places[:, None] - places).max(axis=-1)
         new = np.flatnonzero(~tried & ((apart <= 1) & whole).any(axis=1))
         # the near corners first, since a lens distorts less over a gap than over a tag
@@ -297,7 +259,7 @@ class CornerSearch:
 
         Only those up to a distance on the board from the nearest known corner are refined.
         """
-        there = known_corner_mask(self.found)
+        there = self.known
         predicted, wanted = np.full(self.found.shape, np.nan), np.zeros(there.shape, bool)
         known_m, known = self._corners_m[there], self._flat.to_plane(self.found[there])
         for number in numbers.tolist():
@@ -329,48 +291,31 @@ class CornerSearch:
         shown = alike.max(axis=1) > _LEAST_OTHER_TAG_CORRELATION
         return np.where(shown, alike.argmax(axis=1), -1)
 
-    def _codes(self, numbers: NDArray[np.intp]) -> NDArray[np.float64]:
+    def _codes(self, numbers: NDArray[np.intp]) -> FloatArray:
         """Grey levels of tags' codes, as `_printed_codes`."""
         middles = (np.arange(GRID_BORDER_BITS, _TAG_BITS - GRID_BORDER_BITS) + 0.5) / _TAG_BITS
         cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
-        return normalised(grey_at_pixels(self._image, self._seen(numbers, cells)))
+        return normalised(self._greys(numbers, cells))
 
-    def sigmas(
-        self, indices: NDArray[np.intp], corners: NDArray[np.float64], numbers: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
+    def sigmas(self, indices: NDArray[np.intp], numbers: NDArray[np.intp]) -> FloatArray:
         """Standard deviations of corners of some indices and tags due to pixel noise, (n, 2) px."""
         half = 0.5 * self._board.spacing
         gaps = np.array([[0.5, -half], [1.0 + half, 0.5], [0.5, 1.0 + half], [-half, 0.5]])
         noise = estimate_noise_grey(self._image, self._seen(numbers, gaps).reshape(-1, 2))
-        half_sides_px = self._half_sides_px[indices // 4]
-        out = np.empty(corners.shape)
-        for half_side_px in np.unique(half_sides_px).tolist():
-            own = half_sides_px == half_side_px
-            out[own] = corner_sigmas(self._image, corners[own], half_side_px, noise)
-        return out
+        return noise * self._unit_sigmas.reshape(-1, 2)[indices]
 
-    def _contrasts(self, numbers: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Contrast of white to black around each corner, (tags, 4) grey levels; nan if unknown."""
-        steps = _PROBE_FRACTION * self._free * CORNER_PROBES
-        places = self._seen(numbers, (_UNIT_SQUARE[:, None] + steps).reshape(-1, 2))
-        greys = grey_at_pixels(self._image, places).reshape(-1, 4, 4)
-        contrast = corner_contrasts(greys, np.array([1.0, -1.0, 1.0, -1.0]))
-        contrast[~known_corner_mask(self.found[numbers])] = np.nan
-        return contrast
+    def _greys(self, numbers: NDArray[np.intp], places: FloatArray) -> FloatArray:
+        """Grey levels, (tags, n), at positions on tags, see `_seen`."""
+        return grey_at_pixels(self._image, self._seen(numbers, places))
 
-    def _seen(self, numbers: NDArray[np.intp], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _seen(self, numbers: NDArray[np.intp], places: FloatArray) -> FloatArray:
         """Pixels of positions on tags, in units of their edges, shape (tags, n, 2)."""
-        out = np.empty((len(numbers), len(places), 2))
-        for i, number in enumerate(numbers.tolist()):
-            found = self.found[number]
-            corners = np.where(np.isfinite(found), found, self.predicted[number])
-            out[i] = _on_tag(places[None], corners)[0]
-        return out
+        corners = np.where(self.known[..., None], self.found, self.predicted)[numbers]
+        pixels = [_on_tag(places[None], each)[0] for each in corners]
+        return np.reshape(pixels, (len(numbers), len(places), 2))
 
 
-def _count_other_tags(
-    image: NDArray[np.uint8], board: AprilGrid, flat: FlatView, tags: Tags
-) -> int:
+def _count_other_tags(image: Image, board: AprilGrid, flat: FlatView, tags: Tags) -> int:
     """Count tags next to found ones, on a board's grid, where the board has another tag or none."""
     columns = board.columns + 2
     if columns * (board.rows + 2) > len(board.code.code_words):
@@ -385,13 +330,13 @@ def _count_other_tags(
     whole = np.asarray(known_corner_mask(placed).all(axis=1), np.bool_)
     search.refine_corners_of(np.repeat(whole[:, None], 4, axis=1), placed)
     beside = search.refine_neighbours_of_whole_tags(whole)
-    seen = beside[known_corner_mask(search.found[beside]).sum(axis=1) >= _LEAST_OTHER_CORNERS]
+    seen = beside[search.known[beside].sum(axis=1) >= _LEAST_OTHER_CORNERS]
     read = search.read_numbers(seen)
     return int(((read >= 0) & (read != numbers[seen])).sum())
 
 
 @lru_cache(maxsize=1)
-def _printed_codes() -> NDArray[np.float64]:
+def _printed_codes() -> FloatArray:
     """Codes of all tags of the family, row by row, normalised, shape (tags, bits)."""
     board = AprilGrid()
     code = slice(GRID_BORDER_BITS, _TAG_BITS - GRID_BORDER_BITS)  # borders are equal in all tags
@@ -441,38 +386,31 @@ class AprilGridDetector(Detector[AprilGrid]):
     def _detect_rest(self, frame: Frame) -> list[Detection]:
         return self._search(frame.grey, range(len(_QUICK_METHODS), len(_SEARCH_METHODS)))
 
-    def _detect_in(
-        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
-    ) -> list[Detection]:
+    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
         return self._search(frame.grey, _QUICK_METHODS, region)
 
     def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
         return self._at(frame.grey, predicted.corners_px.reshape(-1, 4, 2), _MAX_TRACKED_MOVE)
 
     def _search(
-        self,
-        image: NDArray[np.uint8],
-        methods: Iterable[int],
-        region: tuple[int, int, int, int] | None = None,
+        self, image: Image, methods: Iterable[int], region: Region | None = None
     ) -> list[Detection]:
         """Search the image, or a region of it, by some methods until one suffices."""
-        height, width = image.shape
-        x0, y0, x1, y1 = region or (0, 0, width, height)
-        part = np.ascontiguousarray(image[y0:y1, x0:x1])
+        part = cut_out(image, region)
         board, count = self.target, self.target.columns * self.target.rows
         sufficient = _SUFFICIENT_FRACTION * 4 * count
         best: Detection | None = None
         most, exceeded = 0, False
         for method_index in methods:
-            squares = find_grid_tags(part, method_index)
+            squares = find_grid_tags(part.image, method_index)
             placed = _largest_group(squares, board.columns, board.spacing)
-            beyond = [each.id >= count for each, *_ in placed]
+            beyond = [each.id >= count for each in placed]
             # arranged as on a board of as many columns but more rows
             exceeded |= any(beyond) and not all(beyond)
             own = sum(each.id < count for each in squares)
             # else it is another layout, or a part of a larger board
             if len(placed) >= max(_LEAST_OWN_ARRANGED_FRACTION * own, 1) and not any(beyond):
-                found = self._at(image, _tags_of(placed, count) + (x0, y0))
+                found = self._at(image, _tags_of(placed, count) + part.corner)
                 seen = 0 if found is None else int(np.isfinite(found.corners_px[:, 0]).sum())
                 if seen > most:
                     best, most = found, seen
@@ -486,9 +424,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         others = _count_other_tags(image, board, self._flat(tags[known]), tags)
         return [best] if others <= MAX_OTHER_FRACTION * known.all(axis=1).sum() else []
 
-    def _at(
-        self, image: NDArray[np.uint8], tags: Tags, step: float | None = None
-    ) -> Detection | None:
+    def _at(self, image: Image, tags: Tags, step: float | None = None) -> Detection | None:
         """Refine given corners and find the others; None if there is no board."""
         board = self.target
         tags = np.where(np.abs(tags) < _OFF_IMAGE_PX, tags, np.nan)
@@ -500,7 +436,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         search = CornerSearch(image, board, flat)
         search.refine_corners_of(there, tags, step)
         search.find_neighbouring_tags()
-        known = np.flatnonzero(known_corner_mask(search.found))
+        known = np.flatnonzero(search.known)
         if len(known) < 4:
             return None
         corners, board_m = search.found.reshape(-1, 2)[known], board.corners_m[known]
@@ -521,7 +457,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         if abs(ratio - board.spacing) > max(_SPACING_TOLERANCE, _GAP_TOLERANCE_PX / edge):
             return None
         grid_sigma_px = fit.residual_sigma_px or DEFAULT_SIGMA_PX
-        sigmas[known] = np.maximum(search.sigmas(known, corners, own), grid_sigma_px)
+        sigmas[known] = np.maximum(search.sigmas(known, own), grid_sigma_px)
         middle = cv2.perspectiveTransform(np.zeros((1, 1, 2)), fit.homography)[0, 0]
         sigma = origin_sigma_px(fit.homography, board_m, sigmas[known])
         if (board_m.min(axis=0) < 0).all() and (board_m.max(axis=0) > 0).all():
@@ -539,9 +475,7 @@ _SPACING_STEP: Final = 0.01
 """Resolution of estimated spacings (chosen: spacings are round numbers)."""
 
 
-def alternative_grids(
-    image: NDArray[np.uint8], missed_grid: AprilGrid | None
-) -> Iterator[AprilGrid]:
+def alternative_grids(image: Image, missed_grid: AprilGrid | None) -> Iterator[AprilGrid]:
     """Boards other than the one that was not found, or any, that explain the tags in an image.
 
     They have the number of columns that most tags agree with, as many rows as the tags need, the
@@ -550,19 +484,17 @@ def alternative_grids(
     asked = missed_grid or AprilGrid()
     for method_index in _OTHER_GRID_METHODS:
         found = find_grid_tags(image, method_index)
-        if len(found) < _LEAST_OTHER_TAGS:
-            continue
         spacing = _spacing(found, asked)
-        groups = {
-            columns: _largest_group(found, columns, spacing)
+        groups = [
+            (_largest_group(found, columns, spacing), columns)
             for columns in alternative_columns(asked, 1)
-        }
-        columns, best = max(groups.items(), key=lambda each: len(each[1]))
+        ]
+        best, columns = max(groups, key=lambda each: len(each[0]))
         if len(best) < max(_LEAST_OTHER_TAGS, LEAST_ARRANGED_FRACTION * len(found)):
             continue
-        rows = 1 + max(row for _, row, _ in best)
-        if missed_grid is not None:
-            rows = alternative_rows(missed_grid, columns, rows)
+        rows = 1 + max(each.id for each in best) // columns
+        if missed_grid is not None and columns == missed_grid.columns:
+            rows = max(rows, missed_grid.rows)
         try:
             other = replace(asked, columns=columns, rows=rows, spacing=spacing)
         except ConfigurationError:

@@ -1,8 +1,7 @@
 """Detection of ChArUco boards, whole or in part, in both layouts of OpenCV."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, Final
 
 import cv2
@@ -11,23 +10,23 @@ from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.camera import Camera, CameraResponse
+from vergence.models.parts import FloatArray
 from vergence.vision.corners import (
     DEFAULT_SIGMA_PX,
     MAX_ENLARGED_PIXELS,
     MAX_TRACKED_MOVE_SQUARES,
     WINDOW_FRACTION,
     WINDOW_PX,
-    Grid,
-    corner_sigmas,
     estimate_corner_scatter_px,
     estimate_noise_grey,
     in_image,
     refine_and_check,
+    shortest_square_edge_px,
     square_centres,
     window_half_side_px,
 )
-from vergence.vision.detection import Detection, Detector, Frame
-from vergence.vision.optics import FlatView, fit_homography, origin_sigma_px
+from vergence.vision.detection import Detection, Detector, Frame, Region, cut_out
+from vergence.vision.optics import FlatView, Image, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
     LEAST_CONFIRMED_FRACTION,
@@ -44,8 +43,6 @@ _PROBE_MARGINS: Final = 0.45
 """Distance of grey samples from a corner along both axes, in margins of a marker (chosen)."""
 _LEAST_MARKER_CORRELATION: Final = 0.4
 """Least correlation of a marker's grey levels with its print (chosen)."""
-_Levels = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Function from positions on the board, (n, m, 2) m, to grey levels there, (n, m)."""
 _WINDOW_MARGINS: Final = 0.85
 """Half side of the refinement window, in margins of a marker; it must not contain the marker's
 corners (chosen)."""
@@ -112,57 +109,41 @@ class CharucoDetector(Detector[CharucoBoard]):
     def _detect_rest(self, frame: Frame) -> list[Detection]:
         return self._search(frame.grey, 2.0) if frame.grey.size <= MAX_ENLARGED_PIXELS else []
 
-    def _detect_in(
-        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
-    ) -> list[Detection]:
+    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
         return self._search(frame.grey, 1.0, region)
 
     def _search(
-        self,
-        image: NDArray[np.uint8],
-        scale: float = 1.0,
-        region: tuple[int, int, int, int] | None = None,
+        self, image: Image, scale: float = 1.0, region: Region | None = None
     ) -> list[Detection]:
         """Detection in the layout with most corners, in an image or a region of it, scaled."""
-        height, width = image.shape
-        x0, y0, x1, y1 = region or (0, 0, width, height)
-        part = np.ascontiguousarray(image[y0:y1, x0:x1])
-        if scale != 1.0:
-            method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
-            part = np.asarray(cv2.resize(part, None, None, scale, scale, method), np.uint8)
+        part = cut_out(image, region, scale)
         board = self.target
         every = board.opencv_board().getDictionary()
         some = every.bytesList[: (board.columns + 2) * (board.rows + 2) // 2]  # of larger boards
         dictionary = cv2.aruco.Dictionary(some, every.markerSize, every.maxCorrectionBits)
-        markers, numbers = find_markers(part, dictionary)
+        markers, numbers = find_markers(part.image, dictionary)
         own = numbers < board.columns * board.rows // 2
         if not own.any():  # OpenCV would search for them again
             return []
         found = []
-        shift = (x0, y0)
         ids: Any
-        seen = (markers.astype(float) + 0.5) / scale - 0.5 + shift
+        seen = part.in_whole(markers)
         for board in self._layouts:
             search = cv2.aruco.CharucoDetector(board.opencv_board())
             corners, ids, *_ = search.detectBoard(
-                part, markerCorners=list(markers[own]), markerIds=numbers[own]
+                part.image, markerCorners=list(markers[own]), markerIds=numbers[own]
             )
             if ids is None or len(ids) < _LEAST_CORNERS:
                 continue
             places = np.full((len(board.corners_m), 2), np.nan)
-            known = (np.reshape(corners, (-1, 2)).astype(float) + 0.5) / scale - 0.5
-            places[np.ravel(ids)] = known + shift
+            places[np.ravel(ids)] = part.in_whole(np.reshape(corners, (-1, 2)))
             detection = self._at(image, board, places)
             if detection is not None and not self._is_of_another(board, detection, seen, numbers):
                 found.append(detection)
         return _most(found)
 
     def _is_of_another(
-        self,
-        board: CharucoBoard,
-        found: Detection,
-        markers: NDArray[np.float64],
-        numbers: NDArray[np.intp],
+        self, board: CharucoBoard, found: Detection, markers: FloatArray, numbers: NDArray[np.intp]
     ) -> bool:
         """True if markers on the board's lattice, or next to it, are not those of the board."""
         known = np.isfinite(found.corners_px).all(axis=1)
@@ -196,9 +177,9 @@ class CharucoDetector(Detector[CharucoBoard]):
 
     def _at(
         self,
-        image: NDArray[np.uint8],
+        image: Image,
         board: CharucoBoard,
-        places: NDArray[np.float64],
+        places: FloatArray,
         step_squares: float | None = None,
     ) -> Detection | None:
         """Refine given corners; None if they do not form the board."""
@@ -207,11 +188,17 @@ class CharucoDetector(Detector[CharucoBoard]):
             return None
         corners, board_m = places[known], board.corners_m[known]
         flat = self._flat(corners)
-        square = _square_px(corners, board_m, board.square_m)
+        grid = np.full((board.rows - 1, board.columns - 1, 2), np.nan)
+        by_number = grid.reshape(-1, 2)
+        by_number[known] = corners
+        square = shortest_square_edge_px(grid)
+        if not np.isfinite(square):  # no two corners are neighbours
+            size, size_m = (np.linalg.norm(np.ptp(each, axis=0)) for each in (corners, board_m))
+            square = float(size / size_m * board.square_m)
         margin = 0.5 * (1.0 - board.marker_m / board.square_m) * square
         wide = min(WINDOW_FRACTION * square, max(_WINDOW_MARGINS * margin, WINDOW_PX[0]))
         half_side_px = window_half_side_px(wide)
-        refined, moved, settled = refine_and_check(image, corners, half_side_px)
+        refined, moved, settled, unit = refine_and_check(image, corners, half_side_px)
         limit = half_side_px + 1.0 if step_squares is None else step_squares * square
         used = settled & (moved <= limit)
         ideal = flat.to_plane(refined)
@@ -219,36 +206,48 @@ class CharucoDetector(Detector[CharucoBoard]):
         transform = fit_homography(board_m[used], ideal[used]) if enough else None
         if transform is None:
             return None
-        beside = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
-        near = np.linalg.norm(beside, axis=1) <= _MAX_RESIDUAL_SQUARES * square
-        levels = partial(_levels_on, image, flat, transform)
-        good = used & near & _alternating_corners(board, known, levels)
+        off = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
+        near = np.linalg.norm(off, axis=1) <= _MAX_RESIDUAL_SQUARES * square
+        # black and white must alternate around a corner as printed
+        away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
+        greys = _greys(image, flat, transform, board_m[:, None] + away * CORNER_PROBES)
+        row, column = np.divmod(known, board.columns - 1)
+        dark = ((row + column) % 2 == 0) == upper_left_is_dark(board)
+        contrast = corner_contrasts(greys, np.where(dark, 1.0, -1.0))
+        good = used & near & (contrast > least_corner_contrast(contrast))
         if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
             return None
-        known, refined, ideal = known[good], refined[good], ideal[good]
-        if _confirmed_fraction(board, known, levels) < LEAST_CONFIRMED_FRACTION:
+        known, refined, ideal, unit = known[good], refined[good], ideal[good], unit[good]
+        beside = np.zeros((board.rows, board.columns), bool)
+        for down, right in np.ndindex(2, 2):
+            beside[row[good] + down, column[good] + right] = True
+        squares, markers_m, printed = _markers(board)
+        shown = _greys(image, flat, transform, markers_m[beside.ravel()[squares]])
+        alike = (normalised(shown) * printed[beside.ravel()[squares]]).sum(axis=1)
+        if (alike > _LEAST_MARKER_CORRELATION).mean() < LEAST_CONFIRMED_FRACTION:
             return None
-        out, sigmas, even = np.full((3, len(board.corners_m), 2), np.nan)
-        out[known], even[known] = refined, ideal
-        size = (board.rows - 1, board.columns - 1, 2)
-        noise = estimate_noise_grey(image, _plain_squares(board, out.reshape(size)))
-        grid_sigma_px = estimate_corner_scatter_px(even.reshape(size)) or DEFAULT_SIGMA_PX
-        sigmas[known] = np.maximum(
-            corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px
-        )
+        even = np.full(grid.shape, np.nan)
+        by_number[:], even.reshape(-1, 2)[known] = np.nan, ideal
+        by_number[known] = refined
+        # inner squares without a marker
+        plain = (np.indices(grid.shape[:2]).sum(axis=0) % 2 == 0) == upper_left_is_dark(board)
+        middles = square_centres(grid)[plain[:-1, :-1].ravel()]
+        noise = estimate_noise_grey(image, middles[np.isfinite(middles).all(axis=1)])
+        sigmas = np.full(by_number.shape, np.nan)
+        grid_sigma_px = estimate_corner_scatter_px(even) or DEFAULT_SIGMA_PX
+        sigmas[known] = np.maximum(noise * unit, grid_sigma_px)
         if not np.array_equal(good, used):  # fit again without the outliers
             transform = fit_homography(board.corners_m[known], ideal)
             if transform is None:
                 return None
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
         sigma = origin_sigma_px(transform, board.corners_m[known], sigmas[known])
-        return Detection(
-            board, flat.to_pixels(point[None])[0], out, sigma, sigmas, camera=self.camera
-        )
+        point = flat.to_pixels(point[None])[0]
+        return Detection(board, point, by_number, sigma, sigmas, camera=self.camera)
 
 
 def find_markers(
-    image: NDArray[np.uint8], dictionary: cv2.aruco.Dictionary
+    image: Image, dictionary: cv2.aruco.Dictionary
 ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
     """Find the markers of a dictionary in an image.
 
@@ -264,7 +263,7 @@ def find_markers(
     return np.reshape(np.asarray(corners, np.float32), (-1, 4, 2)), np.ravel(numbers)
 
 
-def marker_corners_m(board: CharucoBoard) -> NDArray[np.float64]:
+def marker_corners_m(board: CharucoBoard) -> FloatArray:
     """Corners of the markers by number, (n, 4, 2), m right and down from the upper left."""
     points = np.asarray(board.opencv_board().getObjPoints(), float)
     return np.asarray(points[..., :2])
@@ -275,75 +274,25 @@ def _most(found: list[Detection]) -> list[Detection]:
     return sorted(found, key=lambda each: -int(np.isfinite(each.corners_px[:, 0]).sum()))[:1]
 
 
-def _levels_on(
-    image: NDArray[np.uint8],
-    flat: FlatView,
-    transform: NDArray[np.float64],
-    board_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _greys(image: Image, flat: FlatView, transform: FloatArray, board_m: FloatArray) -> FloatArray:
     """Grey levels, (n, m), at positions on the board, (n, m, 2) m."""
     plane = np.asarray(cv2.perspectiveTransform(board_m.reshape(1, -1, 2), transform)[0], float)
     return grey_at_pixels(image, flat.to_pixels(plane).reshape(board_m.shape))
 
 
-def _alternating_corners(
-    board: CharucoBoard, corners: NDArray[np.intp], levels: _Levels
-) -> NDArray[np.bool_]:
-    """Mask of the corners of some numbers around which black and white alternate as printed."""
-    away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
-    greys = levels(board.corners_m[corners][:, None] + away * CORNER_PROBES)
-    row, column = np.divmod(corners, board.columns - 1)
-    dark = ((row + column) % 2 == 0) == upper_left_is_dark(board)
-    contrast = corner_contrasts(greys, np.where(dark, 1.0, -1.0))
-    return np.asarray(contrast > least_corner_contrast(contrast))
-
-
-def _confirmed_fraction(board: CharucoBoard, corners: NDArray[np.intp], levels: _Levels) -> float:
-    """Fraction of the markers beside some corners whose image agrees with their print."""
-    row, column = np.divmod(corners, board.columns - 1)
-    beside = np.zeros((board.rows, board.columns), bool)
-    for down, right in np.ndindex(2, 2):
-        beside[row + down, column + right] = True
-    rows, columns = np.indices(beside.shape)
-    marked = ((rows + columns) % 2 == 1) == upper_left_is_dark(board)
-    chosen = (beside & marked).ravel()
-    middles_m, printed = _squares(board)
-    alike = (normalised(levels(middles_m[chosen])) * printed[chosen]).sum(axis=1)
-    return float((alike > _LEAST_MARKER_CORRELATION).mean())
-
-
 @lru_cache(maxsize=8)
-def _squares(board: CharucoBoard) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centres of all cells by square, (squares, n, 2) m; their normalised print per square."""
+def _markers(board: CharucoBoard) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Squares with a marker, centres of their cells, (n, cells, 2) m, and normalised prints."""
     rows, columns = board.rows, board.columns
     size = len(board.cells) // rows
     x, y = (np.arange(size * count) + 0.5 for count in (columns, rows))
     middles_m = board.cell_m * (np.stack(np.meshgrid(x, y), axis=-1) - board.origin_cells)
     by_square = (rows, size, columns, size)
     places_m = middles_m.reshape(*by_square, 2).swapaxes(1, 2).reshape(rows * columns, -1, 2)
-    printed = board.cells.astype(float).reshape(by_square).swapaxes(1, 2)
-    return places_m, normalised(printed.reshape(rows * columns, -1))
-
-
-def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
-    """Centres of the squares without a marker whose four corners are known, shape (n, 2), px."""
-    rows, columns = np.indices((board.rows - 2, board.columns - 2))
-    plain = ((rows + columns) % 2 == 0) == upper_left_is_dark(board)
-    places = square_centres(grid)[plain.ravel()]
-    return np.asarray(places[np.isfinite(places).all(axis=1)])
-
-
-def _square_px(
-    corners: NDArray[np.float64], board_m: NDArray[np.float64], square_m: float
-) -> float:
-    """Length of the shortest edge of a square in the image, px."""
-    apart_m = np.linalg.norm(board_m[:, None] - board_m, axis=-1)
-    near = np.abs(apart_m - square_m) < 1e-6 * square_m
-    if not near.any():
-        spread = np.linalg.norm(np.ptp(corners, axis=0)) / np.linalg.norm(np.ptp(board_m, axis=0))
-        return float(spread * square_m)
-    apart = np.linalg.norm(corners[:, None] - corners, axis=-1)
-    return float(apart[near].min())
+    cells = board.cells.astype(float).reshape(by_square).swapaxes(1, 2)
+    printed = cells.reshape(rows * columns, -1)
+    marked = np.flatnonzero(np.ptp(printed, axis=1))
+    return marked, places_m[marked], normalised(printed[marked])
 
 
 _MOST_COLUMNS: Final = 24
@@ -362,11 +311,6 @@ def alternative_columns(missed: CharucoBoard | AprilGrid, least: int) -> list[in
     return list(dict.fromkeys([missed.columns, missed.rows, *range(least, _MOST_COLUMNS + 1)]))
 
 
-def alternative_rows(missed: CharucoBoard | AprilGrid, columns: int, needed: int) -> int:
-    """Rows of such a board that needs some: if the columns agree, at least those asked for."""
-    return max(needed, missed.rows) if columns == missed.columns else needed
-
-
 def alternative_charuco(
     corners: NDArray[np.float32], numbers: NDArray[np.intp], missed: CharucoBoard, dictionary: str
 ) -> CharucoBoard | None:
@@ -379,7 +323,7 @@ def alternative_charuco(
     best, most = None, LEAST_ARRANGED_FRACTION * corners.size / 2
     squares = 2 * (int(numbers.max()) + 1)
     for columns in alternative_columns(missed, 3):
-        rows = alternative_rows(missed, columns, max(3, -(-squares // columns)))
+        rows = max(3, -(-squares // columns), missed.rows if columns == missed.columns else 0)
         for legacy in (False, True):
             even = rows + rows % 2 if legacy else rows
             try:

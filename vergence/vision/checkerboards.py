@@ -3,18 +3,18 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.models.parts import FloatArray
 from vergence.vision.corners import (
     MAX_TRACKED_MOVE_SQUARES,
     WINDOW_FRACTION,
     WINDOW_PX,
     Grid,
-    corner_sigmas,
     crossing_asymmetries,
     estimate_corner_scatter_px,
     estimate_noise_grey,
@@ -26,11 +26,12 @@ from vergence.vision.corners import (
     refine_corners_robustly,
     shortest_square_edge_px,
     square_centres,
+    unit_sigmas,
     window_half_side_px,
 )
-from vergence.vision.detection import Detection, Detector, Frame
+from vergence.vision.detection import Detection, Detector, Frame, Region, cut_out
 from vergence.vision.image import smooth_for_square_search
-from vergence.vision.optics import FlatView
+from vergence.vision.optics import FlatView, Image
 from vergence.vision.prints import board_continues_beyond, squares_alternate
 from vergence.vision.targets import Checkerboard
 
@@ -84,19 +85,11 @@ _MARGIN_PX: Final = 6.0
 """Additional margin around a cluster, px (chosen)."""
 
 
-class CornerCluster(NamedTuple):
-    """A connected cluster of corners."""
-
-    region: tuple[int, int, int, int]
-    """Region x0 <= u < x1, y0 <= v < y1 of the board that they may belong to, px."""
-    corners_px: NDArray[np.float64]
-    """(n, 2) the corners, to one pixel, px."""
-
-
-def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> list[CornerCluster]:
+def find_corner_clusters(image: Image, board_corner_count: int) -> list[tuple[Region, FloatArray]]:
     """Find clusters, in an image without much noise, of about as many corners as a board has.
 
-    There are a few, the nearest in size first.
+    For a few, the nearest in size first: the region of a board that they may belong to, and the
+    corners, (n, 2) to one pixel.
     """
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
     found, hessians, ranges = _corners(smooth)
@@ -124,17 +117,14 @@ def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> l
         low = np.floor(np.maximum(places.min(axis=0) - margin, 0))
         high = np.ceil(np.minimum(places.max(axis=0) + margin + 1, image.shape[::-1]))
         x0, y0, x1, y1 = (int(each) for each in (*low, *high))
-        out.append(CornerCluster((x0, y0, x1, y1), places.astype(float)))
+        out.append(((x0, y0, x1, y1), places.astype(float)))
     return out
 
 
-def _corners(
-    smooth: NDArray[np.uint8],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int16]]:
+def _corners(smooth: Image) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int16]]:
     """Find the strongest saddles of the grey levels, with four changes of light and dark around.
 
-    Their places, (n, 2) u and v, px; second derivatives d2/du2, d2/dudv, d2/dv2, (n, 3); and the
-    range of grey levels on the circle around each, (n,).
+    Their places, (n, 2) px; d2/du2, d2/dudv, d2/dv2, (n, 3); the range on each one's circle, (n,).
     """
     second: Any = [
         cv2.Sobel(smooth, cv2.CV_32F, *orders, ksize=3, scale=0.25)
@@ -171,10 +161,7 @@ def _corners(
 
 
 def _edges(
-    smooth: NDArray[np.uint8],
-    places: NDArray[np.int64],
-    hessians: NDArray[np.float64],
-    ranges: NDArray[np.int16],
+    smooth: Image, places: NDArray[np.int64], hessians: FloatArray, ranges: NDArray[np.int16]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs of corners with an edge between them, as (m,) indices of the first and the second."""
     from scipy.spatial import cKDTree
@@ -225,7 +212,7 @@ def _of_squares(
     return sides.row[kept].astype(np.int64), sides.col[kept].astype(np.int64)
 
 
-def _greys_at(image: NDArray[np.uint8], places: NDArray[Any]) -> NDArray[np.int16]:
+def _greys_at(image: Image, places: NDArray[Any]) -> NDArray[np.int16]:
     """Grey levels of the nearest pixels, shape (...) for (..., 2)."""
     height, width = image.shape
     u, v = np.moveaxis(np.rint(places).astype(int), -1, 0)
@@ -292,7 +279,7 @@ _SIDES_IN_TURN_PX: Final = (640, _SQUARE_SEARCH_SIDE_PX, 640, 320)
 """Longer sides in turn, one per image, if a single search method is asked for (chosen)."""
 
 
-_Search = Callable[[NDArray[np.uint8], tuple[int, int]], tuple[bool, Any]]
+_Search = Callable[[Image, tuple[int, int]], tuple[bool, Any]]
 """Search of OpenCV for a board of (columns, rows) corners: true if all are found, and them."""
 # Not OpenCV's other two defaults: equalising the histogram of a board before a plain background
 # raises the noise, and the fast check misses boards of 100 px.
@@ -319,72 +306,65 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if way is not None:
             sides_px = (_SIDES_IN_TURN_PX[way % len(_SIDES_IN_TURN_PX)],)
         for most_px in sides_px:
-            calm, scale = _calmed(frame.grey, most_px)[1:]
+            part = cut_out(frame.grey, most_px=most_px)
+            calm = smooth_for_square_search(part.image)
             if calm is None:
                 continue
-            for cluster in find_corner_clusters(calm, self.target.columns * self.target.rows):
-                x0, y0 = (math.floor(value / scale) for value in cluster.region[:2])
-                x1, y1 = (math.ceil(value / scale) for value in cluster.region[2:])
-                near = (cluster.corners_px + 0.5) / scale - 0.5
-                found = self._first_of(frame.grey, (_BY_SQUARES,), (x0, y0, x1, y1), near)
-                if found:
+            for region, corners in find_corner_clusters(calm, len(self.target.corners_m)):
+                x0, y0 = (math.floor(value / part.scale) for value in region[:2])
+                x1, y1 = (math.ceil(value / part.scale) for value in region[2:])
+                if found := self._search(frame.grey, (x0, y0, x1, y1), part.in_whole(corners)):
                     return found
         return []
 
     def _detect_all(self, frame: Frame) -> list[Detection]:
-        return self._first_of(frame.grey, (_BY_SQUARES, _BY_EQUALISED_SQUARES, _BY_SECTORS))
+        methods = (_BY_SQUARES, _BY_EQUALISED_SQUARES, _BY_SECTORS)
+        return self._search(frame.grey, methods=methods)
 
-    def _detect_in(
-        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
-    ) -> list[Detection]:
-        return self._first_of(frame.grey, (_BY_SQUARES,), region)
+    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
+        return self._search(frame.grey, region)
 
-    def _first_of(
+    def _search(
         self,
-        image: NDArray[np.uint8],
-        methods: tuple[_Search, ...],
-        region: tuple[int, int, int, int] | None = None,
-        near: NDArray[np.float64] | None = None,
+        image: Image,
+        region: Region | None = None,
+        near: FloatArray | None = None,
+        methods: tuple[_Search, ...] = (_BY_SQUARES,),
     ) -> list[Detection]:
         """Search an image, or a region of it, by some methods until one finds the board.
 
         Where squares run into each other, OpenCV displaces corners; `near`, (n, 2) px, are corners
         of squares found otherwise, to correct them.
         """
-        height, width = image.shape
-        x0, y0, x1, y1 = region or (0, 0, width, height)
-        part = np.ascontiguousarray(image[y0:y1, x0:x1])
-        small, calm, scale = _calmed(part, _SQUARE_SEARCH_SIDE_PX)
+        part = cut_out(image, region, most_px=_SQUARE_SEARCH_SIDE_PX)
+        calm = smooth_for_square_search(part.image)
         if calm is None:
             return []
         size = (self.target.columns, self.target.rows)
         for method in methods:
             # smoothing makes the search by sectors miss corners beside a dark background
-            complete, found = method(small if method is _BY_SECTORS else calm, size)
+            complete, found = method(part.image if method is _BY_SECTORS else calm, size)
             if not complete:
                 continue
-            corners = (np.asarray(found, float).reshape(-1, 2) + 0.5) / scale - 0.5 + (x0, y0)
-            grid = corners.reshape(size[1], size[0], 2)
+            grid = part.in_whole(found).reshape(*size[::-1], 2)
             if near is not None:
                 grid = _correct_displaced(grid, near)
-            detection = self._ordered(image, grid, 1.0 / scale)
+            detection = self._ordered(image, grid, 1.0 / part.scale)
             if detection is not None:
                 return [detection]
         return []
 
-    def _ordered(
-        self, image: NDArray[np.uint8], grid: Grid, initial_error_px: float
-    ) -> Detection | None:
+    def _ordered(self, image: Image, grid: Grid, initial_error_px: float) -> Detection | None:
         """Detection for corners that OpenCV found, in the first order that reads correctly."""
         orders = [grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]]
         if self.target.columns == self.target.rows:
             orders += [np.swapaxes(order, 0, 1) for order in orders]
         orders = [order for order in orders if is_even_unmirrored_grid(order)]
-        orders.sort(key=_cosine_to_the_left)
-        # a symmetric board keeps its colours after 180 degrees, and its first square may be light
-        for dark in (True, False) if self.target.symmetric else (True,):
-            for order in orders:
-                detection = self._at(image, order, max(initial_error_px, 1.0), colours=(dark,))
+        back = [order[0, 0] - order[0, -1] for order in orders]
+        rightmost = np.argsort([each[0] / np.linalg.norm(each) for each in back], kind="stable")
+        for dark in self._first_colours:
+            for k in rightmost:
+                detection = self._at(image, orders[k], initial_error_px, colours=(dark,))
                 if detection is not None:
                     return detection
         return None
@@ -394,25 +374,28 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return None
         grid = predicted.corners_px.reshape(self.target.rows, self.target.columns, 2)
         # a narrow window first: one wide enough for a moved target is less exact
-        colours = (True, False) if self.target.symmetric else (True,)
-        for initial_error_px in (0.0, _PREDICTION_ERROR_SQUARES * shortest_square_edge_px(grid)):
-            found = self._at(frame.grey, grid, initial_error_px, MAX_TRACKED_MOVE_SQUARES, colours)
+        for error_squares in (0.0, _PREDICTION_ERROR_SQUARES):
+            error_px = error_squares * shortest_square_edge_px(grid)
+            most = MAX_TRACKED_MOVE_SQUARES
+            found = self._at(frame.grey, grid, error_px, most, self._first_colours)
             if found is not None:
                 return found
         return None
 
+    @property
+    def _first_colours(self) -> tuple[bool, ...]:
+        """Whether the first square may be dark: symmetric boards keep colours after 180 degrees."""
+        return (True, False) if self.target.symmetric else (True,)
+
     def _at(
         self,
-        image: NDArray[np.uint8],
+        image: Image,
         grid: Grid,
         initial_error_px: float,
         step_squares: float = math.inf,
         colours: tuple[bool, ...] = (True,),
     ) -> Detection | None:
-        """Refine corners with an initial error and read the board; None if one is out of place.
-
-        `colours` are tried for the first square, true for dark.
-        """
+        """Refine corners with an initial error and read the board; None if one is out of place."""
         square = shortest_square_edge_px(grid)
         if not square >= _LEAST_SQUARE_PX:
             return None
@@ -423,7 +406,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if initial_error_px > 1.0:
             wide = int(min(max(round(0.4 * square), half_side_px), 4 * initial_error_px))
             corners = refine_corners(image, corners, wide)
-        refined, moved, settled = refine_and_check(image, corners, half_side_px)
+        refined, moved, settled, sigmas = refine_and_check(image, corners, half_side_px)
         if (
             moved.max() > min(step_squares * square, half_side_px + 1.0)
             or (~settled).mean() > _MAX_STRAY_FRACTION
@@ -431,13 +414,13 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return None
         grid = refined.reshape(grid.shape)
         mistaken = _asymmetries(image, refined, square) >= _MAX_ASYMMETRY
+        before = refined.copy()
         if mistaken.any():
             refined[mistaken] = _refine_stray(image, _by_neighbours(grid)[mistaken], square)
             if not np.isfinite(refined).all():
                 return None
         if not is_even_unmirrored_grid(grid) or not any(
-            squares_alternate(image, grid, upper_left_dark=dark)
-            and not board_continues_beyond(image, grid, upper_left_dark=dark)
+            squares_alternate(image, grid, dark) and not board_continues_beyond(image, grid, dark)
             for dark in colours
         ):
             return None
@@ -449,35 +432,21 @@ class CheckerboardDetector(Detector[Checkerboard]):
         grid_sigma_px = estimate_corner_scatter_px(flat.to_plane(refined).reshape(grid.shape))
         if grid_sigma_px > max(_MAX_SCATTER_SQUARES * square, _MAX_SCATTER_PX):
             return None
-        noise = estimate_noise_grey(image, square_centres(grid))
-        sigmas = np.maximum(corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px)
-        sigmas = np.maximum(sigmas, beside[:, None])
-        if not self.target.symmetric:
-            first = self.target.columns - 1
-            return Detection(
-                self.target, refined[first], refined, sigmas[first], sigmas, camera=self.camera
-            )
-        # the diagonals cross in the centre; each of four corners moves it by about a quarter
-        outer = [0, self.target.columns - 1, len(refined) - 1, len(refined) - self.target.columns]
-        point = _diagonal_crossing(flat.to_plane(refined[outer]))
-        sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
-        return Detection(
-            self.target, flat.to_pixels(point[None])[0], refined, sigma, sigmas, camera=self.camera
-        )
+        if not np.array_equal(refined, before):
+            sigmas = unit_sigmas(image, refined, half_side_px)
+        sigmas = estimate_noise_grey(image, square_centres(grid)) * sigmas
+        sigmas = np.maximum(np.maximum(sigmas, grid_sigma_px), beside[:, None])
+        first = self.target.columns - 1
+        point, sigma = refined[first], sigmas[first]
+        if self.target.symmetric:
+            # the diagonals cross in the centre; each of four corners moves it by about a quarter
+            outer = [0, first, len(refined) - 1, len(refined) - self.target.columns]
+            point = flat.to_pixels(_diagonal_crossing(flat.to_plane(refined[outer]))[None])[0]
+            sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
+        return Detection(self.target, point, refined, sigma, sigmas, camera=self.camera)
 
 
-def _calmed(
-    image: NDArray[np.uint8], most_px: int
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None, float]:
-    """An image reduced to a longer side, that one smoothed, None if it shows nothing; the scale."""
-    scale = min(most_px / max(image.shape), 1.0)
-    if scale < 1.0:
-        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        image = np.asarray(small, np.uint8)
-    return image, smooth_for_square_search(image), scale
-
-
-def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
+def _correct_displaced(grid: Grid, near: FloatArray) -> Grid:
     """Replace displaced corners by those of `near` that match them."""
     from scipy.optimize import linear_sum_assignment
     from scipy.spatial.distance import cdist
@@ -494,13 +463,12 @@ def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
 
 
 def _refine_strays(
-    image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    image: Image, grid: Grid, square: float, flat: FlatView
+) -> tuple[FloatArray, FloatArray] | None:
     """Refine stray corners from their predictions; None if one does not agree in the end.
 
-    The edge of a shadow, a spot or an error of the search moves a single corner and leaves its
-    squares readable. Also the residuals of those that were or are strays, (n,) px; 0 for the
-    others, and for those at which edges clearly cross.
+    A shadow, a spot or an error of the search moves a single corner and leaves its squares
+    readable. Also the residuals of doubtful ones, (n,) px, 0 for the others.
     """
     corners, strays = grid.reshape(-1, 2).copy(), np.zeros(grid[..., 0].size, bool)
     for last in range(_MAX_STRAY_ROUNDS + 1):
@@ -519,13 +487,13 @@ def _refine_strays(
         _FATAL_RESIDUAL_PX, _FATAL_RESIDUAL_SQUARES * square, _FATAL_RESIDUAL_RATIO * usual
     ):
         return None
-    doubtful = (strays | now) & (_asymmetries(image, corners, square) > _CLEAR_ASYMMETRY)
+    doubtful = strays | now
+    if doubtful.any():
+        doubtful &= _asymmetries(image, corners, square) > _CLEAR_ASYMMETRY
     return corners, np.where(doubtful, beside * spread, 0.0)
 
 
-def _refine_stray(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
-) -> NDArray[np.float64]:
+def _refine_stray(image: Image, corners: FloatArray, square: float) -> FloatArray:
     """Refine corners from predictions; nan where no edges cross nearby."""
     half_side_px = window_half_side_px(_STRAY_WINDOW_SQUARES * square, _STRAY_WINDOW_PX)
     again = refine_corners_robustly(image, np.ascontiguousarray(corners), half_side_px)
@@ -533,15 +501,13 @@ def _refine_stray(
     return np.where((asymmetry < _MAX_ASYMMETRY)[:, None], again, np.nan)
 
 
-def _asymmetries(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], square: float
-) -> NDArray[np.float64]:
+def _asymmetries(image: Image, corners: FloatArray, square: float) -> FloatArray:
     """(n,) asymmetries of corners of squares with edges of a length."""
     half_side_px = window_half_side_px(_CROSSING_SQUARES * square, _CROSSING_PX)
     return crossing_asymmetries(image, np.ascontiguousarray(corners), half_side_px)
 
 
-def _by_neighbours(grid: Grid) -> NDArray[np.float64]:
+def _by_neighbours(grid: Grid) -> FloatArray:
     """(n, 2) prediction of each corner as the fourth one of the parallelograms beside it."""
     around = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     places = [
@@ -551,13 +517,7 @@ def _by_neighbours(grid: Grid) -> NDArray[np.float64]:
     return np.asarray(np.nanmedian(np.stack(places)[:, 1:-1, 1:-1], axis=0).reshape(-1, 2))
 
 
-def _cosine_to_the_left(grid: Grid) -> float:
-    """Cosine between the first row and the direction to the left."""
-    along = grid[0, -1] - grid[0, 0]
-    return -float(along[0] / np.linalg.norm(along))
-
-
-def _diagonal_crossing(quad: NDArray[np.float64]) -> NDArray[np.float64]:
+def _diagonal_crossing(quad: FloatArray) -> FloatArray:
     """Crossing of a quadrilateral's diagonals, shape (2,); its corners in cyclic order, (4, 2)."""
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = quad.tolist()
     ux, uy, vx, vy = cx - ax, cy - ay, dx - bx, dy - by

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vergence.kernels import compiled
 from vergence.models.parts import FloatArray
-from vergence.vision.optics import fit_homography
+from vergence.vision.optics import Image, fit_homography
 
 _TERMINATION: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
 """Termination of `cornerSubPix`: iterations, and a step in pixels of the enlarged window
@@ -46,25 +46,20 @@ MAX_ENLARGED_PIXELS: Final = 2_000_000
 _MAX_REMAINING_MOVE_PX: Final = 0.5
 """Largest remaining move of a corner that counts as refined, px (chosen)."""
 
-Grid = NDArray[np.float64]
+Grid = FloatArray
 """Corners by row and column, shape (rows, columns, 2), px."""
 
 
-def in_image(image: NDArray[np.uint8], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+def in_image(image: Image, corners: FloatArray) -> NDArray[np.bool_]:
     """Mask of the corners, (n, 2), that lie inside the image; nan does not."""
     height, width = image.shape
     return np.asarray(((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all(axis=1))
 
 
-def refine_corners(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int
-) -> NDArray[np.float64]:
-    """Refine corners to sub-pixel accuracy by OpenCV's ``cornerSubPix``.
-
-    OpenCV takes differences over two pixels, which causes aliasing on edges of a sharp lens and
-    biases corners towards the pixel grid. A light blur and doubled sampling divide that bias by
-    three or four.
-    """
+def refine_corners(image: Image, corners: FloatArray, half_side_px: int) -> FloatArray:
+    """Refine corners to sub-pixel accuracy by OpenCV's ``cornerSubPix``."""
+    # OpenCV takes differences over two pixels, which biases corners on edges of a sharp lens
+    # towards the pixel grid. A light blur and doubled sampling divide that bias by three or four.
     size = 2 * (half_side_px + _RIM_PX) + 1
     whole = np.rint(corners).astype(int) - size // 2
     smooth = cv2.GaussianBlur(_windows(image, whole, size), (3, 3), _BLUR_PX)
@@ -80,7 +75,7 @@ def refine_corners(
 
 
 @compiled
-def _windows(image: NDArray[np.uint8], starts: NDArray[np.int_], size: int) -> NDArray[np.uint8]:
+def _windows(image: Image, starts: NDArray[np.int_], size: int) -> Image:
     """Square windows of an image side by side; pixels beyond its border repeat the last ones."""
     height, width = image.shape
     out = np.empty((size, size * len(starts)), np.uint8)
@@ -94,28 +89,21 @@ def _windows(image: NDArray[np.uint8], starts: NDArray[np.int_], size: int) -> N
 
 
 def refine_and_check(
-    image: NDArray[np.uint8], start: NDArray[np.float64], half_side_px: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Refine corners; also the moves of each, (n,) px, and a mask of those that have settled.
-
-    OpenCV returns a corner unchanged if it would leave its window; the remaining move by one more
-    iteration reveals this.
-    """
+    image: Image, start: FloatArray, half_side_px: int
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
+    """Refine corners; also the moves of each, (n,) px, a mask of the settled, and `unit_sigmas`."""
     refined = refine_corners(image, start, half_side_px)
-    settled = _moves(image, refined, half_side_px)[:, 0] <= _MAX_REMAINING_MOVE_PX
-    return refined, np.abs(refined - start).max(axis=1), settled
+    # OpenCV returns a corner unchanged if it would leave its window; one more move reveals this
+    more = _moves(image, refined, half_side_px)
+    settled = more[:, 0] <= _MAX_REMAINING_MOVE_PX
+    return refined, np.abs(refined - start).max(axis=1), settled, more[:, 1:]
 
 
 @compiled
-def refine_corners_robustly(
-    image: NDArray[np.uint8], corners: FloatArray, half_side_px: int
-) -> FloatArray:
-    """Refine corners by the edges that meet at them, robust to other edges in the window.
-
-    This minimises as `refine_corners` does, but weights a pixel whose edge passes the corner at a
-    distance d by 1 / (1 + (d / s)^2)^2 (Geman and McClure). Edges of shadows and of the next
-    squares so have little influence. nan if no two edges cross or the window is left.
-    """
+def refine_corners_robustly(image: Image, corners: FloatArray, half_side_px: int) -> FloatArray:
+    """Refine corners robustly to edges beside them; nan where none cross, or the window is left."""
+    # Minimises as `refine_corners` does, but weights a pixel whose edge passes the corner at a
+    # distance d by 1 / (1 + (d / s)^2)^2 (Geman and McClure): edges of shadows count for little.
     out = np.empty((len(corners), 2))
     height, width = image.shape
     for n in range(len(corners)):
@@ -155,22 +143,17 @@ def refine_corners_robustly(
     return out
 
 
-def corner_sigmas(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int, noise_grey: float
-) -> NDArray[np.float64]:
-    r"""Standard deviations of refined corners due to pixel noise.
-
-    A corner q solves `sum g g^T (p - q) = 0` over the pixels p of its window with their gradients
-    g. At the corner g is perpendicular to p - q. To first order, gradient noise n moves q by
-
-        dq = A^-1 sum g n^T (p - q),    A = sum g g^T.
-    """
-    return noise_grey * _moves(image, corners, half_side_px)[:, 1:]
+def unit_sigmas(image: Image, corners: FloatArray, half_side_px: int) -> FloatArray:
+    """(n, 2) standard deviations of refined corners, px, by pixel noise of 1 grey level."""
+    return _moves(image, corners, half_side_px)[:, 1:]
 
 
 @compiled
-def _moves(image: NDArray[np.uint8], corners: FloatArray, half_side_px: int) -> FloatArray:
-    """Remaining move of each corner, and standard deviations by noise of 1 grey level, (n, 3)."""
+def _moves(image: Image, corners: FloatArray, half_side_px: int) -> FloatArray:
+    """Remaining move of each corner, and its `unit_sigmas`, (n, 3)."""
+    # A corner q solves sum g g^T (p - q) = 0 over the pixels p of its window with their gradients
+    # g, which are perpendicular to p - q there. To first order, gradient noise n moves q by
+    # A^-1 sum g n^T (p - q), with A = sum g g^T.
     height, width = image.shape
     out = np.empty((len(corners), 3))
     for n in range(len(corners)):
@@ -198,14 +181,9 @@ def _moves(image: NDArray[np.uint8], corners: FloatArray, half_side_px: int) -> 
 
 
 @compiled
-def crossing_asymmetries(
-    image: NDArray[np.uint8], corners: FloatArray, half_side_px: int
-) -> FloatArray:
-    """Differences of the image around each corner from its reverse, turned by 180 degrees.
-
-    The mean square difference over twice the variance is near 0 where two edges cross, 1 where the
-    halves have nothing in common, 4 / 3 at the corner of a square, 2 at an edge.
-    """
+def crossing_asymmetries(image: Image, corners: FloatArray, half_side_px: int) -> FloatArray:
+    """Mean square difference around each corner, turned by 180 degrees, over twice the variance."""
+    # near 0 where edges cross, 1 where halves are unlike, 4 / 3 at a square's corner, 2 at an edge
     height, width = image.shape
     out = np.empty(len(corners))
     for n in range(len(corners)):
@@ -224,11 +202,8 @@ def crossing_asymmetries(
     return out
 
 
-def estimate_noise_grey(image: NDArray[np.uint8], flat_points_px: NDArray[np.float64]) -> float:
-    """Standard deviation of a pixel's grey level, at points inside squares of one colour, (n, 2).
-
-    It is a trimmed mean, at least that of rounding; points at the image's edge are left out.
-    """
+def estimate_noise_grey(image: Image, flat_points_px: FloatArray) -> float:
+    """Standard deviation of a pixel, grey levels, at points in squares of one colour, (n, 2)."""
     height, width = image.shape
     x, y = np.rint(flat_points_px).astype(int).T
     inside = (x > 0) & (y > 0) & (x < width - 1) & (y < height - 1)
@@ -239,10 +214,10 @@ def estimate_noise_grey(image: NDArray[np.uint8], flat_points_px: NDArray[np.flo
     patch = image[y[:, None, None] + step[:, None], x[:, None, None] + step].astype(float)
     # second differences, which cancel a gradient of light; 36 is their variance
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]])
-    second = np.abs((patch * mask).sum(axis=(1, 2)))
+    second = np.sort(np.abs((patch * mask).sum(axis=(1, 2))))
     # 0.7 stands for the mean of the lower 90 % of |n| over sigma (0.66 if n is normal)
-    return max(float(np.mean(np.sort(second)[: max(len(second) * 9 // 10, 1)])) / 6.0 / 0.7,
-               _LEAST_NOISE_GREY)  # fmt: skip
+    lower = second[: max(len(second) * 9 // 10, 1)]
+    return max(float(lower.mean()) / 6.0 / 0.7, _LEAST_NOISE_GREY)
 
 
 _MAX_SECOND_DIFFERENCE: Final = 0.35
@@ -256,10 +231,9 @@ def window_half_side_px(wanted_px: float, limits_px: tuple[int, int] = WINDOW_PX
 
 
 def shortest_square_edge_px(grid: Grid) -> float:
-    """Length of the shortest edge of a square in the image, px."""
-    along_x, along_y = np.diff(grid, axis=1), np.diff(grid, axis=0)
-    shortest = min((along_x**2).sum(axis=-1).min(), (along_y**2).sum(axis=-1).min())
-    return float(np.sqrt(shortest))
+    """Length of the shortest edge of a square in the image, px, with corners of nan unknown."""
+    squares = [(np.diff(grid, axis=axis) ** 2).sum(axis=-1).ravel() for axis in (0, 1)]
+    return float(np.sqrt(np.fmin.reduce(np.concatenate(squares))))
 
 
 @compiled
@@ -285,7 +259,7 @@ def is_even_unmirrored_grid(grid: Grid) -> bool:
     return True
 
 
-def square_centres(grid: Grid) -> NDArray[np.float64]:
+def square_centres(grid: Grid) -> FloatArray:
     """Centres of the squares between the corners, shape (n, 2), px."""
     centres = 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
     return np.asarray(centres.reshape(-1, 2))
@@ -293,25 +267,19 @@ def square_centres(grid: Grid) -> NDArray[np.float64]:
 
 _MAX_DIFFERENCE_ORDER: Final = 5
 """Highest order of differences along a row (chosen: removes lens distortion, needs six corners)."""
-_BINOMIALS: Final = np.array(
-    [
-        [(-1.0) ** k * comb(n, k) for k in range(_MAX_DIFFERENCE_ORDER + 1)]
-        for n in range(_MAX_DIFFERENCE_ORDER + 1)
-    ]
-)
+_ORDERS: Final = range(_MAX_DIFFERENCE_ORDER + 1)
+_BINOMIALS: Final = np.array([[(-1.0) ** k * comb(n, k) for k in _ORDERS] for n in _ORDERS])
 """Coefficients of the n-th difference, row n."""
+_SUMS_OF_SQUARES: Final = np.array([float(comb(2 * n, n)) for n in _ORDERS])
+"""Sums of the squares of these coefficients."""
 
 
 @compiled
-def estimate_corner_scatter_px(grid: NDArray[np.float64]) -> float:
-    """Standard deviation of corners, nan if unknown, about a smooth grid, of each coordinate, px.
-
-    It includes errors beyond pixel noise: uneven print, the pixel grid, compression. Perspective
-    and lens turn a line into a polynomial, nearly of degree n - 1, which the n-th difference of
-    n + 1 corners in a row cancels. That difference has (2n)! / n!^2 times the variance of one
-    coordinate. The order is five, or less if a row has fewer corners; in rows of three it is two,
-    and the difference of the next row is subtracted.
-    """
+def estimate_corner_scatter_px(grid: FloatArray) -> float:
+    """Standard deviation of corners, nan if unknown, about a smooth grid, per coordinate, px."""
+    # Perspective and lens turn a line into a polynomial, nearly of degree n - 1, which the n-th
+    # difference of n + 1 corners in a row cancels; it has (2n)! / n!^2 times the variance of one
+    # coordinate. In rows of three n is two, and the difference of the next row is subtracted.
     squares, count = 0.0, 0
     for axis in range(2):
         along = grid if axis == 1 else grid.transpose(1, 0, 2)
@@ -319,9 +287,7 @@ def estimate_corner_scatter_px(grid: NDArray[np.float64]) -> float:
         order = min(columns - 1, _MAX_DIFFERENCE_ORDER)
         if columns < 3 or rows < 2:
             continue
-        norm = sum_ = 0.0
-        for n in range(order + 1):
-            norm += _BINOMIALS[order, n] ** 2
+        norm = _SUMS_OF_SQUARES[order]
         for j in range(rows):
             if order == 2 and j + 1 == rows:
                 continue
@@ -349,29 +315,19 @@ _CORNERS_PER_COEFFICIENT: Final = 1.6
 class _PolynomialFit(NamedTuple):
     """Residuals of corners after the polynomial that explains them best."""
 
-    coefficients: int
-    """Number of its terms, the first ones."""
-    unexplained: float
-    """Sum of the squared residuals."""
-    free: float
-    """Degrees of freedom that are left, of each coordinate."""
-    residuals: NDArray[np.float64]
-    """(n, 2) residuals."""
-    independence: NDArray[np.float64]
-    """(n,) ratio of each residual to that from a fit to the others."""
+    coefficients: int  # number of its terms, the first ones
+    unexplained: float  # sum of the squared residuals
+    free: float  # degrees of freedom that are left, of each coordinate
+    residuals: FloatArray  # (n, 2) px
+    independence: FloatArray  # (n,) ratio of each residual to that from a fit to others
 
 
 def _fit_polynomial(
-    values: NDArray[np.float64],
-    basis: NDArray[np.float64],
-    counts: NDArray[np.intp],
-    spent: int = 0,
+    values: FloatArray, basis: FloatArray, counts: NDArray[np.intp], spent: int = 0
 ) -> _PolynomialFit:
-    """Fit the polynomial with the least generalised cross validation (Golub, Heath, Wahba 1979).
-
-    Of the orthonormal polynomials (n, p), lower degrees first, it takes one of the counts of first
-    terms. An earlier fit has spent some parameters per coordinate of the values, (n, 2).
-    """
+    """Fit the first orthonormal polynomials, (n, p), of one of some counts to values, (n, 2)."""
+    # the least generalised cross validation (Golub, Heath, Wahba 1979); an earlier fit has spent
+    # some parameters per coordinate
     shares = basis.T @ values
     explained = np.concatenate([[0.0], np.cumsum((shares**2).sum(axis=1))])[counts]
     unexplained = np.maximum((values**2).sum() - explained, 0.0)
@@ -386,15 +342,12 @@ def _fit_polynomial(
 
 
 def _monomials(
-    places: NDArray[np.float64], highest: int, corners_per_coefficient: float, spent: int = 0
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Monomials at places in -1..1, (n, p), lower degrees first; cumulative counts by degree.
-
-    The degree ends where a coefficient would have too few corners.
-    """
+    places: FloatArray, highest: int, corners_per_coefficient: float, spent: int = 0
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Monomials at places in -1..1, (n, p), lower degrees first; cumulative counts by degree."""
     x, y = places.T
     columns, rows = (len(np.unique(np.rint(1e6 * each))) for each in (x, y))
-    terms: list[NDArray[np.float64]] = []
+    terms: list[FloatArray] = []
     counts: list[int] = []
     for degree in range(highest + 1):
         more = [x**i * y ** (degree - i) for i in range(degree + 1)
@@ -407,12 +360,9 @@ def _monomials(
     return np.stack(terms, axis=1), np.array(counts)
 
 
-def loo_residuals_and_scales(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Residual of each corner from its prediction by all others, (n, 2) px, and its scale, (n,).
-
-    Leaving a corner out raises the standard deviation of its residual by that scale. The prediction
-    is a homography of the board plus a polynomial for remaining lens distortion.
-    """
+def loo_residuals_and_scales(grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """Residual of each corner from its prediction by all others, (n, 2) px, and its scale, (n,)."""
+    # the scale is by how much leaving the corner out raises the residual's standard deviation
     rows, columns, _ = grid.shape
     places, basis, counts = _polynomials(rows, columns)
     outer = [0, columns - 1, len(places) - 1, len(places) - columns]
@@ -426,9 +376,7 @@ def loo_residuals_and_scales(grid: Grid) -> tuple[NDArray[np.float64], NDArray[n
 
 
 @lru_cache(maxsize=32)
-def _polynomials(
-    rows: int, columns: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+def _polynomials(rows: int, columns: int) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
     """Corners of a board scaled to -1..1, (n, 2); polynomials on them; their count per degree."""
     x, y = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
     places = np.column_stack([x.ravel(), y.ravel()])
@@ -457,31 +405,19 @@ _MOST_ROUNDS: Final = 8
 class SmoothHomographyFit(NamedTuple):
     """Homography of a board plus a smooth lens distortion, fitted to its corners."""
 
-    homography: NDArray[np.float64]
-    """Homography from the board's plane to the image."""
-    inliers: NDArray[np.bool_]
-    """(n,) mask of the inliers."""
-    residual_sigma_px: float
-    """Standard deviation of the inliers' residuals, of each coordinate; 0 if unknown."""
-    origin_distortion_px: NDArray[np.float64]
-    """(2,) lens distortion at the board's origin, added to the homography."""
-    origin_distortion_sigma_px: float
-    """Standard deviation of each coordinate of `origin_distortion_px`."""
+    homography: FloatArray  # from the board's plane to the image
+    inliers: NDArray[np.bool_]  # (n,) mask
+    residual_sigma_px: float  # of the inliers, of each coordinate; 0 if unknown
+    origin_distortion_px: FloatArray  # (2,) at the board's origin, beside the homography
+    origin_distortion_sigma_px: float  # of each coordinate
 
 
 def fit_smooth_homography(
-    board_m: NDArray[np.float64], pixels: NDArray[np.float64], max_residual_px: NDArray[np.float64]
+    board_m: FloatArray, pixels: FloatArray, max_residual_px: FloatArray
 ) -> SmoothHomographyFit | None:
-    """Fit a homography and a smooth distortion to corners, without outliers.
+    """Fit corners without outliers; None if they are collinear, or fewer than four are left.
 
-    Args:
-        board_m: (n, 2) corners on the board, m.
-        pixels: (n, 2) these corners in the image, or in an undistorted plane, px.
-        max_residual_px: (n,) largest residual of each from a coarse fit, px: less than the
-            distance to another corner.
-
-    Returns:
-        The fit; None if the corners are collinear, or fewer than four are left.
+    Each has a largest residual from a coarse fit: less than the distance to another corner.
     """
     good = np.ones(len(pixels), bool)
     places = board_m / np.abs(board_m).max()

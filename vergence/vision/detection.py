@@ -11,8 +11,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
+import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
 from vergence.models.camera import (
@@ -23,8 +24,9 @@ from vergence.models.camera import (
     parse_response,
 )
 from vergence.models.lens import BROWN_CONRADY, pack_camera
+from vergence.models.parts import FloatArray
 from vergence.vision.image import has_colour_channels, measurement_channel
-from vergence.vision.optics import FlatView, ray_table
+from vergence.vision.optics import FlatView, Image, ray_table
 from vergence.vision.pose import Pose, View, estimate_pose
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily, Target
 
@@ -50,16 +52,16 @@ class Detection(NamedTuple):
 
     target: PlanarTarget
     """The target found: one tag of a family; a ChArUco board with the layout found."""
-    point_px: NDArray[np.float64]
+    point_px: FloatArray
     """The measured point, (u, v), shape (2,)."""
-    corners_px: NDArray[np.float64]
+    corners_px: FloatArray
     """Corners in the order of the target's ``corners_m``, shape (n, 2); nan for undetected corners
     of a ChArUco board or an AprilGrid."""
-    sigma_px: NDArray[np.float64]
+    sigma_px: FloatArray
     """Standard deviations of the measured point's u and v, shape (2,)."""
-    corners_sigma_px: NDArray[np.float64]
+    corners_sigma_px: FloatArray
     """Standard deviations of the corners, shape (n, 2); nan as in `corners_px`."""
-    corners_covariance_px2: NDArray[np.float64] | None = None
+    corners_covariance_px2: FloatArray | None = None
     """Covariance of the corners' coordinates u_0, v_0, u_1, ..., shape (2 n, 2 n), px^2; None if
     their errors are independent."""
     camera: Camera | None = None
@@ -85,7 +87,7 @@ class Detection(NamedTuple):
         return estimate_pose(self.target.corners_m, [view])
 
 
-def corner_noise(found: Detection, unstated_px: float = 0.0) -> NDArray[np.float64]:
+def corner_noise(found: Detection, unstated_px: float = 0.0) -> FloatArray:
     """Noise of a detection's corners, see `View`, with a sigma, px, for those that state none."""
     unstated_px = unstated_px or _UNSTATED_SIGMA_PX
     if found.corners_covariance_px2 is not None:
@@ -96,10 +98,37 @@ def corner_noise(found: Detection, unstated_px: float = 0.0) -> NDArray[np.float
 class Frame(NamedTuple):
     """An image as it is measured."""
 
-    grey: NDArray[np.uint8]
-    """(height, width) levels."""
-    light: NDArray[np.float64]
-    """(256,) light of each level, see `light_table`."""
+    grey: Image  # (height, width) levels
+    light: FloatArray  # (256,) light of each level, see `light_table`
+
+
+Region = tuple[int, int, int, int]
+"""Part x0 <= u < x1, y0 <= v < y1 of an image, (x0, y0, x1, y1)."""
+
+
+class Part(NamedTuple):
+    """A region of an image, resized."""
+
+    image: Image
+    scale: float
+    corner: tuple[int, int]  # the region's upper left pixel
+
+    def in_whole(self, pixels: ArrayLike) -> FloatArray:
+        """Pixels of the whole image for pixels of the part, (n, 2)."""
+        return (np.asarray(pixels, float) + 0.5) / self.scale - 0.5 + self.corner
+
+
+def cut_out(
+    image: Image, region: Region | None = None, scale: float = 1.0, most_px: float = np.inf
+) -> Part:
+    """Region of an image, None for all of it, resized, the longer side to a length at most."""
+    x0, y0, x1, y1 = region or (0, 0, image.shape[1], image.shape[0])
+    part = np.ascontiguousarray(image[y0:y1, x0:x1])
+    scale = min(scale, most_px / max(part.shape))
+    if scale != 1.0:
+        method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
+        part = np.asarray(cv2.resize(part, None, None, scale, scale, method), np.uint8)
+    return Part(part, scale, (x0, y0))
 
 
 class Detector(ABC, Generic[TargetT]):
@@ -117,10 +146,7 @@ class Detector(ABC, Generic[TargetT]):
     """
 
     def __init__(
-        self,
-        target: TargetT,
-        camera: Camera | None = None,
-        response: CameraResponse | None = None,
+        self, target: TargetT, camera: Camera | None = None, response: CameraResponse | None = None
     ) -> None:
         self.target = target
         self.camera = camera
@@ -221,9 +247,8 @@ class Detector(ABC, Generic[TargetT]):
             return None
         low, high = known.min(axis=0), known.max(axis=0)
         margin = _REGION_MARGIN_SHARE * float((high - low).max()) + _REGION_MARGIN_PX
-        height, width = frame.grey.shape
-        x0, y0 = np.clip(np.floor(low - margin), 0, (width, height)).astype(int).tolist()
-        x1, y1 = np.clip(np.ceil(high + margin) + 1, 0, (width, height)).astype(int).tolist()
+        outline = np.concatenate([np.floor(low - margin), np.ceil(high + margin) + 1])
+        x0, y0, x1, y1 = np.clip(outline, 0, 2 * frame.grey.shape[::-1]).astype(int).tolist()
         if min(x1 - x0, y1 - y0) < _LEAST_REGION_PX:
             return None
         return _choose(self._detect_in(frame, (x0, y0, x1, y1), predicted), predicted.point_px)
@@ -251,13 +276,13 @@ class Detector(ABC, Generic[TargetT]):
                 f"predicted: expected corners_px of shape {expected}, got {corners}"
             )
 
-    def _flat(self, pixels: NDArray[np.float64]) -> FlatView:
+    def _flat(self, pixels: FloatArray) -> FlatView:
         """Undistorted plane around some pixels."""
         return FlatView(self._lens, pixels)
 
     @abstractmethod
     def _detect_all(self, frame: Frame) -> list[Detection]:
-        """Implement `detect_all`."""
+        """Find all targets."""
 
     @abstractmethod
     def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
@@ -268,17 +293,15 @@ class Detector(ABC, Generic[TargetT]):
         return self._detect_all(frame)
 
     @abstractmethod
-    def _detect_in(
-        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
-    ) -> list[Detection]:
-        """Search a region x0 <= u < x1, y0 <= v < y1, (x0, y0, x1, y1), for a predicted target."""
+    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
+        """Search a region for a predicted target."""
 
     @abstractmethod
     def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
         """Refine predicted corners; None if the target is not there."""
 
 
-def as_pixel(name: str, value: ArrayLike) -> NDArray[np.float64]:
+def as_pixel(name: str, value: ArrayLike) -> FloatArray:
     """Pixel (u, v) from a value of a name; `ConfigurationError` if it is none, or not finite."""
     try:
         pixel = np.asarray(value, float)
@@ -289,7 +312,7 @@ def as_pixel(name: str, value: ArrayLike) -> NDArray[np.float64]:
     return pixel
 
 
-def _choose(found: Sequence[Detection], near_px: NDArray[np.float64] | None) -> Detection | None:
+def _choose(found: Sequence[Detection], near_px: FloatArray | None) -> Detection | None:
     """Detection nearest to a pixel, or the largest if there is none."""
     if len(found) < 2:
         return found[0] if found else None

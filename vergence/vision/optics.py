@@ -14,6 +14,8 @@ from vergence.models.lens import CameraRow, camera_at, ray_to_pixel
 from vergence.models.parts import FloatArray
 from vergence.operands import as_operand
 
+Image = NDArray[np.uint8]
+"""Grey levels, shape (height, width)."""
 _DIFFERENCE_STEP_RAD: Final = 1e-4
 """Step of a difference quotient, rad (numerical)."""
 
@@ -159,7 +161,7 @@ def distorted_pixel(
 
 
 @subroutine
-def grey_at(image: NDArray[np.uint8], u: float, v: float) -> float:
+def grey_at(image: Image, u: float, v: float) -> float:
     """Grey level at a pixel position by bilinear interpolation; nan outside of the image."""
     height, width = image.shape
     if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):

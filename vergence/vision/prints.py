@@ -13,13 +13,12 @@ from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from vergence.kernels import compiled, subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
 from vergence.vision.corners import Grid
-from vergence.vision.optics import UndistortedView, distorted_pixel, grey_at, transform_point
+from vergence.vision.optics import Image, UndistortedView, distorted_pixel, grey_at, transform_point
 from vergence.vision.tags.samples import bend_displacement
 
 LEAST_CONTRAST_GREY: Final = 5.0
@@ -51,12 +50,9 @@ def deviation_and_contrast(
 ) -> tuple[float, float]:
     """Compare the cell of row j and column i with the smallest neighbourhood of both colours.
 
-    The (rows, columns) greys are nan where cells are not seen; the print's cells are 0 black to 1
-    white, nan where not compared. The neighbourhood has at most `max_radius` cells to each side.
-
-    Returns:
-        Distance of the cell towards its printed colour from the middle between light and dark, and
-        their difference; both nan if a colour is missing.
+    The greys are nan where cells are not seen; the neighbourhood has at most `max_radius` cells to
+    each side. Returns the distance of the cell towards its printed colour from the middle between
+    light and dark, and their difference; both nan if a colour is missing.
     """
     rows, columns = cells.shape
     light = dark = lights = darks = 0.0
@@ -86,18 +82,15 @@ class CellReading(NamedTuple):
     """Counts of a print's cells that are read wrong or not clearly."""
 
     wrong_cells: int
-    """Cells that do not have the colour that is printed there."""
-    wrong_rim_cells: int
-    """Wrong cells on the rectangle's rim, which is common to all tags of a family."""
+    wrong_rim_cells: int  # on the rectangle's rim, which is common to all tags of a family
     worst_quarter_unclear: float
     """Fraction of the cells in the worst quarter that are wrong or near the middle between light
-    and dark. It is large if a square was found beside its true edges, because something covers one
-    of its sides."""
+    and dark: large if something covers a side, and a square was found beside its true edges."""
 
 
 @subroutine
 def compare_cells(
-    image: NDArray[np.uint8],
+    image: Image,
     light_by_grey: FloatArray,
     H: FloatArray,
     white_spread_and_bend: FloatArray,
@@ -113,29 +106,13 @@ def compare_cells(
     ring_gives_levels: bool,
     greys: FloatArray,
 ) -> CellReading:
-    """Compare the cells of a tag, through its fit and the lens, with the print.
+    """Compare the cells of a tag in the image, through its fit and the lens, with the print.
 
-    Args:
-        image: grey levels.
-        light_by_grey: (256,) light of each grey level, or that level to compare these.
-        H: (3, 3) homography to the image, see `square_to_image_homography`, from the
-            rectangle that `left_cells`, `top_cells`, `width_cells` and `height_cells` define.
-        white_spread_and_bend: (13,) the sheet's spread and bend, see `bend_displacement`.
-        camera: the eye's camera.
-        view: the undistorted plane.
-        cells: (rows, columns) 0 black to 1 white, nan not compared.
-        blur_cells: standard deviation of the blur, cells.
-        left_cells: cells from the print's left edge to the rectangle.
-        top_cells: cells from the print's upper edge to the rectangle.
-        width_cells: the rectangle's width, cells.
-        height_cells: the rectangle's height, cells.
-        ignored_ring_cells: width of the print's outer ring that is not compared, cells: a quiet
-            zone may be cut.
-        ring_gives_levels: True if that ring still gives levels that other cells are compared with.
-        greys: (rows, columns) scratch array.
-
-    Returns:
-        Counts over the cells that are compared and lie in the image.
+    The homography H, (3, 3), leads to the view from the rectangle that `left_cells`, `top_cells`,
+    `width_cells` and `height_cells` define in the print; `white_spread_and_bend` is of its sheet,
+    see `bend_displacement`. `light_by_grey` is (256,) the light of each level. The outer
+    `ignored_ring_cells` are not compared, since a quiet zone may be cut, but may still give levels
+    that others are compared with.
     """
     rows, columns = cells.shape
     reach = 0.5 - _EDGE_BLURS * blur_cells
@@ -208,23 +185,10 @@ _LEAST_OUTER_CONTRAST: Final = 0.4
 one of 12,496 true sides of boards seems to continue (chosen by these counts)."""
 
 
-def squares_alternate(
-    image: NDArray[np.uint8], grid: Grid, *, upper_left_dark: bool = True
-) -> bool:
-    """Check that squares alternate around the corners of a grid, up to a few wrong ones."""
-    rows, columns, _ = grid.shape
-    corners = np.empty((rows + 2, columns + 2, 2))
-    corners[1:-1, 1:-1] = grid
-    for lines in (corners[:, 1:-1], corners.swapaxes(0, 1)):  # the outermost ones extrapolated
-        lines[0] = (1.0 + _OUTER_SHARE) * lines[1] - _OUTER_SHARE * lines[2]
-        lines[-1] = (1.0 + _OUTER_SHARE) * lines[-2] - _OUTER_SHARE * lines[-3]
-    return bool(_alternate(image, corners, upper_left_dark))
-
-
 @compiled
-def _alternate(image: NDArray[np.uint8], corners: Grid, first_dark: bool) -> bool:
-    """Implement `squares_alternate`, whose inner squares must all be seen."""
-    greys = _square_greys(image, corners)
+def squares_alternate(image: Image, grid: Grid, first_dark: bool) -> bool:
+    """Check that squares alternate around corners that are all seen, up to a few wrong ones."""
+    greys = _square_greys(image, _with_outer_corners(grid))
     rows, columns = greys.shape
     cells = np.empty((rows, columns))
     for j in range(rows):
@@ -245,7 +209,26 @@ def _alternate(image: NDArray[np.uint8], corners: Grid, first_dark: bool) -> boo
 
 
 @subroutine
-def _square_greys(image: NDArray[np.uint8], corners: Grid) -> FloatArray:
+def _with_outer_corners(grid: Grid) -> Grid:
+    """Corners with a line more on each side, extrapolated by a share of the outermost squares."""
+    rows, columns, _ = grid.shape
+    out = np.empty((rows + 2, columns + 2, 2))
+    for n in range(2):
+        for i in range(columns):
+            for j in range(rows):
+                out[j + 1, i + 1, n] = grid[j, i, n]
+            first, last = grid[0, i, n], grid[rows - 1, i, n]
+            out[0, i + 1, n] = first + _OUTER_SHARE * (first - grid[1, i, n])
+            out[rows + 1, i + 1, n] = last + _OUTER_SHARE * (last - grid[rows - 2, i, n])
+        for j in range(rows + 2):
+            first, last = out[j, 1, n], out[j, columns, n]
+            out[j, 0, n] = first + _OUTER_SHARE * (first - out[j, 2, n])
+            out[j, columns + 1, n] = last + _OUTER_SHARE * (last - out[j, columns - 1, n])
+    return out
+
+
+@subroutine
+def _square_greys(image: Image, corners: Grid) -> FloatArray:
     """Mean grey levels of the squares between corners; nan outside the image."""
     height, width = image.shape
     greys = np.zeros((corners.shape[0] - 1, corners.shape[1] - 1))
@@ -266,44 +249,28 @@ def _square_greys(image: NDArray[np.uint8], corners: Grid) -> FloatArray:
     return greys
 
 
-def board_continues_beyond(
-    image: NDArray[np.uint8], grid: Grid, *, upper_left_dark: bool = True
-) -> bool:
-    """Check for four squares at the next corners beyond a side: a part of a larger board.
-
-    Its surroundings may alternate by chance: at a corner they must do so both along the line of
-    corners and across it, with nearly the contrast of the board's own squares.
-    """
+def board_continues_beyond(image: Image, grid: Grid, upper_left_dark: bool) -> bool:
+    """Check for four squares at the next corners beyond a side: a part of a larger board."""
     for inwards in (grid, grid.swapaxes(0, 1)):
         turned = len(inwards) % 2 == 1  # the last side has the colours exchanged
-        for lines, first_dark in (
+        for (first, second), dark in (
             (inwards[:2], upper_left_dark),
             (inwards[:-3:-1], upper_left_dark != turned),
         ):
-            if _continues_beyond(image, np.ascontiguousarray(lines), first_dark):
+            if _continues_beyond(image, np.stack([2.0 * first - second, first, second]), dark):
                 return True
     return False
 
 
 @compiled
-def _continues_beyond(image: NDArray[np.uint8], outermost: Grid, first_dark: bool) -> bool:
-    """Implement `board_continues_beyond` for a side, by its first two lines of corners."""
-    count = outermost.shape[1]
-    # lines of corners with their ends: the second and the first beyond the board, and two of the
-    # board; of possible outermost squares only the near part
-    lines = np.empty((4, count + 2, 2))
-    for n in range(2):
-        for i in range(count):
-            first, second = outermost[0, i, n], outermost[1, i, n]
-            lines[2, 1 + i, n], lines[3, 1 + i, n] = first, second
-            lines[1, 1 + i, n] = first + (first - second)
-            lines[0, 1 + i, n] = lines[1, 1 + i, n] + _OUTER_SHARE * (first - second)
-        for k in range(4):
-            step = lines[k, 1, n] - lines[k, 2, n]
-            lines[k, 0, n] = lines[k, 1, n] + _OUTER_SHARE * step
-            step = lines[k, count, n] - lines[k, count - 1, n]
-            lines[k, count + 1, n] = lines[k, count, n] + _OUTER_SHARE * step
-    greys = _square_greys(image, lines)
+def _continues_beyond(image: Image, lines: Grid, first_dark: bool) -> bool:
+    """Implement `board_continues_beyond` by the next line of corners and the first two of a side.
+
+    Surroundings may alternate by chance: at a corner they must do so both along the line and across
+    it, with nearly the contrast of the board's own squares.
+    """
+    count = lines.shape[1]
+    greys = _square_greys(image, _with_outer_corners(lines)[:4])
     for k in range(3):
         for i in range(count + 1):
             if ((k + i) % 2 == 0) != first_dark:
@@ -335,7 +302,7 @@ CORNER_PROBES: Final = np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1
 """Directions from a corner to the samples of its quadrants (numerical)."""
 
 
-def corner_contrasts(greys: NDArray[np.float64], signs: NDArray[np.float64]) -> NDArray[np.float64]:
+def corner_contrasts(greys: FloatArray, signs: FloatArray) -> FloatArray:
     """Contrasts of white to black around corners, (...), from samples as `CORNER_PROBES`, (..., 4).
 
     A sign is 1 where the quadrant towards the upper left is black as printed, else -1.
@@ -344,18 +311,18 @@ def corner_contrasts(greys: NDArray[np.float64], signs: NDArray[np.float64]) -> 
     return np.asarray(0.5 * signs * falling)
 
 
-def least_corner_contrast(contrasts: NDArray[np.float64]) -> float:
+def least_corner_contrast(contrasts: FloatArray) -> float:
     """Contrast above which corners of a board alternate as printed, by those of all its corners."""
     return max(LEAST_CONTRAST_GREY, _LEAST_RELATIVE_CONTRAST * float(np.median(contrasts)))
 
 
-def normalised(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+def normalised(levels: FloatArray) -> FloatArray:
     """Levels of each row as a vector without mean, of length 1: products are correlations."""
     levels = levels - levels.mean(axis=1, keepdims=True)
     return np.asarray(levels / np.maximum(np.linalg.norm(levels, axis=1, keepdims=True), 1e-6))
 
 
-def grey_at_pixels(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def grey_at_pixels(image: Image, pixels: FloatArray) -> FloatArray:
     """Grey levels (n, m) at pixels (n, m, 2); replicated beyond the border, the first for nan."""
     if not pixels.size:
         return np.zeros(pixels.shape[:-1])

@@ -277,12 +277,12 @@ _DETECTORS: Final = threading.local()
 """The library's detectors of this thread by name; they keep state during a search."""
 
 
-def find_squares(image: NDArray[np.uint8], family: str) -> list[FoundSquare]:
+def find_squares(image: NDArray[np.uint8], family: str, border_bits: int = 1) -> list[FoundSquare]:
     """All squares of grey levels (height, width) that read as tags, by number and wrong bits."""
     # the library's origin is the corner of the first pixel; its corners begin at the lower left
     found = [
         FoundSquare(each.tag_id, each.hamming, np.asarray(each.corners, float)[::-1] - 0.5)
-        for each in _detect(image, family, {family: CORRECTED_BITS[family]})
+        for each in _detect(image, family, {family: CORRECTED_BITS[family]}, border_bits)
     ]
     return sorted(found, key=lambda each: (each.id, each.wrong_bits))
 
@@ -297,7 +297,9 @@ def families_in(image: NDArray[np.uint8]) -> list[str]:
     return [name.removeprefix("tag") for name, _ in Counter(names).most_common()]
 
 
-def _detect(image: NDArray[np.uint8], name: str, corrected: Mapping[str, int]) -> list[Any]:
+def _detect(
+    image: NDArray[np.uint8], name: str, corrected: Mapping[str, int], border_bits: int = 1
+) -> list[Any]:
     """Squares found by this thread's detector of a name, given each family's corrected bits.
 
     The binding itself lacks some families, and adds the others with two corrected bits each,
@@ -305,12 +307,19 @@ def _detect(image: NDArray[np.uint8], name: str, corrected: Mapping[str, int]) -
     """
     if min(image.shape) < _LEAST_SIDE_PX:
         return []
+    name, wider = f"{name} {border_bits}", border_bits - 1
     detector: Any = vars(_DETECTORS).get(name)
     if detector is None:
         detector = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
         for family, bits in corrected.items():
             made = library_family(detector.libc, family)
+            made.contents.width_at_border += 2 * wider
+            made.contents.total_width += 2 * wider
+            for bit in range(int(made.contents.nbits)):
+                made.contents.bit_x[bit] += wider
+                made.contents.bit_y[bit] += wider
             detector.libc.apriltag_detector_add_family_bits(detector.tag_detector_ptr, made, bits)
-        detector.tag_detector_ptr.contents.decode_sharpening = _SHARPENING
+        if not wider:
+            detector.tag_detector_ptr.contents.decode_sharpening = _SHARPENING
         vars(_DETECTORS)[name] = detector
     return list(detector.detect(image))

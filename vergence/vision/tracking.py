@@ -1,15 +1,14 @@
 """Make a detector for a target, and track a target from image to image."""
 
-from math import hypot, isfinite, nan
+from math import hypot, isfinite
 from typing import Any, Final
 
+import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
-from vergence.kernels import compiled
-from vergence.models.camera import Camera, CameraResponse
-from vergence.models.lens import camera_at, is_distorted, pinhole_ray, ray_to_pixel, undistort_ray
+from vergence.models.camera import Camera, CameraResponse, rays_to_pixels
 from vergence.models.parts import FloatArray
 from vergence.vision.april_grid import AprilGridDetector
 from vergence.vision.charuco import CharucoDetector
@@ -29,67 +28,32 @@ _ROTATION_TOLERANCE: Final = 1e-3
 """Tolerance on the products of a rotation's rows (chosen: accepts rounded poses)."""
 
 
-@compiled
-def _is_rigid_transform(pose: FloatArray) -> bool:
-    """True if a (4, 4) matrix has a rotation at its upper left and a finite translation."""
-    for i in range(3):
-        for j in range(3):
-            product = 0.0
-            for k in range(3):
-                product += pose[i, k] * pose[j, k]
-            if not abs(product - (1.0 if i == j else 0.0)) <= _ROTATION_TOLERANCE:
-                return False
-    handed = 0.0
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        handed += pose[0, i] * (pose[1, j] * pose[2, k] - pose[1, k] * pose[2, j])
-    return handed > 0.0 and isfinite(pose[0, 3] + pose[1, 3] + pose[2, 3])
+def _predict_rest(
+    pixels: FloatArray, last: Detection, camera: Camera, before: FloatArray, now: FloatArray
+) -> FloatArray:
+    """Pixels of a resting target's corners and its point, (n + 1, 2), from another pose T_0_C.
 
-
-@compiled
-def _predict_target_pixels(
-    pixels: FloatArray, packed_camera: FloatArray, T_0_C_before: FloatArray, T_0_C_now: FloatArray,
-    corners_m: FloatArray, out: FloatArray,
-) -> bool:  # fmt: skip
-    """Predict the (n + 1, 2) pixels, px, of a target's corners and point at rest at another pose.
-
-    Corners that were not detected are nan. `corners_m` is (0, 2) if the size is unknown. True if
-    the point is predicted inside the lens model and every corner is in front of the camera.
+    Unchanged if the point would leave the lens model, or a corner be beside or behind the camera.
     """
-    camera = camera_at(packed_camera, 0)
-    count = len(pixels)
-    for k in range(count):
-        x, y = pinhole_ray(camera, pixels[k, 0], pixels[k, 1])
-        if is_distorted(camera):
-            x, y = undistort_ray(camera, x, y)
-        out[k, 0], out[k, 1] = x, y
-    depth_m, first, last = _DEFAULT_DEPTH_M, -1, -1
-    for k in range(len(corners_m)):
-        if isfinite(out[k, 0]):
-            first, last = k if first < 0 else first, k
-    if first < last:
-        apart = hypot(out[last, 0] - out[first, 0], out[last, 1] - out[first, 1])
-        apart_m = hypot(
-            corners_m[last, 0] - corners_m[first, 0], corners_m[last, 1] - corners_m[first, 1]
+    rays = camera.rays(pixels)
+    depth_m = _DEFAULT_DEPTH_M
+    known = np.flatnonzero(np.isfinite(rays[:-1, 0]))
+    if last.target.size_known and len(known) > 1:
+        apart, apart_m = (
+            hypot(*(each[known[-1]] - each[known[0]])) for each in (rays, last.target.corners_m)
         )
         depth_m = apart_m / max(apart, 1e-6)
-    for k in range(count):
-        if not isfinite(out[k, 0]):
-            out[k, 0] = out[k, 1] = nan
-            continue
-        x, y, z = 0.0, 0.0, 0.0
-        for i in range(3):
-            a = T_0_C_before[i, 0] * out[k, 0] + T_0_C_before[i, 1] * out[k, 1] + T_0_C_before[i, 2]
-            a += (T_0_C_before[i, 3] - T_0_C_now[i, 3]) / depth_m
-            x, y, z = x + T_0_C_now[i, 0] * a, y + T_0_C_now[i, 1] * a, z + T_0_C_now[i, 2] * a
-        if z < _LEAST_DEPTH_RATIO:
-            return False
-        out[k, 0], out[k, 1] = ray_to_pixel(camera, x / z, y / z)
-    return isfinite(out[count - 1, 0])
-
-
-_NO_CORNERS_M: Final = np.empty((0, 2))
-"""Corners of a target of unknown size (numerical)."""
+    x, y = rays.T
+    # along the axes of the fixed frame, in depths
+    fixed = before[:3, 0, None] * x + before[:3, 1, None] * y + before[:3, 2, None]
+    fixed += ((before[:3, 3] - now[:3, 3]) / depth_m)[:, None]
+    x, y, z = (
+        now[0, :3, None] * fixed[0] + now[1, :3, None] * fixed[1] + now[2, :3, None] * fixed[2]
+    )
+    if (z < _LEAST_DEPTH_RATIO).any():
+        return pixels
+    moved = np.asarray(rays_to_pixels(np.stack([x / z, y / z], axis=1), camera.row))
+    return moved if isfinite(moved[-1, 0]) else pixels
 
 
 class Tracker:
@@ -109,7 +73,7 @@ class Tracker:
     def forget(self) -> None:
         """Drop the track, so that the next image is searched as a whole."""
         self._last: Detection | None = None
-        self._pose: NDArray[np.float64] | None = None
+        self._pose: FloatArray | None = None
         self._motion = np.zeros(2)
         self._lost = 0
 
@@ -143,7 +107,9 @@ class Tracker:
         predicted_px = None if predicted_px is None else as_pixel("predicted_px", predicted_px)
         found = carried_px = None
         if self._last is not None:
-            pixels = self._predict_rest(self._last, pose)
+            pixels = np.concatenate([self._last.corners_px, self._last.point_px[None]])
+            if self.detector.camera is not None and pose is not None and self._pose is not None:
+                pixels = _predict_rest(pixels, self._last, self.detector.camera, self._pose, pose)
             carried_px = pixels[-1]
             pixels = pixels + (self._motion if predicted_px is None else predicted_px - carried_px)
             expected = self._last._replace(corners_px=pixels[:-1], point_px=pixels[-1])
@@ -162,29 +128,18 @@ class Tracker:
         self._last, self._pose = found, pose
         return found
 
-    def _predict_rest(
-        self, last: Detection, pose: NDArray[np.float64] | None
-    ) -> NDArray[np.float64]:
-        """Corners and point, (n + 1, 2) px, corrected for the camera's own motion if possible."""
-        camera = self.detector.camera
-        pixels = np.concatenate([last.corners_px, last.point_px[None]])
-        if camera is None or pose is None or self._pose is None:
-            return pixels
-        corners_m = last.target.corners_m if last.target.size_known else _NO_CORNERS_M
-        out = np.empty(pixels.shape)
-        known = _predict_target_pixels(pixels, camera.row, self._pose, pose, corners_m, out)
-        return out if known else pixels
 
-
-def _pose(value: ArrayLike) -> NDArray[np.float64]:
+def _pose(value: ArrayLike) -> FloatArray:
     try:
         pose = np.array(value, float, order="C")
     except (TypeError, ValueError):
         pose = np.empty(0)
-    if pose.shape != (4, 4) or not _is_rigid_transform(pose):
-        got = " ".join(repr(value).split())[:120]
-        raise ConfigurationError(f"T_0_C: expected a pose (4, 4) with a rotation, got {got}")
-    return pose
+    if pose.shape == (4, 4) and np.isfinite(pose[:3]).all():
+        R = pose[:3, :3]
+        if np.abs(R @ R.T - np.eye(3)).max() <= _ROTATION_TOLERANCE and cv2.determinant(R) > 0.0:
+            return pose
+    got = " ".join(repr(value).split())[:120]
+    raise ConfigurationError(f"T_0_C: expected a pose (4, 4) with a rotation, got {got}")
 
 
 def make_detector(

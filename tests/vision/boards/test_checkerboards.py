@@ -29,9 +29,10 @@ from vergence.vision import Camera, Checkerboard, Detection, make_detector
 from vergence.vision.corners import crossing_asymmetries
 
 
-def board(columns: int, rows: int, *, rim: bool = True) -> Checkerboard:
-    """Checkerboard with squares of 20 px at 1 m before the simulated rig."""
-    return Checkerboard(columns=columns, rows=rows, square_m=0.0323, white_rim=rim)
+def board(columns: int, rows: int, square_px: float = 20.0, *, rim: bool = True) -> Checkerboard:
+    """Checkerboard with squares of a size at 1 m before the simulated rig."""
+    square_m = 0.0323 * square_px / 20.0
+    return Checkerboard(columns=columns, rows=rows, square_m=square_m, white_rim=rim)
 
 
 def drawn(
@@ -144,13 +145,17 @@ def test_a_board_printed_the_other_way_round_is_found(size, orders):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("roll", "rim", "asked", "shown"),
-    [(0.9, False, (5, 4), (5, 5)), (2.0, True, (3, 3), (5, 4)), (2.0, False, (6, 4), (7, 5))],
-)
-def test_a_part_of_a_larger_board_is_none(asked, shown, rim, roll):
+    [
+        (0.9, False, (5, 4), (5, 5)), (2.0, True, (3, 3), (5, 4)), (2.0, False, (6, 4), (7, 5)),
+        (0.9, True, (6, 4), (5, 4)), (0.0, True, (5, 5), (5, 4)),
+    ],
+)  # fmt: skip
+def test_a_part_of_a_larger_board_and_a_smaller_one_are_none(asked, shown, rim, roll):
     one = cropped(drawn(board(*shown, rim=rim), roll, (0.1, 0.1)))
     detector = make_detector(board(*asked))
     assert detector.detect(one.image) is None
-    assert detector.track(one.image, part_of(one, shown, detector)) is None
+    if np.prod(asked) < np.prod(shown):
+        assert detector.track(one.image, part_of(one, shown, detector)) is None
 
 
 def part_of(one: Scene, shown: tuple[int, int], detector) -> Detection:
@@ -202,13 +207,6 @@ def test_a_board_whose_outermost_squares_are_cut_is_no_smaller_one(asked):
     assert detector_of(board(9, 6)).detect(image) is not None
     detector = detector_of(board(*asked))
     assert detector.track(image, part_of(one, (9, 6), detector)) is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("roll", "asked"), [(0.9, (6, 4)), (0.0, (5, 5))])
-def test_a_smaller_board_is_none(asked, roll):
-    one = cropped(drawn(board(5, 4), roll, (0.1, 0.1)))
-    assert make_detector(board(*asked)).detect(one.image) is None
 
 
 @pytest.mark.slow
@@ -265,30 +263,28 @@ def in_shadow(columns: int, rows: int, left: float, angle: float) -> tuple[Scene
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("angle", "size"), [(0.0, (5, 5)), (0.5, (5, 4)), (2.0, (9, 6))])
-def test_the_edge_of_a_deep_shadow_moves_few_corners_and_sigmas_say_so(size, angle):
-    """Half are moved by less than 0.1 px; those that the edge crosses are in the sigma of all."""
-    one, image = in_shadow(*size, 0.3, angle)
-    found = make_detector(board(*size)).detect(image)
-    if found is not None:
-        errors = found.corners_px - one.corners
-        assert np.median(np.abs(errors)) < 0.1
-        assert rms(errors) < 2.0 * rms(found.corners_sigma_px) + 0.05
-
-
-@pytest.mark.slow
 def test_the_edge_of_a_shadow_moves_no_corner_far():
-    """It runs through windows of 11 px and moves corners by 3 px that nobody looks after."""
-    for angle, size in some_of([0.0, 0.5, 1.2, 2.0, 2.8], [(5, 4), (9, 6), (5, 5)]):
-        with named(angle, size):
-            one, image = in_shadow(*size, 0.5, angle)
+    """It runs through windows of 11 px and moves corners by 3 px that nobody looks after.
+
+    Half are moved by less than 0.1 px, in deep shadow too; those it crosses are in the sigma.
+    """
+    deep = [(0.3, 0.0, (5, 5)), (0.3, 0.5, (5, 4)), (0.3, 2.0, (9, 6))]
+    half = [(0.5, *each) for each in some_of([0.0, 0.5, 1.2, 2.0, 2.8], [(5, 4), (9, 6), (5, 5)])]
+    for left, angle, size in deep + half:
+        with named(left, angle, size):
+            one = cropped(drawn(board(*size), 0.1, (0.3, -0.2)))
+            image = shadow(left, angle)(one.image, one.corners.mean(axis=0))
             detector = make_detector(board(*size))
             found = detector.detect(image)
+            if left == 0.3 and found is None:
+                continue
             errors = found.corners_px - one.corners
-            assert np.abs(errors).max() < 1.2
             assert np.median(np.abs(errors)) < 0.1
-            assert rms(errors) < min(0.3, 2.0 * rms(found.corners_sigma_px) + 0.05)
-            assert detector.track(image, found) is not None
+            assert rms(errors) < 2.0 * rms(found.corners_sigma_px) + 0.05
+            if left == 0.5:
+                assert np.abs(errors).max() < 1.2
+                assert rms(errors) < 0.3
+                assert detector.track(image, found) is not None
 
 
 @pytest.mark.parametrize(("grey", "corner"), [(0, 0), (90, 13), (255, 30)])
@@ -430,16 +426,6 @@ def test_a_board_in_a_large_photograph_is_found_as_exactly():
     assert rms(detector.detect(one.image).corners_px - one.corners) < 0.05
     blurred = detector.detect(defocus(5.0)(one.image, one.point))
     assert rms(blurred.corners_px - one.corners) < 0.1
-
-
-def test_a_board_is_tracked_where_it_is_and_where_it_has_moved_to():
-    target = board(9, 6)
-    detector = detector_of(target)
-    one, other = drawn(target, 0.1), drawn(target, 0.13, (0.02, 0.02), z=0.98)
-    before = detector.detect(one.image)
-    for image, true in ((one.image, one), (other.image, other)):
-        found = detector.track(image, before)
-        assert found.corners_px == pytest.approx(true.corners, abs=0.2)
 
 
 def test_the_outer_corner_of_a_square_is_not_taken_for_one_where_four_meet():

@@ -6,24 +6,12 @@ import pytest
 
 from tests.grids import some_of
 from tests.naming import named
-from tests.vision.poses import pose
-from tests.vision.scenes import Image, Scene, defocus, rig, scene
-from vergence.vision import Checkerboard, make_detector
+from tests.vision.boards.test_checkerboards import board, drawn
+from tests.vision.scenes import Image, defocus, rig
+from vergence.vision import make_detector
 from vergence.vision.checkerboards import find_corner_clusters
 
 SIZES = [(3, 3), (5, 4), (9, 6), (12, 9)]
-
-
-def board(columns: int, rows: int, square_px: float = 20.0) -> Checkerboard:
-    """At 1 m before the simulated rig."""
-    return Checkerboard(columns=columns, rows=rows, square_m=0.0323 * square_px / 20.0)
-
-
-def drawn(target: Checkerboard, roll: float = 0.2, turn: float = 0.3) -> Scene:
-    camera, rendering = rig("simulated")
-    middle = target.corners_m.mean(axis=0)
-    T_C_T = pose(0.01, -0.02, 1.0, (0.0, turn, roll)) @ pose(-middle[0], -middle[1], 0)
-    return scene(camera, target, T_C_T, rendering, np.random.default_rng(1))
 
 
 def blocks(cell_px: int, shape: tuple[int, int], seed: int = 0) -> Image:
@@ -52,13 +40,13 @@ def test_the_corners_of_a_board_are_one_cluster():
         *((9.0, size) for size in SIZES), (20.0, (5, 4)), (30.0, (12, 9)), (40.0, (3, 3)),
     ]:  # fmt: skip
         with named(square_px, columns, rows):
-            one = drawn(board(columns, rows, square_px))
-            (found,) = find_corner_clusters(one.image, columns * rows)
-            assert len(found.corners_px) == columns * rows
-            away = np.linalg.norm(found.corners_px[:, None] - one.corners, axis=-1)
+            one = drawn(board(columns, rows, square_px), 0.2, (0.0, 0.3))
+            ((region, corners),) = find_corner_clusters(one.image, columns * rows)
+            assert len(corners) == columns * rows
+            away = np.linalg.norm(corners[:, None] - one.corners, axis=-1)
             assert away.min(axis=0).max() < 1.5
             assert away.min(axis=1).max() < 1.5
-            x0, y0, x1, y1 = found.region
+            x0, y0, x1, y1 = region
             # the outermost squares lie in it too
             assert (one.corners > np.array([x0, y0]) + square_px).all() or min(x0, y0) == 0
             assert (one.corners < np.array([x1, y1]) - square_px).all()
@@ -82,15 +70,14 @@ def test_what_is_no_board_has_no_cluster():
 
 def test_blocks_that_lie_by_chance_have_few_clusters_and_small_ones():
     image = blocks(12, (860, 1040))
-    for found in find_corner_clusters(image, 54):
-        x0, y0, x1, y1 = found.region
+    for (x0, y0, x1, y1), _corners in find_corner_clusters(image, 54):
         assert (x1 - x0) * (y1 - y0) < 0.5 * image.size
 
 
 @pytest.mark.parametrize("way", [None, 0])
 def test_a_board_among_blocks_is_found(way):
     target = board(9, 6)
-    one = drawn(target)
+    one = drawn(target, 0.2, (0.0, 0.3))
     image, room = blocks(10, one.image.shape, seed=4), 70
     x0, y0 = np.floor(one.corners.min(axis=0) - room).astype(int).clip(0)
     x1, y1 = np.ceil(one.corners.max(axis=0) + room).astype(int)
@@ -102,7 +89,7 @@ def test_a_board_among_blocks_is_found(way):
 @pytest.mark.slow
 def test_small_squares_are_found_in_the_turn_that_looks_at_the_whole_image():
     target = board(9, 6, 11.0)
-    one, detector = drawn(target), make_detector(target)
+    one, detector = drawn(target, 0.2, (0.0, 0.3)), make_detector(target)
     wide = cv2.copyMakeBorder(one.image, 0, 900, 0, 1160, cv2.BORDER_REPLICATE)
     assert detector.search(wide, None, 0) is None
     for way in (None, 1):
@@ -113,7 +100,7 @@ def test_small_squares_are_found_in_the_turn_that_looks_at_the_whole_image():
 @pytest.mark.parametrize("way", [None, 3])
 def test_a_board_out_of_focus_is_found_in_a_small_image(way):
     target = board(4, 3, 80.0)
-    one = drawn(target)
+    one = drawn(target, 0.2, (0.0, 0.3))
     blurred = defocus(9.0)(one.image, one.point)
     found = make_detector(target, rig("simulated")[0]).search(blurred, None, way)
     assert np.abs(found.corners_px - one.corners).max() < 1.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vergence import interrupts
 from vergence.models.camera import Camera, CameraResponse
-from vergence.vision.detection import Detection, Detector, Frame
+from vergence.vision.detection import Detection, Detector, Frame, Region, cut_out
 from vergence.vision.image import smooth_for_square_search
 from vergence.vision.tag_families import (
     CORRECTED_BITS,
@@ -334,14 +334,11 @@ class TagDetector(Detector[AprilTag | TagFamily]):
                     break
         return out
 
-    def _detect_in(
-        self, frame: Frame, region: tuple[int, int, int, int], predicted: Detection
-    ) -> list[Detection]:
-        x0, y0, x1, y1 = region
-        part = np.ascontiguousarray(frame.grey[y0:y1, x0:x1])
-        squares = find_squares(part, self.target.family)
+    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
+        part = cut_out(frame.grey, region)
+        squares = find_squares(part.image, self.target.family)
         same = [square for square in squares if square.id == _number(predicted)]
-        return self._read(frame, same, 1.0, (x0, y0))
+        return self._read(frame, same, 1.0, part.corner)
 
     def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
         corners, number = predicted.corners_px, _number(predicted)
