@@ -1,4 +1,4 @@
-"""Crossing of two lines of sight: exactness, batches, skew rays, and cases without an answer."""
+"""Points by two lines of sight: exactness, batches, skew rays, no answers, several fixations."""
 
 import csv
 from pathlib import Path
@@ -9,14 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.naming import named
-from tests.triangulation.conftest import settled_angles
+from tests.heads import head_of
+from tests.naming import named, refused
 from vergence import Fix, HeadModel, ModelErrors, Noise, load_head, triangulate_gaze
-from vergence.triangulation import triangulate_views
+from vergence.calibration.head.simulated import quantised
+from vergence.triangulation import triangulate_fixations, triangulate_views
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 MM = 1e-3
 NANOMETRE = 1e-9  # the 1e-6 mm that exactness means here: four orders above rounding
+HEADS = {name: load_head(name) for name in ("simulated", "physical", "icub")}
+FIXATIONS, PIXEL_PX = 64, 0.05
 
 
 def table_3() -> NDArray[np.float64]:
@@ -30,6 +33,15 @@ def workspace(rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.fl
     z = rng.uniform(0.4, 2.5, shape)
     slopes = rng.uniform(-0.45, 0.45, (*shape, 2))
     return np.concatenate([slopes * z[..., None], z[..., None]], axis=-1)
+
+
+def careful(head: HeadModel, rng: np.random.Generator, shape: int | tuple[int, ...]) -> HeadModel:
+    """Heads built with care: up to 2.5 m their axes still cross ahead of them."""
+    errors = ModelErrors(
+        link_m=5e-4, coaxiality_rad=3e-3, joint_offset_rad=3e-3, head_eye_rad=3e-3,
+        head_eye_m=5e-4, focal_relative=0.01, principal_px=1.0, distortion=0.01,
+    )  # fmt: skip
+    return head.perturbed(rng, errors, shape)
 
 
 def same(a: Fix, b: Fix) -> bool:
@@ -51,18 +63,15 @@ def test_gaze_and_views_from_eyes_at_rest_find_the_points_of_table_3(head: HeadM
         assert fix.gap.max() < NANOMETRE
 
 
-_HEADS = {name: load_head(name) for name in ("simulated", "physical")}
-
-
 @pytest.mark.slow
 @given(
-    name=st.sampled_from(sorted(_HEADS)),
+    name=st.sampled_from(["simulated", "physical"]),
     slope=st.tuples(st.floats(-0.45, 0.45), st.floats(-0.45, 0.45)),
     depth=st.floats(0.3, 3.0),
     aside=st.lists(st.floats(-0.1, 0.1), min_size=7, max_size=7),
 )
 def test_views_undo_projection_at_any_posture(name, slope, depth, aside) -> None:
-    head = _HEADS[name]
+    head = HEADS[name]
     point = depth * np.array([*slope, 1.0])
     q = head.fixate(point) + aside
     fix = triangulate_views(head, q, head.project(q, point))
@@ -73,16 +82,14 @@ def test_views_undo_projection_at_any_posture(name, slope, depth, aside) -> None
 
 @given(neck=st.tuples(*[st.floats(-0.5, 0.5)] * 3))
 def test_the_neck_moves_the_base_frame_and_not_the_fix_in_it(neck) -> None:
-    head = _HEADS["simulated"]
+    head = HEADS["simulated"]
     point = np.array([0.1, -0.2, 0.8])
     turned = head.fixate(point, neck)
     assert same(triangulate_gaze(head, turned), triangulate_gaze(head, head.fixate(point)))
 
 
-def test_a_population_against_a_batch_of_angles_is_the_loop_over_both(
-    head: HeadModel, errors: ModelErrors, rng
-) -> None:
-    heads = head.perturbed(rng, errors, (3, 1))
+def test_a_population_against_a_batch_of_angles_is_the_loop_over_both(head, rng) -> None:
+    heads = careful(head, rng, (3, 1))
     points = workspace(rng, (4,))
     q = head.fixate(points)
     pixels = head.project(q, points) + rng.normal(0.0, 5.0, (4, 2, 2))
@@ -91,8 +98,6 @@ def test_a_population_against_a_batch_of_angles_is_the_loop_over_both(
     for call, seen in ((triangulate_gaze, False), (triangulate_views, True)):
         with named(call.__name__):
             together = call(heads, q, *[pixels] * seen, noise)
-            assert together.point.shape == (3, 4, 3)
-            assert together.gap.shape == together.valid.shape == (3, 4)
             assert together.covariance.shape == (3, 4, 3, 3)
             for i, j in np.ndindex(3, 4):
                 own = Noise(pixel_px=pixel_px[j], joint_rad=joint_rad[j])
@@ -100,11 +105,9 @@ def test_a_population_against_a_batch_of_angles_is_the_loop_over_both(
                 assert same(alone, Fix(*(part[i, j] for part in together)))
 
 
-def test_fix_and_gap_satisfy_the_definition_on_skew_axes(
-    head: HeadModel, errors: ModelErrors, rng
-) -> None:
+def test_fix_and_gap_satisfy_the_definition_on_skew_axes(head, rng) -> None:
     points = workspace(rng, (40,))
-    heads = head.perturbed(rng, errors, 40)
+    heads = careful(head, rng, 40)
     fix = triangulate_gaze(heads, head.fixate(points))
     assert fix.valid.all()
     assert fix.gap.min() > 1e-6  # they are skew
@@ -133,15 +136,13 @@ def turned(left_pan: float, right_pan: float) -> NDArray[np.float64]:
     return np.array([0.0, 0.0, 0.0, 0.0, left_pan, 0.0, right_pan])
 
 
-def test_axes_that_are_nearly_parallel_or_cross_behind_an_eye_have_no_answer(
-    head, simulated
-) -> None:
+def test_axes_that_are_nearly_parallel_or_cross_behind_an_eye_have_no_answer(head) -> None:
     parallel = [(0.0, angle) for angle in (0.0, 1e-12, 1e-8, 0.9e-4)]
     # diverging; and both far to the left, the left one even farther, so that it is behind that eye
     for pans in (*parallel, (0.1, -0.1), (0.9, 0.5)):
         with named(pans):
             assert has_no_answer(triangulate_gaze(head, turned(*pans)))
-    fix = triangulate_gaze(simulated, turned(0.0, 2e-4))  # but these converge
+    fix = triangulate_gaze(HEADS["simulated"], turned(0.0, 2e-4))  # but these converge
     assert fix.valid
     # 92 mm of baseline; a relative 1e-6 is the rounding of the squared sine of 2e-4
     assert fix.point[2] == pytest.approx(0.092 / np.tan(2e-4) + 0.0138, rel=1e-6)
@@ -166,18 +167,59 @@ def test_an_eye_that_does_not_see_or_an_angle_of_nan_leaves_no_answer_for_that_e
 @given(pans=st.tuples(*[st.floats(-1.5, 1.5)] * 2), tilts=st.tuples(*[st.floats(-1.5, 1.5)] * 2))
 def test_nothing_is_ever_infinite(pans, tilts) -> None:
     q = np.array([0.0, 0.0, 0.0, tilts[0], pans[0], tilts[1], pans[1]])
-    fix = triangulate_gaze(_HEADS["simulated"], q, Noise(pixel_px=0.1, joint_rad=1e-3))
+    fix = triangulate_gaze(HEADS["simulated"], q, Noise(pixel_px=0.1, joint_rad=1e-3))
     assert not any(np.isinf(part).any() for part in (fix.point, fix.gap, fix.covariance))
     assert np.isfinite(fix.point).all() == bool(fix.valid)
 
 
-def test_settled_gaze_and_views_are_one_computation_whatever_the_model_errors(
-    head: HeadModel, errors: ModelErrors, rng
-) -> None:
-    heads = head.perturbed(rng, errors, 60)
-    points = workspace(rng, (60,))
-    q = settled_angles(heads, head, points)
-    pixels = heads.project(q, points)
-    gaze, views = triangulate_gaze(head, q), triangulate_views(head, q, pixels)
-    assert np.abs(gaze.point - points).max() > 1 * MM  # the errors do matter
-    assert np.abs(gaze.point - views.point).max() < 1e-9 * MM
+def test_a_fixed_pair_locates_by_its_images_and_not_by_gaze():
+    head, point = head_of("pair"), np.array([0.05, -0.1, 0.7])
+    pixels = head.project(np.zeros(7), point)
+    fix = triangulate_views(head, np.zeros(7), pixels)
+    assert fix.point == pytest.approx(point, abs=NANOMETRE)
+    by_pixels = triangulate_views(head, np.zeros(7), pixels, Noise(pixel_px=0.05)).covariance
+    assert fix.covariance == pytest.approx(by_pixels, rel=1e-12)
+    refused("triangulate_gaze: .*'pair', a fixed pair: tri", triangulate_gaze, head, np.zeros(7))
+
+
+def looked_at(head: HeadModel, point: np.ndarray, rng: np.random.Generator):
+    """Readings and pixels of fixations whose angles differ by up to 0.3 degrees."""
+    own = head.actuation
+    angles = np.tile(own.actuators_of(head.fixate(point)), (FIXATIONS, 1))
+    angles[:, 3:] += rng.uniform(-0.005, 0.005, (FIXATIONS, 4)) * (own.upper > own.lower)[3:]
+    q = own.joints_of(angles)
+    pixels = head.project(q, point) + PIXEL_PX * rng.standard_normal((FIXATIONS, 2, 2))
+    return quantised(head, q), pixels
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["physical", "icub"])
+def test_several_fixations_are_as_sure_as_they_are_said_to_be_and_surer_than_a_mean(name, rng):
+    head, squares, errors, means = HEADS[name], [], [], []
+    for point in rng.uniform([-0.2, -0.1, 0.6], [0.2, 0.1, 2.0], (40, 3)):
+        q, pixels = looked_at(head, point, rng)
+        fix = triangulate_fixations(head, q, pixels, Noise(pixel_px=PIXEL_PX))
+        error = fix.point - point
+        squares.append(error @ np.linalg.solve(fix.covariance, error) / 3.0)
+        errors.append(error[2] / point[2])
+        means.append(triangulate_views(head, q, pixels).point[:, 2].mean() / point[2] - 1.0)
+    # of 120 numbers, the mean square deviates by 0.13
+    assert 0.6 < np.mean(squares) < 1.4
+    assert np.std(errors) < np.std(means)
+
+
+def test_several_fixations_with_exact_encoders_and_pixels_give_the_point():
+    head, point = HEADS["simulated"], np.array([0.1, -0.05, 1.2])
+    q = head.fixate(point + [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.1]])
+    fix = triangulate_fixations(head, q, head.project(q, point))
+    np.testing.assert_allclose(fix.point, point, atol=1e-7)
+
+
+def test_fixations_in_which_an_eye_sees_nothing_do_not_count(rng):
+    head = HEADS["physical"]
+    q, pixels = looked_at(head, np.array([0.0, 0.0, 1.0]), rng)
+    first = triangulate_fixations(head, q[:40], pixels[:40])
+    pixels[40:, 1] = np.nan
+    assert np.array_equal(triangulate_fixations(head, q, pixels).point, first.point)
+    said = "both eyes see the point, got none in 64"
+    refused(said, triangulate_fixations, head, q, np.full_like(pixels, np.nan))
