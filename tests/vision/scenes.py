@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vergence import load_head
 from vergence.models.parts import Rendering
-from vergence.vision import Camera, TargetRenderer
+from vergence.vision import Camera, Detection, TargetRenderer
 from vergence.vision.targets import PlanarTarget
 
 Image = NDArray[np.uint8]
@@ -151,3 +151,8 @@ def turned(rng: np.random.Generator, most_rad: float) -> tuple[float, float, flo
     """A rotation vector of a random direction, up to an angle."""
     axis = rng.normal(size=3)
     return tuple(axis / np.linalg.norm(axis) * rng.uniform(0.0, most_rad))
+
+
+def shifted(found: Detection, by_px: ArrayLike) -> Detection:
+    """A detection predicted elsewhere."""
+    return found._replace(point_px=found.point_px + by_px, corners_px=found.corners_px + by_px)
