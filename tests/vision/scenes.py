@@ -26,6 +26,9 @@ def rig(name: str) -> tuple[Camera, Rendering]:
     return Camera.of(head, 0), head.rendering
 
 
+CAMERA, RENDERING = rig("simulated")
+
+
 class Scene(NamedTuple):
     """An image, and where the target is in it."""
 

@@ -9,13 +9,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.grids import some_of
 from tests.naming import named, refused
 from tests.vision.poses import pose
-from tests.vision.scenes import rig, scene, shifted
+from tests.vision.scenes import CAMERA, RENDERING, scene, shifted
 from vergence import load_head
 from vergence.vision import (
     AprilGrid,
@@ -31,33 +29,8 @@ from vergence.vision import (
     parse_target,
 )
 
-CAMERA, RENDERING = rig("simulated")
 TARGETS = ("tag", "checkerboard")
 GREY = np.full((480, 640), 120, np.uint8)
-
-poses = st.builds(
-    pose, st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(0.7, 1.8),
-    st.tuples(*[st.floats(-0.3, 0.3)] * 3),
-)  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "eye", "bias_px"), [("tag", "physical", 0.08), ("checkerboard", "simulated", 0.25)]
-)
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(T_C_T=poses)
-def test_point_and_corners_are_the_projections_of_the_targets(name, eye, bias_px, T_C_T):
-    """Within 0.08 px, four times the rms bias of the smallest tag among these poses.
-
-    A tag's corners, L-shaped, are held to the same: they lie where the lines of its edge meet,
-    which blur does not pull inwards.
-    """
-    (camera, rendering), target = rig(eye), make_planar_target(name)
-    one = scene(camera, target, T_C_T, rendering)
-    found = make_detector(target, camera).detect(one.image)
-    assert found.point_px == pytest.approx(one.point, abs=0.08)
-    assert found.corners_px == pytest.approx(one.corners, abs=bias_px)
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -172,12 +145,6 @@ OFTEN_MISTAKEN = {
 }
 
 
-def blobs(rng: np.random.Generator, sigma: float) -> np.ndarray:
-    """Noise of one size, stretched over all levels."""
-    smooth = cv2.GaussianBlur(rng.normal(size=SIZE), (0, 0), sigma)
-    return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-
-
 def boxes(rng: np.random.Generator) -> np.ndarray:
     """Turned rectangles upon each other: windows, books, boxes."""
     image = np.full(SIZE, 128, np.uint8)
@@ -210,7 +177,6 @@ def images() -> dict[str, np.ndarray]:
     for k in range(2):
         # small: OpenCV finds hundreds of squares in it, and compares each with all tags
         out[f"noise {k}"] = rng.integers(0, 256, (60, 80), np.uint8)
-        out[f"blobs {k}"] = blobs(rng, 1.5 + 2.5 * k)
         out[f"boxes {k}"] = boxes(rng)
         out[f"tiles {k}"] = tiles(rng, 6 + 8 * k)
         out[f"letters {k}"] = letters(rng)
@@ -228,7 +194,7 @@ def test_nothing_is_found_where_nothing_is(name):
     """In a third of the images of each kind, and in all for the tag that is the default."""
     detector, place = make_detector(OFTEN_MISTAKEN[name]), list(OFTEN_MISTAKEN).index(name)
     for k, (kind, image) in enumerate(IMAGES.items()):
-        if name == "36h11" or (k + (k - 2) // 5 + place) % 3 == 0:
+        if name == "36h11" or (k + (k - 2) // 4 + place) % 3 == 0:
             with named(kind):
                 assert detector.detect_all(image) == []
 

@@ -11,8 +11,7 @@ from PIL import Image
 
 from tests.grids import some_of
 from tests.naming import named, refused
-from tests.vision.poses import pose
-from tests.vision.scenes import rig, scene
+from tests.vision.scenes import rig
 from vergence.errors import UnreadableFileError
 from vergence.models.camera import light_table
 from vergence.vision import AprilTag, Checkerboard, as_grey, make_detector, read_image
@@ -105,12 +104,6 @@ def test_a_response_gives_light_and_colours_are_weighted_as_light():
     np.testing.assert_allclose(as_grey(image.astype(np.uint16) * 257, response="srgb") / 255, light)
 
 
-def test_a_response_is_applied_to_the_depth_that_an_image_has():
-    image = np.array([[0, 100, 200, 65535]], np.uint16)  # all but the last one level of 8 bits
-    expected = 255.0 * (image / 65535.0) ** 2.2
-    np.testing.assert_allclose(as_grey(image, response=2.2), expected, rtol=1e-4)
-
-
 def test_a_frame_of_a_video_has_colours_only_where_its_camera_has():
     grey = np.tile(GREY, (4, 4))
     frame = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
@@ -153,17 +146,6 @@ def test_an_image_of_a_few_pixels_shows_nothing():
             detector = make_detector(target)
             for image in (np.zeros(shape, np.uint8), np.full(shape, 255, np.uint8), noise):
                 assert detector.detect_all(image) == []
-
-
-def test_a_tag_is_found_in_the_same_place_in_an_image_of_more_bits():
-    """Within 0.02 px: white is at another level, and the levels are rounded."""
-    camera, rendering = rig("physical")
-    image = scene(camera, AprilTag(), pose(0.02, 0.01, 0.8), rendering).image
-    more = image.astype(np.uint16) << 4
-    detector = make_detector(AprilTag(), camera)
-    plain = detector.detect(image)
-    for found in (detector.detect(more), detector.track(more, plain)):
-        assert found.corners_px == pytest.approx(plain.corners_px, abs=0.02)
 
 
 # files

@@ -6,16 +6,19 @@ import pytest
 from tests.grids import some_of
 from tests.models.lenses import LENSES, wide
 from tests.naming import named, refused
+from tests.vision.scenes import rig
 from vergence.models.camera import Lens, camera_matrix
 from vergence.vision import Camera
 from vergence.vision.optics import ray_table
 
+EYE = rig("physical")[0]
 
-def test_rays_undo_projection_over_the_whole_frame(lens: Camera) -> None:
+
+def test_rays_undo_projection_over_the_whole_frame() -> None:
     u, v = np.meshgrid(np.linspace(-8, 648, 40), np.linspace(-8, 488, 30))
     pixels = np.stack([u.ravel(), v.ravel()], axis=-1)
-    rays = lens.rays(pixels)
-    again = lens.project(np.column_stack([rays, np.ones(len(rays))]))
+    rays = EYE.rays(pixels)
+    again = EYE.project(np.column_stack([rays, np.ones(len(rays))]))
     assert np.abs(again - pixels).max() < 1e-4
 
 
@@ -45,12 +48,12 @@ def test_a_camera_without_coefficients_is_that_of_zeros() -> None:
     }  # fmt: skip
 
 
-def test_ray_table_holds_the_rays_of_its_samples(lens: Camera) -> None:
-    table = ray_table(lens, 2, 3)
+def test_ray_table_holds_the_rays_of_its_samples() -> None:
+    table = ray_table(EYE, 2, 3)
     assert table.shape == ((480 + 6) * 2, (640 + 6) * 2, 2)
     row, column = 37, 801
     pixel = [[(column + 0.5) / 2 - 0.5 - 3, (row + 0.5) / 2 - 0.5 - 3]]
-    assert table[row, column] == pytest.approx(lens.rays(pixel)[0], abs=1e-6)
+    assert table[row, column] == pytest.approx(EYE.rays(pixel)[0], abs=1e-6)
 
 
 def test_what_cannot_be_a_camera_is_refused() -> None:

@@ -9,7 +9,7 @@ import pytest
 from tests.models.lenses import LENSES, wide
 from tests.naming import refused
 from tests.vision.poses import pose
-from tests.vision.scenes import rig, scene
+from tests.vision.scenes import CAMERA, rig, scene
 from vergence import load_head
 from vergence.vision import (
     AprilGrid,
@@ -76,19 +76,19 @@ def test_exact_corners_give_the_exact_pose(lens, target):
 
 
 @pytest.mark.parametrize("target", [TAG, BOARD], ids=str)
-def test_with_equal_sigmas_it_is_the_pose_of_opencv(pinhole, target):
+def test_with_equal_sigmas_it_is_the_pose_of_opencv(target):
     rng = np.random.default_rng(2)
     board = np.column_stack([target.corners_m, np.zeros(len(target.corners_m))])
     for _ in range(10):
-        seen = pinhole.project(in_space(target, drawn(rng)))
+        seen = CAMERA.project(in_space(target, drawn(rng)))
         seen += rng.normal(scale=0.1, size=seen.shape)
-        found = estimate_pose(target.corners_m, [View(pinhole, seen, np.full(seen.shape, 0.1))])
+        found = estimate_pose(target.corners_m, [View(CAMERA, seen, np.full(seen.shape, 0.1))])
         _, turned, place, _ = cv2.solvePnPGeneric(
-            board, seen, pinhole.matrix, None, flags=cv2.SOLVEPNP_IPPE
+            board, seen, CAMERA.matrix, None, flags=cv2.SOLVEPNP_IPPE
         )
         ends = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 200, 1e-14)
         w, t = cv2.solvePnPRefineLM(
-            board, seen, pinhole.matrix, None, turned[0], place[0], criteria=ends
+            board, seen, CAMERA.matrix, None, turned[0], place[0], criteria=ends
         )
         assert found.matrix[:3, 3] == pytest.approx(t.ravel(), abs=1e-6)
         assert found.matrix[:3, :3] == pytest.approx(cv2.Rodrigues(w)[0], abs=1e-6)
@@ -154,16 +154,16 @@ def test_two_eyes_measure_the_size_and_one_scales_with_it():
     assert 1.5 * small.sigma[:3] == pytest.approx(large.sigma[:3])
 
 
-def test_corners_that_were_not_found_are_left_out(pinhole):
+def test_corners_that_were_not_found_are_left_out():
     T, sigma = drawn(np.random.default_rng(5)), np.full(BOARD.corners_m.shape, 0.1)
-    seen = pinhole.project(in_space(BOARD, T))
+    seen = CAMERA.project(in_space(BOARD, T))
     seen[7:20] = np.nan
     sigma[30] = np.nan
-    found = estimate_pose(BOARD.corners_m, [View(pinhole, seen, sigma)])
+    found = estimate_pose(BOARD.corners_m, [View(CAMERA, seen, sigma)])
     assert found.matrix == pytest.approx(T, abs=1e-8)
     assert found.degrees == 2 * (54 - 14) - 6
     full = np.diag(sigma.ravel() ** 2)
-    same = estimate_pose(BOARD.corners_m, [View(pinhole, seen, full)])
+    same = estimate_pose(BOARD.corners_m, [View(CAMERA, seen, full)])
     assert same.covariance == pytest.approx(found.covariance)
 
 
@@ -171,28 +171,28 @@ def test_corners_that_were_not_found_are_left_out(pinhole):
     "kept", [[], [0, 1, 9], range(9), [0, 1, 2, 3, 4, 9], [0, 10, 20, 30, 3]],
     ids=["none", "three", "a line", "a line and one", "a slanting line and one"],
 )  # fmt: skip
-def test_corners_that_leave_the_pose_open_give_none(pinhole, kept):
-    seen = pinhole.project(in_space(BOARD, drawn(np.random.default_rng(6))))
+def test_corners_that_leave_the_pose_open_give_none(kept):
+    seen = CAMERA.project(in_space(BOARD, drawn(np.random.default_rng(6))))
     some = np.full(seen.shape, np.nan)
     some[list(kept)] = seen[list(kept)]
-    assert estimate_pose(BOARD.corners_m, [View(pinhole, some, np.full(seen.shape, 0.1))]) is None
+    assert estimate_pose(BOARD.corners_m, [View(CAMERA, some, np.full(seen.shape, 0.1))]) is None
     # one eye that sees enough is enough, and more corners in the other help
     T, sigma = np.eye(4), np.full(seen.shape, 0.1)
-    whole, part = View(pinhole, seen, sigma, T), View(pinhole, some, sigma, T)
+    whole, part = View(CAMERA, seen, sigma, T), View(CAMERA, some, sigma, T)
     one, both = (estimate_pose(BOARD.corners_m, views) for views in ([whole], [part, whole]))
     assert both.matrix == pytest.approx(one.matrix, abs=1e-8)
     assert (both.sigma <= 1.000001 * one.sigma).all()
 
 
-def test_a_wrong_argument_is_named(pinhole):
+def test_a_wrong_argument_is_named():
     seen, sigma = np.zeros((4, 2)), np.full((4, 2), 0.1)
     for view, named in (
-        (View(pinhole, seen[:3], sigma), "corners_px"),
-        (View(pinhole, seen, sigma[:3]), "noise"),
-        (View(pinhole, seen, -sigma), "positive"),
-        (View(pinhole, TAG.corners_m, np.ones((8, 8))), "positive definite"),
-        (View(pinhole, seen, sigma, np.eye(3)), "pose"),
-        (View(pinhole, seen, sigma, np.eye(4), np.zeros(6)), "pose_errors"),
+        (View(CAMERA, seen[:3], sigma), "corners_px"),
+        (View(CAMERA, seen, sigma[:3]), "noise"),
+        (View(CAMERA, seen, -sigma), "positive"),
+        (View(CAMERA, TAG.corners_m, np.ones((8, 8))), "positive definite"),
+        (View(CAMERA, seen, sigma, np.eye(3)), "pose"),
+        (View(CAMERA, seen, sigma, np.eye(4), np.zeros(6)), "pose_errors"),
     ):
         refused(named, estimate_pose, TAG.corners_m, [view])
 

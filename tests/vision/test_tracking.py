@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.vision.poses import pose
-from tests.vision.scenes import rig, scene, shadow
+from tests.vision.scenes import CAMERA, RENDERING, rig, scene, shadow
 from vergence import load_head
 from vergence.vision import (
     AprilGrid,
@@ -25,7 +25,6 @@ TARGETS = {
     "charuco": CharucoBoard(columns=5, rows=4, square_m=0.04),
     "aprilgrid": AprilGrid(columns=4, rows=3, tag_m=0.04),
 }
-CAMERA, RENDERING = rig("simulated")
 EMPTY = scene(CAMERA, TAG, pose(0, 0, -1.0), RENDERING).image
 
 

@@ -10,13 +10,22 @@ import pytest
 from tests.grids import some_of
 from tests.naming import named
 from tests.vision.poses import pose
-from tests.vision.scenes import Scene, cropped, glare, rig, rms, scene, several, shifted
+from tests.vision.scenes import (
+    CAMERA,
+    RENDERING,
+    Scene,
+    cropped,
+    glare,
+    rms,
+    scene,
+    several,
+    shifted,
+)
 from vergence.vision import AprilTag, TagFamily, make_detector
 from vergence.vision.tag_families import CORRECTED_BITS, tag_family
 from vergence.vision.targets import texture
 
 TAG = AprilTag()
-CAMERA, RENDERING = rig("simulated")
 SIDES = [(1, 0), (-1, 0), (0, 1), (0, -1)]
 FAMILIES = tuple(CORRECTED_BITS)
 ROLLS = dict(zip(FAMILIES, [0.0, 0.8, np.pi / 2, np.pi, -1.0] * 2, strict=False))
