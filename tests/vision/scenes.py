@@ -16,7 +16,6 @@ from vergence.vision.targets import PlanarTarget
 Image = NDArray[np.uint8]
 Change = Callable[[Image, np.ndarray], Image]
 """From an image and the middle of the target to another image."""
-RIGS = ("simulated", "physical")
 
 
 @lru_cache
@@ -39,10 +38,10 @@ class Scene(NamedTuple):
     """(2,) px."""
 
 
-def seen_px(camera: Camera, target: PlanarTarget, T_C_T: np.ndarray) -> np.ndarray:
-    """(n, 2) where the target's corners are in the image."""
-    flat = np.column_stack([target.corners_m, np.zeros(len(target.corners_m))])
-    return camera.project(flat @ T_C_T[:3, :3].T + T_C_T[:3, 3])
+def in_space(target: PlanarTarget, T_C_T: np.ndarray, size: float = 1.0) -> np.ndarray:
+    """(n, 3) where the target's corners are in the camera's frame, m."""
+    flat = np.column_stack([size * target.corners_m, np.zeros(len(target.corners_m))])
+    return flat @ T_C_T[:3, :3].T + T_C_T[:3, 3]
 
 
 @lru_cache(maxsize=16)
@@ -62,7 +61,7 @@ def scene(
     drawing = _drawing(camera, target, rendering)
     drawing.draw(T_C_T, rng, smear_px)
     point = camera.project(T_C_T[None, :3, 3])[0]
-    return Scene(drawing.frame.copy(), seen_px(camera, target, T_C_T), point)
+    return Scene(drawing.frame.copy(), camera.project(in_space(target, T_C_T)), point)
 
 
 def cropped(one: Scene, room_px: int = 70) -> Scene:

@@ -94,28 +94,18 @@ def test_with_equal_sigmas_it_is_the_pose_of_opencv(target):
         assert found.matrix[:3, :3] == pytest.approx(cv2.Rodrigues(w)[0], abs=1e-6)
 
 
-NORMALISED = [
-    # target, eyes, correlated noise, size, draws, and four standard deviations of the mean
-    ("fisheye", TAG, 1, False, 1.0, 200, 0.16), ("rational", TAG, 2, True, 1.0, 200, 0.16),
-    *(
-        pytest.param(lens, *rest, 500, 0.1, marks=pytest.mark.nightly)
-        for lens in LENSES
-        for rest in [
-            (TAG, 1, False, 1.0), (BOARD, 1, False, 1.0), (TAG, 1, True, 1.0),
-            (TAG, 2, False, 1.4), (BOARD, 2, False, 1.0), (TAG, 2, True, 1.0),
-        ]
-    ),
-]  # fmt: skip
-
-
 @pytest.mark.parametrize(
-    ("lens", "target", "eyes", "correlated", "size", "draws", "most"), NORMALISED, ids=str
-)
-def test_errors_are_as_large_as_the_covariance_says(
-    lens, target, eyes, correlated, size, draws, most
-):
+    ("lens", "target", "eyes", "correlated", "size"),
+    [
+        ("fisheye", TAG, 1, False, 1.0), ("rational", TAG, 2, True, 1.0),
+        ("brown-conrady", TAG, 2, False, 1.4), ("rational", BOARD, 1, False, 1.0),
+        ("fisheye", BOARD, 2, False, 1.0), ("brown-conrady", TAG, 1, True, 1.0),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_errors_are_as_large_as_the_covariance_says(lens, target, eyes, correlated, size):
     """The mean normalised squared error of poses in N, with errors of the joints, is 1."""
-    head, rng, errors = wide(lens), np.random.default_rng(3), []
+    head, rng, errors, draws = wide(lens), np.random.default_rng(3), [], 300
     count = 2 * len(target.corners_m)
     poses = [drawn(rng, aside=0.2) for _ in range(draws)]
     angles = head.fixate([T[:3, 3] for T in poses], warn=False)
@@ -133,7 +123,8 @@ def test_errors_are_as_large_as_the_covariance_says(
         views = eye_views(head, q, pixels + error, noise, 5e-4)[:eyes]
         found = estimate_pose(target.corners_m, views, size_known=size == 1.0)
         errors.append(normalised(T, found))
-    assert np.mean(errors) == pytest.approx(1.0, abs=most)
+    # four standard deviations of the mean
+    assert np.mean(errors) == pytest.approx(1.0, abs=0.13)
 
 
 def test_two_eyes_measure_the_size_and_one_scales_with_it():
@@ -198,17 +189,10 @@ def test_a_wrong_argument_is_named():
 
 
 @pytest.mark.parametrize(
-    ("eyes", "depth_m", "factor", "count"),
-    [
-        (1, (0.9, 5.0), 1.0, 300),
-        *(
-            pytest.param(eyes, depth_m, factor, 1500, marks=pytest.mark.nightly)
-            for eyes, depth_m in [(1, (0.9, 5.0)), (2, (2.5, 9.0))]
-            for factor in (1.0, 2.0)
-        ),
-    ],
+    ("eyes", "depth_m", "factor"),
+    [(1, (0.9, 5.0), 1.0), (1, (0.9, 5.0), 2.0), (2, (2.5, 9.0), 1.0)],
 )
-def test_two_solutions_are_named_where_noise_decides_between_them(eyes, depth_m, factor, count):
+def test_two_solutions_are_named_where_noise_decides_between_them(eyes, depth_m, factor):
     """Where the best is wrong, and where both fit, and not where one does.
 
     That holds even if the noise is twice what it is said to be. Whether both fit is known from
@@ -216,7 +200,7 @@ def test_two_solutions_are_named_where_noise_decides_between_them(eyes, depth_m,
     noise makes it the lower one Phi(-sqrt(D) / 2).
     """
     head, rng, rows = load_head("simulated"), np.random.default_rng(7), []
-    for _ in range(count):
+    for _ in range(300):
         T = drawn(rng, depth_m, 0.2, (0.1, 0.8))
         q = head.fixate(T[:3, 3], warn=False)
         seen = np.moveaxis(head.project(q, in_space(TAG, T)), -2, 0)
