@@ -83,10 +83,11 @@ def test_threads_may_share_a_detector(target):
 @pytest.mark.slow
 def test_tracked_equals_full_frame():
     """Both refinements end at one place, whether the prediction was near or far."""
-    for name, miss_px in some_of(TARGETS, [(0, 0), (1.5, -2), (9, 7)]):
-        with named(name, miss_px):
-            target, rng = make_planar_target(name), np.random.default_rng(0)
-            detector = make_detector(target)
+    grid = AprilGrid(columns=4, rows=3, tag_m=0.04)
+    targets = (AprilTag(), Checkerboard(), CharucoBoard(columns=5, rows=4, square_m=0.04), grid)
+    for target, miss_px in some_of(targets, [(0, 0), (1.5, -2), (9, 7), (30, -20)]):
+        with named(target, miss_px):
+            detector, rng = make_detector(target), np.random.default_rng(0)
             before = detector.detect(scene(CAMERA, target, pose(0, 0, 1.0), RENDERING, rng).image)
             now = pose(0.05, -0.02, 1.02, (0, 0.05, 0))
             image = scene(CAMERA, target, now, RENDERING, rng).image

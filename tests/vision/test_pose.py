@@ -9,7 +9,7 @@ import pytest
 from tests.models.lenses import LENSES, wide
 from tests.naming import refused
 from tests.vision.poses import pose
-from tests.vision.scenes import CAMERA, rig, scene
+from tests.vision.scenes import CAMERA, in_space, rig, scene
 from vergence import load_head
 from vergence.vision import (
     AprilGrid,
@@ -20,15 +20,9 @@ from vergence.vision import (
     make_detector,
 )  # fmt: skip
 from vergence.vision.pose import Pose, View, estimate_pose, eye_views
-from vergence.vision.targets import PlanarTarget
 
 TAG = AprilTag()
 BOARD = Checkerboard(columns=9, rows=6, square_m=0.02)
-
-
-def in_space(target: PlanarTarget, matrix: np.ndarray, size: float = 1.0) -> np.ndarray:
-    flat = np.column_stack([size * target.corners_m, np.zeros(len(target.corners_m))])
-    return flat @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def drawn(
