@@ -198,18 +198,6 @@ def test_a_tag_in_the_image_to_its_quiet_zone_is_found_and_one_that_the_edge_cut
     assert detector.track(cut.image, found) is None
 
 
-@pytest.mark.parametrize(
-    ("x", "z", "turn"),
-    [(0.307, 0.403, (-0.775, -0.054, 2.857)), (0.339, 0.451, (-0.264, -0.360, 0.445))],
-)
-def test_a_corner_just_beyond_the_images_edge_is_found_there_and_not_drawn_in(x, z, turn):
-    """The AprilTag library draws it in."""
-    one = scene(CAMERA, TAG, pose(x, 0.02, z, turn), RENDERING)
-    assert (one.corners[:, 0] > CAMERA.width - 0.5).sum() == 1
-    found = make_detector(TAG, CAMERA).detect(one.image)
-    assert found.corners_px == pytest.approx(one.corners, abs=0.05)
-
-
 @pytest.mark.parametrize("away_px", [-1, 2])
 def test_a_tag_at_the_images_edge_is_found_with_a_sigma_as_large_as_its_error(away_px):
     rng, detector, errors = np.random.default_rng(4), make_detector(TAG), []
