@@ -21,7 +21,7 @@ from vergence.vision.tag_families import (
     load_library,
     tag_family,
 )
-from vergence.vision.targets import outline_m, texture
+from vergence.vision.targets import outline_m
 
 
 def test_tag_is_measured_at_the_centre_of_its_black_square() -> None:
@@ -52,15 +52,6 @@ def test_black_and_white_alternate_at_every_inner_corner() -> None:
             assert (cells[y, x] == cells[y - 1, x - 1]).all()
             assert (cells[y, x - 1] == cells[y - 1, x]).all()
             assert (cells[y, x] != cells[y, x - 1]).all()
-
-
-def test_texture_is_the_cells_enlarged() -> None:
-    tag = AprilTag()
-    image = texture(tag, 3, surround=90, rim_px=2)
-    assert image.dtype == np.uint8
-    assert image.shape == (34, 34)
-    assert (image[3:-2:3, 3:-2:3] == tag.cells).all()
-    assert (image[:2] == 90).all()
 
 
 def test_board_that_looks_the_same_turned_is_measured_at_its_middle() -> None:

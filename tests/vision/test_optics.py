@@ -9,7 +9,6 @@ from tests.naming import named, refused
 from tests.vision.scenes import rig
 from vergence.models.camera import Lens, camera_matrix
 from vergence.vision import Camera
-from vergence.vision.optics import ray_table
 
 EYE = rig("physical")[0]
 
@@ -46,14 +45,6 @@ def test_a_camera_without_coefficients_is_that_of_zeros() -> None:
     assert {Camera(**view), Camera(**view), Camera(**view, lens=Lens("fisheye"))} == {
         Camera(**view), Camera(**view, lens=Lens("fisheye")),
     }  # fmt: skip
-
-
-def test_ray_table_holds_the_rays_of_its_samples() -> None:
-    table = ray_table(EYE, 2, 3)
-    assert table.shape == ((480 + 6) * 2, (640 + 6) * 2, 2)
-    row, column = 37, 801
-    pixel = [[(column + 0.5) / 2 - 0.5 - 3, (row + 0.5) / 2 - 0.5 - 3]]
-    assert table[row, column] == pytest.approx(EYE.rays(pixel)[0], abs=1e-6)
 
 
 def test_what_cannot_be_a_camera_is_refused() -> None:
