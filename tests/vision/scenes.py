@@ -6,17 +6,16 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vergence import load_head
 from vergence.models.parts import Rendering
-from vergence.vision import Camera, TargetRenderer
+from vergence.vision import Camera, Detection, TargetRenderer
 from vergence.vision.targets import PlanarTarget
 
 Image = NDArray[np.uint8]
 Change = Callable[[Image, np.ndarray], Image]
 """From an image and the middle of the target to another image."""
-RIGS = ("simulated", "physical")
 
 
 @lru_cache
@@ -24,6 +23,9 @@ def rig(name: str) -> tuple[Camera, Rendering]:
     """The left eye of a preset, and how it renders."""
     head = load_head(name)
     return Camera.of(head, 0), head.rendering
+
+
+CAMERA, RENDERING = rig("simulated")
 
 
 class Scene(NamedTuple):
@@ -36,10 +38,10 @@ class Scene(NamedTuple):
     """(2,) px."""
 
 
-def seen_px(camera: Camera, target: PlanarTarget, T_C_T: np.ndarray) -> np.ndarray:
-    """(n, 2) where the target's corners are in the image."""
-    flat = np.column_stack([target.corners_m, np.zeros(len(target.corners_m))])
-    return camera.project(flat @ T_C_T[:3, :3].T + T_C_T[:3, 3])
+def in_space(target: PlanarTarget, T_C_T: np.ndarray, size: float = 1.0) -> np.ndarray:
+    """(n, 3) where the target's corners are in the camera's frame, m."""
+    flat = np.column_stack([size * target.corners_m, np.zeros(len(target.corners_m))])
+    return flat @ T_C_T[:3, :3].T + T_C_T[:3, 3]
 
 
 @lru_cache(maxsize=16)
@@ -59,7 +61,7 @@ def scene(
     drawing = _drawing(camera, target, rendering)
     drawing.draw(T_C_T, rng, smear_px)
     point = camera.project(T_C_T[None, :3, 3])[0]
-    return Scene(drawing.frame.copy(), seen_px(camera, target, T_C_T), point)
+    return Scene(drawing.frame.copy(), camera.project(in_space(target, T_C_T)), point)
 
 
 def cropped(one: Scene, room_px: int = 70) -> Scene:
@@ -151,3 +153,8 @@ def turned(rng: np.random.Generator, most_rad: float) -> tuple[float, float, flo
     """A rotation vector of a random direction, up to an angle."""
     axis = rng.normal(size=3)
     return tuple(axis / np.linalg.norm(axis) * rng.uniform(0.0, most_rad))
+
+
+def shifted(found: Detection, by_px: ArrayLike) -> Detection:
+    """A detection predicted elsewhere."""
+    return found._replace(point_px=found.point_px + by_px, corners_px=found.corners_px + by_px)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.naming import named
-from vergence.errors import ConfigurationError, UnknownNameError
+from tests.naming import named, refused
+from vergence.errors import UnknownNameError
 from vergence.vision import (
     AprilGrid,
     AprilTag,
@@ -21,7 +21,7 @@ from vergence.vision.tag_families import (
     load_library,
     tag_family,
 )
-from vergence.vision.targets import outline_m, texture
+from vergence.vision.targets import outline_m
 
 
 def test_tag_is_measured_at_the_centre_of_its_black_square() -> None:
@@ -39,23 +39,19 @@ def test_checkerboard_is_measured_at_its_upper_right_inner_corner() -> None:
     assert outline_m(board)[1] == pytest.approx([0.06, -0.06])
 
 
-def test_inner_corners_lie_where_four_squares_alternate() -> None:
-    board = Checkerboard()
-    columns, rows = np.rint(board.corners_m / board.cell_m + board.origin_cells).astype(int).T
-    cells = board.cells
-    assert (cells != cells[::-1, ::-1]).any()
-    assert (cells[rows, columns] == cells[rows - 1, columns - 1]).all()
-    assert (cells[rows, columns] != cells[rows - 1, columns]).all()
-    assert (cells[rows, columns] != cells[rows, columns - 1]).all()
-
-
-def test_texture_is_the_cells_enlarged() -> None:
-    tag = AprilTag()
-    image = texture(tag, 3, surround=90, rim_px=2)
-    assert image.dtype == np.uint8
-    assert image.shape == (34, 34)
-    assert (image[3:-2:3, 3:-2:3] == tag.cells).all()
-    assert (image[:2] == 90).all()
+def test_black_and_white_alternate_at_every_inner_corner() -> None:
+    grids = (AprilGrid(columns=3, rows=4, spacing=spacing) for spacing in (0.3, 0.25, 0.2954))
+    for board in (Checkerboard(), *grids):
+        with named(board):
+            places = board.corners_m / board.cell_m + board.origin_cells
+            x, y = np.rint(places).astype(int).T
+            # what is drawn is as near as cells allow
+            assert np.abs(places - np.rint(places)).max() * board.cell_m < 5e-4
+            cells = board.cells
+            assert (cells != cells[::-1, ::-1]).any()
+            assert (cells[y, x] == cells[y - 1, x - 1]).all()
+            assert (cells[y, x - 1] == cells[y - 1, x]).all()
+            assert (cells[y, x] != cells[y, x - 1]).all()
 
 
 def test_board_that_looks_the_same_turned_is_measured_at_its_middle() -> None:
@@ -66,12 +62,6 @@ def test_board_that_looks_the_same_turned_is_measured_at_its_middle() -> None:
             assert (board.cells == board.cells[::-1, ::-1]).all()
             assert board.corners_m.mean(axis=0) == pytest.approx([0.0, 0.0])
             assert outline_m(board).mean(axis=0) == pytest.approx([0.0, 0.0])
-
-
-def test_boards_of_impossible_sizes_are_refused() -> None:
-    for columns, rows in ((2, 5), (5, 201)):
-        with named(columns, rows), pytest.raises(ConfigurationError, match="inner corners"):
-            Checkerboard(columns=columns, rows=rows)
 
 
 def test_board_without_a_rim_ends_with_its_squares() -> None:
@@ -135,20 +125,6 @@ def test_aprilgrid_is_kalibrs() -> None:
     np.testing.assert_array_equal(grid.cells[gap:-gap, gap:-gap], kalibrs(3, 2, gap))
 
 
-def test_black_and_white_alternate_at_every_corner_of_a_grid() -> None:
-    for spacing in (0.3, 0.25, 0.2954):
-        with named(spacing):
-            grid = AprilGrid(columns=3, rows=4, spacing=spacing)
-            places = grid.corners_m / grid.cell_m + grid.origin_cells
-            x, y = np.rint(places).astype(int).T
-            # what is drawn is as near as cells allow
-            assert np.abs(places - np.rint(places)).max() * grid.cell_m < 0.005 * grid.tag_m
-            cells = grid.cells
-            assert (cells[y, x] == cells[y - 1, x - 1]).all()
-            assert (cells[y, x - 1] == cells[y - 1, x]).all()
-            assert (cells[y, x] != cells[y, x - 1]).all()
-
-
 def test_tag_0_is_the_lower_left_one_and_corners_go_around_clockwise() -> None:
     grid = AprilGrid(columns=3, rows=2, tag_m=0.1, spacing=0.2)
     corners = grid.corners_m.reshape(-1, 4, 2)
@@ -176,12 +152,12 @@ def test_targets_are_read_from_text() -> None:
 
 
 def test_texts_that_are_no_target_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="checkerboard, tag, got 'circle'"):
-        make_planar_target("circle")
+    said = "checkerboard, tag, got 'circle'"
+    refused(said, make_planar_target, "circle", error=UnknownNameError)
     for text, said in [
         ("tag", "tag:FAMILY"), ("tag:36h12:1", "36h11"), ("tag:36h11:587:120", "0 to 586"),
         ("tag:36h11:5:-3", "edge in mm"), ("checkerboard:9by6", "checkerboard:9x6:24.23"),
-        ("checkerboard:9x2:20", "at least|inner corners"),
+        ("checkerboard:9x2:20", "inner corners"), ("checkerboard:5x201:20", "inner corners"),
         ("charuco:7x5:30:40:4X4_50", "less than a square"),
         ("charuco:7x5:40:30:4X4_51", "DICT_4X4_50"), ("charuco:40x40:40:30:4X4_50", "800 markers"),
         ("circles:3x3", "printed board"), ("", "printed board"),
@@ -190,5 +166,4 @@ def test_texts_that_are_no_target_are_refused() -> None:
         ("aprilgrid:0x6:88:0.3", "1 to 587 tags"), ("aprilgrid:30x20:88:0.3", "1 to 587 tags"),
         ("aprilgrid:6x6:88:26.4", "the gap between two tags by the edge of one, between 0 and 1"),
     ]:  # fmt: skip
-        with named(text, said), pytest.raises(ConfigurationError, match=said):
-            parse_target(text)
+        refused(said, parse_target, text)

@@ -5,70 +5,73 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.ray_cast import ray_cast
-from tests.grids import some_of
 from tests.models.lenses import wide
-from tests.naming import named
+from tests.naming import named, refused
 from tests.vision.poses import pose
-from vergence import load_head
-from vergence.errors import ConfigurationError
+from tests.vision.scenes import CAMERA, rig
+from tests.vision.scenes import RENDERING as PLAIN
 from vergence.models.camera import light_table
-from vergence.models.parts import Rendering
 from vergence.vision import AprilTag, Camera, TargetRenderer, make_planar_target
-from vergence.vision.targets import PlanarTarget, board_pose
+from vergence.vision.targets import board_pose
+
+RENDERING = replace(PLAIN, supersampling=2)
+ASIDE, STEEP = np.deg2rad(60.0), np.deg2rad(65.0)
+RAY_CASTS = {
+    "through a lens": (
+        "physical", "tag", pose(0.02, -0.01, 1.2, (0.2, 0.4, 0.1)), {}, 0.04, 0.005
+    ),
+    "through a pinhole": (
+        "simulated", "checkerboard", pose(0.05, 0.03, 2.4, (-0.3, 0.2, 0.5)), {}, 0.04, 0.005,
+    ),
+    # aside, where it has down to a quarter of a pinhole's scale
+    "through a fisheye": (
+        "fisheye", "tag", board_pose(1.6 * np.array([np.sin(ASIDE), 0.05, np.cos(ASIDE)])), {},
+        0.05, 0.01,
+    ),
+    # half as much blur again would be off by twice as much and more
+    "by one sample a pixel": (
+        "simulated", "tag", pose(0.013, 0.02, 1.9, (0.3, -0.4, 0.2)), {"supersampling": 1},
+        0.075, 0.009,
+    ),
+    # one blur for both directions of the texture would be off by 2 % rms and more
+    "steep": (
+        "physical", "tag", pose(0.02, 0.03, 1.2, (STEEP * np.cos(0.8), STEEP * np.sin(0.8), 0.0)),
+        {"blur_px": 0.7, "supersampling": 3}, 0.04, 0.008,
+    ),
+    # cut, not moved
+    "across the frame's edge": (
+        "physical", "tag", pose(-1.02, -0.6, 1.5, (0.1, 0.2, 0)), {}, 0.04, 0.02,
+    ),
+}  # fmt: skip
+"""Eye, target, T_C_T, changes of the rendering, and errors as shares of the contrast: the largest
+and the rms, a third of which is the rounding in the first."""
 
 
-def assert_ray_cast(
-    camera: Camera,
-    target: PlanarTarget,
-    rendering: Rendering,
-    T_C_T: NDArray[np.float64],
-    *,
-    most: float,
-    rms: float,
-) -> None:
-    """A drawing differs from a ray cast by shares of the contrast, at most and in the rms."""
+@pytest.mark.slow
+@pytest.mark.parametrize("case", RAY_CASTS)
+def test_pixels_equal_a_ray_cast(case):
+    eye, name, T_C_T, change, most, rms = RAY_CASTS[case]
+    camera = Camera.of(wide(eye), 0) if eye == "fisheye" else rig(eye)[0]
+    target, rendering = make_planar_target(name), replace(RENDERING, **change)
     drawing = TargetRenderer(camera, target, rendering)
     drawing.draw(T_C_T)
     x0, y0, x1, y1 = drawing.region
+    assert ((x0, y0) == (0, 0)) == (case == "across the frame's edge")
     error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
     assert np.abs(error).max() < most * 170
     assert np.sqrt((error**2).mean()) < rms * 170
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "eye", "T_C_T"),
-    [
-        ("tag", "lens", pose(0.02, -0.01, 1.2, (0.2, 0.4, 0.1))),
-        ("checkerboard", "pinhole", pose(0.05, 0.03, 2.4, (-0.3, 0.2, 0.5))),
-    ],
-)
-def test_pixels_equal_a_ray_cast(eye, T_C_T, name, rendering, request):
-    """Within 4 % of the contrast everywhere, and 0.5 % rms, a third of it the rounding."""
-    camera, target = request.getfixturevalue(eye), make_planar_target(name)
-    assert_ray_cast(camera, target, rendering, T_C_T, most=0.04, rms=0.005)
-
-
-@pytest.mark.slow
-def test_pixels_equal_a_ray_cast_through_a_fisheye(rendering):
-    """Aside, where it has down to a quarter of a pinhole's scale, as good as ahead."""
-    camera, target = Camera.of(wide("fisheye"), 0), make_planar_target("tag")
-    side = np.deg2rad(60.0)
-    T_C_T = board_pose(1.6 * np.array([np.sin(side), 0.05, np.cos(side)]))
-    assert_ray_cast(camera, target, rendering, T_C_T, most=0.05, rms=0.01)
-
-
-def test_a_stated_response_encodes_the_light(pinhole, rendering):
+def test_a_stated_response_encodes_the_light():
     """Within what levels of 8 bits hold of light: two of 255 where it is bright."""
     light, target, T_C_T = light_table("srgb"), make_planar_target("tag"), pose(0, 0, 0.8)
-    encoded = TargetRenderer(replace(pinhole, response="srgb"), target, rendering)
+    encoded = TargetRenderer(replace(CAMERA, response="srgb"), target, RENDERING)
     linear = TargetRenderer(
-        pinhole,
+        CAMERA,
         target,
-        replace(rendering, black_grey=light[40], white_grey=light[210], background_grey=light[120]),
+        replace(RENDERING, black_grey=light[40], white_grey=light[210], background_grey=light[120]),
     )
     for drawing in (encoded, linear):
         drawing.draw(T_C_T)
@@ -78,78 +81,28 @@ def test_a_stated_response_encodes_the_light(pinhole, rendering):
     assert {middle[0], middle.min(), middle.max()} == {120, 40, 210}
 
 
-@pytest.mark.nightly
-def test_pixels_of_a_steep_board_equal_a_ray_cast(rendering):
-    """One blur for both directions of the texture would be off by 2 % rms and more."""
-    camera, target = Camera.of(load_head("physical"), 0), make_planar_target("tag")
-    soft, tilt = replace(rendering, blur_px=0.7), np.deg2rad(65.0)
-    T_C_T = pose(0.02, 0.03, 1.2, (tilt * np.cos(0.8), tilt * np.sin(0.8), 0.0))
-    assert_ray_cast(camera, target, soft, T_C_T, most=0.04, rms=0.008)
-
-
-@pytest.mark.slow
-def test_one_sample_a_pixel_has_the_blur_that_is_asked_for(pinhole, rendering):
-    """Half as much blur again would be off by twice as much and more."""
-    plain, target = replace(rendering, supersampling=1), make_planar_target("tag")
-    T_C_T = pose(0.013, 0.02, 1.9, (0.3, -0.4, 0.2))
-    assert_ray_cast(pinhole, target, plain, T_C_T, most=0.075, rms=0.009)
-
-
-def test_pixel_centres_are_integers(pinhole, rendering):
-    """The centroid of a board's brightness is the projection of the board's centre.
-
-    A frame half a pixel off, the usual mistake, fails by 25 times the tolerance.
-    """
-    for shift, supersampling in some_of([0.0, 0.25, 0.5, 0.75], [1, 2, 3]):
-        with named(shift, supersampling):
-            board = AprilTag()
-            object.__setattr__(board, "cells", np.full((10, 10), 255, np.uint8))
-            plain = replace(rendering, supersampling=supersampling, background_grey=40.0)
-            drawing = TargetRenderer(pinhole, board, plain)
-            wanted = np.array([505.0 + shift, 410.0 - shift])
-            x, y = (wanted - pinhole.principal) / pinhole.focal
-            drawing.draw(pose(x, y, 1.0))
-            weight = drawing.frame.astype(float) - 40
-            v, u = np.mgrid[: pinhole.height, : pinhole.width]
-            centroid = np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
-            assert centroid == pytest.approx(wanted, abs=0.02)
-
-
-def test_unseen_target_leaves_plain_background(pinhole, rendering):
+def test_unseen_target_leaves_plain_background():
     for T_C_T in [
         pose(0, 0, -1.0), pose(2.0, 0, 1.0), pose(0, 0, 1.0, (np.pi, 0, 0)), pose(0, 0, 0.01),
     ]:  # fmt: skip
         with named(T_C_T):
-            drawing = TargetRenderer(pinhole, AprilTag(), rendering)
+            drawing = TargetRenderer(CAMERA, AprilTag(), RENDERING)
             drawing.draw(pose(0, 0, 1.0), np.random.default_rng(0))
             drawing.draw(T_C_T, np.random.default_rng(0))
             assert drawing.region is None
             assert (drawing.frame == 120).all()
 
 
-def test_nothing_of_the_last_frame_remains(pinhole, rendering):
-    drawing, fresh = (TargetRenderer(pinhole, AprilTag(), rendering) for _ in range(2))
+def test_nothing_of_the_last_frame_remains():
+    drawing, fresh = (TargetRenderer(CAMERA, AprilTag(), RENDERING) for _ in range(2))
     drawing.draw(pose(0.1, 0.1, 0.6), np.random.default_rng(1), smear_px=(20.0, 5.0))
     for each in (drawing, fresh):
         each.draw(pose(-0.1, 0, 1.5), np.random.default_rng(2))
     assert (drawing.frame == fresh.frame).all()
 
 
-@pytest.mark.slow
-def test_target_across_the_frames_edge_is_cut_not_moved(pinhole, lens, rendering):
-    places = (pose(-1.24, -1.02, 1.5, (0.1, 0.2, 0)), pose(-1.02, -0.6, 1.5, (0.1, 0.2, 0)))
-    for camera, T_C_T in zip((pinhole, lens), places, strict=True):
-        target = AprilTag()
-        drawing = TargetRenderer(camera, target, rendering)
-        drawing.draw(T_C_T)
-        x0, y0, x1, y1 = drawing.region
-        assert (x0, y0) == (0, 0)
-        error = drawing.frame[:y1, :x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
-        assert np.abs(error).max() < 0.04 * 170
-
-
-def test_same_seed_same_image(pinhole, rendering):
-    drawing = TargetRenderer(pinhole, AprilTag(), rendering)
+def test_same_seed_same_image():
+    drawing = TargetRenderer(CAMERA, AprilTag(), RENDERING)
     images = []
     for each, seed in ((drawing, 5), (pickle.loads(pickle.dumps(drawing)), 5), (drawing, 6)):
         each.draw(pose(0, 0, 1), np.random.default_rng(seed))
@@ -160,8 +113,8 @@ def test_same_seed_same_image(pinhole, rendering):
 
 
 @pytest.mark.slow
-def test_noise_has_the_stated_deviation_and_is_white(pinhole, rendering):
-    drawing = TargetRenderer(pinhole, AprilTag(), replace(rendering, noise_grey=3.0))
+def test_noise_has_the_stated_deviation_and_is_white():
+    drawing = TargetRenderer(CAMERA, AprilTag(), replace(RENDERING, noise_grey=3.0))
     drawing.draw(pose(0, 0, 1))
     still = drawing.frame.astype(float)
     rng, differences = np.random.default_rng(3), []
@@ -179,33 +132,27 @@ def test_noise_has_the_stated_deviation_and_is_white(pinhole, rendering):
         assert abs(product.mean()) / centred.var() < 0.03
 
 
-def test_smear_conserves_light_and_lies_along_its_direction(pinhole, rendering):
-    drawing = TargetRenderer(pinhole, AprilTag(), rendering)
-    second_moments = []
-    v, u = np.mgrid[: pinhole.height, : pinhole.width]
-    sums = []
+def test_smear_conserves_light_and_lies_along_its_direction():
+    drawing = TargetRenderer(CAMERA, AprilTag(), RENDERING)
+    pixels = np.mgrid[: CAMERA.height, : CAMERA.width][::-1]
+    sums, variances = [], []
     for smear in ((0.0, 0.0), (9.0, 0.0), (0.0, 9.0)):
         drawing.draw(pose(0, 0, 1.5), smear_px=smear)
         light = drawing.frame.astype(float) - drawing.frame[0, 0]
         sums.append(light.sum())
-        mean = ((light * u).sum() / light.sum(), (light * v).sum() / light.sum())
-        second_moments.append(
-            [
-                (light * (u - mean[0]) ** 2).sum() / light.sum(),
-                (light * (v - mean[1]) ** 2).sum() / light.sum(),
-            ]
-        )
-    still, along_u, along_v = np.array(second_moments)
+        mean = (light * pixels).sum(axis=(1, 2)) / light.sum()
+        away = pixels - mean[:, None, None]
+        variances.append((light * away**2).sum(axis=(1, 2)) / light.sum())
+    still, along_u, along_v = variances
     # A box of length s adds s^2 / 12; rounding of the weak tails costs a part.
     assert sums == pytest.approx([sums[0]] * 3, rel=0.02)
     assert along_u - still == pytest.approx([81 / 12, 0], abs=2.0)
     assert along_v - still == pytest.approx([0, 81 / 12], abs=2.0)
 
 
-def test_impossible_renderings_are_refused(pinhole, rendering):
+def test_impossible_renderings_are_refused():
     for change in [
         {"white_grey": 30.0}, {"background_grey": 220.0}, {"noise_grey": -1.0},
         {"supersampling": 0},
     ]:  # fmt: skip
-        with named(change), pytest.raises(ConfigurationError, match="rendering"):
-            TargetRenderer(pinhole, AprilTag(), replace(rendering, **change))
+        refused("rendering", TargetRenderer, CAMERA, AprilTag(), replace(RENDERING, **change))

@@ -5,18 +5,19 @@ import pytest
 
 from tests.grids import some_of
 from tests.models.lenses import LENSES, wide
-from tests.naming import named
-from vergence.errors import ConfigurationError
+from tests.naming import named, refused
+from tests.vision.scenes import rig
 from vergence.models.camera import Lens, camera_matrix
 from vergence.vision import Camera
-from vergence.vision.optics import ray_table
+
+EYE = rig("physical")[0]
 
 
-def test_rays_undo_projection_over_the_whole_frame(lens: Camera) -> None:
+def test_rays_undo_projection_over_the_whole_frame() -> None:
     u, v = np.meshgrid(np.linspace(-8, 648, 40), np.linspace(-8, 488, 30))
     pixels = np.stack([u.ravel(), v.ravel()], axis=-1)
-    rays = lens.rays(pixels)
-    again = lens.project(np.column_stack([rays, np.ones(len(rays))]))
+    rays = EYE.rays(pixels)
+    again = EYE.project(np.column_stack([rays, np.ones(len(rays))]))
     assert np.abs(again - pixels).max() < 1e-4
 
 
@@ -37,27 +38,13 @@ def test_an_eye_of_any_lens_sees_what_its_head_projects() -> None:
 def test_a_camera_without_coefficients_is_that_of_zeros() -> None:
     view = {"size": (640, 480), "matrix": camera_matrix((300, 300), (319.5, 239.5))}
     assert not Camera(**view).distorts
+    assert Camera(**view).inverse_matrix @ Camera(**view).matrix == pytest.approx(np.eye(3))
     assert not Camera(**view, lens=Lens("rational")).distorts
     assert Camera(**view, lens=Lens("fisheye")).distorts
     assert Camera(**view, lens=Lens("fisheye")).lens.coefficients.tolist() == [0.0] * 4
     assert {Camera(**view), Camera(**view), Camera(**view, lens=Lens("fisheye"))} == {
         Camera(**view), Camera(**view, lens=Lens("fisheye")),
     }  # fmt: skip
-
-
-def test_pinhole_agrees_with_its_matrix(pinhole: Camera) -> None:
-    point = np.array([[0.1, -0.2, 1.3]])
-    u, v, w = pinhole.matrix @ point[0]
-    assert pinhole.project(point)[0] == pytest.approx([u / w, v / w])
-    assert pinhole.inverse_matrix @ pinhole.matrix == pytest.approx(np.eye(3))
-
-
-def test_ray_table_holds_the_rays_of_its_samples(lens: Camera) -> None:
-    table = ray_table(lens, 2, 3)
-    assert table.shape == ((480 + 6) * 2, (640 + 6) * 2, 2)
-    row, column = 37, 801
-    pixel = [[(column + 0.5) / 2 - 0.5 - 3, (row + 0.5) / 2 - 0.5 - 3]]
-    assert table[row, column] == pytest.approx(lens.rays(pixel)[0], abs=1e-6)
 
 
 def test_what_cannot_be_a_camera_is_refused() -> None:
@@ -75,5 +62,4 @@ def test_what_cannot_be_a_camera_is_refused() -> None:
         ({"size": (640, 480, 3)}, "size: expected .*whole pixels"),
         ({"response": "bright"}, "response: expected 'linear', 'srgb'"),
     ):
-        with named(change), pytest.raises(ConfigurationError, match=said):
-            Camera(**(view | change))
+        refused(said, Camera, **(view | change))
