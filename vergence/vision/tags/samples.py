@@ -110,12 +110,14 @@ BEND_START: Final = 11
 """Index of the bend's first coefficient, half edges, see `bend_displacement` (numerical)."""
 CUBIC_START: Final = 15
 """Index of the first cubic coefficient of the bend, half edges (numerical)."""
+POINTS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [0.0, 0.0]])
+"""Corners and centre in the tag's plane, half edges (numerical)."""
 PIXEL_COLUMNS: Final = 3 + MAX_UNKNOWNS
 """Columns of a pixel: its light, its block, the print, and the derivatives (numerical)."""
 
 
-class SearchRegion(NamedTuple):
-    """The image that a tag is searched in, and the region of the search."""
+class TagSearch(NamedTuple):
+    """What a fit looks at: an image, the print of a tag, and the tag's expected place and size."""
 
     image: NDArray[np.uint8]
     """Grey levels, shape (height, width)."""
@@ -125,22 +127,22 @@ class SearchRegion(NamedTuple):
     """(height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole."""
     camera: CameraRow
     undistorted_view: UndistortedView
+    cells: FloatArray
+    """(n, n) print, 0 black to 1 white, nan unknown."""
+    side_cells: int
+    """Side of the square whose corners are sought, cells; centred in the print."""
+    quiet_zone_cells: float
+    """Assumed width of the quiet zone around the square, cells."""
     left: int
     """First pixel of the region along u; it may lie outside of the image, as the next three may."""
     right: int
     top: int
     bottom: int
-
-
-class TagPrint(NamedTuple):
-    """The print of a tag."""
-
-    cells: FloatArray
-    """(n, n) 0 black to 1 white, nan unknown."""
-    side_cells: int
-    """Side of the square whose corners are sought, cells; centred in the print."""
-    quiet_zone_cells: float
-    """Assumed width of the quiet zone around the square, cells."""
+    shortest_edge_px: float
+    """Length of the tag's shortest edge."""
+    cell_px: float
+    max_blocks_per_edge: int
+    max_blur_px: float
 
 
 class FitState(NamedTuple):
@@ -192,17 +194,6 @@ class FitStage(NamedTuple):
     """(2,) fraction of the previous step that was taken, and the slope along it at its start."""
     dropped_clipped: bool
     """True if pixels of clipped white were left out."""
-
-
-@subroutine
-def point_in_half_edges(point_index: int) -> tuple[float, float]:
-    """Position of corner k in the tag's plane, half edges; of the centre for k = 4."""
-    if point_index == 4:
-        return 0.0, 0.0
-    return (
-        -1.0 if point_index == 0 or point_index == 3 else 1.0,
-        -1.0 if point_index < 2 else 1.0,
-    )
 
 
 @subroutine
@@ -259,9 +250,8 @@ _LEAST_QUIET_FRACTION: Final = 0.45
 
 @subroutine
 def _gather_edge_pixels(
-    region: SearchRegion, tag: TagPrint, state: FitState,
-    band_half_width_px: float, excluded_quiet_px: float, whole_square: bool, cell_edges: bool,
-    max_pixels: int,
+    search: TagSearch, state: FitState, band_half_width_px: float, excluded_quiet_px: float,
+    whole_square: bool, cell_edges: bool, max_pixels: int,
 ) -> FloatArray:  # fmt: skip
     """Samples of the pixels near the edges, evenly subsampled to at most `max_pixels`.
 
@@ -269,19 +259,20 @@ def _gather_edge_pixels(
     the edges of the cells in it. The outer part of the quiet zone is left out.
     """
     samples = np.empty((max_pixels, 3))
-    image, light, rays = region.image, region.light_by_grey, region.rays
-    view = region.undistorted_view
-    G, cells, border, quiet = state.G, tag.cells, tag.side_cells, tag.quiet_zone_cells
+    image, light, rays = search.image, search.light_by_grey, search.rays
+    view, G = search.undistorted_view, state.G
+    cells, border, quiet = search.cells, search.side_cells, search.quiet_zone_cells
     height, width = image.shape
-    left, right = max(region.left, 0), min(region.right, width - 1)
-    top, bottom = max(region.top, 0), min(region.bottom, height - 1)
+    left, right = max(search.left, 0), min(search.right, width - 1)
+    top, bottom = max(search.top, 0), min(search.bottom, height - 1)
     half = 0.5 * border
     shortest, _, perimeter = side_lengths(state.corners)
     expected = 2.0 * band_half_width_px * perimeter
     area = 1.5 * (0.25 * perimeter + 2.0) ** 2
     if cell_edges:
-        expected *= _edges_of(cells) / (4.0 * border)
-        expected = min(expected, area)
+        across, down = cells[:, 1:] - cells[:, :-1], cells[1:] - cells[:-1]
+        edges = (np.abs(across) > 0.5).sum() + (np.abs(down) > 0.5).sum()
+        expected = min(expected * (edges / (4.0 * border)), area)
     if whole_square:
         expected = max(expected, area)
     stride = int(expected / max_pixels) + 1
@@ -334,43 +325,18 @@ def _gather_edge_pixels(
 
 @subroutine
 def _drop_clipped_pixels(samples: FloatArray, light_by_grey: FloatArray) -> FloatArray:
-    """Samples without those that may be clipped, in place.
+    """Samples without those that may be clipped.
 
     If white is clipped, demosaicking and compression have changed the neighbouring pixels as well.
     Nothing is removed from a drawing, which has the smallest and the largest grey level.
     """
-    pixel_count, clipped, black = len(samples), 0, 0
-    for n in range(pixel_count):
-        if samples[n, 2] >= light_by_grey[_CLIPPED_GREY]:
-            clipped += 1
-        if samples[n, 2] <= light_by_grey[_DRAWN_BLACK_GREY]:
-            black += 1
-    if black > _LEAST_DRAWN_BLACK_FRACTION * pixel_count:
+    light = samples[:, 2]
+    clipped = (light >= light_by_grey[_CLIPPED_GREY]).sum()
+    black = (light <= light_by_grey[_DRAWN_BLACK_GREY]).sum()
+    if black > _LEAST_DRAWN_BLACK_FRACTION * len(light):
         return samples
-    limit = light_by_grey[
-        _CLIPPED_GREY if clipped <= _MAX_CLIPPED_FRACTION * pixel_count else _BESIDE_CLIPPED_GREY
-    ]
-    left = 0
-    for n in range(pixel_count):
-        if samples[n, 2] < limit:
-            for k in range(3):
-                samples[left, k] = samples[n, k]
-            left += 1
-    return samples[:left]
-
-
-@subroutine
-def _edges_of(cells: FloatArray) -> float:
-    """Total length of the edges between cells of different colours, cells."""
-    size = len(cells)
-    edges = 0.0
-    for j in range(size):
-        for i in range(size - 1):
-            if abs(cells[j, i + 1] - cells[j, i]) > 0.5:
-                edges += 1.0
-            if abs(cells[i + 1, j] - cells[i, j]) > 0.5:
-                edges += 1.0
-    return edges
+    few = clipped <= _MAX_CLIPPED_FRACTION * len(light)
+    return samples[light < light_by_grey[_CLIPPED_GREY if few else _BESIDE_CLIPPED_GREY]]
 
 
 @subroutine
@@ -379,25 +345,17 @@ def _near_edge(cells: FloatArray, x: float, y: float, reach_x: float, reach_y: f
     size = len(cells)
     column, row = min(max(int(x), 0), size - 1), min(max(int(y), 0), size - 1)
     edge = int(x + 0.5)
-    if 0 < edge < size and abs(x - edge) <= reach_x:
-        near = abs(cells[row, edge] - cells[row, edge - 1]) > 0.5
-        if near:
-            return True
+    near = 0 < edge < size and abs(x - edge) <= reach_x
+    if near and abs(cells[row, edge] - cells[row, edge - 1]) > 0.5:
+        return True
     edge = int(y + 0.5)
-    if 0 < edge < size and abs(y - edge) <= reach_y:
-        return bool(abs(cells[edge, column] - cells[edge - 1, column]) > 0.5)
-    return False
+    near = 0 < edge < size and abs(y - edge) <= reach_y
+    return bool(near and abs(cells[edge, column] - cells[edge - 1, column]) > 0.5)
 
 
 WIDE, NARROW, ALL, BEND = range(4)
 """Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend
 (numerical)."""
-_LEAST_BLOCK_SIDE_PX: Final = 8.0
-"""Least side of a block, which has its own levels, px (chosen: shadows against noise)."""
-_MOST_BLOCKS: Final = 8
-"""Most blocks along an edge (chosen: as above)."""
-_PIXELS_PER_BLOCK: Final = 24
-"""Pixels per block, from which the number of blocks follows (chosen: as above)."""
 _BAND_HALF_WIDTH_PX: Final = 1.0
 """Constant part of the band's half width, px (chosen: evidence against neighbouring edges)."""
 _BAND_HALF_WIDTH_BLURS: Final = 2.2
@@ -415,63 +373,32 @@ _MAX_FIRST_BLOCKS: Final = 3
 """Most blocks along an edge in the first stage, of few pixels (chosen: shadows against noise)."""
 _INITIAL_BLUR_PX: Final = 0.8
 """Initial blur of the print after the first stage, px; the least in it (chosen: typical)."""
-_MOST_BLUR_PX: Final = 6.0
-"""Largest blur of a fit, px (chosen: blurred tags against fits that diverge)."""
-_MOST_BLUR_CELLS: Final = 0.7
-"""Largest blur of a fit, cells (chosen: as above)."""
-
-
-class TagScale(NamedTuple):
-    """Size of a tag in the image, px, and upper bounds of blocks and blur that follow from it."""
-
-    shortest_edge_px: float
-    """Length of its shortest edge."""
-    cell_px: float
-    max_blocks_per_edge: int
-    """Most blocks along an edge."""
-    max_blur_px: float
-
-
-@subroutine
-def tag_scale(corners: FloatArray, side_cells: int, max_pixels: int) -> TagScale:
-    """Scale of a tag by its undistorted corners, px, if at most so many pixels take part."""
-    shortest, longest, _ = side_lengths(corners)
-    cell_px = shortest / side_cells
-    # at most one block per cell of the border: a block of one colour has no contrast
-    blocks_per_edge = min(
-        max(int(0.5 * (shortest + longest) / _LEAST_BLOCK_SIDE_PX), 1), _MOST_BLOCKS, side_cells
-    )
-    blocks_per_edge = min(blocks_per_edge, 1 + max_pixels // (4 * _PIXELS_PER_BLOCK))
-    return TagScale(
-        shortest, cell_px, blocks_per_edge, min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _MOST_BLUR_PX)
-    )
 
 
 @subroutine
 def begin_stage(
-    stage: int, blurs_known: bool, region: SearchRegion, tag: TagPrint, scale: TagScale,
-    state: FitState, max_pixels: int,
-) -> FitStage:  # fmt: skip
+    stage: int, blurs_known: bool, search: TagSearch, state: FitState, max_pixels: int
+) -> FitStage:
     """Begin a stage other than `BEND`, with the homography through the corners.
 
     Unless an earlier stage has found the blurs, they are set as well.
     """
     image_to_square_homography(state.corners, state.G)
-    blocks_per_edge, blur_px = scale.max_blocks_per_edge, _INITIAL_BLUR_PX
+    blocks_per_edge, blur_px = search.max_blocks_per_edge, _INITIAL_BLUR_PX
     reach_px = _BAND_HALF_WIDTH_PX + _BAND_HALF_WIDTH_BLURS * _INITIAL_BLUR_PX
     if stage == WIDE:
         blocks_per_edge = min(blocks_per_edge, _MAX_FIRST_BLOCKS)
-        reach_px = min(_MAX_BAND_HALF_WIDTH_PX, max(scale.cell_px, 2.0))
-        blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * scale.cell_px, _INITIAL_BLUR_PX))
+        reach_px = min(_MAX_BAND_HALF_WIDTH_PX, max(search.cell_px, 2.0))
+        blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * search.cell_px, _INITIAL_BLUR_PX))
     if not blurs_known:
         state.blurs_px[0] = state.blurs_px[1] = blur_px
     samples = _gather_edge_pixels(
-        region, tag, state, reach_px, _EXCLUDED_QUIET_BLURS * _INITIAL_BLUR_PX,
-        scale.cell_px < reach_px + 2.0 * blur_px, stage == ALL, max_pixels,
+        search, state, reach_px, _EXCLUDED_QUIET_BLURS * _INITIAL_BLUR_PX,
+        search.cell_px < reach_px + 2.0 * blur_px, stage == ALL, max_pixels,
     )  # fmt: skip
     gathered, blocks = len(samples), blocks_per_edge * blocks_per_edge
     if stage == ALL:
-        samples = _drop_clipped_pixels(samples, region.light_by_grey)
+        samples = _drop_clipped_pixels(samples, search.light_by_grey)
     return FitStage(
         samples, np.empty((len(samples), PIXEL_COLUMNS)), np.empty((2, 4, MAX_BLURRED_CELLS)),
         blocks_per_edge,
@@ -484,15 +411,15 @@ def begin_stage(
 
 
 @inlined
-def evaluate_print(tag: TagPrint, state: FitState, stage: FitStage) -> None:
+def evaluate_print(search: TagSearch, state: FitState, stage: FitStage) -> None:
     """Evaluate the print and its derivatives at all pixels, and their sums by block."""
     G, blurs, spread_and_bend = state.G, state.blurs_px, state.white_spread_and_bend
     cells, places, pixels, blocks_per_edge = (
-        tag.cells, stage.samples, stage.pixel_rows, stage.blocks_per_edge
+        search.cells, stage.samples, stage.pixel_rows, stage.blocks_per_edge
     )  # fmt: skip
     along_x, along_y = stage.cell_weights[0], stage.cell_weights[1]
     sums, slopes = stage.moments, stage.derivative_sums
-    half, start = 0.5 * tag.side_cells, 0.5 * (len(cells) - tag.side_cells)
+    half, start = 0.5 * search.side_cells, 0.5 * (len(cells) - search.side_cells)
     sums[:] = 0.0
     slopes[:] = 0.0
     for n in range(len(places)):

@@ -13,12 +13,12 @@ from vergence.vision.tags.samples import (
     BEND_START,
     CUBIC_START,
     MAX_UNKNOWNS,
+    POINTS,
     WHITE_SPREAD_INDEX,
     FitStage,
     FitState,
-    TagPrint,
+    TagSearch,
     evaluate_print,
-    point_in_half_edges,
 )
 
 
@@ -32,14 +32,9 @@ def _build_normal_equations(
     )  # fmt: skip
     every_score, every_normal = stage.scores, stage.normal_matrices
     right_side[:] = 0.0
-    for j in range(unknown_count):
-        for i in range(unknown_count):
-            matrix[j, i] = 0.0
-    for k in range(len(levels)):
-        for j in range(unknown_count):
-            every_score[k, j] = 0.0
-            for i in range(unknown_count):
-                every_normal[k, j, i] = 0.0
+    matrix[:] = 0.0
+    every_score[:] = 0.0
+    every_normal[:] = 0.0
     for n in range(len(pixel_rows)):
         k = int(pixel_rows[n, 1])
         if k < 0 or levels[k, 1] <= 0.0:
@@ -253,7 +248,7 @@ def gauss_newton_step(
     square_to_image_homography(G, H)
     corner_step_px = blur_step = 0.0
     for k in range(4):
-        u, v = transform_point(H, *point_in_half_edges(k))
+        u, v = transform_point(H, POINTS[k, 0], POINTS[k, 1])
         corner_step_px = max(corner_step_px, hypot(u - corners[k, 0], v - corners[k, 1]))
         corners[k, 0], corners[k, 1] = u, v
     for axis in range(2):
@@ -268,12 +263,8 @@ def gauss_newton_step(
 
 _LEAST_BLOCK_PIXELS: Final = 6
 """Fewest pixels of a block that is used (chosen: small tags against noisy levels)."""
-
-
 _LEAST_PRINT_VARIANCE: Final = 0.02
 """Variance of the print in a block below which its contrast is undetermined (chosen: as above)."""
-
-
 _OUTLIER_VARIANCE_RATIO: Final = 4.0
 """Residual variance, by the usual one, above which a block's weight falls (chosen: robustness)."""
 
@@ -302,9 +293,24 @@ def _estimate_levels(stage: FitStage) -> float:
     return total / pixels if pixels > 0.0 else 0.0
 
 
+class PrintResiduals(NamedTuple):
+    """Residuals of all pixels' light after the print."""
+
+    contrast: float
+    """Mean contrast of all blocks; 0 if none has any."""
+    explained_fraction: float
+    """Fraction of the weighted squares of light that the print explains."""
+    pixel_variance: float
+    """Variance of a pixel."""
+
+
 @subroutine
-def _reweight_and_sum_squares(stage: FitStage) -> float:
-    """Weight each block, less if its residuals are unusually large; sum of all weighted squares."""
+def compare_print(search: TagSearch, state: FitState, stage: FitStage) -> PrintResiduals:
+    """Compare the print with the pixels; weight each block, less if its residuals are large."""
+    evaluate_print(search, state, stage)
+    contrast = _estimate_levels(stage)
+    if contrast <= 0.0:
+        return PrintResiduals(0.0, 0.0, 0.0)
     sums, levels, weights, pixel_rows = (
         stage.moments, stage.levels, stage.weights, stage.pixel_rows
     )  # fmt: skip
@@ -314,47 +320,24 @@ def _reweight_and_sum_squares(stage: FitStage) -> float:
         if k >= 0 and levels[k, 1] > 0.0:
             r = pixel_rows[n, 0] - levels[k, 0] - levels[k, 1] * pixel_rows[n, 2]
             weights[k] += r * r
-    log_total, total = 0.0, 0.0
+    log_total = total = 0.0
     for k in range(len(sums)):
         if levels[k, 1] > 0.0:
             weights[k] /= sums[k, 0]
             # the geometric mean, which a few bad blocks hardly raise
             log_total += sums[k, 0] * log(weights[k] + 0.05)
             total += sums[k, 0]
-    if total == 0.0:
-        return 0.0
     usual = exp(log_total / total)
-    weighted = 0.0
+    explained = unexplained = 0.0
+    free = -float(MAX_UNKNOWNS)
     for k in range(len(sums)):
         if levels[k, 1] > 0.0:
+            n, t, tt = sums[k, 0], sums[k, 1], sums[k, 2]
             own = weights[k]
             inlying = own < _OUTLIER_VARIANCE_RATIO * usual
             weights[k] = 1.0 if inlying else _OUTLIER_VARIANCE_RATIO * usual / own
-            weighted += weights[k] * own * sums[k, 0]
-    return weighted
-
-
-class PrintResiduals(NamedTuple):
-    """Residuals of all pixels' light after the print."""
-
-    contrast: float
-    """Mean contrast of all blocks; 0 if none has any."""
-    unexplained_squares: float
-    """Weighted sum of squared residuals."""
-    pixel_variance: float
-    """Variance of a pixel."""
-
-
-@subroutine
-def compare_print(tag: TagPrint, state: FitState, stage: FitStage) -> PrintResiduals:
-    """Compare the print with the pixels, by blocks."""
-    evaluate_print(tag, state, stage)
-    contrast = _estimate_levels(stage)
-    if contrast <= 0.0:
-        return PrintResiduals(0.0, 0.0, 0.0)
-    unexplained = _reweight_and_sum_squares(stage)
-    free = -float(MAX_UNKNOWNS)
-    for k in range(len(stage.weights)):
-        if stage.levels[k, 1] > 0.0:
-            free += stage.weights[k] * stage.moments[k, 0] - 2.0
-    return PrintResiduals(contrast, unexplained, unexplained / max(free, 1.0))
+            unexplained += weights[k] * own * n
+            explained += weights[k] * levels[k, 1] * levels[k, 1] * (tt - t * t / n)
+            free += weights[k] * n - 2.0
+    fraction = explained / (explained + unexplained)
+    return PrintResiduals(contrast, fraction, unexplained / max(free, 1.0))
