@@ -144,13 +144,6 @@ def _shortest_edge(corners: NDArray[np.float64]) -> float:
     return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a))
 
 
-_OPENCV_DICTIONARIES: Final = {
-    "36h11": cv2.aruco.DICT_APRILTAG_36h11,
-    "36h10": cv2.aruco.DICT_APRILTAG_36h10,
-    "25h9": cv2.aruco.DICT_APRILTAG_25h9,
-    "16h5": cv2.aruco.DICT_APRILTAG_16h5,
-}
-"""Families that OpenCV searches for as well; its adaptive threshold finds other tags."""
 _SEARCH: Final = FitEffort(WIDE, wide_steps=8, steps=8, wide_pixels=400, pixels=4000)
 """Fit in a search (chosen: accuracy against time). More steps do not help fits that do not
 converge: of 59 drawn tags bent by 4 to 7 mm in 150, 55 converge with these, and 56 with 30 in each
@@ -294,17 +287,15 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return self._search_opencv(frame, [])
 
     def _search_opencv(self, frame: Frame, known: list[Detection]) -> list[Detection]:
-        """Tags in squares that OpenCV finds, except those that are known."""
-        if (
-            self.target.family not in _OPENCV_DICTIONARIES
-            or smooth_for_square_search(frame.grey) is None
-        ):
+        """Tags in squares that OpenCV finds by its adaptive threshold, except known ones."""
+        family = getattr(cv2.aruco, f"DICT_APRILTAG_{self.target.family}", None)
+        if family is None or smooth_for_square_search(frame.grey) is None:
             return []
         parameters = cv2.aruco.DetectorParameters()
         parameters.minMarkerPerimeterRate = 0.01
         # the outline of a tag's paper may lie only a cell from the tag's
         parameters.minMarkerDistanceRate = 0.01
-        dictionary = cv2.aruco.getPredefinedDictionary(_OPENCV_DICTIONARIES[self.target.family])
+        dictionary = cv2.aruco.getPredefinedDictionary(family)
         found: Any = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(frame.grey)
         marked, numbers, rejected = found
         named = [] if numbers is None else numbers.ravel().tolist()

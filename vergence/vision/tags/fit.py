@@ -111,15 +111,14 @@ cell is still white there (chosen: such zones against blur)."""
 
 @subroutine
 def _report_fit(
-    search: TagSearch, state: FitState, stage: FitStage, residuals: PrintResiduals, bent: bool,
-    pixel_variance: float, extra_corner_variance: float, start_corners: FloatArray,
+    search: TagSearch, state: FitState, stage: FitStage, residuals: PrintResiduals,
+    unknown_count: int, pixel_variance: float, extra_corner_variance: float, start_corners: FloatArray,
     points: FloatArray, sigmas: FloatArray, covariance: FloatArray,
 ) -> TagFit:  # fmt: skip
     """Report a fit that has converged; no fit if a point is undetermined or too far outside."""
     height, width = search.image.shape
     moved = largest = 0.0
     reach = 0.5 + _MAX_OUTSIDE_CELLS * search.cell_px
-    unknown_count = MAX_UNKNOWNS if bent else BEND_START
     roots, slopes = np.empty((5, 2, MAX_UNKNOWNS)), np.empty((5, 2, 2))
     for k in range(5):
         # the point of the plane that the bend moves to this point of the print
@@ -130,7 +129,7 @@ def _report_fit(
         variance, more = pixel_variance, extra_corner_variance
         if k == 4:
             more *= 0.25  # the centre lies between four corners
-            if bent:
+            if unknown_count == MAX_UNKNOWNS:
                 variance *= (
                     1.0 + residuals.pixel_variance / (_SHARPENED_RESIDUAL * residuals.contrast) ** 2
                 )
@@ -374,13 +373,13 @@ def fit_tag(
     )  # fmt: skip
     residuals = PrintResiduals(0.0, 0.0, 0.0)
     corner_step_px = variance = 0.0
-    bend_sigmas, bent = (0.0, 0.0), False
+    bend_sigmas, unknown_count = (0.0, 0.0), BEND_START
     for which in range(first_stage, BEND + 1):
         fine = which != WIDE
         if which == BEND:
-            if max(bend_sigmas[0], bend_sigmas[1]) == 0.0:
+            if max(bend_sigmas) == 0.0:
                 break
-            bent = True
+            unknown_count = MAX_UNKNOWNS
         else:
             blurs_known = which == ALL and first_stage != ALL
             most = max_pixels if fine else max_wide_pixels
@@ -400,9 +399,9 @@ def fit_tag(
                 and not stage.dropped_clipped
                 and residuals.pixel_variance > _BENT_VARIANCE_RATIO * before > 0.0
             )
-            if worse and not bent:
+            if worse and unknown_count == BEND_START:
                 # inner edges do not lie where the outer ones predict: the sheet is bent
-                bend_sigmas, bent = (_LARGE_BEND_SIGMA, _LARGE_BEND_SIGMA), True
+                bend_sigmas, unknown_count = (_LARGE_BEND_SIGMA, _LARGE_BEND_SIGMA), MAX_UNKNOWNS
             # a weak prior holds blurs near their last values
             hold = _LATER_BLUR_WEIGHT if fine else 1.0
             spread_sigma_px = _SPREAD_SIGMA_PX if which >= ALL else _NO_SPREAD_SIGMA_PX
@@ -412,7 +411,6 @@ def fit_tag(
                 residuals.pixel_variance / max(bend_sigmas[0], 1e-9) ** 2,
                 residuals.pixel_variance / max(bend_sigmas[1], 1e-9) ** 2,
             )
-            unknown_count = MAX_UNKNOWNS if bent else BEND_START
             corner_step_px, blur_step = gauss_newton_step(
                 state, stage, unknown_count, prior_weights, search.max_blur_px
             )
@@ -422,12 +420,11 @@ def fit_tag(
             if settled and corner_step_px < (_LATER_END_STEP_PX if fine else _FIRST_END_STEP_PX):
                 break
         if which >= ALL:
-            unknown_count = MAX_UNKNOWNS if bent else BEND_START
             squares, independent = block_squares_and_dof(stage, unknown_count)
             variance = (squares + _PRIOR_SQUARES * residuals.pixel_variance) / (
                 independent + _PRIOR_SQUARES
             )
-        if which == ALL and bent:
+        if which == ALL and unknown_count == MAX_UNKNOWNS:
             bend_sigmas = rms_bend_coefficients(state.white_spread_and_bend)
         elif which == ALL and corner_step_px < _CONVERGED_STEP_PX:
             bend_sigmas = estimate_bend_prior_sigmas(stage, state.white_spread_and_bend, variance)
@@ -444,8 +441,8 @@ def fit_tag(
     quartic = cubic * cubic / max(hypot(quadratic, cubic), 1e-9)
     unmodelled_variance = (_UNMODELLED_BEND_RATIO * quartic * half_edge_px) ** 2
     return _report_fit(
-        search, state, stage, residuals, bent, variance, unmodelled_variance, start_corners,
-        points, sigmas, covariance,
+        search, state, stage, residuals, unknown_count, variance, unmodelled_variance,
+        start_corners, points, sigmas, covariance,
     )  # fmt: skip
 
 
@@ -456,6 +453,7 @@ def _look(
     max_pixels: int, start: FloatArray, corners: FloatArray,
 ) -> TagSearch:  # fmt: skip
     """Search around start corners, undistorted into `corners`, with at most so many pixels."""
+    height, width = image.shape
     view = UndistortedView(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
     camera = camera_at(packed_camera, 0)
     if view.has_lens:
@@ -479,7 +477,8 @@ def _look(
     )  # fmt: skip
     return TagSearch(
         image, light_by_grey, rays, camera, view, cells, side_cells, quiet_zone_cells,
-        int(left - margin), int(right + margin), int(top - margin), int(bottom + margin),
+        max(int(left - margin), 0), min(int(right + margin), width - 1),
+        max(int(top - margin), 0), min(int(bottom + margin), height - 1),
         shortest, cell_px, blocks_per_edge,
         min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _MOST_BLUR_PX),
     )  # fmt: skip

@@ -112,8 +112,6 @@ CUBIC_START: Final = 15
 """Index of the first cubic coefficient of the bend, half edges (numerical)."""
 POINTS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [0.0, 0.0]])
 """Corners and centre in the tag's plane, half edges (numerical)."""
-PIXEL_COLUMNS: Final = 3 + MAX_UNKNOWNS
-"""Columns of a pixel: its light, its block, the print, and the derivatives (numerical)."""
 
 
 class TagSearch(NamedTuple):
@@ -134,7 +132,7 @@ class TagSearch(NamedTuple):
     quiet_zone_cells: float
     """Assumed width of the quiet zone around the square, cells."""
     left: int
-    """First pixel of the region along u; it may lie outside of the image, as the next three may."""
+    """First pixel of the region along u, within the image; the next three are the others."""
     right: int
     top: int
     bottom: int
@@ -167,10 +165,8 @@ class FitStage(NamedTuple):
     samples: FloatArray
     """(pixels, 3) undistorted position and light of the pixels."""
     pixel_rows: FloatArray
-    """(pixels, `PIXEL_COLUMNS`) light, block, print, and its derivatives by the unknowns; block -1
-    if an unknown cell contributes."""
-    cell_weights: FloatArray
-    """(2, 4, `MAX_BLURRED_CELLS`) scratch array of `_sample_print`."""
+    """(pixels, 3 + unknowns) light, block, print, and its derivatives by the unknowns; block -1 if
+    an unknown cell contributes."""
     blocks_per_edge: int
     moments: FloatArray
     """(blocks, 5) sums over the pixels of 1, T, T^2, I, T I."""
@@ -244,14 +240,21 @@ _DRAWN_BLACK_GREY: Final = 3
 """Grey level up to which black is a drawing's (chosen: just above 0; file formats round)."""
 _LEAST_DRAWN_BLACK_FRACTION: Final = 0.2
 """Fraction of such pixels above which the image is a drawing (chosen: against deep shadows)."""
+_INITIAL_BLUR_PX: Final = 0.8
+"""Initial blur of the print after the first stage, px; the least in it (chosen: typical)."""
+_BAND_HALF_WIDTH_PX: Final = 1.0 + 2.2 * _INITIAL_BLUR_PX
+"""Half width of the band along edges, px (chosen: evidence against neighbouring edges)."""
+_EXCLUDED_QUIET_PX: Final = 1.8 * _INITIAL_BLUR_PX
+"""Outer part of the quiet zone that is left out, px: the background blurs into it (chosen: evidence
+against this background)."""
 _LEAST_QUIET_FRACTION: Final = 0.45
 """Fraction of the quiet zone that is always used (chosen: evidence against objects behind it)."""
 
 
 @subroutine
 def _gather_edge_pixels(
-    search: TagSearch, state: FitState, band_half_width_px: float, excluded_quiet_px: float,
-    whole_square: bool, cell_edges: bool, max_pixels: int,
+    search: TagSearch, state: FitState, band_half_width_px: float, whole_square: bool,
+    cell_edges: bool, max_pixels: int,
 ) -> FloatArray:  # fmt: skip
     """Samples of the pixels near the edges, evenly subsampled to at most `max_pixels`.
 
@@ -262,10 +265,7 @@ def _gather_edge_pixels(
     image, light, rays = search.image, search.light_by_grey, search.rays
     view, G = search.undistorted_view, state.G
     cells, border, quiet = search.cells, search.side_cells, search.quiet_zone_cells
-    height, width = image.shape
-    left, right = max(search.left, 0), min(search.right, width - 1)
-    top, bottom = max(search.top, 0), min(search.bottom, height - 1)
-    half = 0.5 * border
+    left, half = search.left, 0.5 * border
     shortest, _, perimeter = side_lengths(state.corners)
     expected = 2.0 * band_half_width_px * perimeter
     area = 1.5 * (0.25 * perimeter + 2.0) ** 2
@@ -284,9 +284,9 @@ def _gather_edge_pixels(
     nearest, farthest = 0.0 if whole_square or cell_edges else 1.0 - away, 1.0 + away
     start = 0.5 * (len(cells) - border)
     count = 0
-    for row in range(top, bottom + 1):
+    for row in range(search.top, search.bottom + 1):
         first = left + (-(left + phase * row)) % stride
-        for column in range(first, right + 1, stride):
+        for column in range(first, search.right + 1, stride):
             u, v = float(column), float(row)
             if view.has_lens:
                 x, y = rays[row, column, 0], rays[row, column, 1]
@@ -303,11 +303,12 @@ def _gather_edge_pixels(
             out_x, out_y = (abs(x) - 1.0) * px_x, (abs(y) - 1.0) * px_y
             out = max(out_x, out_y)
             quiet_x, quiet_y = quiet * px_x / half, quiet * px_y / half
-            if out_x > max(quiet_x - excluded_quiet_px, _LEAST_QUIET_FRACTION * quiet_x):
-                continue
-            if out_y > max(quiet_y - excluded_quiet_px, _LEAST_QUIET_FRACTION * quiet_y):
-                continue
-            if out > band_half_width_px or count == max_pixels:
+            if (
+                out_x > max(quiet_x - _EXCLUDED_QUIET_PX, _LEAST_QUIET_FRACTION * quiet_x)
+                or out_y > max(quiet_y - _EXCLUDED_QUIET_PX, _LEAST_QUIET_FRACTION * quiet_y)
+                or out > band_half_width_px
+                or count == max_pixels
+            ):
                 continue
             if not whole_square and out < -band_half_width_px:
                 if not cell_edges:
@@ -356,23 +357,14 @@ def _near_edge(cells: FloatArray, x: float, y: float, reach_x: float, reach_y: f
 WIDE, NARROW, ALL, BEND = range(4)
 """Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend
 (numerical)."""
-_BAND_HALF_WIDTH_PX: Final = 1.0
-"""Constant part of the band's half width, px (chosen: evidence against neighbouring edges)."""
-_BAND_HALF_WIDTH_BLURS: Final = 2.2
-"""Part of it that grows with the blur, in `_INITIAL_BLUR_PX` (chosen: as above)."""
 _MAX_BAND_HALF_WIDTH_PX: Final = 4.0
 """Largest half width in the first stage, px (chosen: poor starts against other edges)."""
 _WIDE_BLUR_PX: Final = 2.0
 """Largest initial blur in the first stage, px: far pixels see edges (chosen: against accuracy)."""
 _WIDE_BLUR_CELLS: Final = 0.35
 """Initial blur of the print in the first stage, cells (chosen: as above)."""
-_EXCLUDED_QUIET_BLURS: Final = 1.8
-"""Outer part of the quiet zone that is left out, in `_INITIAL_BLUR_PX`: the background blurs into
-it (chosen: evidence against this background)."""
 _MAX_FIRST_BLOCKS: Final = 3
 """Most blocks along an edge in the first stage, of few pixels (chosen: shadows against noise)."""
-_INITIAL_BLUR_PX: Final = 0.8
-"""Initial blur of the print after the first stage, px; the least in it (chosen: typical)."""
 
 
 @subroutine
@@ -385,23 +377,20 @@ def begin_stage(
     """
     image_to_square_homography(state.corners, state.G)
     blocks_per_edge, blur_px = search.max_blocks_per_edge, _INITIAL_BLUR_PX
-    reach_px = _BAND_HALF_WIDTH_PX + _BAND_HALF_WIDTH_BLURS * _INITIAL_BLUR_PX
+    reach_px = _BAND_HALF_WIDTH_PX
     if stage == WIDE:
         blocks_per_edge = min(blocks_per_edge, _MAX_FIRST_BLOCKS)
         reach_px = min(_MAX_BAND_HALF_WIDTH_PX, max(search.cell_px, 2.0))
         blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * search.cell_px, _INITIAL_BLUR_PX))
     if not blurs_known:
         state.blurs_px[0] = state.blurs_px[1] = blur_px
-    samples = _gather_edge_pixels(
-        search, state, reach_px, _EXCLUDED_QUIET_BLURS * _INITIAL_BLUR_PX,
-        search.cell_px < reach_px + 2.0 * blur_px, stage == ALL, max_pixels,
-    )  # fmt: skip
+    whole_square = search.cell_px < reach_px + 2.0 * blur_px
+    samples = _gather_edge_pixels(search, state, reach_px, whole_square, stage == ALL, max_pixels)
     gathered, blocks = len(samples), blocks_per_edge * blocks_per_edge
     if stage == ALL:
         samples = _drop_clipped_pixels(samples, search.light_by_grey)
     return FitStage(
-        samples, np.empty((len(samples), PIXEL_COLUMNS)), np.empty((2, 4, MAX_BLURRED_CELLS)),
-        blocks_per_edge,
+        samples, np.empty((len(samples), 3 + MAX_UNKNOWNS)), blocks_per_edge,
         np.empty((blocks, 5)), np.empty((blocks, 2, MAX_UNKNOWNS)),
         np.empty((blocks, 2)), np.empty(blocks),
         np.empty((blocks, MAX_UNKNOWNS, MAX_UNKNOWNS)), np.empty((blocks, MAX_UNKNOWNS)),
@@ -417,7 +406,7 @@ def evaluate_print(search: TagSearch, state: FitState, stage: FitStage) -> None:
     cells, places, pixels, blocks_per_edge = (
         search.cells, stage.samples, stage.pixel_rows, stage.blocks_per_edge
     )  # fmt: skip
-    along_x, along_y = stage.cell_weights[0], stage.cell_weights[1]
+    along_x, along_y = np.empty((4, MAX_BLURRED_CELLS)), np.empty((4, MAX_BLURRED_CELLS))
     sums, slopes = stage.moments, stage.derivative_sums
     half, start = 0.5 * search.side_cells, 0.5 * (len(cells) - search.side_cells)
     sums[:] = 0.0
