@@ -35,14 +35,11 @@ from vergence.vision.targets import PlanarTarget, outline_m, texture
 
 
 def _gaussian_radius_and_sigma(wanted_sigma: float) -> tuple[int, float]:
-    """Radius of a Gaussian kernel and the sigma that gives its taps the wanted standard deviation.
-
-    A kernel of three taps costs half as much as one of five and reaches a variance of 2/3.
-    """
+    """Radius of a Gaussian kernel and the sigma that gives its taps the wanted one."""
     share = 0.5 * wanted_sigma**2
     if share < 0.01:
         return 0, 0.0
-    if share < 0.36:
+    if share < 0.36:  # three taps cost half as much as five, and reach a variance of 2/3
         share = min(share, 0.333)
         return 1, math.sqrt(-0.5 / math.log(share / (1 - 2 * share)))
     return round(2.5 * wanted_sigma), wanted_sigma
@@ -265,10 +262,7 @@ class TargetRenderer:
         return 0.5 * scale * abs(sum_ - difference), 0.5 * scale * (sum_ + difference)
 
     def _choose_level(self, least: float, greatest: float, scale: int) -> tuple[int, float, float]:
-        """Texels per cell, the texture's blur in texels, and the remaining blur in samples.
-
-        They depend on the samples per metre on the board, smallest and largest by direction.
-        """
+        """Texels per cell, their blur, and the remaining blur in samples, by samples per metre."""
         wanted = (scale * self.rendering.blur_px) ** 2 + scale**2 / 12 - (scale**2 - 1) / 12
         least, greatest = least * self.target.cell_m, greatest * self.target.cell_m
         mean = 0.5 * (least + greatest)
@@ -352,10 +346,9 @@ class TargetRenderer:
 
 
 def _encoding(rendering: Rendering, light: NDArray[np.float64]) -> tuple[float, NDArray[np.uint8]]:
-    """Fraction of light of the background between black and white, and grey by that fraction.
+    """Fraction of light of the background between black and white, and of grey by that of light.
 
-    Fractions are 0 to 255; the table, (256,), gives fractions of grey. The light is that of each
-    grey level, (256,), see `light_table`.
+    Fractions are 0 to 255. The light is that of each grey level, (256,), see `light_table`.
     """
     levels, contrast = np.arange(256.0), rendering.white_grey - rendering.black_grey
     greys = (rendering.black_grey, rendering.background_grey, rendering.white_grey)

@@ -173,8 +173,7 @@ def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
 def smooth_for_square_search(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
     """Smooth an image for searches for squares; itself if it has little noise, None if only noise.
 
-    Noise makes such a search take ten times as long on an empty wall. It is estimated by the
-    median of second differences, which edges hardly affect.
+    Noise, the median of second differences, makes such a search take ten times as long.
     """
     if min(image.shape) < _LEAST_SIDE_PX:
         return None

@@ -174,10 +174,7 @@ def lay_out_sheet(target: PlanarTarget, paper: Paper) -> PrintSheet:
 
 
 def _frame_mm(target: PlanarTarget, scale: float = 1.0) -> tuple[float, float, float]:
-    """Width and height of a scaled board with its white margin, and the margin to add to its cells.
-
-    That margin is negative if the cells have more than needed.
-    """
+    """Width and height of a scaled board with its white margin, and what its cells lack of it."""
     cell = scale * _MM_PER_M * target.cell_m
     rows, columns = target.cells.shape
     y, x = np.nonzero(target.cells == 0)
@@ -366,10 +363,7 @@ def _ruler() -> list[NDArray[np.float64]]:
 
 
 def _write_pdf(figure: "Figure", path: Path, title: str) -> None:
-    """Write a figure as a PDF page for which printing dialogs default to no scaling.
-
-    This is a preference in the document's catalog, which `Figure.savefig` cannot set.
-    """
+    """Write a figure as a PDF page for which printing dialogs default to no scaling."""
     from matplotlib.backends import backend_pdf
 
     pdf: Any = backend_pdf

@@ -38,12 +38,10 @@ clutter)."""
 def _decode_tag(
     image: NDArray[np.uint8], corners: NDArray[np.float64], code: TagFamilyCode
 ) -> FoundSquare | None:
-    """Decode a square with corners in order around it, (4, 2) px, that may be a tag of a family.
+    """Decode a square with corners in order around it, (4, 2) px; None if it is no tag of a family.
 
     The libraries fit one plane of grey levels to the whole square; the local thresholds used here
-    also read a square in which a shadow ends. The tag with the fewest wrong bits is returned, its
-    corners from its upper left one; None if it has more wrong bits than the family corrects, or if
-    the contrast or the border is not a tag's.
+    also read a square in which a shadow ends. Corners of the tag begin at its upper left one.
     """
     margin = 1 if code.dark_inside else (code.total_width - code.width_at_border) // 2
     reach = code.width_at_border + 2 * margin
@@ -58,7 +56,7 @@ def _decode_tag(
         image, where.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     grey = grey.reshape(reach, reach, len(probes)).astype(np.float32).mean(axis=-1)
-    kernel = np.ones((_THRESHOLD_WINDOW_CELLS, _THRESHOLD_WINDOW_CELLS), np.uint8)
+    kernel = np.ones(2 * (_THRESHOLD_WINDOW_CELLS,), np.uint8)
     light, dark = cv2.dilate(grey, kernel), cv2.erode(grey, kernel)
     if float(np.median(light - dark)) < _LEAST_DECODED_CONTRAST_GREY:
         return None
@@ -72,7 +70,7 @@ def _decode_tag(
     if border_fraction < _LEAST_BORDER_FRACTION:
         return None
     x, y = code.bit_cells.T + margin
-    readings: list[tuple[int, int, int]] = []
+    readings = []
     for turn in range(4):
         bits = np.rot90(white, turn)[y, x]
         word = int("".join("1" if bit else "0" for bit in bits), 2)
@@ -234,8 +232,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         """Tag that may be bent, with the library's own corners and their sigma; None if doubtful.
 
         A tag has no wrong bit, `_decode_tag` reads the same number, and its family corrects bits:
-        in other families clutter often reads as a tag. An image pixel is `upscaling` of those that
-        the library searched.
+        in other families clutter often reads as a tag.
         """
         corners, edge = square.corners, _shortest_edge(square.corners)
         height, width = frame.grey.shape
@@ -349,12 +346,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         self, frame: Frame, corners: NDArray[np.float64], identity: int,
         efforts: Sequence[FitEffort] = _SEARCHES,
     ) -> tuple[Detection | None, bool]:  # fmt: skip
-        """Fit the tag near the given corners in several ways; also True if it may be a bent tag.
-
-        The last way assumes a narrow quiet zone, for tags cut out closer than a cell.
-        """
+        """Fit the tag near the given corners in several ways; also True if it may be a bent tag."""
         ways = [(effort, 1.0) for effort in efforts]
-        if self._code.dark_inside:
+        if self._code.dark_inside:  # may be cut out closer than a cell
             ways.append((efforts[0], _CUT_MARGIN_CELLS))
         bent = True
         for effort, quiet in ways:

@@ -97,8 +97,8 @@ sharpening and compression, which leave large residuals, look like small bends (
 sheets of tags in public photographs against drawn ones)."""
 _MAX_CENTRE_BEND: Final = 0.09
 """Largest distance from the crossing of the diagonals to the middle of a bent tag, half edges;
-beyond it the print is not as assumed, and the centre is the crossing, with this distance in its
-sigma. Tags bent by 7 mm in 150 have up to 0.086 (measured: tests/vision/tags/test_bent.py)."""
+beyond it the centre is the crossing, with this distance in its sigma. Tags bent by 7 mm in 150 have
+up to 0.086 (measured: tests/vision/tags/test_bent.py)."""
 _MAX_OUTSIDE_CELLS: Final = 0.4
 """Largest distance of a corner beyond the image, cells: the border's middle is still in it, and the
 edges' lines give the corner (chosen: tags at the side against cut ones)."""
@@ -112,8 +112,8 @@ cell is still white there (chosen: such zones against blur)."""
 @subroutine
 def _report_fit(
     search: TagSearch, state: FitState, stage: FitStage, residuals: PrintResiduals,
-    unknown_count: int, pixel_variance: float, extra_corner_variance: float, start_corners: FloatArray,
-    points: FloatArray, sigmas: FloatArray, covariance: FloatArray,
+    unknown_count: int, pixel_variance: float, extra_corner_variance: float,
+    start_corners: FloatArray, points: FloatArray, sigmas: FloatArray, covariance: FloatArray,
 ) -> TagFit:  # fmt: skip
     """Report a fit that has converged; no fit if a point is undetermined or too far outside."""
     height, width = search.image.shape
@@ -169,12 +169,11 @@ def _locate(
     search: TagSearch, state: FitState, stage: FitStage, unknown_count: int, x: float, y: float,
     variance: float, more: float, J: FloatArray, slopes: FloatArray,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Pixel of a point (x, y) of the tag's plane, and its sigmas for pixels of a variance.
+    """Pixel of a point of the tag's plane, and its sigmas for pixels of a variance, and some more.
 
     With J the derivatives of the point in the undistorted plane by the unknowns and N = L L^T, its
-    covariance J N^-1 J^T is the product of L^-1 J^T with itself; `more` is added to both variances.
-    `slopes`, (2, 2), become the derivatives of the pixel by that point, and `J`, (2, unknowns),
-    becomes their product with (L^-1 J^T)^T.
+    covariance J N^-1 J^T is the product of L^-1 J^T with itself. `slopes`, the derivatives of the
+    pixel by that point, and their product with that factor, in `J`, are results too.
     """
     G, camera, view = state.G, search.camera, search.undistorted_view
     u, v = transform_point(state.H, x, y)
@@ -249,10 +248,7 @@ def _light_at(search: TagSearch, state: FitState, x: float, y: float) -> float:
 
 @subroutine
 def _read(search: TagSearch, state: FitState) -> CellReading:
-    """Read a tag's cells; without the quiet zone's levels, or by light, if fewer are wrong so.
-
-    Blur averages light: between white cells, black is lighter in grey levels than midway.
-    """
+    """Read a tag's cells; without the quiet zone's levels, or by light, if fewer are wrong so."""
     cells, border = search.cells, float(search.side_cells)
     offset = 0.5 * (len(cells) - search.side_cells)
     ring, greys = 1 if len(cells) == search.side_cells + 2 else 0, np.empty(cells.shape)
@@ -262,7 +258,7 @@ def _read(search: TagSearch, state: FitState) -> CellReading:
     for way in range(3):
         if way == 1 and ring == 0:
             continue
-        if way == 2:
+        if way == 2:  # blur averages light: black between white is lighter in grey than midway
             levels[:] = search.light_by_grey
         other = compare_cells(
             search.image, levels, state.H, state.white_spread_and_bend, search.camera,
@@ -351,14 +347,11 @@ def fit_tag(
     first_stage: int, max_wide_steps: int, max_steps: int, max_wide_pixels: int, max_pixels: int,
     start_corners: FloatArray, points: FloatArray, sigmas: FloatArray, covariance: FloatArray,
 ) -> TagFit:  # fmt: skip
-    """Fit a tag's edges, and read its cells.
+    """Fit a tag's edges, and read its cells; `NO_FIT` if its square is too small or the fit fails.
 
-    `packed_camera` is that of `pack_camera`, `rays` and the print are as in `TagSearch`, the
-    stages as in `FitEffort`. From (4, 2) approximate corners, px, clockwise from
-    the upper left, follow (5, 2) `points`, the corners and the centre, px, their `sigmas`,
-    and the (8, 8) `covariance` of the corners' u and v, px^2.
-    `NO_FIT`, with a contrast of 0, is returned if the square is too small or too far outside of the
-    image, or if the fit fails.
+    The first arguments are as in `TagSearch` and `pack_camera`, the stages as in `FitEffort`. From
+    (4, 2) approximate corners, px, clockwise from the upper left, follow (5, 2) `points`, the
+    corners and the centre, px, their `sigmas`, and the (8, 8) `covariance` of the corners, px^2.
     """
     shortest, longest, _ = side_lengths(start_corners)
     if not (shortest >= LEAST_EDGE_PX and longest < inf):

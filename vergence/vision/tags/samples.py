@@ -29,10 +29,10 @@ _NORMAL_PDF: Final = np.exp(-0.5 * _TABLE_Z**2) / sqrt(2.0 * pi)
 
 @subroutine
 def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
-    """First cell and number of cells that count at x, cells, and their weights, with derivatives.
+    """First cell and number of cells that count at x, cells, with a blur of s.
 
-    The rows of `weights` are the weights, and their derivatives with respect to x, to log s, and to
-    the position of the edge to the next cell, in standard deviations s of the blur.
+    The rows of `weights` become their weights, and these by x, by log s, and by the position of the
+    edge to the next cell, in s.
     """
     first = floor(x - _CUTOFF_SIGMAS * s)
     count = min(floor(x + _CUTOFF_SIGMAS * s) - first + 1, MAX_BLURRED_CELLS)
@@ -41,10 +41,8 @@ def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
         height = 0.0
         if i + 1 < count:
             z = (first + i + 1 - x) / s
-            place = min(
-                max((z + _CUTOFF_SIGMAS) * _STEPS_PER_SIGMA, 0.0),
-                2.0 * _CUTOFF_SIGMAS * _STEPS_PER_SIGMA,
-            )
+            place = max((z + _CUTOFF_SIGMAS) * _STEPS_PER_SIGMA, 0.0)
+            place = min(place, 2.0 * _CUTOFF_SIGMAS * _STEPS_PER_SIGMA)
             k = int(place)
             share = place - k
             below_next = _NORMAL_CDF[k] + share * (_NORMAL_CDF[k + 1] - _NORMAL_CDF[k])
@@ -67,9 +65,8 @@ def _sample_print(
 ) -> tuple[float, float, float, float, float, float, float, bool]:  # fmt: skip
     """Blurred print at a point, in cells from the upper left corner; outer cells extend beyond.
 
-    Returns its value, derivatives by x and y, by the log blurs along x and y, and by the spread of
-    white, by which edges across x, or across y, move towards black, in standard deviations of the
-    blur; and False if a cell that contributes has an unknown print.
+    Returns its value, derivatives by x and y, by the log blurs, and by the spread of white across x
+    and y, in blurs; and False if a cell that contributes has an unknown print.
     """
     rows, columns = cells.shape
     left, across = _weigh(x, blur_x_cells, cell_weights_x)
@@ -256,11 +253,7 @@ def _gather_edge_pixels(
     search: TagSearch, state: FitState, band_half_width_px: float, whole_square: bool,
     cell_edges: bool, max_pixels: int,
 ) -> FloatArray:  # fmt: skip
-    """Samples of the pixels near the edges, evenly subsampled to at most `max_pixels`.
-
-    With `whole_square` all pixels within the square are taken, with `cell_edges` also those near
-    the edges of the cells in it. The outer part of the quiet zone is left out.
-    """
+    """Samples near the square's edges, or all in it, or also near those of its cells."""
     samples = np.empty((max_pixels, 3))
     image, light, rays = search.image, search.light_by_grey, search.rays
     view, G = search.undistorted_view, state.G
@@ -371,10 +364,7 @@ _MAX_FIRST_BLOCKS: Final = 3
 def begin_stage(
     stage: int, blurs_known: bool, search: TagSearch, state: FitState, max_pixels: int
 ) -> FitStage:
-    """Begin a stage other than `BEND`, with the homography through the corners.
-
-    Unless an earlier stage has found the blurs, they are set as well.
-    """
+    """Begin a stage other than `BEND`, with the homography through the corners, and with blurs."""
     image_to_square_homography(state.corners, state.G)
     blocks_per_edge, blur_px = search.max_blocks_per_edge, _INITIAL_BLUR_PX
     reach_px = _BAND_HALF_WIDTH_PX

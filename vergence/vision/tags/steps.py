@@ -73,8 +73,7 @@ def _add_priors(
 ) -> None:  # fmt: skip
     """Add Gaussian priors to normal equations: blurs stay, white spread and bend are near 0.
 
-    The weights are those of the blurs, the white spread, the quadratic and the cubic coefficients:
-    pixel variance / prior variance, added to the diagonal.
+    Weights, pixel variance / prior variance, are those of blurs, spread, and bend by degree.
     """
     matrix[8, 8] += prior_weights[0]
     matrix[9, 9] += prior_weights[0]
@@ -90,11 +89,10 @@ def _add_priors(
 def block_squares_and_dof(stage: FitStage, unknown_count: int) -> tuple[float, float]:
     """Sum of squares of whole blocks' residuals after the last step, and its degrees of freedom.
 
-    Their ratio estimates the variance of a pixel.
-
-    Residuals that are correlated from pixel to pixel add up: their sum over a block of N pixels
-    scatters by more than the square root of N. With the blocks' scores s_k and normal matrices N_k,
-    and N their sum, ``E s_k^T N^-1 s_k = sigma^2 (tr A_k - tr A_k^2)``, ``A_k = N^-1 N_k``.
+    Their ratio estimates the variance of a pixel. Residuals that are correlated from pixel to pixel
+    add up: their sum over a block of N pixels scatters by more than the square root of N. With the
+    blocks' scores s_k and normal matrices N_k, and N their sum,
+    ``E s_k^T N^-1 s_k = sigma^2 (tr A_k - tr A_k^2)``, ``A_k = N^-1 N_k``.
     """
     factor, step = stage.normal_matrix, stage.step
     scores, normal, levels = stage.scores, stage.normal_matrices, stage.levels
@@ -209,13 +207,11 @@ def gauss_newton_step(
     state: FitState, stage: FitStage, unknown_count: int,
     prior_weights: tuple[float, float, float, float], max_blur_px: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Take a Gauss-Newton step, shortened if the previous one overshot.
+    """Take a Gauss-Newton step: its largest move of a corner, px, and change of a log blur.
 
-    A step overshot if the slope along it has changed sign; the secant then gives the right
-    fraction. Without this, steps oscillate if edges are sharpened or seen at a low angle.
-
-    Returns the largest move of a corner, px, infinite if the normal matrix is not positive
-    definite; and the largest change of a blur's logarithm.
+    A step overshot if the slope along it has changed sign; the secant then gives the right fraction
+    for the next. Without this, steps oscillate if edges are sharpened or seen at a low angle. The
+    move is infinite if the normal matrix is not positive definite.
     """
     matrix, step, last = stage.normal_matrix, stage.step, stage.previous_step
     G, H, corners = state.G, state.H, state.corners
