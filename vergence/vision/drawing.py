@@ -35,14 +35,11 @@ from vergence.vision.targets import PlanarTarget, outline_m, texture
 
 
 def _gaussian_radius_and_sigma(wanted_sigma: float) -> tuple[int, float]:
-    """Radius of a Gaussian kernel and the sigma that gives its taps the wanted standard deviation.
-
-    A kernel of three taps costs half as much as one of five and reaches a variance of 2/3.
-    """
+    """Radius of a Gaussian kernel and the sigma that gives its taps the wanted one."""
     share = 0.5 * wanted_sigma**2
     if share < 0.01:
         return 0, 0.0
-    if share < 0.36:
+    if share < 0.36:  # three taps cost half as much as five, and reach a variance of 2/3
         share = min(share, 0.333)
         return 1, math.sqrt(-0.5 / math.log(share / (1 - 2 * share)))
     return round(2.5 * wanted_sigma), wanted_sigma
@@ -69,26 +66,15 @@ _NOISE_UNIT: Final = 24.0
 against clipping)."""
 
 
-def _noise_window(
-    rng: np.random.Generator, shape: tuple[int, int], longest_side_px: int
-) -> NDArray[np.uint8]:
-    """Normal numbers n for the pixels of a region, as ``_NOISE_MEAN + _NOISE_UNIT * n``.
-
-    Sampling normal numbers for each frame would cost as much as rendering the board. Instead they
-    come from a bank, a fixed table of normal numbers that is equal in every process and as large as
-    the frame's longest side demands; the frame's generator picks the region's start in it among
-    more than a million positions. The noise of a pixel is then independent from frame to frame,
-    except if two windows start within a few pixels of each other, about once in 10,000 pairs.
-    """
-    bank = _bank(max(2048, 1 << (longest_side_px + longest_side_px // 2 - 1).bit_length()))
-    height, width = shape
-    columns = bank.shape[1] - width
-    y, x = divmod(int(rng.integers((bank.shape[0] - height) * columns)), columns)
-    return bank[y : y + height, x : x + width]
-
-
 @lru_cache(maxsize=2)
-def _bank(side: int) -> NDArray[np.uint8]:
+def _noise_bank(side: int) -> NDArray[np.uint8]:
+    """Table of normal numbers n as ``_NOISE_MEAN + _NOISE_UNIT * n``, equal in every process.
+
+    Sampling normal numbers for each frame would cost as much as rendering the board. Instead the
+    frame's generator picks the region's start in this table among more than a million positions.
+    The noise of a pixel is then independent from frame to frame, except if two windows start
+    within a few pixels of each other, about once in 10,000 pairs.
+    """
     numbers = np.random.default_rng(side).standard_normal((side, side), np.float32)
     bank = np.rint(_NOISE_MEAN + _NOISE_UNIT * numbers).clip(0, 255)
     levels: NDArray[np.uint8] = bank.astype(np.uint8)
@@ -210,10 +196,15 @@ class TargetRenderer:
         bounds = self._bounds_px(board, pose)
         if bounds is None:
             return
-        spacing = self._sample_spacing(pose)
-        oversampling = _oversampling(spacing)
+        least, greatest = self._sample_spacing(pose)
+        oversampling = 1
+        if greatest > _STEEP_RATIO * least:
+            wanted = math.ceil(_OVERSAMPLING_MARGIN * greatest / least)
+            oversampling = min(wanted, _MOST_OVERSAMPLING)
         scale = oversampling * self.rendering.supersampling
-        texels, texture_blur, blur = self._choose_level(spacing, oversampling)
+        texels, texture_blur, blur = self._choose_level(
+            oversampling * least, oversampling * greatest, scale
+        )
         smear = scale * np.asarray(smear_px, float)
         smear_length = math.hypot(smear[0], smear[1])
         half_kernel, sigma = _gaussian_radius_and_sigma(blur)
@@ -270,13 +261,10 @@ class TargetRenderer:
         sum_, difference = math.hypot(a + d, b - c), math.hypot(a - d, b + c)
         return 0.5 * scale * abs(sum_ - difference), 0.5 * scale * (sum_ + difference)
 
-    def _choose_level(
-        self, spacing: tuple[float, float], oversampling: int
-    ) -> tuple[int, float, float]:
-        """Texels per cell, the texture's blur in texels, and the remaining blur in samples."""
-        scale = oversampling * self.rendering.supersampling
+    def _choose_level(self, least: float, greatest: float, scale: int) -> tuple[int, float, float]:
+        """Texels per cell, their blur, and the remaining blur in samples, by samples per metre."""
         wanted = (scale * self.rendering.blur_px) ** 2 + scale**2 / 12 - (scale**2 - 1) / 12
-        least, greatest = (oversampling * value * self.target.cell_m for value in spacing)
+        least, greatest = least * self.target.cell_m, greatest * self.target.cell_m
         mean = 0.5 * (least + greatest)
         texels = _texels(least, _LEAST_TEXEL_SAMPLES)
         blur = _TEXTURE_BLUR
@@ -290,13 +278,9 @@ class TargetRenderer:
         return texels, blur, math.sqrt(max(wanted - done, 0.0))
 
     def _sample(
-        self,
-        board: NDArray[np.float64],
-        region: Region,
-        texels: int,
-        blur: float,
+        self, board: NDArray[np.float64], region: Region, texels: int, blur: float,
         oversampling: int,
-    ) -> NDArray[np.uint8]:
+    ) -> NDArray[np.uint8]:  # fmt: skip
         """Grey of the board at each sample of a region, 0 black to 255 white."""
         scale = self.rendering.supersampling
         x0, y0, x1, y1 = region
@@ -321,16 +305,13 @@ class TargetRenderer:
         pixel_from_sample = np.array(
             [[1 / scale, 0, x0 + half], [0, 1 / scale, y0 + half], [0, 0, 1]]
         )
-        return np.asarray(
-            cv2.warpPerspective(
-                image,
-                texture_from_ray @ self.camera.inverse_matrix @ pixel_from_sample,
-                ((x1 - x0) * scale, (y1 - y0) * scale),
-                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-                borderValue=self._surround,
-            ),
-            np.uint8,
+        transform = texture_from_ray @ self.camera.inverse_matrix @ pixel_from_sample
+        size, flags = (
+            ((x1 - x0) * scale, (y1 - y0) * scale),
+            cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         )
+        drawn = cv2.warpPerspective(image, transform, size, flags=flags, borderValue=self._surround)
+        return np.asarray(drawn, np.uint8)
 
     def _expose(
         self, board: NDArray[np.uint8], drawn: Region, rng: np.random.Generator | None
@@ -348,31 +329,26 @@ class TargetRenderer:
         height, width = self.frame.shape
         rx0, ry0 = max(x0 - _NOISE_MARGIN_PX, 0), max(y0 - _NOISE_MARGIN_PX, 0)
         rx1, ry1 = min(x1 + _NOISE_MARGIN_PX, width), min(y1 + _NOISE_MARGIN_PX, height)
-        noise = _noise_window(rng, (ry1 - ry0, rx1 - rx0), max(width, height))
+        side = max(width, height)
+        bank = _noise_bank(max(2048, 1 << (side + side // 2 - 1).bit_length()))
+        columns = len(bank) - (rx1 - rx0)
+        y, x = divmod(int(rng.integers((len(bank) - (ry1 - ry0)) * columns)), columns)
+        noise = bank[y : y + ry1 - ry0, x : x + rx1 - rx0]
         gain = rendering.noise_grey / _NOISE_UNIT
         self.region = (rx0, ry0, rx1, ry1)
         # around the board: plain background and noise
-        cv2.convertScaleAbs(
-            noise,
-            self.frame[ry0:ry1, rx0:rx1],
-            gain,
-            rendering.background_grey - _NOISE_MEAN * gain,
-        )
-        cv2.addWeighted(
-            board,
-            self._contrast,
-            noise[y0 - ry0 : y1 - ry0, x0 - rx0 : x1 - rx0],
-            gain,
-            rendering.black_grey - _NOISE_MEAN * gain,
-            self.frame[y0:y1, x0:x1],
-        )
+        around = rendering.background_grey - _NOISE_MEAN * gain
+        cv2.convertScaleAbs(noise, self.frame[ry0:ry1, rx0:rx1], gain, around)
+        noise = noise[y0 - ry0 : y1 - ry0, x0 - rx0 : x1 - rx0]
+        black = rendering.black_grey - _NOISE_MEAN * gain
+        frame = self.frame[y0:y1, x0:x1]
+        cv2.addWeighted(board, self._contrast, noise, gain, black, frame)
 
 
 def _encoding(rendering: Rendering, light: NDArray[np.float64]) -> tuple[float, NDArray[np.uint8]]:
-    """Fraction of light of the background between black and white, and grey by that fraction.
+    """Fraction of light of the background between black and white, and of grey by that of light.
 
-    Fractions are 0 to 255; the table, (256,), gives fractions of grey. The light is that of each
-    grey level, (256,), see `light_table`.
+    Fractions are 0 to 255. The light is that of each grey level, (256,), see `light_table`.
     """
     levels, contrast = np.arange(256.0), rendering.white_grey - rendering.black_grey
     greys = (rendering.black_grey, rendering.background_grey, rendering.white_grey)
@@ -383,14 +359,6 @@ def _encoding(rendering: Rendering, light: NDArray[np.float64]) -> tuple[float, 
     # exact for the background, so that the drawn region has no visible border
     encoded[round(surround)] = round(255.0 * (rendering.background_grey - greys[0]) / contrast)
     return surround, encoded
-
-
-def _oversampling(spacing: tuple[float, float]) -> int:
-    """Factor on the number of samples along each axis for steep views; 1 for others."""
-    least, greatest = spacing
-    if greatest <= _STEEP_RATIO * least:
-        return 1
-    return min(math.ceil(_OVERSAMPLING_MARGIN * greatest / least), _MOST_OVERSAMPLING)
 
 
 def _texels(samples: float, least: float) -> int:

@@ -107,11 +107,10 @@ def as_grey(
         )
     if response is not None:
         curve = parse_response(response)
-        light = (
-            light_table(curve)[array]
-            if array.dtype == np.uint8
-            else 255.0 * to_light(_levels(array) / 255.0, curve)
-        )
+        if array.dtype == np.uint8:
+            light = light_table(curve)[array]
+        else:
+            light = 255.0 * to_light(_levels(array) / 255.0, curve)
         array = np.asarray(light, np.float32)
     elif array.dtype != np.uint8:
         array = np.rint(_levels(array)).astype(np.uint8)
@@ -164,10 +163,9 @@ def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
     some = values[:: max(values.shape[0] // 400, 1), :: max(values.shape[1] // 400, 1)]
     finite = some[np.isfinite(some)]
     greatest = float(np.percentile(finite, _MAXIMUM_PERCENTILE)) if finite.size else 1.0
+    full = next((2.0**bits - 1.0 for bits in _BIT_DEPTHS if greatest < 2.0**bits), greatest)
     if floats and greatest <= _MAX_UNIT_FLOAT:
         full = 1.0
-    else:
-        full = next((2.0**bits - 1.0 for bits in _BIT_DEPTHS if greatest < 2.0**bits), greatest)
     scaled: NDArray[np.float32] = np.clip(values * (255.0 / full), 0.0, 255.0)
     return scaled
 
@@ -175,8 +173,7 @@ def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
 def smooth_for_square_search(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
     """Smooth an image for searches for squares; itself if it has little noise, None if only noise.
 
-    Noise makes such a search take ten times as long on an empty wall. It is estimated by the
-    median of second differences, which edges hardly affect.
+    Noise, the median of second differences, makes such a search take ten times as long.
     """
     if min(image.shape) < _LEAST_SIDE_PX:
         return None
@@ -326,7 +323,7 @@ def open_capture(
     device = is_local_camera(source)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg has a log of its own
     with suppress_opencv_log():
-        capture = _open(source, device, option_name)
+        capture = _open(source, option_name)
         # pixels are those of the sensor, whatever a file says of how it was held
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         if device:  # the format first, since it limits sizes and rates
@@ -340,10 +337,22 @@ def open_capture(
             if exposure_s is not None:
                 capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_EXPOSURE)
                 capture.set(cv2.CAP_PROP_EXPOSURE, round(exposure_s / EXPOSURE_STEP_S))
-    if not capture.isOpened():
-        capture.release()
-        raise ConfigurationError(_why(source, device, option_name))
-    return capture
+    if capture.isOpened():
+        return capture
+    capture.release()
+    what = f"{option_name}: expected a"
+    if not device:
+        raise ConfigurationError(f"{what} video that OpenCV can read, got {source!r:.200}")
+    path, what = _device_path(source), f"{what} camera that can be opened, got {source}"
+    if not os.access(path, os.R_OK | os.W_OK):
+        raise ConfigurationError(
+            f"{what}, for which there is no permission (on most Linux systems, users of the group "
+            "video have it: sudo usermod -aG video $USER, then log in again)"
+        )
+    raise ConfigurationError(
+        f"{what} (does another program use it, as fuser -v {path} tells, or is it a camera's "
+        "second device, without images?)"
+    )
 
 
 def is_local_camera(source: str) -> bool:
@@ -360,8 +369,8 @@ def _device_path(source: str) -> str:
     return f"/dev/video{int(source)}" if source.isdecimal() else os.path.realpath(source)
 
 
-def _open(source: str, device: bool, what: str) -> cv2.VideoCapture:
-    if device:
+def _open(source: str, what: str) -> cv2.VideoCapture:
+    if is_local_camera(source):
         path = _device_path(source)
         if not os.path.exists(path):
             raise ConfigurationError(
@@ -383,27 +392,10 @@ def _open(source: str, device: bool, what: str) -> cv2.VideoCapture:
     return cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
 
 
-def _why(source: str, device: bool, what: str) -> str:
-    if device:
-        expected = f"{what}: expected a camera that can be opened, got {source}"
-        if not os.access(_device_path(source), os.R_OK | os.W_OK):
-            return (
-                f"{expected}, for which there is no permission (on most Linux systems, users of "
-                "the group video have it: sudo usermod -aG video $USER, then log in again)"
-            )
-        return (
-            f"{expected} (does another program use it, as fuser -v {_device_path(source)} tells, "
-            "or is it a camera's second device, without images?)"
-        )
-    return f"{what}: expected a video that OpenCV can read, got {source!r:.200}"
-
-
 def _images(capture: cv2.VideoCapture, misses: int) -> Iterator[NDArray[np.uint8]]:
     missed = 0
     while missed <= misses:
         there, image = capture.read()
-        if not there or image is None:
-            missed += 1
-            continue
-        missed = 0
-        yield grey_if_channels_equal(np.asarray(image, np.uint8))
+        missed = 0 if there and image is not None else missed + 1
+        if missed == 0:
+            yield grey_if_channels_equal(np.asarray(image, np.uint8))

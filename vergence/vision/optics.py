@@ -139,10 +139,7 @@ def transform_point(H: FloatArray, x: float, y: float) -> tuple[float, float]:
 def undistorted_point(
     rays: NDArray[np.float32], view: UndistortedView, u: float, v: float
 ) -> tuple[float, float]:
-    """Approximate point of a view's plane for a pixel in or near the image, by interpolated rays.
-
-    The (height, width, 2) rays are those of the pixels; (0, 0, 2) for an undistorted image.
-    """
+    """Approximate point of a view's plane for a pixel in or near the image, by the pixels' rays."""
     if not view.has_lens:
         return u, v
     x, y = interpolate_ray(rays, u, v)
@@ -212,17 +209,12 @@ def _transformed(points: NDArray[np.float64], matrix: NDArray[np.float64]) -> ND
 
 @lru_cache(maxsize=4)
 def ray_table(camera: Camera, supersampling: int, margin_px: int) -> NDArray[np.float32]:
-    """Rays (x / z, y / z) of every sample of a frame with a margin around it.
+    """Rays (x / z, y / z) of every sample of a frame with a margin, (rows, columns, 2) samples.
 
-    There are some samples per pixel along each axis. The shape is ((height + 2 margin) *
-    supersampling, (width + 2 margin) * supersampling, 2).
+    There are some samples per pixel along each axis.
     """
-    u, v = (
-        (np.arange((length + 2 * margin_px) * supersampling) + 0.5) / supersampling
-        - 0.5
-        - margin_px
-        for length in (camera.width, camera.height)
-    )
+    samples = ((length + 2 * margin_px) * supersampling for length in (camera.width, camera.height))
+    u, v = ((np.arange(each) + 0.5) / supersampling - 0.5 - margin_px for each in samples)
     pixels = np.stack(np.meshgrid(u, v), axis=-1)
     table = camera.rays(pixels.reshape(-1, 2)).reshape(pixels.shape).astype(np.float32)
     table.setflags(write=False)
@@ -232,10 +224,7 @@ def ray_table(camera: Camera, supersampling: int, margin_px: int) -> NDArray[np.
 def fit_homography(
     board_m: NDArray[np.float64], pixels: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Least-squares homography from corners on a board, (n, 2), to these in the image, (n, 2).
-
-    None if the corners are collinear.
-    """
+    """Homography from corners on a board, (n, 2), to these in the image; None if collinear."""
     transform: Any = cv2.findHomography(board_m, pixels, 0)[0]
     if transform is None or not np.isfinite(transform).all():
         return None
@@ -245,10 +234,9 @@ def fit_homography(
 def origin_sigma_px(
     homography: NDArray[np.float64], board_m: NDArray[np.float64], sigmas: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Standard deviations of the board's origin in the image by a homography of corners, (2,) px.
+    """Standard deviations, (2,) px, of the board's origin by a homography of corners with sigmas.
 
-    They are large if the corners, (n, 2) m on the board with sigmas (n, 2) px in the image, do not
-    surround the origin.
+    They are large if the corners, (n, 2) m, do not surround the origin.
     """
     scale = 1.0 / np.abs(board_m).max()
     H = homography @ np.diag([1.0 / scale, 1.0 / scale, 1.0])

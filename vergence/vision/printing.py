@@ -5,17 +5,26 @@ Lengths on a sheet are millimetres from its upper left corner, x right and y dow
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.files import atomic_file
-from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, TagFamily, Target
+from vergence.vision.tag_families import AprilGrid
+from vergence.vision.targets import (
+    AprilTag,
+    Checkerboard,
+    PlanarTarget,
+    TagFamily,
+    Target,
+    stated_edge_m,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,9 +112,9 @@ def require_printable(target: Target) -> PlanarTarget:
             f"got {target}"
         )
     if not target.size_known:
-        example = f"{target}:120" if isinstance(target, AprilTag) else f"{target}:20"
+        example = 120 if isinstance(target, AprilTag) else 20
         raise ConfigurationError(
-            f"target: expected its size in mm at the end, such as {example}, got {target}"
+            f"target: expected its size in mm at the end, such as {target}:{example}, got {target}"
         )
     return target
 
@@ -147,32 +156,25 @@ def lay_out_sheet(target: PlanarTarget, paper: Paper) -> PrintSheet:
     The ruler is below the board if it fits there, else to its right; of portrait and landscape
     the one with more room is taken. `ConfigurationError` if the board does not fit.
     """
-    width_mm, height_mm, rim_mm = _frame_mm(target)
-    places = _places(width_mm, height_mm, paper)
+    *size_mm, rim_mm = _frame_mm(target)
+    places = _places(size_mm, paper)
     if not places:
         raise ConfigurationError(_too_large(target, paper))
-    place = max(places, key=lambda place: (not place.upright, place.slack_mm))
-    # lengths along the direction from the board to the ruler: to the right or down
-    along = 0 if place.upright else 1
-    sheet = place.sheet_mm[along]
-    spare = max(0.0, sheet - (width_mm, height_mm)[along] - RULER_STRIP_MM)
-    ruler = sheet - RULER_STRIP_MM - min(spare / 3.0, _MAX_EXTRA_MARGIN_MM)
-    width, height = place.sheet_mm
-    if place.upright:
-        left, top = 0.5 * (ruler - width_mm), 0.5 * (height - height_mm)
-        zero = (ruler, 0.5 * (height + RULER_MM))
-    else:
-        left, top = 0.5 * (width - width_mm), 0.5 * (ruler - height_mm)
-        zero = (0.5 * (width - RULER_MM), ruler)
-    corner = (left + rim_mm, top + rim_mm)
-    return PrintSheet(target, paper, width, height, corner, zero, place.upright)
+    below, _, sheet_mm = max(places, key=lambda place: place[:2])
+    # along the direction from the board to the ruler, to the right or down, the ruler is the end
+    along = int(below)
+    spare = max(0.0, sheet_mm[along] - size_mm[along] - RULER_STRIP_MM)
+    ends = [*sheet_mm]
+    ends[along] -= RULER_STRIP_MM
+    ends[along] -= min(spare / 3.0, _MAX_EXTRA_MARGIN_MM)
+    left, top = (0.5 * (end - length) + rim_mm for end, length in zip(ends, size_mm, strict=True))
+    width, height = sheet_mm
+    zero = (0.5 * (width - RULER_MM), ends[1]) if below else (ends[0], 0.5 * (height + RULER_MM))
+    return PrintSheet(target, paper, width, height, (left, top), zero, not below)
 
 
 def _frame_mm(target: PlanarTarget, scale: float = 1.0) -> tuple[float, float, float]:
-    """Width and height of a scaled board with its white margin, and the margin to add to its cells.
-
-    That margin is negative if the cells have more than needed.
-    """
+    """Width and height of a scaled board with its white margin, and what its cells lack of it."""
     cell = scale * _MM_PER_M * target.cell_m
     rows, columns = target.cells.shape
     y, x = np.nonzero(target.cells == 0)
@@ -183,41 +185,35 @@ def _frame_mm(target: PlanarTarget, scale: float = 1.0) -> tuple[float, float, f
     return cell * columns + 2.0 * rim, cell * rows + 2.0 * rim, rim
 
 
-class _Place(NamedTuple):
-    """An orientation of a sheet, a position of its ruler, and the room left for a board."""
-
-    sheet_mm: tuple[float, float]
-    upright: bool
-    slack_mm: float
-
-
-def _needs_mm(width_mm: float, height_mm: float, upright: bool) -> tuple[float, float]:
+def _needs_mm(size_mm: Sequence[float], ruler_below: bool) -> tuple[float, float]:
     """Width and height of the smallest sheet for a board with its margin and a ruler."""
+    width_mm, height_mm = size_mm
     ruler = RULER_MM + 2.0 * _UNPRINTED_MARGIN_MM
-    if upright:
-        return width_mm + RULER_STRIP_MM, max(height_mm, ruler)
-    return max(width_mm, ruler), height_mm + RULER_STRIP_MM
+    if ruler_below:
+        return max(width_mm, ruler), height_mm + RULER_STRIP_MM
+    return width_mm + RULER_STRIP_MM, max(height_mm, ruler)
 
 
-def _places(width_mm: float, height_mm: float, paper: Paper) -> list[_Place]:
-    """Ways to place a board with its margin on paper."""
-    portrait, landscape = (paper.short_mm, paper.long_mm), (paper.long_mm, paper.short_mm)
+def _places(
+    size_mm: Sequence[float], paper: Paper
+) -> list[tuple[bool, float, tuple[float, float]]]:
+    """Ways to place a board with its margin: if the ruler is below, slack (mm), sheet (mm)."""
     found = []
-    for upright in (False, True):
-        needs = _needs_mm(width_mm, height_mm, upright)
-        for sheet in (portrait, landscape):
+    for below in (True, False):
+        needs = _needs_mm(size_mm, below)
+        for sheet in ((paper.short_mm, paper.long_mm), (paper.long_mm, paper.short_mm)):
             slack = min(sheet[0] - needs[0], sheet[1] - needs[1])
             if slack >= -_SLACK_MM:
-                found.append(_Place(sheet, upright, slack))
+                found.append((below, slack, sheet))
     return found
 
 
 def _too_large(target: PlanarTarget, paper: Paper) -> str:
     size = _frame_mm(target)[:2]
-    width, height = min((_needs_mm(*size, upright) for upright in (False, True)), key=math.prod)
+    width, height = min((_needs_mm(size, below) for below in (True, False)), key=math.prod)
     series = [name for name in PAPERS if name.startswith("a") == (paper.name[:1] in ("", "a"))]
     others = [name for name in PAPERS if name not in series]
-    larger = next((name for name in (*series, *others) if _places(*size, PAPERS[name])), None)
+    larger = next((name for name in (*series, *others) if _places(size, PAPERS[name])), None)
     if larger is None:
         larger = f"{math.ceil(width)}x{math.ceil(height)}"
     return (
@@ -232,13 +228,13 @@ def _smaller(target: PlanarTarget, paper: Paper) -> str:
     low, high = 0.0, 1.0
     for _ in range(40):
         scale = 0.5 * (low + high)
-        fits = _places(*_frame_mm(target, scale)[:2], paper)
+        fits = _places(_frame_mm(target, scale)[:2], paper)
         low, high = (scale, high) if fits else (low, scale)
-    for name, words in (("square_m", "squares"), ("edge_m", "an edge"), ("tag_m", "tags")):
-        length_mm = low * _MM_PER_M * float(getattr(target, name, 0.0))
-        if length_mm >= 1.0:
-            step = 1.0 if length_mm >= 10.0 else 0.1
-            return f", or {words} of at most {step * math.floor(length_mm / step):g} mm"
+    length_mm = low * _MM_PER_M * stated_edge_m(target)
+    if length_mm >= 1.0:
+        words = {AprilTag: "an edge", AprilGrid: "tags"}.get(type(target), "squares")
+        step = 1.0 if length_mm >= 10.0 else 0.1
+        return f", or {words} of at most {step * math.floor(length_mm / step):g} mm"
     return f", or a board of at most {math.floor(100.0 * low)} % of its size" if low > 0.01 else ""
 
 
@@ -283,8 +279,6 @@ _RULER_TEXT: Final = f"print at 100 %, measure this: {RULER_MM:g} mm"
 """Text next to the ruler."""
 _MM_PER_INCH: Final = 25.4
 """Millimetres per inch (physical: definition of the inch)."""
-_POINTS_PER_INCH: Final = 72.0
-"""Points per inch, the unit of PDF pages (physical: definition of the point)."""
 _TEXT_PT: Final = 8.0
 """Font size, at which a board's longest text is shorter than the ruler, pt (chosen)."""
 _RULER_TOP_MM: Final = 0.6
@@ -369,26 +363,14 @@ def _ruler() -> list[NDArray[np.float64]]:
 
 
 def _write_pdf(figure: "Figure", path: Path, title: str) -> None:
-    """Write a figure as a PDF page for which printing dialogs default to no scaling.
-
-    This is a preference in the document's catalog, which `Figure.savefig` cannot set.
-    """
+    """Write a figure as a PDF page for which printing dialogs default to no scaling."""
     from matplotlib.backends import backend_pdf
 
     pdf: Any = backend_pdf
     metadata = {"Title": title, "CreationDate": None, "Producer": None, "Creator": "vergence"}
-    file = pdf.PdfFile(path, metadata=metadata)
-    try:
-        wish = {"PrintScaling": pdf.Name("None")}
+    with pdf.PdfPages(path, metadata=metadata) as pages:
+        file = pages._ensure_file()
         catalog = {"Type": pdf.Name("Catalog"), "Pages": file.pagesObject}
-        catalog["ViewerPreferences"] = wish
+        catalog["ViewerPreferences"] = {"PrintScaling": pdf.Name("None")}
         file.writeObject(file.rootObject, catalog)  # replaces the catalog that is already written
-        figure.dpi = _POINTS_PER_INCH  # the unit of a page
-        width, height = (float(edge) for edge in figure.get_size_inches())
-        file.newPage(width, height)
-        renderer = pdf.RendererPdf(file, _POINTS_PER_INCH, height, width)
-        figure.draw(renderer)
-        renderer.finalize()
-        file.finalize()
-    finally:
-        file.close()
+        figure.savefig(pages, format="pdf")

@@ -35,6 +35,16 @@ The probability that random bits of a square decode as a tag grows steeply with 
 more, the table of corrected codes would take gigabytes with two bits."""
 
 
+SQUARE: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+"""Corners of a square from the upper left, clockwise, half edges (numerical)."""
+
+
+def check_length(name: str, value: float) -> None:
+    """Raise `ConfigurationError` unless a value of a name is a positive length."""
+    if not (np.isfinite(value) and value > 0):
+        raise ConfigurationError(f"{name}: expected a positive length, got {value}")
+
+
 @dataclass(frozen=True, eq=False)
 class TagFamilyCode:
     """One family: its code words and the layout of their bits.
@@ -161,17 +171,13 @@ class AprilGrid:
     size_known: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Check the counts and the sizes."""
         most = len(self.code.code_words)
         if min(self.columns, self.rows) < 1 or self.columns * self.rows > most:
             raise ConfigurationError(
                 f"AprilGrid: expected 1 to {most} tags in columns and rows, "
                 f"got {self.columns} columns and {self.rows} rows"
             )
-        if not (np.isfinite(self.tag_m) and self.tag_m > 0):
-            raise ConfigurationError(
-                f"AprilGrid tag_m: expected a positive length, got {self.tag_m}"
-            )
+        check_length("AprilGrid tag_m", self.tag_m)
         if not 0.0 < self.spacing < 1.0:
             raise ConfigurationError(
                 "AprilGrid spacing: expected the gap between two tags by the edge of one, between "
@@ -249,8 +255,7 @@ class AprilGrid:
         """
         middle = 0.5 * np.array([self.columns - 1, self.rows - 1])
         tags = (1.0 + self.spacing) * (self.tag_cells[:, ::-1] - middle)
-        square = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-        return np.asarray(self.tag_m * (tags[:, None] + square).reshape(-1, 2))
+        return np.asarray(self.tag_m * (tags[:, None] + 0.5 * SQUARE).reshape(-1, 2))
 
 
 _LEAST_SIDE_PX: Final = 24

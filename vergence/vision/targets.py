@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError, UnknownNameError
-from vergence.vision.tag_families import UNPRINTED, AprilGrid, TagFamilyCode, tag_family
+from vergence.vision.tag_families import (
+    SQUARE,
+    UNPRINTED,
+    AprilGrid,
+    TagFamilyCode,
+    check_length,
+    tag_family,
+)
 
 _LEAST_CORNERS: Final = 3
 """Fewest inner corners along a side for which OpenCV detects a board (physical: OpenCV)."""
@@ -52,10 +59,9 @@ class AprilTag:
     """True if the edge was stated; if not, only directions and ratios of lengths are valid."""
 
     def __post_init__(self) -> None:
-        """Check the family, the id and the size."""
         object.__setattr__(self, "family", tag_family(self.family).name)
         self.code.cells(self.id)
-        _check_length("AprilTag edge_m", self.edge_m)
+        check_length("AprilTag edge_m", self.edge_m)
 
     def __str__(self) -> str:
         size = f":{1000 * self.edge_m:g}" if self.size_known else ""
@@ -85,7 +91,7 @@ class AprilTag:
     @cached_property
     def corners_m(self) -> NDArray[np.float64]:
         """Corners of the detected square in T, shape (4, 2), from the upper left, clockwise."""
-        return 0.5 * self.edge_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+        return 0.5 * self.edge_m * SQUARE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,9 +111,8 @@ class TagFamily:
     """True if the edge was stated."""
 
     def __post_init__(self) -> None:
-        """Check the family and the size."""
         object.__setattr__(self, "family", tag_family(self.family).name)
-        _check_length("TagFamily edge_m", self.edge_m)
+        check_length("TagFamily edge_m", self.edge_m)
 
     def __str__(self) -> str:
         return f"tag:{self.family}"
@@ -145,18 +150,8 @@ class Checkerboard:
     """True if the square's edge was stated."""
 
     def __post_init__(self) -> None:
-        """Check the counts and the size."""
-        if (
-            not _LEAST_CORNERS
-            <= min(self.columns, self.rows)
-            <= max(self.columns, self.rows)
-            <= _MOST_CELLS
-        ):
-            raise ConfigurationError(
-                f"Checkerboard: expected {_LEAST_CORNERS} to {_MOST_CELLS} inner corners a side, "
-                f"got {self.columns} columns and {self.rows} rows"
-            )
-        _check_length("Checkerboard square_m", self.square_m)
+        _check_counts(self, "inner corners")
+        check_length("Checkerboard square_m", self.square_m)
 
     def __str__(self) -> str:
         size = f":{1000 * self.square_m:g}" if self.size_known else ""
@@ -175,7 +170,7 @@ class Checkerboard:
     @property
     def origin_cells(self) -> tuple[float, float]:
         """The origin of T, in cells from the board's upper left corner, (x, y)."""
-        rim = 1.0 if self.white_rim else 0.0
+        rim = float(self.white_rim)
         if self.symmetric:
             return (0.5 * (self.columns + 1) + rim, 0.5 * (self.rows + 1) + rim)
         return (self.columns + rim, 1.0 + rim)
@@ -193,8 +188,7 @@ class Checkerboard:
     @cached_property
     def corners_m(self) -> NDArray[np.float64]:
         """Inner corners in T, metres, shape (rows * columns, 2), row by row from the upper left."""
-        y, x = np.mgrid[1 : self.rows + 1, 1 : self.columns + 1].astype(float) + int(self.white_rim)
-        places = np.stack([x.ravel(), y.ravel()], axis=-1)
+        places = _inner_corners(self.columns, self.rows) + int(self.white_rim)
         return self.square_m * (places - self.origin_cells)
 
 
@@ -229,15 +223,15 @@ class CharucoBoard:
     size_known: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Check the counts, the dictionary and the sizes."""
-        object.__setattr__(self, "dictionary", _dictionary_name(self.dictionary))
-        if not 3 <= min(self.columns, self.rows) <= max(self.columns, self.rows) <= _MOST_CELLS:
-            raise ConfigurationError(
-                f"CharucoBoard: expected 3 to {_MOST_CELLS} squares a side, "
-                f"got {self.columns} columns and {self.rows} rows"
-            )
-        _check_length("CharucoBoard square_m", self.square_m)
-        _check_length("CharucoBoard marker_m", self.marker_m)
+        known = [each for each in dir(cv2.aruco) if each.startswith("DICT_")]
+        wanted = "dict_" + self.dictionary.lower().removeprefix("dict_")
+        named = [each for each in known if each.lower() == wanted]
+        if not named:
+            raise UnknownNameError("ArUco dictionary", self.dictionary, sorted(known))
+        object.__setattr__(self, "dictionary", named[-1])
+        _check_counts(self, "squares")
+        check_length("CharucoBoard square_m", self.square_m)
+        check_length("CharucoBoard marker_m", self.marker_m)
         if self.marker_m >= self.square_m:
             raise ConfigurationError(
                 "CharucoBoard marker_m: expected less than a square's "
@@ -303,18 +297,23 @@ class CharucoBoard:
 
         They are in the order of OpenCV's ids: row by row from the upper left.
         """
-        y, x = np.mgrid[1 : self.rows, 1 : self.columns].astype(float)
-        places = np.stack([x.ravel(), y.ravel()], axis=-1)
+        places = _inner_corners(self.columns - 1, self.rows - 1)
         return self.square_m * (places - (0.5 * self.columns, 0.5 * self.rows))
 
 
-def _dictionary_name(name: str) -> str:
-    """Complete a dictionary's name, given with or without `DICT_` and in any letter case."""
-    known = [each for each in dir(cv2.aruco) if each.startswith("DICT_")]
-    found = {each.lower(): each for each in known}.get("dict_" + name.lower().removeprefix("dict_"))
-    if found is None:
-        raise UnknownNameError("ArUco dictionary", name, sorted(known))
-    return found
+def _check_counts(board: Checkerboard | CharucoBoard, parts: str) -> None:
+    counts = board.columns, board.rows
+    if not _LEAST_CORNERS <= min(counts) <= max(counts) <= _MOST_CELLS:
+        raise ConfigurationError(
+            f"{type(board).__name__}: expected {_LEAST_CORNERS} to {_MOST_CELLS} {parts} a side, "
+            f"got {board.columns} columns and {board.rows} rows"
+        )
+
+
+def _inner_corners(columns: int, rows: int) -> NDArray[np.float64]:
+    """(x, y) of inner corners, row by row, in squares from the upper left square's corner."""
+    y, x = np.mgrid[1 : rows + 1, 1 : columns + 1].astype(float)
+    return np.stack([x.ravel(), y.ravel()], axis=-1)
 
 
 PlanarTarget = AprilTag | Checkerboard | CharucoBoard | AprilGrid
@@ -331,11 +330,9 @@ def make_planar_target(name: str) -> PlanarTarget:
     Raises:
         UnknownNameError: no target has that name.
     """
-    if name == "tag":
-        return AprilTag()
-    if name == "checkerboard":
-        return Checkerboard()
-    raise UnknownNameError("planar target", name, ["checkerboard", "tag"])
+    if name not in ("checkerboard", "tag"):
+        raise UnknownNameError("planar target", name, ["checkerboard", "tag"])
+    return AprilTag() if name == "tag" else Checkerboard()
 
 
 def outline_m(target: PlanarTarget) -> NDArray[np.float64]:
@@ -373,11 +370,6 @@ def texture(
     image = target.cells.repeat(texels_per_cell, axis=0).repeat(texels_per_cell, axis=1)
     image = np.pad(image, rim_px, constant_values=surround)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px) if blur_px > 0 else image, np.uint8)
-
-
-def _check_length(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise ConfigurationError(f"{name}: expected a positive length, got {value}")
 
 
 _LONGEST: Final = 100
@@ -435,43 +427,39 @@ def parse_target(text: str) -> Target:
 def _target(parts: list[str]) -> Target:
     """Target of the parts of its text; ValueError if they do not have its form."""
     match parts:
-        case ["tag", family] | ["tag", family, "" | "*"]:
+        case ["tag", family]:
             return TagFamily(family=family, size_known=False)
-        case ["tag", family, "" | "*", edge]:
-            return TagFamily(family=family, edge_m=_length_m(edge))
-        case ["tag", family, number]:
-            return AprilTag(family=family, id=_count(number), size_known=False)
-        case ["tag", family, number, edge]:
-            edge_m = _length_m(edge)
-            return AprilTag(family=family, id=_count(number), edge_m=edge_m)
-        case ["checkerboard", counts]:
-            columns, rows = _counts(counts)
-            return Checkerboard(columns=columns, rows=rows, size_known=False)
-        case ["checkerboard", counts, square]:
-            columns, rows = _counts(counts)
-            return Checkerboard(columns=columns, rows=rows, square_m=_length_m(square))
-        case ["charuco", counts, square, marker, dictionary, *legacy] if not legacy or [
+        case ["tag", family, "" | "*", *edge]:
+            return TagFamily(family=family, **_size("edge_m", edge))
+        case ["tag", family, number, *edge]:
+            return AprilTag(family=family, **_size("edge_m", edge), id=_count(number))
+        case ["checkerboard", counts, *square]:
+            return Checkerboard(**_counts(counts), **_size("square_m", square))
+        case ["charuco", counts, square, marker, dictionary, *legacy] if [
             each.lower() for each in legacy
-        ] == ["legacy"]:
-            columns, rows = _counts(counts)
+        ] in ([], ["legacy"]):
             return CharucoBoard(
-                columns=columns,
-                rows=rows,
+                **_counts(counts),
                 square_m=_length_m(square),
                 marker_m=_length_m(marker),
                 dictionary=dictionary,
                 legacy=bool(legacy),
             )
         case ["aprilgrid", counts, tag, spacing]:
-            columns, rows = _counts(counts)
-            tag_m = _length_m(tag)
-            return AprilGrid(columns=columns, rows=rows, tag_m=tag_m, spacing=_positive(spacing))
+            return AprilGrid(**_counts(counts), tag_m=_length_m(tag), spacing=_positive(spacing))
     raise ValueError
 
 
-def _counts(text: str) -> tuple[int, int]:
+def _size(name: str, parts: list[str]) -> dict[str, Any]:
+    """Arguments of a target for the optional last part of its text, a length."""
+    if len(parts) > 1:
+        raise ValueError
+    return {name: _length_m(parts[0])} if parts else {"size_known": False}
+
+
+def _counts(text: str) -> dict[str, Any]:
     columns, rows = re.split(r"\s*[xX×]\s*", text)
-    return _count(columns, 4), _count(rows, 4)
+    return {"columns": _count(columns, 4), "rows": _count(rows, 4)}
 
 
 def _count(text: str, most_digits: int = 9) -> int:

@@ -38,12 +38,10 @@ clutter)."""
 def _decode_tag(
     image: NDArray[np.uint8], corners: NDArray[np.float64], code: TagFamilyCode
 ) -> FoundSquare | None:
-    """Decode a square with corners in order around it, (4, 2) px, that may be a tag of a family.
+    """Decode a square with corners in order around it, (4, 2) px; None if it is no tag of a family.
 
     The libraries fit one plane of grey levels to the whole square; the local thresholds used here
-    also read a square in which a shadow ends. The tag with the fewest wrong bits is returned, its
-    corners from its upper left one; None if it has more wrong bits than the family corrects, or if
-    the contrast or the border is not a tag's.
+    also read a square in which a shadow ends. Corners of the tag begin at its upper left one.
     """
     margin = 1 if code.dark_inside else (code.total_width - code.width_at_border) // 2
     reach = code.width_at_border + 2 * margin
@@ -58,7 +56,7 @@ def _decode_tag(
         image, where.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     grey = grey.reshape(reach, reach, len(probes)).astype(np.float32).mean(axis=-1)
-    kernel = np.ones((_THRESHOLD_WINDOW_CELLS, _THRESHOLD_WINDOW_CELLS), np.uint8)
+    kernel = np.ones(2 * (_THRESHOLD_WINDOW_CELLS,), np.uint8)
     light, dark = cv2.dilate(grey, kernel), cv2.erode(grey, kernel)
     if float(np.median(light - dark)) < _LEAST_DECODED_CONTRAST_GREY:
         return None
@@ -72,7 +70,7 @@ def _decode_tag(
     if border_fraction < _LEAST_BORDER_FRACTION:
         return None
     x, y = code.bit_cells.T + margin
-    readings: list[tuple[int, int, int]] = []
+    readings = []
     for turn in range(4):
         bits = np.rot90(white, turn)[y, x]
         word = int("".join("1" if bit else "0" for bit in bits), 2)
@@ -128,11 +126,7 @@ def _reads_as_tag(fit: TagFit, code: TagFamilyCode) -> bool:
 
 
 def _refused_tag_may_be_bent(refused_fit: TagFit) -> bool:
-    """True if there is no fit, or one that is nearly good.
-
-    On bent paper a fit may fail to converge, and a converged fit reads cells near the corners
-    wrong.
-    """
+    """True if there is no fit, as on bent paper, or one that reads only some cells there wrong."""
     wrong, frame, unclear = refused_fit.reading
     return refused_fit.contrast == 0.0 or (
         wrong <= _MAX_BENT_WRONG_CELLS
@@ -142,43 +136,12 @@ def _refused_tag_may_be_bent(refused_fit: TagFit) -> bool:
     )
 
 
-def _library_corner_sigma_px(
-    image: NDArray[np.uint8], square: FoundSquare, upscaling: float, code: TagFamilyCode
-) -> float | None:
-    """Standard deviation, px, of the library's own corners of a tag that may be bent; None if none.
-
-    A tag has no wrong bit, `_decode_tag` reads the same number, and its family corrects bits: in
-    other families clutter often reads as a tag. An image pixel is `upscaling` of those that the
-    library searched.
-    """
-    corners, edge = square.corners, _shortest_edge(square.corners)
-    height, width = image.shape
-    # if the image's side cuts a tag, the library moves its corner into the image
-    cell = edge / code.width_at_border
-    inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
-    if not inside or edge < LEAST_EDGE_PX or square.wrong_bits or not CORRECTED_BITS[code.name]:
-        return None
-    read = _decode_tag(image, corners, code)
-    if read is None or read.id != square.id:
-        return None
-    sigma = max(_LIBRARY_CORNER_SIGMA[0] * upscaling, _LIBRARY_CORNER_SIGMA[1] * edge)
-    # an object that covers part of a side would move its corners
-    return sigma if read.border_fraction == 1.0 else max(sigma, 0.5 * cell)
-
-
 def _shortest_edge(corners: NDArray[np.float64]) -> float:
     """Length of the shortest edge between four corners, shape (4, 2), in their unit."""
     a, b, c, d = corners.tolist()
     return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a))
 
 
-_OPENCV_DICTIONARIES: Final = {
-    "36h11": cv2.aruco.DICT_APRILTAG_36h11,
-    "36h10": cv2.aruco.DICT_APRILTAG_36h10,
-    "25h9": cv2.aruco.DICT_APRILTAG_25h9,
-    "16h5": cv2.aruco.DICT_APRILTAG_16h5,
-}
-"""Families that OpenCV searches for as well; its adaptive threshold finds other tags."""
 _SEARCH: Final = FitEffort(WIDE, wide_steps=8, steps=8, wide_pixels=400, pixels=4000)
 """Fit in a search (chosen: accuracy against time). More steps do not help fits that do not
 converge: of 59 drawn tags bent by 4 to 7 mm in 150, 55 converge with these, and 56 with 30 in each
@@ -237,59 +200,79 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if calm is None:
             return []
         small = cv2.resize(calm, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        return self._read(frame, find_squares(np.asarray(small), self.target.family), 2.0, 0.5)
+        return self._read(frame, np.asarray(small), 2.0, 0.5)
 
-    def _search_full(self, frame: Frame, first: int, end: int) -> list[Detection]:
+    def _search_full(self, frame: Frame, first: int = 0, end: int | None = None) -> list[Detection]:
         """Tags that the library finds at full size in the given rows of the image."""
         if smooth_for_square_search(frame.grey) is None:
             return []
-        return self._read(
-            frame, find_squares(frame.grey[first:end], self.target.family), 1.0, (0, first)
-        )
+        return self._read(frame, frame.grey[first:end], 1.0, (0, first))
 
     def _read(
-        self,
-        frame: Frame,
-        squares: list[FoundSquare],
-        scale: float,
-        shift: float | tuple[int, int],
-    ) -> list[Detection]:
-        """Fit the squares, scaled and shifted into the image, and keep those that are tags."""
+        self, frame: Frame, searched: NDArray[np.uint8], scale: float,
+        shift: float | tuple[int, int], number: int | None = None,
+    ) -> list[Detection]:  # fmt: skip
+        """Tags, or those of a number, in a part of the frame, or a smaller one: fitted and kept.
+
+        Scale and shift lead from its pixels to the frame's.
+        """
         found: list[Detection] = []
-        for square in self._wanted(squares):
+        for square in self._wanted(find_squares(searched, self.target.family)):
+            if number not in (None, square.id):
+                continue
             placed = square._replace(corners=scale * square.corners + shift)
             each, bent = self._fit_several_ways(frame, placed.corners, placed.id)
             if each is None and bent:
-                sigma = _library_corner_sigma_px(frame.grey, placed, scale, self._code)
-                if sigma is not None:
-                    each = Detection(
-                        self._tag(placed.id),
-                        _crossing(placed.corners),
-                        placed.corners,
-                        np.full(2, sigma / 2.0),  # the mean of four corners
-                        np.full((4, 2), sigma),
-                        camera=self.camera,
-                    )
+                each = self._bent(frame, placed, scale)
             if each is not None:
                 found.append(each)
         return found
+
+    def _bent(self, frame: Frame, square: FoundSquare, upscaling: float) -> Detection | None:
+        """Tag that may be bent, with the library's own corners and their sigma; None if doubtful.
+
+        A tag has no wrong bit, `_decode_tag` reads the same number, and its family corrects bits:
+        in other families clutter often reads as a tag.
+        """
+        corners, edge = square.corners, _shortest_edge(square.corners)
+        height, width = frame.grey.shape
+        # if the image's side cuts a tag, the library moves its corner into the image
+        cell = edge / self._code.width_at_border
+        inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
+        sure = square.wrong_bits == 0 < CORRECTED_BITS[self._code.name]
+        if not (inside and sure) or edge < LEAST_EDGE_PX:
+            return None
+        read = _decode_tag(frame.grey, corners, self._code)
+        if read is None or read.id != square.id:
+            return None
+        sigma = max(_LIBRARY_CORNER_SIGMA[0] * upscaling, _LIBRARY_CORNER_SIGMA[1] * edge)
+        if read.border_fraction < 1.0:  # an object that covers part of a side moves its corners
+            sigma = max(sigma, 0.5 * cell)
+        # crossing of the diagonals
+        a, b, c, d = np.column_stack([corners, np.ones(4)])
+        point = np.cross(np.cross(a, c), np.cross(b, d))
+        return Detection(
+            self._tag(square.id), point[:2] / point[2], corners,
+            np.full(2, sigma / 2.0),  # the mean of four corners
+            np.full((4, 2), sigma), camera=self.camera,
+        )  # fmt: skip
 
     def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
         """Search at half and at full size; given `way`, only one of these, by turns.
 
         Even ways search at half size, odd ones the upper and the lower half at full size.
         """
-        height, middle = len(frame.grey), len(frame.grey) // 2
+        middle = len(frame.grey) // 2
         if way is None:
-            return self._search_half(frame) or self._search_full(frame, 0, height)
+            return self._search_half(frame) or self._search_full(frame)
         if way % 2 == 0:
             return self._search_half(frame)
         if way % 4 == 1:
-            return self._search_full(frame, 0, min(middle + _HALVES_OVERLAP_PX, height))
-        return self._search_full(frame, max(middle - _HALVES_OVERLAP_PX, 0), height)
+            return self._search_full(frame, 0, middle + _HALVES_OVERLAP_PX)
+        return self._search_full(frame, max(middle - _HALVES_OVERLAP_PX, 0))
 
     def _detect_all(self, frame: Frame) -> list[Detection]:
-        found = self._search_full(frame, 0, len(frame.grey)) + self._search_half(frame)
+        found = self._search_full(frame) + self._search_half(frame)
         found += self._search_opencv(frame, found)
         apart: list[Detection] = []
         for each in found:
@@ -301,17 +284,15 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return self._search_opencv(frame, [])
 
     def _search_opencv(self, frame: Frame, known: list[Detection]) -> list[Detection]:
-        """Tags in squares that OpenCV finds, except those that are known."""
-        if (
-            self.target.family not in _OPENCV_DICTIONARIES
-            or smooth_for_square_search(frame.grey) is None
-        ):
+        """Tags in squares that OpenCV finds by its adaptive threshold, except known ones."""
+        family = getattr(cv2.aruco, f"DICT_APRILTAG_{self.target.family}", None)
+        if family is None or smooth_for_square_search(frame.grey) is None:
             return []
         parameters = cv2.aruco.DetectorParameters()
         parameters.minMarkerPerimeterRate = 0.01
         # the outline of a tag's paper may lie only a cell from the tag's
         parameters.minMarkerDistanceRate = 0.01
-        dictionary = cv2.aruco.getPredefinedDictionary(_OPENCV_DICTIONARIES[self.target.family])
+        dictionary = cv2.aruco.getPredefinedDictionary(family)
         found: Any = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(frame.grey)
         marked, numbers, rejected = found
         named = [] if numbers is None else numbers.ravel().tolist()
@@ -336,9 +317,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 
     def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
         part = cut_out(frame.grey, region)
-        squares = find_squares(part.image, self.target.family)
-        same = [square for square in squares if square.id == _number(predicted)]
-        return self._read(frame, same, 1.0, part.corner)
+        return self._read(frame, part.image, 1.0, part.corner, _number(predicted))
 
     def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
         corners, number = predicted.corners_px, _number(predicted)
@@ -347,13 +326,10 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         most = max(_TRACKED.pixels, int(_PIXELS_PER_EDGE_PX * _shortest_edge(corners)))
         effort = _TRACKED._replace(first_stage=ALL, pixels=min(most, _SEARCH.pixels))
         found, fit = self._fit_once(frame, corners, number, effort)
-        if found is not None:
-            if (
-                fit.max_corner_move_px < _MAX_PREDICTION_ERROR_PX
-                and fit.max_sigma_px < _MAX_TRACKED_SIGMA_PX
-            ):
-                return found
-        else:  # the target is not exactly at its prediction
+        near = fit.max_corner_move_px < _MAX_PREDICTION_ERROR_PX
+        if found is not None and near and fit.max_sigma_px < _MAX_TRACKED_SIGMA_PX:
+            return found
+        if found is None:  # the target is not exactly at its prediction
             effort = effort._replace(first_stage=WIDE)
             found, _ = self._fit_several_ways(frame, corners, number, (effort,))
         # few pixels may have led the fit astray, or the edge of a shadow lies on the tag
@@ -364,18 +340,12 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return self._fit_once(frame, found.corners_px, number, second)[0] or found
 
     def _fit_several_ways(
-        self,
-        frame: Frame,
-        corners: NDArray[np.float64],
-        identity: int,
+        self, frame: Frame, corners: NDArray[np.float64], identity: int,
         efforts: Sequence[FitEffort] = _SEARCHES,
-    ) -> tuple[Detection | None, bool]:
-        """Fit the tag near the given corners in several ways; also True if it may be a bent tag.
-
-        The last way assumes a narrow quiet zone, for tags cut out closer than a cell.
-        """
+    ) -> tuple[Detection | None, bool]:  # fmt: skip
+        """Fit the tag near the given corners in several ways; also True if it may be a bent tag."""
         ways = [(effort, 1.0) for effort in efforts]
-        if self._code.dark_inside:
+        if self._code.dark_inside:  # may be cut out closer than a cell
             ways.append((efforts[0], _CUT_MARGIN_CELLS))
         bent = True
         for effort, quiet in ways:
@@ -386,13 +356,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return None, bent
 
     def _fit_once(
-        self,
-        frame: Frame,
-        corners: NDArray[np.float64],
-        identity: int,
-        effort: FitEffort,
+        self, frame: Frame, corners: NDArray[np.float64], identity: int, effort: FitEffort,
         quiet: float = 1.0,
-    ) -> tuple[Detection | None, TagFit]:
+    ) -> tuple[Detection | None, TagFit]:  # fmt: skip
         """Fit a tag once; the tag if it reads as one, and the fit."""
         code = self._code
         points, sigmas, covariance = np.empty((5, 2)), np.empty((5, 2)), np.empty((8, 8))
@@ -415,13 +381,6 @@ def _cells_of(code: TagFamilyCode, identity: int) -> NDArray[np.float64]:
     """Printed cells, 0 black to 1 white, nan where nothing is specified."""
     cells = code.cells(identity)
     return np.where(cells == UNPRINTED, np.nan, cells / 255.0)
-
-
-def _crossing(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Crossing of the diagonals of four corners, px."""
-    a, b, c, d = np.column_stack([corners, np.ones(4)])
-    point = np.cross(np.cross(a, c), np.cross(b, d))
-    return np.asarray(point[:2] / point[2])
 
 
 def _number(detection: Detection) -> int:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from vergence.kernels import compiled, subroutine
 from vergence.models.fixation import forward_substitute
-from vergence.models.lens import CameraRow, camera_at
+from vergence.models.lens import camera_at
 from vergence.models.parts import FloatArray
 from vergence.vision.optics import (
     UndistortedView,
@@ -49,19 +49,16 @@ from vergence.vision.tags.samples import (
     BEND,
     BEND_START,
     MAX_UNKNOWNS,
+    POINTS,
     WHITE_SPREAD_INDEX,
     WIDE,
     FitStage,
     FitState,
-    SearchRegion,
-    TagPrint,
-    TagScale,
+    TagSearch,
     begin_stage,
     bend_by_coefficient,
     bend_displacement,
-    point_in_half_edges,
     side_lengths,
-    tag_scale,
 )
 from vergence.vision.tags.steps import (
     PrintResiduals,
@@ -100,8 +97,8 @@ sharpening and compression, which leave large residuals, look like small bends (
 sheets of tags in public photographs against drawn ones)."""
 _MAX_CENTRE_BEND: Final = 0.09
 """Largest distance from the crossing of the diagonals to the middle of a bent tag, half edges;
-beyond it the print is not as assumed, and the centre is the crossing, with this distance in its
-sigma. Tags bent by 7 mm in 150 have up to 0.086 (measured: tests/vision/tags/test_bent.py)."""
+beyond it the centre is the crossing, with this distance in its sigma. Tags bent by 7 mm in 150 have
+up to 0.086 (measured: tests/vision/tags/test_bent.py)."""
 _MAX_OUTSIDE_CELLS: Final = 0.4
 """Largest distance of a corner beyond the image, cells: the border's middle is still in it, and the
 edges' lines give the corner (chosen: tags at the side against cut ones)."""
@@ -114,33 +111,33 @@ cell is still white there (chosen: such zones against blur)."""
 
 @subroutine
 def _report_fit(
-    region: SearchRegion, tag: TagPrint, scale: TagScale, state: FitState, stage: FitStage,
-    residuals: PrintResiduals, bent: bool, pixel_variance: float, extra_corner_variance: float,
+    search: TagSearch, state: FitState, stage: FitStage, residuals: PrintResiduals,
+    unknown_count: int, pixel_variance: float, extra_corner_variance: float,
     start_corners: FloatArray, points: FloatArray, sigmas: FloatArray, covariance: FloatArray,
 ) -> TagFit:  # fmt: skip
     """Report a fit that has converged; no fit if a point is undetermined or too far outside."""
-    height, width = region.image.shape
+    height, width = search.image.shape
     moved = largest = 0.0
-    reach = 0.5 + _MAX_OUTSIDE_CELLS * scale.cell_px
+    reach = 0.5 + _MAX_OUTSIDE_CELLS * search.cell_px
     roots, slopes = np.empty((5, 2, MAX_UNKNOWNS)), np.empty((5, 2, 2))
     for k in range(5):
-        x, y = _before_bend(state.white_spread_and_bend, *point_in_half_edges(k))
+        # the point of the plane that the bend moves to this point of the print
+        x, y = POINTS[k, 0], POINTS[k, 1]
+        for _ in range(_BEND_STEPS):
+            dx, dy = bend_displacement(state.white_spread_and_bend, x, y)
+            x, y = POINTS[k, 0] - dx, POINTS[k, 1] - dy
         variance, more = pixel_variance, extra_corner_variance
         if k == 4:
             more *= 0.25  # the centre lies between four corners
-            if bent:
+            if unknown_count == MAX_UNKNOWNS:
                 variance *= (
                     1.0 + residuals.pixel_variance / (_SHARPENED_RESIDUAL * residuals.contrast) ** 2
                 )
             if hypot(x, y) > _MAX_CENTRE_BEND:
-                more += (x * x + y * y) * (0.5 * scale.shortest_edge_px) ** 2
+                more += (x * x + y * y) * (0.5 * search.shortest_edge_px) ** 2
                 x = y = 0.0
-        u, v = transform_point(state.H, x, y)
-        unknown_count = MAX_UNKNOWNS if bent else BEND_START
-        a, b, c = _covariance_of(stage.normal_matrix, unknown_count, state.G, u, v, x, y, roots[k])
-        a, b, c = variance * a + more, variance * b, variance * c + more
-        u, v, sigma_u, sigma_v = _to_image(
-            region.camera, region.undistorted_view, u, v, a, b, c, slopes[k]
+        u, v, sigma_u, sigma_v = _locate(
+            search, state, stage, unknown_count, x, y, variance, more, roots[k], slopes[k]
         )
         points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
         if not (-reach < u < width - 1.0 + reach and -reach < v < height - 1.0 + reach):
@@ -150,152 +147,36 @@ def _report_fit(
         largest = max(largest, max(sigma_u, sigma_v))
         if k < 4:
             moved = max(moved, max(abs(u - start_corners[k, 0]), abs(v - start_corners[k, 1])))
-    _join_corners(
-        roots, slopes, MAX_UNKNOWNS if bent else BEND_START, pixel_variance,
-        extra_corner_variance, covariance,
-    )  # fmt: skip
-    explained = _explained(stage)
-    reading = _read(region, tag, scale, state)
-    share = explained / (explained + residuals.unexplained_squares)
-    border_step = _step_across_sides(region, tag, state) / residuals.contrast
-    return TagFit(residuals.contrast, share, reading, moved, largest, border_step)
-
-
-@subroutine
-def _join_corners(
-    roots: FloatArray, slopes: FloatArray, unknown_count: int, pixel_variance: float,
-    extra_corner_variance: float, covariance: FloatArray,
-) -> None:  # fmt: skip
-    """Covariance of all corners in the image: the edges that they share correlate them."""
+    # the edges that corners share correlate them
     for j in range(8):
-        root, slope = roots[j // 2], slopes[j // 2, j % 2]
-        for n in range(unknown_count):
-            roots[4, j % 2, n] = slope[0] * root[0, n] + slope[1] * root[1, n]
         for i in range(8):
-            other, across = slopes[i // 2, i % 2], 0.0
+            slope, other = slopes[j // 2, j % 2], slopes[i // 2, i % 2]
+            across = 0.0
             for n in range(unknown_count):
-                across += roots[4, j % 2, n] * (
-                    other[0] * roots[i // 2, 0, n] + other[1] * roots[i // 2, 1, n]
-                )
+                across += roots[j // 2, j % 2, n] * roots[i // 2, i % 2, n]
             covariance[j, i] = pixel_variance * across
             if j // 2 == i // 2:
                 more = slope[0] * other[0] + slope[1] * other[1]
                 covariance[j, i] += extra_corner_variance * more
+    reading = _read(search, state)
+    border_step = _step_across_sides(search, state) / residuals.contrast
+    share = residuals.explained_fraction
+    return TagFit(residuals.contrast, share, reading, moved, largest, border_step)
 
 
 @subroutine
-def _before_bend(white_spread_and_bend: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """Point of the plane that the bend moves to a point of the print, half edges."""
-    flat_x, flat_y = x, y
-    for _ in range(_BEND_STEPS):
-        dx, dy = bend_displacement(white_spread_and_bend, flat_x, flat_y)
-        flat_x, flat_y = x - dx, y - dy
-    return flat_x, flat_y
-
-
-@subroutine
-def _step_across_sides(region: SearchRegion, tag: TagPrint, state: FitState) -> float:
-    """Mean step of the light across the square's sides, positive if its sign is as printed."""
-    first, cell = (len(tag.cells) - tag.side_cells) // 2, 2.0 / tag.side_cells
-    before, beyond = 1.0 - _INSIDE_OFFSET_CELLS * cell, 1.0 + _OUTSIDE_OFFSET_CELLS * cell
-    total = 0.0
-    for k in range(tag.side_cells):
-        along = (k + 0.5) * cell - 1.0
-        for side in (-1.0, 1.0):
-            total += _light_at(region, state, side * beyond, along)
-            total -= _light_at(region, state, side * before, along)
-            total += _light_at(region, state, along, side * beyond)
-            total -= _light_at(region, state, along, side * before)
-    printed = tag.cells[first - 1, first - 1] - tag.cells[first, first]
-    return float(printed * total / (4.0 * tag.side_cells))
-
-
-@subroutine
-def _light_at(region: SearchRegion, state: FitState, x: float, y: float) -> float:
-    """Light at a point of the tag's plane, half edges; 0 outside of the image."""
-    dx, dy = bend_displacement(state.white_spread_and_bend, x, y)
-    u, v = transform_point(state.H, x - dx, y - dy)
-    u, v = distorted_pixel(region.camera, region.undistorted_view, u, v)
-    grey = grey_at(region.image, u, v)
-    return float(region.light_by_grey[int(grey + 0.5)]) if grey >= 0.0 else 0.0
-
-
-@subroutine
-def _explained(stage: FitStage) -> float:
-    """Weighted sum of squares over all pixels that the print explains."""
-    sums, levels, weights, total = stage.moments, stage.levels, stage.weights, 0.0
-    for k in range(len(levels)):
-        contrast = levels[k, 1]
-        if contrast > 0.0:
-            n, t, tt = sums[k, 0], sums[k, 1], sums[k, 2]
-            total += weights[k] * contrast * contrast * (tt - t * t / n)
-    return total
-
-
-@subroutine
-def _read(region: SearchRegion, tag: TagPrint, scale: TagScale, state: FitState) -> CellReading:
-    """Read a tag's cells; without the quiet zone's levels, or by light, if fewer are wrong so.
-
-    Blur averages light: between white cells, black is lighter in grey levels than midway.
-    """
-    cells, border = tag.cells, float(tag.side_cells)
-    offset = 0.5 * (len(cells) - tag.side_cells)
-    ring, greys = 1 if len(cells) == tag.side_cells + 2 else 0, np.empty(cells.shape)
-    blur = max(state.blurs_px[0], state.blurs_px[1]) / scale.cell_px
-    reading = CellReading(0, 0, 0.0)
-    levels = np.arange(256.0)
-    for way in range(3):
-        if way == 1 and ring == 0:
-            continue
-        if way == 2:
-            levels[:] = region.light_by_grey
-        other = compare_cells(
-            region.image, levels, state.H, state.white_spread_and_bend, region.camera,
-            region.undistorted_view, cells, blur,
-            offset,
-            offset, border, border, ring, way != 1, greys,
-        )  # fmt: skip
-        if way == 0 or other.wrong_cells < reading.wrong_cells:
-            reading = other
-        if reading.wrong_cells == 0:
-            break
-    return reading
-
-
-@subroutine
-def _to_image(
-    camera: CameraRow, view: UndistortedView, u: float, v: float, a: float, b: float, c: float,
-    slopes: FloatArray,
+def _locate(
+    search: TagSearch, state: FitState, stage: FitStage, unknown_count: int, x: float, y: float,
+    variance: float, more: float, J: FloatArray, slopes: FloatArray,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Pixel of a point of the undistorted plane, its sigmas from the covariance a, b, c.
+    """Pixel of a point of the tag's plane, and its sigmas for pixels of a variance, and some more.
 
-    (2, 2) `slopes`, the derivatives of the pixel, are a result too.
+    With J the derivatives of the point in the undistorted plane by the unknowns and N = L L^T, its
+    covariance J N^-1 J^T is the product of L^-1 J^T with itself. `slopes`, the derivatives of the
+    pixel by that point, and their product with that factor, in `J`, are results too.
     """
-    slopes[0, 0] = slopes[1, 1] = 1.0
-    slopes[0, 1] = slopes[1, 0] = 0.0
-    if view.has_lens:
-        left_u, left_v = distorted_pixel(camera, view, u - 0.5, v)
-        right_u, right_v = distorted_pixel(camera, view, u + 0.5, v)
-        above_u, above_v = distorted_pixel(camera, view, u, v - 0.5)
-        below_u, below_v = distorted_pixel(camera, view, u, v + 0.5)
-        p, q, r, s = right_u - left_u, below_u - above_u, right_v - left_v, below_v - above_v
-        slopes[0, 0], slopes[0, 1], slopes[1, 0], slopes[1, 1] = p, q, r, s
-        along_u = p * p * a + 2.0 * p * q * b + q * q * c
-        a, c = along_u, r * r * a + 2.0 * r * s * b + s * s * c
-    u, v = distorted_pixel(camera, view, u, v)
-    return u, v, sqrt(a), sqrt(c)
-
-
-@subroutine
-def _covariance_of(
-    factor: FloatArray, unknown_count: int, G: FloatArray, u: float, v: float, x: float, y: float,
-    J: FloatArray,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Variance of u, covariance, variance of v of a point of the plane, for pixels of variance 1.
-
-    With J the derivatives of (u, v) by the unknowns and N = L L^T, J N^-1 J^T is the product of
-    L^-1 J^T with itself; `J` becomes that.
-    """
+    G, camera, view = state.G, search.camera, search.undistorted_view
+    u, v = transform_point(state.H, x, y)
     g, h = G[2, 0], G[2, 1]
     w = g * u + h * v + G[2, 2]
     # derivatives of the plane's coordinates with respect to pixels
@@ -313,14 +194,82 @@ def _covariance_of(
             by_x, by_y = bend_by_coefficient(j - BEND_START, x, y)
         J[0, j] = -(d * by_x - b * by_y) / det
         J[1, j] = -(a * by_y - c * by_x) / det
-    forward_substitute(factor, J[0], unknown_count)
-    forward_substitute(factor, J[1], unknown_count)
-    first = across = second = 0.0
+    forward_substitute(stage.normal_matrix, J[0], unknown_count)
+    forward_substitute(stage.normal_matrix, J[1], unknown_count)
+    a = b = c = 0.0
     for j in range(unknown_count):
-        first += J[0, j] * J[0, j]
-        across += J[0, j] * J[1, j]
-        second += J[1, j] * J[1, j]
-    return first, across, second
+        a += J[0, j] * J[0, j]
+        b += J[0, j] * J[1, j]
+        c += J[1, j] * J[1, j]
+    a, b, c = variance * a + more, variance * b, variance * c + more
+    p, q, r, s = 1.0, 0.0, 0.0, 1.0
+    if view.has_lens:
+        left_u, left_v = distorted_pixel(camera, view, u - 0.5, v)
+        right_u, right_v = distorted_pixel(camera, view, u + 0.5, v)
+        above_u, above_v = distorted_pixel(camera, view, u, v - 0.5)
+        below_u, below_v = distorted_pixel(camera, view, u, v + 0.5)
+        p, q, r, s = right_u - left_u, below_u - above_u, right_v - left_v, below_v - above_v
+    slopes[0, 0], slopes[0, 1], slopes[1, 0], slopes[1, 1] = p, q, r, s
+    for j in range(unknown_count):
+        first, second = J[0, j], J[1, j]
+        J[0, j], J[1, j] = p * first + q * second, r * first + s * second
+    sigma_u = sqrt(p * p * a + 2.0 * p * q * b + q * q * c)
+    sigma_v = sqrt(r * r * a + 2.0 * r * s * b + s * s * c)
+    u, v = distorted_pixel(camera, view, u, v)
+    return u, v, sigma_u, sigma_v
+
+
+@subroutine
+def _step_across_sides(search: TagSearch, state: FitState) -> float:
+    """Mean step of the light across the square's sides, positive if its sign is as printed."""
+    first, cell = (len(search.cells) - search.side_cells) // 2, 2.0 / search.side_cells
+    before, beyond = 1.0 - _INSIDE_OFFSET_CELLS * cell, 1.0 + _OUTSIDE_OFFSET_CELLS * cell
+    total = 0.0
+    for k in range(search.side_cells):
+        along = (k + 0.5) * cell - 1.0
+        for side in (-1.0, 1.0):
+            total += _light_at(search, state, side * beyond, along)
+            total -= _light_at(search, state, side * before, along)
+            total += _light_at(search, state, along, side * beyond)
+            total -= _light_at(search, state, along, side * before)
+    printed = search.cells[first - 1, first - 1] - search.cells[first, first]
+    return float(printed * total / (4.0 * search.side_cells))
+
+
+@subroutine
+def _light_at(search: TagSearch, state: FitState, x: float, y: float) -> float:
+    """Light at a point of the tag's plane, half edges; 0 outside of the image."""
+    dx, dy = bend_displacement(state.white_spread_and_bend, x, y)
+    u, v = transform_point(state.H, x - dx, y - dy)
+    u, v = distorted_pixel(search.camera, search.undistorted_view, u, v)
+    grey = grey_at(search.image, u, v)
+    return float(search.light_by_grey[int(grey + 0.5)]) if grey >= 0.0 else 0.0
+
+
+@subroutine
+def _read(search: TagSearch, state: FitState) -> CellReading:
+    """Read a tag's cells; without the quiet zone's levels, or by light, if fewer are wrong so."""
+    cells, border = search.cells, float(search.side_cells)
+    offset = 0.5 * (len(cells) - search.side_cells)
+    ring, greys = 1 if len(cells) == search.side_cells + 2 else 0, np.empty(cells.shape)
+    blur = max(state.blurs_px[0], state.blurs_px[1]) / search.cell_px
+    reading = CellReading(0, 0, 0.0)
+    levels = np.arange(256.0)
+    for way in range(3):
+        if way == 1 and ring == 0:
+            continue
+        if way == 2:  # blur averages light: black between white is lighter in grey than midway
+            levels[:] = search.light_by_grey
+        other = compare_cells(
+            search.image, levels, state.H, state.white_spread_and_bend, search.camera,
+            search.undistorted_view, cells, blur, offset, offset, border, border, ring, way != 1,
+            greys,
+        )  # fmt: skip
+        if way == 0 or other.wrong_cells < reading.wrong_cells:
+            reading = other
+        if reading.wrong_cells == 0:
+            break
+    return reading
 
 
 _LATER_END_STEP_PX: Final = 0.02
@@ -364,6 +313,16 @@ _DIVERGED_STEP_PX: Final = 3.0
 """Corner step, px, besides half a cell, that ends a fit (chosen: poor starts, divergence)."""
 LEAST_EDGE_PX: Final = 8.0
 """Shortest edge of a tag that is fitted, px (chosen: smaller tags against clutter)."""
+_LEAST_BLOCK_SIDE_PX: Final = 8.0
+"""Least side of a block, which has its own levels, px (chosen: shadows against noise)."""
+_MOST_BLOCKS: Final = 8
+"""Most blocks along an edge (chosen: as above)."""
+_PIXELS_PER_BLOCK: Final = 24
+"""Pixels per block, from which the number of blocks follows (chosen: as above)."""
+_MOST_BLUR_PX: Final = 6.0
+"""Largest blur of a fit, px (chosen: blurred tags against fits that diverge)."""
+_MOST_BLUR_CELLS: Final = 0.7
+"""Largest blur of a fit, cells (chosen: as above)."""
 
 
 class FitEffort(NamedTuple):
@@ -383,59 +342,41 @@ class FitEffort(NamedTuple):
 
 @compiled
 def fit_tag(
-    image: NDArray[np.uint8],
-    light_by_grey: FloatArray,
-    rays: NDArray[np.float32],
-    packed_camera: FloatArray,
-    cells: FloatArray,
-    side_cells: int,
-    quiet_zone_cells: float,
-    first_stage: int,
-    max_wide_steps: int,
-    max_steps: int,
-    max_wide_pixels: int,
-    max_pixels: int,
-    start_corners: FloatArray,
-    points: FloatArray,
-    sigmas: FloatArray,
-    covariance: FloatArray,
-) -> TagFit:
-    """Fit a tag's edges, and read its cells.
+    image: NDArray[np.uint8], light_by_grey: FloatArray, rays: NDArray[np.float32],
+    packed_camera: FloatArray, cells: FloatArray, side_cells: int, quiet_zone_cells: float,
+    first_stage: int, max_wide_steps: int, max_steps: int, max_wide_pixels: int, max_pixels: int,
+    start_corners: FloatArray, points: FloatArray, sigmas: FloatArray, covariance: FloatArray,
+) -> TagFit:  # fmt: skip
+    """Fit a tag's edges, and read its cells; `NO_FIT` if its square is too small or the fit fails.
 
-    `packed_camera` is that of `pack_camera`, `rays` as in `SearchRegion`, the print as in
-    `TagPrint`, the stages as in `FitEffort`. From (4, 2) approximate corners, px, clockwise from
-    the upper left, follow (5, 2) `points`, the corners and the centre, px, their `sigmas`,
-    and the (8, 8) `covariance` of the corners' u and v, px^2.
-    `NO_FIT`, with a contrast of 0, is returned if the square is too small or too far outside of the
-    image, or if the fit fails.
+    The first arguments are as in `TagSearch` and `pack_camera`, the stages as in `FitEffort`. From
+    (4, 2) approximate corners, px, clockwise from the upper left, follow (5, 2) `points`, the
+    corners and the centre, px, their `sigmas`, and the (8, 8) `covariance` of the corners, px^2.
     """
     shortest, longest, _ = side_lengths(start_corners)
     if not (shortest >= LEAST_EDGE_PX and longest < inf):
         return NO_FIT
-    tag = TagPrint(cells, side_cells, quiet_zone_cells)
-    region = _look(image, light_by_grey, rays, packed_camera, side_cells, start_corners)
     state = FitState(
         np.empty((4, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(2),
         np.zeros(MAX_UNKNOWNS - WHITE_SPREAD_INDEX),
     )  # fmt: skip
-    for k in range(4):
-        u, v = start_corners[k]
-        u, v = undistorted_point(rays, region.undistorted_view, u, v)
-        state.corners[k, 0], state.corners[k, 1] = u, v
-    scale = tag_scale(state.corners, side_cells, max_pixels)
+    search = _look(
+        image, light_by_grey, rays, packed_camera, cells, side_cells, quiet_zone_cells, max_pixels,
+        start_corners, state.corners,
+    )  # fmt: skip
     residuals = PrintResiduals(0.0, 0.0, 0.0)
     corner_step_px = variance = 0.0
-    bend_sigmas, bent = (0.0, 0.0), False
+    bend_sigmas, unknown_count = (0.0, 0.0), BEND_START
     for which in range(first_stage, BEND + 1):
         fine = which != WIDE
         if which == BEND:
-            if max(bend_sigmas[0], bend_sigmas[1]) == 0.0:
+            if max(bend_sigmas) == 0.0:
                 break
-            bent = True
+            unknown_count = MAX_UNKNOWNS
         else:
             blurs_known = which == ALL and first_stage != ALL
             most = max_pixels if fine else max_wide_pixels
-            stage = begin_stage(which, blurs_known, region, tag, scale, state, most)
+            stage = begin_stage(which, blurs_known, search, state, most)
             if len(stage.samples) < 4 * MAX_UNKNOWNS:
                 return NO_FIT
         # the first step is taken in full
@@ -443,7 +384,7 @@ def fit_tag(
         stage.previous_step[:] = 0.0
         for _ in range(max_steps if fine else max_wide_steps):
             before = residuals.pixel_variance
-            residuals = compare_print(tag, state, stage)
+            residuals = compare_print(search, state, stage)
             if residuals.contrast <= 0.0:
                 return NO_FIT
             worse = (
@@ -451,9 +392,9 @@ def fit_tag(
                 and not stage.dropped_clipped
                 and residuals.pixel_variance > _BENT_VARIANCE_RATIO * before > 0.0
             )
-            if worse and not bent:
+            if worse and unknown_count == BEND_START:
                 # inner edges do not lie where the outer ones predict: the sheet is bent
-                bend_sigmas, bent = (_LARGE_BEND_SIGMA, _LARGE_BEND_SIGMA), True
+                bend_sigmas, unknown_count = (_LARGE_BEND_SIGMA, _LARGE_BEND_SIGMA), MAX_UNKNOWNS
             # a weak prior holds blurs near their last values
             hold = _LATER_BLUR_WEIGHT if fine else 1.0
             spread_sigma_px = _SPREAD_SIGMA_PX if which >= ALL else _NO_SPREAD_SIGMA_PX
@@ -463,28 +404,26 @@ def fit_tag(
                 residuals.pixel_variance / max(bend_sigmas[0], 1e-9) ** 2,
                 residuals.pixel_variance / max(bend_sigmas[1], 1e-9) ** 2,
             )
-            unknown_count = MAX_UNKNOWNS if bent else BEND_START
             corner_step_px, blur_step = gauss_newton_step(
-                state, stage, unknown_count, prior_weights, scale.max_blur_px
+                state, stage, unknown_count, prior_weights, search.max_blur_px
             )
-            if not corner_step_px < _DIVERGED_STEP_PX + 0.5 * scale.cell_px:
+            if not corner_step_px < _DIVERGED_STEP_PX + 0.5 * search.cell_px:
                 return NO_FIT
             settled = not fine or blur_step < _LATER_END_BLUR_STEP
             if settled and corner_step_px < (_LATER_END_STEP_PX if fine else _FIRST_END_STEP_PX):
                 break
         if which >= ALL:
-            unknown_count = MAX_UNKNOWNS if bent else BEND_START
             squares, independent = block_squares_and_dof(stage, unknown_count)
             variance = (squares + _PRIOR_SQUARES * residuals.pixel_variance) / (
                 independent + _PRIOR_SQUARES
             )
-        if which == ALL and bent:
+        if which == ALL and unknown_count == MAX_UNKNOWNS:
             bend_sigmas = rms_bend_coefficients(state.white_spread_and_bend)
         elif which == ALL and corner_step_px < _CONVERGED_STEP_PX:
             bend_sigmas = estimate_bend_prior_sigmas(stage, state.white_spread_and_bend, variance)
     shrunk = min(abs(state.white_spread_and_bend[5]), abs(state.white_spread_and_bend[8]))
     quadratic, cubic = rms_bend_coefficients(state.white_spread_and_bend)
-    half_edge_px = 0.5 * scale.shortest_edge_px
+    half_edge_px = 0.5 * search.shortest_edge_px
     cross = sqrt(np.square(state.white_spread_and_bend[9:]).mean())
     covered = shrunk > _MAX_INNER_SCALING or (
         min(quadratic, cross) > _MAX_QUADRATIC_AND_CROSS and cross * half_edge_px > _LEAST_CROSS_PX
@@ -495,7 +434,7 @@ def fit_tag(
     quartic = cubic * cubic / max(hypot(quadratic, cubic), 1e-9)
     unmodelled_variance = (_UNMODELLED_BEND_RATIO * quartic * half_edge_px) ** 2
     return _report_fit(
-        region, tag, scale, state, stage, residuals, bent, variance, unmodelled_variance,
+        search, state, stage, residuals, unknown_count, variance, unmodelled_variance,
         start_corners, points, sigmas, covariance,
     )  # fmt: skip
 
@@ -503,11 +442,13 @@ def fit_tag(
 @subroutine
 def _look(
     image: NDArray[np.uint8], light_by_grey: FloatArray, rays: NDArray[np.float32],
-    packed_camera: FloatArray, side_cells: int, start: FloatArray,
-) -> SearchRegion:  # fmt: skip
-    """Image region around the corners, and an undistorted plane across the rays to them."""
-    camera = camera_at(packed_camera, 0)
+    packed_camera: FloatArray, cells: FloatArray, side_cells: int, quiet_zone_cells: float,
+    max_pixels: int, start: FloatArray, corners: FloatArray,
+) -> TagSearch:  # fmt: skip
+    """Search around start corners, undistorted into `corners`, with at most so many pixels."""
+    height, width = image.shape
     view = UndistortedView(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
+    camera = camera_at(packed_camera, 0)
     if view.has_lens:
         u = v = 0.0
         for k in range(4):
@@ -516,10 +457,21 @@ def _look(
         set_view_along(camera, x, y, view)
     left, top = right, bottom = start[0, 0], start[0, 1]
     for k in range(4):
-        left, right = min(left, start[k, 0]), max(right, start[k, 0])
-        top, bottom = min(top, start[k, 1]), max(bottom, start[k, 1])
+        u, v = start[k]
+        left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
+        corners[k, 0], corners[k, 1] = undistorted_point(rays, view, u, v)
     margin = _REGION_MARGIN_PX + max(right - left, bottom - top) / side_cells
-    return SearchRegion(
-        image, light_by_grey, rays, camera, view,
-        int(left - margin), int(right + margin), int(top - margin), int(bottom + margin),
+    shortest, longest, _ = side_lengths(corners)
+    cell_px = shortest / side_cells
+    # at most one block per cell of the border: a block of one colour has no contrast
+    blocks_per_edge = min(
+        max(int(0.5 * (shortest + longest) / _LEAST_BLOCK_SIDE_PX), 1), _MOST_BLOCKS, side_cells,
+        1 + max_pixels // (4 * _PIXELS_PER_BLOCK),
+    )  # fmt: skip
+    return TagSearch(
+        image, light_by_grey, rays, camera, view, cells, side_cells, quiet_zone_cells,
+        max(int(left - margin), 0), min(int(right + margin), width - 1),
+        max(int(top - margin), 0), min(int(bottom + margin), height - 1),
+        shortest, cell_px, blocks_per_edge,
+        min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _MOST_BLUR_PX),
     )  # fmt: skip

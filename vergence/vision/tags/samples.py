@@ -29,10 +29,10 @@ _NORMAL_PDF: Final = np.exp(-0.5 * _TABLE_Z**2) / sqrt(2.0 * pi)
 
 @subroutine
 def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
-    """First cell and number of cells that count at x, cells, and their weights, with derivatives.
+    """First cell and number of cells that count at x, cells, with a blur of s.
 
-    The rows of `weights` are the weights, and their derivatives with respect to x, to log s, and to
-    the position of the edge to the next cell, in standard deviations s of the blur.
+    The rows of `weights` become their weights, and these by x, by log s, and by the position of the
+    edge to the next cell, in s.
     """
     first = floor(x - _CUTOFF_SIGMAS * s)
     count = min(floor(x + _CUTOFF_SIGMAS * s) - first + 1, MAX_BLURRED_CELLS)
@@ -41,10 +41,8 @@ def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
         height = 0.0
         if i + 1 < count:
             z = (first + i + 1 - x) / s
-            place = min(
-                max((z + _CUTOFF_SIGMAS) * _STEPS_PER_SIGMA, 0.0),
-                2.0 * _CUTOFF_SIGMAS * _STEPS_PER_SIGMA,
-            )
+            place = max((z + _CUTOFF_SIGMAS) * _STEPS_PER_SIGMA, 0.0)
+            place = min(place, 2.0 * _CUTOFF_SIGMAS * _STEPS_PER_SIGMA)
             k = int(place)
             share = place - k
             below_next = _NORMAL_CDF[k] + share * (_NORMAL_CDF[k + 1] - _NORMAL_CDF[k])
@@ -67,9 +65,8 @@ def _sample_print(
 ) -> tuple[float, float, float, float, float, float, float, bool]:  # fmt: skip
     """Blurred print at a point, in cells from the upper left corner; outer cells extend beyond.
 
-    Returns its value, derivatives by x and y, by the log blurs along x and y, and by the spread of
-    white, by which edges across x, or across y, move towards black, in standard deviations of the
-    blur; and False if a cell that contributes has an unknown print.
+    Returns its value, derivatives by x and y, by the log blurs, and by the spread of white across x
+    and y, in blurs; and False if a cell that contributes has an unknown print.
     """
     rows, columns = cells.shape
     left, across = _weigh(x, blur_x_cells, cell_weights_x)
@@ -110,12 +107,12 @@ BEND_START: Final = 11
 """Index of the bend's first coefficient, half edges, see `bend_displacement` (numerical)."""
 CUBIC_START: Final = 15
 """Index of the first cubic coefficient of the bend, half edges (numerical)."""
-PIXEL_COLUMNS: Final = 3 + MAX_UNKNOWNS
-"""Columns of a pixel: its light, its block, the print, and the derivatives (numerical)."""
+POINTS: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [0.0, 0.0]])
+"""Corners and centre in the tag's plane, half edges (numerical)."""
 
 
-class SearchRegion(NamedTuple):
-    """The image that a tag is searched in, and the region of the search."""
+class TagSearch(NamedTuple):
+    """What a fit looks at: an image, the print of a tag, and the tag's expected place and size."""
 
     image: NDArray[np.uint8]
     """Grey levels, shape (height, width)."""
@@ -125,22 +122,22 @@ class SearchRegion(NamedTuple):
     """(height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole."""
     camera: CameraRow
     undistorted_view: UndistortedView
-    left: int
-    """First pixel of the region along u; it may lie outside of the image, as the next three may."""
-    right: int
-    top: int
-    bottom: int
-
-
-class TagPrint(NamedTuple):
-    """The print of a tag."""
-
     cells: FloatArray
-    """(n, n) 0 black to 1 white, nan unknown."""
+    """(n, n) print, 0 black to 1 white, nan unknown."""
     side_cells: int
     """Side of the square whose corners are sought, cells; centred in the print."""
     quiet_zone_cells: float
     """Assumed width of the quiet zone around the square, cells."""
+    left: int
+    """First pixel of the region along u, within the image; the next three are the others."""
+    right: int
+    top: int
+    bottom: int
+    shortest_edge_px: float
+    """Length of the tag's shortest edge."""
+    cell_px: float
+    max_blocks_per_edge: int
+    max_blur_px: float
 
 
 class FitState(NamedTuple):
@@ -165,10 +162,8 @@ class FitStage(NamedTuple):
     samples: FloatArray
     """(pixels, 3) undistorted position and light of the pixels."""
     pixel_rows: FloatArray
-    """(pixels, `PIXEL_COLUMNS`) light, block, print, and its derivatives by the unknowns; block -1
-    if an unknown cell contributes."""
-    cell_weights: FloatArray
-    """(2, 4, `MAX_BLURRED_CELLS`) scratch array of `_sample_print`."""
+    """(pixels, 3 + unknowns) light, block, print, and its derivatives by the unknowns; block -1 if
+    an unknown cell contributes."""
     blocks_per_edge: int
     moments: FloatArray
     """(blocks, 5) sums over the pixels of 1, T, T^2, I, T I."""
@@ -192,17 +187,6 @@ class FitStage(NamedTuple):
     """(2,) fraction of the previous step that was taken, and the slope along it at its start."""
     dropped_clipped: bool
     """True if pixels of clipped white were left out."""
-
-
-@subroutine
-def point_in_half_edges(point_index: int) -> tuple[float, float]:
-    """Position of corner k in the tag's plane, half edges; of the centre for k = 4."""
-    if point_index == 4:
-        return 0.0, 0.0
-    return (
-        -1.0 if point_index == 0 or point_index == 3 else 1.0,
-        -1.0 if point_index < 2 else 1.0,
-    )
 
 
 @subroutine
@@ -253,35 +237,35 @@ _DRAWN_BLACK_GREY: Final = 3
 """Grey level up to which black is a drawing's (chosen: just above 0; file formats round)."""
 _LEAST_DRAWN_BLACK_FRACTION: Final = 0.2
 """Fraction of such pixels above which the image is a drawing (chosen: against deep shadows)."""
+_INITIAL_BLUR_PX: Final = 0.8
+"""Initial blur of the print after the first stage, px; the least in it (chosen: typical)."""
+_BAND_HALF_WIDTH_PX: Final = 1.0 + 2.2 * _INITIAL_BLUR_PX
+"""Half width of the band along edges, px (chosen: evidence against neighbouring edges)."""
+_EXCLUDED_QUIET_PX: Final = 1.8 * _INITIAL_BLUR_PX
+"""Outer part of the quiet zone that is left out, px: the background blurs into it (chosen: evidence
+against this background)."""
 _LEAST_QUIET_FRACTION: Final = 0.45
 """Fraction of the quiet zone that is always used (chosen: evidence against objects behind it)."""
 
 
 @subroutine
 def _gather_edge_pixels(
-    region: SearchRegion, tag: TagPrint, state: FitState,
-    band_half_width_px: float, excluded_quiet_px: float, whole_square: bool, cell_edges: bool,
-    max_pixels: int,
+    search: TagSearch, state: FitState, band_half_width_px: float, whole_square: bool,
+    cell_edges: bool, max_pixels: int,
 ) -> FloatArray:  # fmt: skip
-    """Samples of the pixels near the edges, evenly subsampled to at most `max_pixels`.
-
-    With `whole_square` all pixels within the square are taken, with `cell_edges` also those near
-    the edges of the cells in it. The outer part of the quiet zone is left out.
-    """
+    """Samples near the square's edges, or all in it, or also near those of its cells."""
     samples = np.empty((max_pixels, 3))
-    image, light, rays = region.image, region.light_by_grey, region.rays
-    view = region.undistorted_view
-    G, cells, border, quiet = state.G, tag.cells, tag.side_cells, tag.quiet_zone_cells
-    height, width = image.shape
-    left, right = max(region.left, 0), min(region.right, width - 1)
-    top, bottom = max(region.top, 0), min(region.bottom, height - 1)
-    half = 0.5 * border
+    image, light, rays = search.image, search.light_by_grey, search.rays
+    view, G = search.undistorted_view, state.G
+    cells, border, quiet = search.cells, search.side_cells, search.quiet_zone_cells
+    left, half = search.left, 0.5 * border
     shortest, _, perimeter = side_lengths(state.corners)
     expected = 2.0 * band_half_width_px * perimeter
     area = 1.5 * (0.25 * perimeter + 2.0) ** 2
     if cell_edges:
-        expected *= _edges_of(cells) / (4.0 * border)
-        expected = min(expected, area)
+        across, down = cells[:, 1:] - cells[:, :-1], cells[1:] - cells[:-1]
+        edges = (np.abs(across) > 0.5).sum() + (np.abs(down) > 0.5).sum()
+        expected = min(expected * (edges / (4.0 * border)), area)
     if whole_square:
         expected = max(expected, area)
     stride = int(expected / max_pixels) + 1
@@ -293,9 +277,9 @@ def _gather_edge_pixels(
     nearest, farthest = 0.0 if whole_square or cell_edges else 1.0 - away, 1.0 + away
     start = 0.5 * (len(cells) - border)
     count = 0
-    for row in range(top, bottom + 1):
+    for row in range(search.top, search.bottom + 1):
         first = left + (-(left + phase * row)) % stride
-        for column in range(first, right + 1, stride):
+        for column in range(first, search.right + 1, stride):
             u, v = float(column), float(row)
             if view.has_lens:
                 x, y = rays[row, column, 0], rays[row, column, 1]
@@ -312,11 +296,12 @@ def _gather_edge_pixels(
             out_x, out_y = (abs(x) - 1.0) * px_x, (abs(y) - 1.0) * px_y
             out = max(out_x, out_y)
             quiet_x, quiet_y = quiet * px_x / half, quiet * px_y / half
-            if out_x > max(quiet_x - excluded_quiet_px, _LEAST_QUIET_FRACTION * quiet_x):
-                continue
-            if out_y > max(quiet_y - excluded_quiet_px, _LEAST_QUIET_FRACTION * quiet_y):
-                continue
-            if out > band_half_width_px or count == max_pixels:
+            if (
+                out_x > max(quiet_x - _EXCLUDED_QUIET_PX, _LEAST_QUIET_FRACTION * quiet_x)
+                or out_y > max(quiet_y - _EXCLUDED_QUIET_PX, _LEAST_QUIET_FRACTION * quiet_y)
+                or out > band_half_width_px
+                or count == max_pixels
+            ):
                 continue
             if not whole_square and out < -band_half_width_px:
                 if not cell_edges:
@@ -334,43 +319,20 @@ def _gather_edge_pixels(
 
 @subroutine
 def _drop_clipped_pixels(samples: FloatArray, light_by_grey: FloatArray) -> FloatArray:
-    """Samples without those that may be clipped, in place.
+    """Samples without those that may be clipped.
 
     If white is clipped, demosaicking and compression have changed the neighbouring pixels as well.
     Nothing is removed from a drawing, which has the smallest and the largest grey level.
     """
-    pixel_count, clipped, black = len(samples), 0, 0
-    for n in range(pixel_count):
-        if samples[n, 2] >= light_by_grey[_CLIPPED_GREY]:
-            clipped += 1
-        if samples[n, 2] <= light_by_grey[_DRAWN_BLACK_GREY]:
-            black += 1
-    if black > _LEAST_DRAWN_BLACK_FRACTION * pixel_count:
+    light = samples[:, 2]
+    clipped = (light >= light_by_grey[_CLIPPED_GREY]).sum()
+    black = (light <= light_by_grey[_DRAWN_BLACK_GREY]).sum()
+    if black > _LEAST_DRAWN_BLACK_FRACTION * len(light):
         return samples
-    limit = light_by_grey[
-        _CLIPPED_GREY if clipped <= _MAX_CLIPPED_FRACTION * pixel_count else _BESIDE_CLIPPED_GREY
-    ]
-    left = 0
-    for n in range(pixel_count):
-        if samples[n, 2] < limit:
-            for k in range(3):
-                samples[left, k] = samples[n, k]
-            left += 1
-    return samples[:left]
-
-
-@subroutine
-def _edges_of(cells: FloatArray) -> float:
-    """Total length of the edges between cells of different colours, cells."""
-    size = len(cells)
-    edges = 0.0
-    for j in range(size):
-        for i in range(size - 1):
-            if abs(cells[j, i + 1] - cells[j, i]) > 0.5:
-                edges += 1.0
-            if abs(cells[i + 1, j] - cells[i, j]) > 0.5:
-                edges += 1.0
-    return edges
+    few = clipped <= _MAX_CLIPPED_FRACTION * len(light)
+    limit = light_by_grey[_CLIPPED_GREY if few else _BESIDE_CLIPPED_GREY]
+    below: FloatArray = samples[light < limit]
+    return below
 
 
 @subroutine
@@ -379,102 +341,48 @@ def _near_edge(cells: FloatArray, x: float, y: float, reach_x: float, reach_y: f
     size = len(cells)
     column, row = min(max(int(x), 0), size - 1), min(max(int(y), 0), size - 1)
     edge = int(x + 0.5)
-    if 0 < edge < size and abs(x - edge) <= reach_x:
-        near = abs(cells[row, edge] - cells[row, edge - 1]) > 0.5
-        if near:
-            return True
+    near = 0 < edge < size and abs(x - edge) <= reach_x
+    if near and abs(cells[row, edge] - cells[row, edge - 1]) > 0.5:
+        return True
     edge = int(y + 0.5)
-    if 0 < edge < size and abs(y - edge) <= reach_y:
-        return bool(abs(cells[edge, column] - cells[edge - 1, column]) > 0.5)
-    return False
+    near = 0 < edge < size and abs(y - edge) <= reach_y
+    return bool(near and abs(cells[edge, column] - cells[edge - 1, column]) > 0.5)
 
 
 WIDE, NARROW, ALL, BEND = range(4)
 """Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend
 (numerical)."""
-_LEAST_BLOCK_SIDE_PX: Final = 8.0
-"""Least side of a block, which has its own levels, px (chosen: shadows against noise)."""
-_MOST_BLOCKS: Final = 8
-"""Most blocks along an edge (chosen: as above)."""
-_PIXELS_PER_BLOCK: Final = 24
-"""Pixels per block, from which the number of blocks follows (chosen: as above)."""
-_BAND_HALF_WIDTH_PX: Final = 1.0
-"""Constant part of the band's half width, px (chosen: evidence against neighbouring edges)."""
-_BAND_HALF_WIDTH_BLURS: Final = 2.2
-"""Part of it that grows with the blur, in `_INITIAL_BLUR_PX` (chosen: as above)."""
 _MAX_BAND_HALF_WIDTH_PX: Final = 4.0
 """Largest half width in the first stage, px (chosen: poor starts against other edges)."""
 _WIDE_BLUR_PX: Final = 2.0
 """Largest initial blur in the first stage, px: far pixels see edges (chosen: against accuracy)."""
 _WIDE_BLUR_CELLS: Final = 0.35
 """Initial blur of the print in the first stage, cells (chosen: as above)."""
-_EXCLUDED_QUIET_BLURS: Final = 1.8
-"""Outer part of the quiet zone that is left out, in `_INITIAL_BLUR_PX`: the background blurs into
-it (chosen: evidence against this background)."""
 _MAX_FIRST_BLOCKS: Final = 3
 """Most blocks along an edge in the first stage, of few pixels (chosen: shadows against noise)."""
-_INITIAL_BLUR_PX: Final = 0.8
-"""Initial blur of the print after the first stage, px; the least in it (chosen: typical)."""
-_MOST_BLUR_PX: Final = 6.0
-"""Largest blur of a fit, px (chosen: blurred tags against fits that diverge)."""
-_MOST_BLUR_CELLS: Final = 0.7
-"""Largest blur of a fit, cells (chosen: as above)."""
-
-
-class TagScale(NamedTuple):
-    """Size of a tag in the image, px, and upper bounds of blocks and blur that follow from it."""
-
-    shortest_edge_px: float
-    """Length of its shortest edge."""
-    cell_px: float
-    max_blocks_per_edge: int
-    """Most blocks along an edge."""
-    max_blur_px: float
-
-
-@subroutine
-def tag_scale(corners: FloatArray, side_cells: int, max_pixels: int) -> TagScale:
-    """Scale of a tag by its undistorted corners, px, if at most so many pixels take part."""
-    shortest, longest, _ = side_lengths(corners)
-    cell_px = shortest / side_cells
-    # at most one block per cell of the border: a block of one colour has no contrast
-    blocks_per_edge = min(
-        max(int(0.5 * (shortest + longest) / _LEAST_BLOCK_SIDE_PX), 1), _MOST_BLOCKS, side_cells
-    )
-    blocks_per_edge = min(blocks_per_edge, 1 + max_pixels // (4 * _PIXELS_PER_BLOCK))
-    return TagScale(
-        shortest, cell_px, blocks_per_edge, min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _MOST_BLUR_PX)
-    )
 
 
 @subroutine
 def begin_stage(
-    stage: int, blurs_known: bool, region: SearchRegion, tag: TagPrint, scale: TagScale,
-    state: FitState, max_pixels: int,
-) -> FitStage:  # fmt: skip
-    """Begin a stage other than `BEND`, with the homography through the corners.
-
-    Unless an earlier stage has found the blurs, they are set as well.
-    """
+    stage: int, blurs_known: bool, search: TagSearch, state: FitState, max_pixels: int
+) -> FitStage:
+    """Begin a stage other than `BEND`, with the homography through the corners, and with blurs."""
     image_to_square_homography(state.corners, state.G)
-    blocks_per_edge, blur_px = scale.max_blocks_per_edge, _INITIAL_BLUR_PX
-    reach_px = _BAND_HALF_WIDTH_PX + _BAND_HALF_WIDTH_BLURS * _INITIAL_BLUR_PX
+    blocks_per_edge, blur_px = search.max_blocks_per_edge, _INITIAL_BLUR_PX
+    reach_px = _BAND_HALF_WIDTH_PX
     if stage == WIDE:
         blocks_per_edge = min(blocks_per_edge, _MAX_FIRST_BLOCKS)
-        reach_px = min(_MAX_BAND_HALF_WIDTH_PX, max(scale.cell_px, 2.0))
-        blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * scale.cell_px, _INITIAL_BLUR_PX))
+        reach_px = min(_MAX_BAND_HALF_WIDTH_PX, max(search.cell_px, 2.0))
+        blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * search.cell_px, _INITIAL_BLUR_PX))
     if not blurs_known:
         state.blurs_px[0] = state.blurs_px[1] = blur_px
-    samples = _gather_edge_pixels(
-        region, tag, state, reach_px, _EXCLUDED_QUIET_BLURS * _INITIAL_BLUR_PX,
-        scale.cell_px < reach_px + 2.0 * blur_px, stage == ALL, max_pixels,
-    )  # fmt: skip
+    whole_square = search.cell_px < reach_px + 2.0 * blur_px
+    samples = _gather_edge_pixels(search, state, reach_px, whole_square, stage == ALL, max_pixels)
     gathered, blocks = len(samples), blocks_per_edge * blocks_per_edge
     if stage == ALL:
-        samples = _drop_clipped_pixels(samples, region.light_by_grey)
+        samples = _drop_clipped_pixels(samples, search.light_by_grey)
     return FitStage(
-        samples, np.empty((len(samples), PIXEL_COLUMNS)), np.empty((2, 4, MAX_BLURRED_CELLS)),
-        blocks_per_edge,
+        samples, np.empty((len(samples), 3 + MAX_UNKNOWNS)), blocks_per_edge,
         np.empty((blocks, 5)), np.empty((blocks, 2, MAX_UNKNOWNS)),
         np.empty((blocks, 2)), np.empty(blocks),
         np.empty((blocks, MAX_UNKNOWNS, MAX_UNKNOWNS)), np.empty((blocks, MAX_UNKNOWNS)),
@@ -484,15 +392,15 @@ def begin_stage(
 
 
 @inlined
-def evaluate_print(tag: TagPrint, state: FitState, stage: FitStage) -> None:
+def evaluate_print(search: TagSearch, state: FitState, stage: FitStage) -> None:
     """Evaluate the print and its derivatives at all pixels, and their sums by block."""
     G, blurs, spread_and_bend = state.G, state.blurs_px, state.white_spread_and_bend
     cells, places, pixels, blocks_per_edge = (
-        tag.cells, stage.samples, stage.pixel_rows, stage.blocks_per_edge
+        search.cells, stage.samples, stage.pixel_rows, stage.blocks_per_edge
     )  # fmt: skip
-    along_x, along_y = stage.cell_weights[0], stage.cell_weights[1]
+    along_x, along_y = np.empty((4, MAX_BLURRED_CELLS)), np.empty((4, MAX_BLURRED_CELLS))
     sums, slopes = stage.moments, stage.derivative_sums
-    half, start = 0.5 * tag.side_cells, 0.5 * (len(cells) - tag.side_cells)
+    half, start = 0.5 * search.side_cells, 0.5 * (len(cells) - search.side_cells)
     sums[:] = 0.0
     slopes[:] = 0.0
     for n in range(len(places)):

@@ -13,12 +13,12 @@ from vergence.vision.tags.samples import (
     BEND_START,
     CUBIC_START,
     MAX_UNKNOWNS,
+    POINTS,
     WHITE_SPREAD_INDEX,
     FitStage,
     FitState,
-    TagPrint,
+    TagSearch,
     evaluate_print,
-    point_in_half_edges,
 )
 
 
@@ -32,14 +32,9 @@ def _build_normal_equations(
     )  # fmt: skip
     every_score, every_normal = stage.scores, stage.normal_matrices
     right_side[:] = 0.0
-    for j in range(unknown_count):
-        for i in range(unknown_count):
-            matrix[j, i] = 0.0
-    for k in range(len(levels)):
-        for j in range(unknown_count):
-            every_score[k, j] = 0.0
-            for i in range(unknown_count):
-                every_normal[k, j, i] = 0.0
+    matrix[:] = 0.0
+    every_score[:] = 0.0
+    every_normal[:] = 0.0
     for n in range(len(pixel_rows)):
         k = int(pixel_rows[n, 1])
         if k < 0 or levels[k, 1] <= 0.0:
@@ -78,8 +73,7 @@ def _add_priors(
 ) -> None:  # fmt: skip
     """Add Gaussian priors to normal equations: blurs stay, white spread and bend are near 0.
 
-    The weights are those of the blurs, the white spread, the quadratic and the cubic coefficients:
-    pixel variance / prior variance, added to the diagonal.
+    Weights, pixel variance / prior variance, are those of blurs, spread, and bend by degree.
     """
     matrix[8, 8] += prior_weights[0]
     matrix[9, 9] += prior_weights[0]
@@ -95,11 +89,10 @@ def _add_priors(
 def block_squares_and_dof(stage: FitStage, unknown_count: int) -> tuple[float, float]:
     """Sum of squares of whole blocks' residuals after the last step, and its degrees of freedom.
 
-    Their ratio estimates the variance of a pixel.
-
-    Residuals that are correlated from pixel to pixel add up: their sum over a block of N pixels
-    scatters by more than the square root of N. With the blocks' scores s_k and normal matrices N_k,
-    and N their sum, ``E s_k^T N^-1 s_k = sigma^2 (tr A_k - tr A_k^2)``, ``A_k = N^-1 N_k``.
+    Their ratio estimates the variance of a pixel. Residuals that are correlated from pixel to pixel
+    add up: their sum over a block of N pixels scatters by more than the square root of N. With the
+    blocks' scores s_k and normal matrices N_k, and N their sum,
+    ``E s_k^T N^-1 s_k = sigma^2 (tr A_k - tr A_k^2)``, ``A_k = N^-1 N_k``.
     """
     factor, step = stage.normal_matrix, stage.step
     scores, normal, levels = stage.scores, stage.normal_matrices, stage.levels
@@ -214,13 +207,11 @@ def gauss_newton_step(
     state: FitState, stage: FitStage, unknown_count: int,
     prior_weights: tuple[float, float, float, float], max_blur_px: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Take a Gauss-Newton step, shortened if the previous one overshot.
+    """Take a Gauss-Newton step: its largest move of a corner, px, and change of a log blur.
 
-    A step overshot if the slope along it has changed sign; the secant then gives the right
-    fraction. Without this, steps oscillate if edges are sharpened or seen at a low angle.
-
-    Returns the largest move of a corner, px, infinite if the normal matrix is not positive
-    definite; and the largest change of a blur's logarithm.
+    A step overshot if the slope along it has changed sign; the secant then gives the right fraction
+    for the next. Without this, steps oscillate if edges are sharpened or seen at a low angle. The
+    move is infinite if the normal matrix is not positive definite.
     """
     matrix, step, last = stage.normal_matrix, stage.step, stage.previous_step
     G, H, corners = state.G, state.H, state.corners
@@ -253,7 +244,7 @@ def gauss_newton_step(
     square_to_image_homography(G, H)
     corner_step_px = blur_step = 0.0
     for k in range(4):
-        u, v = transform_point(H, *point_in_half_edges(k))
+        u, v = transform_point(H, POINTS[k, 0], POINTS[k, 1])
         corner_step_px = max(corner_step_px, hypot(u - corners[k, 0], v - corners[k, 1]))
         corners[k, 0], corners[k, 1] = u, v
     for axis in range(2):
@@ -268,12 +259,8 @@ def gauss_newton_step(
 
 _LEAST_BLOCK_PIXELS: Final = 6
 """Fewest pixels of a block that is used (chosen: small tags against noisy levels)."""
-
-
 _LEAST_PRINT_VARIANCE: Final = 0.02
 """Variance of the print in a block below which its contrast is undetermined (chosen: as above)."""
-
-
 _OUTLIER_VARIANCE_RATIO: Final = 4.0
 """Residual variance, by the usual one, above which a block's weight falls (chosen: robustness)."""
 
@@ -302,9 +289,24 @@ def _estimate_levels(stage: FitStage) -> float:
     return total / pixels if pixels > 0.0 else 0.0
 
 
+class PrintResiduals(NamedTuple):
+    """Residuals of all pixels' light after the print."""
+
+    contrast: float
+    """Mean contrast of all blocks; 0 if none has any."""
+    explained_fraction: float
+    """Fraction of the weighted squares of light that the print explains."""
+    pixel_variance: float
+    """Variance of a pixel."""
+
+
 @subroutine
-def _reweight_and_sum_squares(stage: FitStage) -> float:
-    """Weight each block, less if its residuals are unusually large; sum of all weighted squares."""
+def compare_print(search: TagSearch, state: FitState, stage: FitStage) -> PrintResiduals:
+    """Compare the print with the pixels; weight each block, less if its residuals are large."""
+    evaluate_print(search, state, stage)
+    contrast = _estimate_levels(stage)
+    if contrast <= 0.0:
+        return PrintResiduals(0.0, 0.0, 0.0)
     sums, levels, weights, pixel_rows = (
         stage.moments, stage.levels, stage.weights, stage.pixel_rows
     )  # fmt: skip
@@ -314,47 +316,24 @@ def _reweight_and_sum_squares(stage: FitStage) -> float:
         if k >= 0 and levels[k, 1] > 0.0:
             r = pixel_rows[n, 0] - levels[k, 0] - levels[k, 1] * pixel_rows[n, 2]
             weights[k] += r * r
-    log_total, total = 0.0, 0.0
+    log_total = total = 0.0
     for k in range(len(sums)):
         if levels[k, 1] > 0.0:
             weights[k] /= sums[k, 0]
             # the geometric mean, which a few bad blocks hardly raise
             log_total += sums[k, 0] * log(weights[k] + 0.05)
             total += sums[k, 0]
-    if total == 0.0:
-        return 0.0
     usual = exp(log_total / total)
-    weighted = 0.0
+    explained = unexplained = 0.0
+    free = -float(MAX_UNKNOWNS)
     for k in range(len(sums)):
         if levels[k, 1] > 0.0:
+            n, t, tt = sums[k, 0], sums[k, 1], sums[k, 2]
             own = weights[k]
             inlying = own < _OUTLIER_VARIANCE_RATIO * usual
             weights[k] = 1.0 if inlying else _OUTLIER_VARIANCE_RATIO * usual / own
-            weighted += weights[k] * own * sums[k, 0]
-    return weighted
-
-
-class PrintResiduals(NamedTuple):
-    """Residuals of all pixels' light after the print."""
-
-    contrast: float
-    """Mean contrast of all blocks; 0 if none has any."""
-    unexplained_squares: float
-    """Weighted sum of squared residuals."""
-    pixel_variance: float
-    """Variance of a pixel."""
-
-
-@subroutine
-def compare_print(tag: TagPrint, state: FitState, stage: FitStage) -> PrintResiduals:
-    """Compare the print with the pixels, by blocks."""
-    evaluate_print(tag, state, stage)
-    contrast = _estimate_levels(stage)
-    if contrast <= 0.0:
-        return PrintResiduals(0.0, 0.0, 0.0)
-    unexplained = _reweight_and_sum_squares(stage)
-    free = -float(MAX_UNKNOWNS)
-    for k in range(len(stage.weights)):
-        if stage.levels[k, 1] > 0.0:
-            free += stage.weights[k] * stage.moments[k, 0] - 2.0
-    return PrintResiduals(contrast, unexplained, unexplained / max(free, 1.0))
+            unexplained += weights[k] * own * n
+            explained += weights[k] * levels[k, 1] * levels[k, 1] * (tt - t * t / n)
+            free += weights[k] * n - 2.0
+    fraction = explained / (explained + unexplained)
+    return PrintResiduals(contrast, fraction, unexplained / max(free, 1.0))
