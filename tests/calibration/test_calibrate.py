@@ -141,13 +141,12 @@ def test_a_fifth_of_bad_views_changes_nothing(pair, found):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bad", [1, 2])
-def test_pairs_of_five_may_be_left_out(pair, bad):
+def test_two_pairs_of_five_may_be_left_out(pair):
     few = picked(pair[0], both(pair[0])[:5])
     pixels = few.pixels.copy()
-    pixels[1, :bad] += np.multiply.outer([6.0, -9.0][:bad], [1.0, 0.5])[:, None]
+    pixels[1, :2] += np.array([[6.0, 3.0], [-9.0, -4.5]])[:, None]
     found = calibrate_views(replace(few, pixels=pixels), LENS)
-    assert found.fit.kept_views.sum() == 5 - bad
+    assert found.fit.kept_views.sum() == 3
     assert np.isfinite(found.held_out_px).all()
 
 

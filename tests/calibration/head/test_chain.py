@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vergence
+from tests.calibration.rigs import differences
 from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.adjust import ParametricHead, board_points_and_offsets
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
 FRAMES = 4
-STEP = 1e-6
 
 
 @pytest.fixture(params=["physical", "icub"])
@@ -37,12 +37,6 @@ def pixels(about, values, q, corners, boards):
     return about.with_parameters(values).project(q[:, None], inside)
 
 
-def by_differences(function, size):
-    """(..., size) central differences of a function of a step (size,)."""
-    columns = [(function(STEP * row) - function(-STEP * row)) / (2 * STEP) for row in np.eye(size)]
-    return np.stack(columns, axis=-1)
-
-
 def assert_derivative(exact, differences):
     scale = 1.0 + np.abs(differences).max(axis=(0, 1, 2))
     assert (np.abs(exact - differences).max(axis=(0, 1, 2)) < 1e-6 * scale).all()
@@ -63,10 +57,10 @@ def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
     def at(values, q, boards):
         return pixels(about, values, q, corners, boards)[:, :, eye]
 
-    expected = by_differences(lambda step: at(values + step, q, boards), len(values))
+    expected = differences(lambda step: at(values + step, q, boards), len(values))
     assert_derivative(by_head, expected)
     there = np.array([bool(name) for name in about.joints])
-    expected = by_differences(lambda step: at(values, q + step, boards), 7)
+    expected = differences(lambda step: at(values, q + step, boards), 7)
     assert_derivative(seen.joint_jacobian[..., there], expected[..., there])
-    expected = by_differences(lambda step: at(values, q, boards.moved(step[None])), 6)
+    expected = differences(lambda step: at(values, q, boards.moved(step[None])), 6)
     assert_derivative(seen.board_jacobian, expected)
