@@ -3,12 +3,15 @@
 import re
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.calibration.rigs import BOARD, SIZE, look, make_poses, make_rig
 from tests.naming import named
+from tests.vision.poses import pose
+from tests.vision.scenes import rig, scene
 from vergence.calibration import cameras
 from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.advice import advise_next_photographs
@@ -17,11 +20,11 @@ from vergence.calibration.calibrate import (
     head_file_text,
     ros_camera_document,
 )
-from vergence.calibration.observations import alike_views
+from vergence.calibration.observations import alike_views, detect_board_corners
 from vergence.calibration.uncertainty import right_camera_pose_covariance
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
-from vergence.vision import parse_target
+from vergence.vision import Checkerboard, make_detector, parse_target
 
 LENS = "brown-conrady"
 
@@ -246,3 +249,34 @@ def test_boards_that_all_face_the_camera_are_refused():
     flat = BoardPoses(facing, np.column_stack([poses.translation[:, :2], np.full(6, 0.5)]) - 0.05)
     with pytest.raises(ConfigurationError, match="tilt the board by some 30 degrees"):
         calibrate_views(look(make_rig(), flat, rng).select_camera(0), LENS)
+
+
+def photographed(target):
+    """The image of a target before a camera, and the camera."""
+    camera, rendering = rig("physical")
+    return scene(camera, target, pose(0.02, 0.01, 0.7), rendering).image, camera
+
+
+def test_photographs_with_colours_are_measured_by_srgb_and_grey_ones_as_they_are(tmp_path):
+    tag = parse_target("tag:36h11:5:120")
+    image, _ = photographed(tag)
+    left, right = tmp_path / "left.png", tmp_path / "right.png"
+    cv2.imwrite(str(left), cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    cv2.imwrite(str(right), image)
+    seen, _ = detect_board_corners(tag, [[left], [right]])
+    stated, _ = detect_board_corners(tag, [[left], [right]], responses=("srgb", "linear"))
+    np.testing.assert_array_equal(seen.pixels, stated.pixels)
+    assert not np.array_equal(seen.pixels[0], seen.pixels[1])
+
+
+@pytest.mark.slow
+def test_corners_of_a_soft_image_that_was_halved_are_in_its_own_pixels(tmp_path):
+    board = Checkerboard(columns=5, rows=4, square_m=0.03)
+    sharp, camera = photographed(board)
+    corners = make_detector(board, camera).detect(sharp).corners_px
+    soft = cv2.GaussianBlur(cv2.resize(sharp, None, fx=4, fy=4), (0, 0), 24)
+    assert make_detector(board).detect(soft) is None
+    cv2.imwrite(str(tmp_path / "soft.png"), soft)
+    seen, _ = detect_board_corners(board, [[tmp_path / "soft.png"]])
+    off = seen.pixels[0, 0] - (4.0 * (corners + 0.5) - 0.5)
+    assert np.abs(off.mean(axis=0)).max() < 0.25  # a centre that moves by halving moves 0.5 px
