@@ -79,3 +79,10 @@ def _fit(problem, rig, poses, kept):
         BundleSolution(one, rig, poses.select(kept)), kept,
         BundleSolution(problem, rig, poses),
     )  # fmt: skip
+
+
+def differences(value, count, step=1e-6):
+    """Derivative of a function of (count,) steps by central differences, along the last axis."""
+    return np.stack(
+        [(value(one) - value(-one)) / (2.0 * step) for one in step * np.eye(count)], axis=-1
+    )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.calibration.rigs import COEFFICIENTS, SIZE, make_poses, make_rig
+from tests.calibration.rigs import COEFFICIENTS, SIZE, differences, make_poses, make_rig
 from tests.calibration.rigs import look as look_at
 from vergence.calibration.adjustment import BoardPoses, BundleAdjustment, project_with_jacobians
 from vergence.calibration.uncertainty import rig_covariance
@@ -14,13 +14,6 @@ from vergence.models.lens import pack_camera
 @pytest.fixture
 def rng():
     return np.random.default_rng(7)
-
-
-def differences(value, count, step=1e-6):
-    """Derivative of a function of (count,) steps by central differences, along the last axis."""
-    return np.stack(
-        [(value(one) - value(-one)) / (2.0 * step) for one in step * np.eye(count)], axis=-1
-    )
 
 
 @pytest.mark.parametrize("lens", COEFFICIENTS)

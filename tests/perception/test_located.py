@@ -9,13 +9,21 @@ from tests.heads import head_of
 from tests.naming import named
 from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
-from vergence.perception.finding import TargetFinder
-from vergence.perception.locate import locate_target
+from vergence.perception.finding import (
+    TargetFinder,
+    centre_weights,
+    target_centre_px,
+    weighted_sum,
+)
+from vergence.perception.locate import locate_target, measure_spacing, neighbour_distances_m
 from vergence.triangulation import Noise
 from vergence.vision import Camera, Detection
-from vergence.vision.targets import AprilTag, Checkerboard
+from vergence.vision.targets import AprilTag, Checkerboard, neighbour_pairs
 
-TARGETS = [AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)]
+BOARD = Checkerboard(columns=5, rows=4, square_m=0.03)
+TARGETS = [AprilTag(id=5, edge_m=0.12), BOARD]
+PLACE = [0.02, 0.03, 0.6]
+POSE = pose_at(PLACE, [0.2, -0.4, 0.1])
 
 
 def exact(head, q, target, pose, sigma=0.05):
@@ -33,21 +41,19 @@ def exact(head, q, target, pose, sigma=0.05):
 @pytest.mark.parametrize("name", ["physical", "icub"])
 def test_exact_pixels_give_exact_points(name):
     head = load_head(name)
-    q = head.fixate([0.02, 0.03, 0.6])
-    pose = pose_at([0.02, 0.03, 0.6], [0.2, -0.4, 0.1])
+    q = head.fixate(PLACE)
     for target in TARGETS:
-        one = locate_target(head, q, "a", *exact(head, q, target, pose))
-        points = corners_in_space(target, pose)
+        one = locate_target(head, q, "a", *exact(head, q, target, POSE))
+        points = corners_in_space(target, POSE)
         np.testing.assert_allclose(one.fix.point, points, atol=1e-8)
         np.testing.assert_allclose(one.centre.point, points.mean(axis=0), atol=1e-8)
         assert one.spacing.mean_m == pytest.approx(target.cell_m * (8 if len(points) == 4 else 1))
 
 
 def test_the_centre_of_a_board_is_surer_than_its_corners_only_as_far_as_pixels_go():
-    board = TARGETS[1]
     for head, averages in ((head_of("pair"), True), (load_head("physical"), False)):
-        pose = pose_at([0.0, 0.0, 0.6])
-        one = locate_target(head, head.rest(), "a", *exact(head, head.rest(), board, pose))
+        seen = exact(head, head.rest(), BOARD, pose_at([0.0, 0.0, 0.6]))
+        one = locate_target(head, head.rest(), "a", *seen)
         ratio = one.fix.sigma[:, 2].mean() / one.centre.sigma[2]
         # 20 corners: sqrt(20) where pixels alone err, 1 where the encoders' steps err in common
         assert ratio == pytest.approx(np.sqrt(20.0), rel=0.05) if averages else 1.0 <= ratio < 1.2
@@ -71,8 +77,8 @@ def test_a_symmetric_board_is_matched_however_its_corners_were_counted():
 
 
 def test_a_missing_corner_is_null_and_the_others_are_there():
-    head, board = head_of("pair"), TARGETS[1]
-    left, right = exact(head, head.rest(), board, pose_at([0.0, 0.0, 0.6]))
+    head = head_of("pair")
+    left, right = exact(head, head.rest(), BOARD, pose_at([0.0, 0.0, 0.6]))
     for eye, corner in ((left, 3), (right, 7)):
         eye.corners_px[corner] = np.nan
         eye.corners_sigma_px[corner] = np.nan
@@ -85,17 +91,17 @@ def test_a_missing_corner_is_null_and_the_others_are_there():
 
 
 def test_the_pose_is_that_of_the_target_if_its_size_is_known_or_not():
-    head, place = load_head("physical"), [0.02, 0.03, 0.6]
-    q, pose = head.fixate(place), pose_at(place, [0.2, -0.4, 0.1])
+    head = load_head("physical")
+    q = head.fixate(PLACE)
     for target, size in zip(TARGETS, ("edge_m", "square_m"), strict=True):
-        sides = exact(head, q, target, pose)
+        sides = exact(head, q, target, POSE)
         known = locate_target(head, q, "a", *sides)
         unknown = replace(target, **{size: 0.2, "size_known": False})
         other = locate_target(head, q, "a", *(side._replace(target=unknown) for side in sides))
         for one in (known, other):
-            np.testing.assert_allclose(one.pose.matrix, pose, atol=1e-6)
+            np.testing.assert_allclose(one.pose.matrix, POSE, atol=1e-6)
         for T, found in zip(head.camera_poses(q), known.eye_poses, strict=True):
-            np.testing.assert_allclose(T @ found.matrix, pose, atol=1e-6)
+            np.testing.assert_allclose(T @ found.matrix, POSE, atol=1e-6)
         of_eye = other.document()["eye_poses"]["left"]  # which does not know how large it is
         assert of_eye["translation_mm"] is of_eye["sigma_mm"] is None
         assert of_eye["rotation_vector_rad"] == pytest.approx(
@@ -106,10 +112,10 @@ def test_the_pose_is_that_of_the_target_if_its_size_is_known_or_not():
 
 
 def test_corners_that_no_pose_explains_say_so_and_name_no_second_tilt():
-    head, place = load_head("physical"), [0.02, 0.03, 0.6]
-    q, pose = head.fixate(place), pose_at(place, [0.2, -0.4, 0.1])
+    head = load_head("physical")
+    q = head.fixate(PLACE)
     for target in TARGETS:
-        sides = exact(head, q, target, pose)
+        sides = exact(head, q, target, POSE)
         assert not locate_target(head, q, "a", *sides).pose.contradicted
         wrong = locate_target(head, q + [0, 0, 0, 0.05, 0.05, 0, 0], "a", *sides)
         assert wrong.pose.contradicted
@@ -136,22 +142,16 @@ def test_points_of_drawn_images_lie_within_their_own_sigma(target):
         error = one.fix.point - corners_in_space(target, pose)
         squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(one.fix.covariance), error))
     # three coordinates: 3 in the mean; poses are independent, corners of one pose nearly so
-    assert CHI_SQUARE[0] < np.mean(squares) < CHI_SQUARE[1]
+    assert 1.5 < np.mean(squares) < 4.5
     assert np.mean(np.concatenate(squares) < 9.0 * 3.0) > 0.99
 
 
-CHI_SQUARE = (1.5, 4.5)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "target"), [("physical", TARGETS[1]), ("icub", TARGETS[0]), ("pair", TARGETS[1])]
-)
+@pytest.mark.parametrize(("name", "target"), [("icub", TARGETS[0]), ("pair", BOARD)])
 def test_the_mean_edge_errs_as_much_as_it_says(name, target):
     head = head_of(name) if name == "pair" else load_head(name)
-    place = np.array([0.02, 0.03, 0.6])
-    q = head.fixate(place) if head.actuation.count else head.rest()
-    sides = exact(head, q, target, pose_at(place, [0.2, -0.4, 0.1]), 0.1)
+    q = head.fixate(PLACE) if head.actuation.count else head.rest()
+    sides = exact(head, q, target, POSE, 0.1)
     steps, rng = Noise.of(head).joint_rad, np.random.default_rng(4)
     means, said = [], []
     for _ in range(200):
@@ -167,3 +167,51 @@ def test_the_mean_edge_errs_as_much_as_it_says(name, target):
         said.append(one.spacing.sigma_m)
     # 200 draws: a standard deviation is known to 5 %; it is of first order
     assert np.std(means) == pytest.approx(np.mean(said), rel=0.16)
+
+
+def test_a_board_and_a_part_of_it_have_one_middle_on_a_plane_in_space_and_a_line_has_none():
+    weights = centre_weights(BOARD.corners_m, np.ones(20, bool))
+    np.testing.assert_allclose(weights, 1.0 / 20.0, atol=1e-12)
+    rng = np.random.default_rng(0)
+    whole = BOARD.corners_m @ rng.normal(size=(2, 3))
+    points = whole + rng.normal(size=3)
+    for seen in ([0, 1, 2, 6, 7], [], [3], [0, 4], [0, 1, 2, 3]):
+        found = np.isin(np.arange(20), seen)
+        weights = centre_weights(BOARD.corners_m, found)
+        if len(seen) < 5:
+            assert np.isnan(weights).all(), seen
+            continue
+        middle = weighted_sum(np.where(found[:, None], points, np.nan), weights)
+        np.testing.assert_allclose(middle - points[0], whole.mean(axis=0) - whole[0], atol=1e-9)
+
+
+def test_the_pixel_of_the_middle_is_where_the_lens_puts_it():
+    head = load_head("physical")
+    camera, pose = Camera.of(head, 0), pose_at([0.08, -0.05, 0.4], [0.0, 0.6, 0.0])
+    seen, _ = exact(head, head.rest(), BOARD, pose)
+    true = head.project(head.rest(), corners_in_space(BOARD, pose).mean(axis=0))[0]
+    pixel, sigma = target_centre_px(seen, camera)
+    np.testing.assert_allclose(pixel, true, atol=1e-6)
+    np.testing.assert_allclose(sigma, 0.05 / np.sqrt(20.0), atol=1e-12)
+    seen.corners_px[[0, 3, 7, 11]] = np.nan
+    np.testing.assert_allclose(target_centre_px(seen, camera)[0], true, atol=1e-6)
+    seen.corners_px[5:] = np.nan
+    assert np.isnan(target_centre_px(seen, camera)[0]).all()
+
+
+def test_neighbours_are_an_edge_apart():
+    assert len(neighbour_pairs(BOARD)) == 4 * 4 + 5 * 3
+    assert len(neighbour_pairs(AprilTag())) == 4
+    points = np.column_stack([BOARD.corners_m, np.zeros(20)])
+    np.testing.assert_allclose(neighbour_distances_m(BOARD, 1.01 * points), 0.0303, atol=1e-12)
+    points[0] = np.nan
+    spacing = measure_spacing(BOARD, [points, 1.02 * points])
+    assert spacing[:4] == pytest.approx((0.0303, 0.0003, 2 * 29, 0.03))
+
+
+def test_what_was_not_stated_and_what_was_not_found_is_none_in_json():
+    unsaid = Checkerboard(columns=5, rows=4, size_known=False)
+    nothing = np.full((20, 3), np.nan)
+    assert measure_spacing(unsaid, [nothing]).document() == {
+        "mean": None, "spread": None, "count": 0, "stated": None,
+    }  # fmt: skip

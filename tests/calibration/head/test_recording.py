@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -166,7 +167,6 @@ def test_logs_that_do_not_fit_are_refused_in_one_line(tmp_path, frames):
         read_recording(path, HEAD)
 
 
-POSES = 3
 SMALL = HEAD.replace(
     cameras={name: 0.5 * getattr(HEAD.cameras, name) for name in ("focal", "principal")}
     | {"size": HEAD.cameras.size // 2}
@@ -174,22 +174,26 @@ SMALL = HEAD.replace(
 """The head with images of 320 x 240 px, which are drawn and searched in less time."""
 
 
+def photograph(looker, folder, name, q):
+    """Photograph the board with both eyes at joint angles; what was seen and read."""
+    sight = looker.look(q)
+    for eye, image in zip(("left", "right"), looker.images, strict=True):
+        (folder / eye).mkdir(exist_ok=True)
+        cv2.imwrite(str(folder / eye / name), image)
+    return sight
+
+
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory) -> Path:
     """A folder of drawn photographs with a table of angles, in degrees, and their angles."""
     folder = tmp_path_factory.mktemp("photographs")
     rng = np.random.default_rng(2)
-    pose = board_ahead(SMALL, BOARD, 0.7)
-    looker = SimulatedLooker(SMALL, BOARD, pose, rng, drawn=True)
-    for eye in ("left", "right"):
-        (folder / eye).mkdir()
+    looker = SimulatedLooker(SMALL, BOARD, board_ahead(SMALL, BOARD, 0.7), rng, drawn=True)
     rows = []
-    for number in range(POSES):
+    for number in range(3):
         q = SMALL.rest() + np.deg2rad(rng.uniform(-3.0, 3.0, 7))
-        sight = looker.look(q)
-        for eye, image in zip(("left", "right"), looker.images, strict=True):
-            cv2.imwrite(str(folder / eye / f"{number}.png"), image)
-        rows.append([f"{number}.png", *np.rad2deg(sight.positions), 0, POSES - number])
+        sight = photograph(looker, folder, f"{number}.png", q)
+        rows.append([f"{number}.png", *np.rad2deg(sight.positions), 0, 3 - number])
     names = [f"{name}_deg" for name in SMALL.joints]
     with (folder / "joints.csv").open("w", newline="") as file:
         csv.writer(file).writerows([["pair", *names, "placement", "time_s"], *rows])
@@ -213,11 +217,7 @@ def test_photographs_and_their_table_are_frames_in_the_order_of_their_times(phot
 
 @pytest.mark.slow
 def test_a_photograph_of_nothing_and_one_without_a_partner_are_told(photographs, tmp_path):
-    for eye in ("left", "right"):
-        (tmp_path / eye).mkdir()
-        for path in (photographs / eye).iterdir():
-            (tmp_path / eye / path.name).write_bytes(path.read_bytes())
-    (tmp_path / "joints.csv").write_bytes((photographs / "joints.csv").read_bytes())
+    shutil.copytree(photographs, tmp_path, dirs_exist_ok=True)
     cv2.imwrite(str(tmp_path / "right" / "0.png"), np.full((240, 320), 90, np.uint8))
     (tmp_path / "left" / "1.png").write_bytes(b"no image")
     (tmp_path / "right" / "2.png").unlink()
@@ -231,12 +231,9 @@ def test_a_photograph_of_nothing_and_one_without_a_partner_are_told(photographs,
 @pytest.mark.slow
 def test_a_tag_is_a_board_of_photographs_too(tmp_path):
     tag = parse_target("tag:36h11:0:120")
-    pose = board_ahead(SMALL, tag, 0.7)
-    looker = SimulatedLooker(SMALL, tag, pose, np.random.default_rng(2), drawn=True)
-    sight = looker.look(SMALL.rest())
-    for eye, image in zip(("left", "right"), looker.images, strict=True):
-        (tmp_path / eye).mkdir()
-        cv2.imwrite(str(tmp_path / eye / "1.png"), image)
+    pose, rng = board_ahead(SMALL, tag, 0.7), np.random.default_rng(2)
+    looker = SimulatedLooker(SMALL, tag, pose, rng, drawn=True)
+    sight = photograph(looker, tmp_path, "1.png", SMALL.rest())
     angles = dict.fromkeys(SMALL.joints, 0.0)
     (tmp_path / "joints.json").write_text(json.dumps([{"pair": "1", **angles}]))
     found = read_recording(tmp_path, SMALL, tag).frames

@@ -26,7 +26,6 @@ from tests.vision.scenes import (
 from vergence.models.camera import camera_matrix
 from vergence.models.parts import Rendering
 from vergence.vision import Camera, Checkerboard, Detection, make_detector
-from vergence.vision.corners import crossing_asymmetries
 
 
 def board(columns: int, rows: int, square_px: float = 20.0, *, rim: bool = True) -> Checkerboard:
@@ -42,7 +41,6 @@ def drawn(
     *,
     z: float = 1.0,
     rendering: Rendering | None = None,
-    seed: int | None = 1,
 ) -> Scene:
     """The board's middle near the axis of the simulated rig."""
     camera, plain = rig("simulated")
@@ -53,8 +51,7 @@ def drawn(
         @ pose(0, 0, 0, (*turn, 0))
         @ pose(-middle[0], -middle[1], 0)
     )
-    rng = None if seed is None else np.random.default_rng(seed)
-    return scene(camera, target, T_C_T, rendering or plain, rng)
+    return scene(camera, target, T_C_T, rendering or plain, np.random.default_rng(1))
 
 
 def detector_of(target: Checkerboard):
@@ -64,14 +61,13 @@ def detector_of(target: Checkerboard):
 @pytest.mark.slow
 def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall():
     """Before a wall of the grey of its black squares or of its white ones."""
-    for surround, size in [(45.0, (5, 4)), (120.0, (5, 5)), (205.0, (9, 6)), (45.0, (9, 6))]:
+    for surround, size, roll in [(45.0, (5, 4), 0.5), (205.0, (9, 6), 0.5), (45.0, (9, 6), 0.0)]:
         rendering = replace(rig("simulated")[1], background_grey=surround)
         target = board(*size, rim=False)
-        for roll in (0.0, 0.5):
-            with named(surround, size, roll):
-                one = drawn(target, roll, (0.1, 0.2), rendering=rendering)
-                found = detector_of(target).detect(one.image)
-                assert found.corners_px == pytest.approx(one.corners, abs=0.12)
+        with named(surround, size, roll):
+            one = drawn(target, roll, (0.1, 0.2), rendering=rendering)
+            found = detector_of(target).detect(one.image)
+            assert found.corners_px == pytest.approx(one.corners, abs=0.12)
 
 
 @pytest.mark.slow
@@ -88,22 +84,11 @@ def test_a_board_that_tells_up_from_down_has_its_corners_in_order_at_every_roll(
             assert found.point_px == pytest.approx(one.point, abs=0.2)
 
 
-def corner_square(one: Scene, found: np.ndarray, target: Checkerboard) -> float:
-    """The grey of the square beyond the first corner, by the grid's first two lines."""
-    grid = found.reshape(target.rows, target.columns, 2)
-    u, v = grid[0, 0] - 0.5 * (grid[0, 1] - grid[0, 0]) - 0.5 * (grid[1, 0] - grid[0, 0])
-    return float(one.image[round(v), round(u)])
-
-
-ROLLED = some_of([0.0, 0.7, 1.4, np.pi, -2.0], [(3, 3), (4, 4), (5, 5), (6, 4), (5, 3)])
-
-
-@pytest.mark.parametrize(("roll", "size"), ROLLED[::2])
+@pytest.mark.parametrize(
+    ("roll", "size"), [(0.0, (3, 3)), (1.4, (5, 5)), (-2.0, (5, 3)), (np.pi, (4, 4)), (0.7, (6, 4))]
+)
 def test_a_symmetric_boards_first_line_points_to_the_right(size, roll):
-    """Its corners are those that are drawn, in one of its orders; its point is the middle.
-
-    The first square is dark, as printed: an order that begins at a light one is not the board's.
-    """
+    """Its corners are those that are drawn, in one of its orders; its point is the middle."""
     columns, rows = size
     target = board(columns, rows)
     one = drawn(target, roll, (0.1, -0.1))
@@ -111,15 +96,11 @@ def test_a_symmetric_boards_first_line_points_to_the_right(size, roll):
     assert found.point_px == pytest.approx(one.point, abs=0.15)
     true = one.corners.reshape(rows, columns, 2)
     orders = [true, true[::-1, ::-1]]
-    if columns == rows:
+    if columns == rows and columns % 2 == 0:  # in a quarter turn, odd boards change their colours
         orders += [np.rot90(true), np.rot90(true, -1)]
-    right = max(orders, key=lambda each: float((each[0, -1] - each[0, 0])[0]))
     matched = min(orders, key=lambda each: rms(found.corners_px - each.reshape(-1, 2)))
     assert found.corners_px == pytest.approx(matched.reshape(-1, 2), abs=0.2)
     assert (matched[0, -1] - matched[0, 0])[0] > 0
-    if columns != rows:
-        assert matched is right
-    assert corner_square(one, found.corners_px, target) < 100
 
 
 @pytest.mark.parametrize(
@@ -210,9 +191,7 @@ def test_a_board_whose_outermost_squares_are_cut_is_no_smaller_one(asked):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("side", "size"), [((1, 0), (5, 4)), ((-1, 0), (9, 6)), ((0, 1), (9, 6)), ((0, -1), (5, 4))]
-)
+@pytest.mark.parametrize(("side", "size"), [((1, 0), (5, 4)), ((0, 1), (9, 6))])
 def test_a_half_hidden_board_is_none_neither_found_nor_tracked(size, side):
     target = board(*size)
     one = cropped(drawn(target, 0.2))
@@ -255,11 +234,6 @@ def test_light_and_files_move_no_corner():
             found = detector.detect(image)
             assert rms(found.corners_px - one.corners) < 0.15
             assert detector.track(image, found) is not None
-
-
-def in_shadow(columns: int, rows: int, left: float, angle: float) -> tuple[Scene, np.ndarray]:
-    one = cropped(drawn(board(columns, rows), 0.1, (0.3, -0.2)))
-    return one, shadow(left, angle)(one.image, one.corners.mean(axis=0))
 
 
 @pytest.mark.slow
@@ -305,29 +279,24 @@ def test_a_blob_on_a_corner_leaves_it_where_it_is_or_the_board_is_none(corner, g
 
 def test_a_prediction_between_the_corners_finds_no_board_there():
     """OpenCV leaves a corner where it was that would leave its window, as if it were refined."""
-    for share in [0.15, 0.25, 0.4, 0.5]:
-        with named(share):
-            target = board(5, 4)
-            one = drawn(target, 0.1)
-            detector = detector_of(target)
-            seen = detector.detect(one.image)
-            for along in ((1.0, 0.0), (0.0, -1.0), (0.7, 0.7)):
-                by_px = share * 20.0 * np.array(along)
-                wrong = seen._replace(
-                    corners_px=seen.corners_px + by_px, point_px=seen.point_px + by_px
-                )
-                found = detector.track(one.image, wrong)
-                assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+    target = board(5, 4)
+    one, detector = drawn(target, 0.1), detector_of(target)
+    seen = detector.detect(one.image)
+    for share, along in some_of([0.15, 0.25, 0.4, 0.5], [(1.0, 0.0), (0.0, -1.0), (0.7, 0.7)]):
+        with named(share, along):
+            by_px = share * 20.0 * np.array(along)
+            wrong = seen._replace(
+                corners_px=seen.corners_px + by_px, point_px=seen.point_px + by_px
+            )
+            found = detector.track(one.image, wrong)
+            assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "square_px", "most_px"),
-    [
-        ("physical", 5.0, 0.12), ("simulated", 7.0, 0.12), ("simulated", 10.0, 0.08),
-        ("physical", 21.0, 0.08), ("simulated", 50.0, 0.08),
-    ],
-)  # fmt: skip
+    [("physical", 5.0, 0.12), ("simulated", 10.0, 0.08), ("simulated", 50.0, 0.08)],
+)
 def test_boards_are_found_as_exactly_as_said_at_every_place_in_the_pixel_grid(
     name, square_px, most_px
 ):
@@ -346,9 +315,7 @@ def test_boards_are_found_as_exactly_as_said_at_every_place_in_the_pixel_grid(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("noise", "columns", "rows", "z"), [(2.0, 5, 4, 0.7), (6.0, 9, 6, 1.5), (6.0, 3, 3, 0.7)]
-)
+@pytest.mark.parametrize(("noise", "columns", "rows", "z"), [(2.0, 5, 4, 0.7), (6.0, 9, 6, 1.5)])
 def test_sigmas_are_not_less_than_the_scatter(columns, rows, noise, z):
     """Nor more than the error's own size, which they hold as well: the grid of pixels' share.
 
@@ -434,14 +401,45 @@ def test_the_outer_corner_of_a_square_is_not_taken_for_one_where_four_meet():
     seen = detector.detect(one.image)
     wrong = seen.corners_px.copy()
     wrong[0] = 2.0 * wrong[0] - wrong[10]  # across the outermost square
-    found = detector._at(one.image, wrong.reshape(6, 9, 2), 0.0)
+    found = detector.track(one.image, seen._replace(corners_px=wrong))
     assert found.corners_px == pytest.approx(seen.corners_px, abs=0.1)
 
 
-def test_asymmetry_tells_crossing_edges_from_a_square_and_an_edge():
-    image = np.zeros((60, 60), np.uint8)
-    image[:30, :30] = image[30:, 30:] = 255
-    image[45:] = 255
-    places = np.array([[29.5, 29.5], [29.5, 44.5], [10.0, 44.5]])
-    found = crossing_asymmetries(cv2.GaussianBlur(image, (0, 0), 0.8), places, 6)
-    assert found == pytest.approx([0.0, 4.0 / 3.0, 2.0], abs=0.15)
+def blocks(cell_px: int, shape: tuple[int, int]) -> np.ndarray:
+    """Black and white squares by chance: corners everywhere, and no board."""
+    rows, columns = shape
+    cells = np.random.default_rng(4).integers(0, 2, (rows // cell_px + 1, columns // cell_px + 1))
+    large = np.kron(cells, np.ones((cell_px, cell_px), int))[:rows, :columns]
+    return (40 + 180 * large).astype(np.uint8)
+
+
+@pytest.mark.parametrize("way", [None, 0])
+def test_a_board_among_blocks_is_found(way):
+    target = board(9, 6)
+    one = drawn(target, 0.2, (0.0, 0.3))
+    image, room = blocks(10, one.image.shape), 70
+    x0, y0 = np.floor(one.corners.min(axis=0) - room).astype(int).clip(0)
+    x1, y1 = np.ceil(one.corners.max(axis=0) + room).astype(int)
+    image[y0:y1, x0:x1] = one.image[y0:y1, x0:x1]
+    found = detector_of(target).search(image, None, way)
+    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+
+
+@pytest.mark.slow
+def test_small_squares_are_found_in_the_turn_that_looks_at_the_whole_image():
+    target = board(9, 6, 11.0)
+    one, detector = drawn(target, 0.2, (0.0, 0.3)), make_detector(target)
+    wide = cv2.copyMakeBorder(one.image, 0, 900, 0, 1160, cv2.BORDER_REPLICATE)
+    assert detector.search(wide, None, 0) is None
+    for way in (None, 1):
+        found = detector.search(wide, None, way)
+        assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+
+
+@pytest.mark.parametrize("way", [None, 3])
+def test_a_board_out_of_focus_is_found_in_a_small_image(way):
+    target = board(4, 3, 80.0)
+    one = drawn(target, 0.2, (0.0, 0.3))
+    blurred = defocus(9.0)(one.image, one.point)
+    found = detector_of(target).search(blurred, None, way)
+    assert np.abs(found.corners_px - one.corners).max() < 1.0
