@@ -362,3 +362,33 @@ def test_gaps_of_noisy_views_have_the_predicted_spread(name, rng):
     assert not gap_sigma(head, q, pixels, Noise()).any()
     pixels[1, 0] = np.nan
     assert np.isfinite(gap_sigma(head, q, pixels)).tolist() == [True, False]
+
+
+def ratios_of_equations_27_to_30(head: HeadModel, aside_deg: float) -> NDArray[np.float64]:
+    """Variances of the loop, over those if a pixel turned tilt and pan by arctan(1 / f) each."""
+    q = head.fixate([np.tan(np.deg2rad(aside_deg)), -0.1, 1.0])
+    sigma = np.zeros(7)
+    sigma[[4, 3, 6, 5]] = PIXEL_PX / head.cameras.focal.ravel()  # u is pan's and v is tilt's
+    article = triangulate_gaze(head, q, Noise(joint_rad=sigma)).covariance
+    ours = triangulate_gaze(head, q, Noise(pixel_px=PIXEL_PX)).covariance
+    return np.sort(np.linalg.eigvals(np.linalg.solve(ours, article)).real)
+
+
+def test_equations_27_to_30_hold_straight_ahead() -> None:
+    # Both pans are within 3 degrees at 1 m and the tilt of the axes is 4: a few per mille.
+    assert ratios_of_equations_27_to_30(HEADS["simulated"], 0.0) == pytest.approx(
+        np.ones(3), abs=0.02
+    )
+
+
+def test_equations_27_to_30_underestimate_height_aside_by_the_squared_cosine() -> None:
+    """An eye panned by phi and tilted by 1 rad turns its axis by cos(phi) only.
+
+    So to move the image of a target by a pixel vertically the tilt must turn by 1 / (f cos phi),
+    and the point rises and falls with that. Equation 28 takes 1 / f, so its variance of height
+    is too small by cos^2 phi; in the plane of the two axes, which pan alone moves, the two agree.
+    """
+    expected = [np.cos(np.deg2rad(25.0)) ** 2, 1.0, 1.0]
+    assert ratios_of_equations_27_to_30(HEADS["simulated"], 25.0) == pytest.approx(
+        expected, abs=0.02
+    )

@@ -104,6 +104,12 @@ def test_a_response_gives_light_and_colours_are_weighted_as_light():
     np.testing.assert_allclose(as_grey(image.astype(np.uint16) * 257, response="srgb") / 255, light)
 
 
+def test_a_response_is_applied_to_the_depth_that_an_image_has():
+    wide = np.array([[0, 100, 200, 65535]], np.uint16)  # all but the last one level of 8 bits
+    expected = 255.0 * (wide / 65535.0) ** 2.2
+    np.testing.assert_allclose(as_grey(wide, response=2.2), expected, rtol=1e-4)
+
+
 def test_a_frame_of_a_video_has_colours_only_where_its_camera_has():
     grey = np.tile(GREY, (4, 4))
     frame = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)

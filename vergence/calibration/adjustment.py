@@ -271,10 +271,13 @@ class CameraRig(NamedTuple):
         """(..., 3) points of the left camera's frame in a camera's frame, m."""
         return points @ self.rotation.T + self.translation if camera else points
 
-    def project(self, camera: int, points: FloatArray) -> tuple[ProjectedPoints, NDArray[np.intp]]:
+    def project(
+        self, camera: int, points: FloatArray, *, by_rig: bool = True
+    ) -> tuple[ProjectedPoints, NDArray[np.intp]]:
         """Project (..., 3) points of the left camera's frame, m.
 
-        Also the (k,) places of the parameters, those of the camera Jacobian, in `packed`.
+        Also the (k,) places of the parameters, those of the camera Jacobian, in `packed`. Without
+        `by_rig`, the camera Jacobian lacks the relative pose of the cameras.
         """
         seen = project_with_jacobians(
             self.lenses[camera], self.camera_parameters[camera], self.in_camera(camera, points)
@@ -283,12 +286,16 @@ class CameraRig(NamedTuple):
         own = every[self.blocks[camera]]
         if camera == 0:
             return seen, own
+        by_point = seen.point_jacobian @ self.rotation
+        if not by_rig:
+            return seen._replace(point_jacobian=by_point), own
         by_vector = cv2.Rodrigues(Rotation.from_matrix(self.rotation).as_rotvec())[1]
         turning = np.einsum("kij,...j->...ik", by_vector.reshape(3, 3, 3), points)
-        by_rig = [seen.camera_jacobian, seen.point_jacobian @ turning, seen.point_jacobian]
-        return ProjectedPoints(
-            seen.pixels, seen.point_jacobian @ self.rotation, np.concatenate(by_rig, axis=-1)
-        ), np.append(own, every[self.blocks[-2]])
+        by_all = [seen.camera_jacobian, seen.point_jacobian @ turning, seen.point_jacobian]
+        return (
+            ProjectedPoints(seen.pixels, by_point, np.concatenate(by_all, axis=-1)),
+            np.append(own, every[self.blocks[-2]]),
+        )
 
     def unpacked(self, row: FloatArray) -> "CameraRig":
         """Make a rig from a packed array."""
@@ -384,6 +391,7 @@ class GroupedEquations:
         common = columns[columns < self._common]
         count = len(common)
         turned = jacobian.transpose(0, 2, 1)
+        # group by group: one large product would wait for threads, where others use the CPU too
         product, pulls = turned @ jacobian, (turned @ residuals[..., None])[..., 0]
         # all groups share the common block: sum it at once
         self._matrix[np.ix_(common, common)] += product[:, :count, :count].sum(axis=0)
@@ -506,7 +514,7 @@ class BundleAdjustment:
         )
         bend = np.arange(len(rig.packed()))[rig.blocks[-1]]
         for camera in range(len(rig.lenses)):
-            seen, columns = rig.project(camera, points)
+            seen, columns = rig.project(camera, points, by_rig=by_rig)
             # a small rotation d of the board moves a corner by d x turned
             by = [np.cross(turned[..., None, :], seen.point_jacobian), seen.point_jacobian]
             if by_rig:
@@ -515,7 +523,8 @@ class BundleAdjustment:
                 seen.pixels, self.pixels[camera], self.sigma[camera]
             )
             jacobian = np.concatenate(by, axis=-1)
-            jacobian = np.where(scale[..., None] > 0.0, scale[..., None] * jacobian, 0.0)
+            jacobian *= scale[..., None]
+            jacobian[scale == 0.0] = 0.0  # also of corners behind the camera
             yield (
                 residuals.reshape(views, -1),
                 jacobian.reshape(views, residuals[0].size, -1),

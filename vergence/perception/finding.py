@@ -193,6 +193,8 @@ def detect_in_photographs(
     on_photograph: Callable[[Photograph], None] | None = None,
 ) -> DetectResult:
     """Find targets in photographs."""
+    if not paths:
+        raise ConfigurationError("expected images or folders of images, got none")
     finder = TargetFinder(targets, camera, response)
     views = [[(finder, path)] for path in list_photographs(paths)]
     search = PhotographSearch(targets, views)

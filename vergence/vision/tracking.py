@@ -134,7 +134,7 @@ def _pose(value: ArrayLike) -> FloatArray:
         pose = np.array(value, float, order="C")
     except (TypeError, ValueError):
         pose = np.empty(0)
-    if pose.shape == (4, 4) and np.isfinite(pose[:3]).all():
+    if pose.shape == (4, 4) and np.abs(pose[:3, :3]).max() < 2.0 and np.isfinite(pose[:3]).all():
         R = pose[:3, :3]
         if np.abs(R @ R.T - np.eye(3)).max() <= _ROTATION_TOLERANCE and cv2.determinant(R) > 0.0:
             return pose

@@ -1,5 +1,6 @@
 """Tags of every family: found upright and by their numbers, and refused where they are not."""
 
+import pickle
 from dataclasses import replace
 
 import cv2
@@ -16,6 +17,7 @@ from tests.vision.scenes import (
     Scene,
     cropped,
     glare,
+    rig,
     rms,
     scene,
     several,
@@ -228,3 +230,32 @@ def test_glare_beside_the_tag_does_not_matter_and_on_it_may_hide_but_not_move_it
             with named(away, angle, radius):
                 assert found.corners_px == pytest.approx(one.corners, abs=0.3)
     assert seen > 0
+
+
+@pytest.mark.parametrize(
+    ("x", "z", "turn"),
+    [(0.307, 0.403, (-0.775, -0.054, 2.857)), (0.339, 0.451, (-0.264, -0.360, 0.445))],
+)
+def test_a_corner_just_beyond_the_images_edge_is_found_there_and_not_drawn_in(x, z, turn):
+    """The AprilTag library draws it in."""
+    camera, rendering = rig("simulated")
+    one = scene(camera, TAG, pose(x, 0.02, z, turn), rendering)
+    assert (one.corners[:, 0] > camera.width - 0.5).sum() == 1
+    found = make_detector(TAG, camera).detect(one.image)
+    assert found.corners_px == pytest.approx(one.corners, abs=0.05)
+
+
+@pytest.mark.parametrize("target", [TAG, TagFamily(family="16h5")], ids=str)
+def test_a_copy_through_pickle_says_the_same(target):
+    camera, rendering = rig("physical")
+    one = scene(camera, AprilTag(family=target.family), pose(0.02, 0.01, 0.8), rendering)
+    detector = make_detector(target, camera)
+    before = pickle.loads(pickle.dumps(detector))
+    (first,) = detector.detect_all(one.image)
+    # one that has looked already holds what cannot be pickled
+    for copy in (before, pickle.loads(pickle.dumps(detector))):
+        assert copy.target == target
+        assert copy.camera == camera
+        (again,) = copy.detect_all(one.image)
+        np.testing.assert_array_equal(again.corners_px, first.corners_px)
+        np.testing.assert_array_equal(again.corners_sigma_px, first.corners_sigma_px)
