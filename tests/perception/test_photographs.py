@@ -71,6 +71,7 @@ def test_what_cannot_be_is_refused_in_one_line_that_names_the_file(tmp_path):
         ("q.json", ANGLES | {"left_pn": 0.1}, "expected joints among neck_yaw.*got 'left_pn'"),
         ("q.json", ANGLES | {"left_pan": 5.0}, r"left_pan: expected -?\d.*left_pan_deg"),
         ("q.json", ANGLES | {"left_pan": "x"}, "left_pan: expected a number, got 'x'"),
+        ("q.json", ANGLES | {"left_pan": None}, "left_pan: expected a number, got None"),
         ("q.json", ANGLES | {"left_pan": True}, "left_pan: expected a number, got True"),
         ("q.json", ANGLES | {"left_pan": float("nan")}, "expected a number, got nan"),
         ("q.json", ANGLES | {"left_pan_deg": 1.0}, "expected left_pan once"),
@@ -80,8 +81,10 @@ def test_what_cannot_be_is_refused_in_one_line_that_names_the_file(tmp_path):
         ("q.json", [], "expected a row of joint angles"),
         ("q.json", "{", "expected JSON, got what cannot be read"),
         ("q.json", "[" * 100_000, "expected JSON, got what cannot be read"),
+        ("q.json", [3], "expected a row of joint angles .*, got something else"),
         ("q.toml", "a = ", "expected TOML, got what cannot be read"),
         ("q.csv", f"{CSV_HEAD}\n0.1,0.2\n", "another number of values than the head"),
+        ("q.csv", "", "expected a row of joint angles .*, got none"),
         ("q.txt", "x", "expected JSON, CSV or TOML"),
     ]
 

@@ -14,6 +14,7 @@ from vergence.perception.pictures import (
     _AXIS_COLOURS,
     compose_detections,
     compose_located,
+    shorten_to_width,
 )
 from vergence.vision.targets import AprilTag
 
@@ -116,3 +117,11 @@ def test_numbers_of_small_tags_do_not_overlap():
     found = [exact(HEAD, HEAD.rest(), *one)[0] for one in zip(tags, places, strict=True)]
     figure = compose_detections([Photograph(Path("a.png"), IMAGE, found)])
     assert len(boxes_apart(figure, figure.axes[0].texts)) == 3
+
+
+def test_a_text_loses_its_middle_where_it_is_too_wide():
+    assert shorten_to_width("left1.jpg", 3.0, 10.0) == "left1.jpg"
+    short = shorten_to_width("x" * 60 + "end.jpg", 3.0, 10.0)
+    assert " … " in short
+    assert short.endswith("end.jpg")
+    assert len(short) <= 36

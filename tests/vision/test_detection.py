@@ -80,6 +80,15 @@ def test_threads_may_share_a_detector(target):
         assert (found.corners_px == alone[index % 2]).all()
 
 
+def test_a_tag_is_found_and_tracked_in_the_same_place_in_an_image_of_more_bits():
+    """Within 0.02 px: white is at another level, and the levels are rounded."""
+    image = scene(CAMERA, AprilTag(), pose(0.02, 0.01, 0.8), RENDERING).image
+    wide, detector = image.astype(np.uint16) << 4, make_detector(AprilTag(), CAMERA)
+    plain = detector.detect(image)
+    for found in (detector.detect(wide), detector.track(wide, plain)):
+        assert found.corners_px == pytest.approx(plain.corners_px, abs=0.02)
+
+
 @pytest.mark.slow
 def test_tracked_equals_full_frame():
     """Both refinements end at one place, whether the prediction was near or far."""

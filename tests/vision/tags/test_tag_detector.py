@@ -1,6 +1,7 @@
 """Tags of every family: found upright and by their numbers, and refused where they are not."""
 
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import cv2
@@ -133,6 +134,19 @@ def test_of_several_tags_all_are_found_by_their_numbers_or_the_one_asked_for():
     for found in (alone, detector.detect(image), detector.search(image, scenes[0].point)):
         assert found.target.id == 44
         assert found.point_px == pytest.approx(scenes[2].point, abs=0.1)
+
+
+@pytest.mark.slow
+def test_two_threads_at_once_find_all_tags_that_one_finds():
+    images = [tags_around(*identities)[0] for identities in ((586, 3), (44, 0, 7))]
+    detector = make_detector(TagFamily(), CAMERA)
+    alone = [detector.detect_all(image) for image in images]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(detector.detect_all, 4 * images))
+    for found, expected in zip(together, 4 * alone, strict=True):
+        for one, other in zip(found, expected, strict=True):
+            assert one.target == other.target
+            np.testing.assert_array_equal(one.corners_px, other.corners_px)
 
 
 def test_of_prints_of_one_number_the_nearest_or_largest_is_taken_the_predicted_tracked():
