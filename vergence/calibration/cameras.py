@@ -15,8 +15,8 @@ from vergence.calibration.adjustment import (
     BundleAdjustment,
     BundleSolution,
     CameraRig,
-    choose,
 )
+from vergence.calibration.least_squares import choose
 from vergence.calibration.observations import BoardObservations
 from vergence.errors import ConfigurationError
 from vergence.models.lens import BROWN_CONRADY, LENSES

@@ -18,9 +18,9 @@ from vergence.vision.corners import (
     MAX_ENLARGED_PIXELS,
     WINDOW_FRACTION,
     WINDOW_PX,
-    estimate_noise_grey,
     fit_smooth_homography,
     in_image,
+    pixel_noise_grey,
     refine_and_check,
 )
 from vergence.vision.detection import Detection, Detector, Frame, Region, cut_out
@@ -94,7 +94,7 @@ def _widened(corners: FloatArray, by: float) -> FloatArray:
 def _largest_group(
     tags: list[FoundSquare], columns: int, gap_to_edge_ratio: float
 ) -> list[FoundSquare]:
-    """Largest connected group of tags, of different numbers, arranged as with so many columns."""
+    """Largest connected group of tags arranged as with so many columns, one of each number."""
     if not tags:
         return []
     numbers = np.array([each.id for each in tags])
@@ -301,7 +301,7 @@ class CornerSearch:
         """Standard deviations of corners of some indices and tags due to pixel noise, (n, 2) px."""
         half = 0.5 * self._board.spacing
         gaps = np.array([[0.5, -half], [1.0 + half, 0.5], [0.5, 1.0 + half], [-half, 0.5]])
-        noise = estimate_noise_grey(self._image, self._seen(numbers, gaps).reshape(-1, 2))
+        noise = pixel_noise_grey(self._image, self._seen(numbers, gaps).reshape(-1, 2))
         return noise * self._unit_sigmas.reshape(-1, 2)[indices]
 
     def _greys(self, numbers: NDArray[np.intp], places: FloatArray) -> FloatArray:

@@ -17,9 +17,9 @@ from vergence.vision.corners import (
     MAX_TRACKED_MOVE_SQUARES,
     WINDOW_FRACTION,
     WINDOW_PX,
-    estimate_corner_scatter_px,
-    estimate_noise_grey,
+    corner_scatter_px,
     in_image,
+    pixel_noise_grey,
     refine_and_check,
     shortest_square_edge_px,
     square_centres,
@@ -232,9 +232,9 @@ class CharucoDetector(Detector[CharucoBoard]):
         # inner squares without a marker
         plain = (np.indices(grid.shape[:2]).sum(axis=0) % 2 == 0) == upper_left_is_dark(board)
         middles = square_centres(grid)[plain[:-1, :-1].ravel()]
-        noise = estimate_noise_grey(image, middles[np.isfinite(middles).all(axis=1)])
+        noise = pixel_noise_grey(image, middles[np.isfinite(middles).all(axis=1)])
         sigmas = np.full(by_number.shape, np.nan)
-        grid_sigma_px = estimate_corner_scatter_px(even) or DEFAULT_SIGMA_PX
+        grid_sigma_px = corner_scatter_px(even) or DEFAULT_SIGMA_PX
         sigmas[known] = np.maximum(noise * unit, grid_sigma_px)
         if not np.array_equal(good, used):  # fit again without the outliers
             transform = fit_homography(board.corners_m[known], ideal)

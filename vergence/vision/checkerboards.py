@@ -15,12 +15,12 @@ from vergence.vision.corners import (
     WINDOW_FRACTION,
     WINDOW_PX,
     Grid,
+    corner_scatter_px,
     crossing_asymmetries,
-    estimate_corner_scatter_px,
-    estimate_noise_grey,
     in_image,
     is_even_unmirrored_grid,
     loo_residuals_and_scales,
+    pixel_noise_grey,
     refine_and_check,
     refine_corners,
     refine_corners_robustly,
@@ -362,9 +362,9 @@ class CheckerboardDetector(Detector[Checkerboard]):
         orders = [order for order in orders if is_even_unmirrored_grid(order)]
         back = [order[0, 0] - order[0, -1] for order in orders]
         rightmost = np.argsort([each[0] / np.linalg.norm(each) for each in back], kind="stable")
-        for dark in self._first_colours:
+        for dark in self._first_dark:
             for k in rightmost:
-                detection = self._at(image, orders[k], initial_error_px, colours=(dark,))
+                detection = self._at(image, orders[k], initial_error_px, first_dark=(dark,))
                 if detection is not None:
                     return detection
         return None
@@ -377,14 +377,17 @@ class CheckerboardDetector(Detector[Checkerboard]):
         for error_squares in (0.0, _PREDICTION_ERROR_SQUARES):
             error_px = error_squares * shortest_square_edge_px(grid)
             most = MAX_TRACKED_MOVE_SQUARES
-            found = self._at(frame.grey, grid, error_px, most, self._first_colours)
+            found = self._at(frame.grey, grid, error_px, most, self._first_dark)
             if found is not None:
                 return found
         return None
 
     @property
-    def _first_colours(self) -> tuple[bool, ...]:
-        """Whether the first square may be dark: symmetric boards keep colours after 180 degrees."""
+    def _first_dark(self) -> tuple[bool, ...]:
+        """Whether the square before the first corner is dark, the possible answers.
+
+        It is, but a symmetric board turned by 180 degrees cannot be told from its negative.
+        """
         return (True, False) if self.target.symmetric else (True,)
 
     def _at(
@@ -393,7 +396,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         grid: Grid,
         initial_error_px: float,
         step_squares: float = math.inf,
-        colours: tuple[bool, ...] = (True,),
+        first_dark: tuple[bool, ...] = (True,),
     ) -> Detection | None:
         """Refine corners with an initial error and read the board; None if one is out of place."""
         square = shortest_square_edge_px(grid)
@@ -421,20 +424,20 @@ class CheckerboardDetector(Detector[Checkerboard]):
                 return None
         if not is_even_unmirrored_grid(grid) or not any(
             squares_alternate(image, grid, dark) and not board_continues_beyond(image, grid, dark)
-            for dark in colours
+            for dark in first_dark
         ):
             return None
         flat = self._flat(refined)
-        again = _refine_strays(image, grid, square, flat)
+        again = _refine_all_strays(image, grid, square, flat)
         if again is None:
             return None
         refined, beside = again
-        grid_sigma_px = estimate_corner_scatter_px(flat.to_plane(refined).reshape(grid.shape))
+        grid_sigma_px = corner_scatter_px(flat.to_plane(refined).reshape(grid.shape))
         if grid_sigma_px > max(_MAX_SCATTER_SQUARES * square, _MAX_SCATTER_PX):
             return None
         if not np.array_equal(refined, before):
             sigmas = unit_sigmas(image, refined, half_side_px)
-        sigmas = estimate_noise_grey(image, square_centres(grid)) * sigmas
+        sigmas = pixel_noise_grey(image, square_centres(grid)) * sigmas
         sigmas = np.maximum(np.maximum(sigmas, grid_sigma_px), beside[:, None])
         first = self.target.columns - 1
         point, sigma = refined[first], sigmas[first]
@@ -462,7 +465,7 @@ def _correct_displaced(grid: Grid, near: FloatArray) -> Grid:
     return out.reshape(grid.shape)
 
 
-def _refine_strays(
+def _refine_all_strays(
     image: Image, grid: Grid, square: float, flat: FlatView
 ) -> tuple[FloatArray, FloatArray] | None:
     """Refine stray corners from their predictions; None if one does not agree in the end.

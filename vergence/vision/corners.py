@@ -202,7 +202,7 @@ def crossing_asymmetries(image: Image, corners: FloatArray, half_side_px: int) -
     return out
 
 
-def estimate_noise_grey(image: Image, flat_points_px: FloatArray) -> float:
+def pixel_noise_grey(image: Image, flat_points_px: FloatArray) -> float:
     """Standard deviation of a pixel, grey levels, at points in squares of one colour, (n, 2)."""
     height, width = image.shape
     x, y = np.rint(flat_points_px).astype(int).T
@@ -275,7 +275,7 @@ _SUMS_OF_SQUARES: Final = np.array([float(comb(2 * n, n)) for n in _ORDERS])
 
 
 @compiled
-def estimate_corner_scatter_px(grid: FloatArray) -> float:
+def corner_scatter_px(grid: FloatArray) -> float:
     """Standard deviation of corners, nan if unknown, about a smooth grid, per coordinate, px."""
     # Perspective and lens turn a line into a polynomial, nearly of degree n - 1, which the n-th
     # difference of n + 1 corners in a row cancels; it has (2n)! / n!^2 times the variance of one
@@ -341,10 +341,14 @@ def _fit_polynomial(
     )  # fmt: skip
 
 
-def _monomials(
+def _allowed_monomials(
     places: FloatArray, highest: int, corners_per_coefficient: float, spent: int = 0
 ) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Monomials at places in -1..1, (n, p), lower degrees first; cumulative counts by degree."""
+    """Monomials (n, p) that corners at places in -1..1 determine; cumulative counts by degree.
+
+    Those of higher degree than there are rows or columns are left out, and so are degrees for which
+    there are too few corners beside the `spent` parameters.
+    """
     x, y = places.T
     columns, rows = (len(np.unique(np.rint(1e6 * each))) for each in (x, y))
     terms: list[FloatArray] = []
@@ -380,7 +384,7 @@ def _polynomials(rows: int, columns: int) -> tuple[FloatArray, FloatArray, NDArr
     """Corners of a board scaled to -1..1, (n, 2); polynomials on them; their count per degree."""
     x, y = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
     places = np.column_stack([x.ravel(), y.ravel()])
-    terms, counts = _monomials(places, _MAX_GRID_DEGREE, _CORNERS_PER_COEFFICIENT)
+    terms, counts = _allowed_monomials(places, _MAX_GRID_DEGREE, _CORNERS_PER_COEFFICIENT)
     allowed = counts[_LEAST_GRID_DEGREE:] if len(counts) > _LEAST_GRID_DEGREE else counts[-1:]
     return places, np.linalg.qr(terms)[0], allowed
 
@@ -428,7 +432,7 @@ def fit_smooth_homography(
             if transform is None:
                 return None
             values = (pixels - cv2.perspectiveTransform(board_m[None], transform)[0])[good]
-            terms, counts = _monomials(
+            terms, counts = _allowed_monomials(
                 places[good], degree, _PART_CORNERS_PER_COEFFICIENT, _HOMOGRAPHY_PARAMETERS
             )
             basis = np.linalg.qr(terms)[0]

@@ -114,7 +114,7 @@ class Part(NamedTuple):
     corner: tuple[int, int]  # the region's upper left pixel
 
     def in_whole(self, pixels: ArrayLike) -> FloatArray:
-        """Pixels of the whole image for pixels of the part, (n, 2)."""
+        """Pixels (..., 2) of the whole image for those of the part."""
         return (np.asarray(pixels, float) + 0.5) / self.scale - 0.5 + self.corner
 
 

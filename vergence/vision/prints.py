@@ -187,7 +187,10 @@ one of 12,496 true sides of boards seems to continue (chosen by these counts).""
 
 @compiled
 def squares_alternate(image: Image, grid: Grid, first_dark: bool) -> bool:
-    """Check that squares alternate around corners that are all seen, up to a few wrong ones."""
+    """Check that squares alternate around corners that are all seen, up to a few wrong ones.
+
+    `first_dark` tells the colour of the square before the first corner.
+    """
     greys = _square_greys(image, _with_outer_corners(grid))
     rows, columns = greys.shape
     cells = np.empty((rows, columns))
@@ -249,13 +252,13 @@ def _square_greys(image: Image, corners: Grid) -> FloatArray:
     return greys
 
 
-def board_continues_beyond(image: Image, grid: Grid, upper_left_dark: bool) -> bool:
+def board_continues_beyond(image: Image, grid: Grid, first_dark: bool) -> bool:
     """Check for four squares at the next corners beyond a side: a part of a larger board."""
     for inwards in (grid, grid.swapaxes(0, 1)):
         turned = len(inwards) % 2 == 1  # the last side has the colours exchanged
         for (first, second), dark in (
-            (inwards[:2], upper_left_dark),
-            (inwards[:-3:-1], upper_left_dark != turned),
+            (inwards[:2], first_dark),
+            (inwards[:-3:-1], first_dark != turned),
         ):
             if _continues_beyond(image, np.stack([2.0 * first - second, first, second]), dark):
                 return True

@@ -283,7 +283,10 @@ _DETECTORS: Final = threading.local()
 
 
 def find_squares(image: NDArray[np.uint8], family: str, border_bits: int = 1) -> list[FoundSquare]:
-    """All squares of grey levels (height, width) that read as tags, by number and wrong bits."""
+    """All squares of grey levels (height, width) that read as tags, by number and wrong bits.
+
+    Their black border is `border_bits` cells wide.
+    """
     # the library's origin is the corner of the first pixel; its corners begin at the lower left
     found = [
         FoundSquare(each.tag_id, each.hamming, np.asarray(each.corners, float)[::-1] - 0.5)

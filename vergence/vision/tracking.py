@@ -37,22 +37,21 @@ def _predict_rest(
     """
     rays = camera.rays(pixels)
     depth_m = _DEFAULT_DEPTH_M
-    known = np.flatnonzero(np.isfinite(rays[:-1, 0]))
+    known = np.isfinite(rays[:-1, 0]).nonzero()[0]
     if last.target.size_known and len(known) > 1:
+        first, final = known[0], known[-1]
         apart, apart_m = (
-            hypot(*(each[known[-1]] - each[known[0]])) for each in (rays, last.target.corners_m)
+            hypot(*(each[final] - each[first])) for each in (rays, last.target.corners_m)
         )
         depth_m = apart_m / max(apart, 1e-6)
-    x, y = rays.T
-    # along the axes of the fixed frame, in depths
-    fixed = before[:3, 0, None] * x + before[:3, 1, None] * y + before[:3, 2, None]
-    fixed += ((before[:3, 3] - now[:3, 3]) / depth_m)[:, None]
-    x, y, z = (
-        now[0, :3, None] * fixed[0] + now[1, :3, None] * fixed[1] + now[2, :3, None] * fixed[2]
-    )
+    # the ray (x, y, 1) of a point, in depths, moved to the other pose
+    to_now = now[:3, :3].T
+    turn, shift = to_now @ before[:3, :3], to_now @ (before[:3, 3] - now[:3, 3])
+    points = rays @ turn[:, :2].T + (turn[:, 2] + shift / depth_m)
+    z = points[:, 2:]
     if (z < _LEAST_DEPTH_RATIO).any():
         return pixels
-    moved = np.asarray(rays_to_pixels(np.stack([x / z, y / z], axis=1), camera.row))
+    moved: FloatArray = rays_to_pixels(points[:, :2] / z, camera.row)
     return moved if isfinite(moved[-1, 0]) else pixels
 
 

@@ -160,7 +160,7 @@ def test_sigmas_are_the_scatter(name, depth_m, change, light):
 
 
 @pytest.mark.parametrize("depth_m", [0.7, 2.0])
-def test_sigma_is_that_of_the_error_whatever_pixels_take_part(depth_m):
+def test_sigma_is_that_of_the_error_in_a_compressed_image(depth_m):
     """Residuals that are alike from pixel to pixel are no more certain for being many."""
     pairs = list(seen("simulated", depth_m, 10, jpeg(70)))
     shares = corner_errors(pairs) / [found.corners_sigma_px for _, found in pairs]

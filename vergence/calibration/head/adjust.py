@@ -30,8 +30,6 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import (
     BoardPoses,
-    GroupedEquations,
-    ReducedNormalEquations,
     bent_board,
     camera_parameter_names,
     camera_parameters,
@@ -46,6 +44,7 @@ from vergence.calibration.head.recording import (
     IntArray,
     ReadingErrorUnknowns,
 )
+from vergence.calibration.least_squares import GroupedEquations, ReducedNormalEquations
 from vergence.models.geometry import inverse_pose, pose_parameter_twists, rot_z
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, EYES, NECK, FloatArray

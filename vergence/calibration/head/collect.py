@@ -387,10 +387,10 @@ class _Run:
 
 def _keep(log: LogWriter, view: BoardView) -> None:
     """Write a view to the log and to disk."""
-    unknown, (time_s, positions, *by_kind) = np.full(2, np.nan), view
-    for name, *found in zip(EYE_NAMES, *by_kind, strict=True):
-        seen = (np.empty((0, 2)) if each is None else each for each in found)
-        log.detection(LoggedDetection(name, time_s, time_s, positions, unknown, unknown, *seen))
+    unknown, (time_s, positions, corners, sigmas) = np.full(2, np.nan), view
+    for name, *seen in zip(EYE_NAMES, corners, sigmas, strict=True):
+        found = (np.empty((0, 2)) if each is None else each for each in seen)
+        log.detection(LoggedDetection(name, time_s, time_s, positions, unknown, unknown, *found))
     log.sync()
     if log.fault:
         raise ConfigurationError(log.fault)

@@ -12,9 +12,7 @@ from vergence.calibration.adjustment import (
     BoardPoses,
     BundleAdjustment,
     CameraRig,
-    ReducedNormalEquations,
     camera_parameters,
-    damped_least_squares,
 )
 from vergence.calibration.cameras import estimate_board_poses
 from vergence.calibration.head.adjust import (
@@ -23,6 +21,7 @@ from vergence.calibration.head.adjust import (
     MeasurementWeights,
 )
 from vergence.calibration.head.recording import LEAST_CORNERS, HeadFrames
+from vergence.calibration.least_squares import ReducedNormalEquations, damped_least_squares
 from vergence.models.head import HeadModel
 from vergence.models.parts import NECK, FloatArray
 from vergence.models.perturbation import ModelErrors, standard_deviations

@@ -478,9 +478,9 @@ def _rest_test(log: Log, head: HeadModel) -> Callable[[float, FloatArray], bool]
     if log.facts.get(AT_REST) == str(True):
         return lambda time_s, positions: True
     own = head.actuation
-    seen = [(one.exposed_s, *one.positions) for one in log.detections]
-    seen += [(one.clock_s, *one.positions) for one in log.joints]
-    rows = np.array(seen).reshape(-1, 8)
+    when = [one.exposed_s for one in log.detections] + [one.clock_s for one in log.joints]
+    seen = [one.positions for one in log.detections] + [one.positions for one in log.joints]
+    rows = np.column_stack([when, np.array(seen).reshape(-1, 7)])
     rows = rows[np.isfinite(rows).all(axis=-1)]
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     times, angles = rows[:, 0], own.actuators_of(rows[:, 1:])

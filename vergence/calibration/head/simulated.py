@@ -20,7 +20,7 @@ from vergence.recording.looking import BoardView
 from vergence.vision import Camera, TargetRenderer, make_detector, parse_target
 from vergence.vision.targets import PlanarTarget, TagFamily
 
-_DRAWN_BORDER_PX: Final = 5.0
+_RECORDED_BORDER_PX: Final = 5.0
 """Least distance of a corner to the image's border in a recording, px (chosen)."""
 _MOST_TRIES: Final = 200
 """Random postures tried per accepted pose, on average, before an error is raised (numerical)."""
@@ -125,7 +125,7 @@ def simulate_recording(
         seen = np.stack(
             [chain.project_board(eye, turned, points, offsets).pixels for eye in range(2)]
         )
-        if ((seen > _DRAWN_BORDER_PX) & (seen < size - 1.0 - _DRAWN_BORDER_PX)).all():
+        if ((seen > _RECORDED_BORDER_PX) & (seen < size - 1.0 - _RECORDED_BORDER_PX)).all():
             behind = then
             angles.append(turned)
             read.append(own.joints_of(motors))

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from vergence.calibration.adjustment import ReducedNormalEquations
 from vergence.calibration.head.adjust import (
     TERM_KINDS,
     HeadAdjustment,
@@ -24,6 +23,7 @@ from vergence.calibration.head.fit import (
     restart,
     solve,
 )
+from vergence.calibration.least_squares import ReducedNormalEquations
 from vergence.errors import ConfigurationError
 from vergence.models.geometry import JointAxes, multiply_poses
 from vergence.models.head import HeadModel
