@@ -81,7 +81,9 @@ def test_a_camera_becomes_a_file_that_detectors_take(photographs, tmp_path, caps
     words = ("calibrate", "intrinsics", photographs / "left*.png", "--board", TARGET)
     assert call(*words, "--lens", "brown-conrady", "--out", "left.yaml") == 0
     assert "f_u" in capsys.readouterr().out
-    camera = read_intrinsics(["left.yaml"]).left
+    read = read_intrinsics(["left.yaml"])
+    assert not read.notes
+    camera = read.left
     assert (camera.width, camera.height) == (320, 240)
     np.testing.assert_allclose(camera.focal, 343.0, rtol=0.02)
 

@@ -23,7 +23,7 @@ from vergence.perception.locate import (
     locate_target,
     write_target_table,
 )
-from vergence.vision.targets import AprilTag
+from vergence.vision.targets import AprilTag, Checkerboard
 
 TARGET = "tag:36h11:5:120"
 TAG = AprilTag(id=5, edge_m=0.12)
@@ -266,6 +266,25 @@ def test_what_is_wrong_beside_what_was_located_is_said(desk, locate, tmp_path):
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     assert [one["centre_mm"] is None for one in result["located"]] == [False, True]
     assert result["located"][1]["spacing_mm"]["sigma"] is None
+
+
+@pytest.mark.parametrize(
+    ("name", "angles"), [("pair", ""), ("mis", ", and joint angles of that moment")]
+)
+def test_a_board_of_another_size_than_stated_is_doubted_and_its_rotation_marked(
+    capsys, name, angles
+):
+    head, board = head_of(name), Checkerboard(square_m=0.02)
+    q = head.rest()
+    sides = exact(head, q, board, pose_at([0.0, 0.0, 0.6], [0.3, 0.4, 0.0]), 0.01)
+    stated = replace(board, square_m=0.03)
+    one = locate_target(head, q, "a.png", *(each._replace(target=stated) for each in sides))
+    result = replace(result_of(("a.png", board, (0.0, 0.0, 1.0))), head=head, located=(one,))
+    print_located_targets(result)
+    assert "! no pose explains the corners of both images" in capsys.readouterr().out
+    (said,) = (note for note in result.notes() if note.startswith("no pose"))
+    expected = "a target of the stated size and a head file of these cameras as they stand"
+    assert said.endswith(f"in a.png: expected {expected}{angles}")
 
 
 def test_a_rotation_beside_which_another_fits_is_marked(capsys, tmp_path):

@@ -155,6 +155,7 @@ def test_what_cannot_be_printed_is_refused_in_one_line(capsys, tmp_path, monkeyp
         ([board, "--paper", "90x90"], "the ruler: give --paper a4"),
         ([board, "--out", "a.jpg"], "ends in .pdf, .svg or .png, got a.jpg"),
         ([board, "--out", "there.pdf"], "(--force replaces it), got there.pdf"),
+        ([board, "--out", "there.pdf/a.pdf"], "out: expected a folder that can be written"),
         ([board, "--dpi", "300"], "dpi: expected none for a .pdf, got 300"),
         ([board, "--out", "a.png", "--dpi", "1e5"], "dpi: expected 50 to"),
     ]:

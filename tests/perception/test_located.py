@@ -119,6 +119,7 @@ def test_corners_that_no_pose_explains_say_so_and_name_no_second_tilt():
         assert not locate_target(head, q, "a", *sides).pose.contradicted
         wrong = locate_target(head, q + [0, 0, 0, 0.05, 0.05, 0, 0], "a", *sides)
         assert wrong.pose.contradicted
+        assert wrong.document()["pose"]["contradicted"]
         assert wrong.pose.other is None
 
 

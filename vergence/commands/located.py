@@ -31,13 +31,17 @@ def print_located_targets(result: LocateResult) -> None:
         poses = [_pose_row(one) for one in every]
         print_table([*head[:2], "rotation (deg)", "sigma (deg)"], poses, shortenable=(0,))
         print(_together(result, every))
-        if any(_TWO_FIT in row[2] for row in poses):
-            print(f"{_TWO_FIT} two tilts fit the corners: the other is in targets.csv and the JSON")
+        for mark, text in _POSE_MARKS.items():
+            if any(mark in row[2] for row in poses):
+                print(f"{mark} {text}")
         print()
 
 
-_TWO_FIT: Final = "?"
-"""Mark of a rotation besides which another fits."""
+_POSE_MARKS: Final = {
+    "!": "no pose explains the corners of both images",
+    "?": "two tilts fit the corners: the other is in targets.csv and the JSON",
+}
+"""Marks of rotations and what they mean."""
 
 
 def _pose_row(located: LocatedTarget) -> list[str]:
@@ -46,7 +50,7 @@ def _pose_row(located: LocatedTarget) -> list[str]:
     if pose is None:
         return [*row, NONE, NONE]
     turned, sigma = np.degrees(pose.rotation_vector), np.degrees(pose.sigma[3:])
-    mark = "" if pose.other is None else _TWO_FIT
+    mark = "!" if pose.contradicted else "" if pose.other is None else "?"
     return [
         *row,
         " ".join(f"{value:7.2f}" for value in turned) + mark,

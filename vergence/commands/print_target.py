@@ -6,6 +6,7 @@ from typing import Annotated, Final
 
 import tyro
 
+from vergence.commands.options import check_writable
 from vergence.errors import ConfigurationError
 
 _FILE_SUFFIXES: Final = (".pdf", ".svg", ".png")
@@ -66,6 +67,7 @@ class PrintTarget:
             raise ConfigurationError(
                 f"out: expected a name that ends in .pdf, .svg or .png, got {self.out}"
             )
+        check_writable(self.out)
         if self.dpi is not None and ending != ".png":
             raise ConfigurationError(f"dpi: expected none for a {ending}, got {self.dpi:g}")
         if self.out.exists() and not self.force:

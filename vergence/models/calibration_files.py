@@ -251,7 +251,7 @@ _SIDE_WORDS: Final = {"", "left", "right", "l", "r", "cam", "camera"}
 _NO_MATTER: Final = re.compile(
     r"avg|mean|total|perview|reproj|rms|error|date|time|stamp|header|seq|frame|flag|fix|aspect"
     r"|point|board|pattern|corner|square|grid|marker|rostopic|overlap|name|serial|comment|version"
-    r"|calibrationsigma|calibrationviews|rectif|projectionmatrix|roi|views|imagelist|imagepath|^images$"
+    r"|calibration(sigma|target|views)|rectif|projectionmatrix|roi|views|imagelist|imagepath|^images$"
     r"|sensortype|ratehz|rvec|tvec|criteria|extrinsicparameters|orbextractor|^viewer"
     r"|tcamimu|timucam|^(nr|num|n)?(of)?(images|pairs|shots)$|^(e|f|q|[rph][0-9]?)$"
     r"|(left|right|l|r|cam[0-9])[rp]$|^[rp](left|right|l|r)$|stereo(e|f|q)$"

@@ -166,6 +166,7 @@ def pose_document(pose: Pose | None, size_known: bool = True) -> dict[str, Any] 
         "covariance_mm_rad": null_nonfinite_elements(unit * pose.covariance * unit[:, None]),
         "chi_square": pose.chi_square,
         "degrees_of_freedom": pose.degrees,
+        "contradicted": pose.contradicted,
         "size_ratio": pose.size_ratio,
         "other": pose_document(pose.other, size_known),
     }

@@ -413,7 +413,9 @@ class LocateResult:
 
     def _doubts(self) -> list[str]:
         """Signs that the head file and the images do not belong together, one line each."""
-        fitting = "a head file of these cameras as they stand, and joint angles of that moment"
+        fitting = "a head file of these cameras as they stand"
+        if any(self.head.joints):
+            fitting += ", and joint angles of that moment"
 
         def pairs_of(every: Iterable[LocatedTarget]) -> str:
             return join_first_names(dict.fromkeys(one.pair for one in every))
@@ -437,8 +439,8 @@ class LocateResult:
             )
         if refuted := [one for one in crossed if one.pose is not None and one.pose.contradicted]:
             said.append(
-                f"no pose explains the corners of both images in {pairs_of(refuted)}: expected "
-                + fitting
+                f"no pose explains the corners of both images in {pairs_of(refuted)}: expected a "
+                f"target of the stated size and {fitting}"
             )
         for every in self.located_by_target():
             measured = [one for one in every if one.spacing.edge_count]
