@@ -3,11 +3,11 @@
 from math import hypot, isfinite
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
+from vergence.kernels import compiled
 from vergence.models.camera import Camera, CameraResponse, rays_to_pixels
 from vergence.models.parts import FloatArray
 from vergence.vision.april_grid import AprilGridDetector
@@ -35,24 +35,40 @@ def _predict_rest(
 
     Unchanged if the point would leave the lens model, or a corner be beside or behind the camera.
     """
+    corners_m = last.target.corners_m if last.target.size_known else _NO_CORNERS
     rays = camera.rays(pixels)
-    depth_m = _DEFAULT_DEPTH_M
-    known = np.isfinite(rays[:-1, 0]).nonzero()[0]
-    if last.target.size_known and len(known) > 1:
-        first, final = known[0], known[-1]
-        apart, apart_m = (
-            hypot(*(each[final] - each[first])) for each in (rays, last.target.corners_m)
-        )
-        depth_m = apart_m / max(apart, 1e-6)
-    # the ray (x, y, 1) of a point, in depths, moved to the other pose
-    to_now = now[:3, :3].T
-    turn, shift = to_now @ before[:3, :3], to_now @ (before[:3, 3] - now[:3, 3])
-    points = rays @ turn[:, :2].T + (turn[:, 2] + shift / depth_m)
-    z = points[:, 2:]
-    if (z < _LEAST_DEPTH_RATIO).any():
+    if not _move_camera(rays, before, now, corners_m):
         return pixels
-    moved: FloatArray = rays_to_pixels(points[:, :2] / z, camera.row)
+    moved: FloatArray = rays_to_pixels(rays, camera.row)
     return moved if isfinite(moved[-1, 0]) else pixels
+
+
+_NO_CORNERS: Final = np.empty((0, 2))
+
+
+@compiled
+def _move_camera(
+    rays: FloatArray, before: FloatArray, now: FloatArray, corners_m: FloatArray
+) -> bool:
+    """Move rays (n, 2) of resting points to another pose; False if one is beside the camera."""
+    depth_m, first, last = _DEFAULT_DEPTH_M, -1, -1
+    for k in range(len(corners_m)):
+        if isfinite(rays[k, 0]):
+            first, last = k if first < 0 else first, k
+    if first < last:
+        apart, apart_m = rays[last] - rays[first], corners_m[last] - corners_m[first]
+        depth_m = hypot(apart_m[0], apart_m[1]) / max(hypot(apart[0], apart[1]), 1e-6)
+    for k in range(len(rays)):
+        # a point in depths along the axes of the fixed frame, then of the camera
+        x, y, z = 0.0, 0.0, 0.0
+        for i in range(3):
+            along = before[i, 0] * rays[k, 0] + before[i, 1] * rays[k, 1] + before[i, 2]
+            along += (before[i, 3] - now[i, 3]) / depth_m
+            x, y, z = x + now[i, 0] * along, y + now[i, 1] * along, z + now[i, 2] * along
+        if z < _LEAST_DEPTH_RATIO:
+            return False
+        rays[k, 0], rays[k, 1] = x / z, y / z
+    return True
 
 
 class Tracker:
@@ -133,12 +149,24 @@ def _pose(value: ArrayLike) -> FloatArray:
         pose = np.array(value, float, order="C")
     except (TypeError, ValueError):
         pose = np.empty(0)
-    if pose.shape == (4, 4) and np.abs(pose[:3, :3]).max() < 2.0 and np.isfinite(pose[:3]).all():
-        R = pose[:3, :3]
-        if np.abs(R @ R.T - np.eye(3)).max() <= _ROTATION_TOLERANCE and cv2.determinant(R) > 0.0:
-            return pose
+    if pose.shape == (4, 4) and _is_rigid(pose):
+        return pose
     got = " ".join(repr(value).split())[:120]
     raise ConfigurationError(f"T_0_C: expected a pose (4, 4) with a rotation, got {got}")
+
+
+@compiled
+def _is_rigid(pose: FloatArray) -> bool:
+    """True if a (4, 4) pose has a rotation and a finite translation."""
+    handed = 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        handed += pose[0, i] * (pose[1, j] * pose[2, k] - pose[1, k] * pose[2, j])
+        for j in range(3):
+            product = (pose[i, :3] * pose[j, :3]).sum()
+            if not abs(product - (1.0 if i == j else 0.0)) <= _ROTATION_TOLERANCE:
+                return False
+    return handed > 0.0 and isfinite(pose[0, 3] + pose[1, 3] + pose[2, 3])
 
 
 def make_detector(
