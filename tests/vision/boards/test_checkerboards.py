@@ -139,11 +139,17 @@ def test_a_part_of_a_larger_board_and_a_smaller_one_are_none(asked, shown, rim, 
         assert detector.track(one.image, part_of(one, shown, detector)) is None
 
 
+def predicted(target: Checkerboard, corners: np.ndarray) -> Detection:
+    """A board with corners, (n, 2) px, in the order of its own."""
+    point = corners[target.columns - 1]
+    return Detection(target, point, corners, np.ones(2), np.ones(corners.shape))
+
+
 def part_of(one: Scene, shown: tuple[int, int], detector) -> Detection:
     """The first corners of a board, as if they were those of a smaller one."""
     columns, rows = detector.target.columns, detector.target.rows
     part = one.corners.reshape(shown[1], shown[0], 2)[:rows, :columns].reshape(-1, 2)
-    return Detection(detector.target, part[columns - 1], part, np.ones(2), np.ones(part.shape))
+    return predicted(detector.target, part)
 
 
 def beyond(image: np.ndarray, corners: np.ndarray, greys: tuple[float, float]) -> np.ndarray:
@@ -443,3 +449,85 @@ def test_a_board_out_of_focus_is_found_in_a_small_image(way):
     blurred = defocus(9.0)(one.image, one.point)
     found = detector_of(target).search(blurred, None, way)
     assert np.abs(found.corners_px - one.corners).max() < 1.0
+
+
+@pytest.mark.parametrize("size", [(6, 4), (4, 4)])
+def test_a_mirrored_prediction_is_not_tracked_in_its_order(size):
+    """A symmetric board reads the same in it, but no camera shows it so."""
+    target = board(*size)
+    one = cropped(drawn(target, 0.1))
+    mirrored = one.corners.reshape(*size[::-1], 2)[:, ::-1].reshape(-1, 2)
+    found = make_detector(target).track(one.image, predicted(target, mirrored))
+    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("corner", "grey", "radius_px", "aside"),
+    [(0, 90, 10, (-4, 4)), (0, 0, 4, (3, 1)), (53, 205, 10, (6, 1))],
+)
+def test_a_corner_beside_a_spot_is_within_its_sigma_or_the_board_is_none(
+    corner, grey, radius_px, aside
+):
+    """Whether the spot hides it, pulls it aside, or leaves a crossing of other edges."""
+    target = board(9, 6)
+    one = cropped(drawn(target, 0.1, (0.2, -0.2)))
+    place = tuple(np.rint(one.corners[corner] + aside).astype(int).tolist())
+    image = cv2.circle(one.image.copy(), place, radius_px, grey, -1, cv2.LINE_AA)
+    found = make_detector(target).track(image, predicted(target, one.corners))
+    if found is not None:
+        errors = np.abs(found.corners_px - one.corners)
+        assert (errors < 0.05 + 6.0 * found.corners_sigma_px).all()
+
+
+def test_a_corner_found_again_has_the_sigma_of_its_place():
+    """Not of the place beside it, where fewer edges hold it: that is 20 times as large."""
+    target = board(5, 4)
+    one, detector = cropped(drawn(target, 0.1)), make_detector(target)
+    wrong = one.corners.copy()
+    wrong[7] += (8.4, 8.4)
+    found = detector.track(one.image, predicted(target, wrong))
+    usual = detector.track(one.image, predicted(target, one.corners))
+    assert found.corners_sigma_px == pytest.approx(usual.corners_sigma_px, rel=0.1)
+
+
+def test_corners_left_where_they_were_predicted_are_not_taken_for_refined():
+    """All but the middle one are too far off for their windows."""
+    target = board(3, 3, 60.0)
+    one = cropped(drawn(target, 0.1))
+    wider = one.corners.mean(axis=0) + 1.1 * (one.corners - one.corners.mean(axis=0))
+    found = make_detector(target).track(one.image, predicted(target, wider))
+    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+
+
+def test_a_board_that_ripples_by_a_tenth_of_a_square_is_none():
+    """No smooth grid holds its corners to 2 px, nor would any sigma be of use."""
+    target = board(5, 5)
+    one, rng = cropped(drawn(target, 0.1)), np.random.default_rng(0)
+    height, width = one.image.shape
+    small = rng.normal(size=(2, height // 20, width // 20)).astype(np.float32)
+    shifts = [cv2.resize(each, (width, height), interpolation=cv2.INTER_CUBIC) for each in small]
+    u, v = (2.0 * each / each.std() for each in shifts)
+    rows, columns = np.indices(one.image.shape, np.float32)
+    image = cv2.remap(one.image, columns + u, rows + v, cv2.INTER_CUBIC)
+    assert make_detector(target).track(image, predicted(target, one.corners)) is None
+
+
+def test_a_symmetric_board_that_moved_keeps_its_order():
+    """A search would begin at its other end; the prediction is off by a third of a square."""
+    target = board(4, 4)
+    one = cropped(drawn(target, 3.0))
+    found = make_detector(target).track(one.image, predicted(target, one.corners + (0.0, 6.5)))
+    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+
+
+def test_a_board_of_small_squares_that_moved_is_found_as_exactly():
+    """By half a square: refined from so far in its narrow window, it would be off by 0.2 px."""
+    target = board(3, 3, 9.0)
+    one = cropped(drawn(target, 2.1))
+    found = make_detector(target).track(one.image, predicted(target, one.corners + (0.4, -4.8)))
+    assert found.corners_px == pytest.approx(one.corners, abs=0.1)
+
+
+def test_an_image_without_corners_shows_no_board():
+    square = np.pad(np.full((30, 30), 200, np.uint8), 40)
+    assert make_detector(board(5, 4)).detect(square) is None
