@@ -119,55 +119,40 @@ class ParametricHead:
     ) -> ProjectedBoard:
         """Project (f, n, 3) points in frame 0, m, at (f, 7) q; offsets are from the board's."""
         B, M = self.constant_poses[:4], self.constant_poses[4 + 3 * eye : 7 + 3 * eye]
-        after = [(B[0], q[:, 0]), (B[1], q[:, 1]), (B[2], q[:, 2]), (B[3], None)]
-        after += [(M[0], q[:, 3 + 2 * eye]), (M[1], q[:, 4 + 2 * eye]), (M[2], None)]
-        # each frame after its joint's rotation: the joint's own twist is about its z axis
-        places, rotations = [points], [np.broadcast_to(np.eye(3), (len(q), 3, 3))]
-        inside, rotation = points, rotations[0]
-        for constant, angle in after:
-            inside = (inside - constant[:3, 3]) @ constant[:3, :3]
-            rotation = rotation @ constant[:3, :3]
-            if angle is not None:
-                turn = rot_z(angle)[:, :3, :3]
-                inside = inside @ turn
-                rotation = rotation @ turn
-            places.append(inside)
-            rotations.append(rotation)
-        image = project_with_jacobians(*camera_parameters(self.head, eye), inside)
-        in_base = image.point_jacobian @ rotation.transpose(0, 2, 1)[:, None]
-
-        def wrench(place: int) -> FloatArray:
-            gradient = in_base @ rotations[place][:, None]
-            return np.concatenate(
-                [np.cross(places[place][:, :, None], gradient), gradient], axis=-1
-            )
-
+        joints = [0, 1, 2, 3 + 2 * eye, 4 + 2 * eye]
+        turns = rot_z(q[:, joints]).transpose(1, 0, 2, 3)
         columns = self.eye_parameter_indices[eye]
         twists = self.twists[columns, 3 * eye : 3 * eye + 3]
-        by_head = np.zeros((*image.pixels.shape, len(columns)))
-        for k, place in enumerate((5, 6, 7)):
-            used = np.flatnonzero(twists[:, k].any(axis=1))
-            rows = wrench(place)
-            if k < 2:  # the constant comes before its joint's rotation
-                rows = _turned(rows, rot_z(-q[:, 3 + 2 * eye + k])[:, :3, :3])
-            by_head[..., used] -= rows @ twists[used, k].T
+        # twists of the frames in frame 0, by each parameter and joint
+        by_head, by_joint = np.zeros((len(q), 6, len(columns))), np.zeros((len(q), 6, 7))
+        pose = np.eye(4)
+        for place, constant in enumerate((*B[:3], B[3] @ M[0], *M[1:])):
+            pose = pose @ constant
+            into = adjoint(pose)
+            if place > 2:
+                by_head += into @ twists[:, place - 3].T
+            if place < 5:  # each joint is about z
+                by_joint[..., joints[place]] = into[..., 2]
+                pose = pose @ turns[place]
+        to_board = np.eye(4) + np.zeros((len(q), 4, 4))
+        to_board[:, :3, 3] = points[:, 0] - offsets[:, 0]
+        by = np.concatenate([-by_head, -by_joint, adjoint(to_board)], axis=-1)
+
+        R, p = pose[:, :3, :3], pose[:, None, :3, 3]
+        image = project_with_jacobians(*camera_parameters(self.head, eye), (points - p) @ R)
+        in_base = image.point_jacobian @ R.transpose(0, 2, 1)[:, None]
+        wrench = np.concatenate([np.cross(points[:, :, None], in_base), in_base], axis=-1)
+        rows = (wrench.reshape(len(q), -1, 6) @ by).reshape(*image.pixels.shape, -1)
+        by_head, by_joint, by_board = np.split(rows, [len(columns), len(columns) + 7], axis=-1)
         by_head[..., -image.camera_jacobian.shape[-1] :] = image.camera_jacobian
-        by_joints = np.zeros((*image.pixels.shape, 7))
-        for joint, place in ((0, 1), (1, 2), (2, 3), (3 + 2 * eye, 5), (4 + 2 * eye, 6)):
-            gradient = in_base @ rotations[place][:, None]
-            x, y = places[place][..., 0], places[place][..., 1]
-            by_joints[..., joint] = -(
-                x[..., None] * gradient[..., 1] - y[..., None] * gradient[..., 0]
-            )
-        by_board = np.concatenate([np.cross(offsets[:, :, None], in_base), in_base], axis=-1)
-        return ProjectedBoard(image.pixels, by_head, by_joints, by_board)
+        return ProjectedBoard(image.pixels, by_head, by_joint, by_board)
 
 
 def adjoint(pose: FloatArray) -> FloatArray:
-    """(6, 6) adjoint matrix of the pose T_A_B: transforms a twist from frame B to frame A."""
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = pose[:3, :3]
-    out[3:, :3] = cross_matrices(pose[:3, 3]) @ pose[:3, :3]
+    """(..., 6, 6) adjoint matrix of the pose T_A_B: transforms a twist from frame B to frame A."""
+    out = np.zeros((*pose.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = pose[..., :3, :3]
+    out[..., 3:, :3] = cross_matrices(pose[..., :3, 3]) @ pose[..., :3, :3]
     return out
 
 
@@ -177,12 +162,6 @@ def board_points_and_offsets(
     """Corners (n, 3) of boards in frame 0, m, and offsets from each board's origin, by frame."""
     turned = corners @ boards.rotation[pose_index].transpose(0, 2, 1)
     return turned + boards.translation[pose_index][:, None], turned
-
-
-def _turned(wrench: FloatArray, turn: FloatArray) -> FloatArray:
-    """Express both halves of rows (f, n, 2, 6) in a frame rotated by (f, 3, 3)."""
-    halves = wrench.reshape(*wrench.shape[:-1], 2, 3) @ turn[:, None, None]
-    return halves.reshape(wrench.shape)
 
 
 _PRIOR_SIGMA: Final = {"play": np.deg2rad(0.5), "harmonics": np.deg2rad(0.3)}
