@@ -6,7 +6,9 @@ shared unknowns and P by a group's own,
 
     J' = J - P (P^T P)^-1 P^T J,    covariance = (J'^T J')^-1,
 
-which is the shared block of the full problem's covariance.
+which is the shared block of the full problem's covariance. It is computed as a difference of sums:
+where a group's own unknowns explain nearly all, as of boards within 0.6 degrees of frontal, sigmas
+hold to 2e-3 only.
 """
 
 from collections.abc import Callable
