@@ -384,9 +384,9 @@ class CheckerboardDetector(Detector[Checkerboard]):
 
     @property
     def _first_dark(self) -> tuple[bool, ...]:
-        """Whether the square before the first corner is dark, the possible answers.
+        """Colours of the square before the first corner to try, True for dark.
 
-        It is, but a symmetric board turned by 180 degrees cannot be told from its negative.
+        A turn by 180 degrees makes it dark, except on symmetric boards, which may have either.
         """
         return (True, False) if self.target.symmetric else (True,)
 

@@ -141,6 +141,7 @@ class ParametricHead:
         R, p = pose[:, :3, :3], pose[:, None, :3, 3]
         image = project_with_jacobians(*camera_parameters(self.head, eye), (points - p) @ R)
         in_base = image.point_jacobian @ R.transpose(0, 2, 1)[:, None]
+        # times a twist of a point in frame 0: the change of its pixel
         wrench = np.concatenate([np.cross(points[:, :, None], in_base), in_base], axis=-1)
         rows = (wrench.reshape(len(q), -1, 6) @ by).reshape(*image.pixels.shape, -1)
         by_head, by_joint, by_board = np.split(rows, [len(columns), len(columns) + 7], axis=-1)
