@@ -99,6 +99,10 @@ class UnreachableTargetError(ConfigurationError):
     """A target that a head cannot look at, or that is not visible at the start of a trial."""
 
 
+class PointRefusedError(ConfigurationError):
+    """A point of an image that cannot be followed or found in the other eye, and the reason."""
+
+
 class TrainingDivergedError(VergenceError):
     """Training has diverged: the network holds or outputs nan or infinity."""
 

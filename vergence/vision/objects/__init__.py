@@ -1,0 +1,1 @@
+"""Objects and points to look at, other than printed targets."""
