@@ -34,7 +34,7 @@ from vergence.vision.optics import ray_table
 from vergence.vision.targets import PlanarTarget, outline_m, texture
 
 
-def _gaussian_radius_and_sigma(wanted_sigma: float) -> tuple[int, float]:
+def gaussian_radius_and_sigma(wanted_sigma: float) -> tuple[int, float]:
     """Radius of a Gaussian kernel and the sigma that gives its taps the wanted one."""
     share = 0.5 * wanted_sigma**2
     if share < 0.01:
@@ -45,7 +45,7 @@ def _gaussian_radius_and_sigma(wanted_sigma: float) -> tuple[int, float]:
     return round(2.5 * wanted_sigma), wanted_sigma
 
 
-def _motion_blur_kernel(displacement: NDArray[np.float64]) -> NDArray[np.float32]:
+def motion_blur_kernel(displacement: NDArray[np.float64]) -> NDArray[np.float32]:
     """Kernel of a uniform motion: a line through its centre with a displacement in samples."""
     count = max(math.ceil(4 * math.hypot(displacement[0], displacement[1])), 2)
     fraction = (np.arange(count) + 0.5) / count - 0.5
@@ -59,16 +59,16 @@ def _motion_blur_kernel(displacement: NDArray[np.float64]) -> NDArray[np.float32
     return kernel
 
 
-_NOISE_MEAN: Final = 128
+NOISE_MEAN: Final = 128
 """Stored level of noise 0 (numerical: middle of 8 bits)."""
-_NOISE_UNIT: Final = 24.0
+NOISE_UNIT: Final = 24.0
 """Stored levels per standard deviation; 127 levels cover five of them (chosen: resolution
 against clipping)."""
 
 
 @lru_cache(maxsize=2)
-def _noise_bank(side: int) -> NDArray[np.uint8]:
-    """Table of normal numbers n as ``_NOISE_MEAN + _NOISE_UNIT * n``, equal in every process.
+def noise_bank(side: int) -> NDArray[np.uint8]:
+    """Table of normal numbers n as ``NOISE_MEAN + NOISE_UNIT * n``, equal in every process.
 
     Sampling normal numbers for each frame would cost as much as rendering the board. Instead the
     frame's generator picks the region's start in this table among more than a million positions.
@@ -76,7 +76,7 @@ def _noise_bank(side: int) -> NDArray[np.uint8]:
     within a few pixels of each other, about once in 10,000 pairs.
     """
     numbers = np.random.default_rng(side).standard_normal((side, side), np.float32)
-    bank = np.rint(_NOISE_MEAN + _NOISE_UNIT * numbers).clip(0, 255)
+    bank = np.rint(NOISE_MEAN + NOISE_UNIT * numbers).clip(0, 255)
     levels: NDArray[np.uint8] = bank.astype(np.uint8)
     levels.setflags(write=False)
     return levels
@@ -207,7 +207,7 @@ class TargetRenderer:
         )
         smear = scale * np.asarray(smear_px, float)
         smear_length = math.hypot(smear[0], smear[1])
-        half_kernel, sigma = _gaussian_radius_and_sigma(blur)
+        half_kernel, sigma = gaussian_radius_and_sigma(blur)
         # of the blur around the board within the frame
         reach = math.ceil((half_kernel + 0.5 * smear_length) / scale) + 2
         reach = min(reach, _TABLE_MARGIN_PX)
@@ -224,7 +224,7 @@ class TargetRenderer:
             size = 2 * half_kernel + 1
             samples = cv2.GaussianBlur(samples, (size, size), sigma)
         if smear_length > 0.1:
-            samples = cv2.filter2D(samples, -1, _motion_blur_kernel(smear))
+            samples = cv2.filter2D(samples, -1, motion_blur_kernel(smear))
         if scale > 1:
             size_px = (right - left, bottom - top)
             samples = cv2.resize(samples, size_px, interpolation=cv2.INTER_AREA)
@@ -330,17 +330,17 @@ class TargetRenderer:
         rx0, ry0 = max(x0 - _NOISE_MARGIN_PX, 0), max(y0 - _NOISE_MARGIN_PX, 0)
         rx1, ry1 = min(x1 + _NOISE_MARGIN_PX, width), min(y1 + _NOISE_MARGIN_PX, height)
         side = max(width, height)
-        bank = _noise_bank(max(2048, 1 << (side + side // 2 - 1).bit_length()))
+        bank = noise_bank(max(2048, 1 << (side + side // 2 - 1).bit_length()))
         columns = len(bank) - (rx1 - rx0)
         y, x = divmod(int(rng.integers((len(bank) - (ry1 - ry0)) * columns)), columns)
         noise = bank[y : y + ry1 - ry0, x : x + rx1 - rx0]
-        gain = rendering.noise_grey / _NOISE_UNIT
+        gain = rendering.noise_grey / NOISE_UNIT
         self.region = (rx0, ry0, rx1, ry1)
         # around the board: plain background and noise
-        around = rendering.background_grey - _NOISE_MEAN * gain
+        around = rendering.background_grey - NOISE_MEAN * gain
         cv2.convertScaleAbs(noise, self.frame[ry0:ry1, rx0:rx1], gain, around)
         noise = noise[y0 - ry0 : y1 - ry0, x0 - rx0 : x1 - rx0]
-        black = rendering.black_grey - _NOISE_MEAN * gain
+        black = rendering.black_grey - NOISE_MEAN * gain
         frame = self.frame[y0:y1, x0:x1]
         cv2.addWeighted(board, self._contrast, noise, gain, black, frame)
 

@@ -1,1 +1,1 @@
-"""Objects and points to look at, other than printed targets."""
+"""Objects to look at other than printed targets, and a room that shows them."""
