@@ -21,8 +21,10 @@ WAVES = np.array([[0.031, 0.007], [-0.011, 0.027], [0.013, 0.043]])
 
 
 def eye(preset="physical", response=LINEAR):
+    """A preset's left eye of half the pixels, for which walls are quick to make."""
     camera, rendering = rig(preset)
-    return replace(camera, response=response), rendering
+    size, matrix = (camera.width // 2, camera.height // 2), camera.matrix * [[0.5], [0.5], [1.0]]
+    return replace(camera, size=size, matrix=matrix, response=response), rendering
 
 
 def looking(yaw, pitch=0.0, roll=0.0, place=(0.1, -0.05, 0.2)):
@@ -40,127 +42,153 @@ def drawn(camera, scene, rendering, T_0_C=AHEAD, thing=NOWHERE, rng=None, **smea
     return renderer.frame
 
 
-def waves(x, y):
-    """Light of the picture of waves at pixels of it, 0 to 255."""
-    phases = 2.0 * np.pi * (np.multiply.outer(x, WAVES[:, 0]) + np.multiply.outer(y, WAVES[:, 1]))
+def waves(x, y, fineness=1.0):
+    """Light of a picture of waves at pixels of it, 0 to 255."""
+    phases = (
+        2.0
+        * np.pi
+        * fineness
+        * (np.multiply.outer(x, WAVES[:, 0]) + np.multiply.outer(y, WAVES[:, 1]))
+    )
     levels = 130.0 + 25.0 * np.sin(phases + [0.0, 1.0, 2.0]).sum(axis=-1)
     return np.interp(levels, np.arange(256.0), light_table(SRGB))
 
 
-@pytest.fixture
-def picture(tmp_path):
+def waves_file(path, fineness=1.0):
     """File of waves, 500 x 290 px."""
     x, y = np.meshgrid(np.arange(500.0), np.arange(290.0))
-    levels = np.interp(waves(x, y), light_table(SRGB), np.arange(256.0))
-    path = tmp_path / "waves: 1.png"
+    levels = np.interp(waves(x, y, fineness), light_table(SRGB), np.arange(256.0))
     cv2.imwrite(str(path), np.repeat(np.rint(levels).astype(np.uint8)[..., None], 3, axis=2))
     return str(path)
 
 
-def hits(camera, scene, T_0_C, pixels, thing=None):
-    rays = np.insert(camera.rays(pixels), 2, 1.0, axis=1) @ T_0_C[:3, :3].T
-    return np.array([hit(scene, T_0_C[:3, 3], ray, thing) for ray in rays])
+@pytest.fixture
+def picture(tmp_path):
+    return waves_file(tmp_path / "waves: 1.png")
 
 
-def grid(centre, half=24, step=3):
-    u, v = np.meshgrid(*(np.arange(-half, half + 1.0, step) + middle for middle in centre))
-    return np.column_stack([u.ravel(), v.ravel()])
+def pixel_rays(camera):
+    """(height, width, 3) rays of all pixels."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = np.insert(camera.rays(np.column_stack([u.ravel(), v.ravel()]).astype(float)), 2, 1.0, 1)
+    return rays.reshape(camera.height, camera.width, 3)
 
 
-def displacement(image, at, expected):
-    """Shift (u, v), px, of an image against light expected at pixels of it; any gain and offset."""
-    smooth = cv2.GaussianBlur(image[..., 1].astype(np.float32), (0, 0), 1.5)
-    down, right = np.gradient(smooth)
-    rows, columns = np.rint(at[:, 1]).astype(int), np.rint(at[:, 0]).astype(int)
-    known = [each[rows, columns] for each in (right, down)] + [expected, np.ones(len(at))]
-    return -np.linalg.lstsq(np.column_stack(known), smooth[rows, columns], rcond=None)[0][:2]
+def on_plane(camera, T_C_T):
+    """Coordinates x and y, m, of what every pixel sees in the xy plane of T."""
+    rays = pixel_rays(camera) @ T_C_T[:3, :3]
+    start = -T_C_T[:3, :3].T @ T_C_T[:3, 3]
+    points = start - start[2] / rays[..., 2:] * rays
+    return points[..., 0], points[..., 1]
 
 
-def test_a_photograph_on_the_wall_is_where_the_lens_projects_it(picture):
+def displacement(image, expected, centre, half, blur=0.0):
+    """Shift (u, v), px, of an image around a pixel against a sharper one; any gain and offset."""
+    seen = cv2.GaussianBlur(image[..., 1].astype(np.float64), (0, 0), 1.5)
+    sharp = cv2.GaussianBlur(expected, (0, 0), np.hypot(1.5, blur))
+    u, v = np.rint(centre).astype(int)
+    part = (slice(v - half, v + half + 1), slice(u - half, u + half + 1))
+    blurred = cv2.Laplacian(sharp, cv2.CV_64F)  # what differs by some more blur or less
+    rows, columns = np.indices(sharp.shape)
+    shades = ((columns - u) * sharp, (rows - v) * sharp)  # of corners of the room
+    terms = (*np.gradient(sharp)[::-1], sharp, *shades, blurred, np.ones_like(sharp))
+    known = np.column_stack([each[part].ravel() for each in terms])
+    du, dv, gain = np.linalg.lstsq(known, seen[part].ravel(), rcond=None)[0][:3]
+    return -np.array([du, dv]) / gain
+
+
+def test_a_photograph_on_the_wall_is_where_the_lens_projects_it(tmp_path):
+    scene = Scene(wall=waves_file(tmp_path / "waves.png", 1.5))
     for preset in ("physical", "simulated"):
         camera, rendering = eye(preset)
-        scene = Scene(wall=picture)
         for T_0_C in (looking(0.0), looking(0.3, 0.1, 0.2)):
             image = drawn(camera, scene, rendering, T_0_C)
-            for centre in ((320, 240), (420, 140), (230, 300)):
-                pixels = grid(centre)
-                points = hits(camera, scene, T_0_C, pixels)
-                assert np.allclose(points[:, 2], HIGH_M[2])
-                x, y = (points[:, :2] - LOW_M[:2]).T * 100.0 - 0.5  # 5 m in 500 px
-                with named(preset, centre):
-                    shift = displacement(image, pixels, waves(x, y))
+            x, y = on_plane(camera, np.linalg.inv(T_0_C) @ pose(0, 0, HIGH_M[2]))
+            light = waves(100.0 * (x - LOW_M[0]) - 0.5, 100.0 * (y - LOW_M[1]) - 0.5, 1.5)
+            for off_axis in ((0, 0), (60, -60), (-60, 60)):
+                shift = displacement(image, light, camera.principal + off_axis, 30, 0.7)
+                with named(preset, off_axis):
                     assert np.abs(shift).max() < 0.02
 
 
-def test_a_poster_is_where_the_lens_projects_it(picture):
-    scene = Scene(picture=picture, size_m=0.3)
-    width, height = poster_size_m(scene)
+def test_a_poster_is_where_the_lens_projects_it(tmp_path):
+    near, far = (
+        Scene(picture=waves_file(tmp_path / f"{fineness}.png", fineness), size_m=0.3)
+        for fineness in (1.0, 0.3)
+    )
+    width, height = poster_size_m(near)
     border, per_m = 0.03 * width, 500 / (0.94 * width)
     for preset in ("physical", "simulated"):
         camera, rendering = eye(preset)
-        for thing in (
-            pose(0.01, 0.02, 0.4), pose(0.05, 0.03, 0.8, (0.3, 0.5, 0.4)),
-            pose(-0.1, 0.06, 1.5, (-0.4, 0.3, 0.1)),
-        ):  # fmt: skip
+        for scene, fineness, thing in (
+            (near, 1.0, pose(0.01, 0.02, 0.4)),
+            (far, 0.3, pose(0.05, 0.03, 0.8, (0.3, 0.5, 0.4))),
+            (far, 0.3, pose(-0.1, 0.06, 1.5, (-0.4, 0.3, 0.1))),
+        ):
             image = drawn(camera, scene, rendering, AHEAD, thing)
-            half = int(30 * min(1.0, 0.8 / thing[2, 3]))
-            pixels = grid(np.rint(camera.project(thing[None, :3, 3])[0]), half, 2)
-            points = hits(camera, scene, AHEAD, pixels, thing)
-            on_poster = (points - thing[:3, 3]) @ thing[:3, :3]
-            assert np.allclose(on_poster[:, 2], 0.0)
-            x = (on_poster[:, 0] + 0.5 * width - border) * per_m - 0.5
-            y = (on_poster[:, 1] + 0.5 * height - border) * per_m - 0.5
+            x, y = on_plane(camera, thing)
+            light = waves(
+                (x + 0.5 * width - border) * per_m - 0.5,
+                (y + 0.5 * height - border) * per_m - 0.5,
+                fineness,
+            )
+            half = int(min(24.0, 12.0 / thing[2, 3]))
+            shift = displacement(image, light, camera.project(thing[None, :3, 3])[0], half, 0.7)
             with named(preset, thing[2, 3]):
-                assert np.abs(displacement(image, pixels, waves(x, y))).max() < 0.02
+                assert np.abs(shift).max() < 0.02
 
 
 def test_every_wall_is_the_same_from_two_places():
     camera, rendering = eye("simulated")
     scene = Scene()
+    rays = pixel_rays(camera)[95:336:4, 140:381:4].reshape(-1, 3)
     for yaw, pitch in ((0.0, 0.0), (1.4, 0.0), (-1.5, 0.1), (3.0, 0.0), (0.3, 1.0), (0.2, -1.0)):
         here = looking(yaw, pitch)
         there = looking(yaw + 0.1, pitch - 0.05, 0.1, (-0.1, 0.05, 0.1))
-        first, second = (drawn(camera, scene, rendering, T).astype(np.float32)
-                         for T in (here, there))  # fmt: skip
-        pixels = grid((520, 430), 90, 2)
-        points = hits(camera, scene, here, pixels)
+        images = [drawn(camera, scene, rendering, T)[..., 1] for T in (here, there)]
+        first, second = (cv2.GaussianBlur(each.astype(np.float32), (0, 0), 2) for each in images)
+        points = np.array([hit(scene, here[:3, 3], ray) for ray in rays @ here[:3, :3].T])
         seen = camera.project((points - there[:3, 3]) @ there[:3, :3]).astype(np.float32)
-        smooth = cv2.GaussianBlur(second[..., 1], (0, 0), 1.5)
-        expected = cv2.remap(smooth, seen[None], None, cv2.INTER_CUBIC)[0]
+        light = cv2.remap(second, seen[None], None, cv2.INTER_CUBIC).ravel()
+        down, right, same = (each[95:336:4, 140:381:4].ravel()
+                             for each in (*np.gradient(first), first))  # fmt: skip
+        known = np.column_stack([right, down, same, np.ones_like(same)])
+        du, dv, gain, _ = np.linalg.lstsq(known, light, rcond=None)[0]
         with named(yaw, pitch):
-            assert expected.std() > 3.0
-            assert np.abs(displacement(first, pixels, expected)).max() < 0.04
+            assert same.std() > 3.0
+            assert gain == pytest.approx(1.0, abs=0.05)
+            assert np.hypot(du, dv) < 0.04
 
 
 def test_a_ball_is_the_projection_of_a_lit_sphere():
     camera, rendering = eye()
     rendering = replace(rendering, blur_px=0.0)
-    scene = Scene(thing="ball", colour=(255, 128, 64), size_m=0.1)
+    scene = Scene(thing="ball", colour=(255, 128, 64), size_m=0.06)
     renderer = RoomRenderer(camera, scene, rendering)
     renderer.draw(AHEAD, NOWHERE)
     room = renderer.frame.astype(float)
     thing = pose(0.2, -0.12, 0.6)
     renderer.draw(AHEAD, thing)
-    parts = 6
+    parts = 16
     middle = np.rint(camera.project(thing[None, :3, 3])[0]).astype(int)
-    fine = (np.arange(-60 * parts, 60 * parts) + 0.5) / parts - 0.5
+    fine = (np.arange(-20 * parts, 20 * parts) + 0.5) / parts - 0.5
     u, v = np.meshgrid(fine + middle[0], fine + middle[1])
     rays = np.insert(camera.rays(np.column_stack([u.ravel(), v.ravel()])), 2, 1.0, axis=1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     nearest = rays @ thing[:3, 3]
-    squared = nearest**2 - thing[:3, 3] @ thing[:3, 3] + 0.05**2
+    squared = nearest**2 - thing[:3, 3] @ thing[:3, 3] + 0.03**2
     cover = squared >= 0.0
-    normal = ((nearest - np.sqrt(squared.clip(0)))[:, None] * rays - thing[:3, 3]) / 0.05
+    normal = ((nearest - np.sqrt(squared.clip(0)))[:, None] * rays - thing[:3, 3]) / 0.03
     lamp = np.array([-0.45, -0.75, -0.48])
     shade = cover * (0.45 + 0.55 * (normal @ lamp / np.linalg.norm(lamp)).clip(0))
-    shade, cover = (each.reshape(120, parts, 120, parts).mean(axis=(1, 3))[..., None]
+    shade, cover = (each.reshape(40, parts, 40, parts).mean(axis=(1, 3))[..., None]
                     for each in (shade, cover))  # fmt: skip
     light = light_table(SRGB)[[64, 128, 255]] / 255.0 * rendering.white_grey
-    rows, columns = (slice(centre - 60, centre + 60) for centre in middle[::-1])
+    rows, columns = (slice(centre - 20, centre + 20) for centre in middle[::-1])
     expected = shade * light + (1.0 - cover) * room[rows, columns]
     error = renderer.frame[rows, columns] - expected
     # a pixel's coverage is that of an edge along its rows or columns
-    assert np.abs(cv2.GaussianBlur(error, (0, 0), 0.7)).max() < 3.0
+    assert np.abs(cv2.GaussianBlur(error, (0, 0), 0.7)).max() < 4.0
     assert np.abs(error.mean(axis=(0, 1))).max() < 0.2
     assert np.array_equal(renderer.frame[:, : columns.start], room[:, : columns.start])
 
@@ -170,7 +198,7 @@ def test_light_and_shade_keep_a_balls_hue_and_saturation():
     colour = (255, 128, 40)
     image = drawn(camera, Scene(thing="ball", colour=colour), rendering, AHEAD, pose(0, 0, 0.5))
     u, v = np.rint(camera.project([[0.0, 0.0, 0.5]])[0]).astype(int)
-    part = cv2.cvtColor(image[v - 24 : v + 25, u - 24 : u + 25], cv2.COLOR_BGR2HSV).astype(int)
+    part = cv2.cvtColor(image[v - 12 : v + 13, u - 12 : u + 13], cv2.COLOR_BGR2HSV).astype(int)
     hue, saturation, _ = cv2.cvtColor(np.uint8([[colour[::-1]]]), cv2.COLOR_BGR2HSV)[0, 0]
     assert np.ptp(part[..., 2]) > 30
     assert np.abs(part[..., 0] - int(hue)).max() <= 2
@@ -182,15 +210,17 @@ def test_the_front_wall_has_a_plain_and_a_periodic_part():
 
     def seen(box, margin_px):
         corners = np.array([[box[0], box[1], 3.0], [box[2], box[3], 3.0]]) - T_0_C[:3, 3]
-        left, top, right, bottom = camera.project(corners @ T_0_C[:3, :3]).ravel().round().astype(int)
+        left, top, right, bottom = (
+            camera.project(corners @ T_0_C[:3, :3]).ravel().round().astype(int)
+        )
         part = image[top + margin_px : bottom - margin_px, left + margin_px : right - margin_px]
-        assert part.size > 20_000
+        assert part.size > 5_000
         return part.astype(float)
 
     T_0_C = looking(0.0, place=(0.9, -0.4, 0.0))
     image = drawn(camera, Scene(), rendering, T_0_C)
     assert np.ptp(seen(PLAIN_M, 5), axis=(0, 1)).max() <= 1
-    camera = rig("simulated")[0]  # without a lens, a period is the same everywhere
+    camera = eye("simulated")[0]  # without a lens, a period is the same everywhere
     T_0_C = looking(0.0, place=(-0.8, 0.3, 3.0 - camera.focal[0] * TILE_M / 20))
     image = drawn(camera, Scene(), rendering, T_0_C)
     part = seen(PERIODIC_M, 8)
@@ -212,17 +242,21 @@ def test_noise_and_motion():
     noise = frame(rng) - still
     assert abs(noise.std() / rendering.noise_grey - 1.0) < 0.02
     assert abs(np.corrcoef(noise[..., 0].ravel(), noise[..., 1].ravel())[0, 1]) < 0.02
-    moved = frame(room_smear_px=(6.0, 0.0))
-    middle = (slice(160, 300), slice(280, 440))  # well inside the poster
+    moved = frame(room_smear_px=(8.0, 0.0))
+    middle = (slice(80, 150), slice(140, 220))  # well inside the poster
     assert np.array_equal(moved[middle], still[middle])
-    across, along = (np.abs(np.diff(moved[:120], axis=axis)).mean()
-                     / np.abs(np.diff(still[:120], axis=axis)).mean() for axis in (0, 1))  # fmt: skip
-    assert along < 0.6 * across
-    moved = frame(smear_px=(0.0, 6.0))
-    assert np.array_equal(moved[:100], still[:100])
-    assert np.abs(np.diff(moved[middle], axis=0)).mean() < 0.8 * np.abs(
-        np.diff(still[middle], axis=0)
-    ).mean()
+    across, along = (
+        np.abs(np.diff(moved[:60], axis=axis)).mean()
+        / np.abs(np.diff(still[:60], axis=axis)).mean()
+        for axis in (0, 1)
+    )
+    assert along < 0.7 * across
+    moved = frame(smear_px=(0.0, 3.0))
+    assert np.array_equal(moved[:40], still[:40])
+    assert (
+        np.abs(np.diff(moved[middle], axis=0)).mean()
+        < 0.8 * np.abs(np.diff(still[middle], axis=0)).mean()
+    )
 
 
 def test_a_thing_that_is_not_in_view_leaves_the_room_as_it_is():
@@ -255,7 +289,8 @@ def test_a_ray_hits_the_thing_or_the_wall_behind_it():
 def test_a_scene_is_what_its_text_says(picture):
     orange = Scene(thing="ball", colour=(255, 128, 0), size_m=0.08)
     for text, scene in (
-        ("ball", orange), ("ball:#ff8000", orange), ("ball:#00fF10", replace(orange, colour=(0, 255, 16))),
+        ("ball", orange), ("ball:#ff8000", orange),
+        ("ball:#00fF10", replace(orange, colour=(0, 255, 16))),
         ("ball:#ff8000:55.5", replace(orange, size_m=0.0555)),
         ("poster", Scene(size_m=0.3)), ("poster:200", Scene(size_m=0.2)),
         (f"poster:{picture}", Scene(size_m=0.3, picture=picture)),
@@ -271,7 +306,8 @@ def test_a_scene_that_cannot_be_is_refused(tmp_path):
     text = tmp_path / "text.png"
     text.write_text("no image")
     for bad in ("", "cube", "ball:red", "ball:#ff80", "ball:#ff8000:-3", "ball:#ff8000:80:1",
-                "ball:#ff8000:nan", "poster:5000", "poster:gone.png", f"poster:{text}"):  # fmt: skip
+                "ball:#ff8000:nan", "poster:5000", "poster:gone.png",
+                f"poster:{text}"):  # fmt: skip
         refused("scene: ", parse_scene, bad)
     refused("wall: ", parse_scene, "ball", str(tmp_path / "gone.png"))
 

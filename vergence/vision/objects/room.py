@@ -9,19 +9,17 @@ come last, as in `vergence.vision.drawing`.
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.errors import ConfigurationError, UnreadableFileError
+from vergence.errors import ConfigurationError
 from vergence.kernels import compiled
 from vergence.models.camera import SRGB, Camera, default_response, light_table
 from vergence.models.parts import FloatArray, Rendering
-from vergence.operands import as_operand
 from vergence.vision.drawing import (
     NOISE_MEAN,
     NOISE_UNIT,
@@ -29,6 +27,7 @@ from vergence.vision.drawing import (
     motion_blur_kernel,
     noise_bank,
 )
+from vergence.vision.objects.scenes import BORDER, Scene, hit, parse_scene, poster_size_m
 from vergence.vision.objects.walls import (
     BLUR_PX,
     HIGH_M,
@@ -42,18 +41,8 @@ from vergence.vision.objects.walls import (
 )
 from vergence.vision.optics import ray_table
 
-_FORM: Final = (
-    "ball, ball:#ff8000, ball:#ff8000:80, poster, poster:200, poster:FILE or poster:FILE:200 "
-    "(lengths in mm)"
-)
-_POSTER_M: Final = 0.3
-"""Width of a poster if none is stated, m (chosen: a printed sheet, A3)."""
-_BALL_M: Final = 0.08
-"""Diameter of a ball if none is stated, m (chosen: fits a hand)."""
-_LARGEST_M: Final = 2.0
-"""Largest thing, m (chosen: the room is 3 m high)."""
-_BORDER: Final = 0.03
-"""Width of a poster's white border as a share of the poster's (chosen: looks)."""
+__all__ = ["RoomRenderer", "Scene", "hit", "parse_scene", "poster_size_m"]
+
 _POSTER_TEXELS: Final = 1536
 """Texels along a poster's longer side in its finest texture (chosen: 640 x 480 views of a part
 against memory)."""
@@ -88,132 +77,6 @@ _LEAST_SMEAR_PX: Final = 0.1
 """Motion during the exposure below which an image is sharp, px (chosen: time)."""
 _NOISE_SIDE: Final = 4096
 """Side of the table of noise, at least a row of three colours and many places (chosen)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scene:
-    """What stands in the room, and what is on its front wall; see `parse_scene`."""
-
-    thing: Literal["ball", "poster"] = "poster"
-    """What stands at the target's place."""
-    colour: tuple[int, int, int] = (255, 128, 0)
-    """Red, green and blue of a ball, sRGB levels."""
-    size_m: float = 0.08
-    """Diameter of the ball, or width of the poster with its border, m."""
-    picture: str | None = None
-    """Image file on the poster, such as a printed face; None for a procedural texture."""
-    wall: str | None = None
-    """Image file on the room's front wall; None for a procedural texture."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.size_m <= _LARGEST_M:
-            raise ConfigurationError(
-                f"scene: expected a thing of up to {_LARGEST_M:g} m, got {self.size_m:g} m"
-            )
-
-    def __str__(self) -> str:
-        size = f"{1000.0 * self.size_m:.10g}"
-        if self.thing == "ball":
-            return "ball:#{:02x}{:02x}{:02x}:{}".format(*self.colour, size)
-        return ":".join(["poster", *([self.picture] if self.picture else []), size])
-
-
-def parse_scene(text: str, wall: str | None = None) -> Scene:
-    """Parse the text form of a scene, which ``str(scene)`` gives back.
-
-    Args:
-        text: ``ball``, ``ball:#ff8000``, ``ball:#ff8000:80``, ``poster``, ``poster:200``,
-            ``poster:FILE`` or ``poster:FILE:200``; a ball's diameter or a poster's width in mm. A
-            FILE may have colons in its name.
-        wall: image file for the front wall; None for a procedural texture.
-
-    Raises:
-        ConfigurationError: the text has none of these forms, a value is invalid, or a file cannot
-            be read as an image.
-    """
-    kind, _, rest = str(text).strip().partition(":")
-    kind = kind.lower()
-    given: dict[str, Any] = {}
-    size_m = {"ball": _BALL_M, "poster": _POSTER_M}.get(kind)
-    if size_m is None:
-        raise ConfigurationError(f"scene: expected {_FORM}; got {text!r:.100}")
-    name, colon, last = rest.rpartition(":")
-    if kind == "ball" and not colon:
-        name, last = last, ""
-    length = _length_m(last)
-    if length is not None:
-        size_m, rest = length, name
-    if kind == "ball":
-        digits = name.removeprefix("#")
-        if (last and length is None) or (rest and not _is_colour(name)):
-            raise ConfigurationError(f"scene: expected {_FORM}; got {text!r:.100}")
-        if name:
-            given["colour"] = tuple(bytes.fromhex(digits))
-    elif rest:
-        given["picture"] = rest
-    for what, path in (("scene", given.get("picture")), ("wall", wall)):
-        if path is not None:
-            try:
-                read_colours(path)
-            except UnreadableFileError as error:
-                raise ConfigurationError(f"{what}: {error}") from error
-    return Scene(thing=kind, size_m=size_m, wall=wall, **given)  # type: ignore[arg-type]
-
-
-def _is_colour(text: str) -> bool:
-    return len(text) == 7 and text[0] == "#" and all(c in "0123456789abcdefABCDEF" for c in text[1:])
-
-
-def _length_m(text: str) -> float | None:
-    """Metres of a length in millimetres; None if it is none."""
-    try:
-        length = float(text) / 1000.0
-    except ValueError:
-        return None
-    return length if math.isfinite(length) and length > 0.0 else None
-
-
-def poster_size_m(scene: Scene) -> tuple[float, float]:
-    """Width and height of the scene's poster with its border, m; square without a picture."""
-    height, width = read_colours(scene.picture).shape[:2] if scene.picture else (1, 1)
-    border = _BORDER * scene.size_m
-    inner = scene.size_m - 2.0 * border
-    return scene.size_m, inner * height / width + 2.0 * border
-
-
-def hit(
-    scene: Scene, origin: ArrayLike, direction: ArrayLike, T_0_T: ArrayLike | None = None
-) -> FloatArray:
-    """First point of the scene's surfaces on a ray.
-
-    Args:
-        scene: the room and the thing.
-        origin: (3,) start of the ray in frame 0, inside of the room, m.
-        direction: (3,) its direction, of any length.
-        T_0_T: (4, 4) pose of the thing in frame 0, m; None, or with nan, for none.
-
-    Returns:
-        The point, (3,) in frame 0, m.
-    """
-    start = as_operand("origin", origin, 3)
-    along = as_operand("direction", direction, 3)
-    along = along / np.linalg.norm(along)
-    with np.errstate(divide="ignore"):
-        distance = np.where(along > 0.0, HIGH_M - start, LOW_M - start) / along
-    least = float(np.min(distance[along != 0.0]))
-    pose = None if T_0_T is None else np.asarray(T_0_T, float)
-    if pose is None or not np.isfinite(pose).all():
-        return start + least * along
-    a, b = pose[:3, :3].T @ (start - pose[:3, 3]), pose[:3, :3].T @ along
-    if scene.thing == "ball":
-        nearest = -float(a @ b)
-        squared = nearest**2 - float(a @ a) + (0.5 * scene.size_m) ** 2
-        to_thing = nearest - math.sqrt(squared) if squared >= 0.0 else math.inf
-    else:
-        to_thing = -a[2] / b[2] if b[2] > 0.0 else math.inf
-        if not (np.abs((a + to_thing * b)[:2]) <= 0.5 * np.array(poster_size_m(scene))).all():
-            to_thing = math.inf
-    return start + (to_thing if 0.0 < to_thing < least else least) * along
 
 
 @compiled
@@ -343,8 +206,7 @@ class RoomRenderer:
         height, width = self.camera.height, self.camera.width
         rows, columns = height + 2 * reach, width + 2 * reach
         where, parts, image, other = (
-            each[: rows * columns].reshape(rows, columns, *each.shape[1:])
-            for each in self._buffers
+            each[: rows * columns].reshape(rows, columns, *each.shape[1:]) for each in self._buffers
         )
         room = (np.stack([LOW_M, HIGH_M]) - T_0_C[:3, 3]).astype(np.float32)
         R = T_0_C[:3, :3].astype(np.float32, order="C")
@@ -482,9 +344,7 @@ class RoomRenderer:
         noise = bank[y : y + height, x : x + channels * width]
         gain = self.rendering.noise_grey / NOISE_UNIT
         frame = self.frame.reshape(height, -1)
-        cv2.addWeighted(
-            encoded.reshape(height, -1), 1.0, noise, gain, -NOISE_MEAN * gain, frame
-        )
+        cv2.addWeighted(encoded.reshape(height, -1), 1.0, noise, gain, -NOISE_MEAN * gain, frame)
 
 
 def _level_of(texels: float) -> int:
@@ -499,7 +359,7 @@ def _print_poster(scene: Scene) -> Colours:
     width, height = poster_size_m(scene)
     density = _POSTER_TEXELS / max(width, height)
     size = (round(width * density), round(height * density))
-    border = round(_BORDER * width * density)
+    border = round(BORDER * width * density)
     inner = (size[0] - 2 * border, size[1] - 2 * border)
     if scene.picture:
         picture = fitted(read_colours(scene.picture), inner)

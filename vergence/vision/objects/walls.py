@@ -4,6 +4,7 @@ A wall of n texels per metre has its edges half a texel outside of its outermost
 lie below each other in one image, the atlas, so that one sampling reaches every wall.
 """
 
+import colorsys
 import math
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
@@ -82,11 +83,21 @@ def atlas(wall: str | None, focal_px: float, black: float = 0.0) -> Atlas:
         focal_px: focal length, px.
         black: light of a black surface as a share of that of a white one.
     """
-    return _atlas(wall, 2.0 ** (round(4.0 * math.log2(focal_px)) / 4.0), black)
+    return _exposed(wall, 2.0 ** (round(4.0 * math.log2(focal_px)) / 4.0), black)
 
 
 @lru_cache(maxsize=2)
-def _atlas(wall: str | None, focal_px: float, black: float) -> Atlas:
+def _exposed(wall: str | None, focal_px: float, black: float) -> Atlas:
+    """All walls by light, with that of black surfaces."""
+    image, density, first_rows = _atlas(wall, focal_px)
+    exposed = np.asarray(cv2.convertScaleAbs(image, None, 1.0 - black, 255.0 * black), np.uint8)
+    exposed.setflags(write=False)
+    return Atlas(exposed, density, first_rows)
+
+
+@lru_cache(maxsize=2)
+def _atlas(wall: str | None, focal_px: float) -> Atlas:
+    """All walls, with black surfaces without light."""
     # walls of whole texels
     density = 10.0 * round(min(_TEXELS_PER_FOCAL * focal_px, _MOST_TEXELS_PER_M) / 10.0)
     walls = []
@@ -95,8 +106,6 @@ def _atlas(wall: str | None, focal_px: float, black: float) -> Atlas:
         walls.append(_seen(name, _wall(name, wall, density), density, focal_px, unshaded))
     first = np.cumsum([0, *(len(each) for each in walls)])
     image = np.concatenate(walls)  # all are as wide as each other
-    image = cv2.convertScaleAbs(image, None, 1.0 - black, 255.0 * black)
-    image.setflags(write=False)
     return Atlas(image, density, first[:-1].astype(np.float32))
 
 
@@ -128,7 +137,9 @@ def mottled(
             field += 0.25 * contrast * rng.standard_normal(field.shape, np.float32)
     levels = (field + np.asarray(tint, np.float32)).clip(0, 255).astype(np.uint8)
     cell_texels = density * _COARSEST_M / 2 ** (_OCTAVES - 1)
-    to_cells = np.array([[1 / (cell_texels * grain[0]), 0, 1], [0, 1 / (cell_texels * grain[1]), 1]])
+    to_cells = np.array(
+        [[1 / (cell_texels * grain[0]), 0, 1], [0, 1 / (cell_texels * grain[1]), 1]]
+    )
     size = (round(size_m[0] * density), round(size_m[1] * density))
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     return np.asarray(
@@ -232,9 +243,8 @@ def _tint(image: Colours, box: Box, density: float, colour: NDArray[np.float64])
 
 def _random_colour(rng: np.random.Generator, value: tuple[float, float]) -> NDArray[np.float64]:
     """A muted colour of a brightness in a range, BGR, sRGB levels."""
-    hue, saturation, level = rng.uniform((0, 40, value[0]), (180, 130, value[1]))
-    pixel = np.array([[[hue, saturation, level]]], np.uint8)
-    return np.asarray(cv2.cvtColor(pixel, cv2.COLOR_HSV2BGR)[0, 0], float)
+    hue, saturation, level = rng.uniform((0.0, 0.15, value[0]), (1.0, 0.5, value[1])).tolist()
+    return np.array(colorsys.hsv_to_rgb(hue, saturation, level)[::-1])
 
 
 def _hang(image: Colours, box: Box, density: float, rng: np.random.Generator) -> None:
