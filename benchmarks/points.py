@@ -8,7 +8,7 @@ noise, sRGB, gains that differ by eye, errors of the encoders and, for every thi
 import argparse
 import time
 from collections import Counter
-from math import hypot, inf
+from math import hypot
 from typing import Any
 
 import cv2
@@ -31,8 +31,9 @@ from tests.vision.objects.scenes import (
 from vergence.errors import PointRefusedError
 from vergence.vision.objects.patches import PointTracker, match_point
 
-SUFFICIENT_PX = 0.1
-"""Largest bound on a point's standard deviation that counts as sufficient texture."""
+SUFFICIENT_PX = 0.05
+"""Largest bound on a point's standard deviation that counts as sufficient texture: gradients are
+then as strong as the noise, in the direction in which they are weakest."""
 WINDOW_PX = 25
 FALSE_PX = 2.0
 POINTS_A_SCENE = 25
@@ -159,7 +160,7 @@ def matching(count: int, rng: np.random.Generator, preset: str, pictures: list[A
             _, truth = seen_from(one, cards, pixel, eye)
             size = np.array(one.cameras[1 - eye].size)
             if not ((truth > 24.0) & (truth < size - 25.0)).all():
-                attempt(hidden, one, images, poses, pixel, np.full(2, inf), eye)
+                attempt(hidden, one, images, poses, pixel, truth, eye)
                 continue
             if not (on_one_surface(one, cards, pixel, eye)
                     and on_one_surface(one, cards, truth, 1 - eye)):  # fmt: skip

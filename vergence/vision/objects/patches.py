@@ -46,6 +46,8 @@ _LEVELS: Final = 2
 """Highest level of the pyramids, each half as large as the one below (chosen)."""
 _LK_WINDOW_PX: Final = 21
 """Side of Lucas and Kanade's window, px (chosen: as the patch)."""
+_AXES: Final = ((1, 0), (0, 1))
+"""Orders of a derivative along x and along y (numerical)."""
 _ITERATIONS: Final = 12
 """Most iterations of an alignment (chosen)."""
 _CONVERGED_PX: Final = 0.005
@@ -63,7 +65,7 @@ _RENEWAL_IMAGES: Final = 5
 _MOST_SIGMA_PX: Final = 0.2
 """Largest standard deviation of a point with sufficient texture, px (chosen: noise alone seems to
 have 0.5)."""
-_MOST_CORE_SIGMA_PX: Final = 0.4
+_MOST_CORE_SIGMA_PX: Final = 0.6
 """The same of the smaller patch, px (chosen: as above)."""
 _DISTINCT_NOISE: Final = 0.25
 _DISTINCT_CONTRAST: Final = 0.15
@@ -73,6 +75,10 @@ _ROWS_PX: Final = 6
 """Tolerance across the epipolar line, px (chosen: errors of encoders)."""
 _APART_PX: Final = 4
 """Least distance of two places that a patch may be at, px (chosen: width of a correlation peak)."""
+_CORE_NOISE: Final = 2.2
+_CORE_CONTRAST: Final = 0.03
+"""Largest misfit of a patch's middle, as shares of the noise and of the patch's variance (chosen:
+edges of objects; 49 pixels of noise exceed it in no case in 10,000)."""
 _PLACES: Final = 6
 """Most places whose alignment is tried (chosen: time against slanted surfaces)."""
 _STRETCHES: Final = tuple(np.diag([width, 1.0]) for width in (0.75, 1.0, 1.33))
@@ -89,10 +95,12 @@ _NOISE_KERNEL: Final = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float3
 """Difference of two Laplacians; noise of variance 1 becomes 36 (Immerkaer 1996, equation 4)."""
 _NORMAL_MEDIAN: Final = 0.6745
 """Median of the magnitude of normal numbers of variance 1 (numerical)."""
-_NOISE_REGION_PX: Final = 32
+_NOISE_REGION_PX: Final = 24
 """Half the side of the region whose noise is estimated, px (chosen: local against certain)."""
 _ROUNDING: Final = 1.0 / 12.0
 """Variance of rounding to whole grey levels (numerical)."""
+_NOWHERE_PX: Final = -1000.0
+"""Coordinate of what no pixel shows (numerical)."""
 _LEAST_Z: Final = 0.1
 """Least share of a direction along the optical axis of a camera that may see it (chosen)."""
 
@@ -127,8 +135,14 @@ class _View(NamedTuple):
     focal: tuple[float, float]
     corner: tuple[float, float]  # (x, y) of the upper left pixel, with 0 on the view's axis
     image: Grey
-    seen: NDArray[np.bool_]  # pixels that lie in the camera's image
+    pixels: Grey  # (height, width, 2) in the camera's image; far outside if there is none
     noise: float  # variance of the camera's grey levels
+
+    def seen(self, part: tuple[slice, slice] = (slice(None), slice(None))) -> NDArray[np.bool_]:
+        """Which places of a part lie in the camera's image."""
+        pixels, (width, height) = self.pixels[part], self.camera.size
+        u, v = pixels[..., 0], pixels[..., 1]
+        return np.asarray((u >= 0.0) & (u <= width - 1) & (v >= 0.0) & (v <= height - 1))
 
     def to_pixels(self, places: FloatArray) -> FloatArray:
         """Pixels of the camera's image, (n, 2), for places of the view, (n, 2)."""
@@ -138,11 +152,11 @@ class _View(NamedTuple):
 
     def holds(self, place: FloatArray, radius: int) -> bool:
         """True if the camera sees a patch around a place."""
-        (x, y), (height, width) = np.rint(place).astype(int), self.seen.shape
+        x, y, (height, width) = round(place[0]), round(place[1]), self.image.shape
         if not (radius <= x < width - radius and radius <= y < height - radius):
             return False
-        patch = self.seen[y - radius : y + radius + 1, x - radius : x + radius + 1]
-        return bool(patch.all())
+        rows, columns = (slice(each - radius, each + radius + 1) for each in (y, x))
+        return bool(self.seen((rows, columns)).all())
 
 
 def _look(
@@ -155,14 +169,13 @@ def _look(
     grid[..., 0] = np.arange(x0, x1 + 1) / focal[0]
     grid[..., 1] = np.arange(y0, y1 + 1)[:, None] / focal[1]
     pixels = np.asarray(rays_to_pixels(cv2.perspectiveTransform(grid, turn), camera.row))
-    ahead = grid @ turn[2, :2] + turn[2, 2] > _LEAST_Z
-    inside = (pixels >= 0.0) & (pixels <= np.subtract(camera.size, 1))  # false for nan
-    seen = inside.all(axis=-1) & ahead
-    where = np.where(seen[..., None], pixels, np.clip(np.nan_to_num(pixels), 0, camera.size))
+    pixels[grid @ turn[2, :2] + turn[2, 2] < _LEAST_Z] = np.nan
+    where = pixels.astype(np.float32)
+    cv2.patchNaNs(where, _NOWHERE_PX)
     image: Any = cv2.remap(
-        grey, where.astype(np.float32), None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        grey, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     )  # type: ignore[call-overload]
-    return _View(camera, turn, focal, (x0, y0), image.astype(np.float32), seen, noise)
+    return _View(camera, turn, focal, (x0, y0), image.astype(np.float32), where, noise)
 
 
 def _noise(grey: NDArray[np.uint8], pixel: FloatArray) -> float:
@@ -200,6 +213,7 @@ class _Fit(NamedTuple):
     place: FloatArray  # (2,) of the template's middle in the view
     covariance: FloatArray  # (2, 2) of it, px^2
     misfit: float  # variance of the template that the view does not explain
+    core: float  # the same of its middle alone
     likeness: float  # correlation without noise
 
 
@@ -209,31 +223,35 @@ class _Template:
     def __init__(self, view: _View, place: FloatArray, radius: int, affine: int = 4) -> None:
         side = 2 * radius + 1
         self.radius, self.noise = radius, view.noise
-        around = cv2.getRectSubPix(view.image, (side + 2, side + 2), place.tolist())
-        self.patch: Grey = np.asarray(around[1:-1, 1:-1])
-        gx, gy = (
-            cv2.Scharr(around, cv2.CV_32F, *order, scale=1 / 32)[1:-1, 1:-1].ravel().astype(float)
-            for order in ((1, 0), (0, 1))
-        )
+        around = cv2.getRectSubPix(view.image, (side + 4, side + 4), place.tolist())
+        self.patch: Grey = np.asarray(around[2:-2, 2:-2])
+        slopes = [cv2.Scharr(around, cv2.CV_32F, *order, scale=1 / 32) for order in _AXES]
+        # what more blur changes: second derivatives
+        bends = [cv2.Scharr(slopes[i], cv2.CV_32F, *_AXES[j], scale=1 / 32)
+                 for i, j in ((0, 0), (0, 1), (1, 1))]  # fmt: skip
+        gx, gy, *bends = (each[2:-2, 2:-2].ravel().astype(float) for each in (*slopes, *bends))
         x, y = (np.arange(side) - radius) / radius, (np.arange(side)[:, None] - radius) / radius
         x, y = (np.broadcast_to(each, (side, side)).ravel() for each in (x, y))
         level = self.patch.ravel() - float(self.patch.mean())
         slopes = [gx, gy, x * gx, y * gx, x * gy, y * gy][: 2 + affine]
-        columns = np.column_stack([np.ones(side * side), level, *slopes])
+        columns = np.column_stack([*slopes, np.ones(side * side), level, *bends])
         normal = columns.T @ columns
         # prior knowledge, which steps without texture do not leave
         weight = np.full(len(slopes), 2 * self.noise / (_STRETCH_SIGMA * radius) ** 2)
         weight[:2] = 1e-3 * self.noise
-        prior = np.diag(np.append([1e-6, 1e-6], weight))
+        prior = np.diag([*weight, 1e-6, 1e-6, *[1e-2 * self.noise * side] * 3])
         self._step = np.linalg.inv(normal + prior) @ columns.T
         self._columns, self.affine = columns, affine
         self.contrast = float(level.var())
         # the structure tensor without what noise adds to it
         share = np.array([1, 1, *[np.mean(x**2)] * 4])[: 2 + affine]
-        normal[2:, 2:] -= np.diag(share) * (_GRADIENT_NOISE * _INTERPOLATED * self.noise * side**2)
+        count = len(slopes)
+        normal[:count, :count] -= np.diag(share) * (
+            _GRADIENT_NOISE * _INTERPOLATED * self.noise * side**2
+        )
         values, vectors = np.linalg.eigh(normal + prior)
         values = np.maximum(values, 1e-3 * self.noise)
-        self._spread = ((vectors / values) @ vectors.T)[2:4, 2:4]
+        self._spread = ((vectors / values) @ vectors.T)[:2, :2]
         self.covariance = 2 * self.noise * self._spread
 
     @property
@@ -253,38 +271,39 @@ class _Template:
     def align(self, view: _View, place: FloatArray, stretch: FloatArray) -> _Fit | None:
         """Align with a view from a first place and stretch; None if it does not converge there."""
         side, start = 2 * self.radius + 1, place
-        middle = np.full(2, float(self.radius))
+        warp, steps = np.empty((2, 3)), np.zeros(6)
         for _ in range(_ITERATIONS):
-            warp = np.column_stack([stretch, place - stretch @ middle])
+            warp[:, :2], warp[:, 2] = stretch, place - self.radius * stretch.sum(axis=1)
             seen: Any = cv2.warpAffine(
                 view.image, warp, (side, side), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
                 borderMode=cv2.BORDER_REPLICATE,
             )  # fmt: skip
             levels = seen.ravel().astype(float)
             found = self._step @ levels
-            gain = found[1]
+            gain = found[3 + self.affine]
             if gain < 0.2:
                 return None
-            steps = np.zeros(6)
-            steps[: 2 + self.affine] = found[2:] / gain
+            steps[: 2 + self.affine] = found[: 2 + self.affine] / gain
             place = place - stretch @ steps[:2]
-            stretch = stretch @ (np.eye(2) - steps[2:].reshape(2, 2) / self.radius)
-            if hypot(*(place - start)) > self.radius or not 0.3 < np.linalg.det(stretch) < 3.0:
+            stretch = stretch - stretch @ steps[2:].reshape(2, 2) / self.radius
+            (a, b), (c, d) = stretch.tolist()
+            if hypot(*(place - start)) > self.radius or not 0.3 < a * d - b * c < 3.0:
                 return None
             if hypot(steps[0], steps[1]) < _CONVERGED_PX:
                 break
         else:
             return None
-        residual = float(np.mean((levels - self._columns @ found) ** 2))
+        squares = (levels - self._columns @ found).reshape(side, side) ** 2
+        residual, r = float(squares.mean()), self.radius
+        core = float(squares[r - 3 : r + 4, r - 3 : r + 4].mean()) / gain**2
         variance = float(levels.var())
-        noise = max(residual, view.noise + gain**2 * self.noise) / gain**2
-        clean = (max(v - _INTERPOLATED * n, 1e-9) for v, n in
-                 ((variance, view.noise), (self.contrast, self.noise)))
-        common = float(self._columns[:, 1] @ levels) / len(levels)
-        likeness = min(common / sqrt(np.prod(list(clean))), 1.0)
-        misfit = self.contrast - common**2 / max(variance, 1e-9)
+        both = view.noise + gain**2 * self.noise
+        excess = max(residual - _INTERPOLATED * both, 0.0)
+        likeness = sqrt(max(1.0 - excess / max(variance - _INTERPOLATED * view.noise, 1e-9), 0.0))
+        misfit = self.contrast * residual / max(variance, 1e-9)
+        noise = max(residual, both) / gain**2
         covariance = stretch @ (noise * self._spread) @ stretch.T
-        return _Fit(stretch, place, covariance, misfit, likeness)
+        return _Fit(stretch, place, covariance, misfit, core, likeness)
 
 
 def _sigma_px(view: _View, place: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -311,7 +330,7 @@ def _search(
     fits: list[_Fit] = []
     r = template.radius
     kernel = np.ones((2 * r + 1, 2 * r + 1), np.uint8)
-    valid = cv2.erode(view.seen.astype(np.uint8), kernel, borderValue=0)[r:-r, r:-r]
+    valid = cv2.erode(view.seen().astype(np.uint8), kernel, borderValue=0)[r:-r, r:-r]
     if min(valid.shape) < 1 or not valid.any():
         return None
     starts = []
@@ -323,7 +342,13 @@ def _search(
     starts.sort(reverse=True)
     if near is not None:
         starts.insert(0, (1.0, near[0], near[1], len(stretches) // 2))
-    for _, x, y, k in starts[: 2 * _PLACES]:
+    tried: list[tuple[float, float]] = []
+    for _, x, y, k in starts:
+        if any(hypot(x - u, y - v) < _APART_PX for u, v in tried):
+            continue
+        tried.append((x, y))
+        if len(tried) > _PLACES:
+            break
         fit = template.align(view, np.array([x, y], float), stretches[k])
         if fit is not None and view.holds(fit.place, r):
             fits.append(fit)
@@ -621,7 +646,7 @@ class _Pair(NamedTuple):
         place = np.array([x, 0.0]) - view.corner
         if not view.holds(place, _RADIUS_PX):
             raise _refuse(pixel, _BORDER)
-        template, core = (_Template(view, place, _RADIUS_PX), _Template(view, place, _CORE_PX, 0))
+        template, core = (_Template(view, place, _RADIUS_PX, 2), _Template(view, place, _CORE_PX, 0))
         if template.worst_sigma_px > _MOST_SIGMA_PX or core.worst_sigma_px > _MOST_CORE_SIGMA_PX:
             raise _refuse(pixel, _TEXTURELESS)
 
@@ -642,7 +667,7 @@ class _Pair(NamedTuple):
             near = np.array([x - shift_px(near_depth_m), 0.0]) - strip_view.corner
         found = _search(template, strip_view, _STRETCHES, near)
         if found is None:
-            seen = strip_view.seen.any()
+            seen = strip_view.seen().any()
             raise _refuse(
                 pixel, "nothing like it in the other eye" if seen else "out of the other eye's view"
             )
@@ -652,10 +677,14 @@ class _Pair(NamedTuple):
         if not distinct:
             raise _refuse(pixel, _REPEATING)
         small = core.align(strip_view, fit.place, fit.stretch)
-        if small is None or small.likeness < _LEAST_LIKENESS or (
-            hypot(*(small.place - fit.place)) > _CONSISTENT_PX
+        most_misfit = _CORE_NOISE * 2.0 * noise + _CORE_CONTRAST * template.contrast
+        if (
+            small is None
+            or small.likeness < _LEAST_LIKENESS
+            or fit.core > most_misfit
+            or hypot(*(small.place - fit.place)) > 0.1 + 3.0 * core.worst_sigma_px
         ):
-            raise _refuse(pixel, "at the edge of an object, of which the other eye sees another side")
+            raise _refuse(pixel, "at the edge of an object, beside which the eyes see other things")
         at = fit.place + strip_view.corner
         disparity = x - float(at[0])
         depth_m = focal[0] * length_m / (disparity * sine) if disparity > 0.0 else inf
