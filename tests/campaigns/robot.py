@@ -42,6 +42,7 @@ from vergence.models.head_file import head_to_toml
 from vergence.models.toml_table import toml_text
 from vergence.recording.log import read_log
 from vergence.recording.recovery import recover_log
+from vergence.vision.objects.search import HeadSearch
 
 _LIMIT_S: Final = 15.0
 """Time limit of one input, s (chosen: far longer than any takes)."""
@@ -302,7 +303,9 @@ def _look(script: forged_streams.Script) -> str:
     history.add(time.monotonic(), HEAD.rest(), HEAD.rest())
     try:
         with closing(forged_streams.Server(script)) as server:
-            eye = EyeThread(camera_config(source=server.url), HEAD, TAG, history)
+            eye = EyeThread(
+                camera_config(source=server.url), HEAD, HeadSearch(TAG, HEAD).eyes[0], history
+            )
             try:
                 eye.start()
                 until_s = time.monotonic() + _STREAM_S

@@ -99,5 +99,5 @@ def test_a_point_may_still_be_given_by_its_former_name(capsys):
 def test_a_target_that_is_no_printed_one_is_told_what_can_be_looked_at(capsys):
     for words in (["gaze", "--target", "face"], ["detect", "a.png", "--target", "red ball"]):
         line = refused(capsys, *words)
-        assert "printed board" in line
+        assert "checkerboard:9x6:24" in line
         assert repr(words[-1]) in line

@@ -18,6 +18,7 @@ from vergence.errors import HardwareError
 from vergence.hardware import cameras
 from vergence.hardware.cameras import EyeThread
 from vergence.hardware.history import JointHistory
+from vergence.vision.objects.search import HeadSearch
 
 FRAME_S = HEAD.timing.frame_s
 PACE = [100.0 + FRAME_S * i for i in range(1, 11)]
@@ -30,7 +31,9 @@ def eye_of(monkeypatch):
         history = JointHistory()
         history.add(0.0, HEAD.rest(), np.zeros(7))
         clock = clock or FakeClock()
-        return EyeThread(camera_config(**values), HEAD, TAG, history, clock)
+        return EyeThread(
+            camera_config(**values), HEAD, HeadSearch(TAG, HEAD).eyes[0], history, clock
+        )
 
     return make
 

@@ -118,7 +118,7 @@ REFUSED = [
     ("cameras.middle", {"source": 3}, "cameras.middle: expected no such key"),
     ("head", "turret", "head: expected one of icub, physical, simulated, turrets, or the path of"),
     ("head_digest", "0" * 16, "head_digest: expected that of turrets, "),
-    ("target", "tag:36h11:900", "900"), ("target", "circle:3", "target: expected a printed board"),
+    ("target", "tag:36h11:900", "900"), ("target", "circle:3", "target: expected"),
     ("bus.port", "", "bus.port: expected the device file of the serial line"),
     ("bus.baud_rate", 1e6, "bus.baud_rate: expected a baud rate, 9600 to 10500000, got 1000000.0"),
     ("bus.watchdog_s", 200, "0.02 to 2.54 (is it in milliseconds?), got 200"),

@@ -16,7 +16,7 @@ from vergence.perception.finding import (
     watch_targets,
 )
 from vergence.perception.locate import _match
-from vergence.vision import Camera, Detection, make_detector
+from vergence.vision import BoardDetection, Camera, make_detector
 from vergence.vision.targets import AprilTag, Checkerboard, TagFamily
 
 HEAD = load_head("physical")
@@ -97,7 +97,9 @@ TAG, OTHER = AprilTag(id=5), AprilTag(id=6)
 
 
 def at(u, v, target=TAG):
-    return Detection(target, np.array([u, v]), np.zeros((4, 2)), np.full(2, 0.1), np.zeros((4, 2)))
+    return BoardDetection(
+        target, np.array([u, v]), np.zeros((4, 2)), np.full(2, 0.1), np.zeros((4, 2))
+    )
 
 
 def test_rates_noise_and_points_are_of_the_window_and_of_the_whole_run():

@@ -17,7 +17,7 @@ from vergence.perception.finding import (
 )
 from vergence.perception.locate import locate_target, measure_spacing, neighbour_distances_m
 from vergence.triangulation import Noise
-from vergence.vision import Camera, Detection
+from vergence.vision import BoardDetection, Camera
 from vergence.vision.targets import AprilTag, Checkerboard, neighbour_pairs
 
 BOARD = Checkerboard(columns=5, rows=4, square_m=0.03)
@@ -31,7 +31,7 @@ def exact(head, q, target, pose, sigma=0.05):
     pixels = head.project(q, corners_in_space(target, pose))
     centre = head.project(q, pose[:3, 3])
     return [
-        Detection(
+        BoardDetection(
             target, centre[eye], pixels[:, eye], np.full(2, sigma), np.full((len(pixels), 2), sigma)
         )
         for eye in range(2)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence import load_head
 from vergence.models.parts import Rendering
-from vergence.vision import Camera, Detection, TargetRenderer
+from vergence.vision import BoardDetection, Camera, TargetRenderer
 from vergence.vision.targets import PlanarTarget
 
 Image = NDArray[np.uint8]
@@ -155,6 +155,6 @@ def turned(rng: np.random.Generator, most_rad: float) -> tuple[float, float, flo
     return tuple(axis / np.linalg.norm(axis) * rng.uniform(0.0, most_rad))
 
 
-def shifted(found: Detection, by_px: ArrayLike) -> Detection:
+def shifted(found: BoardDetection, by_px: ArrayLike) -> BoardDetection:
     """A detection predicted elsewhere."""
     return found._replace(point_px=found.point_px + by_px, corners_px=found.corners_px + by_px)

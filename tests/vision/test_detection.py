@@ -18,10 +18,10 @@ from vergence import load_head
 from vergence.vision import (
     AprilGrid,
     AprilTag,
+    BoardDetection,
     Camera,
     CharucoBoard,
     Checkerboard,
-    Detection,
     TagFamily,
     Tracker,
     make_detector,
@@ -216,7 +216,7 @@ def test_nothing_is_found_where_nothing_is(name):
 # wrong arguments
 
 NONE = np.full((4, 2), np.nan)
-SEEN = Detection(AprilTag(), NONE[0], NONE, NONE[0], NONE)
+SEEN = BoardDetection(AprilTag(), NONE[0], NONE, NONE[0], NONE)
 TAG = make_detector(AprilTag())
 CHARUCO = make_detector(parse_target("charuco:7x5:40:30:4X4_50"))
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
@@ -250,5 +250,5 @@ def test_a_prediction_that_is_nowhere_finds_nothing():
         with named(name, where):
             detector = make_detector(parse_target(name))
             corners = np.full((len(detector.target.corners_m), 2), where)
-            seen = Detection(detector.target, corners[0], corners, corners[0], corners)
+            seen = BoardDetection(detector.target, corners[0], corners, corners[0], corners)
             assert detector.track(GREY, seen) is None

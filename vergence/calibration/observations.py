@@ -18,7 +18,7 @@ from vergence.models.parts import FloatArray
 from vergence.perception.finding import PhotographSearch, TargetFinder
 from vergence.perception.notes import LinearResponseCheck, describe_similar_targets
 from vergence.perception.photographs import join_first_names
-from vergence.vision import Detection, parse_target, read_image
+from vergence.vision import BoardDetection, parse_target, read_image
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily
 
 _MISSES_BEFORE_CHECK: Final = 6
@@ -160,7 +160,7 @@ class _BoardFinder(TargetFinder):
         super().__init__([target], response=response)
         self.response_check = check  # one of all cameras
 
-    def find(self, image: NDArray[Any]) -> list[Detection]:
+    def find(self, image: NDArray[Any]) -> list[BoardDetection]:
         scale, (detector,) = 1.0, self._detectors
         found = detector.detect(image)
         if image.dtype == np.int32:  # from a TIFF; cv2.resize does not take it

@@ -87,10 +87,11 @@ def _with_point(words: list[str]) -> list[str]:
         float(given)
         print_to_stderr("--target: it is --point now; --target is accepted until version 0.2")
         return [*words[:place], "--point", *words[place + 1 :]]
+    if words[0] == "gaze":
+        return words
     raise ConfigurationError(
         f"--target: expected the position of the target, as --point X Y Z in mm, got {given!r}: "
-        "a simulation draws a tag there, and a robot looks at the printed board that `target` in "
-        "its configuration names; nothing else can be looked at, such as a face or a ball"
+        "an emulated head shows a tag there, or with --scene a ball or a poster in a room"
     )
 
 

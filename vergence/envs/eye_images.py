@@ -15,7 +15,7 @@ from vergence.vision.targets import make_planar_target
 
 
 class EyeImages(NamedTuple):
-    """Images of both eyes, (height, width) grey levels."""
+    """Images of both eyes: (height, width) grey levels, or (height, width, 3) RGB."""
 
     left: Image
     right: Image
@@ -58,7 +58,8 @@ def given_or_drawn_eye_images(task: GazeTask, n: int) -> EyeImages | None:
     """
     frames = task.plant.frames(n)
     if frames is not None:
-        left, right = frames
+        # plants give blue, green and red
+        left, right = (image[..., ::-1] if image.ndim == 3 else image for image in frames)
         return EyeImages(left.copy(), right.copy(), False)
     if not isinstance(task.plant, Simulation):
         return None

@@ -99,7 +99,8 @@ class Plant(ABC):
             place: environment index.
 
         Returns:
-            Left and right image, (height, width) grey levels; None for a plant without images.
+            Left and right image, (height, width) grey levels or (height, width, 3) blue, green and
+            red; None for a plant without images.
         """
         return None
 

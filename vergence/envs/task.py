@@ -18,7 +18,7 @@ from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import TERMS
 from vergence.envs.saved_state import Arrays, SavedState, copy_arrays, join_parts, restore_arrays
 from vergence.envs.streams import IntArray, KeyArray, RandomStreams, as_seed
-from vergence.envs.targets.registry import make_target
+from vergence.envs.targets.registry import make_target, separate_look
 from vergence.envs.targets.target import Target
 from vergence.envs.validation import as_action_array, refuse_immobile_eyes
 from vergence.errors import ConfigurationError
@@ -41,8 +41,9 @@ class GazeTask:
         head: the model that the controller knows: a preset's name, a TOML path or a model.
         plant: the plant that moves the heads: a name, see `vergence.envs.plant.PLANTS`, or
             `module:class` of a user's plant.
-        target: the target to look at, see `vergence.envs.targets.registry.make_target`; a real head
-            looks at the world, and takes only the start of its trials from this target.
+        target: the target to look at: its motion, see `make_target`, or what it is, see
+            `parse_gaze_target`, or both, see `separate_look`; a real head looks at the world, and
+            takes only the start of its trials from a motion.
         model_errors: standard deviations of the true heads from the model, as a mapping of
             `ModelErrors`' fields; each head of the batch is a separate draw.
         model_seed: seed of that draw; head i of the batch is drawn with model_seed + i.
@@ -70,6 +71,7 @@ class GazeTask:
     ) -> None:
         self.head = head if isinstance(head, HeadModel) else load_head(head)
         refuse_immobile_eyes(self.head)
+        target, look = separate_look(target)
         self.target = make_target(target)
         """Target that draws the trials' motions and starts."""
         self.layout = ObservationLayout.of(self.head)
@@ -82,6 +84,8 @@ class GazeTask:
                 f"plant_options: expected options by name, got {plant_options!r:.80}"
             )
         options = dict(plant_options or {})
+        if look is not None:
+            options["look"] = look
         if self.target.drawn_in_workspace:
             fit = getattr(plant_type(plant), "workspace_options", {})
             options = {**fit, **options}

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vergence.controllers.controller import default_options, make_controller
 from vergence.controllers.ibvs import gain_for_loop
 from vergence.envs.eye_images import EyeImages, given_or_drawn_eye_images
+from vergence.envs.plants.eye_views import RoomImageRenderer
 from vergence.envs.plants.simulation import is_simulated
 from vergence.envs.policy import Policy
 from vergence.envs.rollout import rollout
@@ -37,6 +38,8 @@ from vergence.operands import null_nonfinite_elements
 from vergence.recording import Recorder
 from vergence.recording.health import warn_of_gap
 from vergence.triangulation import Fix
+from vergence.vision.objects.scenes import parse_scene
+from vergence.vision.objects.targets import GazeTarget, PointTarget, parse_gaze_target
 
 _ROBOT_LAW: Final = "state-feedback"
 """The first law of `vergence.controllers.controller.WHICH_LAW`."""
@@ -161,6 +164,13 @@ def run_gaze(
             f"duration: expected a number of seconds above 0, got {config.duration_s}"
         )
     config, head, plant_options = _hardware(config)
+    look = _look(config)
+    if simulated and config.pixel is not None and config.scene is None:
+        config = dataclasses.replace(config, scene="room")
+    for name, value in (("scene", config.scene), ("wall", config.wall)):
+        if value is not None and not simulated:
+            raise ConfigurationError(f"{name}: expected none on a robot, got {value}")
+        plant_options |= {} if value is None else {name: str(value)}
     refuse_immobile_eyes(head)
     rate = head.timing.control_rate_hz
     if not 1.0 <= config.duration_s * rate <= 1e6:
@@ -174,11 +184,15 @@ def run_gaze(
     options: dict[str, Any] = {} if config.gain is None else {"gain": config.gain}
     controller = make_controller(config.controller, head=head, **options)
     point = np.asarray(config.target_mm) / MM
+    if simulated and look is not None:
+        point = _on_surface(config, head, parse_gaze_target(look), point)
+        config = dataclasses.replace(config, target_mm=tuple((MM * point).tolist()))
     refused = _why_unreachable(head, point, config.target_mm)
     if refused and simulated:  # a robot looks at the target that it detects
         in_metres = not _why_unreachable(head, MM * point, config.target_mm)
         raise ConfigurationError(refused + (" (is it in metres?)" if in_metres else ""))
-    target = {"kind": "static", "point": point.tolist()}
+    target: dict[str, Any] = {"kind": "static", "point": point.tolist()}
+    target |= {} if look is None else {"look": look}
     task = GazeTask(1, head=head, plant=config.plant, target=target, plant_options=plant_options)
     return record_gaze(task, controller, config, progress, watch)
 
@@ -294,6 +308,28 @@ def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]
     head = hardware.head if config.head is None else load_head(config.head)
     config = dataclasses.replace(config, head=config.head or hardware.head.name)
     return config, head, {"config": hardware, "view_check": config.view_check}
+
+
+def _look(config: GazeConfig) -> str | None:
+    """Text of what is looked at, see `parse_gaze_target`; None for the plant's own target."""
+    text = config.target
+    if text == "place":
+        text = "place:" + ":".join(f"{value:g}" for value in config.target_mm)
+    if text is None and config.pixel is None:
+        return None
+    return str(parse_gaze_target(text or "point", config.pixel))
+
+
+def _on_surface(
+    config: GazeConfig, head: HeadModel, target: GazeTarget, point: FloatArray
+) -> FloatArray:
+    """The point of a simulated room's wall at a pixel, or behind a point."""
+    bare = config.scene is not None and config.scene.strip().lower() == "room"
+    if not isinstance(target, PointTarget) or not (bare or target.pixel is not None):
+        return point
+    views = RoomImageRenderer(head, parse_scene("room"))
+    pixel = head.project(head.rest(), point)[0] if target.pixel is None else target.pixel
+    return views.surface(head.rest(), target.eye or 0, pixel)
 
 
 def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> str:

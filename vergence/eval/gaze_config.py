@@ -1,7 +1,8 @@
 """Configuration of one gaze; also the options of `vergence gaze`."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Literal
 
 import tyro
 
@@ -18,6 +19,20 @@ class GazeConfig:
     ] = (0.0, -100.0, 1000.0)
     """Position of the target in the base frame N, mm: x right, y down, z forward. The emulator
     places it there; a robot looks at the target that it detects instead."""
+    target: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TARGET")] = None
+    """What to look at: tag:36h11:5:120 or checkerboard:9x6:24 (lengths in mm), colour:#RRGGBB,
+    face:MODEL.onnx, point, place (that of --point, without images), or mine.py:Class, a detector
+    of one's own (see docs/objects.md); a tag by default, on a robot its configuration's target."""
+    pixel: Annotated[
+        tuple[Literal["left", "right"], float, float] | None,
+        tyro.conf.arg(help_behavior_hint="", metavar="EYE U V"),
+    ] = None
+    """With --target point: the eye and the pixel in its first image."""
+    scene: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="SCENE")] = None
+    """What stands at the target's place in a simulated room: ball:#RRGGBB:MM, poster:MM,
+    poster:FILE:MM (a photograph, such as a printed face) or room (nothing)."""
+    wall: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
+    """Photograph on the room's front wall."""
     controller: Annotated[str, tyro.conf.arg(help_behavior_hint="", metavar="CONTROLLER")] = ""
     """Controller that turns the eyes (see `vergence info`); ibvs by default, on a robot
     state-feedback."""

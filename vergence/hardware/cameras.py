@@ -20,15 +20,13 @@ import cv2
 import numpy as np
 
 from vergence.envs.reading import Image
-from vergence.errors import HardwareError
+from vergence.errors import HardwareError, VergenceError
 from vergence.hardware.config import CameraConfig
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import SearchedImage
-from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.vision.image import as_grey, grey_if_channels_equal, is_local_camera, open_capture
-from vergence.vision.targets import Target
-from vergence.vision.tracking import Tracker, make_detector
+from vergence.vision.objects.search import EyeSearch
 
 _LOG: Final = logging.getLogger(__name__)
 _STEADY_INTERVALS: Final = 5
@@ -49,7 +47,7 @@ class EyeThread(threading.Thread):
     Args:
         config: the camera.
         head: the model of the head.
-        target: the target to detect.
+        search: the search for the target in the eye's images.
         history: joint angles by time, for tracking the target while the eye turns.
         clock: a monotonic clock, s.
 
@@ -61,7 +59,7 @@ class EyeThread(threading.Thread):
         self,
         config: CameraConfig,
         head: HeadModel,
-        target: Target,
+        search: EyeSearch,
         history: JointHistory,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -72,7 +70,7 @@ class EyeThread(threading.Thread):
         self._history = history
         self._clock = clock
         self._head = head
-        self._tracker = self._tracker_of(target)
+        self._search = search
         self._new: deque[SearchedImage] = deque(maxlen=64)
         self._forget = self._ended = self._target_visible = False
         self._steady = threading.Event()
@@ -103,7 +101,8 @@ class EyeThread(threading.Thread):
         try:
             self._run()
         except Exception as error:
-            self._fault = self._fault or f"{type(error).__name__}: {error}"
+            named = "" if isinstance(error, VergenceError) else f"{type(error).__name__}: "
+            self._fault = self._fault or f"{named}{error}"
         finally:
             if self._fault:
                 _LOG.warning("%s: %s", self.config.name, self._fault)
@@ -158,10 +157,12 @@ class EyeThread(threading.Thread):
         self._newest_s = received_s
         if self._forget:
             self._forget = False
-            self._tracker.forget()
+            self._search.forget()
         T_0_C = (self._head.base_pose(q) @ self._head.camera_poses(q))[self.config.eye]
-        found = self._tracker.find(image, T_0_C=T_0_C)
-        pixel = np.full(2, np.nan) if found is None else found.point_px.copy()
+        self._search.look(image, T_0_C, exposed_s)
+        answer = self._search.found()
+        found = None if answer is None else answer.detection
+        pixel = np.full(2, np.nan) if found is None else np.array(found.pixel)
         if not self.images:
             _LOG.info("%s: first image", self.config.name)
         if self._target_visible != (found is not None):
@@ -172,7 +173,9 @@ class EyeThread(threading.Thread):
         self.images += 1
         self.found += found is not None
         self.frame = grey
-        self._new.append(SearchedImage(exposed_s, self._clock(), pixel, found, grey))
+        if answer is not None:  # else a slow detector has yet to answer
+            own = grey if answer.time_s == exposed_s else None
+            self._new.append(SearchedImage(answer.time_s, self._clock(), pixel, found, own))
 
     @property
     def newest_received_s(self) -> float:
@@ -210,12 +213,9 @@ class EyeThread(threading.Thread):
             images.append(self._new.popleft())
         return images
 
-    def look_for(self, target: Target) -> None:
-        """Detect another target from the next image on."""
-        self._tracker = self._tracker_of(target)
-
-    def _tracker_of(self, target: Target) -> Tracker:
-        return Tracker(make_detector(target, Camera.of(self._head, self.config.eye)))
+    def look_for(self, search: EyeSearch) -> None:
+        """Search for another target from the next image on."""
+        self._search = search
 
     def forget_track(self) -> None:
         """Drop the track of the target: the whole next image is searched."""

@@ -2,20 +2,23 @@
 
 from typing import Final
 
+import cv2
 import numpy as np
 
 from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.hardware.common_time import pixels_at_common_time
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
-from vergence.vision.targets import TagFamily, Target
+from vergence.vision.objects.search import HeadSearch
+from vergence.vision.objects.targets import GazeTarget, ObjectTarget, PointTarget
+from vergence.vision.targets import PlanarTarget, TagFamily
 from vergence.vision.tracking import Tracker, make_detector
 
 _CELL_PX: Final = 8.0
 """Cell size of the board that is drawn for the compilation, px (chosen)."""
 
 
-def compile_loop_kernels(head: HeadModel, target: Target) -> None:
+def compile_loop_kernels(head: HeadModel, target: GazeTarget) -> None:
     """Call every kernel of the loop once, on images with the target and on one without.
 
     Args:
@@ -23,6 +26,10 @@ def compile_loop_kernels(head: HeadModel, target: Target) -> None:
         target: the target that the cameras detect.
     """
     q, still = head.rest(), np.zeros(7)
+    pixels_at_common_time(head, head.cameras.principal, np.stack([q, q]), q)
+    if not isinstance(target, PlanarTarget | TagFamily):
+        _search_once(head, target)
+        return
     board = target.tag(0) if isinstance(target, TagFamily) else target
     views = BoardImageRenderer(head, board)
     poses = head.base_pose(q) @ head.camera_poses(q)
@@ -33,4 +40,19 @@ def compile_loop_kernels(head: HeadModel, target: Target) -> None:
         image = views.draw(q, still, point)[eye].copy()
         for seen in (image, image, np.full_like(image, image[0, 0])):
             tracker.find(seen, T_0_C=poses[eye])
-    pixels_at_common_time(head, head.cameras.principal, np.stack([q, q]), q)
+
+
+def _search_once(head: HeadModel, target: ObjectTarget) -> None:
+    """Call an object's detector, also a user's own, on images of noise, and track in them."""
+    q = head.rest()
+    poses = head.base_pose(q) @ head.camera_poses(q)
+    if isinstance(target, PointTarget):
+        u, v = head.cameras.principal[0].tolist()
+        target = PointTarget(eye=0, pixel=(u, v))
+    search, rng = HeadSearch(target, head), np.random.default_rng(0)
+    levels = rng.integers(256, size=(8, 8, 3), dtype=np.uint8)
+    for time_s in (0.0, 0.1):
+        for eye, (width, height) in enumerate(head.cameras.size.tolist()):
+            image = np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_CUBIC))
+            search.eyes[eye].look(image, poses[eye], time_s)
+            search.eyes[eye].found()

@@ -62,7 +62,7 @@ from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head, presets
 from vergence.models.parts import EYE_NAMES
 from vergence.models.toml_table import Rule, Table
-from vergence.vision.targets import Target, parse_target
+from vergence.vision.objects.targets import GazeTarget, parse_gaze_target
 
 __all__ = [
     "BusConfig",
@@ -88,7 +88,7 @@ class HardwareConfig:
     """Path of the configuration file."""
     head: HeadModel
     """Model of the head."""
-    target: Target
+    target: GazeTarget
     """Target that the cameras detect."""
     bus: BusConfig
     """The serial line."""
@@ -273,11 +273,11 @@ def _head(table: Table, path: str) -> HeadModel:
         raise HeadFileError("head", name, asked, path) from error
 
 
-def _target(table: Table, path: str) -> Target:
+def _target(table: Table, path: str) -> GazeTarget:
     if not table.has("target"):
-        return parse_target("tag:36h11:0")
+        return parse_gaze_target("tag:36h11:0")
     text = table.text("target", "a target, such as tag:36h11:0:150")
     try:
-        return parse_target(text)
+        return parse_gaze_target(text)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error

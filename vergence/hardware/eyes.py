@@ -16,7 +16,8 @@ from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.recording.schema import LoggedDetection
 from vergence.vision.image import suppress_opencv_log
-from vergence.vision.targets import Target
+from vergence.vision.objects.search import HeadSearch
+from vergence.vision.objects.targets import GazeTarget
 
 _READY_TIMEOUT_S: Final = 10.0
 """Longest wait for images at the frame rate after the cameras open, s (chosen)."""
@@ -33,6 +34,7 @@ class HeadEyes:
 
     Attributes:
         threads: camera threads of the left and the right eye; empty while closed.
+        search: the search for the target in their images; None before `open`.
     """
 
     def __init__(
@@ -43,6 +45,8 @@ class HeadEyes:
         clock: Callable[[], float],
     ) -> None:
         self.threads: list[EyeThread] = []
+        self.search: HeadSearch | None = None
+        self._target = config.target
         self._config, self._history, self._log, self._clock = config, history, log, clock
         self._pairing = Pairing(config.pairing_tolerance_s, config.head.timing.frame_s)
         self._settings = ExitStack()
@@ -57,11 +61,12 @@ class HeadEyes:
             HardwareError: a camera gives no images.
             ConfigurationError: a camera cannot be opened.
         """
-        head, target = self._config.head, self._config.target
+        head = self._config.head
+        self.search = HeadSearch(self._target, head, head.timing.frame_s)
         # errors of streams are reported by our own messages
         self._settings.enter_context(suppress_opencv_log())
-        for camera in self._config.cameras:
-            self.threads.append(EyeThread(camera, head, target, self._history))
+        for camera, search in zip(self._config.cameras, self.search.eyes, strict=True):
+            self.threads.append(EyeThread(camera, head, search, self._history))
         for eye in self.threads:
             eye.start()
         until = self._clock() + _READY_TIMEOUT_S
@@ -118,17 +123,21 @@ class HeadEyes:
                 positions=self._history.at(searched.exposed_s),
                 point_px=searched.pixel,
                 sigma_px=np.full(2, np.nan) if found is None else found.sigma_px,
-                corners_px=nothing if found is None else found.corners_px,
-                corners_sigma_px=nothing if found is None else found.corners_sigma_px,
+                corners_px=getattr(found, "corners_px", nothing),
+                corners_sigma_px=getattr(found, "corners_sigma_px", nothing),
             )
         )
         if log.images and searched.image is not None:
             log.image(eye, searched.image, searched.exposed_s)
 
-    def look_for(self, target: Target) -> None:
-        """Detect another target from the next images on."""
-        for eye in self.threads:
-            eye.look_for(target)
+    def look_for(self, target: GazeTarget) -> None:
+        """Search for another target from the next images on."""
+        head, before = self._config.head, self.search
+        self._target, self.search = target, HeadSearch(target, head, head.timing.frame_s)
+        for eye, search in zip(self.threads, self.search.eyes, strict=False):
+            eye.look_for(search)
+        if before is not None:
+            before.close()
 
     def forget(self) -> None:
         """Drop the track of the target in both eyes."""
@@ -147,4 +156,6 @@ class HeadEyes:
         threads, self.threads = self.threads, []
         for eye in threads:
             eye.close()
+        if self.search is not None:
+            self.search.close()
         self._settings.close()

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from vergence.envs.reading import Image
 from vergence.models.parts import FloatArray
-from vergence.vision.detection import Detection
+from vergence.vision.detection import BoardDetection, Detection
 
 
 class SearchedImage(NamedTuple):
@@ -23,7 +23,7 @@ class SearchedImage(NamedTuple):
     """Time at which the detection ended, s."""
     pixel: FloatArray
     """(2,) raw pixel of the target; nan if it was not found."""
-    detection: Detection | None = None
+    detection: BoardDetection | Detection | None = None
     """Detection of the target; None if it was not found."""
     image: Image | None = None
     """The image itself, grey levels."""

@@ -5,6 +5,7 @@ the joints; camera threads receive the images meanwhile. The servos' own bus wat
 no packet arrives for a given time.
 """
 
+import dataclasses
 import gc
 import logging
 import time
@@ -56,7 +57,8 @@ from vergence.hardware.view_check import (
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
-from vergence.vision.targets import AprilTag, Target
+from vergence.vision.objects.targets import GazeTarget, PointTarget, parse_gaze_target
+from vergence.vision.targets import AprilTag
 
 _LOG: Final = logging.getLogger(__name__)
 _FIRST_IMAGES_S: Final = 1.0
@@ -79,6 +81,8 @@ class HardwarePlant(Plant):
             `vergence.hardware.config`.
         log: receives all events; None for no log.
         moves: True if the servos move; if False they are only read, never written to.
+        look: what the eyes look for in place of the configuration's target, see
+            `parse_gaze_target`.
         view_check: True to compare, before the first trial, what the images do while each joint
             turns with what the configuration says; the target has to be in view then.
         appears: True if the target appears at a trial's start, as a simulated one does: images
@@ -108,6 +112,7 @@ class HardwarePlant(Plant):
         log: RobotListener | None = None,
         moves: bool = True,
         appears: bool = False,
+        look: str | None = None,
         view_check: bool = True,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
@@ -116,6 +121,8 @@ class HardwarePlant(Plant):
             raise ConfigurationError(f"num: expected 1, as there is one real head, got {num}")
         self.config = config if isinstance(config, HardwareConfig) else load_hardware(config)
         refuse_other_head(self.config, head)
+        if look is not None:
+            self.config = dataclasses.replace(self.config, target=parse_gaze_target(look))
         self.head, self.num = head, num
         self.places_targets = self.config.places_targets
         self.overruns = 0
@@ -229,7 +236,7 @@ class HardwarePlant(Plant):
             return POINT
         return BoardImageRenderer(self.head, target, width_rad="fit").board
 
-    def look_for(self, target: Target) -> None:
+    def look_for(self, target: GazeTarget) -> None:
         """Detect another target from the next images on.
 
         Raises:
@@ -269,6 +276,7 @@ class HardwarePlant(Plant):
             self.rest(str(error))
             raise
         self._open.eyes.forget()
+        self._name_point()
         blank = Reading.empty(1)
         for own, empty in zip(self._reading, blank, strict=True):
             own[:] = empty
@@ -464,6 +472,12 @@ class HardwarePlant(Plant):
         self._open.eyes.check()
         self._check_health()
         return now
+
+    def _name_point(self) -> None:
+        """Follow the target before an emulated head as the point that nobody has named."""
+        world, search = self._open.world, self._open.eyes.search
+        if world is not None and search is not None and self._target == PointTarget():
+            search.click(0, world.truth(self.head, 0.0).pixels[0, 0])
 
     def _come_to_rest(self) -> None:
         """Brake as far as the line allows, switch the torque of hot servos off, and say so."""

@@ -27,8 +27,9 @@ from vergence.hardware.start import PROOF_RAD, PROOF_TIMEOUT_S, GoalNotReachedEr
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
-from vergence.vision.detection import Detection
-from vergence.vision.targets import AprilTag, TagFamily, Target
+from vergence.vision.detection import BoardDetection, Detection
+from vergence.vision.objects.targets import GazeTarget
+from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily
 from vergence.vision.tracking import make_detector
 
 _DISTANCES_M: Final = (0.2, 0.35, 0.6, 1.0, 2.0, 4.0)
@@ -122,7 +123,7 @@ def compile_view_check(config: HardwareConfig) -> None:
     head.undistort(np.repeat(seen.pixels[:, np.newaxis], 2, axis=1))
 
 
-def range_by_size(head: HeadModel, eye: int, found: Detection) -> float:
+def range_by_size(head: HeadModel, eye: int, found: BoardDetection | Detection) -> float:
     """Distance of a detected target by its size, m; nan if that is unknown.
 
     Args:
@@ -130,7 +131,7 @@ def range_by_size(head: HeadModel, eye: int, found: Detection) -> float:
         eye: the eye that sees it, 0 for left.
         found: its detection.
     """
-    if not found.target.size_known:
+    if not isinstance(found, BoardDetection) or not found.target.size_known:
         return float("nan")
     raw = np.repeat(found.corners_px[:, np.newaxis], 2, axis=1)
     rays = (head.undistort(raw)[:, eye] - head.cameras.principal[eye]) / head.cameras.focal[eye]
@@ -208,7 +209,7 @@ class ViewCheck:
     turns: list[Turn] = field(default_factory=list)
     """These turns."""
 
-    def findings(self, target: Target, images: tuple[Image, Image] | None) -> list[Finding]:
+    def findings(self, target: GazeTarget, images: tuple[Image, Image] | None) -> list[Finding]:
         """All mistakes, each named by its likeliest cause; empty for a head that is right.
 
         Args:
@@ -227,13 +228,15 @@ class ViewCheck:
             return self._zeros()
         return [self._explained(angles, pixels)]
 
-    def _unseen(self, target: Target, images: tuple[Image, Image] | None) -> list[Finding]:
+    def _unseen(self, target: GazeTarget, images: tuple[Image, Image] | None) -> list[Finding]:
         """Findings of eyes that have never seen the target."""
         seen = np.array([np.isfinite(posture.pixels).all(axis=-1) for posture in self.postures])
         found, blind = [], np.flatnonzero(~seen.any(axis=0)).tolist()
         for eye in blind:
+            if images is None or not isinstance(target, PlanarTarget | TagFamily):
+                continue
             detector = make_detector(target, Camera.of(self.config.head, eye))
-            if images is not None and detector.detect(images[eye][:, ::-1].copy()) is not None:
+            if detector.detect(images[eye][:, ::-1].copy()) is not None:
                 problem = f"expected images as the eye sees {target}, got mirrored ones"
                 found.append(Finding(part=self._camera(eye), problem=problem, cure=_FLIP_CURE))
         if not found and not seen.any():

@@ -19,8 +19,8 @@ from vergence.models.stereo_files import read_intrinsics
 from vergence.operands import null_nonfinite_elements, null_nonfinite_rows
 from vergence.perception.notes import LinearResponseCheck, PhotographNotes, target_key
 from vergence.perception.photographs import list_photographs
-from vergence.vision import Camera, Detector, Tracker, as_grey, make_detector, parse_target
-from vergence.vision.detection import Detection
+from vergence.vision import BoardDetector, Camera, Tracker, as_grey, make_detector, parse_target
+from vergence.vision.detection import BoardDetection
 from vergence.vision.image import read_pixels
 from vergence.vision.pose import Pose
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily, Target
@@ -32,7 +32,7 @@ class Photograph(NamedTuple):
     path: Path
     image: NDArray[np.uint8]
     """(height, width) grey levels."""
-    detections: list[Detection]
+    detections: list[BoardDetection]
 
 
 def parse_targets(texts: Sequence[str]) -> list[Target]:
@@ -62,9 +62,9 @@ class TargetFinder:
         self.response_check = LinearResponseCheck()
         self._detectors = [make_detector(target, camera, response) for target in targets]
 
-    def find(self, image: NDArray[Any]) -> list[Detection]:
+    def find(self, image: NDArray[Any]) -> list[BoardDetection]:
         """Find all targets, in the order of the targets given, tags sorted by their numbers."""
-        found: list[Detection] = []
+        found: list[BoardDetection] = []
         for detector in self._detectors:
             known = {target_key(one.target) for one in found}
             new = [d for d in detector.detect_all(image) if target_key(d.target) not in known]
@@ -130,7 +130,7 @@ class Sighting(NamedTuple):
 
     image: str
     """The image's path as it was given."""
-    detection: Detection
+    detection: BoardDetection
     centre_px: FloatArray
     """(2,) its centre; nan where too few corners of a board were found."""
     sigma_px: FloatArray
@@ -268,7 +268,9 @@ def weighted_sum(values: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(np.tensordot(weights[used], values[used], axes=1))
 
 
-def target_centre_px(detection: Detection, camera: Camera | None) -> tuple[FloatArray, FloatArray]:
+def target_centre_px(
+    detection: BoardDetection, camera: Camera | None
+) -> tuple[FloatArray, FloatArray]:
     """(2,) pixel of a target's centre, for a board by a homography, and (2,) its sigma; or nan."""
     target = detection.target
     if isinstance(target, AprilTag):
@@ -298,7 +300,7 @@ _SEARCH_INTERVAL_IMAGES: Final = 15
 (chosen: new tags found early against time)."""
 
 
-LiveFinder = Callable[[NDArray[np.uint8]], Sequence[Detection]]
+LiveFinder = Callable[[NDArray[np.uint8]], Sequence[BoardDetection]]
 """Finds targets in the next image of a sequence."""
 
 
@@ -316,14 +318,14 @@ def make_live_finder(
 class FamilyTracker:
     """Tracks a family's tags; searches in full every 15th image and for 15 after a loss."""
 
-    def __init__(self, detector: Detector[Any]) -> None:
+    def __init__(self, detector: BoardDetector[Any]) -> None:
         self._detector = detector
-        self._tracks: list[tuple[Detection, FloatArray]] = []
+        self._tracks: list[tuple[BoardDetection, FloatArray]] = []
         """Last detection of each tag, and its (2,) motion since the previous image, px."""
         self._awaited: dict[Hashable, int] = {}
         self._images = 0
 
-    def __call__(self, image: NDArray[np.uint8]) -> Sequence[Detection]:
+    def __call__(self, image: NDArray[np.uint8]) -> Sequence[BoardDetection]:
         """Find the tags in the next image; of several with one number, only the first."""
         tracks, self._tracks = self._tracks, []
         for last, motion in tracks:
@@ -362,7 +364,7 @@ class TargetStatistics:
     _squares: FloatArray = field(default_factory=lambda: np.zeros(2))
     _variance: FloatArray = field(default_factory=lambda: np.zeros(2))
 
-    def add(self, found: Detection) -> None:
+    def add(self, found: BoardDetection) -> None:
         """Add an image with the target."""
         self.images_with_target = seen = self.images_with_target + 1
         before = found.point_px - self._mean
@@ -431,7 +433,7 @@ class LiveStatistics:
 
     def __init__(self, targets: Iterable[Target] = (), window_s: float = WINDOW_S) -> None:
         self._window_s = window_s
-        self._frames: deque[tuple[float, float, Mapping[PlanarTarget, Detection]]] = deque()
+        self._frames: deque[tuple[float, float, Mapping[PlanarTarget, BoardDetection]]] = deque()
         """Time, s, duration, s, and detections of each image of the window."""
         self._begun_s = self._first_s = self._now_s = 0.0
         self._took_s = array("d")
@@ -441,13 +443,13 @@ class LiveStatistics:
             if not isinstance(target, TagFamily)
         }
 
-    def add(self, time_s: float, detection_s: float, detections: Sequence[Detection]) -> None:
+    def add(self, time_s: float, detection_s: float, detections: Sequence[BoardDetection]) -> None:
         """Add the detections of an image, with the time at which they ended and their duration."""
         if not self._took_s:
             self._begun_s, self._first_s = time_s - detection_s, time_s
         self._now_s = time_s
         self._took_s.append(detection_s)
-        by_target: dict[PlanarTarget, Detection] = {}
+        by_target: dict[PlanarTarget, BoardDetection] = {}
         for one in detections:  # of several tags with one number, only the first counts
             by_target.setdefault(one.target, one)
         for target, one in by_target.items():

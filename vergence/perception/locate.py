@@ -33,7 +33,7 @@ from vergence.perception.photographs import (
 )
 from vergence.triangulation import Fix, Noise, triangulate_views
 from vergence.vision import Camera
-from vergence.vision.detection import Detection, corner_noise
+from vergence.vision.detection import BoardDetection, corner_noise
 from vergence.vision.pose import Pose, View, estimate_pose, eye_views
 from vergence.vision.targets import (
     AprilTag,
@@ -241,7 +241,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def locate_target(
-    head: HeadModel, q: FloatArray, pair: str, left: Detection, right: Detection
+    head: HeadModel, q: FloatArray, pair: str, left: BoardDetection, right: BoardDetection
 ) -> LocatedTarget:
     """Triangulate a target that both eyes see, at (7,) angles, rad."""
     target, joint_rad = left.target, Noise.of(head).joint_rad
@@ -496,7 +496,11 @@ def locate(
 
 
 def _match(
-    head: HeadModel, q: FloatArray, pair: str, left: Sequence[Detection], right: Sequence[Detection]
+    head: HeadModel,
+    q: FloatArray,
+    pair: str,
+    left: Sequence[BoardDetection],
+    right: Sequence[BoardDetection],
 ) -> tuple[list[LocatedTarget], list[MissedTarget]]:
     """Triangulate the targets that both images have exactly once; list the others as missed."""
     located, missed = [], []

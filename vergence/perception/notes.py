@@ -19,7 +19,7 @@ from vergence.perception.photographs import join_first_names
 from vergence.vision import Camera, make_detector
 from vergence.vision.april_grid import alternative_grids
 from vergence.vision.charuco import alternative_charuco, find_markers, upper_left_is_dark
-from vergence.vision.detection import Detection
+from vergence.vision.detection import BoardDetection
 from vergence.vision.image import has_orientation_tag, measurement_channel
 from vergence.vision.optics import fit_homography
 from vergence.vision.tag_families import AprilGrid, families_in
@@ -50,7 +50,7 @@ class PhotographNotes:
         self._images = self._clipped = 0
         self._rows: dict[_Board, list[NDArray[np.bool_]]] = defaultdict(list)
 
-    def add(self, image: NDArray[np.uint8], detections: Sequence[Detection]) -> None:
+    def add(self, image: NDArray[np.uint8], detections: Sequence[BoardDetection]) -> None:
         """Add an image and all its detections."""
         self._images += 1
         self._unseen = [t for t in self._unseen if not any(is_of_target(d, t) for d in detections)]
@@ -94,7 +94,7 @@ def target_key(target: PlanarTarget) -> Hashable:
     return (target.family, target.id) if isinstance(target, AprilTag) else target
 
 
-def is_of_target(detection: Detection, target: Target) -> bool:
+def is_of_target(detection: BoardDetection, target: Target) -> bool:
     """True if a detection is of the target; tags are compared by family and number alone."""
     found = detection.target
     if isinstance(target, TagFamily):
@@ -104,7 +104,7 @@ def is_of_target(detection: Detection, target: Target) -> bool:
     return target_key(found) == target_key(target)
 
 
-def _is_white_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
+def _is_white_clipped(image: NDArray[np.uint8], detection: BoardDetection) -> bool:
     corners = detection.corners_px[np.isfinite(detection.corners_px).all(axis=1)]
     u0, v0 = np.maximum(corners.min(axis=0).astype(int), 0)
     u1, v1 = corners.max(axis=0).astype(int) + 1
@@ -118,7 +118,7 @@ _SIDES: Final = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
 """Directions to the four sides (numerical)."""
 
 
-def _rows_seen_and_in_view(found: Detection, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _rows_seen_and_in_view(found: BoardDetection, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """(2, rows) masks: rows of a grid or ChArUco board with corners, and rows well in the image."""
     target = found.target
     if isinstance(target, AprilGrid):
@@ -331,7 +331,10 @@ class LinearResponseCheck:
         self._ratios: list[float] = []
 
     def add(
-        self, image: ArrayLike, detections: Iterable[Detection], stated_response: CameraResponse
+        self,
+        image: ArrayLike,
+        detections: Iterable[BoardDetection],
+        stated_response: CameraResponse,
     ) -> None:
         """Add the edges of an image, read with the stated response, until there are enough."""
         if stated_response == LINEAR and len(self._ratios) < _MAX_EDGES_IN_TOTAL:
@@ -351,7 +354,9 @@ class LinearResponseCheck:
         ]
 
 
-def srgb_fit_log_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> list[float]:
+def srgb_fit_log_ratios(
+    image: NDArray[np.uint8], detections: Iterable[BoardDetection]
+) -> list[float]:
     """By edge, log ratio of residual squares of "linear" to "srgb"; above 0 if sRGB fits better."""
     ratios = []
     for found in detections:

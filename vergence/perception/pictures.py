@@ -27,7 +27,7 @@ from vergence.reporting.style import (
     legend_below,
     new_figure,
 )
-from vergence.vision import Detection
+from vergence.vision import BoardDetection
 from vergence.vision.pose import Pose
 from vergence.vision.targets import AprilTag, PlanarTarget
 
@@ -95,7 +95,7 @@ def target_outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
 def draw_detections(
     panel: Axes,
     image: NDArray[np.uint8],
-    found: Sequence[Detection],
+    found: Sequence[BoardDetection],
     colours: TargetColours,
     axes_px: Mapping[str, FloatArray],
 ) -> None:
@@ -145,7 +145,7 @@ def shorten_to_width(text: str, width_in: float, size_pt: float) -> str:
     return f"{text[: most // 2 - 1]} … {text[-(most - most // 2 - 2) :]}"
 
 
-def _title(name: str, found: Sequence[Detection], width_in: float) -> str:
+def _title(name: str, found: Sequence[BoardDetection], width_in: float) -> str:
     """An image's name, its boards and number of tags, on two lines if too wide for one."""
     said = [str(one.target) for one in found if tag_number(one.target) is None]
     tags = len(found) - len(said)

@@ -53,8 +53,9 @@ def draw_eye(head: HeadModel, shown: Moment, eye: int, width: int = EYE_WIDTH) -
     size = (width, round(scale * float(head.cameras.size[eye, 1])))
     whole = max(1, image.shape[1] // width)  # averaging by whole numbers is several times faster
     smaller = (image.shape[1] // whole, image.shape[0] // whole)
-    grey = cv2.resize(cv2.resize(image, smaller, interpolation=cv2.INTER_AREA), size)
-    out = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+    small = cv2.resize(cv2.resize(image, smaller, interpolation=cv2.INTER_AREA), size)
+    colours = small if small.ndim == 3 else cv2.cvtColor(small, cv2.COLOR_GRAY2RGB)
+    out = np.asarray(colours, dtype=np.uint8)
     draw_cross(out, scale * head.cameras.principal[eye], EYE_COLOURS[eye], 14)
     if shown.visible[eye]:
         earlier_s = shown.detection_age_s - shown.image_age_s

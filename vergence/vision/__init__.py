@@ -1,7 +1,7 @@
 """Render a calibration target as a camera images it, and detect targets in images."""
 
 from vergence.models.camera import Camera
-from vergence.vision.detection import Detection, Detector
+from vergence.vision.detection import BoardDetection, BoardDetector, Detection, Detector
 from vergence.vision.drawing import TargetRenderer
 from vergence.vision.image import as_grey, read_image
 from vergence.vision.tag_families import AprilGrid
@@ -24,6 +24,8 @@ EyeCamera = Camera
 __all__ = [
     "AprilGrid",
     "AprilTag",
+    "BoardDetection",
+    "BoardDetector",
     "Camera",
     "CharucoBoard",
     "Checkerboard",

@@ -23,7 +23,7 @@ from vergence.vision.corners import (
     pixel_noise_grey,
     refine_and_check,
 )
-from vergence.vision.detection import Detection, Detector, Frame, Region, cut_out
+from vergence.vision.detection import BoardDetection, BoardDetector, Frame, Region, cut_out
 from vergence.vision.optics import FlatView, Image, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
@@ -367,7 +367,7 @@ _GAP_TOLERANCE_PX: Final = 0.5
 """Tolerance of the gap for small tags, px; the larger one holds (chosen: detection errors)."""
 
 
-class AprilGridDetector(Detector[AprilGrid]):
+class AprilGridDetector(BoardDetector[AprilGrid]):
     """Detects an AprilGrid; the measured point is its centre.
 
     The search starts at tags that the AprilTag library reads. It predicts the neighbours of each
@@ -376,30 +376,32 @@ class AprilGridDetector(Detector[AprilGrid]):
     homography and a smooth lens distortion.
     """
 
-    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[BoardDetection]:
         methods = _QUICK_METHODS if way is None else (_QUICK_METHODS[way % len(_QUICK_METHODS)],)
         return self._search(frame.grey, methods)
 
-    def _detect_all(self, frame: Frame) -> list[Detection]:
+    def _detect_all(self, frame: Frame) -> list[BoardDetection]:
         return self._search(frame.grey, range(len(_SEARCH_METHODS)))
 
-    def _detect_rest(self, frame: Frame) -> list[Detection]:
+    def _detect_rest(self, frame: Frame) -> list[BoardDetection]:
         return self._search(frame.grey, range(len(_QUICK_METHODS), len(_SEARCH_METHODS)))
 
-    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
+    def _detect_in(
+        self, frame: Frame, region: Region, predicted: BoardDetection
+    ) -> list[BoardDetection]:
         return self._search(frame.grey, _QUICK_METHODS, region)
 
-    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
+    def _refined(self, frame: Frame, predicted: BoardDetection) -> BoardDetection | None:
         return self._at(frame.grey, predicted.corners_px.reshape(-1, 4, 2), _MAX_TRACKED_MOVE)
 
     def _search(
         self, image: Image, methods: Iterable[int], region: Region | None = None
-    ) -> list[Detection]:
+    ) -> list[BoardDetection]:
         """Search the image, or a region of it, by some methods until one suffices."""
         part = cut_out(image, region)
         board, count = self.target, self.target.columns * self.target.rows
         sufficient = _SUFFICIENT_FRACTION * 4 * count
-        best: Detection | None = None
+        best: BoardDetection | None = None
         most, exceeded = 0, False
         for method_index in methods:
             squares = find_grid_tags(part.image, method_index)
@@ -424,7 +426,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         others = _count_other_tags(image, board, self._flat(tags[known]), tags)
         return [best] if others <= MAX_OTHER_FRACTION * known.all(axis=1).sum() else []
 
-    def _at(self, image: Image, tags: Tags, step: float | None = None) -> Detection | None:
+    def _at(self, image: Image, tags: Tags, step: float | None = None) -> BoardDetection | None:
         """Refine given corners and find the others; None if there is no board."""
         board = self.target
         tags = np.where(np.abs(tags) < _OFF_IMAGE_PX, tags, np.nan)
@@ -464,7 +466,7 @@ class AprilGridDetector(Detector[AprilGrid]):
             middle = middle + fit.origin_distortion_px
             sigma = np.hypot(sigma, fit.origin_distortion_sigma_px)
         point = flat.to_pixels(middle[None])[0]
-        return Detection(board, point, out, sigma, sigmas, camera=self.camera)
+        return BoardDetection(board, point, out, sigma, sigmas, camera=self.camera)
 
 
 _OTHER_GRID_METHODS: Final = (1, 3)

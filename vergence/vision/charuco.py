@@ -25,7 +25,7 @@ from vergence.vision.corners import (
     square_centres,
     window_half_side_px,
 )
-from vergence.vision.detection import Detection, Detector, Frame, Region, cut_out
+from vergence.vision.detection import BoardDetection, BoardDetector, Frame, Region, cut_out
 from vergence.vision.optics import FlatView, Image, fit_homography, origin_sigma_px
 from vergence.vision.prints import (
     CORNER_PROBES,
@@ -72,7 +72,7 @@ def upper_left_is_dark(board: CharucoBoard) -> bool:
     return not (board.legacy and board.rows % 2 == 0)
 
 
-class CharucoDetector(Detector[CharucoBoard]):
+class CharucoDetector(BoardDetector[CharucoBoard]):
     """Detects a ChArUco board; the measured point is its centre.
 
     Unless the target states the layout of OpenCV before 4.6, both layouts are tried if they differ.
@@ -89,7 +89,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         if target.rows % 2 == 0 and not target.legacy:
             self._layouts.append(replace(target, legacy=True))
 
-    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[BoardDetection]:
         """Search a large image reduced, then at full size unless all corners are found.
 
         An odd `way` skips the first step; an even one stops after it if nothing is found.
@@ -103,18 +103,20 @@ class CharucoDetector(Detector[CharucoBoard]):
             return found
         return _most(found + self._search(frame.grey))  # small markers may be missing
 
-    def _detect_all(self, frame: Frame) -> list[Detection]:
+    def _detect_all(self, frame: Frame) -> list[BoardDetection]:
         return self._detect_some(frame) or self._detect_rest(frame)
 
-    def _detect_rest(self, frame: Frame) -> list[Detection]:
+    def _detect_rest(self, frame: Frame) -> list[BoardDetection]:
         return self._search(frame.grey, 2.0) if frame.grey.size <= MAX_ENLARGED_PIXELS else []
 
-    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
+    def _detect_in(
+        self, frame: Frame, region: Region, predicted: BoardDetection
+    ) -> list[BoardDetection]:
         return self._search(frame.grey, 1.0, region)
 
     def _search(
         self, image: Image, scale: float = 1.0, region: Region | None = None
-    ) -> list[Detection]:
+    ) -> list[BoardDetection]:
         """Detection in the layout with most corners, in an image or a region of it, scaled."""
         part = cut_out(image, region, scale)
         board = self.target
@@ -143,7 +145,11 @@ class CharucoDetector(Detector[CharucoBoard]):
         return _most(found)
 
     def _is_of_another(
-        self, board: CharucoBoard, found: Detection, markers: FloatArray, numbers: NDArray[np.intp]
+        self,
+        board: CharucoBoard,
+        found: BoardDetection,
+        markers: FloatArray,
+        numbers: NDArray[np.intp],
     ) -> bool:
         """True if markers on the board's lattice, or next to it, are not those of the board."""
         known = np.isfinite(found.corners_px).all(axis=1)
@@ -169,7 +175,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         wrong = int((on & inside & ~right).sum())
         return bool((on & ~inside).any() or wrong > MAX_OTHER_FRACTION * int((on & right).sum()))
 
-    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
+    def _refined(self, frame: Frame, predicted: BoardDetection) -> BoardDetection | None:
         assert isinstance(predicted.target, CharucoBoard)
         return self._at(
             frame.grey, predicted.target, predicted.corners_px, MAX_TRACKED_MOVE_SQUARES
@@ -181,7 +187,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         board: CharucoBoard,
         places: FloatArray,
         step_squares: float | None = None,
-    ) -> Detection | None:
+    ) -> BoardDetection | None:
         """Refine given corners; None if they do not form the board."""
         known = np.flatnonzero(in_image(image, places))
         if len(known) < _LEAST_CORNERS:
@@ -243,7 +249,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
         sigma = origin_sigma_px(transform, board.corners_m[known], sigmas[known])
         point = flat.to_pixels(point[None])[0]
-        return Detection(board, point, by_number, sigma, sigmas, camera=self.camera)
+        return BoardDetection(board, point, by_number, sigma, sigmas, camera=self.camera)
 
 
 def find_markers(
@@ -269,7 +275,7 @@ def marker_corners_m(board: CharucoBoard) -> FloatArray:
     return np.asarray(points[..., :2])
 
 
-def _most(found: list[Detection]) -> list[Detection]:
+def _most(found: list[BoardDetection]) -> list[BoardDetection]:
     """Detection with the most corners, if any."""
     return sorted(found, key=lambda each: -int(np.isfinite(each.corners_px[:, 0]).sum()))[:1]
 

@@ -29,7 +29,7 @@ from vergence.vision.corners import (
     unit_sigmas,
     window_half_side_px,
 )
-from vergence.vision.detection import Detection, Detector, Frame, Region, cut_out
+from vergence.vision.detection import BoardDetection, BoardDetector, Frame, Region, cut_out
 from vergence.vision.image import smooth_for_square_search
 from vergence.vision.optics import FlatView, Image
 from vergence.vision.prints import board_continues_beyond, squares_alternate
@@ -292,7 +292,7 @@ _BY_SECTORS: Final[_Search] = partial(
 )
 
 
-class CheckerboardDetector(Detector[Checkerboard]):
+class CheckerboardDetector(BoardDetector[Checkerboard]):
     """Detects a checkerboard; the measured point is its upper right corner, or its centre.
 
     The centre is measured on boards that look equal after a rotation by 180 degrees. The corners of
@@ -300,7 +300,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
     points most to the right.
     """
 
-    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[BoardDetection]:
         """Search clusters of corners in the image at one size after another."""
         sides_px: tuple[int, ...] = _CLUSTER_SEARCH_SIDES_PX
         if way is not None:
@@ -317,11 +317,13 @@ class CheckerboardDetector(Detector[Checkerboard]):
                     return found
         return []
 
-    def _detect_all(self, frame: Frame) -> list[Detection]:
+    def _detect_all(self, frame: Frame) -> list[BoardDetection]:
         methods = (_BY_SQUARES, _BY_EQUALISED_SQUARES, _BY_SECTORS)
         return self._search(frame.grey, methods=methods)
 
-    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
+    def _detect_in(
+        self, frame: Frame, region: Region, predicted: BoardDetection
+    ) -> list[BoardDetection]:
         return self._search(frame.grey, region)
 
     def _search(
@@ -330,7 +332,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         region: Region | None = None,
         near: FloatArray | None = None,
         methods: tuple[_Search, ...] = (_BY_SQUARES,),
-    ) -> list[Detection]:
+    ) -> list[BoardDetection]:
         """Search an image, or a region of it, by some methods until one finds the board.
 
         Where squares run into each other, OpenCV displaces corners; `near`, (n, 2) px, are corners
@@ -354,7 +356,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
                 return [detection]
         return []
 
-    def _ordered(self, image: Image, grid: Grid, initial_error_px: float) -> Detection | None:
+    def _ordered(self, image: Image, grid: Grid, initial_error_px: float) -> BoardDetection | None:
         """Detection for corners that OpenCV found, in the first order that reads correctly."""
         orders = [grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]]
         if self.target.columns == self.target.rows:
@@ -369,7 +371,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
                     return detection
         return None
 
-    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
+    def _refined(self, frame: Frame, predicted: BoardDetection) -> BoardDetection | None:
         if not in_image(frame.grey, predicted.corners_px).all():
             return None
         grid = predicted.corners_px.reshape(self.target.rows, self.target.columns, 2)
@@ -397,7 +399,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         initial_error_px: float,
         step_squares: float = math.inf,
         first_dark: tuple[bool, ...] = (True,),
-    ) -> Detection | None:
+    ) -> BoardDetection | None:
         """Refine corners with an initial error and read the board; None if one is out of place."""
         square = shortest_square_edge_px(grid)
         if not square >= _LEAST_SQUARE_PX:
@@ -446,7 +448,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
             outer = [0, first, len(refined) - 1, len(refined) - self.target.columns]
             point = flat.to_pixels(_diagonal_crossing(flat.to_plane(refined[outer]))[None])[0]
             sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
-        return Detection(self.target, point, refined, sigma, sigmas, camera=self.camera)
+        return BoardDetection(self.target, point, refined, sigma, sigmas, camera=self.camera)
 
 
 def _correct_displaced(grid: Grid, near: FloatArray) -> Grid:

@@ -9,7 +9,7 @@ target it returns None, never a wrong point.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -48,6 +48,40 @@ TargetT = TypeVar("TargetT", bound=Target)
 
 
 class Detection(NamedTuple):
+    """Something found in an image: what a detector of one's own returns, see `Detector`."""
+
+    pixel: Any
+    """(2,) pixel (u, v)."""
+    sigma_px: Any = 1.0
+    """Standard deviation of u and v, px; one number or two."""
+    id: Any = None
+    """Name that it keeps from image to image, such as a person's number; None if it has none."""
+    score: float = 1.0
+    """Confidence; of several the highest becomes the target."""
+    pose: Any = None
+    """Pose T_C_T in the camera; None if unknown."""
+    size_px: float | None = None
+    """Its width in the image, px, by which both eyes and later images recognise it; or None."""
+
+
+class Detector(Protocol):
+    """A detector of one's own; the name of its class is a target's name, `mine.py:Class`.
+
+    The class is made for each eye, with `camera` (a `Camera`) if its `__init__` takes that. With
+    `both_eyes = True` it is made once, and gets two images and two hints, and returns two lists. It
+    may state `latency_s` and `rate_hz`: so a simulation delays it; a robot measures them.
+    """
+
+    def detect(self, image: Any, hint: Any) -> Sequence[Detection]:
+        """Find all candidates in an image.
+
+        Args:
+            image: (height, width, 3) uint8, blue, green and red as in OpenCV.
+            hint: (2,) pixel at which the target is expected; None before it is found.
+        """
+
+
+class BoardDetection(NamedTuple):
     """A detected target in an image."""
 
     target: PlanarTarget
@@ -66,6 +100,21 @@ class Detection(NamedTuple):
     their errors are independent."""
     camera: Camera | None = None
     """The detector's camera."""
+
+    @property
+    def pixel(self) -> FloatArray:
+        """The measured point, see `Detection`."""
+        return self.point_px
+
+    @property
+    def id(self) -> int | None:
+        """A tag's number; None for a board."""
+        return self.target.id if isinstance(self.target, AprilTag) else None
+
+    @property
+    def score(self) -> float:
+        """1: what is read is certain, see `Detection`."""
+        return 1.0
 
     @property
     def pose(self) -> Pose | None:
@@ -87,7 +136,7 @@ class Detection(NamedTuple):
         return estimate_pose(self.target.corners_m, [view])
 
 
-def corner_noise(found: Detection, unstated_px: float = 0.0) -> FloatArray:
+def corner_noise(found: BoardDetection, unstated_px: float = 0.0) -> FloatArray:
     """Noise of a detection's corners, see `View`, with a sigma, px, for those that state none."""
     unstated_px = unstated_px or _UNSTATED_SIGMA_PX
     if found.corners_covariance_px2 is not None:
@@ -131,7 +180,7 @@ def cut_out(
     return Part(part, scale, (x0, y0))
 
 
-class Detector(ABC, Generic[TargetT]):
+class BoardDetector(ABC, Generic[TargetT]):
     """Base class of detectors, which find a target in images of one eye.
 
     A detector keeps nothing of an image, and may be used by several threads at once.
@@ -164,7 +213,7 @@ class Detector(ABC, Generic[TargetT]):
         own = () if self.response == of_camera else (self.response,)
         return type(self), (self.target, self.camera, *own)
 
-    def detect_all(self, image: ArrayLike) -> list[Detection]:
+    def detect_all(self, image: ArrayLike) -> list[BoardDetection]:
         """Find all targets in an image by an exhaustive search, without regard to time.
 
         Args:
@@ -178,7 +227,7 @@ class Detector(ABC, Generic[TargetT]):
         """
         return self._detect_all(self._frame(image))
 
-    def detect(self, image: ArrayLike, near_px: ArrayLike | None = None) -> Detection | None:
+    def detect(self, image: ArrayLike, near_px: ArrayLike | None = None) -> BoardDetection | None:
         """Search a whole image, first by quick methods and, if these find nothing, exhaustively.
 
         Args:
@@ -199,7 +248,7 @@ class Detector(ABC, Generic[TargetT]):
 
     def search(
         self, image: ArrayLike, near_px: ArrayLike | None = None, way: int | None = None
-    ) -> Detection | None:
+    ) -> BoardDetection | None:
         """Search a whole image by the quick methods alone, for loops at camera rate.
 
         Args:
@@ -219,7 +268,7 @@ class Detector(ABC, Generic[TargetT]):
             raise ConfigurationError(f"way: expected a whole number or None, got {way!r:.80}")
         return _choose(self._detect_some(self._frame(image), way), near)
 
-    def track(self, image: ArrayLike, predicted: Detection) -> Detection | None:
+    def track(self, image: ArrayLike, predicted: BoardDetection) -> BoardDetection | None:
         """Search for the target only near its predicted position.
 
         The predicted corners are refined; if that fails, a region of the target's size with a
@@ -263,7 +312,7 @@ class Detector(ABC, Generic[TargetT]):
         light = light_table(self.response_of(image))
         return Frame(measurement_channel(image, self._size), light)
 
-    def _check(self, predicted: Detection) -> None:
+    def _check(self, predicted: BoardDetection) -> None:
         target = getattr(predicted, "target", None)
         kind = AprilTag if isinstance(self.target, TagFamily) else type(self.target)
         if not isinstance(target, kind):
@@ -281,23 +330,25 @@ class Detector(ABC, Generic[TargetT]):
         return FlatView(self._lens, pixels)
 
     @abstractmethod
-    def _detect_all(self, frame: Frame) -> list[Detection]:
+    def _detect_all(self, frame: Frame) -> list[BoardDetection]:
         """Find all targets."""
 
     @abstractmethod
-    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[BoardDetection]:
         """Find targets by the quick methods, or by the single method of a number."""
 
-    def _detect_rest(self, frame: Frame) -> list[Detection]:
+    def _detect_rest(self, frame: Frame) -> list[BoardDetection]:
         """Find all targets after the quick methods have found none."""
         return self._detect_all(frame)
 
     @abstractmethod
-    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
+    def _detect_in(
+        self, frame: Frame, region: Region, predicted: BoardDetection
+    ) -> list[BoardDetection]:
         """Search a region for a predicted target."""
 
     @abstractmethod
-    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
+    def _refined(self, frame: Frame, predicted: BoardDetection) -> BoardDetection | None:
         """Refine predicted corners; None if the target is not there."""
 
 
@@ -312,7 +363,7 @@ def as_pixel(name: str, value: ArrayLike) -> FloatArray:
     return pixel
 
 
-def _choose(found: Sequence[Detection], near_px: FloatArray | None) -> Detection | None:
+def _choose(found: Sequence[BoardDetection], near_px: FloatArray | None) -> BoardDetection | None:
     """Detection nearest to a pixel, or the largest if there is none."""
     if len(found) < 2:
         return found[0] if found else None

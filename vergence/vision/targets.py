@@ -386,6 +386,10 @@ _FORMS: Final = {
 }
 
 
+PRINTED_KINDS: Final = tuple(_FORMS)
+"""First words of the texts of printed targets."""
+
+
 def parse_target(text: str) -> Target:
     """Parse the text form of a target.
 
@@ -409,8 +413,7 @@ def parse_target(text: str) -> Target:
         raise ConfigurationError(
             "target: expected a printed board, such as checkerboard:9x6:24, "
             "charuco:7x5:40:30:4X4_50, aprilgrid:6x6:88:0.3 or tag:36h11:0:120 (lengths in mm; "
-            "`vergence print-target` prints it); nothing else can be looked at, such as a face or "
-            f"a ball; got {text!r:.100}"
+            f"`vergence print-target` prints it); got {text!r:.100}"
         )
     if form is None or len(text) > _LONGEST or not text.isprintable():
         raise ConfigurationError(

@@ -13,7 +13,7 @@ from vergence.models.parts import FloatArray
 from vergence.vision.april_grid import AprilGridDetector
 from vergence.vision.charuco import CharucoDetector
 from vergence.vision.checkerboards import CheckerboardDetector
-from vergence.vision.detection import Detection, Detector, as_pixel
+from vergence.vision.detection import BoardDetection, BoardDetector, as_pixel
 from vergence.vision.tag_families import AprilGrid
 from vergence.vision.tags.detector import TagDetector
 from vergence.vision.targets import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
@@ -29,7 +29,7 @@ _ROTATION_TOLERANCE: Final = 1e-3
 
 
 def _predict_rest(
-    pixels: FloatArray, last: Detection, camera: Camera, before: FloatArray, now: FloatArray
+    pixels: FloatArray, last: BoardDetection, camera: Camera, before: FloatArray, now: FloatArray
 ) -> FloatArray:
     """Pixels of a resting target's corners and its point, (n + 1, 2), from another pose T_0_C.
 
@@ -81,13 +81,13 @@ class Tracker:
         detector: detector of the target; poses are used only if it has a camera.
     """
 
-    def __init__(self, detector: Detector[Any]) -> None:
+    def __init__(self, detector: BoardDetector[Any]) -> None:
         self.detector = detector
         self.forget()
 
     def forget(self) -> None:
         """Drop the track, so that the next image is searched as a whole."""
-        self._last: Detection | None = None
+        self._last: BoardDetection | None = None
         self._pose: FloatArray | None = None
         self._motion = np.zeros(2)
         self._lost = 0
@@ -99,7 +99,7 @@ class Tracker:
         *,
         T_0_C: ArrayLike | None = None,
         search: bool = True,
-    ) -> Detection | None:
+    ) -> BoardDetection | None:
         """Find the target in the next image.
 
         Args:
@@ -171,7 +171,7 @@ def _is_rigid(pose: FloatArray) -> bool:
 
 def make_detector(
     target: Target, camera: Camera | None = None, response: CameraResponse | None = None
-) -> Detector[Any]:
+) -> BoardDetector[Any]:
     """Make the detector of a target.
 
     Args:

@@ -25,7 +25,7 @@ from tests.vision.scenes import (
 )
 from vergence.models.camera import camera_matrix
 from vergence.models.parts import Rendering
-from vergence.vision import Camera, Checkerboard, Detection, make_detector
+from vergence.vision import BoardDetection, Camera, Checkerboard, make_detector
 
 
 def board(columns: int, rows: int, square_px: float = 20.0, *, rim: bool = True) -> Checkerboard:
@@ -139,13 +139,13 @@ def test_a_part_of_a_larger_board_and_a_smaller_one_are_none(asked, shown, rim, 
         assert detector.track(one.image, part_of(one, shown, detector)) is None
 
 
-def predicted(target: Checkerboard, corners: np.ndarray) -> Detection:
+def predicted(target: Checkerboard, corners: np.ndarray) -> BoardDetection:
     """A board with corners, (n, 2) px, in the order of its own."""
     point = corners[target.columns - 1]
-    return Detection(target, point, corners, np.ones(2), np.ones(corners.shape))
+    return BoardDetection(target, point, corners, np.ones(2), np.ones(corners.shape))
 
 
-def part_of(one: Scene, shown: tuple[int, int], detector) -> Detection:
+def part_of(one: Scene, shown: tuple[int, int], detector) -> BoardDetection:
     """The first corners of a board, as if they were those of a smaller one."""
     columns, rows = detector.target.columns, detector.target.rows
     part = one.corners.reshape(shown[1], shown[0], 2)[:rows, :columns].reshape(-1, 2)

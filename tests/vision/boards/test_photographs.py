@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vergence.vision import Detection, Tracker, make_detector, parse_target, read_image
+from vergence.vision import BoardDetection, Tracker, make_detector, parse_target, read_image
 
 SHARED = Path(__file__).resolve().parents[3] / ".." / "shared" / "data" / "stereo_chessboard"
 DETECTOR = make_detector(parse_target("checkerboard:9x6:24.23"))
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[str, Detection | None]:
+def found() -> dict[str, BoardDetection | None]:
     """By the name of each image."""
     if not SHARED.is_dir():
         pytest.skip(f"the photographs are not here: {SHARED}")

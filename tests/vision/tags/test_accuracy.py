@@ -24,7 +24,7 @@ from tests.vision.scenes import (
     turned,
 )
 from vergence.models.camera import light_table
-from vergence.vision import AprilTag, Camera, Detection, make_detector
+from vergence.vision import AprilTag, BoardDetection, Camera, make_detector
 from vergence.vision.tag_families import tag_family
 from vergence.vision.targets import board_pose
 
@@ -40,7 +40,7 @@ def seen(
     noisy: bool = True,
     tilt_deg: float = 30.0,
     smear_px: tuple[float, float] = (0.0, 0.0),
-) -> Iterator[tuple[Scene, Detection | None]]:
+) -> Iterator[tuple[Scene, BoardDetection | None]]:
     """Images of a tag near the axis with any roll, and what is detected in them."""
     (camera, rendering), rng = rig(name), np.random.default_rng(0)
     detector = make_detector(TAG, camera)
@@ -53,12 +53,12 @@ def seen(
         yield one, detector.detect(one.image)
 
 
-def corner_errors(pairs: Iterator[tuple[Scene, Detection | None]]) -> np.ndarray:
+def corner_errors(pairs: Iterator[tuple[Scene, BoardDetection | None]]) -> np.ndarray:
     """(n, 4, 2) px; all must be found."""
     return np.array([found.corners_px - one.corners for one, found in pairs])
 
 
-def relative_depth(name: str, found: Detection, depth_m: float) -> float:
+def relative_depth(name: str, found: BoardDetection, depth_m: float) -> float:
     """Error of a depth by PnP, as a share of the depth."""
     camera, board = rig(name)[0], np.column_stack([TAG.corners_m, np.zeros(4)])
     _, _, place = cv2.solvePnP(board, found.corners_px, camera.matrix, camera.lens.coefficients)
@@ -204,7 +204,7 @@ def test_a_tag_far_off_the_axis_of_a_wide_lens_is_where_it_is(lens, aside_deg):
         found = detector.detect(one.image)
         if found is None and bent:
             sigmas = np.full((4, 2), 0.1)
-            near = Detection(TAG, one.point, one.corners + 0.7, sigmas[0], sigmas)
+            near = BoardDetection(TAG, one.point, one.corners + 0.7, sigmas[0], sigmas)
             found = detector.track(one.image, near)
         errors.append(found.corners_px - one.corners)
         centres.append(found.point_px - one.point)

@@ -6,13 +6,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.envs.reading import Image
-from vergence.envs.targets.board import Board
+from vergence.envs.targets.board import POINT, Board
 from vergence.envs.validation import check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetRenderer
+from vergence.vision.objects.room import RoomRenderer
+from vergence.vision.objects.scenes import Scene, hit
 from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, board_pose, outline_m
 
 
@@ -34,6 +36,13 @@ CELL_SIZES: Final[dict[type[PlanarTarget], DetectableCellWidths]] = {
 BOARD_BORDER_PX: Final = 3.0
 """Clear border that the detector needs around a board, px (chosen: detection against room for
 targets)."""
+
+
+_POINT_HALF_M: Final = 0.01
+"""Half the side of the part of a poster that both eyes must see, m (chosen: a patch round its
+middle)."""
+_WALL_M: Final = 2.5
+"""Distance of the walls for their motion blur, m (chosen)."""
 
 
 class BoardImageRenderer:
@@ -99,6 +108,9 @@ class BoardImageRenderer:
             max_outline_segment_px=0.5 * max(self._target.cells.shape) * size.max_px,
         )
 
+    def room(self, q: FloatArray, v: FloatArray) -> None:
+        """Take the joint angles, rad, and velocities, rad/s, of the next `draw_poses`."""
+
     def draw(
         self,
         q: FloatArray,
@@ -122,6 +134,7 @@ class BoardImageRenderer:
             Left and right image, see `frames`.
         """
         point = np.asarray(point, dtype=np.float64)
+        self.room(q, v)
         if np.isnan(point).any():
             nothing = np.tile(np.eye(4), (2, 1, 1))
             nothing[:, 2, 3] = -1.0  # behind the cameras
@@ -134,7 +147,7 @@ class BoardImageRenderer:
         return self.draw_poses(T_C_T, rng, self._smear_px(q, v, point, point_velocity))
 
     def _smear_px(
-        self, q: FloatArray, v: FloatArray, point: FloatArray, point_velocity: ArrayLike
+        self, q: FloatArray, v: FloatArray, point: FloatArray, point_velocity: ArrayLike = 0.0
     ) -> FloatArray:
         """(2, 2) displacement of the point's images from an exposure's beginning to its end, px."""
         half_exposure_s = 0.5 * self._head.timing.exposure_s
@@ -173,6 +186,79 @@ class BoardImageRenderer:
         smears = np.asarray(smear_px, dtype=np.float64)
         for eye, drawing in enumerate((self._left, self._right)):
             drawing.draw(T_C_T[eye], rng, smears[eye])
+        return self.frames
+
+
+class RoomImageRenderer(BoardImageRenderer):
+    """Renderer of both eyes' colour images of an object in a room.
+
+    Args:
+        head: the true head, a single one.
+        scene: the room, and the object at the target's place.
+        model: the head that a controller knows, which sets the images' grey levels; None for
+            `head`.
+    """
+
+    def __init__(self, head: HeadModel, scene: Scene, model: HeadModel | None = None) -> None:
+        self._head, self._scene, self._facing = head, scene, "head"
+        model = head if model is None else model
+        self._eyes = [
+            RoomRenderer(Camera.of(head, eye), scene, model.rendering) for eye in range(2)
+        ]
+        self._T_0_C, self._room_smears_px = np.tile(np.eye(4), (2, 1, 1)), np.zeros((2, 2))
+
+    @property
+    def frames(self) -> tuple[Image, Image]:
+        """(height, width, 3) blue, green and red; the next drawing overwrites them."""
+        return self._eyes[0].frame, self._eyes[1].frame
+
+    @property
+    def board_in_image(self) -> tuple[bool, bool]:
+        """True: a room is never plain."""
+        return True, True
+
+    @property
+    def board(self) -> Board:
+        """Shape of the target: all of a ball, or some of a poster around its middle."""
+        half_m = _POINT_HALF_M if self._scene.thing == "poster" else 0.5 * self._scene.size_m
+        outline = half_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        return POINT._replace(outline=outline, border_px=BOARD_BORDER_PX)
+
+    def room(self, q: FloatArray, v: FloatArray) -> None:
+        """See `BoardImageRenderer.room`."""
+        self._T_0_C = self._head.base_pose(q) @ self._head.camera_poses(q)
+        poses = self._head.camera_poses(q)
+        for eye, pose in enumerate(poses):  # a point of the wall that the eye looks at
+            wall = pose[:3, 3] + _WALL_M * pose[:3, 2]
+            self._room_smears_px[eye] = self._smear_px(q, v, wall)[eye]
+
+    def surface(self, q: FloatArray, eye: int, pixel: ArrayLike) -> FloatArray:
+        """(3,) point of a wall, in the present N, m, that an eye sees at a pixel (u, v).
+
+        Args:
+            q: (7,) joint angles, rad.
+            eye: 0 for left, 1 for right.
+            pixel: (2,) raw pixel.
+        """
+        T_0_N = self._head.base_pose(q)
+        T_0_C = (T_0_N @ self._head.camera_poses(q))[eye]
+        ray = np.append(Camera.of(self._head, eye).rays(np.asarray(pixel, float)[None])[0], 1.0)
+        point = hit(self._scene, T_0_C[:3, 3], T_0_C[:3, :3] @ ray)
+        return np.asarray(T_0_N[:3, :3].T @ (point - T_0_N[:3, 3]))
+
+    def draw_poses(
+        self,
+        T_C_T: FloatArray,
+        rng: np.random.Generator | None = None,
+        smear_px: ArrayLike = ((0.0, 0.0), (0.0, 0.0)),
+    ) -> tuple[Image, Image]:
+        """Draw the room, and the object at its poses; one behind a camera is not drawn."""
+        smears = np.asarray(smear_px, dtype=np.float64)
+        for eye, drawing in enumerate(self._eyes):
+            T_0_T = self._T_0_C[eye] @ T_C_T[eye]
+            if T_C_T[eye, 2, 3] <= 0.0:
+                T_0_T = np.full((4, 4), np.nan)
+            drawing.draw(self._T_0_C[eye], T_0_T, rng, self._room_smears_px[eye], smears[eye])
         return self.frames
 
 

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.envs.judging import JUDGE, LIMIT
 from vergence.envs.plants.conditions import PackedConditions, unpack_conditions
-from vergence.envs.plants.eye_views import BoardImageRenderer
+from vergence.envs.plants.eye_views import BoardImageRenderer, RoomImageRenderer
 from vergence.envs.plants.frames import (
     TIME_TOLERANCE_S,
     Exposures,
@@ -39,8 +40,18 @@ from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import direction_to_local, eye_frames, point_to_local
 from vergence.models.parts import FloatArray
-from vergence.vision.targets import make_planar_target
-from vergence.vision.tracking import Tracker, make_detector
+from vergence.vision.objects.scenes import Scene, parse_scene
+from vergence.vision.objects.search import HeadSearch
+from vergence.vision.objects.targets import (
+    ColourTarget,
+    FaceTarget,
+    GazeTarget,
+    OwnTarget,
+    PlaceTarget,
+    PointTarget,
+    parse_gaze_target,
+)
+from vergence.vision.targets import AprilTag, Checkerboard, make_planar_target
 
 
 class RenderedPlant(MujocoPlant):
@@ -57,6 +68,11 @@ class RenderedPlant(MujocoPlant):
         board: pattern of the target: `tag` (AprilTag 36h11) or `checkerboard`.
         facing: orientation of the board, `head` or `forward`, see `BoardImageRenderer`.
         width_rad: ratio of the board's width to its distance, see `BoardImageRenderer`.
+        look: what the eyes look for in place of that board, see `parse_gaze_target`: a tag or a
+            checkerboard of its own size, or an object, in a room.
+        scene: the object in the room, see `parse_scene`; by default a ball for colours and one's
+            own detectors, a poster for a point.
+        wall: file of a photograph on the room's front wall; None for procedural texture.
         **options: options of `MujocoPlant`.
 
     Raises:
@@ -74,6 +90,9 @@ class RenderedPlant(MujocoPlant):
         board: Literal["tag", "checkerboard"] = "tag",
         facing: Literal["head", "forward"] = "head",
         width_rad: float | Literal["fit"] | None = None,
+        look: str | None = None,
+        scene: str | None = None,
+        wall: str | None = None,
         **options: Any,
     ) -> None:
         super().__init__(head, num, **options)
@@ -82,27 +101,36 @@ class RenderedPlant(MujocoPlant):
                 f"skew_s: expected 0, got {options['skew_s']!r:.80}; eyes that are not in step are "
                 "what the plants kinematic and mujoco simulate"
             )
-        target = make_planar_target(board)
+        target: GazeTarget = make_planar_target(board)
+        shown = target
+        if look is not None:
+            target, width_rad = parse_gaze_target(look), None
+        shown = AprilTag() if isinstance(target, PlaceTarget) else target
         true, many = self.true_head, bool(self.true_head.batch_shape)
-        self._views = [
-            BoardImageRenderer(
-                true[i % len(self.conditions.heads)] if many else true,
-                target,
-                width_rad=width_rad,
-                facing=facing,
-                model=head,
-            )
-            for i in range(num)
-        ]
-        self._trackers = [
-            [Tracker(make_detector(target, Camera.of(head, eye))) for eye in range(2)]
-            for _ in range(num)
-        ]
+        in_room = scene_of(shown, scene, wall)
+        self._views: list[BoardImageRenderer] = []
+        for i in range(num):
+            one = true[i % len(self.conditions.heads)] if many else true
+            if in_room is not None:
+                self._views.append(RoomImageRenderer(one, in_room, head))
+            elif isinstance(shown, AprilTag | Checkerboard):
+                self._views.append(
+                    BoardImageRenderer(one, shown, width_rad=width_rad, facing=facing, model=head)
+                )
+            else:
+                raise ConfigurationError(
+                    f"look: expected a tag, a checkerboard or an object, got {target}"
+                )
+        self._searches = [HeadSearch(target, head) for _ in range(num)]
+        # the target's own point, as somebody would click it
+        self._unnamed_point = target == PointTarget()
+        self._named = np.zeros(num, dtype=np.bool_)
         self._facing_head = facing == "head"
         self._T_C_T = np.empty((2, 4, 4))
         self._smear_px = np.empty((2, 2))
         self._found = np.zeros((*self._exposures.time_s.shape, 2, 2))
         self._seen = np.zeros((*self._exposures.time_s.shape, 2), dtype=np.bool_)
+        self._dated_s = np.zeros(self._exposures.time_s.shape)
 
     @property
     def board(self) -> Board:
@@ -122,8 +150,8 @@ class RenderedPlant(MujocoPlant):
     def begin(self, start: TrialStart) -> Reading:
         """See `SimulatedPlant.begin`."""
         for env in start.ids.tolist():
-            for tracker in self._trackers[env]:
-                tracker.forget()
+            self._searches[env].forget()
+            self._named[env] = False
         return super().begin(start)
 
     def _advance(self, ids: IntArray, phases: int) -> bool:
@@ -147,6 +175,7 @@ class RenderedPlant(MujocoPlant):
         store_detections(
             ids, untyped_tuple(self._true_heads.packed), untyped_tuple(self._streams.keys),
             untyped_tuple(self._exposures), untyped_tuple(self._frames), self._found, self._seen,
+            self._dated_s,
         )  # fmt: skip
         return super()._advance(ids, phases & (REPORT | JUDGE))
 
@@ -172,14 +201,77 @@ class RenderedPlant(MujocoPlant):
         rng = self._streams.generator_at(
             env, StreamPurpose.IMAGE, 2 * frame if frame >= 0 else -2 * frame - 1
         )
-        views = self._views[env]
+        views, search = self._views[env], self._searches[env]
+        views.room(positions, self._exposures.velocities[env, i])
         frames = views.draw_poses(self._T_C_T, rng, self._smear_px)
-        for eye, tracker in enumerate(self._trackers[env]):
+        time_s = float(self._exposures.time_s[env, i])
+        if self._unnamed_point and not self._named[env] and frame >= 0:
+            self._named[env] = True
+            search.click(0, Camera.of(self.true_head, 0).project(self._T_C_T[:1, :3, 3])[0])
+        for eye, own in enumerate(search.eyes):
             # plain background need not be searched
-            found = tracker.find(frames[eye], T_0_C=T_0_C[eye], search=views.board_in_image[eye])
-            self._seen[env, i, eye] = found is not None
-            if found is not None:
-                self._found[env, i, eye] = found.point_px
+            own.look(frames[eye], T_0_C[eye], time_s, search=views.board_in_image[eye])
+        found = [one.found() for one in search.eyes]
+        newest_s = max((one.time_s for one in found if one is not None), default=np.nan)
+        self._dated_s[env, i] = newest_s  # nan: a slow detector has not answered yet
+        for eye, one in enumerate(found):
+            self._seen[env, i, eye] = False
+            if one is not None and one.time_s == newest_s and one.detection is not None:
+                self._found[env, i, eye], self._seen[env, i, eye] = one.detection.pixel, True
+
+    def click(self, eye: int, pixel: ArrayLike, place: int = 0) -> FloatArray:
+        """Follow the point of the room at a pixel of an eye's image, from the next image on.
+
+        Args:
+            eye: 0 for left, 1 for right.
+            pixel: (2,) raw pixel (u, v).
+            place: environment index.
+
+        Returns:
+            (3,) the point in the present N, m.
+
+        Raises:
+            ConfigurationError: the target is no point in a room, or `pixel` is no pixel.
+        """
+        self._searches[place].click(eye, pixel)
+        self._named[place] = True
+        views = self._views[place]
+        assert isinstance(views, RoomImageRenderer)  # as points are in rooms only
+        return views.surface(self.truth().positions[place], eye, pixel)
+
+    def diagnostics(self) -> dict[str, int]:
+        """Jumps to another object that were refused, if there were any."""
+        refused = sum(search.jumps_refused for search in self._searches)
+        return {"jumps_refused": refused} if refused else {}
+
+    def close(self) -> None:
+        """See `Plant.close`."""
+        for search in self._searches:
+            search.close()
+        super().close()
+
+
+def scene_of(target: GazeTarget, scene: str | None, wall: str | None) -> Scene | None:
+    """The room in which a target is shown; None for printed ones before plain grey.
+
+    Raises:
+        ConfigurationError: the scene is invalid, or the target needs one that is not given.
+    """
+    if not isinstance(target, ColourTarget | FaceTarget | PointTarget | OwnTarget):
+        if scene is not None or wall is not None:
+            raise ConfigurationError(
+                f"scene: expected a target in a room, such as colour:#ff8000, got {target}"
+            )
+        return None
+    if scene is None:
+        if isinstance(target, FaceTarget):
+            raise ConfigurationError(
+                "scene: expected a printed face, poster:FILE, for a face to look at, got none"
+            )
+        rgb = target.rgb if isinstance(target, ColourTarget) else (255, 128, 0)
+        ball = "ball:#" + "".join(f"{level:02x}" for level in rgb)
+        scene = "poster" if isinstance(target, PointTarget) else ball
+    return parse_scene(scene, wall)
 
 
 @compiled
@@ -191,6 +283,7 @@ def store_detections(
     frames: Frames,
     detections_px: FloatArray,
     detected: BoolArray,
+    dated_s: FloatArray,
 ) -> None:
     """Store the detections of some environments in the frames' ring buffers.
 
@@ -202,6 +295,7 @@ def store_detections(
         frames: ring buffers, updated in place.
         detections_px: (n, E, 2, 2) detections, px.
         detected: (n, E, 2) True if the target was detected.
+        dated_s: (n, E) time of the exposure that a detection belongs to, s; nan for no answer yet.
     """
     packed, keys = PackedConditions(*packed), StreamKeys(*keys)
     exposures, frames = Exposures(*exposures), Frames(*frames)
@@ -212,8 +306,9 @@ def store_detections(
             f, time_s = frames.next[n], exposures.time_s[n, i]
             frames.next[n] = f + 1
             slot, faults = np.uintp(f & mask), draw_frame_faults(conditions, key, f)
-            frames.exposed_s[n, slot], frames.dropped[n, slot] = time_s, faults.dropped
-            if faults.dropped:
+            dropped = faults.dropped or dated_s[n, i] != dated_s[n, i]
+            frames.exposed_s[n, slot], frames.dropped[n, slot] = dated_s[n, i], dropped
+            if dropped:
                 continue
             comes_s = frame_arrival_time(
                 conditions, time_s, faults.extra_latency_s, frames.latest_s[n]

@@ -52,3 +52,24 @@ def make_target(target: "str | Mapping[str, Any] | Target") -> Target:
     known = sorted(field.name for field in dataclasses.fields(TARGETS[kind]))
     refuse_unknown("target", fields, known)
     return TARGETS[kind](**fields)
+
+
+def separate_look(
+    target: "str | Mapping[str, Any] | Target",
+) -> "tuple[str | Mapping[str, Any] | Target, str | None]":
+    """Separate a target's motion from what it is.
+
+    Args:
+        target: a motion, see `make_target`, whose mapping may name what moves as `look`; or only
+            the text of what is looked at, see `parse_gaze_target`, such as `colour:#ff8000`, which
+            then appears anywhere in the workspace.
+
+    Returns:
+        The motion, and what is looked at; None for the plant's own.
+    """
+    if isinstance(target, str) and target not in TARGETS and (":" in target or target == "point"):
+        return "random", target
+    if isinstance(target, Mapping) and "look" in target:
+        motion = {name: value for name, value in target.items() if name != "look"}
+        return motion or "random", str(target["look"])
+    return target, None

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -21,6 +21,19 @@ class DeployConfig:
     robot looks at the target that its detector finds."""
     duration_s: Annotated[float, tyro.conf.arg(name="duration")] = 3.0
     """Duration of each gaze, in seconds."""
+    target: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TARGET")] = None
+    """What to look at, see `vergence gaze --help`; the configuration's target by default."""
+    pixel: Annotated[
+        tuple[Literal["left", "right"], float, float] | None,
+        tyro.conf.arg(help_behavior_hint="", metavar="EYE U V"),
+    ] = None
+    """With --target point: the eye and the pixel in its first image; none to click it in
+    vergence view --follow."""
+    target_mm: Annotated[
+        tuple[float, float, float] | None,
+        tyro.conf.arg(name="point", help_behavior_hint="", metavar="X Y Z"),
+    ] = None
+    """A place to look at without a target in the images, mm in N: x right, y down, z forward."""
     options: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
     """TOML file of options, in a table [controller]; they override tuned ones."""
     seed: int = 0

@@ -1,5 +1,6 @@
 """Deployment of a policy on a robot: gazes from rest, all in one log."""
 
+import dataclasses
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -26,6 +27,7 @@ from vergence.recording.health import warn_of_gap
 from vergence.recording.log import read_log
 from vergence.recording.writer import LogWriter
 from vergence.reporting.runs import package_versions
+from vergence.vision.objects.targets import GazeTarget, PlaceTarget, parse_gaze_target
 
 _MOST_GAZES: Final = 10_000
 """Largest number of gazes of a deployment (chosen: bounds the log, far above a useful number)."""
@@ -94,6 +96,9 @@ def deploy(
         ChecksFailedError: the robot must not move yet.
     """
     hardware = load_hardware(config.hardware)
+    look = _look(config)
+    if look is not None:
+        hardware = dataclasses.replace(hardware, target=look)
     gazes = RobotGazes(steps=_steps(config, hardware.head), dry_run=config.dry_run)
     robot = RobotController.of(config.controller, hardware.head, config.options)
     if config.resume is not None:
@@ -245,7 +250,19 @@ def _facts(config: DeployConfig, robot: RobotController, gazes: RobotGazes) -> d
         "steps": str(gazes.steps),
         "seed": str(config.seed),
         "dry_run": str(config.dry_run),
+        **({} if (look := _look(config)) is None else {"target": str(look)}),
     }
+
+
+def _look(config: DeployConfig) -> GazeTarget | None:
+    """What is looked at in place of the configuration's target; None for that."""
+    if config.target_mm is not None:
+        if config.target is not None or config.pixel is not None:
+            raise ConfigurationError("point: expected no --target beside it, got both")
+        return PlaceTarget(point_mm=config.target_mm)
+    if config.target is None and config.pixel is None:
+        return None
+    return parse_gaze_target(config.target or "point", config.pixel)
 
 
 def _steps(config: DeployConfig, head: HeadModel) -> int:

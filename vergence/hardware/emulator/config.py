@@ -33,6 +33,11 @@ class EmulatorConfig:
     checkerboard:9x6:24 (inner corners, square in mm); none by default."""
     board_distance_m: Annotated[float, tyro.conf.arg(name="board-distance", metavar="METRES")] = 0.7
     """Distance of that board ahead of the head at rest."""
+    scene: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="SCENE")] = None
+    """A room with an object at the target's position, in place of a tag before plain grey:
+    ball:#RRGGBB:MM, poster:MM, poster:FILE:MM or room (nothing); none by default."""
+    wall: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
+    """Photograph on that room's front wall."""
     servo: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="MODEL")] = None
     """Model of the servos, such as XL330: its model number, speed, acceleration and voltage; an
     XL430-W250 with the head's own speed and acceleration by default."""
@@ -107,6 +112,8 @@ class EmulatorConfig:
                 raise ConfigurationError(
                     f"{option.replace('_', '-')}: expected {least:g} to {most:g}, got {value}"
                 )
+        if self.board is not None and (self.scene is not None or self.wall is not None):
+            raise ConfigurationError("scene: expected no --board beside it, got both")
         if self.servo is not None:
             from vergence.hardware.dynamixel.control_table import model_number
             from vergence.models.ruler import find_servo_model

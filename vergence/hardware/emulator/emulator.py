@@ -18,6 +18,7 @@ from vergence.hardware.emulator.world import MotorOptions, World
 from vergence.models.head_file import absolute_source, head_to_toml, load_head
 from vergence.models.perturbation import ModelErrors
 from vergence.models.toml_table import toml_text
+from vergence.vision.objects.scenes import parse_scene
 from vergence.vision.targets import make_planar_target
 
 
@@ -46,6 +47,9 @@ def emulate(
         head.perturbed(np.random.default_rng(config.seed), model_errors) if model_errors else head
     )
     board = None if config.board is None else parse_sized_board(config.board)
+    scene = None
+    if config.scene is not None or config.wall is not None:
+        scene = parse_scene(config.scene or "ball", str(config.wall) if config.wall else None)
     T_0_T = None if board is None else tilted_board_pose(head, board, config.board_distance_m)
     point = np.asarray(config.target_mm) / 1000.0
     motors = MotorOptions(
@@ -64,7 +68,7 @@ def emulate(
     )
     process = multiprocessing.get_context("spawn").Process(
         target=run_streams,
-        args=(head_to_toml(true), streams, server.address, config.port, config.board),
+        args=(head_to_toml(true), streams, server.address, config.port, config.board, scene),
         daemon=True,
     )
     process.start()
@@ -72,6 +76,8 @@ def emulate(
         server.serve(lambda: bool(server.streams) or not process.is_alive())
         if server.streams:
             target = str(board or make_planar_target("tag"))
+            if scene is not None:
+                target = scene.target
             values = hardware_config_values(
                 absolute_source(config.head), head.digest, world, server, target
             )

@@ -19,7 +19,7 @@ from urllib.parse import parse_qs
 import cv2
 import numpy as np
 
-from vergence.envs.plants.eye_views import BoardImageRenderer
+from vergence.envs.plants.eye_views import BoardImageRenderer, RoomImageRenderer
 from vergence.envs.reading import Image
 from vergence.errors import HardwareError
 from vergence.hardware.emulator.board import parse_sized_board
@@ -28,6 +28,7 @@ from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.models.head_file import parse_head
 from vergence.models.parts import EYE_NAMES
+from vergence.vision.objects.scenes import Scene
 from vergence.vision.targets import make_planar_target
 
 _JPEG_QUALITY: Final = 92
@@ -132,10 +133,8 @@ class EmulatedCameras:
         )
         for image in images:
             # a plain background would make successive images identical, as no sensor does
-            corner = self._rng.integers(
-                _NOISE_AMPLITUDE, size=(_NOISE_EDGE_PX, _NOISE_EDGE_PX), dtype=np.uint8
-            )
-            image[-_NOISE_EDGE_PX:, :_NOISE_EDGE_PX] ^= corner
+            corner = image[-_NOISE_EDGE_PX:, :_NOISE_EDGE_PX]
+            corner ^= self._rng.integers(_NOISE_AMPLITUDE, size=corner.shape, dtype=np.uint8)
         return images
 
     def run(self) -> None:
@@ -237,6 +236,7 @@ def run_streams(
     world_address: str,
     port: int,
     board_text: str | None = None,
+    scene: Scene | None = None,
 ) -> None:
     """Draw and stream until the world ends: the main function of the cameras' process.
 
@@ -247,11 +247,14 @@ def run_streams(
         port: port of the streams; 0 for any free port.
         board_text: the board before the head, at its own size; None for a tag whose size in the
             image does not depend on its distance.
+        scene: the room, and the object in it; None for a board before plain grey.
     """
     cv2.setNumThreads(1)
     model = parse_head(head_toml)
     client = WorldClient(world_address)
-    if board_text is None:
+    if scene is not None:
+        views: BoardImageRenderer = RoomImageRenderer(model, scene)
+    elif board_text is None:
         views = BoardImageRenderer(model, make_planar_target("tag"), width_rad="fit")
     else:
         views = BoardImageRenderer(model, parse_sized_board(board_text))

@@ -172,15 +172,15 @@ def _look(
     pixels[grid @ turn[2, :2] + turn[2, 2] < _LEAST_Z] = np.nan
     where = pixels.astype(np.float32)
     cv2.patchNaNs(where, _NOWHERE_PX)
-    image: Any = cv2.remap(
-        grey, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-    )  # type: ignore[call-overload]
+    image: Any = cv2.remap(grey, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
     return _View(camera, turn, focal, (x0, y0), image.astype(np.float32), where, noise)
 
 
 def _noise(grey: NDArray[np.uint8], pixel: FloatArray) -> float:
     """Variance of the noise of grey levels around a pixel (Immerkaer 1996, by the median)."""
-    u, v = (int(np.clip(value, 0, size)) for value, size in zip(pixel, grey.shape[::-1], strict=True))
+    u, v = (
+        int(np.clip(value, 0, size)) for value, size in zip(pixel, grey.shape[::-1], strict=True)
+    )
     r = _NOISE_REGION_PX
     region = grey[max(v - r, 0) : v + r, max(u - r, 0) : u + r]
     if min(region.shape) < 8:
@@ -193,7 +193,9 @@ def _focal_at(camera: Camera, ray: FloatArray) -> float:
     """Pixels per radian of an image around a ray (x, y), mean over directions."""
     x, y = ray
     step = 1e-3
-    a, b, c, d = camera.project([[x + step, y, 1], [x - step, y, 1], [x, y + step, 1], [x, y - step, 1]])
+    a, b, c, d = camera.project(
+        [[x + step, y, 1], [x - step, y, 1], [x, y + step, 1], [x, y - step, 1]]
+    )
     jacobian = np.column_stack([a - b, c - d]) / (2 * step)
     return sqrt(abs(np.linalg.det(jacobian)) * (1.0 + x * x + y * y) ** 1.5)
 
@@ -310,7 +312,7 @@ def _sigma_px(view: _View, place: FloatArray, covariance: FloatArray) -> FloatAr
     """Standard deviations in the camera's image of a place with a covariance."""
     a, b, c, d = view.to_pixels(place + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
     jacobian = np.column_stack([a - b, c - d])
-    return np.sqrt(np.diagonal(jacobian @ covariance @ jacobian.T))
+    return np.asarray(np.sqrt(np.diagonal(jacobian @ covariance @ jacobian.T)))
 
 
 def _peaks(scores: Grey, most: int) -> list[tuple[int, int]]:
@@ -594,7 +596,7 @@ def match_point(
     near, far = depth_range_m
     if not 0.0 < near < far:
         raise ConfigurationError(
-            f"depth_range_m: expected two distances above 0, the second one larger, got {near} {far}"
+            f"depth_range_m: expected two distances above 0, the second larger, got {near} {far}"
         )
     if near_depth_m is not None and not near_depth_m > 0.0:
         raise ConfigurationError(f"near_depth_m: expected a distance, got {near_depth_m!r:.80}")
@@ -646,7 +648,10 @@ class _Pair(NamedTuple):
         place = np.array([x, 0.0]) - view.corner
         if not view.holds(place, _RADIUS_PX):
             raise _refuse(pixel, _BORDER)
-        template, core = (_Template(view, place, _RADIUS_PX, 2), _Template(view, place, _CORE_PX, 0))
+        template, core = (
+            _Template(view, place, _RADIUS_PX, 2),
+            _Template(view, place, _CORE_PX, 0),
+        )
         if template.worst_sigma_px > _MOST_SIGMA_PX or core.worst_sigma_px > _MOST_CORE_SIGMA_PX:
             raise _refuse(pixel, _TEXTURELESS)
 

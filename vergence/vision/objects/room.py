@@ -188,7 +188,7 @@ class RoomRenderer:
         camera = np.asarray(T_0_C, float)
         T_0_T = np.asarray(thing, float)
         light = self._draw_walls(camera, np.asarray(room_smear_px, float))
-        if np.isfinite(T_0_T).all():
+        if np.isfinite(T_0_T).all() and self.scene.thing != "nothing":
             R = camera[:3, :3]
             T_C_T = np.column_stack([R.T @ T_0_T[:3, :3], R.T @ (T_0_T[:3, 3] - camera[:3, 3])])
             smear = np.asarray(smear_px, float)

@@ -13,8 +13,8 @@ from vergence.operands import as_operand
 from vergence.vision.objects.walls import HIGH_M, LOW_M, read_colours
 
 _FORM: Final = (
-    "ball, ball:#ff8000, ball:#ff8000:80, poster, poster:200, poster:FILE or poster:FILE:200 "
-    "(lengths in mm)"
+    "ball, ball:#ff8000, ball:#ff8000:80, poster, poster:200, poster:FILE, poster:FILE:200 "
+    "(lengths in mm) or room (nothing but the room)"
 )
 _POSTER_M: Final = 0.3
 """Width of a poster if none is stated, m (chosen: a printed sheet, A3)."""
@@ -30,7 +30,7 @@ BORDER: Final = 0.03
 class Scene:
     """What stands in the room, and what is on its front wall; see `parse_scene`."""
 
-    thing: Literal["ball", "poster"] = "poster"
+    thing: Literal["ball", "poster", "nothing"] = "poster"
     """What stands at the target's place."""
     colour: tuple[int, int, int] = (255, 128, 0)
     """Red, green and blue of a ball, sRGB levels."""
@@ -41,6 +41,13 @@ class Scene:
     wall: str | None = None
     """Image file on the room's front wall; None for a procedural texture."""
 
+    @property
+    def target(self) -> str:
+        """Text of the target that looks at the thing, see `parse_gaze_target`."""
+        if self.thing == "ball":
+            return "colour:#" + "".join(f"{level:02x}" for level in self.colour)
+        return "point"
+
     def __post_init__(self) -> None:
         if not 0.0 < self.size_m <= _LARGEST_M:
             raise ConfigurationError(
@@ -49,8 +56,10 @@ class Scene:
 
     def __str__(self) -> str:
         size = f"{1000.0 * self.size_m:.10g}"
+        if self.thing == "nothing":
+            return "room"
         if self.thing == "ball":
-            return "ball:#{:02x}{:02x}{:02x}:{}".format(*self.colour, size)
+            return f"ball:{self.target.removeprefix('colour:')}:{size}"
         return ":".join(["poster", *([self.picture] if self.picture else []), size])
 
 
@@ -60,7 +69,7 @@ def parse_scene(text: str, wall: str | None = None) -> Scene:
     Args:
         text: ``ball``, ``ball:#ff8000``, ``ball:#ff8000:80``, ``poster``, ``poster:200``,
             ``poster:FILE`` or ``poster:FILE:200``; a ball's diameter or a poster's width in mm. A
-            FILE may have colons in its name.
+            FILE may have colons in its name. ``room``: nothing.
         wall: image file for the front wall; None for a procedural texture.
 
     Raises:
@@ -71,6 +80,8 @@ def parse_scene(text: str, wall: str | None = None) -> Scene:
     kind = kind.lower()
     given: dict[str, Any] = {}
     size_m = {"ball": _BALL_M, "poster": _POSTER_M}.get(kind)
+    if kind == "room" and not rest:
+        size_m, kind = _BALL_M, "nothing"
     if size_m is None:
         raise ConfigurationError(f"scene: expected {_FORM}; got {text!r:.100}")
     name, colon, last = rest.rpartition(":")
@@ -140,7 +151,7 @@ def hit(
         distance = np.where(along > 0.0, HIGH_M - start, LOW_M - start) / along
     least = float(np.min(distance[along != 0.0]))
     pose = None if T_0_T is None else np.asarray(T_0_T, float)
-    if pose is None or not np.isfinite(pose).all():
+    if scene.thing == "nothing" or pose is None or not np.isfinite(pose).all():
         return start + least * along
     a, b = pose[:3, :3].T @ (start - pose[:3, 3]), pose[:3, :3].T @ along
     if scene.thing == "ball":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vergence import interrupts
 from vergence.models.camera import Camera, CameraResponse
-from vergence.vision.detection import Detection, Detector, Frame, Region, cut_out
+from vergence.vision.detection import BoardDetection, BoardDetector, Frame, Region, cut_out
 from vergence.vision.image import smooth_for_square_search
 from vergence.vision.tag_families import (
     CORRECTED_BITS,
@@ -170,7 +170,7 @@ _HALVES_OVERLAP_PX: Final = 48
 tags are found at half size (chosen: coverage against time)."""
 
 
-class TagDetector(Detector[AprilTag | TagFamily]):
+class TagDetector(BoardDetector[AprilTag | TagFamily]):
     """Detects one AprilTag, or all of a family; the measured point is the centre.
 
     The centre is the print's; on flat paper the diagonals cross there in the undistorted image
@@ -194,7 +194,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return squares
         return [square for square in squares if square.id == self.target.id]
 
-    def _search_half(self, frame: Frame) -> list[Detection]:
+    def _search_half(self, frame: Frame) -> list[BoardDetection]:
         """Tags that the library finds in the image at half its size."""
         calm = smooth_for_square_search(frame.grey)
         if calm is None:
@@ -202,7 +202,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         small = cv2.resize(calm, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         return self._read(frame, np.asarray(small), 2.0, 0.5)
 
-    def _search_full(self, frame: Frame, first: int = 0, end: int | None = None) -> list[Detection]:
+    def _search_full(
+        self, frame: Frame, first: int = 0, end: int | None = None
+    ) -> list[BoardDetection]:
         """Tags that the library finds at full size in the given rows of the image."""
         if smooth_for_square_search(frame.grey) is None:
             return []
@@ -211,12 +213,12 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     def _read(
         self, frame: Frame, searched: NDArray[np.uint8], scale: float,
         shift: float | tuple[int, int], number: int | None = None,
-    ) -> list[Detection]:  # fmt: skip
+    ) -> list[BoardDetection]:  # fmt: skip
         """Tags, or those of a number, in a part of the frame, or a smaller one: fitted and kept.
 
         Scale and shift lead from its pixels to the frame's.
         """
-        found: list[Detection] = []
+        found: list[BoardDetection] = []
         for square in self._wanted(find_squares(searched, self.target.family)):
             if number not in (None, square.id):
                 continue
@@ -228,7 +230,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
                 found.append(each)
         return found
 
-    def _bent(self, frame: Frame, square: FoundSquare, upscaling: float) -> Detection | None:
+    def _bent(self, frame: Frame, square: FoundSquare, upscaling: float) -> BoardDetection | None:
         """Tag that may be bent, with the library's own corners and their sigma; None if doubtful.
 
         A tag has no wrong bit, `_decode_tag` reads the same number, and its family corrects bits:
@@ -251,13 +253,13 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         # crossing of the diagonals
         a, b, c, d = np.column_stack([corners, np.ones(4)])
         point = np.cross(np.cross(a, c), np.cross(b, d))
-        return Detection(
+        return BoardDetection(
             self._tag(square.id), point[:2] / point[2], corners,
             np.full(2, sigma / 2.0),  # the mean of four corners
             np.full((4, 2), sigma), camera=self.camera,
         )  # fmt: skip
 
-    def _detect_some(self, frame: Frame, way: int | None = None) -> list[Detection]:
+    def _detect_some(self, frame: Frame, way: int | None = None) -> list[BoardDetection]:
         """Search at half and at full size; given `way`, only one of these, by turns.
 
         Even ways search at half size, odd ones the upper and the lower half at full size.
@@ -271,19 +273,19 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return self._search_full(frame, 0, middle + _HALVES_OVERLAP_PX)
         return self._search_full(frame, max(middle - _HALVES_OVERLAP_PX, 0))
 
-    def _detect_all(self, frame: Frame) -> list[Detection]:
+    def _detect_all(self, frame: Frame) -> list[BoardDetection]:
         found = self._search_full(frame) + self._search_half(frame)
         found += self._search_opencv(frame, found)
-        apart: list[Detection] = []
+        apart: list[BoardDetection] = []
         for each in found:
             if not any(each.target == a.target and _covers(a, each.point_px) for a in apart):
                 apart.append(each)
         return sorted(apart, key=lambda each: (_number(each), *each.point_px.tolist()))
 
-    def _detect_rest(self, frame: Frame) -> list[Detection]:
+    def _detect_rest(self, frame: Frame) -> list[BoardDetection]:
         return self._search_opencv(frame, [])
 
-    def _search_opencv(self, frame: Frame, known: list[Detection]) -> list[Detection]:
+    def _search_opencv(self, frame: Frame, known: list[BoardDetection]) -> list[BoardDetection]:
         """Tags in squares that OpenCV finds by its adaptive threshold, except known ones."""
         family = getattr(cv2.aruco, f"DICT_APRILTAG_{self.target.family}", None)
         if family is None or smooth_for_square_search(frame.grey) is None:
@@ -296,7 +298,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         found: Any = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(frame.grey)
         marked, numbers, rejected = found
         named = [] if numbers is None else numbers.ravel().tolist()
-        out: list[Detection] = []
+        out: list[BoardDetection] = []
         for i, quad in enumerate((*marked, *rejected)):
             corners = np.asarray(quad, float).reshape(4, 2)
             if _shortest_edge(corners) < LEAST_EDGE_PX:
@@ -315,11 +317,13 @@ class TagDetector(Detector[AprilTag | TagFamily]):
                     break
         return out
 
-    def _detect_in(self, frame: Frame, region: Region, predicted: Detection) -> list[Detection]:
+    def _detect_in(
+        self, frame: Frame, region: Region, predicted: BoardDetection
+    ) -> list[BoardDetection]:
         part = cut_out(frame.grey, region)
         return self._read(frame, part.image, 1.0, part.corner, _number(predicted))
 
-    def _refined(self, frame: Frame, predicted: Detection) -> Detection | None:
+    def _refined(self, frame: Frame, predicted: BoardDetection) -> BoardDetection | None:
         corners, number = predicted.corners_px, _number(predicted)
         if not np.isfinite(corners).all():
             return None
@@ -342,7 +346,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     def _fit_several_ways(
         self, frame: Frame, corners: NDArray[np.float64], identity: int,
         efforts: Sequence[FitEffort] = _SEARCHES,
-    ) -> tuple[Detection | None, bool]:  # fmt: skip
+    ) -> tuple[BoardDetection | None, bool]:  # fmt: skip
         """Fit the tag near the given corners in several ways; also True if it may be a bent tag."""
         ways = [(effort, 1.0) for effort in efforts]
         if self._code.dark_inside:  # may be cut out closer than a cell
@@ -358,7 +362,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     def _fit_once(
         self, frame: Frame, corners: NDArray[np.float64], identity: int, effort: FitEffort,
         quiet: float = 1.0,
-    ) -> tuple[Detection | None, TagFit]:  # fmt: skip
+    ) -> tuple[BoardDetection | None, TagFit]:  # fmt: skip
         """Fit a tag once; the tag if it reads as one, and the fit."""
         code = self._code
         points, sigmas, covariance = np.empty((5, 2)), np.empty((5, 2)), np.empty((8, 8))
@@ -369,7 +373,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             )  # fmt: skip
         if not _reads_as_tag(fit, code):
             return None, fit
-        found = Detection(
+        found = BoardDetection(
             self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4], covariance,
             self.camera,
         )  # fmt: skip
@@ -383,12 +387,12 @@ def _cells_of(code: TagFamilyCode, identity: int) -> NDArray[np.float64]:
     return np.where(cells == UNPRINTED, np.nan, cells / 255.0)
 
 
-def _number(detection: Detection) -> int:
+def _number(detection: BoardDetection) -> int:
     assert isinstance(detection.target, AprilTag)
     return detection.target.id
 
 
-def _covers(detection: Detection, point: NDArray[np.float64]) -> bool:
+def _covers(detection: BoardDetection, point: NDArray[np.float64]) -> bool:
     """True if a point, px, lies within a detected tag."""
     corners = detection.corners_px.astype(np.float32)
     return cv2.pointPolygonTest(corners, point.tolist(), measureDist=False) >= 0.0

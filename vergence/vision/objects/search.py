@@ -1,0 +1,502 @@
+"""Search of one eye's images for any target: one interface for printed targets and for objects.
+
+A slow detector works in a thread of its own. What it finds belongs to the exposure of its image;
+from there the target is carried to the present image by tracking, and from image to image until the
+detector answers again. Where tracking loses it, the image says nothing, and the detector's next
+answer is reported with the time of its own exposure.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Final, NamedTuple, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence.errors import ConfigurationError, PointRefusedError
+from vergence.models.camera import Camera
+from vergence.models.head import HeadModel
+from vergence.models.parts import EYE_NAMES, FloatArray
+from vergence.vision.detection import Detection, as_pixel
+from vergence.vision.objects.detectors import make_object_detector
+from vergence.vision.objects.identity import Identity
+from vergence.vision.objects.patches import PointTracker, match_point
+from vergence.vision.objects.targets import (
+    ColourTarget,
+    FaceTarget,
+    GazeTarget,
+    OwnTarget,
+    PlaceTarget,
+    PointTarget,
+)
+from vergence.vision.tracking import Tracker, make_detector
+
+_WAIT_FRAMES: Final = 0.5
+"""Longest wait of an image for a quick detector's answer, frames (chosen: no delay by a slow
+one)."""
+_CARRIED: Final = 64
+"""Most images whose carried pixels are remembered (chosen: half a second at 120 Hz)."""
+_VIEW_SHARE: Final = 0.8
+"""Share of the view within which a place stands that is out of view (chosen: the lens model
+holds)."""
+_PLACE_SIGMA_PX: Final = 0.1
+"""Standard deviation of a place's pixel, px (chosen: encoders' noise)."""
+_PAIR_S: Final = 0.05
+"""Greatest time between two images in which a point is matched, s (chosen: cameras that are not in
+step)."""
+
+
+class Found(NamedTuple):
+    """What an eye's images say about the target."""
+
+    detection: Any
+    """The detection, see `Detection`; None if the target is not in the image."""
+    time_s: float
+    """Time of the exposure, s."""
+
+
+class EyeSearch(Protocol):
+    """Search of one eye's images for the target, in the order of their exposures."""
+
+    def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
+        """Take an image.
+
+        Args:
+            image: grey levels, or blue, green and red.
+            T_0_C: (4, 4) pose of the camera at the exposure in the fixed frame, m.
+            time_s: time of the exposure, s.
+            search: False if the image shows nothing but background.
+
+        Raises:
+            ConfigurationError: a user's detector raises, or a point cannot be followed.
+        """
+
+    def found(self) -> Found | None:
+        """What the images say since the last call; None for nothing new."""
+
+    def forget(self) -> None:
+        """Drop the track of the target."""
+
+
+class _Image(NamedTuple):
+    """An image with its camera's pose and the time of its exposure."""
+
+    image: NDArray[np.uint8]
+    T_0_C: FloatArray
+    time_s: float
+
+
+class _PrintedSearch:
+    """Search for a printed target."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+        self._found: Found | None = None
+
+    def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
+        self._found = Found(self._tracker.find(image, T_0_C=T_0_C, search=search), time_s)
+
+    def found(self) -> Found | None:
+        found, self._found = self._found, None
+        return found
+
+    def forget(self) -> None:
+        self._tracker.forget()
+
+
+class _Answer(NamedTuple):
+    """A detector's candidates in an image."""
+
+    candidates: Sequence[Detection]
+    seen: _Image
+
+
+class _Source:
+    """Answers of a detector: at once, delayed as it states, or from a thread of its own.
+
+    Args:
+        detectors: one for each eye, or a single one for both eyes' images at once.
+        frame_s: time between two images of a real camera, for a thread of its own; None for a
+            simulation, whose time stands still meanwhile.
+    """
+
+    def __init__(self, detectors: Sequence[Any], frame_s: float | None) -> None:
+        self._detectors, self._frame_s = detectors, frame_s
+        own = getattr(detectors[0], "own", None)
+        self._latency_s = float(getattr(own, "latency_s", 0.0))
+        rate_hz = getattr(own, "rate_hz", None)
+        self._period_s = 1.0 / float(rate_hz) if rate_hz else 0.0
+        self._pool = None if frame_s is None else ThreadPoolExecutor(len(detectors), "vergence eye")
+        self._lock = threading.Lock()
+        self.searches: list[_ObjectSearch] = []
+        self.forget()
+
+    @property
+    def _both(self) -> bool:
+        return len(self._detectors) == 1
+
+    @property
+    def in_step(self) -> "Sequence[_ObjectSearch]":
+        """Searches that answers of the last image concern; in threads each asks for itself."""
+        return self.searches if self._both and self._pool is None else ()
+
+    def forget(self) -> None:
+        """Drop all answers; one that is still being found is ignored."""
+        with self._lock:
+            self._newest: list[tuple[_Image, Any] | None] = [None, None]
+            self._answers: tuple[deque[_Answer], deque[_Answer]] = (deque(), deque())
+            self._running: list[Future[None] | None] = [None] * len(self._detectors)
+            self._due_s = [-np.inf] * len(self._detectors)
+            self._quick = [True] * len(self._detectors)
+
+    def ask(self, eye: int, seen: _Image, hint: FloatArray | None) -> None:
+        """Have an eye's image searched, unless the detector is still at work on an earlier one."""
+        place = 0 if self._both else eye
+        with self._lock:
+            self._newest[eye] = seen, hint
+            if self._both and None in self._newest:
+                return
+            jobs = [one for one in (self._newest if self._both else [self._newest[eye]]) if one]
+            running = self._running[place]
+            if running is not None and not running.done():
+                return
+            if running is not None:
+                running.result()  # raises what the detector raised
+            if self._pool is None:
+                if seen.time_s < self._due_s[place]:
+                    return
+                self._due_s[place] = max(seen.time_s, self._due_s[place] + self._period_s)
+                self._due_s[place] = max(self._due_s[place], seen.time_s + self._period_s - 1e-9)
+            if self._both:
+                self._newest = [None, None]
+            answers = self._answers
+            if self._pool is not None:
+                running = self._pool.submit(self._detect, place, jobs, answers)
+                self._running[place] = running
+        if self._pool is None:
+            self._detect(place, jobs, answers)
+        elif self._quick[place] and self._frame_s is not None and running is not None:
+            try:
+                running.result(_WAIT_FRAMES * self._frame_s)
+            except TimeoutError:
+                self._quick[place] = False
+
+    def _detect(self, place: int, jobs: Sequence[tuple[_Image, Any]], answers: Any) -> None:
+        images, hints = [seen.image for seen, _ in jobs], [hint for _, hint in jobs]
+        detect = self._detectors[place].detect
+        found = detect(images, hints) if self._both else [detect(images[0], hints[0])]
+        for eye, (candidates, (seen, _)) in enumerate(zip(found, jobs, strict=True)):
+            answers[eye if self._both else place].append(_Answer(candidates, seen))
+
+    def answer(self, eye: int, now_s: float) -> _Answer | None:
+        """The newest answer for an eye that is known by now; None if there is no new one."""
+        answers, newest = self._answers[eye], None
+        while answers and answers[0].seen.time_s + self._latency_s <= now_s + 1e-9:
+            newest = answers.popleft()
+        return newest
+
+    def close(self) -> None:
+        """Let the thread end after its present image."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+class _ObjectSearch:
+    """Search for an object, carried by tracking while its detector is at work."""
+
+    def __init__(self, eye: int, camera: Camera, source: _Source, identity: Identity) -> None:
+        self._eye, self._source, self._identity = eye, source, identity
+        self._tracker = PointTracker(camera)
+        self._camera = camera
+        source.searches.append(self)
+        self.forget()
+
+    def forget(self) -> None:
+        self._source.forget()
+        self._identity.forget()
+        self._seen: _Image | None = None
+        self._answer: _Answer | None = None
+        self._target: Detection | None = None
+        self._carried: deque[tuple[float, FloatArray]] = deque(maxlen=_CARRIED)
+        self._told_s = -np.inf
+
+    def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
+        seen = _Image(_as_colour(image, self._camera), T_0_C, time_s)
+        self._source.ask(self._eye, seen, self._identity.hint(self._eye, T_0_C, time_s))
+        self._seen, self._answer = seen, None
+        self.take_answer()
+
+    def take_answer(self) -> None:
+        """Take the detector's newest answer for the present image, if there is one."""
+        answer = None if self._seen is None else self._source.answer(self._eye, self._seen.time_s)
+        if answer is not None:
+            self._answer = answer
+            candidates, of = answer
+            self._identity.post(self._eye, candidates, of.T_0_C, of.time_s)
+
+    def found(self) -> Found | None:
+        for one in self._source.in_step:  # one detector of both eyes answers after the second image
+            one.take_answer()
+        seen, answer = self._seen, self._answer
+        if seen is None:
+            return None
+        self._seen = None
+        if answer is None:
+            return self._tell(self._carry(seen), seen.time_s)
+        target = self._identity.choose(self._eye)
+        if target is None or answer.seen.time_s == seen.time_s:
+            self._start(seen, target)
+            return self._tell(Found(target, seen.time_s), seen.time_s)
+        carried = self._carry(seen)
+        before = [pixel for time_s, pixel in self._carried if time_s == answer.seen.time_s]
+        if carried is not None and before:
+            moved = carried.detection.pixel + (target.pixel - before[0])
+        elif self._start(answer.seen, target):
+            carried = self._carry(seen)
+            moved = None if carried is None else carried.detection.pixel
+        if carried is None or moved is None:
+            self._start(seen, None)
+            return self._tell(Found(target, answer.seen.time_s), answer.seen.time_s)
+        target = target._replace(pixel=moved, sigma_px=np.asarray(target.sigma_px))
+        self._start(seen, target)
+        return self._tell(Found(target, seen.time_s), seen.time_s)
+
+    def _tell(self, found: Found | None, time_s: float) -> Found | None:
+        """What is reported, in the order of exposures."""
+        if found is None or time_s <= self._told_s:
+            return None
+        self._told_s = time_s
+        return found
+
+    def _start(self, seen: _Image, target: Detection | None) -> bool:
+        """Follow the image around the target from here; False if there is nothing to follow."""
+        self._target, self._started = target, False
+        self._carried.clear()
+        self._from = seen
+        return target is not None
+
+    def _carry(self, seen: _Image) -> Found | None:
+        """The target carried to an image; None if nothing is followed."""
+        if self._target is None:
+            return None
+        try:
+            if not self._started:
+                self._tracker.begin(self._from.image, self._target.pixel, self._from.T_0_C)
+                self._carried.append((self._from.time_s, np.asarray(self._target.pixel)))
+                self._started = True
+            hint = self._identity.hint(self._eye, seen.T_0_C, seen.time_s)
+            point = self._tracker.find(seen.image, seen.T_0_C, hint)
+        except PointRefusedError:
+            point = None
+        if point is None:
+            self._target = None
+            return None
+        pixel, sigma_px = point
+        self._carried.append((seen.time_s, pixel))
+        sigma_px = np.hypot(sigma_px, self._target.sigma_px)
+        return Found(self._target._replace(pixel=pixel, sigma_px=sigma_px), seen.time_s)
+
+
+class _PointSeed:
+    """The point that both eyes follow: where it was named, and where each eye saw it last."""
+
+    def __init__(self, cameras: Sequence[Camera], target: PointTarget) -> None:
+        self.cameras, self.lock = cameras, threading.RLock()
+        self._target = target
+        self.forget()
+
+    def forget(self) -> None:
+        """Start again from the pixel that the target names."""
+        with self.lock:
+            target = self._target
+            self.named: tuple[int, FloatArray] | None = None
+            if target.eye is not None and target.pixel is not None:
+                self.named = target.eye, np.array(target.pixel)
+            self.seen: list[tuple[_Image, FloatArray] | None] = [None, None]
+            self.clicked = False
+            self.refusal = ""
+
+    def click(self, eye: int, pixel: ArrayLike) -> None:
+        """Follow another point from the eye's next image on."""
+        with self.lock:
+            self.named, self.clicked = (eye, as_pixel("pixel", pixel)), True
+
+
+class _PointSearch:
+    """Search for an image point that was named in one of the eyes."""
+
+    def __init__(self, eye: int, seed: _PointSeed) -> None:
+        self._eye, self._seed = eye, seed
+        self._tracker = PointTracker(seed.cameras[eye])
+        self._found: Found | None = None
+        self._following = False
+
+    def forget(self) -> None:
+        self._tracker.forget()
+        self._following, self._found = False, None
+        self._seed.forget()
+
+    def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
+        seed, seen = self._seed, _Image(np.asarray(image), T_0_C, time_s)
+        with seed.lock:
+            if seed.named is not None and seed.named[0] == self._eye:
+                self._begin_at(seen, seed.named[1])
+            elif seed.named is not None:
+                self._following = False  # until the other eye has begun
+            point: Any = self._tracker.find(seen.image, T_0_C) if self._following else None
+            if point is None:
+                point = self._match(seen)
+            seed.seen[self._eye] = None if point is None else (seen, point[0])
+            detection = None if point is None else Detection(point[0], point[1])
+            self._found = Found(detection, time_s)
+
+    def found(self) -> Found | None:
+        found, self._found = self._found, None
+        return found
+
+    def _begin_at(self, seen: _Image, pixel: FloatArray) -> None:
+        """Follow the point that was named in this eye; a refused click is told, not raised."""
+        seed = self._seed
+        seed.named = None
+        try:
+            self._tracker.begin(seen.image, pixel, seen.T_0_C)
+        except PointRefusedError as error:
+            seed.refusal = str(error)
+            if not seed.clicked:
+                raise
+            return
+        seed.refusal, seed.seen, self._following = "", [None, None], True
+
+    def _match(self, seen: _Image) -> tuple[FloatArray, FloatArray] | None:
+        """Find the point that the other eye follows in this eye's image, and follow it there."""
+        seed, other = self._seed, self._seed.seen[1 - self._eye]
+        if other is None or abs(other[0].time_s - seen.time_s) > _PAIR_S:
+            return None
+        pair = (seen, other[0]) if self._eye == 0 else (other[0], seen)
+        images, poses = [one.image for one in pair], [one.T_0_C for one in pair]
+        try:
+            match = match_point(seed.cameras, images, poses, other[1], 1 - self._eye)
+            self._tracker.begin(seen.image, match.pixel, seen.T_0_C)
+        except PointRefusedError as error:
+            seed.refusal = f"{EYE_NAMES[self._eye]} eye: {error}"
+            return None
+        seed.refusal, self._following = "", True
+        return match.pixel, match.sigma_px
+
+
+class _PlaceSearch:
+    """The pixel at which the head's model has a place in space, at the time of each image.
+
+    One out of view stands at the edge of the view on the way to it, until the eye has turned.
+    """
+
+    def __init__(self, camera: Camera, place: FloatArray) -> None:
+        self._camera, self._place = camera, place
+        self._found: Found | None = None
+
+    def forget(self) -> None:
+        pass
+
+    def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
+        x, y, z = T_0_C[:3, :3].T @ (self._place - T_0_C[:3, 3])
+        focal, size = self._camera.focal, np.array(self._camera.size)
+        away = float(np.hypot(x, y))
+        tangent = min(
+            away / z if z > 0.0 else np.inf, _VIEW_SHARE * float((size / focal).min()) / 2
+        )
+        ray = np.array([tangent * x / away, tangent * y / away, 1.0]) if away else np.eye(3)[2]
+        pixel = self._camera.project(ray[None])[0]
+        self._found = Found(Detection(pixel, np.full(2, _PLACE_SIGMA_PX)), time_s)
+
+    def found(self) -> Found | None:
+        found, self._found = self._found, None
+        return found
+
+
+class HeadSearch:
+    """Search of both eyes' images for a target.
+
+    Args:
+        target: the target.
+        head: the model of the head.
+        frame_s: time between two images of real cameras, whose slow detectors get threads of their
+            own; None for a simulation.
+
+    Attributes:
+        eyes: the left and the right eye's search, which may run in two threads.
+
+    Raises:
+        ConfigurationError: the target's network or class cannot be loaded.
+    """
+
+    def __init__(self, target: GazeTarget, head: HeadModel, frame_s: float | None = None) -> None:
+        cameras = [Camera.of(head, eye) for eye in range(2)]
+        self.eyes: tuple[EyeSearch, EyeSearch]
+        self._identity: Identity | None = None
+        self._seed: _PointSeed | None = None
+        self._source: _Source | None = None
+        if isinstance(target, PointTarget):
+            seed = self._seed = _PointSeed(cameras, target)
+            self.eyes = _PointSearch(0, seed), _PointSearch(1, seed)
+        elif isinstance(target, ColourTarget | FaceTarget | OwnTarget):
+            detectors: list[Any] = [make_object_detector(target, cameras[0])]
+            if not getattr(getattr(detectors[0], "own", None), "both_eyes", False):
+                detectors.append(make_object_detector(target, cameras[1]))
+            source = self._source = _Source(detectors, frame_s)
+            known = self._identity = Identity(cameras)
+            self.eyes = (
+                _ObjectSearch(0, cameras[0], source, known),
+                _ObjectSearch(1, cameras[1], source, known),
+            )
+        elif isinstance(target, PlaceTarget):
+            T_0_N = head.base_pose(head.rest())
+            place = T_0_N[:3, :3] @ (np.array(target.point_mm) / 1000.0) + T_0_N[:3, 3]
+            self.eyes = _PlaceSearch(cameras[0], place), _PlaceSearch(cameras[1], place)
+        else:
+            left, right = (Tracker(make_detector(target, camera)) for camera in cameras)
+            self.eyes = _PrintedSearch(left), _PrintedSearch(right)
+
+    @property
+    def jumps_refused(self) -> int:
+        """Number of jumps to another object that were refused."""
+        return 0 if self._identity is None else self._identity.refused
+
+    @property
+    def refusal(self) -> str:
+        """Why a point is not followed in an eye, in words; empty if it is."""
+        return "" if self._seed is None else self._seed.refusal
+
+    def click(self, eye: int, pixel: ArrayLike) -> None:
+        """Follow the point at a pixel (u, v) of an eye from its next image on.
+
+        Raises:
+            ConfigurationError: the target is no point, or `pixel` is no pixel.
+        """
+        if self._seed is None:
+            raise ConfigurationError("click: expected --target point, got another target")
+        self._seed.click(eye, pixel)
+
+    def forget(self) -> None:
+        """Drop the track of the target in both eyes."""
+        for eye in self.eyes:
+            eye.forget()
+
+    def close(self) -> None:
+        """End the detector's threads."""
+        if self._source is not None:
+            self._source.close()
+
+
+def _as_colour(image: Any, camera: Camera) -> NDArray[np.uint8]:
+    """Blue, green and red levels of an image of any form."""
+    array = np.asarray(image)
+    if array.shape[:2] != (camera.height, camera.width):
+        raise ConfigurationError(
+            f"image: expected {camera.width} x {camera.height} px, got shape {array.shape}"
+        )
+    if array.ndim == 2 or array.shape[2] == 1:
+        return np.asarray(cv2.cvtColor(array, cv2.COLOR_GRAY2BGR), np.uint8)
+    return array
