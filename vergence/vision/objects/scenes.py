@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -50,7 +51,7 @@ class Scene:
     def __str__(self) -> str:
         size = f"{1000.0 * self.size_m:.10g}"
         if self.thing == "ball":
-            return "ball:#{:02x}{:02x}{:02x}:{}".format(*self.colour, size)
+            return f"ball:#{bytes(self.colour).hex()}:{size}"
         return ":".join(["poster", *([self.picture] if self.picture else []), size])
 
 
@@ -77,7 +78,7 @@ def parse_scene(text: str, wall: str | None = None) -> Scene:
     if kind == "ball" and not colon:
         name, last = last, ""
     length = _length_m(last)
-    if length is not None:
+    if length is not None and not (name and Path(rest).is_file()):
         size_m, rest = length, name
     if kind == "ball":
         digits = name.removeprefix("#")
