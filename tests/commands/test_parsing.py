@@ -96,8 +96,12 @@ def test_a_point_may_still_be_given_by_its_former_name(capsys):
     assert "--point" in capsys.readouterr().err
 
 
-def test_a_target_that_is_no_printed_one_is_told_what_can_be_looked_at(capsys):
-    for words in (["gaze", "--target", "face"], ["detect", "a.png", "--target", "red ball"]):
+def test_a_target_that_is_none_is_told_what_can_be_looked_at(capsys):
+    for words, expected in (
+        (["gaze", "--target", "face"], "face:MODEL.onnx"),
+        (["gaze", "--target", "red ball"], "colour:#RRGGBB"),
+        (["detect", "a.png", "--target", "red ball"], "printed board"),
+    ):
         line = refused(capsys, *words)
-        assert "checkerboard:9x6:24" in line
+        assert expected in line
         assert repr(words[-1]) in line

@@ -1,11 +1,13 @@
 """The room's images against rays followed to its surfaces one by one."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.models.lenses import wide
 from tests.naming import named, refused
 from tests.vision.poses import pose
 from tests.vision.scenes import rig
@@ -97,20 +99,22 @@ def displacement(image, expected, centre, half, blur=0.0):
     return -np.array([du, dv]) / gain
 
 
+@pytest.mark.slow
 def test_a_photograph_on_the_wall_is_where_the_lens_projects_it(tmp_path):
     scene = Scene(wall=waves_file(tmp_path / "waves.png", 1.5))
     for preset in ("physical", "simulated"):
         camera, rendering = eye(preset)
-        for T_0_C in (looking(0.0), looking(0.3, 0.1, 0.2)):
+        for T_0_C in (looking(0.0), looking(-0.2, 0.05, 0.2)):
             image = drawn(camera, scene, rendering, T_0_C)
             x, y = on_plane(camera, np.linalg.inv(T_0_C) @ pose(0, 0, HIGH_M[2]))
             light = waves(100.0 * (x - LOW_M[0]) - 0.5, 100.0 * (y - LOW_M[1]) - 0.5, 1.5)
-            for off_axis in ((0, 0), (60, -60), (-60, 60)):
+            for off_axis in ((0, 0), (50, -30), (-50, 30)):
                 shift = displacement(image, light, camera.principal + off_axis, 30, 0.7)
                 with named(preset, off_axis):
                     assert np.abs(shift).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_poster_is_where_the_lens_projects_it(tmp_path):
     near, far = (
         Scene(picture=waves_file(tmp_path / f"{fineness}.png", fineness), size_m=0.3)
@@ -138,25 +142,33 @@ def test_a_poster_is_where_the_lens_projects_it(tmp_path):
                 assert np.abs(shift).max() < 0.02
 
 
-def test_every_wall_is_the_same_from_two_places():
+@pytest.mark.slow
+def test_every_wall_is_the_same_from_two_places_and_by_another_focal_length():
     camera, rendering = eye("simulated")
+    longer = camera.matrix * [[1.3, 1.0, 1.0], [1.0, 1.3, 1.0], [1.0, 1.0, 1.0]]
+    other = replace(camera, matrix=longer)
     scene = Scene()
-    rays = pixel_rays(camera)[95:336:4, 140:381:4].reshape(-1, 3)
+    rays = pixel_rays(camera)[135:296:4, 180:341:4].reshape(-1, 3)
     for yaw, pitch in ((0.0, 0.0), (1.4, 0.0), (-1.5, 0.1), (3.0, 0.0), (0.3, 1.0), (0.2, -1.0)):
         here = looking(yaw, pitch)
         there = looking(yaw + 0.1, pitch - 0.05, 0.1, (-0.1, 0.05, 0.1))
-        images = [drawn(camera, scene, rendering, T)[..., 1] for T in (here, there)]
-        first, second = (cv2.GaussianBlur(each.astype(np.float32), (0, 0), 2) for each in images)
+        images = [drawn(each, scene, rendering, T)[..., 1]
+                  for each, T in ((camera, here), (other, there))]  # fmt: skip
+        first, second = (
+            cv2.GaussianBlur(each.astype(np.float32), (0, 0), 2 * k)
+            for each, k in zip(images, (1.0, 1.3), strict=True)
+        )
         points = np.array([hit(scene, here[:3, 3], ray) for ray in rays @ here[:3, :3].T])
-        seen = camera.project((points - there[:3, 3]) @ there[:3, :3]).astype(np.float32)
+        seen = other.project((points - there[:3, 3]) @ there[:3, :3]).astype(np.float32)
+        assert (np.abs(seen - (259.5, 214.5)) < (250.0, 205.0)).all()
         light = cv2.remap(second, seen[None], None, cv2.INTER_CUBIC).ravel()
-        down, right, same = (each[95:336:4, 140:381:4].ravel()
+        down, right, same = (each[135:296:4, 180:341:4].ravel()
                              for each in (*np.gradient(first), first))  # fmt: skip
         known = np.column_stack([right, down, same, np.ones_like(same)])
         du, dv, gain, _ = np.linalg.lstsq(known, light, rcond=None)[0]
         with named(yaw, pitch):
             assert same.std() > 3.0
-            assert gain == pytest.approx(1.0, abs=0.05)
+            assert gain == pytest.approx(1.0, abs=0.1)
             assert np.hypot(du, dv) < 0.04
 
 
@@ -205,6 +217,7 @@ def test_light_and_shade_keep_a_balls_hue_and_saturation():
     assert np.abs(part[..., 1] - int(saturation)).max() <= 16  # sRGB is nearly a power of light
 
 
+@pytest.mark.slow
 def test_the_front_wall_has_a_plain_and_a_periodic_part():
     camera, rendering = eye()
 
@@ -228,6 +241,7 @@ def test_the_front_wall_has_a_plain_and_a_periodic_part():
     assert np.abs(part[:, 20:] - part[:, :-20]).mean() < 1.0
 
 
+@pytest.mark.slow
 def test_noise_and_motion():
     camera, rendering = eye()
     rng = np.random.default_rng(1)
@@ -286,7 +300,7 @@ def test_a_ray_hits_the_thing_or_the_wall_behind_it():
     assert np.allclose(hit(ball, [0.5, 0, 0], [1, 0, 0.5]), [2.5, 0, 1])
 
 
-def test_a_scene_is_what_its_text_says(picture):
+def test_a_scene_is_what_its_text_says(picture, tmp_path):
     orange = Scene(thing="ball", colour=(255, 128, 0), size_m=0.08)
     for text, scene in (
         ("ball", orange), ("ball:#ff8000", orange),
@@ -300,6 +314,9 @@ def test_a_scene_is_what_its_text_says(picture):
             assert parse_scene(text) == scene
             assert parse_scene(str(scene)) == scene
     assert parse_scene("ball", picture).wall == picture
+    numbered = waves_file(tmp_path / "no:2.png")
+    Path(numbered).rename(tmp_path / "no:2")
+    assert parse_scene(f"poster:{tmp_path / 'no:2'}").picture == str(tmp_path / "no:2")
 
 
 def test_a_scene_that_cannot_be_is_refused(tmp_path):
@@ -323,3 +340,15 @@ def test_a_camera_without_a_stated_response_follows_srgb():
     assert isinstance(camera, Camera)
     images = [drawn(replace(camera, response=each), Scene(), rendering) for each in (None, SRGB)]
     assert np.array_equal(*images)
+
+
+@pytest.mark.slow
+def test_wide_lenses_and_large_images_are_drawn():
+    rendering = rig("physical")[1]
+    fisheye = Camera.of(wide("fisheye"), 0)
+    large = Camera(size=(1920, 1080), matrix=[[900.0, 0, 960], [0, 900, 540], [0, 0, 1]])
+    for camera in (fisheye, large):
+        rng = np.random.default_rng(0)
+        image = drawn(camera, Scene(size_m=0.3), rendering, AHEAD, pose(0.4, 0, 0.8), rng)
+        assert image.std() > 10.0
+        assert np.array_equal(image.shape, (camera.height, camera.width, 3))

@@ -269,7 +269,7 @@ def scene_of(target: GazeTarget, scene: str | None, wall: str | None) -> Scene |
                 "scene: expected a printed face, poster:FILE, for a face to look at, got none"
             )
         rgb = target.rgb if isinstance(target, ColourTarget) else (255, 128, 0)
-        ball = "ball:#" + "".join(f"{level:02x}" for level in rgb)
+        ball = f"ball:#{bytes(rgb).hex()}"
         scene = "poster" if isinstance(target, PointTarget) else ball
     return parse_scene(scene, wall)
 

@@ -75,8 +75,8 @@ _PART_BITS: Final = 5
 """Bits of the parts of a texel that OpenCV's remap tells apart (numerical: its INTER_BITS)."""
 _LEAST_SMEAR_PX: Final = 0.1
 """Motion during the exposure below which an image is sharp, px (chosen: time)."""
-_NOISE_SIDE: Final = 4096
-"""Side of the table of noise, at least a row of three colours and many places (chosen)."""
+_LEAST_NOISE_SIDE: Final = 4096
+"""Least side of the table of noise (chosen: a million places for a frame of 640 x 480)."""
 
 
 @compiled
@@ -96,8 +96,9 @@ def _find_on_walls(
     left, right, top, bottom = room[0, 0], room[1, 0], room[0, 1], room[1, 1]
     back, front = room[0, 2], room[1, 2]
     for i in range(where.shape[0]):
+        line = rays[i + margin, margin:]
         for j in range(where.shape[1]):
-            x, y = rays[i + margin, j + margin, 0], rays[i + margin, j + margin, 1]
+            x, y = line[j, 0], line[j, 1]
             dx = R[0, 0] * x + R[0, 1] * y + R[0, 2]
             dy = R[1, 0] * x + R[1, 1] * y + R[1, 2]
             dz = R[2, 0] * x + R[2, 1] * y + R[2, 2]
@@ -338,10 +339,11 @@ class RoomRenderer:
             return
         encoded = np.asarray(cv2.LUT(light, self._encoded))
         height, width, channels = self.frame.shape
-        bank = noise_bank(_NOISE_SIDE)
-        columns = len(bank) - channels * width
+        values = channels * width  # of a row; there are places for it along a quarter of a side
+        bank = noise_bank(max(_LEAST_NOISE_SIDE, 1 << (values + values // 4).bit_length()))
+        columns = len(bank) - values
         y, x = divmod(int(rng.integers((len(bank) - height) * columns)), columns)
-        noise = bank[y : y + height, x : x + channels * width]
+        noise = bank[y : y + height, x : x + values]
         gain = self.rendering.noise_grey / NOISE_UNIT
         frame = self.frame.reshape(height, -1)
         cv2.addWeighted(encoded.reshape(height, -1), 1.0, noise, gain, -NOISE_MEAN * gain, frame)

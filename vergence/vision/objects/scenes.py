@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -45,7 +46,7 @@ class Scene:
     def target(self) -> str:
         """Text of the target that looks at the thing, see `parse_gaze_target`."""
         if self.thing == "ball":
-            return "colour:#" + "".join(f"{level:02x}" for level in self.colour)
+            return f"colour:#{bytes(self.colour).hex()}"
         return "point"
 
     def __post_init__(self) -> None:
@@ -59,7 +60,7 @@ class Scene:
         if self.thing == "nothing":
             return "room"
         if self.thing == "ball":
-            return f"ball:{self.target.removeprefix('colour:')}:{size}"
+            return f"ball:#{bytes(self.colour).hex()}:{size}"
         return ":".join(["poster", *([self.picture] if self.picture else []), size])
 
 
@@ -88,7 +89,7 @@ def parse_scene(text: str, wall: str | None = None) -> Scene:
     if kind == "ball" and not colon:
         name, last = last, ""
     length = _length_m(last)
-    if length is not None:
+    if length is not None and not (name and Path(rest).is_file()):
         size_m, rest = length, name
     if kind == "ball":
         digits = name.removeprefix("#")

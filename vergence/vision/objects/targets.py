@@ -36,7 +36,7 @@ class ColourTarget:
             )
 
     def __str__(self) -> str:
-        return "colour:#" + "".join(f"{level:02x}" for level in self.rgb)
+        return f"colour:#{bytes(self.rgb).hex()}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,8 +48,9 @@ _SHADE_M: Final = 0.35
 _TEXELS_PER_FOCAL: Final = 0.5
 """Texels per metre by focal length in px: 0.67 px each on the front wall (chosen: sharpness and
 exact places against memory)."""
-_MOST_TEXELS_PER_M: Final = 400.0
-"""Texels per metre at most (chosen: detail of 1 cm against memory)."""
+_PAINTED_PER_M: Final = 300.0
+"""Texels per metre of what is on the walls, and at most of an atlas: so things are in the same
+places for eyes of different focal lengths (chosen: detail of 1 cm against memory and time)."""
 BLUR_PX: Final = 0.5
 """Standard deviation of the blur of all textures, in px along the direction in which they are
 foreshortened most (chosen: aliasing against sharpness)."""
@@ -99,11 +100,11 @@ def _exposed(wall: str | None, focal_px: float, black: float) -> Atlas:
 def _atlas(wall: str | None, focal_px: float) -> Atlas:
     """All walls, with black surfaces without light."""
     # walls of whole texels
-    density = 10.0 * round(min(_TEXELS_PER_FOCAL * focal_px, _MOST_TEXELS_PER_M) / 10.0)
-    walls = []
-    for name in _TINTS:
-        unshaded = (PLAIN_M, PERIODIC_M) if name == "front" and wall is None else ()
-        walls.append(_seen(name, _wall(name, wall, density), density, focal_px, unshaded))
+    density = 10.0 * max(round(min(_TEXELS_PER_FOCAL * focal_px, _PAINTED_PER_M) / 10.0), 1)
+    walls = [
+        _seen(name, _lit(name, wall if name == "front" else None), density, focal_px)
+        for name in _TINTS
+    ]
     first = np.cumsum([0, *(len(each) for each in walls)])
     image = np.concatenate(walls)  # all are as wide as each other
     return Atlas(image, density, first[:-1].astype(np.float32))
@@ -149,7 +150,7 @@ def mottled(
 
 
 def fitted(image: Colours, size: tuple[int, int]) -> Colours:
-    """Image scaled to a size, (width, height)."""
+    """Image scaled to a size, (width, height); itself if it has that."""
     shrinks = size[0] < image.shape[1]
     flag = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(image, size, interpolation=flag), np.uint8)
@@ -336,28 +337,37 @@ def _hang_photograph(image: Colours, photograph: Colours) -> None:
     image[top : top + len(part)] = part
 
 
-def _seen(
-    name: str, colours: Colours, density: float, focal_px: float, unshaded: tuple[Box, ...]
-) -> Colours:
-    """Light of a wall in the shade of its corners, blurred as much as pixels will be apart there.
-
-    A pixel of the room's origin covers d^2 / (f D) on a wall at the distance D, d away, along the
-    direction in which the wall is foreshortened.
-    """
+@lru_cache(maxsize=len(_TINTS) + 1)
+def _lit(name: str, picture: str | None) -> Colours:
+    """Light of one wall in the shade of the room's corners, in the density of painting."""
+    density = _PAINTED_PER_M
+    colours = _wall(name, picture, density)
     height, width = colours.shape[:2]
-    trim = max(round(_TRIM_M * density), 1)
     x, y = ((np.arange(count, dtype=np.float32) + 0.5) / density for count in (width, height))
     light = to_light(colours).astype(np.float32)
     edge_m = np.minimum.outer(np.minimum(y, y[::-1]), np.minimum(x, x[::-1]))
     light *= (1.0 - _SHADE_DEPTH * np.exp(-edge_m / np.float32(_SHADE_M)))[..., None]
-    low, _ = _corner(name)
-    for box in unshaded:  # what is plain or repeats itself
-        part = _texels(_shifted(box, low), density)
-        light[part] = to_light(colours[part])
+    if name == "front" and picture is None:  # what is plain or repeats itself has no shade
+        for box in (PLAIN_M, PERIODIC_M):
+            part = _texels(_shifted(box, _corner(name)[0]), density)
+            light[part] = to_light(colours[part])
     image = np.full_like(colours, to_light(np.array([[_TRIM]], np.uint8))[0, 0])
+    trim = round(_TRIM_M * density)
     inside = slice(trim, -trim)
     image[inside, inside] = light[inside, inside].astype(np.uint8)
+    return image
 
+
+def _seen(name: str, light: Colours, density: float, focal_px: float) -> Colours:
+    """Light of a wall in another density, blurred as much as pixels will be apart there.
+
+    A pixel of the room's origin covers d^2 / (f D) on a wall at the distance D, d away, along the
+    direction in which the wall is foreshortened.
+    """
+    low, extent = _corner(name)
+    width, height = np.rint(density * extent).astype(int).tolist()
+    image = fitted(light, (width, height))
+    x, y = ((np.arange(count, dtype=np.float32) + 0.5) / density for count in (width, height))
     (third,) = {0, 1, 2} - set(_AXES[name])
     ahead = abs((HIGH_M if name in ("right", "bottom", "front") else LOW_M)[third])
     squared = np.add.outer((y + low[1]) ** 2, (x + low[0]) ** 2) + np.float32(ahead**2)
