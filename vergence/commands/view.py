@@ -48,6 +48,14 @@ class View:
     """Simulated head at first: a preset's name (see `vergence info`) or the path of a TOML file."""
     controller: Annotated[str, tyro.conf.arg(metavar="CONTROLLER")] = "saccade"
     """Controller of the simulated head at first (see `vergence info`)."""
+    target: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TARGET")] = None
+    """What the simulated head looks at, see `vergence gaze --help`: a tag by default. Click in an
+    eye's image above the head, and it looks there: point follows a point of the room."""
+    scene: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="SCENE")] = None
+    """What stands at the target's place in the room: ball:#RRGGBB:MM, poster:MM, poster:FILE:MM or
+    room (nothing)."""
+    wall: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
+    """Photograph on the room's front wall."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = LOOPBACK
     """Address to listen on; by default browsers of this machine alone can see the page."""
     port: Annotated[int, tyro.conf.arg(metavar="INT")] = 8080
@@ -80,7 +88,11 @@ class View:
         from vergence.viewer.playground import Playground
         from vergence.viewer.simulated import Setup
 
-        setup = Setup(head=load_head(self.head), controller=self.controller)
+        named = {"look": self.target, "scene": self.scene, "wall": self.wall}
+        seen = {name: str(value) for name, value in named.items() if value is not None}
+        if self.target == "point":
+            seen.setdefault("scene", "room")
+        setup = Setup(head=load_head(self.head), controller=self.controller, seen=seen)
         return lambda server: Playground(server, setup)
 
     def _play(self) -> "Callable[[Server], Shown]":

@@ -10,7 +10,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.viewer.moment import Moment
 from vergence.viewer.panels import CurvePanel, EyePanel
-from vergence.viewer.scene import HeadScene
+from vergence.viewer.scene import HeadScene, OnLook
 
 SHOWN_HZ: Final = 30.0
 """Greatest number of moments shown per second (chosen: smooth; each costs two JPEGs)."""
@@ -28,6 +28,8 @@ class HeadView:
     Args:
         server: server of the browsers.
         head: the model of the head.
+        on_look: called with the eye and the pixel of a click in an eye's image, see `HeadScene`;
+            None if nothing can be clicked.
 
     Attributes:
         scene: the head in 3D.
@@ -36,8 +38,10 @@ class HeadView:
         shown: number of moments shown so far.
     """
 
-    def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
-        self._server = server
+    def __init__(
+        self, server: viser.ViserServer, head: HeadModel, on_look: OnLook | None = None
+    ) -> None:
+        self._server, self._on_look = server, on_look
         self.sigmas, self.shown = 3.0, 0
         self._words = server.gui.add_markdown("", order=_FIRST)
         self._lines = _LEAST_LINES
@@ -45,7 +49,7 @@ class HeadView:
         self._tab = panel.add_tab("Eyes")
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH_PX)
-        self.scene = HeadScene(server, head)
+        self.scene = HeadScene(server, head, on_look)
         with self._tab:
             self._eyes = EyePanel(server, head)
             self.curves = CurvePanel(server, head)
@@ -54,7 +58,7 @@ class HeadView:
     def change_head(self, head: HeadModel) -> None:
         """Show another head from now on."""
         self._server.scene.reset()
-        self.scene = HeadScene(self._server, head)
+        self.scene = HeadScene(self._server, head, self._on_look)
         self._eyes.head = head
         self.curves.set_head(head)
 
@@ -83,7 +87,7 @@ class HeadView:
         """
         with self._server.atomic():
             self.scene.show(shown, sigmas=self.sigmas, moves_target=moves_target)
-            self._eyes.show(shown)
+            self.scene.show_screens(self._eyes.show(shown))
             if curves is None:
                 self.curves.add(shown)
             else:

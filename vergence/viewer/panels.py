@@ -7,6 +7,7 @@ import numpy as np
 import viser
 from viser import uplot
 
+from vergence.envs.reading import Image
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS, EYE_WIDTH, draw_eye
@@ -52,10 +53,12 @@ class EyePanel:
             for _ in EYE_NAMES
         ]
 
-    def show(self, shown: Moment) -> None:
-        """Show a moment's images."""
-        for eye, handle in enumerate(self._images):
-            handle.image = draw_eye(self.head, shown, eye)
+    def show(self, shown: Moment) -> list[Image]:
+        """Show a moment's images, and return their pictures, (height, width, 3) RGB."""
+        pictures = [draw_eye(self.head, shown, eye) for eye in range(len(EYE_NAMES))]
+        for handle, picture in zip(self._images, pictures, strict=True):
+            handle.image = picture
+        return pictures
 
 
 class CurvePanel:

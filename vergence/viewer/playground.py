@@ -57,7 +57,7 @@ class Playground:
         self.simulated = SimulatedHead(setup, mode, seed)
         self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._speed, self._paused, self._dragging = 1.0, False, False
-        self.view = HeadView(server, setup.head)
+        self.view = HeadView(server, setup.head, self._look_at)
         self._add_target_controls(mode)
         self._add_head_controls(setup)
         self._sliders: dict[str, Any] = {}
@@ -137,10 +137,17 @@ class Playground:
             f"time-optimal bound {1e3 * bound:.0f} ms{ratio}" if bound else "&nbsp;",
         ]
 
+    def _look_at(self, eye: int, pixel: FloatArray) -> None:
+        def look() -> None:
+            self.simulated.look_at(eye, pixel)
+            self._mode.value = self.simulated.mode
+
+        self.ask(look)
+
     def _take_target(self) -> None:
         """Let browsers drag the target."""
         target = self.view.scene.target
-        target.visible = True
+        target.visible = not self.simulated.setup.point_in_room
         target.on_update(self._drag)
 
     async def _drag(self, event: "viser.TransformControlsEvent") -> None:

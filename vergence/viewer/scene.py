@@ -1,16 +1,18 @@
 """A head in 3D in the browser: links, eyes, optical axes, target, and the fix by gaze."""
 
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
 import viser
 from scipy.spatial.transform import Rotation
 
+from vergence.envs.reading import Image
 from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.posture import rest_poses
-from vergence.viewer.eye_pictures import EYE_COLOURS, FIX_COLOUR
+from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS, FIX_COLOUR
 from vergence.viewer.moment import Moment
 from vergence.viewer.shapes import HeadShapes
 from vergence.vision.targets import board_pose, make_planar_target, outline_m, texture
@@ -38,18 +40,31 @@ _DISTANCE_WITHOUT_FIX_M: Final = 1.0
 """Length of the optical axes without a fix, m (chosen: an arm's length and more)."""
 
 
+OnLook = Callable[[int, FloatArray], None]
+_SCREEN_M: Final = 0.24
+"""Width of an eye's image above the head, m (chosen: in view with the head)."""
+_SCREEN_SPACING: Final = 1.06
+"""Distance of both images' middles, in widths (chosen: looks)."""
+_SCREEN_HEIGHT_M: Final = 0.32
+"""Height of their middles above the head's origin, m (chosen: above every preset)."""
+
+
 class HeadScene:
     """The scene of one head, in the head's upright frame: z up, the head looks along -y.
 
     Args:
         server: server of the browsers.
         head: one head, not a population.
+        on_look: called with an eye, 0 for left, and a raw pixel (u, v), shape (2,), that somebody
+            has clicked in the eye's image, which then hangs above the head; None for no images.
 
     Attributes:
         target: the handles by which the target can be dragged, hidden at first.
     """
 
-    def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
+    def __init__(
+        self, server: viser.ViserServer, head: HeadModel, on_look: OnLook | None = None
+    ) -> None:
         self._server, self._head = server, head
         self._shapes = HeadShapes(head)
         self._N = np.eye(4)
@@ -104,12 +119,43 @@ class HeadScene:
         self.target = api.add_transform_controls(
             "/head/target", scale=0.18, disable_rotations=True, visible=False, line_width=3.0
         )
+        self._screens = [] if on_look is None else [self._screen(eye, on_look) for eye in range(2)]
         self._camera_placed = False
         floor_m = rest_poses(head).floor_m
         api.add_grid(
             "/floor", 4.0, 4.0, cell_size=0.1, section_size=0.5, position=(0.0, -1.0, floor_m),
             cell_color=(225, 225, 225), section_color=(200, 200, 200),
         )  # fmt: skip
+
+    def _screen(self, eye: int, on_look: OnLook) -> viser.ImageHandle:
+        """An eye's image above the head, facing the page's first camera, that can be clicked."""
+        size = self._head.cameras.size[eye]
+        width_m, height_m = _SCREEN_M, _SCREEN_M * float(size[1] / size[0])
+        away = -np.array(_CAMERA_OFFSET) / np.linalg.norm(_CAMERA_OFFSET)
+        right = np.cross(away, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        turn = np.column_stack([right, np.cross(away, right), away])
+        middle = (eye - 0.5) * _SCREEN_SPACING * width_m * right + [0.0, 0.0, _SCREEN_HEIGHT_M]
+        node = self._server.scene.add_image(
+            f"/head/screen_{EYE_NAMES[eye]}", np.full((2, 2, 3), BACKGROUND_GREY, np.uint8),
+            width_m, height_m, format="jpeg", cast_shadow=False, receive_shadow=False,
+            position=middle, wxyz=_wxyz(turn),
+        )  # fmt: skip
+
+        @node.on_click
+        def look(event: "viser.SceneNodePointerEvent[viser.ImageHandle]") -> None:
+            start = turn.T @ (np.array(event.ray_origin) - middle)
+            along = turn.T @ np.array(event.ray_direction)
+            x, y = (start - start[2] / along[2] * along)[:2]
+            share = np.array([x / width_m, y / height_m]) + 0.5
+            on_look(eye, share * size - 0.5)
+
+        return node
+
+    def show_screens(self, images: Sequence[Image]) -> None:
+        """Show both eyes' pictures, (height, width, 3) RGB, where they can be clicked."""
+        for node, image in zip(self._screens, images, strict=False):
+            node.image = image
 
     def point_in_n(self, point: FloatArray) -> FloatArray:
         """Convert a point of the scene to N as it was shown last.

@@ -7,6 +7,7 @@ import numpy as np
 
 from vergence.controllers.controller import make_controller
 from vergence.envs.plant import plant_type
+from vergence.envs.plants.rendered import RenderedPlant
 from vergence.envs.plants.simulation import Simulation, simulation_of
 from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.board import POINT, Board
@@ -16,10 +17,11 @@ from vergence.envs.targets.target import Target
 from vergence.envs.targets.wander import WanderTarget
 from vergence.envs.targets.workspace import RandomTarget
 from vergence.envs.task import GazeTask
-from vergence.errors import UnreachableTargetError, VergenceError
+from vergence.errors import ConfigurationError, UnreachableTargetError, VergenceError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.fixation import HELD_S
 from vergence.eval.trials.goal import least_reachable_error
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.viewer.moment import Moment, moment_of
@@ -61,9 +63,17 @@ class Setup:
     controller: str = "saccade"
     gain: float | None = None
     """Gain of the controller, 1/s; None for its own."""
+    seen: dict[str, str] = field(default_factory=dict)
+    """Options of the plant `rendered` on what is looked at: `look`, `scene` and `wall`."""
     loop: dict[str, float] = field(default_factory=dict)
     """Imperfections of the loop that differ from the head's, by the names of
     `vergence.envs.plants.imperfections`."""
+
+    @property
+    def point_in_room(self) -> bool:
+        """True if a point of the room's walls is followed, which nobody moves."""
+        named = self.seen.get("look", "").startswith("point")
+        return self.plant == "rendered" and named and self.seen.get("scene") == "room"
 
     def make_controller(self) -> Any:
         """Make the controller.
@@ -123,6 +133,29 @@ class SimulatedHead:
         self._begin(setup.head.rest(), _at_rest_ahead(setup.head))
         self.set_mode(mode)
 
+    def look_at(self, eye: int, pixel: FloatArray) -> None:
+        """Look at a point of the room, or put the target there, at its present distance.
+
+        Args:
+            eye: 0 for left, 1 for right.
+            pixel: (2,) raw pixel (u, v) of its present image.
+
+        Raises:
+            VergenceError: the target cannot stand there.
+        """
+        plant = self._plant
+        if self._setup.point_in_room and isinstance(plant, RenderedPlant):
+            self.mode = "by hand"
+            self._jump_to(plant.click(eye, pixel))
+            return
+        camera = Camera.of(self._setup.head, eye)
+        T_N_C = self._setup.head.camera_poses(plant.truth().positions[0])[eye]
+        ray = T_N_C[:3, :3] @ np.append(camera.rays(pixel[None])[0], 1.0)
+        if not np.isfinite(ray).all():
+            raise ConfigurationError(f"pixel: expected one in the lens's view, got {pixel}")
+        distance_m = float(np.linalg.norm(self.target - T_N_C[:3, 3]))
+        self.move_target(T_N_C[:3, 3] + distance_m * ray / np.linalg.norm(ray))
+
     @property
     def setup(self) -> Setup:
         """The head, its law and its loop."""
@@ -149,8 +182,9 @@ class SimulatedHead:
             VergenceError: the new setup is not possible; the old one then goes on.
         """
         same_head = setup.head is self._setup.head
+        same = ("plant", "loop", "seen")
         controller = setup.make_controller()
-        if same_head and (setup.plant, setup.loop) == (self._setup.plant, self._setup.loop):
+        if same_head and all(getattr(setup, n) == getattr(self._setup, n) for n in same):
             self._controller, self._state, self._starts = controller, None, True
             self._setup = setup
         else:
@@ -167,6 +201,10 @@ class SimulatedHead:
 
     def set_mode(self, mode: TargetMode) -> None:
         """Let the target move in another way, from now on."""
+        if self._setup.point_in_room:
+            if mode not in ("step", "by hand"):
+                raise ConfigurationError(f"motion: expected a wall to stand still, got {mode}")
+            self.look_at(0, self._setup.head.cameras.principal[0])
         self.mode = mode
         self._next_jump_s = self.time_s + _FIRST_STEP_S
         if mode in ("step", "by hand"):
@@ -234,6 +272,10 @@ class SimulatedHead:
                 return
             if self._well_in_view(positions, point):
                 break
+        if self._setup.point_in_room:
+            self.look_at(0, self._setup.head.project(positions, point)[0])
+            self.mode = "step"
+            return
         self._jump_to(point)
         self.bound_s = self._bound(before, point)
 
@@ -296,7 +338,9 @@ class SimulatedHead:
 
 
 def _make_task(setup: Setup) -> GazeTask:
-    options = {**plant_type(setup.plant).workspace_options, **setup.loop}
+    options: dict[str, Any] = {**plant_type(setup.plant).workspace_options, **setup.loop}
+    if setup.plant == "rendered":
+        options |= setup.seen
     return GazeTask(1, head=setup.head, plant=setup.plant, plant_options=options)
 
 

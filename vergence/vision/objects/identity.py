@@ -28,6 +28,8 @@ _AGREE_PX_S: Final = 120.0
 """The same for each second between the two exposures, px/s (chosen: objects that move)."""
 _DEPTH_RANGE_M: Final = (0.08, 100.0)
 """Range of depths of an object, m (chosen: what a head may look at)."""
+_TOGETHER_S: Final = 0.15
+"""Time between two images in which both eyes may name one object, s (chosen: a slow detector)."""
 _SIZE_RATIO: Final = 1.6
 """Greatest ratio of the sizes of one object (chosen: a detector's scatter, a tilted view)."""
 _GATE_PX: Final = 14.0
@@ -53,6 +55,7 @@ class _Seen:
     candidates: Sequence[Detection] = ()
     T_0_C: FloatArray = field(default_factory=lambda: np.eye(4))
     time_s: float = -np.inf
+    chosen: Detection | None = None
     chosen_s: float = -np.inf
     """Time of the last sighting, s."""
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -116,7 +119,7 @@ class Identity:
             if now - tracked_s > _HOLD_S:
                 found = self._acquire(eye)
             else:
-                found = self._continue(eye) or self._moved(eye)
+                found = self._continue(eye) or self._as_other(eye) or self._moved(eye)
             if found is not None:
                 self._keep(eye, found)
             return found
@@ -171,10 +174,18 @@ class Identity:
         ]
         return depths[0] if _alike(*sizes) else None
 
-    def _pairs(self, eye: int) -> list[tuple[float, Detection, float]]:
-        """Score, own candidate and depth of all pairs of candidates on which both eyes agree."""
+    def _pairs(
+        self, eye: int, others: Sequence[Detection] | None = None
+    ) -> list[tuple[float, Detection, float]]:
+        """Score, own candidate and depth of all pairs of candidates on which both eyes agree.
+
+        `others` are the other eye's candidates that count; None for all.
+        """
         pairs = []
-        for one, other in product(self._eyes[0].candidates, self._eyes[1].candidates):
+        by_eye = [list(seen.candidates) for seen in self._eyes]
+        if others is not None:
+            by_eye[1 - eye] = list(others)
+        for one, other in product(*by_eye):
             depth_m = self._agreement(one, other)
             if depth_m is not None:
                 pairs.append((one.score * other.score, other if eye else one, depth_m))
@@ -204,10 +215,8 @@ class Identity:
         if name is not None and any(one.id == name for one in candidates):
             candidates = [one for one in candidates if one.id == name]
             predicted = None
-        if own.chosen_s == -np.inf:  # only the other eye has seen it: anywhere along its line
-            pairs = [found for _score, found, _depth in self._pairs(eye)]
-            candidates = [one for one in candidates if any(one is found for found in pairs)]
-            return max(candidates, key=lambda one: one.score, default=None)
+        if own.chosen_s == -np.inf:
+            return None
         since_s = own.time_s - own.chosen_s
         focal_px = float(self._cameras[eye].focal.mean())
         close = _GATE_PX + _GATE_SIZES * (own.size_px or 0.0)
@@ -221,6 +230,16 @@ class Identity:
                 near.append((away, one))
         return min(near, key=lambda pair: pair[0])[1] if near else None
 
+    def _as_other(self, eye: int) -> Detection | None:
+        """The best candidate on the line of sight to what the other eye has just chosen."""
+        own, other = self._eyes[eye], self._eyes[1 - eye]
+        in_newest = other.chosen is not None and other.chosen_s == other.time_s
+        if not in_newest or abs(own.time_s - other.time_s) > _TOGETHER_S:
+            return None
+        assert other.chosen is not None
+        pairs = self._pairs(eye, [other.chosen])
+        return max(pairs, key=lambda pair: pair[0])[1] if pairs else None
+
     def _moved(self, eye: int) -> Detection | None:
         """A candidate at a new place that is the target, moved; counts a jump to another object."""
         own = self._eyes[eye]
@@ -228,7 +247,7 @@ class Identity:
             return None
         pairs = [pair for pair in self._pairs(eye) if not self._is_other(eye, pair[1])]
         pairs = [pair for pair in pairs if _alike(pair[1].size_px, own.size_px)]
-        if len(own.candidates) == 1 and pairs:
+        if len(pairs) == 1:
             _score, found, self._depth_m = pairs[0]
             return found
         known = [one for one in own.candidates if self._is_other(eye, one)]
@@ -255,7 +274,7 @@ class Identity:
         turn = (ray - own.ray) / since_s if 1e-4 < since_s < _LEAD_S else np.zeros(3)
         own.turn = 0.5 * (own.turn + turn) if np.isfinite(since_s) else turn
         own.origin, own.ray = own.T_0_C[:3, 3].copy(), ray
-        own.chosen_s, own.size_px, own.id = now, found.size_px, found.id
+        own.chosen, own.chosen_s, own.size_px, own.id = found, now, found.size_px, found.id
         own.others = [one for one in own.others if now - one[0] < _MEMORY_S]
         own.others += [
             (now, self._line(eye, one.pixel)) for one in own.candidates if one is not found
