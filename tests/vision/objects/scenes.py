@@ -78,7 +78,9 @@ def noise_texture(rng: np.random.Generator, side: int = 1024, slope: float = 1.0
     cells = 8
     while cells <= side:
         grid = rng.normal(size=(cells, cells)).astype(np.float32)
-        total += cv2.resize(grid, (side, side), interpolation=cv2.INTER_CUBIC) * cells**-(slope / 2)
+        total += cv2.resize(grid, (side, side), interpolation=cv2.INTER_CUBIC) * cells ** -(
+            slope / 2
+        )
         cells *= 2
     total = (total - total.mean()) / total.std()
     return np.clip(0.4 + 0.2 * total, 0.0, 1.0)
@@ -190,7 +192,9 @@ def project(one: Rig, cards: Sequence[Card], point: np.ndarray, eye: int) -> np.
     return pixel if distance[0] > 0.999 and border > 0 else np.full(2, np.nan)
 
 
-def misread(one: Rig, rng: np.random.Generator, sigma_px: float, most_px: float = 2.0) -> np.ndarray:
+def misread(
+    one: Rig, rng: np.random.Generator, sigma_px: float, most_px: float = 2.0
+) -> np.ndarray:
     """(2, 4, 4) poses with errors of the encoders, as pixels of the images."""
     poses = one.poses.copy()
     for pose, camera in zip(poses, one.cameras, strict=True):
