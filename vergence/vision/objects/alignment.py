@@ -244,7 +244,7 @@ def image_sigma_px(view: View, place: FloatArray, covariance: FloatArray) -> Flo
     """Standard deviations in the camera's image of a place with a covariance."""
     a, b, c, d = view.to_pixels(place + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
     jacobian = np.column_stack([a - b, c - d])
-    return np.sqrt(np.diagonal(jacobian @ covariance @ jacobian.T))
+    return np.asarray(np.sqrt(np.diagonal(jacobian @ covariance @ jacobian.T)))
 
 
 def _peaks(scores: Grey, most: int) -> list[tuple[int, int]]:
