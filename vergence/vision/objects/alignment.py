@@ -53,8 +53,9 @@ _NORMAL_MEDIAN: Final = 0.6745
 """Median of the magnitude of normal numbers of variance 1 (numerical)."""
 _NOISE_REGION_PX: Final = 24
 """Half the side of the region whose noise is estimated, px (chosen: local against certain)."""
-_ROUNDING: Final = 1.0 / 12.0
-"""Variance of rounding to whole grey levels (numerical)."""
+_LEAST_NOISE: Final = 2.0
+"""Smallest variance of noise, squared grey levels (measured: JPEG at 92 hides noise from the
+estimate, and leaves errors of 2 to 5)."""
 _NOWHERE_PX: Final = -1000.0
 """Coordinate of what no pixel shows (numerical)."""
 LEAST_Z: Final = 0.1
@@ -115,9 +116,9 @@ def noise_variance(grey: NDArray[np.uint8], pixel: FloatArray) -> float:
     r = _NOISE_REGION_PX
     region = grey[max(v - r, 0) : v + r, max(u - r, 0) : u + r]
     if min(region.shape) < 8:
-        return _ROUNDING
+        return _LEAST_NOISE
     response = np.abs(cv2.filter2D(region, cv2.CV_32F, _NOISE_KERNEL)[1:-1, 1:-1])
-    return max(float(np.median(response)) / (6.0 * _NORMAL_MEDIAN), sqrt(_ROUNDING)) ** 2
+    return max(float(np.median(response)) / (6.0 * _NORMAL_MEDIAN), sqrt(_LEAST_NOISE)) ** 2
 
 
 def focal_at(camera: Camera, ray: FloatArray) -> float:
