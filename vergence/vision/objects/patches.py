@@ -179,7 +179,7 @@ class PointTracker:
         middle = np.full(2, float(_VIEW_PX))
         if not view.holds(middle, _RADIUS_PX + 1):
             raise _refuse(pixel, _BORDER)
-        template = Template(view, middle, _RADIUS_PX)
+        template = Template(view, middle, _RADIUS_PX, 0)
         if template.worst_sigma_px > _MOST_SIGMA_PX:
             raise _refuse(pixel, _TEXTURELESS)
         same = search(template, view, [np.eye(2)])
@@ -271,7 +271,7 @@ class PointTracker:
             turn = rotation_between(turn[:, 2], direction) @ turn
             view = self._view(grey, pose, turn, self._focal, _VIEW_PX, view.noise)
             middle = np.full(2, float(_VIEW_PX))
-            renewed = Template(view, middle, _RADIUS_PX)
+            renewed = Template(view, middle, _RADIUS_PX, 0)
             if view.holds(middle, _RADIUS_PX + 1) and renewed.worst_sigma_px < _MOST_SIGMA_PX:
                 self._earlier = covariance
                 self._keep(renewed, view, turn)
