@@ -111,8 +111,8 @@ class Tally:
         squares = np.mean(self.squares) if self.squares else np.nan
         late = np.median(self.seconds) if self.seconds else np.nan
         print(
-            f"{name}: {len(self.errors)} of {asked} found "
-            f"({len(self.errors) / asked:.1%}), {sizes}, "
+            f"{name}: {len(self.errors)} of {asked} found ({len(self.errors) / asked:.1%}), "
+            f"{sizes}, "
             f"normalised {squares:.2f}; refused {refused}, false {self.counts['FALSE']}; "
             f"{1e3 * late:.2f} ms median"
         )
