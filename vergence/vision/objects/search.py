@@ -19,11 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError, PointRefusedError
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
-from vergence.models.parts import EYE_NAMES, FloatArray
-from vergence.vision.detection import Detection, as_pixel
+from vergence.models.parts import FloatArray
+from vergence.vision.detection import Detection
 from vergence.vision.objects.detectors import make_object_detector
 from vergence.vision.objects.identity import Identity
-from vergence.vision.objects.patches import PointTracker, match_point
+from vergence.vision.objects.patches import PointTracker
+from vergence.vision.objects.points import Found, PointSearch, PointSeed, SeenImage
 from vergence.vision.objects.targets import (
     ColourTarget,
     FaceTarget,
@@ -44,18 +45,6 @@ _VIEW_SHARE: Final = 0.8
 holds)."""
 _PLACE_SIGMA_PX: Final = 0.1
 """Standard deviation of a place's pixel, px (chosen: encoders' noise)."""
-_PAIR_S: Final = 0.05
-"""Greatest time between two images in which a point is matched, s (chosen: cameras that are not in
-step)."""
-
-
-class Found(NamedTuple):
-    """What an eye's images say about the target."""
-
-    detection: Any
-    """The detection, see `Detection`; None if the target is not in the image."""
-    time_s: float
-    """Time of the exposure, s."""
 
 
 class EyeSearch(Protocol):
@@ -81,14 +70,6 @@ class EyeSearch(Protocol):
         """Drop the track of the target."""
 
 
-class _Image(NamedTuple):
-    """An image with its camera's pose and the time of its exposure."""
-
-    image: NDArray[np.uint8]
-    T_0_C: FloatArray
-    time_s: float
-
-
 class _PrintedSearch:
     """Search for a printed target."""
 
@@ -111,7 +92,7 @@ class _Answer(NamedTuple):
     """A detector's candidates in an image."""
 
     candidates: Sequence[Detection]
-    seen: _Image
+    seen: SeenImage
 
 
 class _Source:
@@ -146,13 +127,13 @@ class _Source:
     def forget(self) -> None:
         """Drop all answers; one that is still being found is ignored."""
         with self._lock:
-            self._newest: list[tuple[_Image, Any] | None] = [None, None]
+            self._newest: list[tuple[SeenImage, Any] | None] = [None, None]
             self._answers: tuple[deque[_Answer], deque[_Answer]] = (deque(), deque())
             self._running: list[Future[None] | None] = [None] * len(self._detectors)
             self._due_s = [-np.inf] * len(self._detectors)
             self._quick = [True] * len(self._detectors)
 
-    def ask(self, eye: int, seen: _Image, hint: FloatArray | None) -> None:
+    def ask(self, eye: int, seen: SeenImage, hint: FloatArray | None) -> None:
         """Have an eye's image searched, unless the detector is still at work on an earlier one."""
         place = 0 if self._both else eye
         with self._lock:
@@ -184,7 +165,7 @@ class _Source:
             except TimeoutError:
                 self._quick[place] = False
 
-    def _detect(self, place: int, jobs: Sequence[tuple[_Image, Any]], answers: Any) -> None:
+    def _detect(self, place: int, jobs: Sequence[tuple[SeenImage, Any]], answers: Any) -> None:
         images, hints = [seen.image for seen, _ in jobs], [hint for _, hint in jobs]
         detect = self._detectors[place].detect
         found = detect(images, hints) if self._both else [detect(images[0], hints[0])]
@@ -217,14 +198,14 @@ class _ObjectSearch:
     def forget(self) -> None:
         self._source.forget()
         self._identity.forget()
-        self._seen: _Image | None = None
+        self._seen: SeenImage | None = None
         self._answer: _Answer | None = None
         self._target: Detection | None = None
         self._carried: deque[tuple[float, FloatArray]] = deque(maxlen=_CARRIED)
         self._told_s = -np.inf
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
-        seen = _Image(_as_colour(image, self._camera), T_0_C, time_s)
+        seen = SeenImage(_as_colour(image, self._camera), T_0_C, time_s)
         self._source.ask(self._eye, seen, self._identity.hint(self._eye, T_0_C, time_s))
         self._seen, self._answer = seen, None
         self.take_answer()
@@ -271,14 +252,14 @@ class _ObjectSearch:
         self._told_s = time_s
         return found
 
-    def _start(self, seen: _Image, target: Detection | None) -> bool:
+    def _start(self, seen: SeenImage, target: Detection | None) -> bool:
         """Follow the image around the target from here; False if there is nothing to follow."""
         self._target, self._started = target, False
         self._carried.clear()
         self._from = seen
         return target is not None
 
-    def _carry(self, seen: _Image) -> Found | None:
+    def _carry(self, seen: SeenImage) -> Found | None:
         """The target carried to an image; None if nothing is followed."""
         if self._target is None:
             return None
@@ -298,93 +279,6 @@ class _ObjectSearch:
         self._carried.append((seen.time_s, pixel))
         sigma_px = np.hypot(sigma_px, self._target.sigma_px)
         return Found(self._target._replace(pixel=pixel, sigma_px=sigma_px), seen.time_s)
-
-
-class _PointSeed:
-    """The point that both eyes follow: where it was named, and where each eye saw it last."""
-
-    def __init__(self, cameras: Sequence[Camera], target: PointTarget) -> None:
-        self.cameras, self.lock = cameras, threading.RLock()
-        self._target = target
-        self.forget()
-
-    def forget(self) -> None:
-        """Start again from the pixel that the target names."""
-        with self.lock:
-            target = self._target
-            self.named: tuple[int, FloatArray] | None = None
-            if target.eye is not None and target.pixel is not None:
-                self.named = target.eye, np.array(target.pixel)
-            self.seen: list[tuple[_Image, FloatArray] | None] = [None, None]
-            self.clicked = False
-            self.refusal = ""
-
-    def click(self, eye: int, pixel: ArrayLike) -> None:
-        """Follow another point from the eye's next image on."""
-        with self.lock:
-            self.named, self.clicked = (eye, as_pixel("pixel", pixel)), True
-
-
-class _PointSearch:
-    """Search for an image point that was named in one of the eyes."""
-
-    def __init__(self, eye: int, seed: _PointSeed) -> None:
-        self._eye, self._seed = eye, seed
-        self._tracker = PointTracker(seed.cameras[eye])
-        self._found: Found | None = None
-        self._following = False
-
-    def forget(self) -> None:
-        self._tracker.forget()
-        self._following, self._found = False, None
-        self._seed.forget()
-
-    def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
-        seed, seen = self._seed, _Image(np.asarray(image), T_0_C, time_s)
-        with seed.lock:
-            if seed.named is not None and seed.named[0] == self._eye:
-                self._begin_at(seen, seed.named[1])
-            elif seed.named is not None:
-                self._following = False  # until the other eye has begun
-            point: Any = self._tracker.find(seen.image, T_0_C) if self._following else None
-            if point is None:
-                point = self._match(seen)
-            seed.seen[self._eye] = None if point is None else (seen, point[0])
-            detection = None if point is None else Detection(point[0], point[1])
-            self._found = Found(detection, time_s)
-
-    def found(self) -> Found | None:
-        found, self._found = self._found, None
-        return found
-
-    def _begin_at(self, seen: _Image, pixel: FloatArray) -> None:
-        """Follow the point that was named in this eye; a refused click is told, not raised."""
-        seed = self._seed
-        seed.named = None
-        try:
-            self._tracker.begin(seen.image, pixel, seen.T_0_C)
-        except PointRefusedError as error:
-            seed.refusal = str(error)
-            if not seed.clicked:
-                raise
-            return
-        seed.refusal, seed.seen, self._following = "", [None, None], True
-
-    def _match(self, seen: _Image) -> tuple[FloatArray, FloatArray] | None:
-        """Find the point that the other eye follows in this eye's image, and follow it there."""
-        seed, other = self._seed, self._seed.seen[1 - self._eye]
-        if other is None or abs(other[0].time_s - seen.time_s) > _PAIR_S:
-            return None
-        pair = (seen, other[0]) if self._eye == 0 else (other[0], seen)
-        images, poses = [one.image for one in pair], [one.T_0_C for one in pair]
-        try:
-            match = match_point(seed.cameras, images, poses, other[1], 1 - self._eye)
-            self._tracker.begin(seen.image, match.pixel, seen.T_0_C)
-        except PointRefusedError as error:
-            seed.refusal = f"{EYE_NAMES[self._eye]} eye: {error}"
-            return None
-        seed.refusal, self._following = "", True
-        return match.pixel, match.sigma_px
 
 
 class _PlaceSearch:
@@ -436,11 +330,11 @@ class HeadSearch:
         cameras = [Camera.of(head, eye) for eye in range(2)]
         self.eyes: tuple[EyeSearch, EyeSearch]
         self._identity: Identity | None = None
-        self._seed: _PointSeed | None = None
+        self._seed: PointSeed | None = None
         self._source: _Source | None = None
         if isinstance(target, PointTarget):
-            seed = self._seed = _PointSeed(cameras, target)
-            self.eyes = _PointSearch(0, seed), _PointSearch(1, seed)
+            seed = self._seed = PointSeed(cameras, target)
+            self.eyes = PointSearch(0, seed), PointSearch(1, seed)
         elif isinstance(target, ColourTarget | FaceTarget | OwnTarget):
             detectors: list[Any] = [make_object_detector(target, cameras[0])]
             if not getattr(getattr(detectors[0], "own", None), "both_eyes", False):
