@@ -54,6 +54,8 @@ class Deploy:
             print(f"dry run: nothing has moved\n{status.last()}")
         else:
             print_gazes(result.gazes.rows(), result.summary())
+        if not self.json and result.expected is not None:
+            print(result.expected)
         if not self.json:
             print(f"logged to {result.log} (vergence replay {result.log})")
         if result.error is not None and not self.config.dry_run:

@@ -78,6 +78,9 @@ class Gaze:
 
 
 def _print_gaze(result: "GazeResult") -> None:
+    import numpy as np
+
+    from vergence.models import look_at
     from vergence.models.parts import JOINTS
     from vergence.reporting.text import METHODS_LEGEND, format_fixed
 
@@ -90,7 +93,9 @@ def _print_gaze(result: "GazeResult") -> None:
             f"within 1 px of it after {_seconds(result.settle_1px_s)}, "
             f"within 0.5 px after {_seconds(result.settle_05px_s)}"
         )
-    elif result.has_truth:
+    if result.config.target == "place":
+        print(look_at(result.head, np.asarray(result.config.target_mm) / 1000.0))
+    if not result.has_residual and result.has_truth:
         print(
             f"settled to 1 px after {_seconds(result.settle_1px_s)}, "
             f"to 0.5 px after {_seconds(result.settle_05px_s)}"

@@ -34,6 +34,7 @@ from vergence.hardware.config import load_hardware
 from vergence.models.head import HeadModel, describe_beyond_limits
 from vergence.models.head_file import load_head
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
+from vergence.models.posture import look_at
 from vergence.operands import null_nonfinite_elements
 from vergence.recording import Recorder
 from vergence.recording.health import warn_of_gap
@@ -187,7 +188,11 @@ def run_gaze(
     if simulated and look is not None:
         point = _on_surface(config, head, parse_gaze_target(look), point)
         config = dataclasses.replace(config, target_mm=tuple((MM * point).tolist()))
-    refused = _why_unreachable(head, point, config.target_mm)
+    refused = ""
+    if look is not None and look.startswith("place:"):
+        look_at(head, point)  # raises if the eyes cannot
+    else:
+        refused = _why_unreachable(head, point, config.target_mm)
     if refused and simulated:  # a robot looks at the target that it detects
         in_metres = not _why_unreachable(head, MM * point, config.target_mm)
         raise ConfigurationError(refused + (" (is it in metres?)" if in_metres else ""))

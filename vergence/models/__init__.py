@@ -17,6 +17,7 @@ from vergence.models.parts import (
     SensorModel,
 )
 from vergence.models.perturbation import ModelErrors
+from vergence.models.posture import LookAt, look_at
 
 __all__ = [
     "EYES",
@@ -30,11 +31,13 @@ __all__ = [
     "HeadModel",
     "JointAxes",
     "JointLimits",
+    "LookAt",
     "LoopTiming",
     "ModelErrors",
     "Rendering",
     "SensorModel",
     "load_head",
+    "look_at",
     "parse_head",
     "presets",
     "save_head",

@@ -1,4 +1,4 @@
-"""A head at rest: where its links and cameras are, its size, and which way is up.
+"""A head at rest, and looking at a place: links and cameras, its size, and which way is up.
 
 N defines the upright direction: its y axis points down. The article's frame 0 has z up, and its
 head at rest looks along -y.
@@ -7,11 +7,13 @@ head at rest looks along -y.
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from vergence.errors import ConfigurationError
 from vergence.models.geometry import chain_end, rot_z
-from vergence.models.head import HeadModel
-from vergence.models.parts import NECK, FloatArray
+from vergence.models.head import HeadModel, describe_beyond_limits
+from vergence.models.parts import EYES, NECK, FloatArray
+from vergence.operands import as_operand
 
 EYE_RADIUS_M: Final = 0.018
 """Radius of the drawn eyeball, m (chosen: about the housing of a small camera module)."""
@@ -121,3 +123,55 @@ def fixation_angles_and_visibility(
     pixels = head.project(q, points)  # nan behind a camera
     inside = (pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)
     return q, np.asarray(can & inside.all(axis=(-1, -2)), np.bool_)
+
+
+class LookAt(NamedTuple):
+    """Joint angles of a head that looks at a place, and how well it will; `str` says the latter."""
+
+    positions: FloatArray
+    """(7,) joint angles, rad."""
+    sigma_px: FloatArray
+    """(2, 2) standard deviation of the place's pixel from the principal point, by eye and image
+    axis, px; nan if the head's joints are not calibrated."""
+
+    def __str__(self) -> str:
+        if not np.isfinite(self.sigma_px).all():
+            return "looking by the model alone: an uncalibrated one, so that the error is unknown"
+        worse = float(np.sqrt(np.square(self.sigma_px).sum(axis=-1)).max())
+        return f"looking by the model alone: expect {worse:.2g} px off, by calibration and encoders"
+
+
+def look_at(head: HeadModel, point: ArrayLike, neck: ArrayLike = 0.0) -> LookAt:
+    """Look at a place in space by the head's model, without an image.
+
+    The error to expect is that of the calibration, the root mean square of the reprojection in
+    images that it had not used, and that of encoders that round, uniform over a step.
+
+    Args:
+        head: the head.
+        point: (3,) place in N, m; N moves with the neck.
+        neck: (3,) or a scalar, the neck's angles, rad.
+
+    Raises:
+        ConfigurationError: the eyes cannot fixate the place; the message says why.
+    """
+    place = as_operand("point", point, 3)
+    q = head.fixate(place, neck, warn=False)
+    why = describe_beyond_limits(head, q) if np.isfinite(q).all() else "the eyes have no angles"
+    if place.shape != (3,) or why:
+        raise ConfigurationError(
+            f"point: expected a place (x, y, z) in N, m, that both eyes can fixate, got "
+            f"{np.asarray(point).tolist()!r:.80}" + (f", for which {why}" if why else "")
+        )
+    record, sigma = head.calibration, np.full((2, 2), np.nan)
+    if record is not None and any(name.endswith(_JOINT_NUMBERS) for name in record.sigma):
+        step = head.sensor.encoder_resolution_rad
+        turned = q + step * np.eye(7)[EYES]
+        change = head.project(turned, place) - head.project(q, place)
+        encoders = np.square(np.nan_to_num(change)).sum(axis=0) / 12.0
+        sigma = np.sqrt(encoders + 0.5 * record.rms_heldout_px**2)
+    return LookAt(q, sigma)
+
+
+_JOINT_NUMBERS: Final = (".offset", ".alpha", ".origin.x", ".axis.rx", ".rx", ".ry")
+"""Ends of the names of the numbers of joints, see `HeadModel.parameters`."""

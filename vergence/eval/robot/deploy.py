@@ -22,6 +22,7 @@ from vergence.eval.robot.stage import REST_TARGET
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.models.posture import LookAt, look_at
 from vergence.recording import Recorder
 from vergence.recording.health import warn_of_gap
 from vergence.recording.log import read_log
@@ -61,6 +62,8 @@ class Deployment:
     log: Path
     error: VergenceError | KeyboardInterrupt | None
     """Reason for an early end; None if all gazes were run."""
+    expected: LookAt | None = None
+    """How well a place is looked at without images; None for a target in the images."""
 
     def summary(self) -> dict[str, Any]:
         """The result as plain values; None for undefined metrics."""
@@ -97,8 +100,11 @@ def deploy(
     """
     hardware = load_hardware(config.hardware)
     look = _look(config)
+    expected = None
     if look is not None:
         hardware = dataclasses.replace(hardware, target=look)
+        if isinstance(look, PlaceTarget):
+            expected = look_at(hardware.head, np.asarray(look.point_mm) / 1000.0)
     gazes = RobotGazes(steps=_steps(config, hardware.head), dry_run=config.dry_run)
     robot = RobotController.of(config.controller, hardware.head, config.options)
     if config.resume is not None:
@@ -118,7 +124,7 @@ def deploy(
             gazes.stopped = isinstance(stop, VergenceError)
             if isinstance(stop, VergenceError) and not writer.reason:
                 writer.stopped("; ".join(stop.lines))
-    return Deployment(controller=robot.name, gazes=gazes, log=log, error=error)
+    return Deployment(controller=robot.name, gazes=gazes, log=log, error=error, expected=expected)
 
 
 def _gaze(
