@@ -16,6 +16,7 @@ from vergence.envs.plants.eye_views import RoomImageRenderer
 from vergence.envs.plants.simulation import is_simulated
 from vergence.envs.policy import Policy
 from vergence.envs.rollout import rollout
+from vergence.envs.targets.prescribed import StaticTarget
 from vergence.envs.task import GazeTask
 from vergence.envs.validation import refuse_immobile_eyes
 from vergence.errors import ConfigurationError
@@ -188,16 +189,16 @@ def run_gaze(
     if simulated and look is not None:
         point = _on_surface(config, head, parse_gaze_target(look), point)
         config = dataclasses.replace(config, target_mm=tuple((MM * point).tolist()))
-    refused = ""
-    if look is not None and look.startswith("place:"):
+    refuses_unseen = look is None or not look.startswith("place:")
+    if not refuses_unseen:
         look_at(head, point)  # raises if the eyes cannot
-    else:
-        refused = _why_unreachable(head, point, config.target_mm)
+    refused = _why_unreachable(head, point, config.target_mm) if refuses_unseen else ""
     if refused and simulated:  # a robot looks at the target that it detects
         in_metres = not _why_unreachable(head, MM * point, config.target_mm)
         raise ConfigurationError(refused + (" (is it in metres?)" if in_metres else ""))
-    target: dict[str, Any] = {"kind": "static", "point": point.tolist()}
-    target |= {} if look is None else {"look": look}
+    x, y, z = point.tolist()
+    target = (StaticTarget if refuses_unseen else _UnseenTarget)(point=(x, y, z))
+    plant_options |= {} if look is None else {"look": look}
     task = GazeTask(1, head=head, plant=config.plant, target=target, plant_options=plant_options)
     return record_gaze(task, controller, config, progress, watch)
 
@@ -313,6 +314,13 @@ def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]
     head = hardware.head if config.head is None else load_head(config.head)
     config = dataclasses.replace(config, head=config.head or hardware.head.name)
     return config, head, {"config": hardware, "view_check": config.view_check}
+
+
+class _UnseenTarget(StaticTarget):
+    """A place that is looked at without images: it may be out of view at first."""
+
+    def check(self, head: HeadModel) -> None:
+        """See `Target.check`: `look_at` has refused what the eyes cannot fixate."""
 
 
 def _look(config: GazeConfig) -> str | None:
