@@ -1,7 +1,7 @@
 """The rendered plant: MuJoCo's dynamics, rendered images, and a real detector that reads them."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,6 +53,9 @@ from vergence.vision.objects.targets import (
 )
 from vergence.vision.targets import AprilTag, Checkerboard, make_planar_target
 
+_OLDEST_ANSWER_S: Final = 0.5
+"""Age of a slow detector's answer up to which the joints' angles are known, s (chosen)."""
+
 
 class RenderedPlant(MujocoPlant):
     """Heads whose eyes see rendered images, in which a detector finds the target.
@@ -95,6 +98,7 @@ class RenderedPlant(MujocoPlant):
         wall: str | None = None,
         **options: Any,
     ) -> None:
+        self._detection_age_s = 0.0 if look is None else _OLDEST_ANSWER_S
         super().__init__(head, num, **options)
         if self.conditions.skew_s.any():
             raise ConfigurationError(
@@ -308,6 +312,7 @@ def store_detections(
             slot, faults = np.uintp(f & mask), draw_frame_faults(conditions, key, f)
             dropped = faults.dropped or dated_s[n, i] != dated_s[n, i]
             frames.exposed_s[n, slot], frames.dropped[n, slot] = dated_s[n, i], dropped
+            frames.late_s[n, slot] = time_s - dated_s[n, i]
             if dropped:
                 continue
             comes_s = frame_arrival_time(

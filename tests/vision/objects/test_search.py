@@ -1,0 +1,161 @@
+"""Search of both eyes' images: users' detectors, slow ones, and places without images."""
+
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from vergence.errors import ConfigurationError
+from vergence.models.head_file import load_head
+from vergence.vision.objects.search import HeadSearch
+from vergence.vision.objects.targets import parse_gaze_target
+
+HEAD = load_head("physical")
+POSES = HEAD.base_pose(HEAD.rest()) @ HEAD.camera_poses(HEAD.rest())
+PLACE = np.array([0.02, -0.05, 0.9])
+PIXELS = HEAD.project(HEAD.rest(), PLACE)
+BLANK = np.full((2, 2), -50.0)
+OWN = '''
+import threading
+from vergence.vision import Detection
+
+class Spot:
+    """The brightest pixel."""
+    def detect(self, image, hint):
+        v, u = divmod(int(image[..., 2].argmax()), image.shape[1])
+        return [Detection((u, v), 0.5)]
+
+class Late(Spot):
+    latency_s, rate_hz = 0.1, 10.0
+
+class Blocked(Spot):
+    go, calls = threading.Event(), []
+    def detect(self, image, hint):
+        self.calls.append(threading.current_thread().name)
+        self.go.wait(10.0)
+        return super().detect(image, hint)
+
+class Both(Spot):
+    both_eyes = True
+    def detect(self, images, hints):
+        return [super(Both, self).detect(image, None) for image in images]
+
+class Broken:
+    def detect(self, image, hint):
+        return 1 / 0
+'''
+
+
+def images(places=PIXELS, textured=False):
+    """Both eyes' images with a spot at a pixel of each."""
+    out = []
+    for eye, (width, height) in enumerate(HEAD.cameras.size.tolist()):
+        image = np.full((height, width, 3), 60, np.uint8)
+        if textured:
+            noise = np.random.default_rng(eye).integers(
+                20, 180, (height // 4, width // 4), np.uint8
+            )
+            image[:] = cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)[..., None]
+            image = np.minimum(image, 200)
+        cv2.circle(image, tuple(np.round(places[eye]).astype(int).tolist()), 3, (255, 255, 255), -1)
+        out.append(image)
+    return out
+
+
+@pytest.fixture
+def search_of(tmp_path):
+    made = []
+
+    def make(name, frame_s=None):
+        (tmp_path / "own.py").write_text(OWN)
+        target = parse_gaze_target(f"{tmp_path / 'own.py'}:{name}")
+        made.append(HeadSearch(target, HEAD, frame_s))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def look(search, time_s, shown):
+    """Show both eyes' images; what each eye says."""
+    for eye, one in enumerate(search.eyes):
+        one.look(shown[eye], POSES[eye], time_s)
+    return [one.found() for one in search.eyes]
+
+
+@pytest.mark.parametrize("name", ["Spot", "Both"])
+def test_a_detector_of_ones_own_finds_its_target_in_both_eyes(search_of, name):
+    search = search_of(name)
+    for time_s in (0.0, 0.03):
+        found = look(search, time_s, images())
+    assert [one.time_s for one in found] == [0.03, 0.03]
+    for eye in range(2):
+        assert np.abs(found[eye].detection.pixel - PIXELS[eye]).max() < 4.0
+
+
+def test_grey_images_are_given_in_three_channels(search_of):
+    search = search_of("Spot")
+    found = look(search, 0.0, [image[..., 0] for image in images()])
+    assert found[1].detection is not None
+
+
+def test_an_error_in_it_names_its_file_and_line(search_of):
+    with pytest.raises(ConfigurationError, match=r"own.py:28 in detect: ZeroDivisionError"):
+        look(search_of("Broken"), 0.0, images())
+
+
+def test_an_answer_that_cannot_be_carried_belongs_to_its_own_exposure(search_of):
+    search = search_of("Late")
+    gone = images(BLANK)
+    answers = [look(search, k / 30.0, gone if k else images()) for k in range(8)]
+    told = [(k, one[0].time_s) for k, one in enumerate(answers) if one[0] is not None]
+    assert told[0] == (3, 0.0)
+
+
+def test_an_answer_is_carried_to_later_images_by_tracking(search_of):
+    search = search_of("Late")
+    for k in range(8):
+        moved = PIXELS + [2.0 * k, -k]
+        shown = [np.roll(one, (-k, 2 * k), (0, 1)) for one in images(textured=True)]
+        found = look(search, k / 30.0, shown)
+        if k < 3:
+            assert found == [None, None]
+            continue
+        for eye, one in enumerate(found):
+            assert one.time_s == k / 30.0
+            assert np.abs(one.detection.pixel - moved[eye]).max() < 4.0
+
+
+def test_a_slow_detector_holds_up_no_image(search_of):
+    search = search_of("Blocked", frame_s=0.02)
+    begun = time.monotonic()
+    held = [look(search, 0.02 * k, images(BLANK if k else PIXELS)) for k in range(10)]
+    assert time.monotonic() - begun < 1.0  # of 10 s
+    assert held == [[None, None]] * 10
+    blocked = type(search._source._detectors[0].own)
+    assert threading.current_thread().name not in blocked.calls
+    blocked.go.set()
+    for k in range(10, 200):
+        time.sleep(0.005)
+        found = look(search, 0.02 * k, images(BLANK))
+        if None not in found:
+            break
+    assert [one.time_s for one in found] == [0.0, 0.0]  # of the image in which it was found
+
+
+def test_a_place_is_where_the_heads_model_has_it():
+    target = parse_gaze_target("place:" + ":".join(str(1000.0 * value) for value in PLACE))
+    found = look(HeadSearch(target, HEAD), 0.1, [None, None])
+    for eye in range(2):
+        assert np.allclose(found[eye].detection.pixel, PIXELS[eye], atol=1e-6)
+
+
+def test_a_place_out_of_view_stands_at_the_edge_on_its_side():
+    found = look(HeadSearch(parse_gaze_target("place:2000:0:-100"), HEAD), 0.1, [None, None])
+    for eye, one in enumerate(found):
+        u, v = one.detection.pixel
+        assert 0.75 * HEAD.cameras.size[eye, 0] < u < HEAD.cameras.size[eye, 0]
+        assert 0 < v < HEAD.cameras.size[eye, 1]
