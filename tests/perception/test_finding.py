@@ -1,11 +1,13 @@
 """Several targets in one image, each once, and in live images: found, followed and counted."""
 
+import cv2
 import numpy as np
 import pytest
 
 from tests.naming import refused
 from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
+from vergence.errors import ConfigurationError
 from vergence.perception.finding import (
     FamilyTracker,
     LiveStatistics,
@@ -17,6 +19,7 @@ from vergence.perception.finding import (
 )
 from vergence.perception.locate import _match
 from vergence.vision import BoardDetection, Camera, make_detector
+from vergence.vision.objects.targets import parse_gaze_target
 from vergence.vision.targets import AprilTag, Checkerboard, TagFamily
 
 HEAD = load_head("physical")
@@ -215,3 +218,20 @@ def test_each_target_has_its_finder():
     one_tag = make_detector(TagFamily()).detect_all(BOTH)[0].target
     finders = [make_live_finder(target) for target in (TagFamily(), one_tag)]
     assert [numbers(find(BOTH)) for find in finders] == [[3, 7], [3]]
+
+
+def test_a_colour_is_found_in_live_images_whether_a_camera_is_known_or_not():
+    image = np.full((120, 160, 3), 90, np.uint8)
+    cv2.circle(image, (60, 50), 9, (0, 128, 255), -1)
+    target = parse_gaze_target("colour:#ff8000")
+    statistics = LiveStatistics([target])
+    finder = make_live_finder(target)
+    for k in range(3):
+        statistics.add(0.1 * k, 0.01, finder(image))
+    (one,) = statistics.run_summary().targets
+    assert one.rate == 1.0
+    assert np.abs(one.point_px - [60.0, 50.0]).max() < 0.2
+    assert one.document()["target"] == "colour:#ff8000"
+    assert finder(np.full((120, 160), 90, np.uint8)) == []
+    with pytest.raises(ConfigurationError, match="what a single image shows"):
+        make_live_finder(parse_gaze_target("point:left:1:2"))

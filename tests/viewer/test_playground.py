@@ -10,6 +10,8 @@ from vergence.models.head_file import load_head
 
 pytest.importorskip("viser")
 
+import viser
+
 from vergence.viewer.playground import Playground
 from vergence.viewer.simulated import Setup
 
@@ -68,3 +70,25 @@ def test_a_target_that_is_dragged_upwards_rises(playground):
     run(playground)
     # y of N points down
     assert playground.simulated.target - before == pytest.approx([0.0, -0.1, 0.0], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_click_in_an_eyes_picture_moves_the_target_there(playground):
+    before, size = playground.simulated.target, np.array([1040.0, 860.0])
+    screen = playground.view.scene._screens[1]
+    turn = viser.transforms.SO3(np.array(screen.wxyz)).as_matrix()
+    corner = np.array([0.24, 0.24 * size[1] / size[0]]) * (np.array([0.75, 0.5]) - 0.5)
+    place = np.array(screen.position) + turn[:, :2] @ corner
+    away = turn @ [0.1, -0.2, 1.0]
+    for on_click in screen._impl.click_cb:
+        on_click.callback(
+            SimpleNamespace(
+                ray_origin=tuple(place - away), ray_direction=tuple(away), target=screen
+            )
+        )
+    run(playground)
+    moved = playground.simulated.target
+    seen = playground.simulated.setup.head.project(playground.simulated.setup.head.rest(), moved)
+    assert np.linalg.norm(moved - before) > 0.05
+    assert playground.simulated.mode == "by hand"
+    assert np.abs(seen[1] - [0.75 * 1040.0, 430.0]).max() < 40.0  # the eyes have begun to turn

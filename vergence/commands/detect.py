@@ -1,6 +1,7 @@
 """`vergence detect`: detect targets in single photographs or in a live camera."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from vergence.models.camera import CameraResponse
     from vergence.perception.finding import DetectResult
     from vergence.vision import Camera
+    from vergence.vision.objects.targets import GazeTarget
     from vergence.vision.targets import Target
 
 _MOST_PANELS: Final = 12
@@ -51,7 +53,8 @@ class Detect:
     checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6 (inner corners),
     charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: layout of OpenCV
     before 4.6), aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:88:0.3 (kalibr's
-    tagCols, tagRows, tagSize, tagSpacing); lengths in mm."""
+    tagCols, tagRows, tagSize, tagSpacing); lengths in mm. With --live also colour:#RRGGBB,
+    face:MODEL.onnx or mine.py:Class."""
     head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
     """Head whose camera took the images, a preset's name or the path of a TOML file; with --eye."""
     eye: Annotated[
@@ -81,8 +84,12 @@ class Detect:
         self._check()
         from vergence.models.camera import parse_response
         from vergence.perception.finding import load_camera, parse_targets
+        from vergence.vision.objects.targets import parse_gaze_target
 
-        targets = parse_targets(self.target)
+        if self.live is not None and self.target:
+            targets: Sequence[GazeTarget] = [parse_gaze_target(text) for text in self.target]
+        else:
+            targets = parse_targets(self.target)
         camera, guesses = load_camera(
             self.head, self.camera, self.eye, size=parse_size(self.size), lens=self.lens
         )
@@ -99,7 +106,7 @@ class Detect:
                 camera_response=response,
                 as_json=self.json,
             )
-        return self._photographs(targets, camera, response)
+        return self._photographs(parse_targets(self.target), camera, response)
 
     def _check(self) -> None:
         if self.live is None:

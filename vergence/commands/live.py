@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from vergence.models.parts import FloatArray
     from vergence.perception.finding import LiveSummary
     from vergence.vision import Camera
-    from vergence.vision.targets import Target
+    from vergence.vision.objects.targets import GazeTarget
 
 
 def watch_camera(
     source: str,
-    targets: "Sequence[Target]",
+    targets: "Sequence[GazeTarget]",
     camera: "Camera | None",
     seconds: float | None,
     *,

@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.envs.plant import Plant
 from vergence.envs.plants.eye_views import BoardImageRenderer
@@ -54,9 +55,11 @@ from vergence.hardware.view_check import (
     range_by_size,
     turn_each_joint,
 )
+from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
+from vergence.vision.detection import as_pixel
 from vergence.vision.objects.targets import GazeTarget, PointTarget, parse_gaze_target
 from vergence.vision.targets import AprilTag
 
@@ -245,6 +248,28 @@ class HardwarePlant(Plant):
         self.prepare()
         self._target = target
         self._open.eyes.look_for(target)
+
+    def click(self, eye: int, pixel: ArrayLike, exposed_s: float) -> None:
+        """Follow the point at a pixel (u, v) that an eye saw a while ago.
+
+        Args:
+            eye: 0 for left, 1 for right.
+            pixel: (2,) raw pixel.
+            exposed_s: time of that image's exposure, s of the clock; the eye may have turned since.
+
+        Raises:
+            ConfigurationError: the target is no point, or it has left the eye's view.
+        """
+        if self._open.eyes.search is None:
+            raise ConfigurationError("click: expected an open head, got a closed one")
+        camera = Camera.of(self.head, eye)
+        then, now = (
+            self.head.base_pose(q) @ self.head.camera_poses(q)
+            for q in (self._history.at(exposed_s), self._history.newest()[1])
+        )
+        ray = np.append(camera.rays(as_pixel("pixel", pixel)[None])[0], 1.0)
+        turned = now[eye, :3, :3].T @ then[eye, :3, :3] @ ray
+        self._open.eyes.search.click(eye, camera.project(turned[None])[0])
 
     def show(self, ids: IntArray, motions: FloatArray) -> None:
         """Place the target before an emulated head, see `Plant.show`."""

@@ -22,6 +22,8 @@ from vergence.perception.photographs import list_photographs
 from vergence.vision import BoardDetector, Camera, Tracker, as_grey, make_detector, parse_target
 from vergence.vision.detection import BoardDetection
 from vergence.vision.image import read_pixels
+from vergence.vision.objects.detectors import make_object_detector
+from vergence.vision.objects.targets import GazeTarget, ObjectTarget, PlaceTarget, PointTarget
 from vergence.vision.pose import Pose
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily, Target
 
@@ -45,7 +47,7 @@ def parse_targets(texts: Sequence[str]) -> list[Target]:
     return [parse_target(text) for text in dict.fromkeys(texts)]
 
 
-def tag_number(target: PlanarTarget) -> int | None:
+def tag_number(target: PlanarTarget | ObjectTarget) -> int | None:
     """The number of a tag; None for a board."""
     return target.id if isinstance(target, AprilTag) else None
 
@@ -300,19 +302,52 @@ _SEARCH_INTERVAL_IMAGES: Final = 15
 (chosen: new tags found early against time)."""
 
 
-LiveFinder = Callable[[NDArray[np.uint8]], Sequence[BoardDetection]]
+class SeenObject(NamedTuple):
+    """An object in an image, in the form of a `BoardDetection`."""
+
+    target: ObjectTarget
+    point_px: FloatArray
+    sigma_px: FloatArray
+
+
+LiveFinder = Callable[[NDArray[np.uint8]], Sequence[BoardDetection | SeenObject]]
 """Finds targets in the next image of a sequence."""
 
 
 def make_live_finder(
-    target: Target, camera: Camera | None = None, response: CameraResponse | None = None
+    target: GazeTarget, camera: Camera | None = None, response: CameraResponse | None = None
 ) -> LiveFinder:
     """Make a finder for a target in live images."""
+    if not isinstance(target, PlanarTarget | TagFamily):
+        return ObjectFinder(target, camera)
     detector = make_detector(target, camera, response)
     if isinstance(target, TagFamily):
         return FamilyTracker(detector)
     tracker = Tracker(detector)
     return lambda image: [found] if (found := tracker.find(image)) is not None else []
+
+
+class ObjectFinder:
+    """Finds the best candidate for an object in each image."""
+
+    def __init__(self, target: ObjectTarget, camera: Camera | None) -> None:
+        if isinstance(target, PointTarget | PlaceTarget):
+            raise ConfigurationError(
+                f"target: expected one that a single image shows, got {target}"
+            )
+        self._target, self._camera = target, camera
+        self._detector: Any = None
+
+    def __call__(self, image: NDArray[np.uint8]) -> Sequence[SeenObject]:
+        """Find it; the camera of unknown intrinsics has a field of view of 53 degrees."""
+        height, width = image.shape[:2]
+        if self._detector is None:
+            matrix = [[width, 0, 0.5 * width], [0, width, 0.5 * height], [0, 0, 1]]
+            camera = self._camera or Camera(size=(width, height), matrix=np.array(matrix, float))
+            self._detector = make_object_detector(self._target, camera)
+        colours = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+        found = max(self._detector.detect(colours, None), key=lambda one: one.score, default=None)
+        return [] if found is None else [SeenObject(self._target, found.pixel, found.sigma_px)]
 
 
 class FamilyTracker:
@@ -355,7 +390,7 @@ class FamilyTracker:
 class TargetStatistics:
     """Running statistics of a target's pixels over the window or the whole run, by Welford."""
 
-    target: PlanarTarget
+    target: PlanarTarget | ObjectTarget
     images: int = 0
     """Number of all images."""
     images_with_target: int = 0
@@ -364,7 +399,7 @@ class TargetStatistics:
     _squares: FloatArray = field(default_factory=lambda: np.zeros(2))
     _variance: FloatArray = field(default_factory=lambda: np.zeros(2))
 
-    def add(self, found: BoardDetection) -> None:
+    def add(self, found: BoardDetection | SeenObject) -> None:
         """Add an image with the target."""
         self.images_with_target = seen = self.images_with_target + 1
         before = found.point_px - self._mean
@@ -428,12 +463,15 @@ class LiveSummary(NamedTuple):
         }
 
 
+_Seen = Mapping[PlanarTarget | ObjectTarget, BoardDetection | SeenObject]
+
+
 class LiveStatistics:
     """Statistics over a sliding window, s, and over the whole run."""
 
-    def __init__(self, targets: Iterable[Target] = (), window_s: float = WINDOW_S) -> None:
+    def __init__(self, targets: Iterable[GazeTarget] = (), window_s: float = WINDOW_S) -> None:
         self._window_s = window_s
-        self._frames: deque[tuple[float, float, Mapping[PlanarTarget, BoardDetection]]] = deque()
+        self._frames: deque[tuple[float, float, _Seen]] = deque()
         """Time, s, duration, s, and detections of each image of the window."""
         self._begun_s = self._first_s = self._now_s = 0.0
         self._took_s = array("d")
@@ -443,13 +481,15 @@ class LiveStatistics:
             if not isinstance(target, TagFamily)
         }
 
-    def add(self, time_s: float, detection_s: float, detections: Sequence[BoardDetection]) -> None:
+    def add(
+        self, time_s: float, detection_s: float, detections: Sequence[BoardDetection | SeenObject]
+    ) -> None:
         """Add the detections of an image, with the time at which they ended and their duration."""
         if not self._took_s:
             self._begun_s, self._first_s = time_s - detection_s, time_s
         self._now_s = time_s
         self._took_s.append(detection_s)
-        by_target: dict[PlanarTarget, BoardDetection] = {}
+        by_target: dict[PlanarTarget | ObjectTarget, BoardDetection | SeenObject] = {}
         for one in detections:  # of several tags with one number, only the first counts
             by_target.setdefault(one.target, one)
         for target, one in by_target.items():
@@ -473,7 +513,7 @@ class LiveStatistics:
 
     def _summary(
         self,
-        by_target: Mapping[PlanarTarget, TargetStatistics],
+        by_target: Mapping[PlanarTarget | ObjectTarget, TargetStatistics],
         took_s: Sequence[float],
         apart_s: float,
     ) -> LiveSummary:

@@ -12,6 +12,8 @@ import viser
 from vergence.envs.eye_images import EyeImages
 from vergence.envs.reading import Truth
 from vergence.errors import VergenceError
+from vergence.models.parts import FloatArray
+from vergence.recording.clicks import Click, write_click
 from vergence.recording.events import FollowedImage, FollowedReading, NewEvents
 from vergence.recording.follow import LogFollower, newest_log
 from vergence.recording.health import LoopHealth
@@ -160,12 +162,19 @@ class _FollowedRobot:
             shown = self._moment()
             if shown is not None:
                 if self.view is None:  # not before there is something to draw
-                    self.view = HeadView(self._server, head)
+                    self.view = HeadView(self._server, head, self._look_at)
                 elif not self._begun:
                     self.view.change_head(head)
                 self._begun = True
                 self.view.show(shown, [])
         return self._describe()
+
+    def _look_at(self, eye: int, pixel: FloatArray) -> None:
+        """Leave a click in an eye's newest image for the robot, see `vergence deploy`."""
+        image = self._images[eye]
+        exposed_s = self._now_s() if image is None else image[0]
+        with suppress(OSError):
+            write_click(self.path, Click(eye, pixel, exposed_s))
 
     def _take(self, events: NewEvents) -> None:
         assert self._health is not None

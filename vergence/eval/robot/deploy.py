@@ -1,6 +1,7 @@
 """Deployment of a policy on a robot: gazes from rest, all in one log."""
 
 import dataclasses
+import logging
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -10,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from vergence.envs.plant import Plant
 from vergence.envs.reading import Reading
 from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
@@ -20,16 +22,19 @@ from vergence.eval.robot.gazes import MOST_PERIODS, RobotGazes
 from vergence.eval.robot.replay import replay
 from vergence.eval.robot.stage import REST_TARGET
 from vergence.hardware.config import HardwareConfig, load_hardware
+from vergence.hardware.plant import HardwarePlant
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.models.posture import LookAt, look_at
 from vergence.recording import Recorder
+from vergence.recording.clicks import Click, ClickReader
 from vergence.recording.health import warn_of_gap
 from vergence.recording.log import read_log
 from vergence.recording.writer import LogWriter
 from vergence.reporting.runs import package_versions
-from vergence.vision.objects.targets import GazeTarget, PlaceTarget, parse_gaze_target
+from vergence.vision.objects.targets import GazeTarget, PlaceTarget, PointTarget, parse_gaze_target
 
+_LOG: Final = logging.getLogger(__name__)
 _MOST_GAZES: Final = 10_000
 """Largest number of gazes of a deployment (chosen: bounds the log, far above a useful number)."""
 
@@ -150,12 +155,15 @@ def _gaze(
     steps = (gazes.steps or 0) + hardware.head.timing.latency_frames
 
     first = len(gazes.trials)
+    clicks = ClickReader(writer.path) if isinstance(hardware.target, PointTarget) else None
 
     def gaze(number: int) -> None:
         record = Recorder(task, steps)
 
         def keep(step: int) -> None:
             record(step)
+            if clicks is not None and (click := clicks.poll()) is not None:
+                _follow(task.plant, click)
             show(_present(task, number, step))
 
         try:
@@ -174,6 +182,17 @@ def _gaze(
                 gaze(number)
     finally:
         task.close()
+        if clicks is not None:
+            clicks.close()
+
+
+def _follow(plant: Plant, click: Click) -> None:
+    """Follow a clicked point; say what cannot be followed."""
+    assert isinstance(plant, HardwarePlant)
+    try:
+        plant.click(*click)
+    except ConfigurationError as error:
+        _LOG.warning("%s", error)
 
 
 def _present(task: GazeTask, number: int, step: int) -> GazeState:
