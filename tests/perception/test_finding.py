@@ -233,5 +233,5 @@ def test_a_colour_is_found_in_live_images_whether_a_camera_is_known_or_not():
     assert np.abs(one.point_px - [60.0, 50.0]).max() < 0.2
     assert one.document()["target"] == "colour:#ff8000"
     assert finder(np.full((120, 160), 90, np.uint8)) == []
-    with pytest.raises(ConfigurationError, match="what a single image shows"):
+    with pytest.raises(ConfigurationError, match="single image shows"):
         make_live_finder(parse_gaze_target("point:left:1:2"))
