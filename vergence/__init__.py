@@ -17,7 +17,7 @@ from vergence.errors import VergenceError, VergenceWarning
 if TYPE_CHECKING:
     __version__: str
     from vergence.controllers import make_controller
-    from vergence.models import HeadModel, LookAt, ModelErrors, load_head, look_at
+    from vergence.models import HeadModel, ModelErrors, load_head, look_at
     from vergence.triangulation.fix import (
         Fix,
         Noise,
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Fix",
     "HeadModel",
-    "LookAt",
     "ModelErrors",
     "Noise",
     "VergenceError",

@@ -10,13 +10,15 @@ from vergence.vision import Detection
 
 
 class Ball:
-    """The orange pixels, by their centre."""
+    """The largest orange patch, by its centre."""
 
     def detect(self, image, hint):
-        """Find the ball in an image, blue, green and red."""
+        """Find it in an image, blue, green and red."""
         hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
-        moments = cv2.moments(cv2.inRange(hsv, (5, 120, 60), (25, 255, 255)), binaryImage=True)
-        area = moments["m00"]
-        if area < 50:
-            return []
-        return [Detection((moments["m10"] / area, moments["m01"] / area), sigma_px=0.3)]
+        mask = cv2.inRange(hsv, (5, 120, 60), (25, 255, 255))
+        patches, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        patches = [patch for patch in patches if cv2.contourArea(patch) > 50]
+        return [
+            Detection(cv2.minEnclosingCircle(patch)[0], 0.5, score=cv2.contourArea(patch))
+            for patch in patches
+        ]

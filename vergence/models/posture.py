@@ -154,6 +154,11 @@ def look_at(head: HeadModel, point: ArrayLike, neck: ArrayLike = 0.0) -> LookAt:
 
     Raises:
         ConfigurationError: the eyes cannot fixate the place; the message says why.
+
+    Examples:
+        >>> from vergence import load_head, look_at
+        >>> look_at(load_head("simulated"), [0.0, -0.1, 1.0]).positions.shape
+        (7,)
     """
     place = as_operand("point", point, 3)
     q = head.fixate(place, neck, warn=False)
