@@ -6,6 +6,7 @@ detector answers again. Where tracking loses it, the image says nothing, and the
 answer is reported with the time of its own exposure.
 """
 
+import sys
 import threading
 from collections import deque
 from collections.abc import Sequence
@@ -38,6 +39,9 @@ from vergence.vision.tracking import Tracker, make_detector
 _WAIT_FRAMES: Final = 0.5
 """Longest wait of an image for a quick detector's answer, frames (chosen: no delay by a slow
 one)."""
+_SWITCH_S: Final = 2e-4
+"""Time after which one thread's Python code gives way to another's, s (chosen: a loop that waits
+for it some ten times a period, against the time that switching takes)."""
 _CARRIED: Final = 64
 """Most images whose carried pixels are remembered (chosen: half a second at 120 Hz)."""
 _VIEW_SHARE: Final = 0.8
@@ -111,6 +115,9 @@ class _Source:
         rate_hz = getattr(own, "rate_hz", None)
         self._period_s = 1.0 / float(rate_hz) if rate_hz else 0.0
         self._pool = None if frame_s is None else ThreadPoolExecutor(len(detectors), "vergence eye")
+        self._switch_s = sys.getswitchinterval()
+        if self._pool is not None:
+            sys.setswitchinterval(_SWITCH_S)  # Python code of a detector must not hold up the loop
         self._lock = threading.Lock()
         self.searches: list[_ObjectSearch] = []
         self.forget()
@@ -183,6 +190,7 @@ class _Source:
         """Let the thread end after its present image."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
+            sys.setswitchinterval(self._switch_s)
 
 
 class _ObjectSearch:
