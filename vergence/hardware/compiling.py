@@ -10,7 +10,7 @@ from vergence.hardware.common_time import pixels_at_common_time
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.vision.objects.search import HeadSearch
-from vergence.vision.objects.targets import GazeTarget, ObjectTarget, PointTarget
+from vergence.vision.objects.targets import GazeTarget, ObjectTarget, OwnTarget, PointTarget
 from vergence.vision.targets import PlanarTarget, TagFamily
 from vergence.vision.tracking import Tracker, make_detector
 
@@ -28,7 +28,8 @@ def compile_loop_kernels(head: HeadModel, target: GazeTarget) -> None:
     q, still = head.rest(), np.zeros(7)
     pixels_at_common_time(head, head.cameras.principal, np.stack([q, q]), q)
     if not isinstance(target, PlanarTarget | TagFamily):
-        _search_once(head, target)
+        if not isinstance(target, OwnTarget):  # which runs in a process of its own
+            _search_once(head, target)
         return
     board = target.tag(0) if isinstance(target, TagFamily) else target
     views = BoardImageRenderer(head, board)
@@ -43,7 +44,7 @@ def compile_loop_kernels(head: HeadModel, target: GazeTarget) -> None:
 
 
 def _search_once(head: HeadModel, target: ObjectTarget) -> None:
-    """Call an object's detector, also a user's own, on images of noise, and track in them."""
+    """Call an object's detector on images of noise, and track in them."""
     q = head.rest()
     poses = head.base_pose(q) @ head.camera_poses(q)
     if isinstance(target, PointTarget):

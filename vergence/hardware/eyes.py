@@ -63,6 +63,9 @@ class HeadEyes:
         """
         head = self._config.head
         self.search = HeadSearch(self._target, head, head.timing.frame_s)
+        rng = np.random.default_rng(0)
+        sizes = head.cameras.size.tolist()
+        self.search.rehearse([rng.integers(256, size=(h, w, 3), dtype=np.uint8) for w, h in sizes])
         # errors of streams are reported by our own messages
         self._settings.enter_context(suppress_opencv_log())
         for camera, search in zip(self._config.cameras, self.search.eyes, strict=True):

@@ -1,12 +1,11 @@
 """Search of one eye's images for any target: one interface for printed targets and for objects.
 
-A slow detector works in a thread of its own. What it finds belongs to the exposure of its image;
-from there the target is carried to the present image by tracking, and from image to image until the
-detector answers again. Where tracking loses it, the image says nothing, and the detector's next
-answer is reported with the time of its own exposure.
+A detector works in a thread of its own, a user's in a process of its own. What it finds belongs to
+the exposure of its image; from there the target is carried to the present image by tracking, and
+from image to image until the detector answers again. Where tracking loses it, the image says
+nothing, and the detector's next answer is reported with the time of its own exposure.
 """
 
-import sys
 import threading
 from collections import deque
 from collections.abc import Sequence
@@ -34,14 +33,12 @@ from vergence.vision.objects.targets import (
     PlaceTarget,
     PointTarget,
 )
+from vergence.vision.objects.worker import WorkerDetector
 from vergence.vision.tracking import Tracker, make_detector
 
 _WAIT_FRAMES: Final = 0.5
 """Longest wait of an image for a quick detector's answer, frames (chosen: no delay by a slow
 one)."""
-_SWITCH_S: Final = 2e-4
-"""Time after which one thread's Python code gives way to another's, s (chosen: a loop that waits
-for it some ten times a period, against the time that switching takes)."""
 _CARRIED: Final = 64
 """Most images whose carried pixels are remembered (chosen: half a second at 120 Hz)."""
 _VIEW_SHARE: Final = 0.8
@@ -115,9 +112,6 @@ class _Source:
         rate_hz = getattr(own, "rate_hz", None)
         self._period_s = 1.0 / float(rate_hz) if rate_hz else 0.0
         self._pool = None if frame_s is None else ThreadPoolExecutor(len(detectors), "vergence eye")
-        self._switch_s = sys.getswitchinterval()
-        if self._pool is not None:
-            sys.setswitchinterval(_SWITCH_S)  # Python code of a detector must not hold up the loop
         self._lock = threading.Lock()
         self.searches: list[_ObjectSearch] = []
         self.forget()
@@ -186,11 +180,21 @@ class _Source:
             newest = answers.popleft()
         return newest
 
+    def rehearse(self, images: Sequence[Any]) -> None:
+        """Call each detector once, and wait for it."""
+        if self._both:
+            self._detectors[0].detect(images, [None, None])
+            return
+        for detector, image in zip(self._detectors, images, strict=True):
+            detector.detect(image, None)
+
     def close(self) -> None:
-        """Let the thread end after its present image."""
+        """Let the threads end after their present image, and processes at once."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
-            sys.setswitchinterval(self._switch_s)
+        for detector in self._detectors:
+            if isinstance(detector, WorkerDetector):
+                detector.close()
 
 
 class _ObjectSearch:
@@ -344,9 +348,12 @@ class HeadSearch:
             seed = self._seed = PointSeed(cameras, target)
             self.eyes = PointSearch(0, seed), PointSearch(1, seed)
         elif isinstance(target, ColourTarget | FaceTarget | OwnTarget):
-            detectors: list[Any] = [make_object_detector(target, cameras[0])]
+            make: Any = make_object_detector
+            if isinstance(target, OwnTarget) and frame_s is not None:
+                make = WorkerDetector
+            detectors: list[Any] = [make(target, cameras[0])]
             if not getattr(getattr(detectors[0], "own", None), "both_eyes", False):
-                detectors.append(make_object_detector(target, cameras[1]))
+                detectors.append(make(target, cameras[1]))
             source = self._source = _Source(detectors, frame_s)
             known = self._identity = Identity(cameras)
             self.eyes = (
@@ -381,13 +388,22 @@ class HeadSearch:
             raise ConfigurationError("click: expected --target point, got another target")
         self._seed.click(eye, pixel)
 
+    def rehearse(self, images: Sequence[Any]) -> None:
+        """Call an object's detector once on both eyes' images, blue, green and red, and wait.
+
+        Raises:
+            ConfigurationError: a user's detector raises.
+        """
+        if self._source is not None:
+            self._source.rehearse(images)
+
     def forget(self) -> None:
         """Drop the track of the target in both eyes."""
         for eye in self.eyes:
             eye.forget()
 
     def close(self) -> None:
-        """End the detector's threads."""
+        """End the detector's threads and processes."""
         if self._source is not None:
             self._source.close()
 
