@@ -108,9 +108,9 @@ class _Source:
     def __init__(self, detectors: Sequence[Any], frame_s: float | None) -> None:
         self._detectors, self._frame_s = detectors, frame_s
         own = getattr(detectors[0], "own", None)
-        self._latency_s = float(getattr(own, "latency_s", 0.0))
-        rate_hz = getattr(own, "rate_hz", None)
-        self._period_s = 1.0 / float(rate_hz) if rate_hz else 0.0
+        self._latency_s = _stated(own, "latency_s", "a time of 0 s or more")
+        rate_hz = _stated(own, "rate_hz", "a rate, Hz, or 0 or None for that of the images")
+        self._period_s = 1.0 / rate_hz if rate_hz else 0.0
         self._pool = None if frame_s is None else ThreadPoolExecutor(len(detectors), "vergence eye")
         self._lock = threading.Lock()
         self.searches: list[_ObjectSearch] = []
@@ -406,6 +406,20 @@ class HeadSearch:
         """End the detector's threads and processes."""
         if self._source is not None:
             self._source.close()
+
+
+def _stated(own: object, name: str, expected: str) -> float:
+    """A number of 0 or more that a user's detector may state; 0 if it does not."""
+    value = getattr(own, name, None)
+    try:
+        number = 0.0 if value is None else float(value)
+    except (TypeError, ValueError):
+        number = np.nan
+    if not 0.0 <= number < np.inf:
+        raise ConfigurationError(
+            f"target: expected {type(own).__name__}.{name} to be {expected}, got {value!r:.80}"
+        )
+    return number
 
 
 def _as_colour(image: Any, camera: Camera) -> NDArray[np.uint8]:

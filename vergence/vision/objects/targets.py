@@ -19,7 +19,7 @@ greys have no hue)."""
 
 @dataclass(frozen=True, kw_only=True)
 class ColourTarget:
-    """The largest blob of a hue and saturation, measured at its centroid.
+    """The best blob of a hue and saturation, measured where the centre of a ball would be.
 
     Raises:
         ConfigurationError: the colour is nearly grey.
@@ -41,10 +41,11 @@ class ColourTarget:
 
 @dataclass(frozen=True, kw_only=True)
 class FaceTarget:
-    """A face, found by a network in the form of YuNet, `cv2.FaceDetectorYN`."""
+    """A face, found by a network in the form of YuNet, `cv2.FaceDetectorYN`, or of BlazeFace."""
 
     model: str
-    """The network's file, such as face_detection_yunet_2023mar.onnx."""
+    """The network's file, such as face_detection_yunet_2023mar.onnx or
+    face_detection_short_range.tflite."""
 
     def __str__(self) -> str:
         return f"face:{self.model}"
@@ -99,9 +100,9 @@ def parse_gaze_target(text: str, pixel: tuple[str, float, float] | None = None) 
     """Parse the text form of anything that a head can look at.
 
     Args:
-        text: a printed target, see `parse_target`; ``colour:#RRGGBB``; ``face:MODEL.onnx``;
-            ``point`` or ``point:EYE:U:V``; ``place:X:Y:Z``, mm; ``module:Class`` or
-            ``mine.py:Class``.
+        text: a printed target, see `parse_target`; ``colour:#RRGGBB``; ``face:MODEL.onnx`` or
+            ``face:MODEL.tflite``; ``point`` or ``point:EYE:U:V``; ``place:X:Y:Z``, mm;
+            ``module:Class`` or ``mine.py:Class``.
         pixel: the eye, ``left`` or ``right``, and the pixel (u, v) of a ``point``.
 
     Returns:

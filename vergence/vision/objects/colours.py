@@ -1,0 +1,263 @@
+"""Blobs of a colour in one image, to hundredths of a pixel."""
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.models.camera import SRGB, Camera, light_table
+from vergence.models.parts import FloatArray
+from vergence.vision.detection import Detection
+from vergence.vision.objects.targets import ColourTarget
+from vergence.vision.optics import ray_table
+
+ColourImage = NDArray[np.uint8]
+"""(height, width, 3) blue, green and red levels."""
+_HUE_TOLERANCE: Final = 10.0
+"""Greatest difference of hue, in OpenCV's 2 degrees (chosen: white balance and shading against
+other colours)."""
+_SATURATIONS: Final = (0.8, 0.5)
+"""Least saturations at which blobs are connected, as fractions of the target's (chosen: pale things
+are found, and pure ones before a pale wall of their hue)."""
+_SAME: Final = 1.6
+"""Greatest ratio of the areas of a blob and a purer one within it that are one thing (chosen: pale
+sides)."""
+_MATCH_POWER: Final = 8
+"""Power of a blob's mean saturation, as a fraction of the target's, in its score (chosen: a small
+orange ball before a large brown floor)."""
+_LEAST_VALUE: Final = 40
+"""Least value in HSV; the hue of darker pixels is noise (chosen)."""
+_LEAST_AREA_PX: Final = 12
+"""Least area of a blob, px^2 (chosen: above noise)."""
+_MOST_BLOBS: Final = 6
+"""Most candidates in an image, the largest first (chosen: time)."""
+_NEAR_SHARE: Final = 0.2
+"""Half a side of the part of an image that is searched around a hint, as a fraction of its width
+(chosen: quick motions against time)."""
+_STUB: Final = 0.4
+"""Half the width of parts that do not belong to a blob, as a fraction of half the blob's (chosen:
+things beside it of its colour)."""
+_BAND_PX: Final = 2
+"""Half the width of the band along a blob's outline in which pixels are covered in part, px
+(chosen: lens blur, a short smear, and JPEG's halved chroma)."""
+_RING_PX: Final = 3
+"""Width of the surround beyond this band, px (chosen: enough pixels near the outline)."""
+_MOST_PIXELS: Final = 2000
+"""Most pixels from which a variance is taken (chosen: time)."""
+_SHADING: Final = 0.2
+"""Standard deviation of shading along the outline, as a fraction of the blob's light (chosen: a
+ball under a lamp)."""
+_LEAST_NOISE: Final = 0.003
+"""Least standard deviation of light in a channel, of 1 (numerical: clean images)."""
+_CORRELATED_PX: Final = 14.0
+"""Number of neighbouring pixels whose background is alike (chosen: textures)."""
+_CHANGE: Final = 0.3
+"""Standard deviation of a position by the choice of the outline, as a fraction of what it moves by
+when the outline is corrected (chosen: measured on balls in rooms)."""
+_FLOOR_PX: Final = 0.03
+"""Least standard deviation of a position, px (chosen: JPEG, and shading along the outline; measured
+on balls in rooms)."""
+_SMALL = np.ones((3, 3), np.uint8)
+
+
+class ColourDetector:
+    """Finds blobs of a colour; each pixel at an outline counts by the share of it that is covered.
+
+    The share is linear in light: where a pixel lies between the blob's colour and that of its
+    surround along Fisher's discriminant, which heeds shading, textures and noise. The position is
+    that of the centre of a ball with this outline: the mean direction over the blob's solid angle.
+    """
+
+    def __init__(self, target: ColourTarget, camera: Camera) -> None:
+        response = SRGB if camera.response is None else camera.response
+        light = light_table(response) / 255.0
+        srgb = light_table(SRGB) / 255.0
+        self._light = light.astype(np.float32)
+        self._levels = np.rint(np.interp(light, srgb, np.arange(256.0))).astype(np.uint8)
+        rgb = np.array(target.rgb, np.uint8)
+        hue, saturation, _value = cv2.cvtColor(rgb[None, None, ::-1], cv2.COLOR_BGR2HSV)[0, 0]
+        self._hue, self._saturation = float(hue), float(saturation)
+        self._camera = camera
+        self._cone = _solid_angles(camera)
+
+    def detect(self, image: ColourImage, hint: FloatArray | None = None) -> list[Detection]:
+        """See `Detector.detect`; the score is from the blob's area and saturation."""
+        height, width = image.shape[:2]
+        found: list[Any] = []
+        if hint is not None and np.isfinite(hint).all():
+            reach = _NEAR_SHARE * width
+            x0, y0 = np.clip(np.asarray(hint) - reach, 0, (width, height)).astype(int).tolist()
+            x1, y1 = np.clip(np.asarray(hint) + reach, 0, (width, height)).astype(int).tolist()
+            if min(x1 - x0, y1 - y0) > 2 * _SMALL.shape[0]:
+                found = [
+                    one
+                    for one in self._blobs(image[y0:y1, x0:x1], x0, y0)
+                    if (one[1] > x0 or x0 == 0) and (one[1] + one[3].shape[1] < x1 or x1 == width)
+                    if (one[2] > y0 or y0 == 0) and (one[2] + one[3].shape[0] < y1 or y1 == height)
+                ]
+        return [self._measure(image, *one) for one in found or self._blobs(image, 0, 0)]
+
+    def _blobs(self, image: ColourImage, x0: int, y0: int) -> list[Any]:
+        """Score, box and mask of the best blobs in a part of an image from a pixel on.
+
+        Each is connected at one of several saturations. Of one within another the larger remains if
+        they are alike in size, and else the better.
+        """
+        smooth = cv2.GaussianBlur(np.asarray(cv2.LUT(image, self._levels)), (5, 5), 1.0)
+        hsv: Any = cv2.cvtColor(smooth, cv2.COLOR_BGR2HSV)
+        saturation = hsv[..., 1]
+        mask: Any = np.zeros(image.shape[:2], np.uint8)
+        for turn in (-180.0, 0.0, 180.0):  # OpenCV's hue is in 2 degrees
+            low, high = self._hue + turn - _HUE_TOLERANCE, self._hue + turn + _HUE_TOLERANCE
+            if low < 180.0 and high >= 0.0:
+                mask |= cv2.inRange(hsv, (low, 0, _LEAST_VALUE), (high, 255, 255))
+        found = []
+        for level in _SATURATIONS:
+            part: Any = cv2.morphologyEx(
+                mask & (saturation >= level * self._saturation), cv2.MORPH_OPEN, _SMALL
+            )
+            count, labels, stats, _centres = cv2.connectedComponentsWithStats(part)
+            areas = stats[:, cv2.CC_STAT_AREA].astype(float)
+            within = np.flatnonzero(part)
+            which = labels.reshape(-1)[within]
+            total = np.bincount(which, saturation.reshape(-1)[within], count)
+            match = np.minimum(total / (np.maximum(areas, 1.0) * self._saturation), 1.0)
+            scores = np.sqrt(areas / mask.size) * match**_MATCH_POWER
+            scores[(areas < _LEAST_AREA_PX)] = scores[0] = 0.0
+            for i in np.argsort(-scores, kind="stable")[:_MOST_BLOBS].tolist():
+                if scores[i] > 0.0:
+                    x, y, width, height = stats[i, :4].tolist()
+                    box = slice(y, y + height), slice(x, x + width)
+                    seed = (y, x + int(np.argmax(labels[y, box[1]] == i)))
+                    found.append((scores[i], (labels, i), seed, box, areas[i]))
+        best: list[Any] = []
+        for one in found:  # the purest first
+            parts = [other for other in best if _nested(one, other)]
+            largest = max((other[4] for other in parts), default=0.0)
+            score = max((other[0] for other in parts), default=0.0)
+            if one[4] <= _SAME * largest or one[0] > score:
+                best = [other for other in best if not _nested(one, other)] + [one]
+        best = sorted(best, key=lambda each: -each[0])[:_MOST_BLOBS]
+        return [
+            (score, x0 + box[1].start, y0 + box[0].start, (labels[box] == i).astype(np.uint8))
+            for score, (labels, i), _seed, box, _area in best
+        ]
+
+    def _measure(self, image: ColourImage, score: float, x: int, y: int, blob: Any) -> Detection:
+        height, width = blob.shape
+        reach = _BAND_PX + _RING_PX + 4
+        rows = slice(max(y - reach, 0), min(y + height + reach, image.shape[0]))
+        columns = slice(max(x - reach, 0), min(x + width + reach, image.shape[1]))
+        light: Any = cv2.LUT(image[rows, columns], self._light)
+        solid: Any = np.zeros(light.shape[:2], np.uint8)
+        at = (slice(y - rows.start, y - rows.start + height),
+              slice(x - columns.start, x - columns.start + width))  # fmt: skip
+        solid[at] = blob
+        solid = _compact(_filled(solid))
+        v, u = np.mgrid[rows, columns].astype(np.float32)
+        share, variance, band = _shares(light, solid)
+        first = _centroid(share, u, v)
+        half = cv2.morphologyEx((share > 0.5).astype(np.uint8), cv2.MORPH_OPEN, _SMALL)
+        if half.any():  # now with the outline at a share of a half
+            share, variance, band = _shares(light, _filled(half))
+        centre = _centroid(share, u, v)
+        total = max(float(share.sum()), 1.0)
+        size_px = float(np.sqrt(4.0 * total / np.pi))
+        scatter = [
+            float((variance * (a - c) ** 2)[band].sum()) / total**2
+            for a, c in zip((u, v), centre, strict=True)
+        ]
+        at_edge = x <= 1 or y <= 1 or x + width >= image.shape[1] - 1
+        at_edge |= y + height >= image.shape[0] - 1
+        sigma = np.sqrt(np.array(scatter) + (_CHANGE * (centre - first)) ** 2 + _FLOOR_PX**2)
+        if at_edge:  # cut off there
+            sigma = np.maximum(sigma, 0.25 * size_px)
+        axis = np.tensordot(share, self._cone[rows, columns], 2)
+        centre = self._camera.project(axis[None].astype(float))[0]
+        return Detection(centre, sigma, None, float(score), size_px=size_px)
+
+
+def _solid_angles(camera: Camera) -> NDArray[np.float32]:
+    """Unit vector along each pixel's ray times the pixel's solid angle, (height, width, 3)."""
+    rays = ray_table(camera, 1, 0).astype(float)
+    down, right = np.gradient(rays, axis=(0, 1))
+    area = np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0])
+    full = np.dstack([rays, np.ones(area.shape)])
+    return np.asarray(full * (area / (full**2).sum(axis=2) ** 2)[..., None], np.float32)
+
+
+def _nested(one: Any, other: Any) -> bool:
+    """True if one of two blobs lies within the other."""
+    (labels, i), seed, (others, j), place = *one[1:3], *other[1:3]
+    return bool(labels[place] == i or others[seed] == j)
+
+
+def _centroid(share: Any, u: Any, v: Any) -> FloatArray:
+    total = max(float(share.sum()), 1.0)
+    return np.array([float((share * u).sum()), float((share * v).sum())]) / total
+
+
+def _filled(solid: Any) -> Any:
+    """The largest part of a mask, with its holes, such as highlights."""
+    outlines = cv2.findContours(solid, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    largest = max(outlines, key=cv2.contourArea, default=None)
+    if largest is None:
+        return solid
+    return cv2.drawContours(np.zeros_like(solid), [largest], -1, 1, cv2.FILLED)
+
+
+def _compact(solid: Any) -> Any:
+    """A mask without the thin parts that stick out of it."""
+    depth = _depth_px(solid)
+    least = _STUB * float(depth.max())
+    return solid & (_depth_px((depth <= least).astype(np.uint8)) <= least)
+
+
+def _depth_px(solid: Any) -> Any:
+    """Distance of each pixel within a mask, which goes on outside of the image, to its outline."""
+    wide = cv2.copyMakeBorder(solid, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    return cv2.distanceTransform(wide, cv2.DIST_L2, 3)[1:-1, 1:-1]
+
+
+def _shares(light: Any, solid: Any) -> tuple[Any, Any, Any]:
+    """Share of each pixel that a blob covers, its variance, and the band along the outline."""
+    inner, outer = _depth_px(solid), _depth_px(1 - solid)
+    core = inner > min(_BAND_PX, 0.7 * float(inner.max()))
+    band, ring = (outer <= _BAND_PX) & ~core, outer > _BAND_PX
+    ring &= outer <= _BAND_PX + _RING_PX
+    pixels_in, pixels_out = _some(light, core), _some(light, ring)
+    if not len(pixels_in) or not len(pixels_out):
+        return solid.astype(np.float32), np.full(solid.shape, 0.25, np.float32), band
+    colour, surround = pixels_in.mean(axis=0), pixels_out.mean(axis=0)
+    spread = np.cov(pixels_in.T, bias=True) + np.cov(pixels_out.T, bias=True)
+    spread += _LEAST_NOISE**2 * np.eye(3) + _SHADING**2 * np.outer(colour, colour)
+    axis = np.linalg.solve(spread, colour - surround)
+    axis = (axis / (axis @ (colour - surround))).astype(np.float32)
+    value: Any = cv2.transform(light, axis[None])
+    low, high = _local_mean(value, ring), _local_mean(value, core)
+    height = np.maximum(high - low, 0.3)
+    share = np.where(band, (value - low) / height, core)
+    if share.sum() < 1.0:  # nothing of the blob's colour is left
+        return solid.astype(np.float32), np.full(solid.shape, 0.25, np.float32), band
+    noise_in = float(np.var(_some(value - high, core)))
+    noise_out = float(np.var(_some(value - low, ring)))
+    half = np.clip(share, 0.0, 1.0)
+    variance = half**2 * noise_in + (1.0 - half) ** 2 * noise_out
+    return share.astype(np.float32), _CORRELATED_PX * variance / height**2, band
+
+
+def _some(values: Any, mask: Any) -> Any:
+    """At most some thousand of the values under a mask."""
+    places = np.flatnonzero(mask)
+    places = places[:: len(places) // _MOST_PIXELS + 1]
+    return values.reshape(mask.size, *values.shape[2:])[places]
+
+
+def _local_mean(values: Any, mask: Any) -> Any:
+    """Mean of the values under a mask near each pixel; that of all of them where none is near."""
+    size = (2 * (_BAND_PX + _RING_PX) + 1,) * 2
+    weight = mask.astype(np.float32)
+    count: Any = cv2.blur(weight, size)
+    mean = cv2.blur(values * weight, size) / np.maximum(count, 1e-6)
+    return np.where(count > 1e-4, mean, _some(values, mask).mean())
