@@ -29,7 +29,8 @@ from tests.vision.objects.scenes import (
     seen_from,
 )
 from vergence.errors import PointRefusedError
-from vergence.vision.objects.patches import PointTracker, match_point
+from vergence.vision.objects.matching import match_point
+from vergence.vision.objects.patches import PointTracker
 
 SUFFICIENT_PX = 0.05
 """Largest bound on a point's standard deviation that counts as sufficient texture: gradients are

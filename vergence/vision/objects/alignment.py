@@ -42,6 +42,8 @@ _INTERPOLATED: Final = 0.75
 """Share of white noise that cubic interpolation leaves, mean over positions (numerical)."""
 _MODEL_SIGMA_PX: Final = 0.03
 """Standard deviation by interpolation, px (measured: by images without noise)."""
+_SAME_EYE_SIGMA_PX: Final = 0.012
+"""The same for displacements between images of one eye (measured: by benchmarks/points.py)."""
 _BLUR_SIGMA: Final = 0.04
 """Further one in an image whose blur differs, px per square of half the blur's variance in px^2
 (measured: by benchmarks/points.py, smears up to 6 px)."""
@@ -85,12 +87,13 @@ class View(NamedTuple):
         turned = np.column_stack([rays, np.ones(len(rays))]) @ self.turn.T
         return np.asarray(rays_to_pixels(turned[:, :2] / turned[:, 2:], self.camera.row))
 
-    def holds(self, place: FloatArray, radius: int) -> bool:
-        """True if the camera sees a patch around a place."""
+    def holds(self, place: FloatArray, radius: int, whole: bool = True) -> bool:
+        """True if the view has a patch around a place, and the camera sees it or its middle."""
         x, y, (height, width) = round(place[0]), round(place[1]), self.image.shape
         if not (radius <= x < width - radius and radius <= y < height - radius):
             return False
-        rows, columns = (slice(each - radius, each + radius + 1) for each in (y, x))
+        reach = radius if whole else 0
+        rows, columns = (slice(each - reach, each + reach + 1) for each in (y, x))
         return bool(self.seen((rows, columns)).all())
 
 
@@ -145,17 +148,24 @@ class Fit(NamedTuple):
     stretch: FloatArray  # (2, 2) from the template to the view
     place: FloatArray  # (2,) of the template's middle in the view
     covariance: FloatArray  # (2, 2) of it, px^2
+    model_px2: float  # share of that which is no noise
     misfit: float  # variance of the template that the view does not explain
     core: float  # the same of its middle alone
     likeness: float  # correlation without noise
 
 
 class Template:
-    """A patch to align with views, and the least squares that do so."""
+    """A patch to align with views, and the least squares that do so.
 
-    def __init__(self, view: View, place: FloatArray, radius: int, affine: int = 4) -> None:
+    A round one counts in full up to a share of its radius, and fades from there.
+    """
+
+    def __init__(
+        self, view: View, place: FloatArray, radius: int, affine: int = 4,
+        full: float | None = None,
+    ) -> None:  # fmt: skip
         side = 2 * radius + 1
-        self.radius, self.noise = radius, view.noise
+        self.radius, self.noise, self.round = radius, view.noise, full is not None
         around = cv2.getRectSubPix(view.image, (side + 4, side + 4), place.tolist())
         self.patch: Grey = np.asarray(around[2:-2, 2:-2])
         slopes = [cv2.Scharr(around, cv2.CV_32F, *order, scale=1 / 32) for order in _AXES]
@@ -165,17 +175,22 @@ class Template:
         gx, gy, *bends = (each[2:-2, 2:-2].ravel().astype(float) for each in (*slopes, *bends))
         x, y = (np.arange(side) - radius) / radius, (np.arange(side)[:, None] - radius) / radius
         x, y = (np.broadcast_to(each, (side, side)).ravel() for each in (x, y))
-        level = self.patch.ravel() - float(self.patch.mean())
+        self.weight: Grey = np.ones((side, side), np.float32)
+        if full is not None:
+            self.weight[:] = ((1.0 - np.hypot(x, y)) / (1.0 - full)).clip(0, 1).reshape(side, side)
+        weight = self._weight = self.weight.ravel() / float(self.weight.mean())
+        level = self.patch.ravel() - float((weight * self.patch.ravel()).mean())
         slopes = [gx, gy, x * gx, y * gx, x * gy, y * gy][: 2 + affine]
         columns = np.column_stack([*slopes, np.ones(side * side), level, *bends])
-        normal = columns.T @ columns
+        weighted = columns * weight[:, None]
+        normal = columns.T @ weighted
         # prior knowledge, which steps without texture do not leave
-        weight = np.full(len(slopes), 2 * self.noise / (_STRETCH_SIGMA * radius) ** 2)
-        weight[:2] = 1e-3 * self.noise
-        prior = np.diag([*weight, 1e-6, 1e-6, *[1e-2 * self.noise * side] * 3])
-        self._step = np.linalg.inv(normal + prior) @ columns.T
+        known = np.full(len(slopes), 2 * self.noise / (_STRETCH_SIGMA * radius) ** 2)
+        known[:2] = 1e-3 * self.noise
+        prior = np.diag([*known, 1e-6, 1e-6, *[1e-2 * self.noise * side] * 3])
+        self._step = np.linalg.inv(normal + prior) @ weighted.T
         self._columns, self.affine = columns, affine
-        self.contrast = float(level.var())
+        self.contrast = float((weight * level**2).mean())
         # the structure tensor without what noise adds to it
         share = np.array([1, 1, *[np.mean(x**2)] * 4])[: 2 + affine]
         count = len(slopes)
@@ -226,10 +241,12 @@ class Template:
                 break
         else:
             return None
-        squares = (levels - self._columns @ found).reshape(side, side) ** 2
+        squares = self._weight * (levels - self._columns @ found) ** 2
+        squares = squares.reshape(side, side)
         residual, r = float(squares.mean()), self.radius
         core = float(squares[r - 3 : r + 4, r - 3 : r + 4].mean()) / gain**2
-        variance = float(levels.var())
+        mean = float((self._weight * levels).mean())
+        variance = float((self._weight * (levels - mean) ** 2).mean())
         both = view.noise + gain**2 * self.noise
         excess = max(residual - _INTERPOLATED * both, 0.0)
         likeness = sqrt(max(1.0 - excess / max(variance - _INTERPOLATED * view.noise, 1e-9), 0.0))
@@ -237,14 +254,21 @@ class Template:
         noise = max(residual, both) / gain**2
         covariance = stretch @ (noise * self._spread) @ stretch.T
         blur_px2 = float(np.linalg.norm(found[4 + self.affine :])) / gain
-        covariance += (_MODEL_SIGMA_PX**2 + (_BLUR_SIGMA * blur_px2**2) ** 2) * np.eye(2)
-        return Fit(stretch, place, covariance, misfit, core, likeness)
+        model_px = _MODEL_SIGMA_PX if self.affine else _SAME_EYE_SIGMA_PX
+        model_px2 = model_px**2 + (_BLUR_SIGMA * blur_px2**2) ** 2
+        covariance += model_px2 * np.eye(2)
+        return Fit(stretch, place, covariance, model_px2, misfit, core, likeness)
+
+
+def image_jacobian(view: View, place: FloatArray) -> FloatArray:
+    """Derivative of the camera's pixel by a place of the view, (2, 2)."""
+    a, b, c, d = view.to_pixels(place + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
+    return np.column_stack([a - b, c - d])
 
 
 def image_sigma_px(view: View, place: FloatArray, covariance: FloatArray) -> FloatArray:
     """Standard deviations in the camera's image of a place with a covariance."""
-    a, b, c, d = view.to_pixels(place + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
-    jacobian = np.column_stack([a - b, c - d])
+    jacobian = image_jacobian(view, place)
     return np.asarray(np.sqrt(np.diagonal(jacobian @ covariance @ jacobian.T)))
 
 
@@ -259,19 +283,25 @@ def _peaks(scores: Grey, most: int) -> list[tuple[int, int]]:
 
 def search(
     template: Template, view: View, stretches: Sequence[FloatArray],
-    near: FloatArray | None = None,
+    near: FloatArray | None = None, whole: bool = True,
 ) -> tuple[Fit, bool] | None:  # fmt: skip
-    """Best place of a template in a view, and true if no other place is nearly as good."""
+    """Best place of a template in a view, and true if no other place is nearly as good.
+
+    The camera must see all of the patch if it is to be whole, else its middle.
+    """
     fits: list[Fit] = []
     r = template.radius
-    kernel = np.ones((2 * r + 1, 2 * r + 1), np.uint8)
-    valid = cv2.erode(view.seen().astype(np.uint8), kernel, borderValue=0)[r:-r, r:-r]
+    valid = view.seen().astype(np.uint8)
+    if whole:
+        valid = np.asarray(cv2.erode(valid, np.ones((2 * r + 1, 2 * r + 1)), borderValue=0))
+    valid = valid[r:-r, r:-r]
     if min(valid.shape) < 1 or not valid.any():
         return None
     starts = []
     for k, stretch in enumerate(stretches):
         patch = template.stretched(stretch)
-        scores: Any = cv2.matchTemplate(view.image, patch, cv2.TM_CCOEFF_NORMED)
+        mask = template.weight if template.round else None
+        scores: Any = cv2.matchTemplate(view.image, patch, cv2.TM_CCOEFF_NORMED, mask=mask)
         scores = np.where(valid > 0, np.nan_to_num(scores), -1.0).astype(np.float32)
         starts += [(float(scores[y, x]), x + r, y + r, k) for x, y in _peaks(scores, _PLACES)]
     starts.sort(reverse=True)
@@ -285,7 +315,7 @@ def search(
         if len(tried) > _PLACES:
             break
         fit = template.align(view, np.array([x, y], float), stretches[k])
-        if fit is not None and view.holds(fit.place, r):
+        if fit is not None and view.holds(fit.place, r, whole):
             fits.append(fit)
     if not fits:
         return None

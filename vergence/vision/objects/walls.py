@@ -51,6 +51,21 @@ exact places against memory)."""
 _PAINTED_PER_M: Final = 300.0
 """Texels per metre of what is on the walls, and at most of an atlas: so things are in the same
 places for eyes of different focal lengths (chosen: detail of 1 cm against memory and time)."""
+_LEAVES_PER_M2: Final = 260.0
+"""Leaves of the wallpaper per square metre, and berries (chosen: edges of every direction within
+7 cm)."""
+_LEAF_M: Final = (0.05, 0.13)
+"""Least and greatest length of a leaf, m (chosen: seen sharply from the middle of the room)."""
+_LEAF_SHADES: Final = (0.45, 0.6, 0.75, 1.4)
+"""Brightness of leaves by that of the wall (chosen: contrast against noise)."""
+_BERRY_M: Final = (0.004, 0.009)
+"""Least and greatest radius of a berry, m (chosen: as leaves)."""
+_PANEL_M: Final = 0.6
+"""Side of the ceiling's panels, m (chosen: as usual)."""
+_BOARD_M: Final = 0.07
+"""Width of a board of the floor, m (chosen: as usual in parquet)."""
+_FIGURES: Final = 200
+"""Figures of a painting, from large to small ones (chosen: some in each of its parts)."""
 BLUR_PX: Final = 0.5
 """Standard deviation of the blur of all textures, in px along the direction in which they are
 foreshortened most (chosen: aliasing against sharpness)."""
@@ -187,12 +202,15 @@ def _wall(name: str, picture: str | None, density: float) -> Colours:
     low, (width, height) = _corner(name)
     size, tint = (width, height), _TINTS[name]
     if name == "top":
-        return mottled(size, density, tint, rng, 4.0)
+        image = mottled(size, density, tint, rng, 4.0)
+        _perforate(image, density, rng)
+        return image
     if name == "bottom":
         image = mottled(size, density, tint, rng, 7.0, (0.25, 2.0))
         _lay_planks(image, density, rng)
         return image
     image = mottled(size, density, tint, rng)
+    _paper(image, density, np.asarray(tint, float), rng)
     if name == "front" and picture is not None:
         _hang_photograph(image, read_colours(picture))
         return image
@@ -248,6 +266,58 @@ def _random_colour(rng: np.random.Generator, value: tuple[float, float]) -> NDAr
     return np.array(colorsys.hsv_to_rgb(hue, saturation, level)[::-1])
 
 
+def _scattered(
+    image: Colours, density: float, per_m2: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Random places on a wall, evenly dense, (n, 2), m."""
+    height, width = (side / density for side in image.shape[:2])
+    pitch = 1.0 / math.sqrt(per_m2)
+    grid = np.mgrid[0 : math.ceil(width / pitch), 0 : math.ceil(height / pitch)]
+    places = (grid.reshape(2, -1).T + rng.uniform(-0.3, 1.3, (grid[0].size, 2))) * pitch
+    return np.asarray(rng.permutation(places))
+
+
+def _paper(
+    image: Colours, density: float, tint: NDArray[np.float64], rng: np.random.Generator
+) -> None:
+    """Cover a wall with wallpaper of leaves and berries, no two alike."""
+    turn = np.linspace(0.0, math.pi, 7)
+    side = np.column_stack([-np.cos(turn), 0.5 * np.sin(turn) ** 1.5])
+    leaf = np.concatenate([side, side[-2:0:-1] * (1.0, -1.0)])
+    for place in _scattered(image, density, _LEAVES_PER_M2, rng):
+        length, angle = rng.uniform(*_LEAF_M), rng.uniform(0.0, 2.0 * math.pi)
+        wide, shade = rng.uniform(0.5, 1.1), rng.choice(_LEAF_SHADES) * rng.uniform(0.85, 1.15)
+        c, s = math.cos(angle), math.sin(angle)
+        outline = 0.5 * length * (leaf * (1.0, wide)) @ np.array([[c, s], [-s, c]]) + place
+        colour = (shade * tint + rng.uniform(-15, 15, 3)).clip(0, 255).tolist()
+        points = np.rint(16.0 * density * outline).astype(np.int32)
+        cv2.fillPoly(image, [points], colour, cv2.LINE_AA, 4)
+        rib = (np.array(colour) * (0.6 if shade > 1.0 else 1.6)).clip(0, 255).tolist()
+        cv2.line(image, points[0].tolist(), points[6].tolist(), rib, 1, cv2.LINE_AA, 4)
+    _dot(image, density, _LEAVES_PER_M2, _BERRY_M, _random_colour(rng, (60, 110)), rng)
+
+
+def _dot(
+    image: Colours, density: float, per_m2: float, radii_m: tuple[float, float], colour: Any,
+    rng: np.random.Generator,
+) -> None:  # fmt: skip
+    """Scatter dots of random sizes."""
+    for place in _scattered(image, density, per_m2, rng):
+        centre = np.rint(16.0 * density * place).astype(int).tolist()
+        radius = round(16.0 * density * rng.uniform(*radii_m))
+        paint = (np.asarray(colour) * rng.uniform(0.7, 1.3)).clip(0, 255).tolist()
+        cv2.circle(image, centre, radius, paint, -1, cv2.LINE_AA, 4)
+
+
+def _perforate(image: Colours, density: float, rng: np.random.Generator) -> None:
+    """Acoustic panels of a ceiling: random holes and joints."""
+    _dot(image, density, 900.0, (0.003, 0.011), (70, 74, 76), rng)
+    height, width = (side / density for side in image.shape[:2])
+    for at in np.arange(0.0, max(width, height), _PANEL_M):
+        _fill(image, (at, 0.0, at + 0.008, height), density, (110, 116, 120))
+        _fill(image, (0.0, at, width, at + 0.008), density, (110, 116, 120))
+
+
 def _hang(image: Colours, box: Box, density: float, rng: np.random.Generator) -> None:
     """Hang a framed picture."""
     frame = rng.uniform(30, 90)
@@ -266,10 +336,10 @@ def painted(size: tuple[int, int], rng: np.random.Generator) -> Colours:
     side = max(size)
     extent = (size[0] / side, size[1] / side)
     image = mottled(extent, side, _random_colour(rng, (120, 220)), rng, 10.0)
-    for _ in range(40):
-        x, y, radius = rng.uniform((0, 0, 0.01), (*extent, 0.12))
+    for least in 0.1 / np.sqrt(np.linspace(1.0, 150.0, _FIGURES)):  # each size covers as much
+        x, y, radius = rng.uniform((0, 0, least), (*extent, 1.5 * least))
         axes = (round(radius * side), round(radius * side * rng.uniform(0.3, 1.0)))
-        colour = _random_colour(rng, (60, 250)).tolist()
+        colour = _random_colour(rng, (40, 255)).tolist()
         centre, turn = (round(x * side), round(y * side)), rng.uniform(0, 180)
         cv2.ellipse(image, centre, axes, turn, 0, 360, colour, -1, cv2.LINE_AA)
     return image
@@ -289,29 +359,31 @@ def _fill_shelves(image: Colours, box: Box, density: float, rng: np.random.Gener
             wide = min(rng.uniform(0.015, 0.05), right - x)
             upper = shelf - rng.uniform(0.65, 0.9) * pitch
             if rng.random() < 0.93:  # else a gap
-                spine = _random_colour(rng, (50, 200))
+                spine = _random_colour(rng, (40, 220))
                 _fill(image, (x, upper, x + wide - 0.003, shelf), density, spine)
-                for _ in range(2):
-                    band = rng.uniform(upper + 0.01, shelf - 0.03)
-                    paint = _random_colour(rng, (90, 230))
-                    high = rng.uniform(0.005, 0.03)
-                    _fill(image, (x, band, x + wide - 0.003, band + high), density, paint)
+                for band in rng.uniform(upper + 0.01, shelf - 0.03, 4):
+                    bright = (30, 90) if spine.max() > 130 else (170, 255)
+                    paint = _random_colour(rng, bright)
+                    inset, high = rng.uniform((0.0, 0.005), (0.4 * wide, 0.025))
+                    right_m = x + wide - 0.003 - inset * rng.uniform(0.0, 1.0)
+                    _fill(image, (x + inset, band, right_m, band + high), density, paint)
             x += wide
 
 
 def _lay_planks(image: Colours, density: float, rng: np.random.Generator) -> None:
-    """Floor boards along the room, each of another tint."""
+    """Parquet of short boards along the room, each of another tint, with knots."""
     depth, width = (side / density for side in image.shape[:2])
     base = np.asarray(_TINTS["bottom"], float)
-    for left in np.arange(0.0, width, 0.14):
-        near = -rng.uniform(0.0, 1.0)
+    for left in np.arange(0.0, width, _BOARD_M):
+        near = -rng.uniform(0.0, 0.3)
         while near < depth:
-            far = near + rng.uniform(0.6, 1.5)
-            tint = base * rng.uniform(0.75, 1.2) + rng.uniform(-8, 8, 3)
-            _tint(image, (left, near, left + 0.14, far), density, tint)
-            _fill(image, (left, far - 0.004, left + 0.14, far), density, (36, 50, 66))
+            far = near + rng.uniform(0.1, 0.35)
+            tint = base * rng.uniform(0.5, 1.5) + rng.uniform(-8, 8, 3)
+            _tint(image, (left, near, left + _BOARD_M, far), density, tint)
+            _fill(image, (left, far - 0.004, left + _BOARD_M, far), density, (24, 34, 46))
             near = far
-        _fill(image, (left, 0.0, left + 0.004, depth), density, (36, 50, 66))
+        _fill(image, (left, 0.0, left + 0.004, depth), density, (24, 34, 46))
+    _dot(image, density, 150.0, (0.004, 0.012), (22, 34, 50), rng)
 
 
 def _lay_tiles(image: Colours, box: Box, density: float) -> None:
