@@ -39,6 +39,11 @@ from vergence.vision.tracking import Tracker, make_detector
 _WAIT_FRAMES: Final = 0.5
 """Longest wait of an image for a quick detector's answer, frames (chosen: no delay by a slow
 one)."""
+_CARRIED_HALF: Final = 0.7
+"""Half width of what is tracked, in sizes of the object (chosen: its outline counts, little beside
+it)."""
+_CARRIED_SIZE_PX: Final = 40.0
+"""Size of an object that states none, px (chosen: a hand at arm's length)."""
 _CARRIED: Final = 64
 """Most images whose carried pixels are remembered (chosen: half a second at 120 Hz)."""
 _VIEW_SHARE: Final = 0.8
@@ -277,7 +282,11 @@ class _ObjectSearch:
             return None
         try:
             if not self._started:
-                self._tracker.begin(self._from.image, self._target.pixel, self._from.T_0_C)
+                size_px = self._target.size_px or _CARRIED_SIZE_PX
+                self._tracker.begin(
+                    self._from.image, self._target.pixel, self._from.T_0_C,
+                    half_px=_CARRIED_HALF * size_px, checked=False,
+                )  # fmt: skip
                 self._carried.append((self._from.time_s, np.asarray(self._target.pixel)))
                 self._started = True
             hint = self._identity.hint(self._eye, seen.T_0_C, seen.time_s)
