@@ -20,7 +20,7 @@ other colours)."""
 _SATURATIONS: Final = (0.8, 0.5)
 """Least saturations at which blobs are connected, as fractions of the target's (chosen: pale things
 are found, and pure ones before a pale wall of their hue)."""
-_SAME: Final = 1.6
+_SAME: Final = 2.5
 """Greatest ratio of the areas of a blob and a purer one within it that are one thing (chosen: pale
 sides)."""
 _MATCH_POWER: Final = 8
@@ -189,7 +189,8 @@ def _solid_angles(camera: Camera) -> NDArray[np.float32]:
 
 def _nested(one: Any, other: Any) -> bool:
     """True if one of two blobs lies within the other."""
-    (labels, i), seed, (others, j), place = *one[1:3], *other[1:3]
+    (labels, i), seed = one[1:3]
+    (others, j), place = other[1:3]
     return bool(labels[place] == i or others[seed] == j)
 
 
