@@ -32,6 +32,8 @@ _LEAST_AREA_PX: Final = 12
 """Least area of a blob, px^2 (chosen: above noise)."""
 _MOST_BLOBS: Final = 6
 """Most candidates in an image, the largest first (chosen: time)."""
+_LEAST_SCORE: Final = 0.1
+"""Least score of a candidate, as a fraction of the best one's (chosen: time)."""
 _NEAR_SHARE: Final = 0.2
 """Half a side of the part of an image that is searched around a hint, as a fraction of its width
 (chosen: quick motions against time)."""
@@ -139,6 +141,7 @@ class ColourDetector:
             if one[4] <= _SAME * largest or one[0] > score:
                 best = [other for other in best if not _nested(one, other)] + [one]
         best = sorted(best, key=lambda each: -each[0])[:_MOST_BLOBS]
+        best = [each for each in best if each[0] >= _LEAST_SCORE * best[0][0]]
         return [
             (score, x0 + box[1].start, y0 + box[0].start, (labels[box] == i).astype(np.uint8))
             for score, (labels, i), _seed, box, _area in best
