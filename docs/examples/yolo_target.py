@@ -1,6 +1,6 @@
 """Look at a cup found by YOLO: `vergence gaze --target docs/examples/yolo_target.py:Cup`.
 
-Needs `pip install ultralytics`, which fetches the weights at the first use.
+Needs `pip install ultralytics lap`; it fetches the weights at the first use.
 """
 
 from ultralytics import YOLO

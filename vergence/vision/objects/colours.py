@@ -20,7 +20,7 @@ other colours)."""
 _SATURATIONS: Final = (0.8, 0.5)
 """Least saturations at which blobs are connected, as fractions of the target's (chosen: pale things
 are found, and pure ones before a pale wall of their hue)."""
-_SAME: Final = 1.6
+_SAME: Final = 2.5
 """Greatest ratio of the areas of a blob and a purer one within it that are one thing (chosen: pale
 sides)."""
 _MATCH_POWER: Final = 8
@@ -32,6 +32,8 @@ _LEAST_AREA_PX: Final = 12
 """Least area of a blob, px^2 (chosen: above noise)."""
 _MOST_BLOBS: Final = 6
 """Most candidates in an image, the largest first (chosen: time)."""
+_LEAST_SCORE: Final = 0.1
+"""Least score of a candidate, as a fraction of the best one's (chosen: time)."""
 _NEAR_SHARE: Final = 0.2
 """Half a side of the part of an image that is searched around a hint, as a fraction of its width
 (chosen: quick motions against time)."""
@@ -102,12 +104,14 @@ class ColourDetector:
         """Score, box and mask of the best blobs in a part of an image from a pixel on.
 
         Each is connected at one of several saturations. Of one within another the larger remains if
-        they are alike in size, and else the better.
+        they are alike in size, and else the better. More than the surround of a hint is searched at
+        every second pixel.
         """
         smooth = cv2.GaussianBlur(np.asarray(cv2.LUT(image, self._levels)), (5, 5), 1.0)
-        hsv: Any = cv2.cvtColor(smooth, cv2.COLOR_BGR2HSV)
+        step = 2 if image.shape[1] > 2 * _NEAR_SHARE * self._camera.width + 1 else 1
+        hsv: Any = cv2.cvtColor(np.ascontiguousarray(smooth[::step, ::step]), cv2.COLOR_BGR2HSV)
         saturation = hsv[..., 1]
-        mask: Any = np.zeros(image.shape[:2], np.uint8)
+        mask: Any = np.zeros(saturation.shape, np.uint8)
         for turn in (-180.0, 0.0, 180.0):  # OpenCV's hue is in 2 degrees
             low, high = self._hue + turn - _HUE_TOLERANCE, self._hue + turn + _HUE_TOLERANCE
             if low < 180.0 and high >= 0.0:
@@ -124,7 +128,7 @@ class ColourDetector:
             total = np.bincount(which, saturation.reshape(-1)[within], count)
             match = np.minimum(total / (np.maximum(areas, 1.0) * self._saturation), 1.0)
             scores = np.sqrt(areas / mask.size) * match**_MATCH_POWER
-            scores[(areas < _LEAST_AREA_PX)] = scores[0] = 0.0
+            scores[areas < _LEAST_AREA_PX / step**2] = scores[0] = 0.0
             for i in np.argsort(-scores, kind="stable")[:_MOST_BLOBS].tolist():
                 if scores[i] > 0.0:
                     x, y, width, height = stats[i, :4].tolist()
@@ -139,12 +143,15 @@ class ColourDetector:
             if one[4] <= _SAME * largest or one[0] > score:
                 best = [other for other in best if not _nested(one, other)] + [one]
         best = sorted(best, key=lambda each: -each[0])[:_MOST_BLOBS]
+        best = [each for each in best if each[0] >= _LEAST_SCORE * best[0][0]]
         return [
-            (score, x0 + box[1].start, y0 + box[0].start, (labels[box] == i).astype(np.uint8))
+            (score, x0 + step * box[1].start, y0 + step * box[0].start, blob)
             for score, (labels, i), _seed, box, _area in best
+            for blob in [(labels[box] == i).astype(np.uint8).repeat(step, 0).repeat(step, 1)]
         ]
 
     def _measure(self, image: ColourImage, score: float, x: int, y: int, blob: Any) -> Detection:
+        blob = blob[: image.shape[0] - y, : image.shape[1] - x]
         height, width = blob.shape
         reach = _BAND_PX + _RING_PX + 4
         rows = slice(max(y - reach, 0), min(y + height + reach, image.shape[0]))
@@ -189,7 +196,8 @@ def _solid_angles(camera: Camera) -> NDArray[np.float32]:
 
 def _nested(one: Any, other: Any) -> bool:
     """True if one of two blobs lies within the other."""
-    (labels, i), seed, (others, j), place = *one[1:3], *other[1:3]
+    (labels, i), seed = one[1:3]
+    (others, j), place = other[1:3]
     return bool(labels[place] == i or others[seed] == j)
 
 

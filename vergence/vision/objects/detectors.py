@@ -64,11 +64,11 @@ class CheckedDetector:
         if found is None:
             return []
         single = hasattr(found, "pixel") or not isinstance(found, Iterable)
-        given: Iterable[Any] = [found] if single else found  # type: ignore[list-item, assignment]
+        given: Any = [found] if single else found
         return [self._one(each) for each in given]
 
     def _one(self, given: Any) -> Detection:
-        rest = {name: getattr(given, name, default) for name, default in _OPTIONAL}
+        rest: dict[str, Any] = {name: getattr(given, name, default) for name, default in _OPTIONAL}
         try:
             pixel = np.array(given.pixel, np.float64)
             sigma = np.array(getattr(given, "sigma_px", 1.0), np.float64)

@@ -80,7 +80,7 @@ class _Blaze:
         layers = set(self._net.getLayerNames())
         for self._outputs, self._side, grids in _BLAZE_FORMS:
             cells = [
-                np.repeat((np.stack(np.mgrid[:n, :n][::-1], -1).reshape(-1, 2) + 0.5) / n, k, 0)
+                np.repeat((np.indices((n, n))[::-1].reshape(2, -1).T + 0.5) / n, k, axis=0)
                 for n, k in grids
             ]
             self._anchors = np.concatenate(cells)
