@@ -1,8 +1,16 @@
-"""Measure how well points of textured scenes are found in the other eye and followed.
+"""Measure how well points are found in the other eye, refused, and followed in whole gazes.
 
-Run ``python -m benchmarks.points [PICTURE...]``. Scenes are planes at 0.4 to 2.5 m, slanted up to
-60 degrees, before the eyes of both presets, textured by octaves of noise and by the pictures, with
-noise, sRGB, gains that differ by eye, errors of the encoders and, for every third scene, JPEG.
+Run ``python -m benchmarks.points [PICTURE...]``. Scenes of pairs are planes at 0.4 to 2.5 m,
+slanted up to 60 degrees, before the eyes of both presets, textured by octaves of noise and by the
+pictures, with noise, sRGB, gains that differ by eye, errors of the encoders and, for every third
+scene, JPEG.
+
+A point has sufficient texture if the bound on its standard deviation, by the scene's own texture
+without noise, the preset's noise in both images, and a window of 25 px, is below 0.1 px in the
+direction in which it is largest. Nothing that the code under test computes decides that.
+
+Whole gazes are those of the law state-feedback, towards points of the room that the left eye sees
+at the start, drawn without regard to texture but for the plain and the periodic part of its front.
 """
 
 import argparse
@@ -28,16 +36,26 @@ from tests.vision.objects.scenes import (
     rig,
     seen_from,
 )
+from vergence import load_head
+from vergence.controllers.controller import make_controller
+from vergence.envs.task import GazeTask
 from vergence.errors import PointRefusedError
+from vergence.models.camera import Camera
 from vergence.vision.objects.matching import match_point
 from vergence.vision.objects.patches import PointTracker
+from vergence.vision.objects.room import hit, parse_scene
+from vergence.vision.objects.walls import HIGH_M, PERIODIC_M, PLAIN_M
 
-SUFFICIENT_PX = 0.05
-"""Largest bound on a point's standard deviation that counts as sufficient texture: gradients are
-then as strong as the noise, in the direction in which they are weakest."""
+SUFFICIENT_PX = 0.1
+"""Largest bound on a point's standard deviation that counts as sufficient texture."""
 WINDOW_PX = 25
 FALSE_PX = 2.0
 POINTS_A_SCENE = 25
+GAZE_STEPS = 120
+AT_END = 30
+"""Images of a gaze, and those at its end."""
+SETTLED_PX = 1.0
+"""Largest error of both eyes' gaze at the end."""
 
 Pixel = NDArray[np.float64]
 
@@ -94,52 +112,54 @@ class Tally:
         self.counts: Counter[str] = Counter()
         self.seconds: list[float] = []
 
-    def add(self, error: Pixel, sigma: Pixel) -> bool:
-        """Count a point that was found, true if it is a false one."""
+    def add(self, error: Pixel, sigma: Pixel) -> None:
+        """Count a point that was found, a false one by itself."""
         if not hypot(*error) <= FALSE_PX:
             self.counts["FALSE"] += 1
-            return True
+            return
         self.errors.append(hypot(*error))
         self.squares += ((error / sigma) ** 2).tolist()
-        return False
+
+    @property
+    def asked(self) -> int:
+        """Number of points."""
+        return len(self.errors) + sum(self.counts.values())
 
     def show(self, name: str) -> None:
-        """Print all of it."""
-        asked = len(self.errors) + sum(self.counts.values())
-        refused = asked - len(self.errors) - self.counts["FALSE"]
-        error = np.array(self.errors) if self.errors else np.array([np.nan])
-        sizes = f"error {np.sqrt((error**2).mean()):.3f} px rms, {error.max():.2f} at most"
+        """Print a row of the table."""
+        asked = max(self.asked, 1)
+        false = self.counts["FALSE"]
+        rms = np.sqrt(np.mean(np.square(self.errors))) if self.errors else np.nan
         squares = np.mean(self.squares) if self.squares else np.nan
-        late = np.median(self.seconds) if self.seconds else np.nan
+        late = 1e3 * np.median(self.seconds) if self.seconds else np.nan
+        why = ", ".join(f"{count} {each}" for each, count in self.counts.most_common(4))
         print(
-            f"{name}: {len(self.errors)} of {asked} found ({len(self.errors) / asked:.1%}), "
-            f"{sizes}, "
-            f"normalised {squares:.2f}; refused {refused}, false {self.counts['FALSE']}; "
-            f"{1e3 * late:.2f} ms median"
+            f"{name:44} {self.asked:6} {len(self.errors) / asked:7.1%} "
+            f"{(asked - len(self.errors) - false) / asked:7.1%} {false / asked:7.2%} "
+            f"{rms:7.3f} {squares:7.2f} {late:7.2f}  {why}",
+            flush=True,
         )
-        for why, count in self.counts.most_common():
-            print(f"    {count} {why}")
 
 
 def attempt(tally: Tally, one: Rig, images: list[Any], poses: Any, pixel: Pixel, truth: Pixel,
-            eye: int) -> bool:  # fmt: skip
+            eye: int) -> None:  # fmt: skip
     """Match one point."""
     begun = time.perf_counter()
     try:
         match = match_point(one.cameras, images, poses, pixel, eye)
     except PointRefusedError as refused:
         tally.counts[str(refused).rpartition(": ")[2].partition(" (")[0]] += 1
-        return False
+        return
     finally:
         tally.seconds.append(time.perf_counter() - begun)
-    return tally.add(match.pixel - truth, match.sigma_px)
+    tally.add(match.pixel - truth, match.sigma_px)
 
 
 def matching(count: int, rng: np.random.Generator, preset: str, pictures: list[Any]) -> None:
     """Points with texture of surfaces, and at edges of cards."""
     whole, edges, hidden, weak = (Tally() for _ in range(4))
     scene = 0
-    while sum(whole.counts.values()) + len(whole.errors) < count:
+    while whole.asked < count:
         one, cards = random_scene(rng, preset, pictures)
         gains = rng.uniform(0.95, 1.05), rng.uniform(-5.0, 5.0)
         seen = [(1.0, 0.0), gains]
@@ -162,22 +182,21 @@ def matching(count: int, rng: np.random.Generator, preset: str, pictures: list[A
             _, truth = seen_from(one, cards, pixel, eye)
             size = np.array(one.cameras[1 - eye].size)
             if not ((truth > 24.0) & (truth < size - 25.0)).all():
-                attempt(hidden, one, images, poses, pixel, truth, eye)
-                continue
-            if not (on_one_surface(one, cards, pixel, eye)
-                    and on_one_surface(one, cards, truth, 1 - eye)):  # fmt: skip
-                false = attempt(edges, one, images, poses, pixel, truth, eye)
+                tally = hidden
+            elif not (on_one_surface(one, cards, pixel, eye)
+                      and on_one_surface(one, cards, truth, 1 - eye)):  # fmt: skip
+                tally = edges
             elif bound_px(clean[eye], pixel, one.rendering.noise_grey) > SUFFICIENT_PX:
-                false = attempt(weak, one, images, poses, pixel, truth, eye)
+                tally = weak
             else:
-                false = attempt(whole, one, images, poses, pixel, truth, eye)
-            if false:
-                print("    false:", preset, scene, eye, pixel, truth)
+                tally = whole
+            if tally is not whole or whole.asked < count:
+                attempt(tally, one, images, poses, pixel, truth, eye)
         scene += 1
-    whole.show(f"{preset}, matching, sufficient texture")
-    weak.show(f"{preset}, matching, weak texture")
-    edges.show(f"{preset}, matching, at edges of cards")
-    hidden.show(f"{preset}, matching, hidden from the other eye or at its border")
+    whole.show(f"{preset}, pairs, sufficient texture")
+    weak.show(f"{preset}, pairs, weaker texture")
+    edges.show(f"{preset}, pairs, at edges of cards")
+    hidden.show(f"{preset}, pairs, hidden or at a border")
 
 
 def refusals(count: int, rng: np.random.Generator, preset: str) -> None:
@@ -190,7 +209,7 @@ def refusals(count: int, rng: np.random.Generator, preset: str) -> None:
     for name, light in (("plain wall", plain), ("edge along the line", edge),
                         ("checks", tiles), ("tiles", joints)):  # fmt: skip
         tally, tracked = Tally(), 0
-        for _ in range(count // 10):
+        while tally.asked < count:
             one = rig(preset, (0.0, 0.0, rng.uniform(0.5, 2.0)))
             z = rng.uniform(0.5, 2.0)
             turn = (rng.uniform(-0.4, 0.4), 0.0 if "edge" in name else rng.uniform(-0.4, 0.4), 0.0)
@@ -199,7 +218,7 @@ def refusals(count: int, rng: np.random.Generator, preset: str) -> None:
                 paint(c, T, cards, one.rendering, rng)
                 for c, T in zip(one.cameras, one.poses, strict=True)
             ]
-            for _ in range(10):
+            for _ in range(min(10, count - tally.asked)):
                 pixel = rng.uniform(60.0, np.array(one.cameras[0].size) - 61.0)
                 if "edge" in name:  # onto the edge
                     point = cards[0].T_0_T @ [rng.uniform(-0.3, 0.3) * z, 0.0, 0.0, 1.0]
@@ -211,75 +230,122 @@ def refusals(count: int, rng: np.random.Generator, preset: str) -> None:
                     tracked += 1
                 except PointRefusedError:
                     pass
-        tally.show(f"{preset}, {name} (trackers begun: {tracked})")
+        tally.show(f"{preset}, {name} ({tracked} followed)")
 
 
-def tracking(count: int, rng: np.random.Generator, preset: str, pictures: list[Any]) -> None:
-    """Points followed while the eye turns, in scenes at rest and moving ones."""
-    tally, blurred, refused = Tally(), Tally(), 0
-    for _ in range(count):
-        one, cards = random_scene(rng, preset, pictures)
-        camera, start = one.cameras[0], one.poses[0]
-        pixel = rng.uniform(150.0, np.array(camera.size) - 151.0)
-        point, _ = seen_from(one, cards, pixel)
-        if not np.isfinite(point).all() or not on_one_surface(one, cards, pixel, 0):
-            continue
-        first = paint(camera, start, cards, one.rendering, None, near=pixel)
-        if bound_px(first, pixel, one.rendering.noise_grey) > SUFFICIENT_PX:
-            continue
-        tracker = PointTracker(camera)
-        read = misread(one, rng, 1.5)[0]
-        try:
-            tracker.begin(paint(camera, start, cards, one.rendering, rng, near=pixel), pixel, read)
-        except PointRefusedError:
-            refused += 1
-            continue
-        axis = rng.normal(size=3) * (1, 1, 0.3)
-        axis /= np.linalg.norm(axis)
-        most = rng.uniform(0.0, 0.05)  # rad an image: up to 6 rad/s at 120 Hz
-        for step in range(1, 25):
-            angle = 0.15 * most / 0.05 * np.sin(step * 0.33)
-            change = 0.15 * most / 0.05 * 0.33 * np.cos(step * 0.33)
-            pose = start.copy()
-            pose[:3, :3] = start[:3, :3] @ cv2.Rodrigues(axis * angle)[0]
-            now = one._replace(poses=np.stack([pose, one.poses[1]]))
-            truth = project(now, cards, point, 0)
-            if not np.isfinite(truth).all() or min(*truth, *(camera.size - truth)) < 20:
-                continue
-            flow = np.cross(axis, [0, 0, 1])[:2] * change * camera.focal
-            smear = np.clip(0.3 * flow, -6.0, 6.0)
-            image = paint(camera, pose, cards, one.rendering, rng, near=truth, smear_px=smear)
-            here = blurred if hypot(*smear) > 1.0 else tally
-            begun = time.perf_counter()
-            found = tracker.find(image, misread(now, rng, 1.5)[0])
-            here.seconds.append(time.perf_counter() - begun)
-            if found is None:
-                here.counts["not seen"] += 1
-            else:
-                here.add(found.pixel - truth, found.sigma_px)
-    tally.show(f"{preset}, tracking ({refused} points refused)")
-    blurred.show(f"{preset}, tracking, smears of 1 to 6 px")
+class Watched:
+    """Search of an eye's images that is compared with the truth."""
+
+    def __init__(self, own: Any, plant: Any, eye: int) -> None:
+        """Watch a search."""
+        self.own, self.plant, self.eye = own, plant, eye
+        self.errors: list[Pixel] = []
+        self.sigmas: list[Pixel] = []
+        self.seconds: list[float] = []
+
+    def look(self, image: Any, T_0_C: Any, time_s: float, *, search: bool = True) -> None:
+        """Take an image, and compare."""
+        begun = time.perf_counter()
+        self.own.look(image, T_0_C, time_s, search=search)
+        self.seconds.append(time.perf_counter() - begun)
+        camera = Camera.of(self.plant.true_head, self.eye)
+        truth = camera.project(self.plant._T_C_T[self.eye][None, :3, 3])[0]
+        seen = self.own._found.detection
+        nowhere = np.full(2, np.nan)
+        if time_s >= 0.0:
+            self.errors.append(nowhere if seen is None else seen.pixel - truth)
+            self.sigmas.append(nowhere if seen is None else seen.sigma_px)
+
+    def found(self) -> Any:
+        """See `EyeSearch.found`."""
+        return self.own.found()
+
+    def forget(self) -> None:
+        """See `EyeSearch.forget`."""
+        self.own.forget()
+
+
+def room_points(count: int, rng: np.random.Generator, preset: str) -> list[Pixel]:
+    """Points of the room in N that the left eye sees at the start."""
+    head, scene = load_head(preset), parse_scene("room", None)
+    rest = head.rest()
+    T_0_N, camera = head.base_pose(rest), Camera.of(head, 0)
+    T_0_C = (T_0_N @ head.camera_poses(rest))[0]
+    points: list[Pixel] = []
+    while len(points) < count:
+        pixel = rng.uniform(40.0, np.array(camera.size) - 41.0)
+        ray = T_0_C[:3, :3] @ np.append(camera.rays(pixel[None])[0], 1.0)
+        point = hit(scene, T_0_C[:3, 3], ray)
+        near = [left - 0.1 < point[0] < right + 0.1 and top - 0.1 < point[1] < bottom + 0.1
+                for left, top, right, bottom in (PLAIN_M, PERIODIC_M)]  # fmt: skip
+        if not (any(near) and point[2] > HIGH_M[2] - 1e-3):
+            points.append(T_0_N[:3, :3].T @ (point - T_0_N[:3, 3]))
+    return points
+
+
+def gazes(count: int, rng: np.random.Generator, preset: str) -> None:
+    """Whole gazes to points of the room."""
+    tally, end, lost_at_end, settled, seconds = Tally(), Tally(), 0, 0, []
+    for trial, point in enumerate(room_points(count, rng, preset)):
+        place = {"kind": "static", "point": point.tolist(), "look": "point"}
+        task = GazeTask(
+            1, head=preset, plant="rendered", target=place, plant_options={"scene": "room"}
+        )
+        law, state = make_controller("state-feedback", head=task.head), None
+        search = task.plant._searches[0]  # type: ignore[attr-defined]
+        eyes = [Watched(own, task.plant, eye) for eye, own in enumerate(search.eyes)]
+        search.eyes = tuple(eyes)
+        task.begin(np.array([0]), np.array([0], np.uint64), np.array([trial], np.uint64))
+        for step in range(GAZE_STEPS):
+            command, state = law.predict(
+                task.observation.copy(), state=state, episode_start=np.array([step == 0]),
+                deterministic=True,
+            )  # fmt: skip
+            task.step(task.as_action(command))
+        settled += bool((np.hypot(*task.truth().pixel_error[0].T) < SETTLED_PX).all())
+        for eye in eyes:
+            seconds += eye.seconds
+            for late, (error, sigma) in enumerate(zip(eye.errors, eye.sigmas, strict=True)):
+                here = [tally, end] if late >= len(eye.errors) - AT_END else [tally]
+                for each in here:
+                    if np.isnan(error).any():
+                        each.counts["not seen"] += 1
+                    else:
+                        each.add(error, sigma)
+        lost = any(np.isnan(eye.errors[-AT_END:]).all() for eye in eyes)
+        lost_at_end += lost
+        if lost:
+            print(f"    lost: {np.round(point, 3)}: {search.refusal}")
+        task.close()
+    tally.seconds = end.seconds = seconds
+    tally.show(f"{preset}, images of gazes ({settled} of {count} settled)")
+    end.show(f"{preset}, at their ends ({lost_at_end} lost)")
 
 
 def report() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
     parser.add_argument("pictures", nargs="*", help="photographs for textures")
-    parser.add_argument("--points", type=int, default=500, help="points of each kind")
+    parser.add_argument("--pairs", type=int, default=50, help="points of sufficient texture")
+    parser.add_argument("--refused", type=int, default=20, help="points of each other kind")
+    parser.add_argument("--gazes", type=int, default=4, help="whole gazes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--preset", nargs="*", default=["simulated", "physical"])
-    parser.add_argument("--only", choices=["matching", "refusals", "tracking"])
     options = parser.parse_args()
     cv2.setNumThreads(1)
     pictures = [picture(path) for path in options.pictures]
+    columns = "".join(
+        f"{name:>8}" for name in ("found", "refused", "false", "px rms", "norm.", "ms")
+    )
+    print(f"{'':44} {'points':>6}{columns}")
     for preset in options.preset:
         rng = np.random.default_rng(options.seed)
-        if options.only in (None, "matching"):
-            matching(options.points, rng, preset, pictures)
-        if options.only in (None, "refusals"):
-            refusals(max(options.points // 5, 10), rng, preset)
-        if options.only in (None, "tracking"):
-            tracking(options.points // 5, rng, preset, pictures)
+        if options.pairs:
+            matching(options.pairs, rng, preset, pictures)
+        if options.refused:
+            refusals(options.refused, rng, preset)
+        if options.gazes:
+            gazes(options.gazes, rng, preset)
 
 
 if __name__ == "__main__":

@@ -47,6 +47,8 @@ _SAME_EYE_SIGMA_PX: Final = 0.012
 _BLUR_SIGMA: Final = 0.04
 """Further one in an image whose blur differs, px per square of half the blur's variance in px^2
 (measured: by benchmarks/points.py, smears up to 6 px)."""
+_FADING_PX: Final = 2.0
+"""Distance over which a round patch fades, px (chosen: an outline with its blur)."""
 _GRADIENT_NOISE: Final = 0.23
 """Variance of Scharr's derivative of white noise of variance 1 (numerical)."""
 _NOISE_KERNEL: Final = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
@@ -152,20 +154,22 @@ class Fit(NamedTuple):
     misfit: float  # variance of the template that the view does not explain
     core: float  # the same of its middle alone
     likeness: float  # correlation without noise
+    gain: float  # contrast of the view by that of the template
+    rise: float  # mean grey level of the view above that of the template
 
 
 class Template:
     """A patch to align with views, and the least squares that do so.
 
-    A round one counts in full up to a share of its radius, and fades from there.
+    A round one counts in full within a distance from its middle, and fades from there.
     """
 
     def __init__(
         self, view: View, place: FloatArray, radius: int, affine: int = 4,
-        full: float | None = None,
+        within_px: float | None = None,
     ) -> None:  # fmt: skip
         side = 2 * radius + 1
-        self.radius, self.noise, self.round = radius, view.noise, full is not None
+        self.radius, self.noise, self.round = radius, view.noise, within_px is not None
         around = cv2.getRectSubPix(view.image, (side + 4, side + 4), place.tolist())
         self.patch: Grey = np.asarray(around[2:-2, 2:-2])
         slopes = [cv2.Scharr(around, cv2.CV_32F, *order, scale=1 / 32) for order in _AXES]
@@ -176,10 +180,12 @@ class Template:
         x, y = (np.arange(side) - radius) / radius, (np.arange(side)[:, None] - radius) / radius
         x, y = (np.broadcast_to(each, (side, side)).ravel() for each in (x, y))
         self.weight: Grey = np.ones((side, side), np.float32)
-        if full is not None:
-            self.weight[:] = ((1.0 - np.hypot(x, y)) / (1.0 - full)).clip(0, 1).reshape(side, side)
+        if within_px is not None:
+            beyond_px = radius * np.hypot(x, y) - within_px
+            self.weight[:] = (1.0 - beyond_px / _FADING_PX).clip(0, 1).reshape(side, side)
         weight = self._weight = self.weight.ravel() / float(self.weight.mean())
-        level = self.patch.ravel() - float((weight * self.patch.ravel()).mean())
+        self._mean = float((weight * self.patch.ravel()).mean())
+        level = self.patch.ravel() - self._mean
         slopes = [gx, gy, x * gx, y * gx, x * gy, y * gy][: 2 + affine]
         columns = np.column_stack([*slopes, np.ones(side * side), level, *bends])
         weighted = columns * weight[:, None]
@@ -257,7 +263,8 @@ class Template:
         model_px = _MODEL_SIGMA_PX if self.affine else _SAME_EYE_SIGMA_PX
         model_px2 = model_px**2 + (_BLUR_SIGMA * blur_px2**2) ** 2
         covariance += model_px2 * np.eye(2)
-        return Fit(stretch, place, covariance, model_px2, misfit, core, likeness)
+        rise = mean - self._mean
+        return Fit(stretch, place, covariance, model_px2, misfit, core, likeness, float(gain), rise)
 
 
 def image_jacobian(view: View, place: FloatArray) -> FloatArray:

@@ -66,6 +66,16 @@ _SURE_PX: Final = 4.0
 errors of encoders)."""
 _OBJECT_PX: Final = 10.0
 """Half the width of an object in its view, px (chosen: its outline within the patch)."""
+_OBJECT_JUMP_PX: Final = 8.0
+"""Distance of an object from its prediction that is no jump, px of the image (chosen: objects that
+start); larger objects may jump by half their width."""
+_OBJECT_GAIN: Final = 1.4
+_OBJECT_RISE: Final = 0.5
+"""Largest change of an object's contrast as a factor, and of its grey level as a share of its
+contrast (chosen: other things of its shape against shades)."""
+_OBJECT_SIGMA_PX: Final = 0.2
+"""Standard deviation by what is behind an object, px of its view (measured: balls before textured
+surfaces)."""
 _LEAST_COARSE_NOISE: Final = 0.5
 """Smallest variance of noise in a coarser view, squared grey levels (chosen: roundings)."""
 MOST_SIGMA_PX: Final = 0.2
@@ -185,7 +195,8 @@ class PointTracker:
         ray = pose[:3, :3].T @ direction
         turn = pose[:3, :3] @ rotation_between(np.array([0.0, 0.0, 1.0]), ray)
         self._coarse = max((half_px or 0.0) / _OBJECT_PX, 1.0)
-        self._whole, self._object = checked, half_px is not None
+        self._whole = checked
+        self._within_px = None if half_px is None else half_px / self._coarse
         self._focal = focal_at(self.camera, ray[:2] / ray[2]) / self._coarse
         view = self._view(grey, pose, turn, _VIEW_PX, pixel)
         middle = np.full(2, float(_VIEW_PX))
@@ -221,8 +232,7 @@ class PointTracker:
 
     def _cut(self, view: View) -> Template:
         """Template from the middle of a view."""
-        full = _OBJECT_PX / RADIUS_PX if self._object else None
-        return Template(view, np.full(2, float(_VIEW_PX)), RADIUS_PX, 0, full)
+        return Template(view, np.full(2, float(_VIEW_PX)), RADIUS_PX, 0, self._within_px)
 
     @property
     def faint(self) -> bool:
@@ -279,17 +289,21 @@ class PointTracker:
         pixel = self.camera.project(ray[None])[0]
         if not np.isfinite(pixel).all():
             return None
-        half = _LOST_VIEW_PX if self._missed else _VIEW_PX
+        half = _LOST_VIEW_PX if self._missed and not self._within_px else _VIEW_PX
         turn = rotation_between(held.turn[:, 2], at) @ held.turn
         view = self._view(grey, pose, turn, half, pixel)
-        fit = None if self._missed or self._object else self._flow(held, view)
+        fit = None if self._missed or self._within_px else self._flow(held, view)
         if fit is None:
             found = search(held.template, view, [np.eye(2)], whole=self._whole)
-            least = _LEAST_OBJECT_LIKENESS if self._object else LEAST_LIKENESS
-            if found is None or not found[1] or found[0].likeness < least:
+            if found is None or not found[1]:
                 return None
             fit = found[0]
+            if not (self._is_object(held, view, fit) if self._within_px else
+                    fit.likeness >= LEAST_LIKENESS):  # fmt: skip
+                return None
         covariance = held.earlier + fit.covariance
+        if self._within_px:
+            covariance = covariance + _OBJECT_SIGMA_PX**2 * np.eye(2)
         point = TrackedPoint(
             view.to_pixels(fit.place[None])[0], image_sigma_px(view, fit.place, covariance)
         )
@@ -315,6 +329,14 @@ class PointTracker:
         if view.holds(middle, RADIUS_PX + 1) and template.worst_sigma_px < MOST_SIGMA_PX:
             start = view.image.astype(np.uint8)
             self._held, self._faint = _Held(template, turn, start, self._covariance), 0
+
+    def _is_object(self, held: _Held, view: View, fit: Fit) -> bool:
+        """True if what has been found looks like the object, near its prediction."""
+        jump_px = hypot(*(fit.place + view.corner))
+        most_px = max(self._within_px or 0.0, _OBJECT_JUMP_PX / self._coarse)
+        same = 1.0 / _OBJECT_GAIN < fit.gain < _OBJECT_GAIN
+        lit = abs(fit.rise) < _OBJECT_RISE * sqrt(held.template.contrast)
+        return jump_px < most_px and same and lit and fit.likeness >= _LEAST_OBJECT_LIKENESS
 
     def _flow(self, held: _Held, view: View) -> Fit | None:
         """Place of the template near the middle of a view; None if it is not surely there."""
