@@ -126,6 +126,7 @@ class RenderedPlant(MujocoPlant):
                     f"look: expected a tag, a checkerboard or an object, got {target}"
                 )
         self._searches = [HeadSearch(target, head) for _ in range(num)]
+        self._keeps_images = in_room is not None  # while a detector is at work, or for both eyes
         # the target's own point, as somebody would click it
         self._unnamed_point = target == PointTarget()
         self._named = np.zeros(num, dtype=np.bool_)
@@ -214,7 +215,8 @@ class RenderedPlant(MujocoPlant):
             search.click(0, Camera.of(self.true_head, 0).project(self._T_C_T[:1, :3, 3])[0])
         for eye, own in enumerate(search.eyes):
             # plain background need not be searched
-            own.look(frames[eye], T_0_C[eye], time_s, search=views.board_in_image[eye])
+            image = frames[eye].copy() if self._keeps_images else frames[eye]
+            own.look(image, T_0_C[eye], time_s, search=views.board_in_image[eye])
         found = [one.found() for one in search.eyes]
         newest_s = max((one.time_s for one in found if one is not None), default=np.nan)
         self._dated_s[env, i] = newest_s  # nan: a slow detector has not answered yet

@@ -39,11 +39,19 @@ from vergence.vision.tracking import Tracker, make_detector
 _WAIT_FRAMES: Final = 0.5
 """Longest wait of an image for a quick detector's answer, frames (chosen: no delay by a slow
 one)."""
-_CARRIED_HALF: Final = 0.7
+_CARRIED_HALF: Final = 0.55
 """Half width of what is tracked, in sizes of the object (chosen: its outline counts, little beside
 it)."""
 _CARRIED_SIZE_PX: Final = 40.0
 """Size of an object that states none, px (chosen: a hand at arm's length)."""
+_STEPS: Final = 6
+"""Images between a slow detector's and the present one through which its answer is tracked
+(chosen: motion from one to the next against time)."""
+_MOTION_S: Final = (0.015, 0.2)
+"""Least and greatest time over which the motion of a line of sight is measured, s (chosen: noise
+against accelerations)."""
+_RECENT: Final = 32
+"""Most images that are kept for that (chosen: 0.25 s at 120 Hz)."""
 _CARRIED: Final = 64
 """Most images whose carried pixels are remembered (chosen: half a second at 120 Hz)."""
 _VIEW_SHARE: Final = 0.8
@@ -219,10 +227,13 @@ class _ObjectSearch:
         self._answer: _Answer | None = None
         self._target: Detection | None = None
         self._carried: deque[tuple[float, FloatArray]] = deque(maxlen=_CARRIED)
+        self._recent: deque[SeenImage] = deque(maxlen=_RECENT)
+        self._rays: deque[tuple[float, FloatArray]] = deque(maxlen=_CARRIED)
         self._told_s = -np.inf
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
         seen = SeenImage(_as_colour(image, self._camera), T_0_C, time_s)
+        self._recent.append(seen)
         self._source.ask(self._eye, seen, self._identity.hint(self._eye, T_0_C, time_s))
         self._seen, self._answer = seen, None
         self.take_answer()
@@ -253,7 +264,9 @@ class _ObjectSearch:
         if carried is not None and before:
             moved = carried.detection.pixel + (target.pixel - before[0])
         elif self._start(answer.seen, target):
-            carried = self._carry(seen)
+            since = [one for one in self._recent if one.time_s > answer.seen.time_s]
+            for one in since[:: -max(len(since) // _STEPS, 1)][::-1]:  # ends with the present one
+                carried = self._carry(one)
             moved = None if carried is None else carried.detection.pixel
         if carried is None or moved is None:
             self._start(seen, None)
@@ -287,19 +300,38 @@ class _ObjectSearch:
                     self._from.image, self._target.pixel, self._from.T_0_C,
                     half_px=_CARRIED_HALF * size_px, checked=False,
                 )  # fmt: skip
-                self._carried.append((self._from.time_s, np.asarray(self._target.pixel)))
+                self._note(self._from, np.asarray(self._target.pixel))
                 self._started = True
-            hint = self._identity.hint(self._eye, seen.T_0_C, seen.time_s)
-            point = self._tracker.find(seen.image, seen.T_0_C, hint)
+            point = self._tracker.find(seen.image, seen.T_0_C, self._predict(seen))
         except PointRefusedError:
             point = None
         if point is None:
             self._target = None
             return None
         pixel, sigma_px = point
-        self._carried.append((seen.time_s, pixel))
+        self._note(seen, pixel)
         sigma_px = np.hypot(sigma_px, self._target.sigma_px)
         return Found(self._target._replace(pixel=pixel, sigma_px=sigma_px), seen.time_s)
+
+    def _note(self, seen: SeenImage, pixel: FloatArray) -> None:
+        """Remember where the target was in an image."""
+        ray = seen.T_0_C[:3, :3] @ np.append(self._camera.rays(pixel[None])[0], 1.0)
+        while self._rays and self._rays[-1][0] >= seen.time_s:
+            self._rays.pop()
+        self._rays.append((seen.time_s, ray / np.linalg.norm(ray)))
+        self._carried.append((seen.time_s, pixel))
+
+    def _predict(self, seen: SeenImage) -> FloatArray | None:
+        """(2,) pixel at which the motion of the line of sight leads; None without any."""
+        now_s, ray = self._rays[-1]
+        earlier = [one for one in self._rays if _MOTION_S[0] <= now_s - one[0] <= _MOTION_S[1]]
+        if not earlier:
+            return None
+        before_s, before = earlier[-1]
+        turn = (ray - before) / (now_s - before_s)
+        ahead = seen.T_0_C[:3, :3].T @ (ray + (seen.time_s - now_s) * turn)
+        pixel = self._camera.project(ahead[None])[0]
+        return pixel if np.isfinite(pixel).all() else None
 
 
 class _PlaceSearch:
