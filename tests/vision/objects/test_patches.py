@@ -119,6 +119,70 @@ def test_a_hidden_point_is_not_seen_and_found_again():
     assert tracker.find(image, turned(0.05)).pixel == pytest.approx(PIXEL, abs=0.1)
 
 
+def test_a_template_that_was_renewed_returns_to_the_first_one():
+    tracker, image = PointTracker(CAMERA), pair()[0]
+    tracker.begin(image, PIXEL, ONE.poses[0])
+    y, x = np.mgrid[-240:240, -320:320]
+    stain = 70.0 * np.exp(-((x + 240 - 234.0) ** 2 + (y - 4.0) ** 2) / 30.0)
+    soiled = np.clip(image - stain, 0, 255).astype(np.uint8)
+    stained = [tracker.find(soiled, ONE.poses[0]) for _ in range(20)]
+    assert all(each is None or np.hypot(*(each.pixel - PIXEL)) < 0.5 for each in stained)
+    clean = [tracker.find(image, ONE.poses[0]) for _ in range(5)][-1]
+    assert clean.pixel == pytest.approx(PIXEL, abs=0.02)
+    assert (clean.sigma_px < 0.1).all()
+
+
+def ball(half_px: float, rng: np.random.Generator):
+    """Images of a ball without texture, 5 px an image against what is behind it."""
+    grid = rng.normal(size=(75, 100)).astype(np.float32)
+    behind = 115 + 25 * cv2.resize(grid, (800, 600), interpolation=cv2.INTER_CUBIC)
+    y, x = np.mgrid[:480, :640].astype(np.float32)
+    step = np.array([4.0, 3.0])
+    for k in range(13):
+        centre = np.array([320.4, 240.2]) + 0.6 * k * step
+        shift = np.array([[1, 0, -60 - 0.4 * k * step[0]], [0, 1, -40 - 0.4 * k * step[1]]])
+        cover = np.clip(half_px - np.hypot(x - centre[0], y - centre[1]) + 0.5, 0, 1)
+        light = cover * 200 + (1 - cover) * cv2.warpAffine(behind, shift, (640, 480))
+        grey = cv2.GaussianBlur(light, (0, 0), 0.7) + rng.normal(0, 4, light.shape)
+        yield np.clip(np.rint(grey), 0, 255).astype(np.uint8), centre
+
+
+@pytest.mark.parametrize("half_px", [6, 12, 30, 60])
+def test_an_object_without_texture_is_carried_by_its_outline(half_px):
+    tracker, seen = PointTracker(CAMERA), 0
+    for k, (image, centre) in enumerate(ball(half_px, np.random.default_rng(half_px))):
+        if k == 0:
+            tracker.begin(image, centre, ONE.poses[0], half_px=half_px, checked=False)
+            continue
+        found = tracker.find(image, ONE.poses[0])
+        if found is not None:
+            assert np.hypot(*(found.pixel - centre)) < 1.5
+            seen += 1
+    assert seen >= (10 if half_px >= 12 else 0)
+
+
+def test_what_is_not_checked_may_repeat_and_reach_over_the_border():
+    tracker = PointTracker(CAMERA)
+    tracker.begin(pair("tiles")[0], PIXEL, ONE.poses[0], checked=False)
+    image = np.roll(pair()[0], (-236, -326), axis=(0, 1))
+    at = PIXEL - (326, 236)
+    with pytest.raises(PointRefusedError, match="border"):
+        tracker.begin(image, at, ONE.poses[0])
+    tracker.begin(image, at, ONE.poses[0], checked=False)
+    assert tracker.find(image, ONE.poses[0]).pixel == pytest.approx(at, abs=0.1)
+    with pytest.raises(PointRefusedError, match="640 x 480"):
+        tracker.begin(image, (-1.0, 5.0), ONE.poses[0], checked=False)
+
+
+def test_the_error_of_the_first_pixel_stays_in_the_standard_deviations():
+    tracker, image = PointTracker(CAMERA), pair()[0]
+    known = tracker.begin(image, PIXEL, ONE.poses[0]).sigma_px
+    tracker.begin(image, PIXEL, ONE.poses[0], sigma_px=(0.3, 0.4))
+    found = tracker.find(image, ONE.poses[0])
+    assert found.sigma_px == pytest.approx([0.3, 0.4], abs=3 * known.max())
+    assert (found.sigma_px > (0.3, 0.4)).all()
+
+
 def test_nothing_is_found_before_a_point_is_given_and_after_it_is_dropped():
     tracker, image = PointTracker(CAMERA), pair()[0]
     assert tracker.find(image, ONE.poses[0]) is None
@@ -132,3 +196,5 @@ def test_wrong_arguments_are_refused():
                           ({"near_depth_m": -1.0}, "near_depth_m")):  # fmt: skip
         with pytest.raises(ConfigurationError, match=words):
             match_point(ONE.cameras, pair(), ONE.poses, PIXEL, **change)
+    with pytest.raises(ConfigurationError, match="half_px"):
+        PointTracker(CAMERA).begin(pair()[0], PIXEL, ONE.poses[0], half_px=0.0)

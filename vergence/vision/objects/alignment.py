@@ -47,8 +47,8 @@ _SAME_EYE_SIGMA_PX: Final = 0.012
 _BLUR_SIGMA: Final = 0.04
 """Further one in an image whose blur differs, px per square of half the blur's variance in px^2
 (measured: by benchmarks/points.py, smears up to 6 px)."""
-_FADING_PX: Final = 2.0
-"""Distance over which a round patch fades, px (chosen: an outline with its blur)."""
+_FADING_PX: Final = 0.5
+"""Distance over which a round patch fades, px (measured: balls before textured surfaces)."""
 _GRADIENT_NOISE: Final = 0.23
 """Variance of Scharr's derivative of white noise of variance 1 (numerical)."""
 _NOISE_KERNEL: Final = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
@@ -237,7 +237,9 @@ class Template:
             gain = found[3 + self.affine]
             if gain < 0.2:
                 return None
-            steps[: 2 + self.affine] = found[: 2 + self.affine] / gain
+            step = found[: 2 + self.affine] / gain
+            # half of it where the last one went too far
+            steps[: 2 + self.affine] = step if step[:2] @ steps[:2] >= 0.0 else 0.5 * step
             place = place - stretch @ steps[:2]
             stretch = stretch - stretch @ steps[2:].reshape(2, 2) / self.radius
             (a, b), (c, d) = stretch.tolist()
@@ -309,7 +311,8 @@ def search(
         patch = template.stretched(stretch)
         mask = template.weight if template.round else None
         scores: Any = cv2.matchTemplate(view.image, patch, cv2.TM_CCOEFF_NORMED, mask=mask)
-        scores = np.where(valid > 0, np.nan_to_num(scores), -1.0).astype(np.float32)
+        # where there is no contrast a score may be anything
+        scores = np.where((valid > 0) & (np.abs(scores) < 1.01), scores, -1.0).astype(np.float32)
         starts += [(float(scores[y, x]), x + r, y + r, k) for x, y in _peaks(scores, _PLACES)]
     starts.sort(reverse=True)
     if near is not None:

@@ -37,6 +37,8 @@ _CORE_PX: Final = 6
 """Half the side of the smaller patch that must agree, px (chosen: edges against texture)."""
 _MOST_CORE_SIGMA_PX: Final = 0.6
 """The same of the smaller patch, px (chosen: as above)."""
+_LEAST_CORE_LIKENESS: Final = 0.75
+"""Smallest correlation of the smaller patch without noise (chosen: its noise weighs more)."""
 _ROWS_PX: Final = 6
 """Tolerance across the epipolar line, px (chosen: errors of encoders)."""
 _CORE_NOISE: Final = 2.2
@@ -185,7 +187,7 @@ class _Pair(NamedTuple):
         most_misfit = _CORE_NOISE * 2.0 * noise + _CORE_CONTRAST * template.contrast
         if (
             small is None
-            or small.likeness < LEAST_LIKENESS
+            or small.likeness < _LEAST_CORE_LIKENESS
             or fit.core > most_misfit
             or hypot(*(small.place - fit.place)) > 0.1 + 3.0 * core.worst_sigma_px
         ):

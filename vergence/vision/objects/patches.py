@@ -67,14 +67,14 @@ errors of encoders)."""
 _OBJECT_PX: Final = 10.0
 """Half the width of an object in its view, px (chosen: its outline within the patch)."""
 _OBJECT_JUMP_PX: Final = 8.0
-"""Distance of an object from its prediction that is no jump, px of the image (chosen: objects that
-start); larger objects may jump by half their width."""
+"""Distance of an object from its prediction that is no jump, px of the image, for each image since
+it was seen (chosen: objects that start); larger objects may jump by half their width."""
 _OBJECT_GAIN: Final = 1.4
 _OBJECT_RISE: Final = 0.5
 """Largest change of an object's contrast as a factor, and of its grey level as a share of its
 contrast (chosen: other things of its shape against shades)."""
-_OBJECT_SIGMA_PX: Final = 0.2
-"""Standard deviation by what is behind an object, px of its view (measured: balls before textured
+_OBJECT_SIGMA_PX: Final = 0.3
+"""Standard deviation by what is behind an object, px of the image (measured: balls before textured
 surfaces)."""
 _LEAST_COARSE_NOISE: Final = 0.5
 """Smallest variance of noise in a coarser view, squared grey levels (chosen: roundings)."""
@@ -172,8 +172,9 @@ class PointTracker:
             pixel: (u, v) of the point, shape (2,).
             T_0_C: (4, 4) pose of the camera in the fixed frame 0, m:
                 `head.base_pose(q) @ head.camera_poses(q)` of one eye at the measured joint angles.
-            half_px: half the width of an object that is followed as a whole by its outline and what
-                is inside, px; None for the texture around a point.
+            half_px: half the width of an object that is followed as a whole, px: by its outline,
+                what is inside, and its grey level, in views in which it is at most 20 px wide; None
+                for the texture around a point.
             checked: whether what cannot be told apart from its surroundings is refused, and what
                 reaches over the border of the image.
             sigma_px: (2,) standard deviations of the pixel itself, px.
@@ -294,7 +295,8 @@ class PointTracker:
         view = self._view(grey, pose, turn, half, pixel)
         fit = None if self._missed or self._within_px else self._flow(held, view)
         if fit is None:
-            found = search(held.template, view, [np.eye(2)], whole=self._whole)
+            near = np.full(2, float(half)) if self._within_px else None
+            found = search(held.template, view, [np.eye(2)], near, self._whole)
             if found is None or not found[1]:
                 return None
             fit = found[0]
@@ -303,7 +305,7 @@ class PointTracker:
                 return None
         covariance = held.earlier + fit.covariance
         if self._within_px:
-            covariance = covariance + _OBJECT_SIGMA_PX**2 * np.eye(2)
+            covariance = covariance + (_OBJECT_SIGMA_PX / self._coarse) ** 2 * np.eye(2)
         point = TrackedPoint(
             view.to_pixels(fit.place[None])[0], image_sigma_px(view, fit.place, covariance)
         )
@@ -336,7 +338,12 @@ class PointTracker:
         most_px = max(self._within_px or 0.0, _OBJECT_JUMP_PX / self._coarse)
         same = 1.0 / _OBJECT_GAIN < fit.gain < _OBJECT_GAIN
         lit = abs(fit.rise) < _OBJECT_RISE * sqrt(held.template.contrast)
-        return jump_px < most_px and same and lit and fit.likeness >= _LEAST_OBJECT_LIKENESS
+        return (
+            jump_px < (1 + self._missed) * most_px
+            and same
+            and lit
+            and fit.likeness >= _LEAST_OBJECT_LIKENESS
+        )
 
     def _flow(self, held: _Held, view: View) -> Fit | None:
         """Place of the template near the middle of a view; None if it is not surely there."""

@@ -178,7 +178,7 @@ class PointSearch:
         """Follow the point in the eye that it was named in."""
         if not self._begun:
             return None
-        point = self._tracker.find(seen.image, seen.T_0_C)
+        point = self._tracker.find(seen.image, seen.T_0_C, renew=other is not None)
         if point is not None or other is None:
             return point
         matched, _ = self._match(seen, other, place)
