@@ -210,7 +210,8 @@ class RenderedPlant(MujocoPlant):
         views.room(positions, self._exposures.velocities[env, i])
         frames = views.draw_poses(self._T_C_T, rng, self._smear_px)
         time_s = float(self._exposures.time_s[env, i])
-        if self._unnamed_point and not self._named[env] and frame >= 0:
+        begun = time_s >= float(self.conditions.onset_s[env])
+        if self._unnamed_point and not self._named[env] and begun:
             self._named[env] = True
             search.click(0, Camera.of(self.true_head, 0).project(self._T_C_T[:1, :3, 3])[0])
         for eye, own in enumerate(search.eyes):

@@ -265,8 +265,8 @@ class _ObjectSearch:
             moved = carried.detection.pixel + (target.pixel - before[0])
         elif self._start(answer.seen, target):
             since = [one for one in self._recent if one.time_s > answer.seen.time_s]
-            for one in since[:: -max(len(since) // _STEPS, 1)][::-1]:  # ends with the present one
-                carried = self._carry(one)
+            for between in since[:: -max(len(since) // _STEPS, 1)][::-1]:  # ends with the present
+                carried = self._carry(between)
             moved = None if carried is None else carried.detection.pixel
         if carried is None or moved is None:
             self._start(seen, None)
