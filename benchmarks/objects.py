@@ -29,6 +29,8 @@ from vergence.models.parts import FloatArray
 LOOKS = {"tag": None, "ball": "colour:#ff8000", "point": "point"}
 BALL = "colour:#ff8000"
 BAND_PX = 2.0
+PIXEL_PX = 0.09
+"""Noise of a point's pixel, px: measured by ``benchmarks.points`` on the same head."""
 SETTLE_S, SWING_S = 2.5, 6.0
 SWING_M, SWING_RAD_S = 0.25, np.deg2rad(60.0)
 
@@ -135,6 +137,8 @@ def depth(count: int, law: str) -> None:
     """Compare errors of depth with their bound."""
     head = load_head("physical")
     steps = round(SETTLE_S * head.timing.control_rate_hz)
+    step_rad = head.sensor.encoder_resolution_rad  # uniform within a step
+    noise = Noise(pixel_px=PIXEL_PX, joint_rad=step_rad / np.sqrt(12.0))
     errors = []
     for trial in range(count):
         point = jump(head, np.random.default_rng(trial))["after"]
@@ -145,7 +149,7 @@ def depth(count: int, law: str) -> None:
             target={"kind": "static", "point": point, "look": "point"},
         )
         run(task, law, steps, trial)
-        reading, noise = task.reading, Noise(pixel_px=0.1)
+        reading = task.reading
         fix = triangulate_views(head, reading.positions_at_exposure, reading.pixels, noise=noise)
         errors.append((fix.point[0, 2] - point[2]) / fix.sigma[0, 2])
         task.close()
