@@ -125,7 +125,7 @@ class _Frames:
         crossing = shown.fix.point if shown.fix.valid else None
         out[:_VIEW_HEIGHT] = self._painter.draw(
             shown.positions, shown.target, _WIDTH, _VIEW_HEIGHT,
-            board=shown.target_is_truth, fix=crossing, camera=self._camera,
+            board=shown.shows_tag, fix=crossing, camera=self._camera,
         )  # fmt: skip
         write_text(out, self._title, (_MARGIN, 24), size=_TITLE_PX)
         clock = f"{shown.time_s:.2f} s"

@@ -43,6 +43,11 @@ class Moment(NamedTuple):
     """Time since the exposure in which `pixels` were found, s: a simulation's images are newer."""
 
     @property
+    def shows_tag(self) -> bool:
+        """True if a tag stands at a known target: not in a room, whose images have colours."""
+        return self.target_is_truth and (self.images is None or self.images.left.ndim == 2)
+
+    @property
     def visible(self) -> BoolArray:
         """(2,) True if the eye sees the target in its newest image."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))

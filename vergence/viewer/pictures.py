@@ -59,7 +59,7 @@ class TaskPictures:
             shown.target,
             top.shape[1],
             VIEW_HEIGHT,
-            board=shown.target_is_truth,
+            board=shown.shows_tag,
             fix=shown.fix.point if shown.fix.valid else None,
         )
         return np.concatenate([top, below], axis=0)

@@ -12,7 +12,7 @@ from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.models.posture import rest_poses
-from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS, FIX_COLOUR
+from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS, FIX_COLOUR, TARGET_COLOUR
 from vergence.viewer.moment import Moment
 from vergence.viewer.shapes import HeadShapes
 from vergence.vision.targets import board_pose, make_planar_target, outline_m, texture
@@ -26,6 +26,8 @@ _MAX_FRUSTUM_RAD: Final = 2.4
 """Widest drawn field of view, rad (chosen: a wider frustum would be flat)."""
 _BOARD_PX_PER_CELL: Final = 16
 """Pixels of the target's picture along a cell (chosen: sharp edges)."""
+_OBJECT_M: Final = 0.02
+"""Radius of a target that is no tag, m (chosen: legible beside the fix's ellipsoid)."""
 _CAMERA_OFFSET: Final = (0.85, 0.6, 0.45)
 """First place of the page's camera from the middle between head and target, by their distance
 (chosen: both are in view, the eyes from beside)."""
@@ -116,6 +118,7 @@ class HeadScene:
             *size.tolist(),
             cast_shadow=False,
         )
+        self._object = api.add_icosphere("/head/object", radius=_OBJECT_M, color=TARGET_COLOUR)
         self.target = api.add_transform_controls(
             "/head/target", scale=0.18, disable_rotations=True, visible=False, line_width=3.0
         )
@@ -201,10 +204,12 @@ class HeadScene:
             there = bool(np.isfinite(shown.target).all())
             if there and not self._camera_placed:
                 self._place_camera((self._N @ [*shown.target, 1.0])[:3])
-            self._board.visible = there and shown.target_is_truth
+            self._board.visible = there and shown.shows_tag
+            self._object.visible = there and shown.target_is_truth and not shown.shows_tag
             if there:
                 pose = self._N @ board_pose(shown.target)
                 self._board.position, self._board.wxyz = pose[:3, 3], _wxyz(pose[:3, :3])
+                self._object.position = pose[:3, 3]
                 if moves_target:
                     self.target.position = pose[:3, 3]
 

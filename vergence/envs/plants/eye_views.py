@@ -192,6 +192,8 @@ class BoardImageRenderer:
 class RoomImageRenderer(BoardImageRenderer):
     """Renderer of both eyes' colour images of an object in a room.
 
+    The room stands upright around the head: its frame is N with the neck at rest.
+
     Args:
         head: the true head, a single one.
         scene: the room, and the object at the target's place.
@@ -205,7 +207,8 @@ class RoomImageRenderer(BoardImageRenderer):
         self._eyes = [
             RoomRenderer(Camera.of(head, eye), scene, model.rendering) for eye in range(2)
         ]
-        self._T_0_C, self._room_smears_px = np.tile(np.eye(4), (2, 1, 1)), np.zeros((2, 2))
+        self._T_room_0 = np.linalg.inv(head.base_pose(head.rest()))
+        self._T_room_C, self._room_smears_px = np.tile(np.eye(4), (2, 1, 1)), np.zeros((2, 2))
 
     @property
     def frames(self) -> tuple[Image, Image]:
@@ -226,8 +229,8 @@ class RoomImageRenderer(BoardImageRenderer):
 
     def room(self, q: FloatArray, v: FloatArray) -> None:
         """See `BoardImageRenderer.room`."""
-        self._T_0_C = self._head.base_pose(q) @ self._head.camera_poses(q)
         poses = self._head.camera_poses(q)
+        self._T_room_C = self._T_room_0 @ self._head.base_pose(q) @ poses
         for eye, pose in enumerate(poses):  # a point of the wall that the eye looks at
             wall = pose[:3, 3] + _WALL_M * pose[:3, 2]
             self._room_smears_px[eye] = self._smear_px(q, v, wall)[eye]
@@ -240,11 +243,11 @@ class RoomImageRenderer(BoardImageRenderer):
             eye: 0 for left, 1 for right.
             pixel: (2,) raw pixel.
         """
-        T_0_N = self._head.base_pose(q)
-        T_0_C = (T_0_N @ self._head.camera_poses(q))[eye]
+        T_room_N = self._T_room_0 @ self._head.base_pose(q)
+        T_room_C = (T_room_N @ self._head.camera_poses(q))[eye]
         ray = np.append(Camera.of(self._head, eye).rays(np.asarray(pixel, float)[None])[0], 1.0)
-        point = hit(self._scene, T_0_C[:3, 3], T_0_C[:3, :3] @ ray)
-        return np.asarray(T_0_N[:3, :3].T @ (point - T_0_N[:3, 3]))
+        point = hit(self._scene, T_room_C[:3, 3], T_room_C[:3, :3] @ ray)
+        return np.asarray(T_room_N[:3, :3].T @ (point - T_room_N[:3, 3]))
 
     def draw_poses(
         self,
@@ -255,10 +258,10 @@ class RoomImageRenderer(BoardImageRenderer):
         """Draw the room, and the object at its poses; one behind a camera is not drawn."""
         smears = np.asarray(smear_px, dtype=np.float64)
         for eye, drawing in enumerate(self._eyes):
-            T_0_T = self._T_0_C[eye] @ T_C_T[eye]
+            T_room_T = self._T_room_C[eye] @ T_C_T[eye]
             if T_C_T[eye, 2, 3] <= 0.0:
-                T_0_T = np.full((4, 4), np.nan)
-            drawing.draw(self._T_0_C[eye], T_0_T, rng, self._room_smears_px[eye], smears[eye])
+                T_room_T = np.full((4, 4), np.nan)
+            drawing.draw(self._T_room_C[eye], T_room_T, rng, self._room_smears_px[eye], smears[eye])
         return self.frames
 
 

@@ -73,7 +73,7 @@ _BLUR_STEP: Final = 1.25
 """Ratio of successive blurs of a wall (chosen: too small to be seen)."""
 _TINTS: Final = {  # BGR
     "left": (112, 140, 152), "right": (150, 148, 128), "top": (188, 194, 196),
-    "bottom": (70, 104, 146), "back": (120, 150, 128), "front": (140, 158, 172),
+    "bottom": (96, 106, 118), "back": (120, 150, 128), "front": (140, 158, 172),
 }  # fmt: skip
 """Colours of the walls, sRGB levels, in the order of the atlas (chosen: looks)."""
 _AXES: Final = {"left": (2, 1), "right": (2, 1), "top": (0, 2), "bottom": (0, 2),
