@@ -139,7 +139,7 @@ def test_a_slow_detector_holds_up_no_image(search_of, tmp_path):
     search = search_of("Blocked", frame_s=0.02)
     begun = time.monotonic()
     held = [look(search, 0.02 * k, images(BLANK if k else PIXELS)) for k in range(10)]
-    assert time.monotonic() - begun < 4.0  # of 10 s
+    assert time.monotonic() - begun < 8.0  # of 10 s
     assert held == [[None, None]] * 10
     (tmp_path / "go").touch()
     first: list = [None, None]

@@ -110,6 +110,13 @@ class Identity:
             seen = self._eyes[eye]
             seen.candidates, seen.T_0_C, seen.time_s = list(candidates), T_0_C, time_s
 
+    def waits(self, eye: int) -> bool:
+        """True if nothing can be chosen until the other eye has been heard."""
+        with self._lock:
+            own, other = self._eyes[eye], self._eyes[1 - eye]
+            unknown = own.time_s - max(own.chosen_s, other.chosen_s) > _HOLD_S
+            return unknown and bool(own.candidates) and own.time_s - other.time_s > _HOLD_S
+
     def choose(self, eye: int) -> Detection | None:
         """The target among the candidates posted last; None if it is not there."""
         with self._lock:

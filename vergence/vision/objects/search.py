@@ -225,6 +225,7 @@ class _ObjectSearch:
         self._identity.forget()
         self._seen: SeenImage | None = None
         self._answer: _Answer | None = None
+        self._waiting: _Answer | None = None
         self._target: Detection | None = None
         self._carried: deque[tuple[float, FloatArray]] = deque(maxlen=_CARRIED)
         self._recent: deque[SeenImage] = deque(maxlen=_RECENT)
@@ -240,7 +241,10 @@ class _ObjectSearch:
 
     def take_answer(self) -> None:
         """Take the detector's newest answer for the present image, if there is one."""
-        answer = None if self._seen is None else self._source.answer(self._eye, self._seen.time_s)
+        if self._seen is None:
+            return
+        answer, self._waiting = self._waiting, None
+        answer = self._source.answer(self._eye, self._seen.time_s) or answer
         if answer is not None:
             self._answer = answer
             candidates, of = answer
@@ -256,6 +260,9 @@ class _ObjectSearch:
         if answer is None:
             return self._tell(self._carry(seen), seen.time_s)
         target = self._identity.choose(self._eye)
+        if target is None and self._identity.waits(self._eye):
+            self._waiting = answer
+            return None
         if target is None or answer.seen.time_s == seen.time_s:
             self._start(seen, target)
             return self._tell(Found(target, seen.time_s), seen.time_s)
