@@ -106,9 +106,12 @@ def test_a_blob_cut_off_by_the_image_says_so_by_its_sigma():
 
 
 def test_a_pure_blob_before_a_pale_wall_of_its_hue_is_found_apart():
-    best = found(disc((150.0, 120.0), 12.0, ground=(150, 100, 65)), ORANGE, CAMERA)[0]
-    assert np.allclose(best.pixel, (150.0, 120.0), atol=0.4)
-    assert 22.0 < best.size_px < 28.0
+    for radius in (6.0, 12.0):
+        image = disc((150.0, 120.0), radius, ground=(150, 100, 65))
+        with named(radius):
+            best = found(image, ORANGE, CAMERA)[0]
+            assert np.allclose(best.pixel, (150.0, 120.0), atol=0.4)
+            assert 1.8 * radius < best.size_px < 2.4 * radius
 
 
 def test_a_highlight_does_not_move_a_blob():
@@ -123,6 +126,13 @@ def test_a_thing_with_a_pale_side_is_one_thing():
     best = found(image, ORANGE, CAMERA)[0]
     assert np.allclose(best.pixel, (150.0, 120.0), atol=1.0)
     assert 57.0 < best.size_px < 63.0
+
+
+def test_pure_spots_on_a_pale_thing_are_not_things_of_their_own():
+    image = disc((150.0, 120.0), 30.0, colour=(230, 147, 65))
+    image[110:114, 140:144] = image[125:129, 160:164] = ORANGE[::-1]
+    (one,) = found(image, ORANGE, CAMERA)
+    assert np.allclose(one.pixel, (150.0, 120.0), atol=0.5)
 
 
 def test_of_a_thing_that_is_no_disc_all_parts_count():

@@ -23,9 +23,9 @@ and white balance)."""
 _PALE: Final = 0.5
 """Least saturation at which a blob is connected, likewise (chosen: pale things and pale sides)."""
 _PURE_SHARE: Final = 0.4
-"""Least share of pure pixels in a blob with some; else only these are blobs (chosen: a thing with
-pale sides against a pure one before a pale wall of its hue)."""
-_MATCH_POWER: Final = 8
+"""Least share of pure pixels in a blob with some; else these are blobs of their own if they score
+higher (chosen: a thing with pale sides against a pure one before a pale wall of its hue)."""
+_MATCH_POWER: Final = 12
 """Power of a pale blob's mean saturation, as a fraction of a pure one's, in its score (chosen: a
 small orange ball before a large brown floor)."""
 _LEAST_VALUE: Final = 40
@@ -130,28 +130,30 @@ class ColourDetector:
                 least = (low, _PALE * self._saturation, _LEAST_VALUE)
                 mask |= cv2.inRange(hsv, least, (high, 255, 255))
         pure = _PURE * self._saturation
-        sets = [_parts(mask, saturation, pure)]
-        labels, _stats, _mean, share = sets[0]
+        labels, stats, scores, share = _parts(mask, saturation, pure, step)
+        found = [(labels, stats, scores)]
         mixed = (share > 0.0) & (share < _PURE_SHARE)
         if mixed.any():
-            share[mixed] = -1.0
-            sets.append(_parts(mask & (saturation >= pure) & mixed[labels], saturation, pure))
-        found = []
-        for labels, stats, mean, share in sets:
-            areas = stats[:, cv2.CC_STAT_AREA]
-            fits = (areas >= _LEAST_AREA_PX / step**2) & (share >= 0.0)
-            scores = np.sqrt(areas / mask.size) * np.minimum(mean / pure, 1.0) ** _MATCH_POWER
-            scores *= fits
-            for i in np.argsort(-scores[1:], kind="stable")[:_MOST_BLOBS] + 1:
-                x, y, width, height = stats[i, :4].tolist()
-                blob = (labels[y : y + height, x : x + width] == i).astype(np.uint8)
-                found.append((float(scores[i]), x0 + step * x, y0 + step * y, blob))
-        found = sorted(found, key=lambda each: -each[0])[:_MOST_BLOBS]
-        return [
-            (score, x, y, blob.repeat(step, 0).repeat(step, 1))
-            for score, x, y, blob in found
-            if score > _LEAST_SCORE * found[0][0]
-        ]
+            mask &= (saturation >= pure) & mixed[labels]
+            parts, part_stats, part_scores, _share = _parts(mask, saturation, pure, step)
+            owner = np.zeros(len(part_scores), int)
+            owner[parts[parts > 0]] = labels[parts > 0]
+            best = np.zeros(len(scores))
+            np.maximum.at(best, owner, part_scores)
+            apart = mixed & (best >= scores)
+            scores[apart] = 0.0
+            part_scores[~apart[owner]] = 0.0
+            found.append((parts, part_stats, part_scores))
+        least_score = _LEAST_SCORE * max(scores.max() for _labels, _stats, scores in found)
+        blobs = []
+        for labels, stats, scores in found:
+            for i in np.argsort(-scores)[:_MOST_BLOBS].tolist():
+                if scores[i] > least_score:
+                    x, y, width, height = stats[i, :4].tolist()
+                    blob = (labels[y : y + height, x : x + width] == i).astype(np.uint8)
+                    whole = blob.repeat(step, 0).repeat(step, 1)
+                    blobs.append((float(scores[i]), x0 + step * x, y0 + step * y, whole))
+        return sorted(blobs, key=lambda each: -each[0])[:_MOST_BLOBS]
 
     def _measure(self, image: ColourImage, score: float, x: int, y: int, blob: Any) -> Detection:
         blob = blob[: image.shape[0] - y, : image.shape[1] - x]
@@ -197,15 +199,17 @@ def _solid_angles(camera: Camera) -> NDArray[np.float32]:
     return np.asarray(full * (area / (full**2).sum(axis=2) ** 2)[..., None], np.float32)
 
 
-def _parts(mask: Any, saturation: Any, pure: float) -> tuple[Any, Any, Any, Any]:
-    """Labels and statistics of connected parts, their mean saturation, and share that is pure."""
+def _parts(mask: Any, saturation: Any, pure: float, step: int) -> tuple[Any, Any, Any, Any]:
+    """Labels, statistics and scores of the connected parts of a mask, and shares that are pure."""
     part = cv2.morphologyEx(mask, cv2.MORPH_OPEN, _SMALL)
     count, labels, stats, _centres = cv2.connectedComponentsWithStats(part)
     within = np.flatnonzero(part)
     which, values = labels.reshape(-1)[within], saturation.reshape(-1)[within]
     areas = np.maximum(stats[:, cv2.CC_STAT_AREA], 1.0)
-    mean = np.bincount(which, values, count) / areas
-    return labels, stats, mean, np.bincount(which, values >= pure, count) / areas
+    match = np.minimum(np.bincount(which, values, count) / areas / pure, 1.0)
+    scores = np.sqrt(areas / mask.size) * match**_MATCH_POWER
+    scores[areas < _LEAST_AREA_PX / step**2] = scores[0] = 0.0
+    return labels, stats, scores, np.bincount(which, values >= pure, count) / areas
 
 
 def _centroid(share: Any, u: Any, v: Any) -> FloatArray:
