@@ -28,7 +28,7 @@ higher (chosen: a thing with pale sides against a pure one before a pale wall of
 _MATCH_POWER: Final = 12
 """Power of a pale blob's mean saturation, as a fraction of a pure one's, in its score (chosen: a
 small orange ball before a large brown floor)."""
-_LEAST_VALUE: Final = 40
+_LEAST_VALUE: Final = 60
 """Least value in HSV; the hue of darker pixels is noise (chosen)."""
 _LEAST_AREA_PX: Final = 12
 """Least area of a blob, px^2 (chosen: above noise)."""
@@ -39,6 +39,8 @@ _LEAST_SCORE: Final = 0.1
 _NEAR_SHARE: Final = 0.2
 """Half a side of the part of an image that is searched around a hint, as a fraction of its width
 (chosen: quick motions against time)."""
+_FULL_PX: Final = 320
+"""Greatest width that is always searched at full resolution, px (chosen: time)."""
 _STUB: Final = 0.4
 """Half the width of parts that do not belong to a blob, as a fraction of half the blob's (chosen:
 things beside it of its colour)."""
@@ -115,7 +117,8 @@ class ColourDetector:
 
         More than the surround of a hint is searched at half the resolution.
         """
-        step = 2 if image.shape[1] > 2 * _NEAR_SHARE * self._camera.width + 1 else 1
+        full = max(2 * _NEAR_SHARE * self._camera.width + 1, _FULL_PX)
+        step = 2 if image.shape[1] > full else 1
         if step == 2:
             height, width = image.shape[0] // 2, image.shape[1] // 2
             part = image[: 2 * height, : 2 * width]
