@@ -21,6 +21,7 @@ from vergence.vision.objects.room import RoomRenderer, Scene
 from vergence.vision.objects.search import HeadSearch
 from vergence.vision.objects.targets import ColourTarget, FaceTarget, parse_gaze_target
 
+IMAGE = np.zeros((240, 320, 3), np.uint8)
 ORANGE, GREEN, BLUE = (255, 128, 0), (40, 160, 60), (40, 80, 220)
 CAMERA = Camera(size=(320, 240), matrix=np.array([[250, 0, 160], [0, 250, 120], [0, 0, 1]]))
 
@@ -105,15 +106,49 @@ def test_a_blob_cut_off_by_the_image_says_so_by_its_sigma():
 
 
 def test_a_pure_blob_before_a_pale_wall_of_its_hue_is_found_apart():
-    best = found(disc((150.0, 120.0), 12.0, ground=(150, 100, 65)), ORANGE, CAMERA)[0]
-    assert np.allclose(best.pixel, (150.0, 120.0), atol=0.4)
-    assert 22.0 < best.size_px < 28.0
+    for radius in (6.0, 12.0):
+        image = disc((150.0, 120.0), radius, ground=(150, 100, 65))
+        with named(radius):
+            best = found(image, ORANGE, CAMERA)[0]
+            assert np.allclose(best.pixel, (150.0, 120.0), atol=0.4)
+            assert 1.8 * radius < best.size_px < 2.4 * radius
 
 
 def test_a_highlight_does_not_move_a_blob():
     image = disc((150.0, 120.0), 30.0)
     cv2.circle(image, (142, 110), 7, (255, 255, 255), -1)
     assert np.allclose(found(image, ORANGE, CAMERA)[0].pixel, (150.0, 120.0), atol=0.4)
+
+
+def test_a_thing_with_a_pale_side_is_one_thing():
+    image = disc((150.0, 120.0), 30.0)
+    image[:, 150:] = disc((150.0, 120.0), 30.0, colour=(255, 190, 125))[:, 150:]
+    best = found(image, ORANGE, CAMERA)[0]
+    assert np.allclose(best.pixel, (150.0, 120.0), atol=1.0)
+    assert 57.0 < best.size_px < 63.0
+
+
+def test_pure_spots_on_a_pale_thing_are_not_things_of_their_own():
+    image = disc((150.0, 120.0), 30.0, colour=(230, 147, 65))
+    image[110:114, 140:144] = image[125:129, 160:164] = ORANGE[::-1]
+    (one,) = found(image, ORANGE, CAMERA)
+    assert np.allclose(one.pixel, (150.0, 120.0), atol=0.5)
+
+
+def test_of_a_thing_that_is_no_disc_all_parts_count():
+    image = np.full((240, 320, 3), 90, np.uint8)
+    corners = np.array([[40, 40], [60, 40], [60, 140], [240, 140], [240, 150], [40, 150]])
+    cv2.fillPoly(image, [corners], ORANGE[::-1])
+    moments = cv2.moments(cv2.inRange(image, ORANGE[::-1], ORANGE[::-1]), True)
+    centre = moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
+    camera = replace(CAMERA, matrix=np.array([[2500, 0, 160], [0, 2500, 120], [0, 0, 1]]))
+    assert np.allclose(found(image, ORANGE, camera)[0].pixel, centre, atol=1.0)
+
+
+def test_a_board_beside_a_ball_does_not_belong_to_it():
+    image = disc((150.0, 120.0), 30.0)
+    image[118:126, 178:300] = (30, 140, 235)
+    assert np.allclose(found(image, ORANGE, CAMERA)[0].pixel, (150.0, 120.0), atol=1.0)
 
 
 def test_a_hint_prefers_what_is_near_and_else_all_is_searched():
@@ -170,15 +205,15 @@ def test_an_own_detector_may_return_detections_in_many_forms(tmp_path):
         "return (SimpleNamespace(pixel=(3, 4), sigma_px=1.0),)": 1,
     }.items():
         with named(body):
-            answer = own(tmp_path, body).detect(None, None)
+            answer = own(tmp_path, body).detect(IMAGE, None)
             assert len(answer) == count
             for one in answer:
                 assert isinstance(one, Detection)
                 assert one.pixel.tolist() == [3.0, 4.0]
                 assert one.sigma_px.shape == (2,)
-    assert own(tmp_path, "pass", "Seeing").detect(None, None)[0].pixel.tolist() == [320.0, 240.0]
+    assert own(tmp_path, "pass", "Seeing").detect(IMAGE, None)[0].pixel.tolist() == [320.0, 240.0]
     both = own(tmp_path, "return None, [Detection((3, 4))]", both_eyes=True)
-    assert [len(each) for each in both.detect([None, None], [None, None])] == [0, 1]
+    assert [len(each) for each in both.detect([IMAGE] * 2, [None] * 2)] == [0, 1]
 
 
 def test_anything_else_is_refused(tmp_path):
@@ -198,17 +233,31 @@ def test_anything_else_is_refused(tmp_path):
         "return [Detection((3, 4), size_px='wide')]",
     ):
         detector = own(tmp_path, body)
-        refused("mine.py:Own: expected detect to return a list", detector.detect, None, None)
+        refused("mine.py:Own: expected detect to return a list", detector.detect, IMAGE, None)
     for body in ("return [Detection((3, 4))]", "return None", "return [], [], []"):
         detector = own(tmp_path, body, both_eyes=True)
-        refused("two lists, of the left and the right", detector.detect, [None] * 2, [None] * 2)
+        refused("two lists, of the left and the right", detector.detect, [IMAGE] * 2, [None] * 2)
+
+
+def test_pixels_far_outside_of_the_image_are_refused(tmp_path):
+    for pixel in ((-160.0, 20.0), (480.0, 20.0), (20.0, -160.0), (20.0, 400.0)):  # cut off
+        with named(pixel):
+            assert len(own(tmp_path, f"return Detection({pixel})").detect(IMAGE, None)) == 1
+            beyond = (pixel + np.sign(np.subtract(pixel, 20.0))).tolist()
+            detector = own(tmp_path, f"return [Detection({beyond})]")
+            refused(r"a pixel .* of 320 x 240 pixels, or at most 160 outside",
+                    detector.detect, IMAGE, None)  # fmt: skip
+    wide = np.zeros((240, 640, 3), np.uint8)
+    both = own(tmp_path, "return [Detection((700, 4))], [Detection((700, 4))]", both_eyes=True)
+    assert len(both.detect([wide, wide], [None] * 2)) == 2
+    refused("of 320 x 240", both.detect, [wide, IMAGE], [None] * 2)
 
 
 def test_errors_of_an_own_detector_name_file_and_line(tmp_path):
     detector = own(tmp_path, "return 1 / 0")
-    refused(r"mine.py:6 in detect: ZeroDivisionError", detector.detect, None, None)
+    refused(r"mine.py:6 in detect: ZeroDivisionError", detector.detect, IMAGE, None)
     late = own(tmp_path, "yield Detection((3, 4)); yield 1 / 0")
-    refused(r"mine.py:6 in detect: ZeroDivisionError", late.detect, None, None)
+    refused(r"mine.py:6 in detect: ZeroDivisionError", late.detect, IMAGE, None)
     refused("expected a class with detect", own, tmp_path, "pass", "function")
     refused("mine.py:Needy: TypeError: .*size", own, tmp_path, "pass", "Needy")
 

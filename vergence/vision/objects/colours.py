@@ -17,16 +17,18 @@ ColourImage = NDArray[np.uint8]
 _HUE_TOLERANCE: Final = 10.0
 """Greatest difference of hue, in OpenCV's 2 degrees (chosen: white balance and shading against
 other colours)."""
-_SATURATIONS: Final = (0.8, 0.5)
-"""Least saturations at which blobs are connected, as fractions of the target's (chosen: pale things
-are found, and pure ones before a pale wall of their hue)."""
-_SAME: Final = 2.5
-"""Greatest ratio of the areas of a blob and a purer one within it that are one thing (chosen: pale
-sides)."""
-_MATCH_POWER: Final = 8
-"""Power of a blob's mean saturation, as a fraction of the target's, in its score (chosen: a small
-orange ball before a large brown floor)."""
-_LEAST_VALUE: Final = 40
+_PURE: Final = 0.8
+"""Least saturation of what is surely of the colour, as a fraction of the target's (chosen: shading
+and white balance)."""
+_PALE: Final = 0.5
+"""Least saturation at which a blob is connected, likewise (chosen: pale things and pale sides)."""
+_PURE_SHARE: Final = 0.4
+"""Least share of pure pixels in a blob with some; else these are blobs of their own if they score
+higher (chosen: a thing with pale sides against a pure one before a pale wall of its hue)."""
+_MATCH_POWER: Final = 12
+"""Power of a pale blob's mean saturation, as a fraction of a pure one's, in its score (chosen: a
+small orange ball before a large brown floor)."""
+_LEAST_VALUE: Final = 60
 """Least value in HSV; the hue of darker pixels is noise (chosen)."""
 _LEAST_AREA_PX: Final = 12
 """Least area of a blob, px^2 (chosen: above noise)."""
@@ -37,9 +39,19 @@ _LEAST_SCORE: Final = 0.1
 _NEAR_SHARE: Final = 0.2
 """Half a side of the part of an image that is searched around a hint, as a fraction of its width
 (chosen: quick motions against time)."""
+_FULL_PX: Final = 320
+"""Greatest width that is always searched at full resolution, px (chosen: time)."""
 _STUB: Final = 0.4
 """Half the width of parts that do not belong to a blob, as a fraction of half the blob's (chosen:
 things beside it of its colour)."""
+_ROUND: Final = 0.8
+"""Least area of the largest disc in a blob without these parts, as a fraction of the area; else
+they belong to it (chosen: balls, if stretched at the image's edge, against long things)."""
+_LEAST_PART: Final = 0.1
+"""Least area of a part of a blob, as a fraction of the largest part's (chosen: noise)."""
+_MOST_HOLE: Final = 0.2
+"""Greatest area of a hole that counts as covered, as a fraction of the part's around it (chosen:
+highlights and prints)."""
 _BAND_PX: Final = 2
 """Half the width of the band along a blob's outline in which pixels are covered in part, px
 (chosen: lens blur, a short smear, and JPEG's halved chroma)."""
@@ -103,52 +115,48 @@ class ColourDetector:
     def _blobs(self, image: ColourImage, x0: int, y0: int) -> list[Any]:
         """Score, box and mask of the best blobs in a part of an image from a pixel on.
 
-        Each is connected at one of several saturations. Of one within another the larger remains if
-        they are alike in size, and else the better. More than the surround of a hint is searched at
-        every second pixel.
+        More than the surround of a hint is searched at half the resolution.
         """
-        smooth = cv2.GaussianBlur(np.asarray(cv2.LUT(image, self._levels)), (5, 5), 1.0)
-        step = 2 if image.shape[1] > 2 * _NEAR_SHARE * self._camera.width + 1 else 1
-        hsv: Any = cv2.cvtColor(np.ascontiguousarray(smooth[::step, ::step]), cv2.COLOR_BGR2HSV)
+        full = max(2 * _NEAR_SHARE * self._camera.width + 1, _FULL_PX)
+        step = 2 if image.shape[1] > full else 1
+        if step == 2:
+            height, width = image.shape[0] // 2, image.shape[1] // 2
+            part = image[: 2 * height, : 2 * width]
+            image = np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA))
+        smooth: Any = cv2.GaussianBlur(image, (3, 3) if step == 2 else (5, 5), 1.0 / step)
+        hsv: Any = cv2.cvtColor(cv2.LUT(smooth, self._levels), cv2.COLOR_BGR2HSV)
         saturation = hsv[..., 1]
         mask: Any = np.zeros(saturation.shape, np.uint8)
         for turn in (-180.0, 0.0, 180.0):  # OpenCV's hue is in 2 degrees
             low, high = self._hue + turn - _HUE_TOLERANCE, self._hue + turn + _HUE_TOLERANCE
             if low < 180.0 and high >= 0.0:
-                mask |= cv2.inRange(hsv, (low, 0, _LEAST_VALUE), (high, 255, 255))
-        found = []
-        for level in _SATURATIONS:
-            part: Any = cv2.morphologyEx(
-                mask & (saturation >= level * self._saturation), cv2.MORPH_OPEN, _SMALL
-            )
-            count, labels, stats, _centres = cv2.connectedComponentsWithStats(part)
-            areas = stats[:, cv2.CC_STAT_AREA].astype(float)
-            within = np.flatnonzero(part)
-            which = labels.reshape(-1)[within]
-            total = np.bincount(which, saturation.reshape(-1)[within], count)
-            match = np.minimum(total / (np.maximum(areas, 1.0) * self._saturation), 1.0)
-            scores = np.sqrt(areas / mask.size) * match**_MATCH_POWER
-            scores[areas < _LEAST_AREA_PX / step**2] = scores[0] = 0.0
-            for i in np.argsort(-scores, kind="stable")[:_MOST_BLOBS].tolist():
-                if scores[i] > 0.0:
+                least = (low, _PALE * self._saturation, _LEAST_VALUE)
+                mask |= cv2.inRange(hsv, least, (high, 255, 255))
+        pure = _PURE * self._saturation
+        labels, stats, scores, share = _parts(mask, saturation, pure, step)
+        found = [(labels, stats, scores)]
+        mixed = (share > 0.0) & (share < _PURE_SHARE)
+        if mixed.any():
+            mask &= (saturation >= pure) & mixed[labels]
+            parts, part_stats, part_scores, _share = _parts(mask, saturation, pure, step)
+            owner = np.zeros(len(part_scores), int)
+            owner[parts[parts > 0]] = labels[parts > 0]
+            best = np.zeros(len(scores))
+            np.maximum.at(best, owner, part_scores)
+            apart = mixed & (best >= scores)
+            scores[apart] = 0.0
+            part_scores[~apart[owner]] = 0.0
+            found.append((parts, part_stats, part_scores))
+        least_score = _LEAST_SCORE * max(scores.max() for _labels, _stats, scores in found)
+        blobs = []
+        for labels, stats, scores in found:
+            for i in np.argsort(-scores)[:_MOST_BLOBS].tolist():
+                if scores[i] > least_score:
                     x, y, width, height = stats[i, :4].tolist()
-                    box = slice(y, y + height), slice(x, x + width)
-                    seed = (y, x + int(np.argmax(labels[y, box[1]] == i)))
-                    found.append((scores[i], (labels, i), seed, box, areas[i]))
-        best: list[Any] = []
-        for one in found:  # the purest first
-            parts = [other for other in best if _nested(one, other)]
-            largest = max((other[4] for other in parts), default=0.0)
-            score = max((other[0] for other in parts), default=0.0)
-            if one[4] <= _SAME * largest or one[0] > score:
-                best = [other for other in best if not _nested(one, other)] + [one]
-        best = sorted(best, key=lambda each: -each[0])[:_MOST_BLOBS]
-        best = [each for each in best if each[0] >= _LEAST_SCORE * best[0][0]]
-        return [
-            (score, x0 + step * box[1].start, y0 + step * box[0].start, blob)
-            for score, (labels, i), _seed, box, _area in best
-            for blob in [(labels[box] == i).astype(np.uint8).repeat(step, 0).repeat(step, 1)]
-        ]
+                    blob = (labels[y : y + height, x : x + width] == i).astype(np.uint8)
+                    whole = blob.repeat(step, 0).repeat(step, 1)
+                    blobs.append((float(scores[i]), x0 + step * x, y0 + step * y, whole))
+        return sorted(blobs, key=lambda each: -each[0])[:_MOST_BLOBS]
 
     def _measure(self, image: ColourImage, score: float, x: int, y: int, blob: Any) -> Detection:
         blob = blob[: image.shape[0] - y, : image.shape[1] - x]
@@ -194,11 +202,17 @@ def _solid_angles(camera: Camera) -> NDArray[np.float32]:
     return np.asarray(full * (area / (full**2).sum(axis=2) ** 2)[..., None], np.float32)
 
 
-def _nested(one: Any, other: Any) -> bool:
-    """True if one of two blobs lies within the other."""
-    (labels, i), seed = one[1:3]
-    (others, j), place = other[1:3]
-    return bool(labels[place] == i or others[seed] == j)
+def _parts(mask: Any, saturation: Any, pure: float, step: int) -> tuple[Any, Any, Any, Any]:
+    """Labels, statistics and scores of the connected parts of a mask, and shares that are pure."""
+    part = cv2.morphologyEx(mask, cv2.MORPH_OPEN, _SMALL)
+    count, labels, stats, _centres = cv2.connectedComponentsWithStats(part)
+    within = np.flatnonzero(part)
+    which, values = labels.reshape(-1)[within], saturation.reshape(-1)[within]
+    areas = np.maximum(stats[:, cv2.CC_STAT_AREA], 1.0)
+    match = np.minimum(np.bincount(which, values, count) / areas / pure, 1.0)
+    scores = np.sqrt(areas / mask.size) * match**_MATCH_POWER
+    scores[areas < _LEAST_AREA_PX / step**2] = scores[0] = 0.0
+    return labels, stats, scores, np.bincount(which, values >= pure, count) / areas
 
 
 def _centroid(share: Any, u: Any, v: Any) -> FloatArray:
@@ -207,19 +221,27 @@ def _centroid(share: Any, u: Any, v: Any) -> FloatArray:
 
 
 def _filled(solid: Any) -> Any:
-    """The largest part of a mask, with its holes, such as highlights."""
-    outlines = cv2.findContours(solid, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    largest = max(outlines, key=cv2.contourArea, default=None)
-    if largest is None:
+    """A mask's large parts, with their small holes."""
+    outlines, tree = cv2.findContours(solid, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    areas = np.array([cv2.contourArea(each) for each in outlines])
+    if not len(areas):
         return solid
-    return cv2.drawContours(np.zeros_like(solid), [largest], -1, 1, cv2.FILLED)
+    parent = tree[0, :, 3]
+    small = (parent < 0) & (areas < _LEAST_PART * areas[parent < 0].max())
+    holes = (parent >= 0) & ~small[parent] & (areas < _MOST_HOLE * areas[parent])
+    for which, value in ((small, 0), (holes, 1)):
+        for i in np.flatnonzero(which).tolist():
+            cv2.drawContours(solid, outlines, i, value, cv2.FILLED)
+    return solid
 
 
 def _compact(solid: Any) -> Any:
-    """A mask without the thin parts that stick out of it."""
+    """A mask without the thin parts that stick out of it, if it is a disc then."""
     depth = _depth_px(solid)
-    least = _STUB * float(depth.max())
-    return solid & (_depth_px((depth <= least).astype(np.uint8)) <= least)
+    radius = float(depth.max())
+    least = _STUB * radius
+    rest = solid & (_depth_px((depth <= least).astype(np.uint8)) <= least)
+    return rest if np.pi * radius**2 >= _ROUND * cv2.countNonZero(rest) else solid
 
 
 def _depth_px(solid: Any) -> Any:

@@ -15,6 +15,9 @@ from vergence.vision.objects.targets import ColourTarget, FaceTarget, ObjectTarg
 
 _OPTIONAL: Final = (("id", None), ("score", 1.0), ("pose", None), ("size_px", None))
 """Fields of a detection that a user's own may lack, and their defaults."""
+_OUTSIDE: Final = 0.5
+"""How far outside of an image the centre of a thing that is cut off may lie, as a fraction of the
+image's width (chosen: pixels of another size of image are refused)."""
 
 
 class CheckedDetector:
@@ -38,7 +41,7 @@ class CheckedDetector:
         """See `Detector.detect`.
 
         Raises:
-            ConfigurationError: it raises, or returns something else than detections.
+            ConfigurationError: it raises, or returns something else than detections in the image.
         """
         try:
             found = self.own.detect(image, hint)
@@ -49,8 +52,8 @@ class CheckedDetector:
                         f"target {self._spec}: expected detect to return two lists, of the left "
                         f"and the right image, as both_eyes is set, got {_one_line(found)}"
                     )
-                return [self._checked(each) for each in lists]
-            return self._checked(found)
+                return [self._checked(*each) for each in zip(lists, image, strict=True)]
+            return self._checked(found, image)
         except VergenceError:
             raise
         except Exception as error:
@@ -59,15 +62,15 @@ class CheckedDetector:
     def _blamed(self, error: Exception) -> ConfigurationError:
         return ConfigurationError(f"target {self._spec}: {user_error_with_place(error)}")
 
-    def _checked(self, found: object) -> list[Detection]:
+    def _checked(self, found: object, image: Any) -> list[Detection]:
         """The detections with arrays of floats."""
         if found is None:
             return []
         single = hasattr(found, "pixel") or not isinstance(found, Iterable)
         given: Any = [found] if single else found
-        return [self._one(each) for each in given]
+        return [self._one(each, image) for each in given]
 
-    def _one(self, given: Any) -> Detection:
+    def _one(self, given: Any, image: Any) -> Detection:
         rest: dict[str, Any] = {name: getattr(given, name, default) for name, default in _OPTIONAL}
         try:
             pixel = np.array(given.pixel, np.float64)
@@ -82,6 +85,13 @@ class CheckedDetector:
                 f"target {self._spec}: expected detect to return a list of "
                 "vergence.vision.Detection(pixel, sigma_px) with a finite pixel (u, v) and a "
                 f"sigma above 0, got {_one_line(given)}"
+            )
+        height, width = image.shape[:2]
+        half = np.array([width, height]) / 2
+        if (np.abs(pixel - half) > half + _OUTSIDE * width).any():
+            raise ConfigurationError(
+                f"target {self._spec}: expected a pixel (u, v) in the image of {width} x {height} "
+                f"pixels, or at most {_OUTSIDE * width:.0f} outside, got {_one_line(given)}"
             )
         return Detection(pixel, np.ones(2) * sigma, **rest)
 
