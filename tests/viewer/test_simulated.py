@@ -125,3 +125,18 @@ def test_nothing_has_settled_that_did_not_move():
     simulated.change(Setup(head=SETUP.head, plant="mujoco", controller="ibvs"))
     run(simulated, 0.5)
     assert simulated.settled_s is None
+
+
+@pytest.mark.slow
+def test_a_point_of_the_room_is_looked_at_where_somebody_clicks():
+    seen = {"look": "point", "scene": "room"}
+    head = SimulatedHead(Setup(head=load_head("turrets"), seen=seen), "by hand")
+    head.look_at(0, np.array([420.0, 300.0]))
+    for _ in range(150):
+        head.step()
+    moment = head.moment()
+    assert moment.visible.all()
+    assert moment.errors_px.max() < 1.0
+    assert not moment.shows_tag
+    with pytest.raises(ConfigurationError, match="expected a wall to stand still"):
+        head.set_mode("circle")
