@@ -382,13 +382,15 @@ class HardwarePlant(Plant):
 
     def diagnostics(self) -> dict[str, int]:
         """Counts of paired and lone images, late periods and missed answers."""
-        counts = self._open.eyes.counts
+        counts, search = self._open.eyes.counts, self._open.eyes.search
+        refused = 0 if search is None else search.jumps_refused
         return {
             "image_pairs": counts.pairs,
             "images_alone_left": counts.unpaired_left,
             "images_alone_right": counts.unpaired_right,
             "late_periods": self.overruns,
             "missed_answers": 0 if self._open.drive is None else self._open.drive.missed_answers,
+            **({"jumps_refused": refused} if refused else {}),
         }
 
     def close(self) -> None:
