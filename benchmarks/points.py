@@ -41,8 +41,8 @@ from vergence.controllers.controller import make_controller
 from vergence.envs.task import GazeTask
 from vergence.errors import PointRefusedError
 from vergence.models.camera import Camera
-from vergence.vision.objects.matching import match_point
 from vergence.vision.objects.patches import PointTracker
+from vergence.vision.objects.points import match_point
 from vergence.vision.objects.room import hit, parse_scene
 from vergence.vision.objects.walls import HIGH_M, PERIODIC_M, PLAIN_M
 

@@ -26,7 +26,7 @@ from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import SearchedImage
 from vergence.models.head import HeadModel
 from vergence.vision.image import as_grey, grey_if_channels_equal, is_local_camera, open_capture
-from vergence.vision.objects.search import EyeSearch
+from vergence.vision.objects.sights import EyeSearch
 
 _LOG: Final = logging.getLogger(__name__)
 _STEADY_INTERVALS: Final = 5

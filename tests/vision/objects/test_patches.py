@@ -8,8 +8,8 @@ import pytest
 
 from tests.vision.objects import scenes
 from vergence.errors import ConfigurationError, PointRefusedError
-from vergence.vision.objects.matching import match_point
 from vergence.vision.objects.patches import PointTracker
+from vergence.vision.objects.points import match_point
 
 ONE = scenes.rig("physical", (0.0, 0.0, 0.8))
 CAMERA, PIXEL = ONE.cameras[0], np.array([330.3, 240.7])

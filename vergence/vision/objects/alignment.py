@@ -9,7 +9,7 @@ of both images, which is estimated from the images (Immerkaer 1996) and from the
 """
 
 from collections.abc import Sequence
-from math import acos, hypot, sqrt
+from math import hypot, sqrt
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -74,14 +74,8 @@ class View(NamedTuple):
     focal: tuple[float, float]
     corner: tuple[float, float]  # (x, y) of the upper left pixel, with 0 on the view's axis
     image: Grey
-    pixels: Grey  # (height, width, 2) in the camera's image; far outside if there is none
+    seen: NDArray[np.uint8]  # 255 where the camera's image shows a place, else 0
     noise: float  # variance of the camera's grey levels
-
-    def seen(self, part: tuple[slice, slice] = (slice(None), slice(None))) -> NDArray[np.bool_]:
-        """Which places of a part lie in the camera's image."""
-        pixels, (width, height) = self.pixels[part], self.camera.size
-        u, v = pixels[..., 0], pixels[..., 1]
-        return np.asarray((u >= 0.0) & (u <= width - 1) & (v >= 0.0) & (v <= height - 1))
 
     def to_pixels(self, places: FloatArray) -> FloatArray:
         """Pixels of the camera's image, (n, 2), for places of the view, (n, 2)."""
@@ -92,11 +86,20 @@ class View(NamedTuple):
     def holds(self, place: FloatArray, radius: int, whole: bool = True) -> bool:
         """True if the view has a patch around a place, and the camera sees it or its middle."""
         x, y, (height, width) = round(place[0]), round(place[1]), self.image.shape
-        if not (radius <= x < width - radius and radius <= y < height - radius):
-            return False
         reach = radius if whole else 0
-        rows, columns = (slice(each - reach, each + reach + 1) for each in (y, x))
-        return bool(self.seen((rows, columns)).all())
+        part = self.seen[y - reach : y + reach + 1, x - reach : x + reach + 1]
+        inside = radius <= x < width - radius and radius <= y < height - radius
+        return inside and bool(part.all())
+
+    def jacobian(self, place: FloatArray) -> FloatArray:
+        """Derivative of the camera's pixel by a place of the view, (2, 2)."""
+        a, b, c, d = self.to_pixels(place + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
+        return np.column_stack([a - b, c - d])
+
+    def sigma_px(self, place: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Standard deviations in the camera's image of a place with a covariance."""
+        jacobian = self.jacobian(place)
+        return np.asarray(np.sqrt(np.diagonal(jacobian @ covariance @ jacobian.T)))
 
 
 def look(
@@ -109,10 +112,11 @@ def look(
     grid[..., 1] = (np.arange(size[1])[:, None] + corner[1]) / focal[1]
     pixels = np.asarray(rays_to_pixels(cv2.perspectiveTransform(grid, turn), camera.row))
     pixels[grid @ turn[2, :2] + turn[2, 2] < LEAST_Z] = np.nan
-    where = pixels.astype(np.float32)
+    where: Any = pixels.astype(np.float32)
     cv2.patchNaNs(where, _NOWHERE_PX)
     image: Any = cv2.remap(grey, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
-    return View(camera, turn, focal, corner, image.astype(np.float32), where, noise)
+    seen: Any = cv2.inRange(where, (0.0, 0.0), (camera.width - 1.0, camera.height - 1.0))
+    return View(camera, turn, focal, corner, image.astype(np.float32), seen, noise)
 
 
 def noise_variance(grey: NDArray[np.uint8], pixel: FloatArray) -> float:
@@ -127,8 +131,8 @@ def noise_variance(grey: NDArray[np.uint8], pixel: FloatArray) -> float:
 
 
 def focal_at(camera: Camera, ray: FloatArray) -> float:
-    """Pixels per radian of an image around a ray (x, y), mean over directions."""
-    x, y = ray
+    """Pixels per radian of an image around a ray, mean over directions."""
+    x, y = ray[:2] / ray[2]
     step = 1e-3
     around = np.array([[step, 0, 0], [-step, 0, 0], [0, step, 0], [0, -step, 0]])
     a, b, c, d = camera.project(around + (x, y, 1.0))
@@ -137,11 +141,9 @@ def focal_at(camera: Camera, ray: FloatArray) -> float:
 
 
 def rotation_between(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Smallest rotation between two directions, (3, 3)."""
-    axis, cosine = np.cross(source, target), float(source @ target)
-    sine = float(np.linalg.norm(axis))
-    angle = acos(min(max(cosine, -1.0), 1.0))
-    return np.asarray(cv2.Rodrigues(axis * (angle / sine if sine > 0.0 else 1.0))[0])
+    """Smallest rotation between two directions that are not opposite, (3, 3)."""
+    across = np.cross(np.eye(3), np.cross(source, target))
+    return np.asarray(np.eye(3) + across + across @ across / (1.0 + source @ target))
 
 
 class Fit(NamedTuple):
@@ -177,8 +179,7 @@ class Template:
         bends = [cv2.Scharr(slopes[i], cv2.CV_32F, *_AXES[j], scale=1 / 32)
                  for i, j in ((0, 0), (0, 1), (1, 1))]  # fmt: skip
         gx, gy, *bends = (each[2:-2, 2:-2].ravel().astype(float) for each in (*slopes, *bends))
-        x, y = (np.arange(side) - radius) / radius, (np.arange(side)[:, None] - radius) / radius
-        x, y = (np.broadcast_to(each, (side, side)).ravel() for each in (x, y))
+        y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j].reshape(2, -1)
         self.weight: Grey = np.ones((side, side), np.float32)
         if within_px is not None:
             beyond_px = radius * np.hypot(x, y) - within_px
@@ -212,15 +213,6 @@ class Template:
     def worst_sigma_px(self) -> float:
         """Standard deviation in the direction in which it is largest."""
         return sqrt(float(np.linalg.eigvalsh(self.covariance)[-1]))
-
-    def stretched(self, stretch: FloatArray) -> Grey:
-        """The patch after an affine change about its middle."""
-        middle = np.full(2, float(self.radius))
-        warp = np.column_stack([stretch, middle - stretch @ middle])
-        image: Any = cv2.warpAffine(
-            self.patch, warp, self.patch.shape, borderMode=cv2.BORDER_REFLECT_101
-        )
-        return np.asarray(image)
 
     def align(self, view: View, place: FloatArray, stretch: FloatArray) -> Fit | None:
         """Align with a view from a first place and stretch; None if it does not converge there."""
@@ -269,27 +261,6 @@ class Template:
         return Fit(stretch, place, covariance, model_px2, misfit, core, likeness, float(gain), rise)
 
 
-def image_jacobian(view: View, place: FloatArray) -> FloatArray:
-    """Derivative of the camera's pixel by a place of the view, (2, 2)."""
-    a, b, c, d = view.to_pixels(place + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
-    return np.column_stack([a - b, c - d])
-
-
-def image_sigma_px(view: View, place: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Standard deviations in the camera's image of a place with a covariance."""
-    jacobian = image_jacobian(view, place)
-    return np.asarray(np.sqrt(np.diagonal(jacobian @ covariance @ jacobian.T)))
-
-
-def _peaks(scores: Grey, most: int) -> list[tuple[int, int]]:
-    """Highest local maxima (x, y) of a map, best first."""
-    side = 2 * _APART_PX + 1
-    top = (scores >= cv2.dilate(scores, np.ones((side, side), np.uint8))) & (scores > 0.0)
-    rows, columns = np.nonzero(top)
-    order = np.argsort(-scores[rows, columns])[:most]
-    return [(int(columns[i]), int(rows[i])) for i in order]
-
-
 def search(
     template: Template, view: View, stretches: Sequence[FloatArray],
     near: FloatArray | None = None, whole: bool = True,
@@ -298,32 +269,39 @@ def search(
 
     The camera must see all of the patch if it is to be whole, else its middle.
     """
-    fits: list[Fit] = []
     r = template.radius
-    valid = view.seen().astype(np.uint8)
+    valid: Any = view.seen
     if whole:
-        valid = np.asarray(cv2.erode(valid, np.ones((2 * r + 1, 2 * r + 1)), borderValue=0))
-    valid = valid[r:-r, r:-r]
-    if min(valid.shape) < 1 or not valid.any():
+        valid = cv2.erode(valid, np.ones((2 * r + 1, 2 * r + 1)), borderValue=0)
+    valid = valid[r:-r, r:-r] > 0
+    if not valid.any():
         return None
     starts = []
     for k, stretch in enumerate(stretches):
-        patch = template.stretched(stretch)
+        warp = np.column_stack([stretch, r * (1.0 - stretch.sum(axis=1))])
+        patch = cv2.warpAffine(
+            template.patch, warp, template.patch.shape, borderMode=cv2.BORDER_REFLECT_101
+        )
         mask = template.weight if template.round else None
         scores: Any = cv2.matchTemplate(view.image, patch, cv2.TM_CCOEFF_NORMED, mask=mask)
         # where there is no contrast a score may be anything
-        scores = np.where((valid > 0) & (np.abs(scores) < 1.01), scores, -1.0).astype(np.float32)
-        starts += [(float(scores[y, x]), x + r, y + r, k) for x, y in _peaks(scores, _PLACES)]
+        scores[~valid | (np.abs(scores) >= 1.01)] = -1.0
+        highest = scores == cv2.dilate(scores, np.ones((2 * _APART_PX + 1, 2 * _APART_PX + 1)))
+        rows, columns = np.nonzero(highest & (scores > 0.0))
+        order = np.argsort(-scores[rows, columns])[:_PLACES]
+        starts += [(float(scores[rows[i], columns[i]]), columns[i] + r, rows[i] + r, k)
+                   for i in order]  # fmt: skip
     starts.sort(reverse=True)
     if near is not None:
         starts.insert(0, (1.0, near[0], near[1], len(stretches) // 2))
     tried: list[tuple[float, float]] = []
+    fits: list[Fit] = []
     for _, x, y, k in starts:
+        if len(tried) == _PLACES:
+            break
         if any(hypot(x - u, y - v) < _APART_PX for u, v in tried):
             continue
         tried.append((x, y))
-        if len(tried) > _PLACES:
-            break
         fit = template.align(view, np.array([x, y], float), stretches[k])
         if fit is not None and view.holds(fit.place, r, whole):
             fits.append(fit)

@@ -18,6 +18,7 @@ import numpy as np
 from vergence.models.camera import Camera
 from vergence.models.parts import FloatArray
 from vergence.vision.detection import Detection
+from vergence.vision.objects.sights import crossing, line_of_sight, pixel_of
 
 _HOLD_S: Final = 0.5
 """Time for which a jump to another object is refused, s (chosen: a person who passes by)."""
@@ -63,10 +64,12 @@ class _Seen:
     """Line of sight in frame 0, of length 1."""
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Its change, 1/s."""
-    size_px: float | None = None
-    id: object = None
     others: list[tuple[float, FloatArray]] = field(default_factory=list)
     """Time and line of sight of candidates that were not the target."""
+
+    @property
+    def size_px(self) -> float | None:
+        return None if self.chosen is None else self.chosen.size_px
 
 
 class Identity:
@@ -121,9 +124,7 @@ class Identity:
         """The target among the candidates posted last; None if it is not there."""
         with self._lock:
             own, other = self._eyes[eye], self._eyes[1 - eye]
-            now = own.time_s
-            tracked_s = max(own.chosen_s, other.chosen_s)
-            if now - tracked_s > _HOLD_S:
+            if own.time_s - max(own.chosen_s, other.chosen_s) > _HOLD_S:
                 found = self._acquire(eye)
             else:
                 found = self._continue(eye) or self._as_other(eye) or self._moved(eye)
@@ -139,63 +140,43 @@ class Identity:
             return None
         lead_s = float(np.clip(lead_s, -_LEAD_S, _LEAD_S))
         point = seen.origin + self._depth_m * (seen.ray + lead_s * seen.turn)
-        pixel = self._project(eye, T_0_C, point)
+        pixel = pixel_of(self._cameras[eye], T_0_C, point)
         return pixel if np.isfinite(pixel).all() else None
-
-    def _project(self, eye: int, T_0_C: FloatArray, point: FloatArray) -> FloatArray:
-        in_eye = T_0_C[:3, :3].T @ (point - T_0_C[:3, 3])
-        return np.asarray(self._cameras[eye].project(in_eye[None])[0])
 
     def _line(self, eye: int, pixel: FloatArray) -> FloatArray:
         """Line of sight of a pixel in frame 0, of length 1."""
-        ray = np.append(self._cameras[eye].rays(np.asarray(pixel, float)[None])[0], 1.0)
-        ray = self._eyes[eye].T_0_C[:3, :3] @ ray
-        return np.asarray(ray / np.linalg.norm(ray))
+        return line_of_sight(self._cameras[eye], self._eyes[eye].T_0_C, np.asarray(pixel, float))
 
     def _agreement(self, one: Detection, other: Detection) -> float | None:
         """Depth at which a left and a right candidate are one object; None if they are two."""
         left, right = self._eyes
-        rays = self._line(0, one.pixel), self._line(1, other.pixel)
-        origins = left.T_0_C[:3, 3], right.T_0_C[:3, 3]
-        apart = origins[0] - origins[1]
-        # depths of the closest approach of two lines, Eqs. 18 to 23
-        cosine = float(rays[0] @ rays[1])
-        down = 1.0 - cosine**2
-        if down < 1e-9:
+        depths, middle = crossing(
+            (left.T_0_C[:3, 3], right.T_0_C[:3, 3]),
+            (self._line(0, one.pixel), self._line(1, other.pixel)),
+        )
+        if not ((depths > _DEPTH_RANGE_M[0]) & (depths < _DEPTH_RANGE_M[1])).all():
             return None
-        along = float(rays[0] @ apart), float(rays[1] @ apart)
-        depths = (cosine * along[1] - along[0]) / down, (along[1] - cosine * along[0]) / down
-        if not all(_DEPTH_RANGE_M[0] < depth < _DEPTH_RANGE_M[1] for depth in depths):
-            return None
-        points = [origins[i] + depths[i] * rays[i] for i in range(2)]
-        middle = 0.5 * (points[0] + points[1])
         tolerance = _AGREE_PX + _AGREE_PX_S * abs(left.time_s - right.time_s)
         for eye, (candidate, seen) in enumerate(zip((one, other), self._eyes, strict=True)):
-            off = self._project(eye, seen.T_0_C, middle) - candidate.pixel
+            off = pixel_of(self._cameras[eye], seen.T_0_C, middle) - candidate.pixel
             if not np.linalg.norm(off) <= tolerance + 3.0 * float(np.max(candidate.sigma_px)):
                 return None
-        focal = [float(camera.focal.mean()) for camera in self._cameras]
-        sizes = [
-            None if each.size_px is None else each.size_px * depth / f
-            for each, depth, f in zip((one, other), depths, focal, strict=True)
+        sizes_m = [
+            None if each.size_px is None else each.size_px * depth / float(camera.focal.mean())
+            for each, depth, camera in zip((one, other), depths, self._cameras, strict=True)
         ]
-        return depths[0] if _alike(*sizes) else None
+        return float(depths[0]) if _alike(*sizes_m) else None
 
     def _pairs(
         self, eye: int, others: Sequence[Detection] | None = None
     ) -> list[tuple[float, Detection, float]]:
-        """Score, own candidate and depth of all pairs of candidates on which both eyes agree.
-
-        `others` are the other eye's candidates that count; None for all.
-        """
+        """Score, own candidate and depth of all pairs on which both eyes agree, with `others`."""
         pairs = []
-        by_eye = [list(seen.candidates) for seen in self._eyes]
-        if others is not None:
-            by_eye[1 - eye] = list(others)
-        for one, other in product(*by_eye):
-            depth_m = self._agreement(one, other)
+        others = self._eyes[1 - eye].candidates if others is None else others
+        for own, other in product(self._eyes[eye].candidates, others):
+            depth_m = self._agreement(*((other, own) if eye else (own, other)))
             if depth_m is not None:
-                pairs.append((one.score * other.score, other if eye else one, depth_m))
+                pairs.append((own.score * other.score, own, depth_m))
         return pairs
 
     def _acquire(self, eye: int) -> Detection | None:
@@ -207,27 +188,28 @@ class Identity:
         if not other.candidates:
             self._depth_m = _DEPTH_M
             return max(own.candidates, key=lambda one: one.score)
-        pairs = self._pairs(eye)
-        if not pairs:
+        best = max(self._pairs(eye), key=lambda pair: pair[0], default=None)
+        if best is None:
             return None
-        _score, found, self._depth_m = max(pairs, key=lambda pair: pair[0])
+        _score, found, self._depth_m = best
         return found
 
     def _continue(self, eye: int) -> Detection | None:
         """The candidate nearest to the prediction, if it is near enough and both eyes agree."""
         own, other = self._eyes[eye], self._eyes[1 - eye]
-        predicted = self._predict(eye, own.T_0_C, own.time_s)
-        candidates = list(own.candidates)
-        name = own.id if own.id is not None else other.id
-        if name is not None and any(one.id == name for one in candidates):
-            candidates = [one for one in candidates if one.id == name]
-            predicted = None
-        if own.chosen_s == -np.inf:
+        if own.chosen is None:
             return None
-        since_s = own.time_s - own.chosen_s
-        focal_px = float(self._cameras[eye].focal.mean())
+        predicted = self._predict(eye, own.T_0_C, own.time_s)
+        candidates = own.candidates
+        name = own.chosen.id
+        if name is None and other.chosen is not None:
+            name = other.chosen.id
+        named = [one for one in candidates if name is not None and one.id == name]
+        if named:
+            candidates, predicted = named, None
         close = _GATE_PX + _GATE_SIZES * (own.size_px or 0.0)
-        gate = close + min(_GATE_RAD_S * since_s, _MOST_GATE_RAD) * focal_px
+        grown = min(_GATE_RAD_S * (own.time_s - own.chosen_s), _MOST_GATE_RAD)
+        gate = close + grown * float(self._cameras[eye].focal.mean())
         near = []
         for one in candidates:
             away = 0.0 if predicted is None else float(np.linalg.norm(one.pixel - predicted))
@@ -240,10 +222,9 @@ class Identity:
     def _as_other(self, eye: int) -> Detection | None:
         """The best candidate on the line of sight to what the other eye has just chosen."""
         own, other = self._eyes[eye], self._eyes[1 - eye]
-        in_newest = other.chosen is not None and other.chosen_s == other.time_s
-        if not in_newest or abs(own.time_s - other.time_s) > _TOGETHER_S:
+        together = abs(own.time_s - other.time_s) <= _TOGETHER_S
+        if other.chosen is None or other.chosen_s != other.time_s or not together:
             return None
-        assert other.chosen is not None
         pairs = self._pairs(eye, [other.chosen])
         return max(pairs, key=lambda pair: pair[0])[1] if pairs else None
 
@@ -252,8 +233,10 @@ class Identity:
         own = self._eyes[eye]
         if not own.candidates:
             return None
-        pairs = [pair for pair in self._pairs(eye) if not self._is_other(eye, pair[1])]
-        pairs = [pair for pair in pairs if _alike(pair[1].size_px, own.size_px)]
+        pairs = [
+            pair for pair in self._pairs(eye)
+            if not self._is_other(eye, pair[1]) and _alike(pair[1].size_px, own.size_px)
+        ]  # fmt: skip
         if len(pairs) == 1:
             _score, found, self._depth_m = pairs[0]
             return found
@@ -281,7 +264,7 @@ class Identity:
         turn = (ray - own.ray) / since_s if 1e-4 < since_s < _LEAD_S else np.zeros(3)
         own.turn = 0.5 * (own.turn + turn) if np.isfinite(since_s) else turn
         own.origin, own.ray = own.T_0_C[:3, 3].copy(), ray
-        own.chosen, own.chosen_s, own.size_px, own.id = found, now, found.size_px, found.id
+        own.chosen, own.chosen_s = found, now
         own.others = [one for one in own.others if now - one[0] < _MEMORY_S]
         own.others += [
             (now, self._line(eye, one.pixel)) for one in own.candidates if one is not found

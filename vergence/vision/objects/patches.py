@@ -27,13 +27,12 @@ from vergence.vision.objects.alignment import (
     Template,
     View,
     focal_at,
-    image_jacobian,
-    image_sigma_px,
     look,
     noise_variance,
     rotation_between,
     search,
 )
+from vergence.vision.objects.sights import line_of_sight
 
 RADIUS_PX: Final = 12
 """Half the side of a patch, without its middle, px (chosen: texture against edges of objects)."""
@@ -45,10 +44,6 @@ _LOST_VIEW_PX: Final = 100
 _LOST_IMAGES: Final = 240
 """Images in which a lost point is searched, 2 s at 120 Hz (chosen: long hiding against another
 surface that looks the same)."""
-_LEVELS: Final = 2
-"""Highest level of the pyramids, each half as large as the one below (chosen)."""
-_LK_WINDOW_PX: Final = 21
-"""Side of Lucas and Kanade's window, px (chosen: as the patch)."""
 LEAST_LIKENESS: Final = 0.85
 """Smallest correlation, without noise, of a patch with the template (chosen: occlusion and false
 matches against appearance that changes)."""
@@ -92,18 +87,17 @@ class TrackedPoint(NamedTuple):
     """Standard deviations of u and v about the point that was given first, shape (2,)."""
 
 
-def direction_of(camera: Camera, pixel: FloatArray, T_0_C: FloatArray, what: str) -> FloatArray:
+def direction_of(camera: Camera, pixel: FloatArray, T_0_C: FloatArray) -> FloatArray:
     """Direction of a pixel in frame 0, (3,), or the refusal of one outside of the image."""
     width, height = camera.size
+    direction = line_of_sight(camera, T_0_C, pixel)
     inside = 0.0 <= pixel[0] <= width - 1 and 0.0 <= pixel[1] <= height - 1
-    ray = np.append(camera.rays(pixel[None])[0], 1.0)
-    if not inside or not np.isfinite(ray).all():
+    if not inside or not np.isfinite(direction).all():
         raise PointRefusedError(
-            f"{what}: expected a pixel of the {width} x {height} px image, "
+            f"pixel: expected a pixel of the {width} x {height} px image, "
             f"got {pixel[0]:.1f} {pixel[1]:.1f}"
         )
-    direction = T_0_C[:3, :3] @ ray
-    return np.asarray(direction / np.linalg.norm(direction))
+    return direction
 
 
 def refuse(pixel: FloatArray, why: str) -> PointRefusedError:
@@ -119,11 +113,7 @@ BORDER: Final = f"less than {RADIUS_PX + 1} px from the border of the image"
 
 
 def as_pose(name: str, T_0_C: ArrayLike) -> FloatArray:
-    """A finite pose, (4, 4).
-
-    Raises:
-        ConfigurationError: it is none.
-    """
+    """A finite pose, (4, 4), or a `ConfigurationError`."""
     pose = as_operand(name, T_0_C, 4, 4)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ConfigurationError(f"{name}: expected a pose (4, 4), got shape {pose.shape}")
@@ -159,7 +149,7 @@ class PointTracker:
     def forget(self) -> None:
         """Drop the point."""
         self._held: _Held | None = None
-        self._faint = 0
+        self._faint = self._missed = 0
 
     def begin(
         self, image: ArrayLike, pixel: ArrayLike, T_0_C: ArrayLike, half_px: float | None = None,
@@ -192,30 +182,29 @@ class PointTracker:
         if half_px is not None and not 0.0 < half_px < inf:
             raise ConfigurationError(f"half_px: expected half a width, got {half_px!r:.80}")
         grey = as_grey(image, self.camera.size)
-        direction = direction_of(self.camera, pixel, pose, "pixel")
+        direction = direction_of(self.camera, pixel, pose)
         ray = pose[:3, :3].T @ direction
         turn = pose[:3, :3] @ rotation_between(np.array([0.0, 0.0, 1.0]), ray)
         self._coarse = max((half_px or 0.0) / _OBJECT_PX, 1.0)
         self._whole = checked
         self._within_px = None if half_px is None else half_px / self._coarse
-        self._focal = focal_at(self.camera, ray[:2] / ray[2]) / self._coarse
-        view = self._view(grey, pose, turn, _VIEW_PX, pixel)
+        self._focal = focal_at(self.camera, ray) / self._coarse
         middle = np.full(2, float(_VIEW_PX))
+        view, template = self._cut(grey, pose, turn, pixel)
         if not view.holds(middle, RADIUS_PX + 1, checked):
             raise refuse(pixel, BORDER)
-        template = self._cut(view)
         if checked:
             if template.worst_sigma_px > MOST_SIGMA_PX:
                 raise refuse(pixel, TEXTURELESS)
             same = search(template, view, [np.eye(2)])
             if same is None or not same[1]:
                 raise refuse(pixel, REPEATING)
-        inverse = np.linalg.inv(image_jacobian(view, middle))
+        inverse = np.linalg.inv(view.jacobian(middle))
         named = inverse @ np.diag(np.square(as_operand("sigma_px", sigma_px, 2))) @ inverse.T
         self._direction, self._motion, self._missed = direction, np.zeros(3), 0
         self._pixel, self._faint, self._covariance = pixel, 0, named
         self._first = self._held = _Held(template, turn, view.image.astype(np.uint8), named)
-        return TrackedPoint(pixel, image_sigma_px(view, middle, named + template.covariance))
+        return TrackedPoint(pixel, view.sigma_px(middle, named + template.covariance))
 
     def _view(
         self, grey: NDArray[np.uint8], pose: FloatArray, turn: FloatArray, half: int,
@@ -231,9 +220,12 @@ class PointTracker:
         R_C_V = pose[:3, :3].T @ turn
         return look(self.camera, grey, R_C_V, (focal, focal), (-half, -half), size, noise)
 
-    def _cut(self, view: View) -> Template:
-        """Template from the middle of a view."""
-        return Template(view, np.full(2, float(_VIEW_PX)), RADIUS_PX, 0, self._within_px)
+    def _cut(
+        self, grey: NDArray[np.uint8], pose: FloatArray, turn: FloatArray, pixel: FloatArray
+    ) -> tuple[View, Template]:
+        """View of this eye, and the template from its middle."""
+        view = self._view(grey, pose, turn, _VIEW_PX, pixel)
+        return view, Template(view, np.full(2, float(_VIEW_PX)), RADIUS_PX, 0, self._within_px)
 
     @property
     def faint(self) -> bool:
@@ -262,15 +254,12 @@ class PointTracker:
             ConfigurationError: the image, the pose or the prediction is invalid.
         """
         pose, grey = as_pose("T_0_C", T_0_C), as_grey(image, self.camera.size)
+        lost = predicted_px is None and self._missed >= _LOST_IMAGES
+        if self._held is None or lost:
+            return None
+        at = self._direction + self._motion
         if predicted_px is not None:
-            predicted = as_pixel("predicted_px", predicted_px)
-            at = pose[:3, :3] @ np.append(self.camera.rays(predicted[None])[0], 1.0)
-        elif self._held is not None and self._missed < _LOST_IMAGES:
-            at = self._direction + self._motion
-        else:
-            return None
-        if self._held is None:
-            return None
+            at = line_of_sight(self.camera, pose, as_pixel("predicted_px", predicted_px))
         found = self._find(self._held, grey, pose, at / np.linalg.norm(at))
         if found is None:
             self._missed += 1
@@ -300,14 +289,13 @@ class PointTracker:
             if found is None or not found[1]:
                 return None
             fit = found[0]
-            if not (self._is_object(held, view, fit) if self._within_px else
-                    fit.likeness >= LEAST_LIKENESS):  # fmt: skip
+            if not self._is_same(held, view, fit):
                 return None
         covariance = held.earlier + fit.covariance
         if self._within_px:
             covariance = covariance + (_OBJECT_SIGMA_PX / self._coarse) ** 2 * np.eye(2)
         point = TrackedPoint(
-            view.to_pixels(fit.place[None])[0], image_sigma_px(view, fit.place, covariance)
+            view.to_pixels(fit.place[None])[0], view.sigma_px(fit.place, covariance)
         )
         direction = turn @ np.append((fit.place + view.corner) / view.focal, 1.0)
         direction /= np.linalg.norm(direction)
@@ -326,22 +314,21 @@ class PointTracker:
     def _renew(self, held: _Held, grey: NDArray[np.uint8], pose: FloatArray) -> None:
         """Use a further template, where the point has been found."""
         turn = rotation_between(held.turn[:, 2], self._direction) @ held.turn
-        view = self._view(grey, pose, turn, _VIEW_PX, self._pixel)
-        template, middle = self._cut(view), np.full(2, float(_VIEW_PX))
-        if view.holds(middle, RADIUS_PX + 1) and template.worst_sigma_px < MOST_SIGMA_PX:
+        view, template = self._cut(grey, pose, turn, self._pixel)
+        whole = view.holds(np.full(2, float(_VIEW_PX)), RADIUS_PX + 1)
+        if whole and template.worst_sigma_px < MOST_SIGMA_PX:
             start = view.image.astype(np.uint8)
             self._held, self._faint = _Held(template, turn, start, self._covariance), 0
 
-    def _is_object(self, held: _Held, view: View, fit: Fit) -> bool:
-        """True if what has been found looks like the object, near its prediction."""
-        jump_px = hypot(*(fit.place + view.corner))
-        most_px = max(self._within_px or 0.0, _OBJECT_JUMP_PX / self._coarse)
-        same = 1.0 / _OBJECT_GAIN < fit.gain < _OBJECT_GAIN
-        lit = abs(fit.rise) < _OBJECT_RISE * sqrt(held.template.contrast)
+    def _is_same(self, held: _Held, view: View, fit: Fit) -> bool:
+        """True if what has been found is like the template; an object near its prediction."""
+        if not self._within_px:
+            return fit.likeness >= LEAST_LIKENESS
+        most_px = (1 + self._missed) * max(self._within_px, _OBJECT_JUMP_PX / self._coarse)
         return (
-            jump_px < (1 + self._missed) * most_px
-            and same
-            and lit
+            hypot(*(fit.place + view.corner)) < most_px
+            and 1.0 / _OBJECT_GAIN < fit.gain < _OBJECT_GAIN
+            and abs(fit.rise) < _OBJECT_RISE * sqrt(held.template.contrast)
             and fit.likeness >= _LEAST_OBJECT_LIKENESS
         )
 
@@ -350,14 +337,15 @@ class PointTracker:
         middle = np.full(2, float(_VIEW_PX))
         first = middle.astype(np.float32)[None, None]
         flow, found, _ = cv2.calcOpticalFlowPyrLK(
-            held.start, view.image.astype(np.uint8), first, first.copy(),
-            winSize=(_LK_WINDOW_PX, _LK_WINDOW_PX), maxLevel=_LEVELS,
+            held.start, view.image.astype(np.uint8), first, first.copy()
         )  # fmt: skip
-        if not found[0, 0]:
-            return None
-        fit = held.template.align(view, flow[0, 0].astype(float), np.eye(2))
-        if fit is None or fit.likeness < LEAST_LIKENESS:
-            return None
-        if hypot(*(fit.place - middle)) > _SURE_PX:
-            return None
-        return fit if view.holds(fit.place, RADIUS_PX, self._whole) else None
+        fit = (
+            held.template.align(view, flow[0, 0].astype(float), np.eye(2)) if found[0, 0] else None
+        )
+        sure = (
+            fit is not None
+            and fit.likeness >= LEAST_LIKENESS
+            and hypot(*(fit.place - middle)) <= _SURE_PX
+            and view.holds(fit.place, RADIUS_PX, self._whole)
+        )
+        return fit if sure else None

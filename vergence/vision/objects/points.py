@@ -1,25 +1,67 @@
 """Search for an image point that was named in one eye, in both eyes' images.
 
-The eye in which the point was named is its origin; the other eye's point is matched from it. What
-both eyes see must lie in one plane with the baseline, else the other eye's point is dropped and
-matched anew. An eye that has lost the point is searched where the other one sees it.
+The eye in which the point was named is its origin; the other eye's point is matched from it, along
+its epipolar line. What both eyes see must lie in one plane with the baseline, else the other eye's
+point is dropped and matched anew. An eye that has lost the point is searched where the other one
+sees it.
 """
 
 import threading
 from collections.abc import Sequence
+from math import ceil, hypot, inf, sqrt
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.errors import PointRefusedError
+from vergence.errors import ConfigurationError, PointRefusedError
 from vergence.models.camera import Camera
 from vergence.models.parts import EYE_NAMES, FloatArray
+from vergence.operands import as_operand
 from vergence.vision.detection import Detection, as_pixel
-from vergence.vision.objects.matching import match_point
-from vergence.vision.objects.patches import PointTracker, TrackedPoint
+from vergence.vision.image import as_grey
+from vergence.vision.objects.alignment import Template, focal_at, look, noise_variance, search
+from vergence.vision.objects.patches import (
+    BORDER,
+    LEAST_LIKENESS,
+    MOST_SIGMA_PX,
+    RADIUS_PX,
+    REPEATING,
+    TEXTURELESS,
+    PointTracker,
+    TrackedPoint,
+    as_pose,
+    direction_of,
+    refuse,
+)
+from vergence.vision.objects.sights import (
+    EyeSearch,
+    Found,
+    SeenImage,
+    crossing,
+    line_of_sight,
+    pixel_of,
+)
 from vergence.vision.objects.targets import PointTarget
 
+_CORE_PX: Final = 6
+"""Half the side of the smaller patch that must agree, px (chosen: edges against texture)."""
+_MOST_CORE_SIGMA_PX: Final = 0.6
+"""Largest standard deviation of its place, px (chosen: as above)."""
+_LEAST_CORE_LIKENESS: Final = 0.75
+"""Smallest correlation of the smaller patch without noise (chosen: its noise weighs more)."""
+_ROWS_PX: Final = 6
+"""Tolerance across the epipolar line, px (chosen: errors of encoders)."""
+_CORE_NOISE: Final = 2.2
+_CORE_CONTRAST: Final = 0.03
+"""Largest misfit of a patch's middle, as shares of the noise and of the patch's variance (chosen:
+edges of objects; 49 pixels of noise exceed it in no case in 10,000)."""
+_STRETCHES: Final = tuple(np.diag([width, 1.0]) for width in (0.75, 1.0, 1.33))
+"""Widths of a patch in the other eye for which it is searched (chosen: slants)."""
+_CONSISTENT_PX: Final = 1.0
+"""Largest distance of a point from itself, there and back, px (chosen: false matches)."""
+_ALONG_BASELINE: Final = 0.95
+"""Largest cosine between a ray and the baseline (chosen: 18 degrees, where no depth is left)."""
 _PAIR_S: Final = 0.05
 """Greatest time between two images in which a point is matched, s (chosen: cameras that are not in
 step)."""
@@ -30,33 +72,154 @@ _REMEMBERED_S: Final = 1.0
 """Time for which the distance of a point is remembered, s (chosen: objects that move)."""
 
 
-class Found(NamedTuple):
-    """What an eye's images say about the target."""
+class Match(NamedTuple):
+    """A point of one eye, found in the other one."""
 
-    detection: Any
-    """The detection, see `Detection`; None if the target is not in the image."""
-    time_s: float
-    """Time of the exposure, s."""
+    pixel: FloatArray
+    """(u, v) in the other eye, shape (2,)."""
+    sigma_px: FloatArray
+    """Standard deviations of u and v, shape (2,)."""
+    depth_m: float
+    """Distance of the point from the first eye along its ray, m; inf if the rays do not meet."""
+    score: float
+    """Correlation of both patches without noise, at most 1."""
+    model_sigma_px: float
+    """Share of the standard deviations that is no noise, as of slants and blur."""
 
 
-class SeenImage(NamedTuple):
-    """An image with its camera's pose and the time of its exposure."""
+def match_point(
+    cameras: Sequence[Camera], images: Sequence[ArrayLike], poses: ArrayLike, pixel: ArrayLike,
+    eye: int = 0, depth_range_m: tuple[float, float] = (0.2, inf),
+    near_depth_m: float | None = None,
+) -> Match:  # fmt: skip
+    """Find a point of one eye in the other one.
 
-    image: NDArray[np.uint8]
-    T_0_C: FloatArray
-    time_s: float
+    Both virtual views have the baseline as their x axis, so that only the disparity and the errors
+    of the encoders move the point between them.
+
+    Args:
+        cameras: cameras of both eyes.
+        images: images of both eyes at one time, grey or BGR.
+        poses: (2, 4, 4) poses T_0_C of both cameras, m.
+        pixel: (u, v) of the point, shape (2,).
+        eye: the eye that it is given in, 0 for left, 1 for right.
+        depth_range_m: range of distances from that eye, m.
+        near_depth_m: a distance that is tried as well, such as that at which the eyes meet; None
+            for none.
+
+    Raises:
+        PointRefusedError: the point is outside of the image, has no texture, repeats, is not seen
+            by the other eye, or lies where the eyes see different things.
+        ConfigurationError: an argument is invalid.
+    """
+    if eye not in (0, 1):
+        raise ConfigurationError(f"eye: expected 0 for left or 1 for right, got {eye!r:.80}")
+    near, far = depth_range_m
+    if not 0.0 < near < far:
+        raise ConfigurationError(
+            f"depth_range_m: expected two rising distances above 0, got {near} {far}"
+        )
+    if near_depth_m is not None and not near_depth_m > 0.0:
+        raise ConfigurationError(f"near_depth_m: expected a distance, got {near_depth_m!r:.80}")
+    T = [as_pose("poses", pose) for pose in as_operand("poses", poses, 2, 4, 4)]
+    pixel = as_pixel("pixel", pixel)
+    greys = [as_grey(image, camera.size) for image, camera in zip(images, cameras, strict=True)]
+    there = _match(cameras, greys, T, pixel, eye, depth_range_m, near_depth_m)
+    back = _match(cameras, greys, T, there.pixel, 1 - eye, depth_range_m, there.depth_m)
+    if hypot(*(back.pixel - pixel)) > _CONSISTENT_PX:
+        raise refuse(pixel, "found elsewhere when searched back from the other eye")
+    return there
+
+
+def _match(
+    cameras: Sequence[Camera], greys: Sequence[NDArray[np.uint8]], poses: Sequence[FloatArray],
+    pixel: FloatArray, eye: int, depth_range_m: tuple[float, float],
+    near_depth_m: float | None,
+) -> Match:  # fmt: skip
+    """The point in the other eye, without the way back."""
+    other, pose = 1 - eye, poses[eye]
+    direction = direction_of(cameras[eye], pixel, pose)
+    baseline = poses[other][:3, 3] - pose[:3, 3]
+    length_m = float(np.linalg.norm(baseline))
+    if length_m < 1e-3:
+        raise ConfigurationError(
+            f"poses: expected eyes apart from each other, got {1e3 * length_m:.3f} mm"
+        )
+    x_axis = baseline / length_m
+    cosine = float(direction @ x_axis)
+    if abs(cosine) > _ALONG_BASELINE:
+        raise refuse(pixel, "nearly in line with both eyes")
+    sine = sqrt(1.0 - cosine**2)
+    z_axis = (direction - cosine * x_axis) / sine
+    turn = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
+    local = focal_at(cameras[eye], pose[:3, :3].T @ direction)
+    # an angle off the axis is stretched by 1 / sine^2 along x, by 1 / sine across
+    focal = (local * sine**2, local * sine)
+    x = focal[0] * cosine / sine
+    shift_px_m = focal[0] * length_m / sine  # disparity times distance
+    noise = noise_variance(greys[eye], pixel)
+    r = RADIUS_PX + 2
+    view = look(
+        cameras[eye], greys[eye], pose[:3, :3].T @ turn, focal, (x - r, -r),
+        (2 * r + 1, 2 * r + 1), noise,
+    )  # fmt: skip
+    place = np.array([r, r], float)
+    if not view.holds(place, RADIUS_PX):
+        raise refuse(pixel, BORDER)
+    template, core = Template(view, place, RADIUS_PX, 2), Template(view, place, _CORE_PX, 0)
+    if template.worst_sigma_px > MOST_SIGMA_PX or core.worst_sigma_px > _MOST_CORE_SIGMA_PX:
+        raise refuse(pixel, TEXTURELESS)
+    most, least = (shift_px_m / distance_m for distance_m in depth_range_m)
+    room = r + _ROWS_PX
+    strip = look(
+        cameras[other], greys[other], poses[other][:3, :3].T @ turn, focal,
+        (x - most - room, -room), (ceil(most - least) + 2 * room + 1, 2 * room + 1), noise,
+    )  # fmt: skip
+    near = None
+    if near_depth_m is not None:
+        near = np.array([x - shift_px_m / near_depth_m, 0.0]) - strip.corner
+    found = search(template, strip, _STRETCHES, near)
+    if found is None:
+        nothing = "nothing like it in the other eye"
+        raise refuse(pixel, nothing if strip.seen.any() else "out of the other eye's view")
+    fit, distinct = found
+    if fit.likeness < LEAST_LIKENESS:
+        raise refuse(pixel, f"nothing like it in the other eye (at best {fit.likeness:.2f})")
+    if not distinct:
+        raise refuse(pixel, REPEATING)
+    small = core.align(strip, fit.place, fit.stretch)
+    if (
+        small is None
+        or small.likeness < _LEAST_CORE_LIKENESS
+        or fit.core > _CORE_NOISE * 2.0 * noise + _CORE_CONTRAST * template.contrast
+        or hypot(*(small.place - fit.place)) > 0.1 + 3.0 * core.worst_sigma_px
+    ):
+        raise refuse(pixel, "at the edge of an object, beside which the eyes see other things")
+    disparity = x - float(fit.place[0] + strip.corner[0])
+    return Match(
+        strip.to_pixels(fit.place[None])[0],
+        strip.sigma_px(fit.place, fit.covariance),
+        shift_px_m / disparity if disparity > 0.0 else inf,
+        fit.likeness,
+        sqrt(fit.model_px2),
+    )
 
 
 class _Sight(NamedTuple):
     """A point in an eye's image."""
 
+    camera: Camera
     seen: SeenImage
     point: TrackedPoint
 
-    def ray(self, camera: Camera) -> FloatArray:
-        """Unit vector to the point in frame 0."""
-        ray = self.seen.T_0_C[:3, :3] @ np.append(camera.rays(self.point.pixel[None])[0], 1.0)
-        return np.asarray(ray / np.linalg.norm(ray))
+    @property
+    def ray(self) -> FloatArray:
+        return line_of_sight(self.camera, self.seen.T_0_C, self.point.pixel)
+
+    def tolerance(self, point: TrackedPoint) -> float:
+        """Largest disagreement with the other eye's point, px."""
+        sigma_px = hypot(np.max(point.sigma_px), np.max(self.point.sigma_px))
+        return _AGREE_PX + 3.0 * sigma_px
 
 
 class PointSeed:
@@ -77,38 +240,30 @@ class PointSeed:
 
     def forget(self) -> None:
         """Start again from the pixel that the target names."""
-        target = self._target
-        with self.lock:
-            self.clicked = False
-            if target.eye is not None and target.pixel is not None:
-                self._name(target.eye, np.array(target.pixel))
-            else:
-                self._name(None, None)
+        self._name(self._target.eye, self._target.pixel, clicked=False)
 
     def click(self, eye: int, pixel: ArrayLike) -> None:
         """Follow another point from the eye's next image on; both eyes drop the present one."""
-        place = as_pixel("pixel", pixel)
+        self._name(eye, as_pixel("pixel", pixel), clicked=True)
+
+    def _name(self, eye: int | None, pixel: ArrayLike | None, *, clicked: bool) -> None:
         with self.lock:
-            self.clicked = True
-            self._name(eye, place)
-
-    def _name(self, eye: int | None, pixel: FloatArray | None) -> None:
-        self.generation += 1
-        self.named = None if eye is None or pixel is None else (eye, pixel)
-        self.origin: int | None = None
-        self.sights: list[_Sight | None] = [None, None]
-        self.place: tuple[FloatArray, float] | None = None
-        self.refusal = ""
+            self.generation += 1
+            self.clicked = clicked
+            self.named = None if eye is None or pixel is None else (eye, np.asarray(pixel, float))
+            self.origin: int | None = None
+            self.sights: list[_Sight | None] = [None, None]
+            self.place: tuple[FloatArray, float] | None = None
+            self.refusal = ""
 
 
-class PointSearch:
+class PointSearch(EyeSearch):
     """Search for an image point that was named in one of the eyes."""
 
     def __init__(self, eye: int, seed: PointSeed) -> None:
         self._eye, self._seed = eye, seed
         self._camera = seed.cameras[eye]
         self._tracker = PointTracker(self._camera)
-        self._found: Found | None = None
         self._generation, self._begun = -1, False
 
     def forget(self) -> None:
@@ -118,14 +273,13 @@ class PointSearch:
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
         """See `EyeSearch.look`."""
-        seed, seen = self._seed, SeenImage(np.asarray(image), T_0_C, time_s)
+        seed, seen, named = self._seed, SeenImage(np.asarray(image), T_0_C, time_s), None
         with seed.lock:
-            generation, named, place = seed.generation, seed.named, seed.place
-            other, origin = seed.sights[1 - self._eye], seed.origin
-            if named is not None and named[0] == self._eye:
-                seed.named, seed.origin, origin = None, self._eye, self._eye
-            if place is not None and abs(place[1] - time_s) > _REMEMBERED_S:
-                place = None
+            if seed.named is not None and seed.named[0] == self._eye:
+                seed.origin, named, seed.named = self._eye, seed.named[1], None
+            generation, origin, other = seed.generation, seed.origin, seed.sights[1 - self._eye]
+            recent = seed.place is not None and abs(seed.place[1] - time_s) <= _REMEMBERED_S
+            place = seed.place[0] if seed.place is not None and recent else None
         if generation != self._generation:
             self._generation, self._begun = generation, False
             self._tracker.forget()
@@ -133,8 +287,8 @@ class PointSearch:
             other = None
         point, refusal = None, None
         try:
-            if named is not None and named[0] == self._eye:
-                self._tracker.begin(seen.image, named[1], T_0_C)
+            if named is not None:
+                self._tracker.begin(seen.image, named, T_0_C)
                 self._begun = True
             if origin == self._eye:
                 point = self._follow(seen, other, place)
@@ -152,28 +306,22 @@ class PointSearch:
             detection = None if point is None else Detection(point.pixel, point.sigma_px)
             self._found = Found(detection, time_s)
 
-    def found(self) -> Found | None:
-        """See `EyeSearch.found`."""
-        found, self._found = self._found, None
-        return found
-
     def _keep(self, seen: SeenImage, point: TrackedPoint | None, refusal: str | None) -> None:
         """Share what this eye sees with the other one; a refused point is followed no longer."""
         seed, eye = self._seed, self._eye
         if refusal is not None and seed.origin == eye and not self._begun:
             seed.origin = None
-        seed.sights[eye] = None if point is None else _Sight(seen, point)
+        seed.sights[eye] = None if point is None else _Sight(self._camera, seen, point)
         if refusal is not None or (point is not None and eye != seed.origin):
             seed.refusal = refusal or ""
-        both = seed.sights[0], seed.sights[1]
-        if both[0] is None or both[1] is None:
-            return
-        if abs(both[0].seen.time_s - both[1].seen.time_s) <= _PAIR_S:
-            place = _meeting(both, seed.cameras)
-            seed.place = None if place is None else (place, seen.time_s)
+        both = [sight for sight in seed.sights if sight is not None]
+        if len(both) == 2 and abs(both[0].seen.time_s - both[1].seen.time_s) <= _PAIR_S:
+            depths, place = crossing([one.seen.T_0_C[:3, 3] for one in both],
+                                     [one.ray for one in both])  # fmt: skip
+            seed.place = (place, seen.time_s) if (depths > 0.0).all() else None
 
     def _follow(
-        self, seen: SeenImage, other: _Sight | None, place: tuple[FloatArray, float] | None
+        self, seen: SeenImage, other: _Sight | None, place: FloatArray | None
     ) -> TrackedPoint | None:
         """Follow the point in the eye that it was named in."""
         if not self._begun:
@@ -183,21 +331,19 @@ class PointSearch:
             return point
         matched, _ = self._match(seen, other, place)
         found = self._tracker.find(seen.image, seen.T_0_C, matched.pixel)
-        apart = np.inf if found is None else float(np.linalg.norm(found.pixel - matched.pixel))
-        return found if apart < _AGREE_PX else None
+        near = found is not None and hypot(*(found.pixel - matched.pixel)) < _AGREE_PX
+        return found if near else None
 
     def _accompany(
-        self, seen: SeenImage, other: _Sight | None, place: tuple[FloatArray, float] | None
+        self, seen: SeenImage, other: _Sight | None, place: FloatArray | None
     ) -> TrackedPoint | None:
         """Follow the point that the other eye was named, and that is matched from there."""
         tracker = self._tracker
         point = tracker.find(seen.image, seen.T_0_C, renew=False) if self._begun else None
         if other is None:
             return point
-        if point is not None:
-            apart_px = self._off_line_px(_Sight(seen, point), other)
-            if apart_px > _tolerance(point, other):
-                point = None
+        if point is not None and self._off_line_px(seen, point, other) > other.tolerance(point):
+            point = None
         if point is not None and not tracker.faint:
             return point
         try:
@@ -212,66 +358,39 @@ class PointSearch:
         self._begun = True
         return match
 
-    def _off_line_px(self, sight: _Sight, other: _Sight) -> float:
+    def _off_line_px(self, seen: SeenImage, point: TrackedPoint, other: _Sight) -> float:
         """Distance of this eye's point from the other one's epipolar line."""
-        baseline = other.seen.T_0_C[:3, 3] - sight.seen.T_0_C[:3, 3]
-        normal = np.cross(baseline, other.ray(self._seed.cameras[1 - self._eye]))
-        normal /= np.linalg.norm(normal)
-        return abs(float(normal @ sight.ray(self._camera))) * float(self._camera.focal.mean())
+        normal = np.cross(other.seen.T_0_C[:3, 3] - seen.T_0_C[:3, 3], other.ray)
+        ray = line_of_sight(self._camera, seen.T_0_C, point.pixel)
+        sine = float(normal @ ray / np.linalg.norm(normal))
+        return abs(sine) * float(self._camera.focal.mean())
 
     def _match(
-        self, seen: SeenImage, other: _Sight, place: tuple[FloatArray, float] | None
+        self, seen: SeenImage, other: _Sight, place: FloatArray | None
     ) -> tuple[TrackedPoint, FloatArray]:
         """Find the point that the other eye sees, at the distance that it had if it rests.
 
         Noise of this image moves the match, and does not move what is then followed of it: the
         second result is the standard deviation without noise.
         """
-        seed, eye = self._seed, self._eye
-        pair = (seen, other.seen) if eye == 0 else (other.seen, seen)
-        images, poses = [one.image for one in pair], [one.T_0_C for one in pair]
+        pair = (seen, other.seen) if self._eye == 0 else (other.seen, seen)
         T_0_other, expected, near_m = other.seen.T_0_C, None, None
         if place is not None:
-            pixel = _seen_at(seed.cameras[1 - eye], T_0_other, place[0])
-            if np.linalg.norm(pixel - other.point.pixel) <= _tolerance(other.point, other):
-                near_m = float(np.linalg.norm(place[0] - T_0_other[:3, 3]))
-                expected = _seen_at(
-                    self._camera, seen.T_0_C, T_0_other[:3, 3] + near_m * other.ray(
-                        seed.cameras[1 - eye])
-                )  # fmt: skip
+            off = pixel_of(other.camera, T_0_other, place) - other.point.pixel
+            if np.linalg.norm(off) <= other.tolerance(other.point):
+                near_m = float(np.linalg.norm(place - T_0_other[:3, 3]))
+                expected = pixel_of(self._camera, seen.T_0_C, T_0_other[:3, 3] + near_m * other.ray)
         match = match_point(
-            seed.cameras, images, poses, other.point.pixel, 1 - eye, near_depth_m=near_m
-        )
+            self._seed.cameras, [one.image for one in pair], [one.T_0_C for one in pair],
+            other.point.pixel, 1 - self._eye, near_depth_m=near_m,
+        )  # fmt: skip
         # noise of the other eye's image moves its point and the match, which make up for it
         excess = np.maximum(other.point.sigma_px**2 - match.sigma_px**2, 0.0)
         point = TrackedPoint(match.pixel, np.sqrt(match.sigma_px**2 + excess))
-        if expected is not None and not np.linalg.norm(expected - match.pixel) <= _tolerance(
-            point, other
+        if expected is not None and not (
+            np.linalg.norm(expected - match.pixel) <= other.tolerance(point)
         ):
             raise PointRefusedError(
                 "pixel: expected the distance that the point had, got another one where it rests"
             )
         return point, np.sqrt(match.model_sigma_px**2 + excess)
-
-
-def _tolerance(point: TrackedPoint, other: _Sight) -> float:
-    """Largest disagreement of two sights of a point, px."""
-    sigma_px = np.linalg.norm([np.max(point.sigma_px), np.max(other.point.sigma_px)])
-    return _AGREE_PX + 3.0 * float(sigma_px)
-
-
-def _seen_at(camera: Camera, T_0_C: FloatArray, place: FloatArray) -> FloatArray:
-    """Pixel of a place in frame 0, (2,)."""
-    return np.asarray(camera.project(((place - T_0_C[:3, 3]) @ T_0_C[:3, :3])[None])[0])
-
-
-def _meeting(both: Sequence[Any], cameras: Sequence[Camera]) -> FloatArray | None:
-    """Place in frame 0 where the rays of both eyes are nearest to each other; None if nowhere."""
-    rays = [sight.ray(camera) for sight, camera in zip(both, cameras, strict=True)]
-    starts = [sight.seen.T_0_C[:3, 3] for sight in both]
-    along = np.linalg.lstsq(
-        np.column_stack([rays[0], -rays[1]]), starts[1] - starts[0], rcond=None
-    )[0]
-    if not (along > 0.0).all():
-        return None
-    return np.asarray(0.5 * (starts[0] + along[0] * rays[0] + starts[1] + along[1] * rays[1]))

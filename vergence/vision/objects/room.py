@@ -229,16 +229,13 @@ class RoomRenderer:
         self, outline_C: FloatArray, radius: int, smear: FloatArray
     ) -> tuple[int, int, int, int] | None:
         """Region x0, y0, x1, y1 of pixels around points in front of the camera, with blur."""
-        u, v = self.camera.project(outline_C).T
-        height, width = self.camera.height, self.camera.width
-        if np.isnan(u).any():  # beyond the lens model: may be anywhere in the frame
-            bounds = [0.0, 0.0, width - 1.0, height - 1.0]
-        else:
-            bounds = [u.min(), v.min(), u.max(), v.max()]
+        size, pixels = np.array(self.camera.size), self.camera.project(outline_C)
+        if np.isnan(pixels).any():  # beyond the lens model: may be anywhere in the frame
+            pixels = np.array([[0.0, 0.0], size - 1.0])
         reach = min(radius + math.ceil(0.5 * np.abs(smear).max()) + 2, _MARGIN_PX)
-        x0, y0 = (max(math.floor(low) - reach, -reach) for low in bounds[:2])
-        x1 = min(math.ceil(bounds[2]) + reach + 1, width + reach)
-        y1 = min(math.ceil(bounds[3]) + reach + 1, height + reach)
+        low = np.maximum(np.floor(pixels.min(axis=0)) - reach, -reach)
+        high = np.minimum(np.ceil(pixels.max(axis=0)) + reach + 1, size + reach)
+        x0, y0, x1, y1 = np.concatenate([low, high]).astype(int).tolist()
         return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
     def _rays_of(self, region: tuple[int, int, int, int]) -> NDArray[np.float32]:
@@ -267,9 +264,9 @@ class RoomRenderer:
         jacobian = np.column_stack([right - left, below - above]) / (2.0 * step)
         if np.isfinite(jacobian).all():
             scale = float(np.linalg.svd(jacobian, compute_uv=False)[1])
-        image, texture_from_board = _poster(
-            self.scene, _level_of(scale * max(width, height)), self._black
-        )
+        finest = math.log2(_POSTER_TEXELS * _TEXEL_PX / max(scale * max(width, height), 1.0))
+        level = max(math.floor(_LEVELS_PER_OCTAVE * finest), 0)
+        image, texture_from_board = _poster(self.scene, level, self._black)
         where = cv2.perspectiveTransform(
             self._rays_of(region), texture_from_board @ np.linalg.inv(plane)
         )
@@ -349,24 +346,17 @@ class RoomRenderer:
         cv2.addWeighted(encoded.reshape(height, -1), 1.0, noise, gain, -NOISE_MEAN * gain, frame)
 
 
-def _level_of(texels: float) -> int:
-    """Level of a poster's texture for its length in px; level 0 is the finest."""
-    finest = math.log2(_POSTER_TEXELS * _TEXEL_PX / max(texels, 1.0))
-    return max(math.floor(_LEVELS_PER_OCTAVE * finest), 0)
-
-
 @lru_cache(maxsize=2)
 def _print_poster(scene: Scene) -> Colours:
     """Light of a poster with its border, in its finest texture."""
-    width, height = poster_size_m(scene)
-    density = _POSTER_TEXELS / max(width, height)
-    size = (round(width * density), round(height * density))
-    border = round(BORDER * width * density)
-    inner = (size[0] - 2 * border, size[1] - 2 * border)
+    size_m = np.array(poster_size_m(scene))
+    density = _POSTER_TEXELS / size_m.max()
+    border = round(BORDER * size_m[0] * density)
+    columns, rows = (np.rint(size_m * density).astype(int) - 2 * border).tolist()
     if scene.picture:
-        picture = fitted(read_colours(scene.picture), inner)
+        picture = fitted(read_colours(scene.picture), (columns, rows))
     else:
-        picture = painted(inner, np.random.default_rng(_POSTER_TEXELS))
+        picture = painted((columns, rows), np.random.default_rng(_POSTER_TEXELS))
     white, sides = (255, 255, 255), (border,) * 4
     return to_light(
         np.asarray(cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=white), np.uint8)

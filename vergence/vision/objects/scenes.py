@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.parts import FloatArray
 from vergence.operands import as_operand
+from vergence.vision.objects.targets import parse_rgb
 from vergence.vision.objects.walls import HIGH_M, LOW_M, read_colours
 
 _FORM: Final = (
@@ -45,9 +46,7 @@ class Scene:
     @property
     def target(self) -> str:
         """Text of the target that looks at the thing, see `parse_gaze_target`."""
-        if self.thing == "ball":
-            return f"colour:#{bytes(self.colour).hex()}"
-        return "point"
+        return f"colour:#{bytes(self.colour).hex()}" if self.thing == "ball" else "point"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.size_m <= _LARGEST_M:
@@ -59,9 +58,8 @@ class Scene:
         size = f"{1000.0 * self.size_m:.10g}"
         if self.thing == "nothing":
             return "room"
-        if self.thing == "ball":
-            return f"ball:#{bytes(self.colour).hex()}:{size}"
-        return ":".join(["poster", *([self.picture] if self.picture else []), size])
+        what = f"#{bytes(self.colour).hex()}" if self.thing == "ball" else self.picture
+        return ":".join([self.thing, *([what] if what else []), size])
 
 
 def parse_scene(text: str, wall: str | None = None) -> Scene:
@@ -79,39 +77,23 @@ def parse_scene(text: str, wall: str | None = None) -> Scene:
     """
     kind, _, rest = str(text).strip().partition(":")
     kind = kind.lower()
-    given: dict[str, Any] = {}
-    size_m = {"ball": _BALL_M, "poster": _POSTER_M}.get(kind)
-    if kind == "room" and not rest:
-        size_m, kind = _BALL_M, "nothing"
-    if size_m is None:
+    name, _, last = rest.partition(":") if kind == "ball" else rest.rpartition(":")
+    if kind == "poster" and (_length_m(last) is None or (name and Path(rest).is_file())):
+        name, last = rest, ""
+    size_m = _length_m(last) if last else _POSTER_M if kind == "poster" else _BALL_M
+    colour = parse_rgb(name) if kind == "ball" and name else Scene.colour
+    known = kind in ("ball", "poster") or (kind == "room" and not rest)
+    if not known or size_m is None or colour is None:
         raise ConfigurationError(f"scene: expected {_FORM}; got {text!r:.100}")
-    name, colon, last = rest.rpartition(":")
-    if kind == "ball" and not colon:
-        name, last = last, ""
-    length = _length_m(last)
-    if length is not None and not (name and Path(rest).is_file()):
-        size_m, rest = length, name
-    if kind == "ball":
-        digits = name.removeprefix("#")
-        if (last and length is None) or (rest and not _is_colour(name)):
-            raise ConfigurationError(f"scene: expected {_FORM}; got {text!r:.100}")
-        if name:
-            given["colour"] = tuple(bytes.fromhex(digits))
-    elif rest:
-        given["picture"] = rest
-    for what, path in (("scene", given.get("picture")), ("wall", wall)):
-        if path is not None:
-            try:
+    picture = name if kind == "poster" and name else None
+    for what, path in (("scene", picture), ("wall", wall)):
+        try:
+            if path is not None:
                 read_colours(path)
-            except UnreadableFileError as error:
-                raise ConfigurationError(f"{what}: {error}") from error
-    return Scene(thing=kind, size_m=size_m, wall=wall, **given)  # type: ignore[arg-type]
-
-
-def _is_colour(text: str) -> bool:
-    return (
-        len(text) == 7 and text[0] == "#" and all(c in "0123456789abcdefABCDEF" for c in text[1:])
-    )
+        except UnreadableFileError as error:
+            raise ConfigurationError(f"{what}: {error}") from error
+    thing: Any = "nothing" if kind == "room" else kind
+    return Scene(thing=thing, colour=colour, size_m=size_m, picture=picture, wall=wall)
 
 
 def _length_m(text: str) -> float | None:

@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -24,7 +24,8 @@ from vergence.vision.detection import Detection
 from vergence.vision.objects.detectors import make_object_detector
 from vergence.vision.objects.identity import Identity
 from vergence.vision.objects.patches import PointTracker
-from vergence.vision.objects.points import Found, PointSearch, PointSeed, SeenImage
+from vergence.vision.objects.points import PointSearch, PointSeed
+from vergence.vision.objects.sights import EyeSearch, Found, SeenImage, line_of_sight, pixel_of
 from vergence.vision.objects.targets import (
     ColourTarget,
     FaceTarget,
@@ -52,7 +53,7 @@ _MOTION_S: Final = (0.015, 0.2)
 against accelerations)."""
 _RECENT: Final = 32
 """Most images that are kept for that (chosen: 0.25 s at 120 Hz)."""
-_CARRIED: Final = 64
+_TRACK: Final = 64
 """Most images whose carried pixels are remembered (chosen: half a second at 120 Hz)."""
 _VIEW_SHARE: Final = 0.8
 """Share of the view within which a place stands that is out of view (chosen: the lens model
@@ -61,45 +62,17 @@ _PLACE_SIGMA_PX: Final = 0.1
 """Standard deviation of a place's pixel, px (chosen: encoders' noise)."""
 
 
-class EyeSearch(Protocol):
-    """Search of one eye's images for the target, in the order of their exposures."""
-
-    def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
-        """Take an image.
-
-        Args:
-            image: grey levels, or blue, green and red.
-            T_0_C: (4, 4) pose of the camera at the exposure in the fixed frame, m.
-            time_s: time of the exposure, s.
-            search: False if the image shows nothing but background.
-
-        Raises:
-            ConfigurationError: a user's detector raises, or a point cannot be followed.
-        """
-
-    def found(self) -> Found | None:
-        """What the images say since the last call; None for nothing new."""
-
-    def forget(self) -> None:
-        """Drop the track of the target."""
-
-
-class _PrintedSearch:
+class _PrintedSearch(EyeSearch):
     """Search for a printed target."""
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
-        self._found: Found | None = None
-
-    def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
-        self._found = Found(self._tracker.find(image, T_0_C=T_0_C, search=search), time_s)
-
-    def found(self) -> Found | None:
-        found, self._found = self._found, None
-        return found
 
     def forget(self) -> None:
         self._tracker.forget()
+
+    def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
+        self._found = Found(self._tracker.find(image, T_0_C=T_0_C, search=search), time_s)
 
 
 class _Answer(NamedTuple):
@@ -163,8 +136,7 @@ class _Source:
             if self._pool is None:
                 if seen.time_s < self._due_s[place]:
                     return
-                self._due_s[place] = max(seen.time_s, self._due_s[place] + self._period_s)
-                self._due_s[place] = max(self._due_s[place], seen.time_s + self._period_s - 1e-9)
+                self._due_s[place] = seen.time_s + self._period_s - 1e-9
             if self._both:
                 self._newest = [None, None]
             answers = self._answers
@@ -210,7 +182,7 @@ class _Source:
                 detector.close()
 
 
-class _ObjectSearch:
+class _ObjectSearch(EyeSearch):
     """Search for an object, carried by tracking while its detector is at work."""
 
     def __init__(self, eye: int, camera: Camera, source: _Source, identity: Identity) -> None:
@@ -227,9 +199,8 @@ class _ObjectSearch:
         self._answer: _Answer | None = None
         self._waiting: _Answer | None = None
         self._target: Detection | None = None
-        self._carried: deque[tuple[float, FloatArray]] = deque(maxlen=_CARRIED)
         self._recent: deque[SeenImage] = deque(maxlen=_RECENT)
-        self._rays: deque[tuple[float, FloatArray]] = deque(maxlen=_CARRIED)
+        self._track: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_TRACK)
         self._told_s = -np.inf
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
@@ -258,43 +229,42 @@ class _ObjectSearch:
             return None
         self._seen = None
         if answer is None:
-            return self._tell(self._carry(seen), seen.time_s)
+            return self._tell(self._carry(seen))
         target = self._identity.choose(self._eye)
         if target is None and self._identity.waits(self._eye):
             self._waiting = answer
             return None
         if target is None or answer.seen.time_s == seen.time_s:
             self._start(seen, target)
-            return self._tell(Found(target, seen.time_s), seen.time_s)
+            return self._tell(Found(target, seen.time_s))
         carried = self._carry(seen)
-        before = [pixel for time_s, pixel in self._carried if time_s == answer.seen.time_s]
+        then_s = answer.seen.time_s
+        before = [pixel for at_s, pixel, _ in self._track if self._from.time_s <= at_s == then_s]
         if carried is not None and before:
             moved = carried.detection.pixel + (target.pixel - before[0])
-        elif self._start(answer.seen, target):
+        else:
+            self._start(answer.seen, target)
             since = [one for one in self._recent if one.time_s > answer.seen.time_s]
             for between in since[:: -max(len(since) // _STEPS, 1)][::-1]:  # ends with the present
                 carried = self._carry(between)
-            moved = None if carried is None else carried.detection.pixel
-        if carried is None or moved is None:
-            self._start(seen, None)
-            return self._tell(Found(target, answer.seen.time_s), answer.seen.time_s)
+            if carried is None:
+                self._start(seen, None)
+                return self._tell(Found(target, answer.seen.time_s))
+            moved = carried.detection.pixel
         target = target._replace(pixel=moved, sigma_px=np.asarray(target.sigma_px))
         self._start(seen, target)
-        return self._tell(Found(target, seen.time_s), seen.time_s)
+        return self._tell(Found(target, seen.time_s))
 
-    def _tell(self, found: Found | None, time_s: float) -> Found | None:
+    def _tell(self, found: Found | None) -> Found | None:
         """What is reported, in the order of exposures."""
-        if found is None or time_s <= self._told_s:
+        if found is None or found.time_s <= self._told_s:
             return None
-        self._told_s = time_s
+        self._told_s = found.time_s
         return found
 
-    def _start(self, seen: SeenImage, target: Detection | None) -> bool:
-        """Follow the image around the target from here; False if there is nothing to follow."""
-        self._target, self._started = target, False
-        self._carried.clear()
-        self._from = seen
-        return target is not None
+    def _start(self, seen: SeenImage, target: Detection | None) -> None:
+        """Follow the image around the target from here."""
+        self._target, self._started, self._from = target, False, seen
 
     def _carry(self, seen: SeenImage) -> Found | None:
         """The target carried to an image; None if nothing is followed."""
@@ -322,26 +292,24 @@ class _ObjectSearch:
 
     def _note(self, seen: SeenImage, pixel: FloatArray) -> None:
         """Remember where the target was in an image."""
-        ray = seen.T_0_C[:3, :3] @ np.append(self._camera.rays(pixel[None])[0], 1.0)
-        while self._rays and self._rays[-1][0] >= seen.time_s:
-            self._rays.pop()
-        self._rays.append((seen.time_s, ray / np.linalg.norm(ray)))
-        self._carried.append((seen.time_s, pixel))
+        while self._track and self._track[-1][0] >= seen.time_s:
+            self._track.pop()
+        ray = line_of_sight(self._camera, seen.T_0_C, pixel)
+        self._track.append((seen.time_s, pixel, ray))
 
     def _predict(self, seen: SeenImage) -> FloatArray | None:
         """(2,) pixel at which the motion of the line of sight leads; None without any."""
-        now_s, ray = self._rays[-1]
-        earlier = [one for one in self._rays if _MOTION_S[0] <= now_s - one[0] <= _MOTION_S[1]]
+        now_s, _, ray = self._track[-1]
+        earlier = [one for one in self._track if _MOTION_S[0] <= now_s - one[0] <= _MOTION_S[1]]
         if not earlier:
             return None
-        before_s, before = earlier[-1]
-        turn = (ray - before) / (now_s - before_s)
-        ahead = seen.T_0_C[:3, :3].T @ (ray + (seen.time_s - now_s) * turn)
-        pixel = self._camera.project(ahead[None])[0]
+        before_s, _, before = earlier[-1]
+        ahead = ray + (seen.time_s - now_s) / (now_s - before_s) * (ray - before)
+        pixel = pixel_of(self._camera, seen.T_0_C, seen.T_0_C[:3, 3] + ahead)
         return pixel if np.isfinite(pixel).all() else None
 
 
-class _PlaceSearch:
+class _PlaceSearch(EyeSearch):
     """The pixel at which the head's model has a place in space, at the time of each image.
 
     One out of view stands at the edge of the view on the way to it, until the eye has turned.
@@ -349,25 +317,14 @@ class _PlaceSearch:
 
     def __init__(self, camera: Camera, place: FloatArray) -> None:
         self._camera, self._place = camera, place
-        self._found: Found | None = None
-
-    def forget(self) -> None:
-        pass
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
         x, y, z = T_0_C[:3, :3].T @ (self._place - T_0_C[:3, 3])
-        focal, size = self._camera.focal, np.array(self._camera.size)
-        away = float(np.hypot(x, y))
-        tangent = min(
-            away / z if z > 0.0 else np.inf, _VIEW_SHARE * float((size / focal).min()) / 2
-        )
-        ray = np.array([tangent * x / away, tangent * y / away, 1.0]) if away else np.eye(3)[2]
-        pixel = self._camera.project(ray[None])[0]
+        away = max(float(np.hypot(x, y)), 1e-12)
+        edge = _VIEW_SHARE * float((self._camera.size / self._camera.focal).min()) / 2
+        tangent = min(away / z if z > 0.0 else np.inf, edge)
+        pixel = self._camera.project([[tangent * x / away, tangent * y / away, 1.0]])[0]
         self._found = Found(Detection(pixel, np.full(2, _PLACE_SIGMA_PX)), time_s)
-
-    def found(self) -> Found | None:
-        found, self._found = self._found, None
-        return found
 
 
 class HeadSearch:

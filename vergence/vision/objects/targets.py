@@ -117,40 +117,40 @@ def parse_gaze_target(text: str, pixel: tuple[str, float, float] | None = None) 
     if pixel is not None and kind != "point":
         raise ConfigurationError(f"pixel: expected --target point beside it, got {text!r:.100}")
     if kind in ("colour", "color"):
-        return ColourTarget(rgb=parse_rgb(rest, text))
+        rgb = parse_rgb(rest)
+        if rgb is None:
+            raise ConfigurationError(
+                f"colour: expected #RRGGBB, such as #ff8000, got {text!r:.100}"
+            )
+        return ColourTarget(rgb=rgb)
     if kind == "face":
-        return FaceTarget(model=_existing_file(rest, text))
+        if not Path(rest.strip()).is_file():
+            raise ConfigurationError(
+                "target: expected face:MODEL.onnx with a file that exists, such as OpenCV's "
+                f"face_detection_yunet_2023mar.onnx, got {text!r:.200}"
+            )
+        return FaceTarget(model=rest.strip())
     if kind == "point":
         return _point(text, list(pixel) if pixel else rest.split(":") if rest else [])
     if kind == "place":
         return PlaceTarget(point_mm=_place(text, rest.split(":")))
-    own = is_entry_point(text) and text.rpartition(":")[2].isidentifier()
-    if own and kind not in PRINTED_KINDS:
+    if kind in PRINTED_KINDS:
+        return parse_target(text)
+    if is_entry_point(text) and text.rpartition(":")[2].isidentifier():
         return OwnTarget(entry=EntryPoint.of(text, "target"))
-    if kind not in PRINTED_KINDS:
-        raise ConfigurationError(
-            "target: expected tag:36h11:5:120, checkerboard:9x6:24 or another printed target "
-            f"(lengths in mm), {OBJECT_FORMS}; got {text!r:.100}"
-        )
-    return parse_target(text)
+    raise ConfigurationError(
+        "target: expected tag:36h11:5:120, checkerboard:9x6:24 or another printed target "
+        f"(lengths in mm), {OBJECT_FORMS}; got {text!r:.100}"
+    )
 
 
-def parse_rgb(digits: str, text: str) -> tuple[int, int, int]:
-    """Levels of a colour, #RRGGBB, a part of a text."""
-    found = re.fullmatch(r"\s*#?([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})\s*", digits)
+def parse_rgb(text: str) -> tuple[int, int, int] | None:
+    """Levels of a colour, #RRGGBB; None if it is none."""
+    found = re.fullmatch(r"\s*#?([0-9a-fA-F]{6})\s*", text)
     if found is None:
-        raise ConfigurationError(f"colour: expected #RRGGBB, such as #ff8000, got {text!r:.100}")
-    red, green, blue = (int(level, 16) for level in found.groups())
+        return None
+    red, green, blue = bytes.fromhex(found[1])
     return red, green, blue
-
-
-def _existing_file(name: str, text: str) -> str:
-    if not name.strip() or not Path(name.strip()).is_file():
-        raise ConfigurationError(
-            f"target: expected face:MODEL.onnx with a file that exists, such as OpenCV's "
-            f"face_detection_yunet_2023mar.onnx, got {text!r:.200}"
-        )
-    return name.strip()
 
 
 def _point(text: str, parts: list[Any]) -> PointTarget:
@@ -158,9 +158,8 @@ def _point(text: str, parts: list[Any]) -> PointTarget:
         return PointTarget()
     try:
         name, u, v = parts
-        eye, pixel = EYE_NAMES.index(str(name).strip().lower()), (float(u), float(v))
-        as_pixel("pixel", pixel)
-        return PointTarget(eye=eye, pixel=pixel)
+        u, v = as_pixel("pixel", (u, v)).tolist()
+        return PointTarget(eye=EYE_NAMES.index(str(name).strip().lower()), pixel=(u, v))
     except (ValueError, ConfigurationError):
         raise ConfigurationError(
             "target: expected point, or point:EYE:U:V with an eye, left or right, and a pixel, got "
