@@ -43,6 +43,14 @@ one)."""
 _CARRIED_HALF: Final = 0.55
 """Half width of what is tracked, in sizes of the object (chosen: its outline counts, little beside
 it)."""
+_INSIDE: Final = 0.4
+"""Radius of what is certainly the object, in its sizes (chosen)."""
+_AROUND: Final = (0.6, 1.0)
+"""Radii of what surrounds it, in its sizes (chosen)."""
+_LEAST_PIXELS: Final = 9
+"""Least number of pixels of either for a mixture of colours (chosen: a scatter of three)."""
+_LEVEL_NOISE: Final = 6.0
+"""Noise of a level against which a mixture's weights are chosen (chosen: webcams' and JPEG's)."""
 _CARRIED_SIZE_PX: Final = 40.0
 """Size of an object that states none, px (chosen: a hand at arm's length)."""
 _STEPS: Final = 6
@@ -273,13 +281,15 @@ class _ObjectSearch(EyeSearch):
         try:
             if not self._started:
                 size_px = self._target.size_px or _CARRIED_SIZE_PX
+                self._mix = _contrast(self._from.image, self._target.pixel, size_px)
                 self._tracker.begin(
-                    self._from.image, self._target.pixel, self._from.T_0_C,
-                    half_px=_CARRIED_HALF * size_px, checked=False,
+                    cv2.transform(self._from.image, self._mix), self._target.pixel,
+                    self._from.T_0_C, half_px=_CARRIED_HALF * size_px, checked=False,
                 )  # fmt: skip
                 self._note(self._from, np.asarray(self._target.pixel))
                 self._started = True
-            point = self._tracker.find(seen.image, seen.T_0_C, self._predict(seen))
+            mixed = cv2.transform(seen.image, self._mix)
+            point = self._tracker.find(mixed, seen.T_0_C, self._predict(seen))
         except PointRefusedError:
             point = None
         if point is None:
@@ -307,6 +317,36 @@ class _ObjectSearch(EyeSearch):
         ahead = ray + (seen.time_s - now_s) / (now_s - before_s) * (ray - before)
         pixel = pixel_of(self._camera, seen.T_0_C, seen.T_0_C[:3, 3] + ahead)
         return pixel if np.isfinite(pixel).all() else None
+
+
+def _contrast(image: NDArray[np.uint8], pixel: FloatArray, size_px: float) -> FloatArray:
+    """(1, 4) mixture of blue, green and red that tells an object best from what surrounds it.
+
+    Fisher's linear discriminant of the pixels inside the object and of those around it, scaled so
+    that their means are a quarter of the range apart from the middle.
+    """
+    u, v = pixel
+    reach = int(np.ceil(size_px)) + 2
+    rows = slice(max(int(v) - reach, 0), max(int(v) + reach + 1, 0))
+    columns = slice(max(int(u) - reach, 0), max(int(u) + reach + 1, 0))
+    y, x = np.mgrid[rows, columns][
+        :, : image[rows, columns].shape[0], : image[rows, columns].shape[1]
+    ]
+    away = np.hypot(x - u, y - v) / size_px
+    part = image[rows, columns].astype(float)
+    inside, around = part[away < _INSIDE], part[(away > _AROUND[0]) & (away < _AROUND[1])]
+    grey = np.array([[0.114, 0.587, 0.299, 0.0]])
+    if min(len(inside), len(around)) < _LEAST_PIXELS:
+        return grey
+    apart = inside.mean(axis=0) - around.mean(axis=0)
+    scatter = np.cov(inside.T) + np.cov(around.T) + _LEVEL_NOISE**2 * np.eye(3)
+    mix = np.linalg.solve(scatter, apart)
+    between = float(mix @ apart)
+    if not between > 0.0:
+        return grey
+    mix *= 128.0 / between
+    middle = 0.5 * float(mix @ (inside.mean(axis=0) + around.mean(axis=0)))
+    return np.array([[*mix, 128.0 - middle]])
 
 
 class _PlaceSearch(EyeSearch):
