@@ -7,12 +7,13 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tests.hardware.emulated import REAL_TIME, emulated
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import WorldClient
 
-pytestmark = REAL_TIME
+pytestmark = [*REAL_TIME, pytest.mark.nightly]
 BALL = Path("docs/examples/ball_target.py").resolve()
 BREAKS = f"""
 import runpy
@@ -42,7 +43,7 @@ def deploy(desk, *words):
 
 def test_it_looks_at_a_ball_and_comes_to_rest_when_the_detector_fails(tmp_path):
     (tmp_path / "mine.py").write_text(BREAKS)
-    with emulated(tmp_path, "--scene", "ball:#ff8000:80") as (desk, _process):
+    with emulated(tmp_path, "--head", "icub", "--scene", "ball:#ff8000:80") as (desk, _process):
         looked = deploy(desk, "--target", f"{BALL}:Ball", "--json")
         assert looked.returncode == 0, looked.stderr
         assert json.loads(looked.stdout)["settled_fraction"] == 1.0
