@@ -144,7 +144,9 @@ def _verdict(result: "GazeResult") -> int:
 
     unseen = [eye for eye in EYE_NAMES if not result.trajectory[f"visible_{eye}"].any()]
     if unseen:
-        print_to_stderr(f"error: the target was never seen by the {' and the '.join(unseen)} eye")
+        why = f": {result.remark}" if result.remark else ""
+        eyes = " and the ".join(unseen)
+        print_to_stderr(f"error: the target was never seen by the {eyes} eye{why}")
         return 1
     fixed_pair = result.head.has_fixed_pair
     for name, fix in (("gaze", result.gaze_fix), ("ITPC", result.view_fix)):

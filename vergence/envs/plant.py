@@ -42,6 +42,11 @@ class Plant(ABC):
         """Reason why the heads have been stopped, in words; empty if they have not."""
         return ""
 
+    @property
+    def remark(self) -> str:
+        """Why an eye has not seen the target, in words; empty if that is not known."""
+        return ""
+
     def release(self) -> None:
         """Allow the next `reset` to reopen heads that a fault has stopped."""
         return None

@@ -86,6 +86,11 @@ class GazeTask:
         options = dict(plant_options or {})
         if look is not None:
             options["look"] = look
+        if "look" in options and plant in ("kinematic", "mujoco"):
+            raise ConfigurationError(
+                f"target: expected the plant rendered, whose images show it, for "
+                f"{options['look']}, got {plant}"
+            )
         if self.target.drawn_in_workspace:
             fit = getattr(plant_type(plant), "workspace_options", {})
             options = {**fit, **options}

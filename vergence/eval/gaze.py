@@ -16,7 +16,7 @@ from vergence.envs.plants.eye_views import RoomImageRenderer
 from vergence.envs.plants.simulation import is_simulated
 from vergence.envs.policy import Policy
 from vergence.envs.rollout import rollout
-from vergence.envs.targets.prescribed import StaticTarget
+from vergence.envs.targets.prescribed import StaticTarget, UnseenTarget
 from vergence.envs.task import GazeTask
 from vergence.envs.validation import refuse_immobile_eyes
 from vergence.errors import ConfigurationError
@@ -41,7 +41,7 @@ from vergence.recording import Recorder
 from vergence.recording.health import warn_of_gap
 from vergence.triangulation import Fix
 from vergence.vision.objects.scenes import parse_scene
-from vergence.vision.objects.targets import GazeTarget, PointTarget, parse_gaze_target
+from vergence.vision.objects.targets import GazeTarget, PlaceTarget, PointTarget, parse_gaze_target
 
 _ROBOT_LAW: Final = "state-feedback"
 """The first law of `vergence.controllers.controller.WHICH_LAW`."""
@@ -78,6 +78,8 @@ class GazeResult:
     """The eyes' last images; None for a robot that has none."""
     diagnostics: dict[str, int]
     """Counts of faults in a robot's loop, by name; empty for a simulation."""
+    remark: str = ""
+    """Why an eye has not seen the target, in words; empty if that is not known."""
 
     @property
     def has_truth(self) -> bool:
@@ -166,9 +168,7 @@ def run_gaze(
             f"duration: expected a number of seconds above 0, got {config.duration_s}"
         )
     config, head, plant_options = _hardware(config)
-    look = _look(config)
-    if simulated and config.pixel is not None and config.scene is None:
-        config = dataclasses.replace(config, scene="room")
+    config, look = _look(config, simulated)
     for name, value in (("scene", config.scene), ("wall", config.wall)):
         if value is not None and not simulated:
             raise ConfigurationError(f"{name}: expected none on a robot, got {value}")
@@ -197,7 +197,7 @@ def run_gaze(
         in_metres = not _why_unreachable(head, MM * point, config.target_mm)
         raise ConfigurationError(refused + (" (is it in metres?)" if in_metres else ""))
     x, y, z = point.tolist()
-    target = (StaticTarget if refuses_unseen else _UnseenTarget)(point=(x, y, z))
+    target = (StaticTarget if refuses_unseen else UnseenTarget)(point=(x, y, z))
     plant_options |= {} if look is None else {"look": look}
     task = GazeTask(1, head=head, plant=config.plant, target=target, plant_options=plant_options)
     return record_gaze(task, controller, config, progress, watch)
@@ -245,15 +245,17 @@ def record_gaze(
 
 
 class FinalState(NamedTuple):
-    """Last images and fault counts of a plant, taken before it closes; see `GazeResult`."""
+    """Last images, counts and remark of a plant, taken before it closes; see `GazeResult`."""
 
     images: EyeImages | None
     diagnostics: dict[str, int]
+    remark: str = ""
 
     @classmethod
     def of(cls, task: GazeTask) -> "FinalState":
         """Take the present images and counts of a task's first head."""
-        return cls(given_or_drawn_eye_images(task, 0), task.plant.diagnostics())
+        images = given_or_drawn_eye_images(task, 0)
+        return cls(images, task.plant.diagnostics(), task.plant.remark)
 
 
 def gaze_result(
@@ -277,7 +279,7 @@ def gaze_result(
         residual = least_reachable_error(task, truth.target[:1])[0]
     errors = truth.pixel_error - residual
     gaze, itpc = (Fix._make(part[-1:] for part in fix) for fix in gaze_and_view_fixes(head, record))
-    images, diagnostics = final_state or (None, {})
+    images, diagnostics, remark = final_state or (None, {}, "")
     return GazeResult(
         config=config,
         head=head,
@@ -291,6 +293,7 @@ def gaze_result(
         positions=record.reading.positions[-1, 0],
         images=images,
         diagnostics=diagnostics,
+        remark=remark,
     )
 
 
@@ -316,21 +319,27 @@ def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]
     return config, head, {"config": hardware, "view_check": config.view_check}
 
 
-class _UnseenTarget(StaticTarget):
-    """A place that is looked at without images: it may be out of view at first."""
-
-    def check(self, head: HeadModel) -> None:
-        """See `Target.check`: `look_at` has refused what the eyes cannot fixate."""
-
-
-def _look(config: GazeConfig) -> str | None:
-    """Text of what is looked at, see `parse_gaze_target`; None for the plant's own target."""
-    text = config.target
+def _look(config: GazeConfig, simulated: bool) -> tuple[GazeConfig, str | None]:
+    """Configuration with what the target implies, and its text; None for the plant's own."""
+    text, scene = config.target, config.scene
     if text == "place":
         text = "place:" + ":".join(f"{value:g}" for value in config.target_mm)
-    if text is None and config.pixel is None:
-        return None
-    return str(parse_gaze_target(text or "point", config.pixel))
+    if text is None and config.pixel is not None:
+        text = "point"
+    if text is None and simulated and (scene is not None or config.wall is not None):
+        text = parse_scene(scene or "ball", None).target
+    if text is None:
+        return config, None
+    target = parse_gaze_target(text, config.pixel)
+    if isinstance(target, PlaceTarget):
+        config = dataclasses.replace(config, target="place", target_mm=target.point_mm)
+    if simulated and isinstance(target, PointTarget) and target.pixel is not None:
+        if scene not in (None, "room"):
+            raise ConfigurationError(
+                f"scene: expected room, or none, beside a pixel of the room, got {scene}"
+            )
+        config = dataclasses.replace(config, scene="room")
+    return config, str(target)
 
 
 def _on_surface(

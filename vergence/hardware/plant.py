@@ -60,7 +60,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.vision.detection import as_pixel
-from vergence.vision.objects.targets import GazeTarget, PointTarget, parse_gaze_target
+from vergence.vision.objects.targets import GazeTarget, PlaceTarget, PointTarget, parse_gaze_target
 from vergence.vision.targets import AprilTag
 
 _LOG: Final = logging.getLogger(__name__)
@@ -130,7 +130,8 @@ class HardwarePlant(Plant):
         self.places_targets = self.config.places_targets
         self.overruns = 0
         self._log, self._moves, self._appears = log, moves, appears
-        self._view_unchecked = view_check and moves and self.config.safety.view_check
+        by_images = not isinstance(self.config.target, PlaceTarget)  # whose pixels are computed
+        self._view_unchecked = view_check and moves and self.config.safety.view_check and by_images
         self._shown: FloatArray | None = None
         self._target = self.config.target
         self._clock, self._sleep = clock, sleep
@@ -164,6 +165,11 @@ class HardwarePlant(Plant):
     def fault(self) -> str:
         """See `Plant.fault`; `close` and `prepare` keep it, `release` clears it."""
         return self._supervisor.fault
+
+    @property
+    def remark(self) -> str:
+        """See `Plant.remark`."""
+        return "" if self._open.eyes.search is None else self._open.eyes.search.remark
 
     def release(self) -> None:
         """See `Plant.release`: the next `reset` opens and checks everything again."""

@@ -62,7 +62,7 @@ def test_what_cannot_be_shown_is_refused():
     def task(target="colour:#ff8000", plant="rendered", **options):
         GazeTask(1, head=HEAD, plant=plant, target=target, plant_options=options)
 
-    refused("plant_options", task, plant="kinematic")
+    refused("target: expected the plant rendered", task, plant="kinematic")
     refused("scene: expected ball", task, scene="cube")
     refused("scene: expected a target in a room", task, target="random", scene="ball")
     refused("look: expected a tag", task, target="charuco:7x5:40:30:4X4_50")

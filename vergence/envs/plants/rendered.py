@@ -246,6 +246,11 @@ class RenderedPlant(MujocoPlant):
         assert isinstance(views, RoomImageRenderer)  # as points are in rooms only
         return views.surface(self.truth().positions[place], eye, pixel)
 
+    @property
+    def remark(self) -> str:
+        """See `Plant.remark`; that of the first head."""
+        return self._searches[0].remark
+
     def diagnostics(self) -> dict[str, int]:
         """Jumps to another object that were refused, if there were any."""
         refused = sum(search.jumps_refused for search in self._searches)

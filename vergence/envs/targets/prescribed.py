@@ -72,6 +72,15 @@ class StaticTarget(PrescribedTarget):
 
 
 @dataclass(frozen=True, kw_only=True)
+class UnseenTarget(StaticTarget):
+    """A place that is looked at without images: it may be out of view at first."""
+
+    def check(self, head: HeadModel) -> None:
+        """See `Target.check`: both eyes must reach it."""
+        fixation_angles(head, self.first_point_name, np.array([self.point]))
+
+
+@dataclass(frozen=True, kw_only=True)
 class StepTarget(PrescribedTarget):
     """A target that both eyes fixate until it jumps at time zero: the article's gain sweep."""
 

@@ -7,11 +7,18 @@ from typing import Any, Final
 from vergence.envs.targets.double_step import DoubleStepTarget
 from vergence.envs.targets.occluded import OccludedTarget
 from vergence.envs.targets.orbits import OrbitTarget
-from vergence.envs.targets.prescribed import CircleTarget, LineTarget, StaticTarget, StepTarget
+from vergence.envs.targets.prescribed import (
+    CircleTarget,
+    LineTarget,
+    StaticTarget,
+    StepTarget,
+    UnseenTarget,
+)
 from vergence.envs.targets.target import Target
 from vergence.envs.targets.wander import WanderTarget
 from vergence.envs.targets.workspace import RandomTarget
 from vergence.errors import UnknownNameError, refuse_unknown
+from vergence.vision.objects.targets import PlaceTarget, parse_gaze_target
 
 TARGETS: Final[dict[str, type[Target]]] = {
     target.kind: target
@@ -68,6 +75,11 @@ def separate_look(
         The motion, and what is looked at; None for the plant's own.
     """
     if isinstance(target, str) and target not in TARGETS and (":" in target or target == "point"):
+        if target.startswith("place:"):
+            place = parse_gaze_target(target)
+            assert isinstance(place, PlaceTarget)
+            x, y, z = place.point_mm
+            return UnseenTarget(point=(x / 1000.0, y / 1000.0, z / 1000.0), start="rest"), target
         return "random", target
     if isinstance(target, Mapping) and "look" in target:
         motion = {name: value for name, value in target.items() if name != "look"}

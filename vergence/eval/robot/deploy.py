@@ -14,8 +14,11 @@ import numpy as np
 from vergence.envs.plant import Plant
 from vergence.envs.reading import Reading
 from vergence.envs.rollout import run_trial
+from vergence.envs.targets.prescribed import UnseenTarget
+from vergence.envs.targets.target import Target
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, VergenceError
+from vergence.eval.gaze_trajectory import MM
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.gazes import MOST_PERIODS, RobotGazes
@@ -109,7 +112,7 @@ def deploy(
     if look is not None:
         hardware = dataclasses.replace(hardware, target=look)
         if isinstance(look, PlaceTarget):
-            expected = look_at(hardware.head, np.asarray(look.point_mm) / 1000.0)
+            expected = look_at(hardware.head, np.asarray(look.point_mm) / MM)
     gazes = RobotGazes(steps=_steps(config, hardware.head), dry_run=config.dry_run)
     robot = RobotController.of(config.controller, hardware.head, config.options)
     if config.resume is not None:
@@ -141,8 +144,11 @@ def _gaze(
     show: Callable[[GazeState], None],
 ) -> None:
     # a real robot finds its target itself; the task's only makes trials begin at rest
-    target: Mapping[str, Any] = REST_TARGET
-    if hardware.places_targets:
+    target: Mapping[str, Any] | Target = REST_TARGET
+    if hardware.places_targets and isinstance(hardware.target, PlaceTarget):
+        x, y, z = hardware.target.point_mm
+        target = UnseenTarget(point=(x / MM, y / MM, z / MM), start="rest")
+    elif hardware.places_targets:
         target = {"kind": "random", "start": "rest"}
     options = {
         "config": hardware,
@@ -287,7 +293,7 @@ def _look(config: DeployConfig) -> GazeTarget | None:
         return PlaceTarget(point_mm=config.target_mm)
     if config.target is None and config.pixel is None:
         return None
-    return parse_gaze_target(config.target or "point", config.pixel)
+    return parse_gaze_target("point" if config.target is None else config.target, config.pixel)
 
 
 def _steps(config: DeployConfig, head: HeadModel) -> int:

@@ -1,6 +1,7 @@
 """Detectors of objects in one image: those of the package, and a user's own."""
 
 from collections.abc import Iterable
+from inspect import signature
 from typing import Any, Final
 
 import numpy as np
@@ -34,8 +35,15 @@ class CheckedDetector:
         given = {"camera": camera} if accepted is not None and "camera" in accepted else {}
         try:
             self.own: Any = make(**given)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._blamed(error) from error
+        form = signature(self.own.detect)
+        try:
+            form.bind(None, None)
+        except TypeError as error:
+            raise ConfigurationError(
+                f"target {self._spec}: expected detect(image, hint), got detect{form}"
+            ) from error
 
     def detect(self, image: Any, hint: Any) -> Any:
         """See `Detector.detect`.
@@ -56,10 +64,10 @@ class CheckedDetector:
             return self._checked(found, image)
         except VergenceError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._blamed(error) from error
 
-    def _blamed(self, error: Exception) -> ConfigurationError:
+    def _blamed(self, error: BaseException) -> ConfigurationError:
         return ConfigurationError(f"target {self._spec}: {user_error_with_place(error)}")
 
     def _checked(self, found: object, image: Any) -> list[Detection]:

@@ -80,12 +80,15 @@ class Identity:
 
     Attributes:
         refused: number of jumps to another object that were refused.
+        offered: numbers of images of each eye with candidates.
+        taken: numbers of images of each eye in which one was the target.
     """
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
         self._cameras = cameras
         self._lock = threading.Lock()
         self.refused = 0
+        self.offered, self.taken = [0, 0], [0, 0]
         self.forget()
 
     def forget(self) -> None:
@@ -112,6 +115,7 @@ class Identity:
         with self._lock:
             seen = self._eyes[eye]
             seen.candidates, seen.T_0_C, seen.time_s = list(candidates), T_0_C, time_s
+            self.offered[eye] += bool(candidates)
 
     def waits(self, eye: int) -> bool:
         """True if nothing can be chosen until the other eye has been heard."""
@@ -129,6 +133,7 @@ class Identity:
             else:
                 found = self._continue(eye) or self._as_other(eye) or self._moved(eye)
             if found is not None:
+                self.taken[eye] += 1
                 self._keep(eye, found)
             return found
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError, PointRefusedError
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.vision.detection import Detection
 from vergence.vision.objects.detectors import make_object_detector
 from vergence.vision.objects.identity import Identity
@@ -419,9 +419,17 @@ class HeadSearch:
         return 0 if self._identity is None else self._identity.refused
 
     @property
-    def refusal(self) -> str:
-        """Why a point is not followed in an eye, in words; empty if it is."""
-        return "" if self._seed is None else self._seed.refusal
+    def remark(self) -> str:
+        """Why an eye has not seen the target, in words; empty if both have, or for a board."""
+        if self._seed is not None:
+            return self._seed.refusal
+        known = self._identity
+        if known is None or all(known.taken):
+            return ""
+        for eye, name in enumerate(EYE_NAMES):
+            if not known.offered[eye]:
+                return f"its detector has found nothing in the {name} eye's images"
+        return "what it finds in both eyes never agrees in line of sight, depth and size"
 
     def click(self, eye: int, pixel: ArrayLike) -> None:
         """Follow the point at a pixel (u, v) of an eye from its next image on.
