@@ -38,12 +38,13 @@ from tests.vision.objects.scenes import (
 )
 from vergence import load_head
 from vergence.controllers.controller import make_controller
+from vergence.envs.plants.eye_views import RoomImageRenderer
 from vergence.envs.task import GazeTask
 from vergence.errors import PointRefusedError
 from vergence.models.camera import Camera
 from vergence.vision.objects.patches import PointTracker
 from vergence.vision.objects.points import match_point
-from vergence.vision.objects.room import hit, parse_scene
+from vergence.vision.objects.room import parse_scene
 from vergence.vision.objects.walls import HIGH_M, PERIODIC_M, PLAIN_M
 
 SUFFICIENT_PX = 0.1
@@ -267,19 +268,16 @@ class Watched:
 
 def room_points(count: int, rng: np.random.Generator, preset: str) -> list[Pixel]:
     """Points of the room in N that the left eye sees at the start."""
-    head, scene = load_head(preset), parse_scene("room", None)
-    rest = head.rest()
-    T_0_N, camera = head.base_pose(rest), Camera.of(head, 0)
-    T_0_C = (T_0_N @ head.camera_poses(rest))[0]
+    head = load_head(preset)
+    views, camera = RoomImageRenderer(head, parse_scene("room")), Camera.of(head, 0)
     points: list[Pixel] = []
     while len(points) < count:
         pixel = rng.uniform(40.0, np.array(camera.size) - 41.0)
-        ray = T_0_C[:3, :3] @ np.append(camera.rays(pixel[None])[0], 1.0)
-        point = hit(scene, T_0_C[:3, 3], ray)
+        point = views.surface(head.rest(), 0, pixel)  # N at rest is the room's frame
         near = [left - 0.1 < point[0] < right + 0.1 and top - 0.1 < point[1] < bottom + 0.1
                 for left, top, right, bottom in (PLAIN_M, PERIODIC_M)]  # fmt: skip
         if not (any(near) and point[2] > HIGH_M[2] - 1e-3):
-            points.append(T_0_N[:3, :3].T @ (point - T_0_N[:3, 3]))
+            points.append(point)
     return points
 
 

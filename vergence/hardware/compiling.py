@@ -1,11 +1,13 @@
 """Compilation of every function that a robot's control loop calls, before torque goes on."""
 
+from contextlib import suppress
 from typing import Final
 
 import cv2
 import numpy as np
 
 from vergence.envs.plants.eye_views import BoardImageRenderer
+from vergence.errors import PointRefusedError
 from vergence.hardware.common_time import pixels_at_common_time
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
@@ -51,9 +53,10 @@ def _search_once(head: HeadModel, target: ObjectTarget) -> None:
         u, v = head.cameras.principal[0].tolist()
         target = PointTarget(eye=0, pixel=(u, v))
     search, rng = HeadSearch(target, head), np.random.default_rng(0)
-    levels = rng.integers(256, size=(8, 8, 3), dtype=np.uint8)
+    levels = rng.integers(256, size=(60, 80, 3), dtype=np.uint8)
     for time_s in (0.0, 0.1):
         for eye, (width, height) in enumerate(head.cameras.size.tolist()):
             image = np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_CUBIC))
-            search.eyes[eye].look(image, poses[eye], time_s)
+            with suppress(PointRefusedError):  # of noise, which is not what will be followed
+                search.eyes[eye].look(image, poses[eye], time_s)
             search.eyes[eye].found()
