@@ -25,6 +25,7 @@ from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.viewer.moment import Moment, moment_of
+from vergence.vision.objects.sights import line_of_sight
 
 TargetMode = Literal["step", "circle", "wander", "by hand"]
 STEP_S: Final = 2.5
@@ -150,11 +151,11 @@ class SimulatedHead:
             return
         camera = Camera.of(self._setup.head, eye)
         T_N_C = self._setup.head.camera_poses(plant.truth().positions[0])[eye]
-        ray = T_N_C[:3, :3] @ np.append(camera.rays(pixel[None])[0], 1.0)
+        ray = line_of_sight(camera, T_N_C, pixel)
         if not np.isfinite(ray).all():
             raise ConfigurationError(f"pixel: expected one in the lens's view, got {pixel}")
         distance_m = float(np.linalg.norm(self.target - T_N_C[:3, 3]))
-        self.move_target(T_N_C[:3, 3] + distance_m * ray / np.linalg.norm(ray))
+        self.move_target(T_N_C[:3, 3] + distance_m * ray)
 
     @property
     def setup(self) -> Setup:

@@ -15,6 +15,7 @@ from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetRenderer
 from vergence.vision.objects.room import RoomRenderer
 from vergence.vision.objects.scenes import Scene, hit
+from vergence.vision.objects.sights import line_of_sight
 from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, board_pose, outline_m
 
 
@@ -245,8 +246,8 @@ class RoomImageRenderer(BoardImageRenderer):
         """
         T_room_N = self._T_room_0 @ self._head.base_pose(q)
         T_room_C = (T_room_N @ self._head.camera_poses(q))[eye]
-        ray = np.append(Camera.of(self._head, eye).rays(np.asarray(pixel, float)[None])[0], 1.0)
-        point = hit(self._scene, T_room_C[:3, 3], T_room_C[:3, :3] @ ray)
+        ray = line_of_sight(Camera.of(self._head, eye), T_room_C, np.asarray(pixel, float))
+        point = hit(self._scene, T_room_C[:3, 3], ray)
         return np.asarray(T_room_N[:3, :3].T @ (point - T_room_N[:3, 3]))
 
     def draw_poses(
