@@ -31,14 +31,6 @@ class Spot:
 class Late(Spot):
     latency_s, rate_hz = 0.1, 10.0
 
-class Blocked(Spot):
-    def detect(self, image, hint):
-        print("not an answer")
-        begun = time.monotonic()
-        while time.monotonic() < begun + 10.0:  # holds the interpreter
-            if pathlib.Path(__file__).with_name("go").exists():
-                return super().detect(image, hint)
-
 class Ends(Spot):
     def detect(self, image, hint):
         os._exit(3)
@@ -46,7 +38,15 @@ class Ends(Spot):
 class Both(Spot):
     both_eyes = True
     def detect(self, images, hints):
-        return [super(Both, self).detect(image, None) for image in images]
+        return [Spot.detect(self, image, None) for image in images]
+
+class Blocked(Both):
+    def detect(self, images, hints):
+        print("not an answer")
+        begun = time.monotonic()
+        while time.monotonic() < begun + 10.0:  # holds the interpreter
+            if pathlib.Path(__file__).with_name("go").exists():
+                return super().detect(images, hints)
 
 class Broken:
     def detect(self, image, hint):
