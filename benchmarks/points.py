@@ -180,7 +180,9 @@ def matching(count: int, rng: np.random.Generator, preset: str, pictures: list[A
         for _ in range(POINTS_A_SCENE):
             eye = int(rng.integers(2))
             pixel = rng.uniform(30.0, np.array(one.cameras[eye].size) - 31.0)
-            _, truth = seen_from(one, cards, pixel, eye)
+            point, truth = seen_from(one, cards, pixel, eye)
+            if np.isnan(point).any():  # beside all cards, so that there is no truth
+                continue
             size = np.array(one.cameras[1 - eye].size)
             if not ((truth > 24.0) & (truth < size - 25.0)).all():
                 tally = hidden

@@ -31,9 +31,10 @@ _STRETCH_SIGMA: Final = 0.3
 """Standard deviation of a patch's affine change before it is measured (chosen: slants up to 60
 degrees at the least distances)."""
 _DISTINCT_NOISE: Final = 0.25
-_DISTINCT_CONTRAST: Final = 0.15
-"""Least excess of the second-best place's misfit, as shares of the best one's and of the variance
-of the patch (chosen: repeating patterns against noise, whose misfits scatter by 6 %)."""
+_DISTINCT_PX: Final = 0.5
+"""Least excess of the second-best place's misfit, as a share of the best one's, and as the
+displacement that would cause it, px (chosen: repeating patterns against noise, whose misfits
+scatter by 6 %)."""
 _APART_PX: Final = 4
 """Least distance of two places that a patch may be at, px (chosen: width of a correlation peak)."""
 _PLACES: Final = 6
@@ -154,7 +155,8 @@ class Fit(NamedTuple):
     covariance: FloatArray  # (2, 2) of it, px^2
     model_px2: float  # share of that which is no noise
     misfit: float  # variance of the template that the view does not explain
-    core: float  # the same of its middle alone
+    core: float  # the same of its middle, by the noise or, if that is larger, by the median of all
+    unlike_px: float  # displacement that would cause the misfit without noise
     likeness: float  # correlation without noise
     gain: float  # contrast of the view by that of the template
     rise: float  # mean grey level of the view above that of the template
@@ -204,6 +206,8 @@ class Template:
         normal[:count, :count] -= np.diag(share) * (
             _GRADIENT_NOISE * _INTERPOLATED * self.noise * side**2
         )
+        # misfit of a displacement, per px^2
+        self.slopes = max((normal[0, 0] + normal[1, 1]) / side**2, 1e-9)
         values, vectors = np.linalg.eigh(normal + prior)
         values = np.maximum(values, 1e-3 * self.noise)
         self._spread = ((vectors / values) @ vectors.T)[:2, :2]
@@ -244,21 +248,24 @@ class Template:
         squares = self._weight * (levels - self._columns @ found) ** 2
         squares = squares.reshape(side, side)
         residual, r = float(squares.mean()), self.radius
-        core = float(squares[r - 3 : r + 4, r - 3 : r + 4].mean()) / gain**2
         mean = float((self._weight * levels).mean())
         variance = float((self._weight * (levels - mean) ** 2).mean())
         both = view.noise + gain**2 * self.noise
         excess = max(residual - _INTERPOLATED * both, 0.0)
         likeness = sqrt(max(1.0 - excess / max(variance - _INTERPOLATED * view.noise, 1e-9), 0.0))
-        misfit = self.contrast * residual / max(variance, 1e-9)
+        misfit, unlike_px = residual / gain**2, sqrt(excess / self.slopes) / gain
+        usual = max(float(np.median(squares)) / _NORMAL_MEDIAN**2, _INTERPOLATED * both)
+        core = float(squares[r - 3 : r + 4, r - 3 : r + 4].mean()) / usual
         noise = max(residual, both) / gain**2
         covariance = stretch @ (noise * self._spread) @ stretch.T
         blur_px2 = float(np.linalg.norm(found[4 + self.affine :])) / gain
         model_px = _MODEL_SIGMA_PX if self.affine else _SAME_EYE_SIGMA_PX
         model_px2 = model_px**2 + (_BLUR_SIGMA * blur_px2**2) ** 2
         covariance += model_px2 * np.eye(2)
-        rise = mean - self._mean
-        return Fit(stretch, place, covariance, model_px2, misfit, core, likeness, float(gain), rise)
+        return Fit(
+            stretch, place, covariance, model_px2, misfit, core, unlike_px, likeness, float(gain),
+            mean - self._mean,
+        )  # fmt: skip
 
 
 def search(
@@ -310,6 +317,5 @@ def search(
     best = max(fits, key=lambda fit: fit.likeness)
     others = [fit for fit in fits if hypot(*(fit.place - best.place)) > _APART_PX]
     least = max(best.misfit, view.noise + template.noise)
-    clean = max(template.contrast - template.noise, 0.0)
-    limit = (1.0 + _DISTINCT_NOISE) * least + _DISTINCT_CONTRAST * clean
+    limit = (1.0 + _DISTINCT_NOISE) * least + _DISTINCT_PX**2 * template.slopes
     return best, all(fit.misfit > limit for fit in others)

@@ -20,10 +20,9 @@ from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.operands import as_operand
 from vergence.vision.detection import Detection, as_pixel
 from vergence.vision.image import as_grey
-from vergence.vision.objects.alignment import Template, focal_at, look, noise_variance, search
+from vergence.vision.objects.alignment import Fit, Template, focal_at, look, noise_variance, search
 from vergence.vision.objects.patches import (
     BORDER,
-    LEAST_LIKENESS,
     MOST_SIGMA_PX,
     RADIUS_PX,
     REPEATING,
@@ -48,14 +47,15 @@ _CORE_PX: Final = 6
 """Half the side of the smaller patch that must agree, px (chosen: edges against texture)."""
 _MOST_CORE_SIGMA_PX: Final = 0.6
 """Largest standard deviation of its place, px (chosen: as above)."""
-_LEAST_CORE_LIKENESS: Final = 0.75
-"""Smallest correlation of the smaller patch without noise (chosen: its noise weighs more)."""
+_MOST_APART: Final = 4.0
+"""Largest distance of its place from the whole one's, standard deviations (chosen: as above)."""
 _ROWS_PX: Final = 6
 """Tolerance across the epipolar line, px (chosen: errors of encoders)."""
-_CORE_NOISE: Final = 2.2
-_CORE_CONTRAST: Final = 0.03
-"""Largest misfit of a patch's middle, as shares of the noise and of the patch's variance (chosen:
-edges of objects; 49 pixels of noise exceed it in no case in 10,000)."""
+_MOST_CORE: Final = 2.2
+"""Largest misfit of a patch's middle by that of the rest (chosen: edges of objects)."""
+_MOST_UNLIKE_PX: Final = 0.9
+"""Largest misfit, as the displacement that would cause it, px (measured: by JPEG up to 0.8, by
+other things mostly above 1)."""
 _STRETCHES: Final = tuple(np.diag([width, 1.0]) for width in (0.75, 1.0, 1.33))
 """Widths of a patch in the other eye for which it is searched (chosen: slants)."""
 _CONSISTENT_PX: Final = 1.0
@@ -183,17 +183,12 @@ def _match(
         nothing = "nothing like it in the other eye"
         raise refuse(pixel, nothing if strip.seen.any() else "out of the other eye's view")
     fit, distinct = found
-    if fit.likeness < LEAST_LIKENESS:
+    if fit.unlike_px > _MOST_UNLIKE_PX:
         raise refuse(pixel, f"nothing like it in the other eye (at best {fit.likeness:.2f})")
     if not distinct:
         raise refuse(pixel, REPEATING)
     small = core.align(strip, fit.place, fit.stretch)
-    if (
-        small is None
-        or small.likeness < _LEAST_CORE_LIKENESS
-        or fit.core > _CORE_NOISE * 2.0 * noise + _CORE_CONTRAST * template.contrast
-        or hypot(*(small.place - fit.place)) > 0.1 + 3.0 * core.worst_sigma_px
-    ):
+    if small is None or fit.core > _MOST_CORE or _distance(small, fit) > _MOST_APART:
         raise refuse(pixel, "at the edge of an object, beside which the eyes see other things")
     disparity = x - float(fit.place[0] + strip.corner[0])
     return Match(
@@ -203,6 +198,12 @@ def _match(
         fit.likeness,
         sqrt(fit.model_px2),
     )
+
+
+def _distance(one: Fit, other: Fit) -> float:
+    """Distance of two alignments' places, in standard deviations."""
+    apart = one.place - other.place
+    return sqrt(float(apart @ np.linalg.solve(one.covariance + other.covariance, apart)))
 
 
 class _Sight(NamedTuple):
