@@ -41,13 +41,16 @@ _PLACES: Final = 6
 """Most places whose alignment is tried (chosen: time against slanted surfaces)."""
 _INTERPOLATED: Final = 0.75
 """Share of white noise that cubic interpolation leaves, mean over positions (numerical)."""
-_MODEL_SIGMA_PX: Final = 0.03
-"""Standard deviation by interpolation, px (measured: by images without noise)."""
+_MODEL_SIGMA_PX: Final = 0.02
+"""Standard deviation by interpolation, px (measured: by benchmarks/points.py)."""
 _SAME_EYE_SIGMA_PX: Final = 0.012
 """The same for displacements between images of one eye (measured: by benchmarks/points.py)."""
 _BLUR_SIGMA: Final = 0.04
 """Further one in an image whose blur differs, px per square of half the blur's variance in px^2
 (measured: by benchmarks/points.py, smears up to 6 px)."""
+_UNLIKE_SIGMA: Final = 0.1
+"""Further one by misfits that are no white noise, px per px of displacement that would cause them
+(measured: by benchmarks/points.py, JPEG and edges of cards)."""
 _FADING_PX: Final = 0.5
 """Distance over which a round patch fades, px (measured: balls before textured surfaces)."""
 _GRADIENT_NOISE: Final = 0.23
@@ -155,7 +158,7 @@ class Fit(NamedTuple):
     covariance: FloatArray  # (2, 2) of it, px^2
     model_px2: float  # share of that which is no noise
     misfit: float  # variance of the template that the view does not explain
-    core: float  # the same of its middle, by the noise or, if that is larger, by the median of all
+    uneven: float  # the same as a share of its usual one, by the noise or the median
     unlike_px: float  # displacement that would cause the misfit without noise
     likeness: float  # correlation without noise
     gain: float  # contrast of the view by that of the template
@@ -246,25 +249,25 @@ class Template:
         else:
             return None
         squares = self._weight * (levels - self._columns @ found) ** 2
-        squares = squares.reshape(side, side)
-        residual, r = float(squares.mean()), self.radius
+        residual = float(squares.mean())
         mean = float((self._weight * levels).mean())
         variance = float((self._weight * (levels - mean) ** 2).mean())
         both = view.noise + gain**2 * self.noise
         excess = max(residual - _INTERPOLATED * both, 0.0)
         likeness = sqrt(max(1.0 - excess / max(variance - _INTERPOLATED * view.noise, 1e-9), 0.0))
-        misfit, unlike_px = residual / gain**2, sqrt(excess / self.slopes) / gain
+        unlike_px = sqrt(excess / self.slopes) / gain
         usual = max(float(np.median(squares)) / _NORMAL_MEDIAN**2, _INTERPOLATED * both)
-        core = float(squares[r - 3 : r + 4, r - 3 : r + 4].mean()) / usual
         noise = max(residual, both) / gain**2
         covariance = stretch @ (noise * self._spread) @ stretch.T
         blur_px2 = float(np.linalg.norm(found[4 + self.affine :])) / gain
-        model_px = _MODEL_SIGMA_PX if self.affine else _SAME_EYE_SIGMA_PX
+        model_px = _SAME_EYE_SIGMA_PX
+        if self.affine:
+            model_px = hypot(_MODEL_SIGMA_PX, _UNLIKE_SIGMA * unlike_px)
         model_px2 = model_px**2 + (_BLUR_SIGMA * blur_px2**2) ** 2
         covariance += model_px2 * np.eye(2)
         return Fit(
-            stretch, place, covariance, model_px2, misfit, core, unlike_px, likeness, float(gain),
-            mean - self._mean,
+            stretch, place, covariance, model_px2, residual / gain**2, residual / usual, unlike_px,
+            likeness, float(gain), mean - self._mean,
         )  # fmt: skip
 
 

@@ -47,12 +47,12 @@ _CORE_PX: Final = 6
 """Half the side of the smaller patch that must agree, px (chosen: edges against texture)."""
 _MOST_CORE_SIGMA_PX: Final = 0.6
 """Largest standard deviation of its place, px (chosen: as above)."""
-_MOST_APART: Final = 4.0
+_MOST_APART: Final = 3.0
 """Largest distance of its place from the whole one's, standard deviations (chosen: as above)."""
 _ROWS_PX: Final = 6
 """Tolerance across the epipolar line, px (chosen: errors of encoders)."""
-_MOST_CORE: Final = 2.2
-"""Largest misfit of a patch's middle by that of the rest (chosen: edges of objects)."""
+_MOST_UNEVEN: Final = 1.3
+"""Largest mean misfit of a patch by its usual one (measured: below without edges of objects)."""
 _MOST_UNLIKE_PX: Final = 0.9
 """Largest misfit, as the displacement that would cause it, px (measured: by JPEG up to 0.8, by
 other things mostly above 1)."""
@@ -188,7 +188,7 @@ def _match(
     if not distinct:
         raise refuse(pixel, REPEATING)
     small = core.align(strip, fit.place, fit.stretch)
-    if small is None or fit.core > _MOST_CORE or _distance(small, fit) > _MOST_APART:
+    if small is None or fit.uneven > _MOST_UNEVEN or _distance(small, fit) > _MOST_APART:
         raise refuse(pixel, "at the edge of an object, beside which the eyes see other things")
     disparity = x - float(fit.place[0] + strip.corner[0])
     return Match(
