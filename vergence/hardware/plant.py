@@ -60,6 +60,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.vision.detection import as_pixel
+from vergence.vision.objects.sights import line_of_sight, pixel_of
 from vergence.vision.objects.targets import GazeTarget, PlaceTarget, PointTarget, parse_gaze_target
 from vergence.vision.targets import AprilTag
 
@@ -148,6 +149,7 @@ class HardwarePlant(Plant):
         self._missed = CountLog(_LOG, logging.WARNING, "periods missed: %d", clock)
         self._goals = np.full(4, np.nan)
         self._truth: Truth | None = None
+        self._named = False
         self._supervisor = self._new_supervisor()
 
     def _new_supervisor(self) -> Supervisor:
@@ -273,9 +275,9 @@ class HardwarePlant(Plant):
             self.head.base_pose(q) @ self.head.camera_poses(q)
             for q in (self._history.at(exposed_s), self._history.newest()[1])
         )
-        ray = np.append(camera.rays(as_pixel("pixel", pixel)[None])[0], 1.0)
-        turned = now[eye, :3, :3].T @ then[eye, :3, :3] @ ray
-        self._open.eyes.search.click(eye, camera.project(turned[None])[0])
+        ray = line_of_sight(camera, then[eye], as_pixel("pixel", pixel))
+        self._open.eyes.search.click(eye, pixel_of(camera, now[eye], now[eye, :3, 3] + ray))
+        self._named = True
 
     def show(self, ids: IntArray, motions: FloatArray) -> None:
         """Place the target before an emulated head, see `Plant.show`."""
@@ -372,8 +374,11 @@ class HardwarePlant(Plant):
         return self._open.eyes.frames()
 
     def truth(self) -> Truth | None:
-        """Ground truth of an emulated head at the last reading; None for a real one."""
-        if self._open.world is None:
+        """Ground truth of an emulated head at the last reading.
+
+        None for a real one, and once somebody has named a point, which the emulator does not know.
+        """
+        if self._open.world is None or self._named:
             return None
         if self._truth is None:
             self._truth = self._open.world.truth(self.head, float(self._reading.time_s[0]))
@@ -508,6 +513,7 @@ class HardwarePlant(Plant):
 
     def _name_point(self) -> None:
         """Follow the target before an emulated head as the point that nobody has named."""
+        self._named = isinstance(self._target, PointTarget) and self._target != PointTarget()
         world, search = self._open.world, self._open.eyes.search
         if world is not None and search is not None and self._target == PointTarget():
             search.click(0, world.truth(self.head, 0.0).pixels[0, 0])

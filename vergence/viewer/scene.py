@@ -15,6 +15,9 @@ from vergence.models.posture import rest_poses
 from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS, FIX_COLOUR, TARGET_COLOUR
 from vergence.viewer.moment import Moment
 from vergence.viewer.shapes import HeadShapes
+from vergence.vision.objects.room import print_poster
+from vergence.vision.objects.scenes import Scene, poster_size_m
+from vergence.vision.objects.walls import HIGH_M, LOW_M, front_wall
 from vergence.vision.targets import board_pose, make_planar_target, outline_m, texture
 
 _GAP_COLOUR: Final = (200, 30, 30)
@@ -28,6 +31,8 @@ _BOARD_PX_PER_CELL: Final = 16
 """Pixels of the target's picture along a cell (chosen: sharp edges)."""
 _OBJECT_M: Final = 0.02
 """Radius of a target that is no tag, m (chosen: legible beside the fix's ellipsoid)."""
+_WALL_PX_M: Final = 150.0
+"""Pixels of the room's wall for each metre (chosen: detail against time)."""
 _CAMERA_OFFSET: Final = (0.85, 0.6, 0.45)
 """First place of the page's camera from the middle between head and target, by their distance
 (chosen: both are in view, the eyes from beside)."""
@@ -59,14 +64,16 @@ class HeadScene:
         head: one head, not a population.
         on_look: called with an eye, 0 for left, and a raw pixel (u, v), shape (2,), that somebody
             has clicked in the eye's image, which then hangs above the head; None for no images.
+        room: the room, whose front wall and thing are shown; None for none.
 
     Attributes:
         target: the handles by which the target can be dragged, hidden at first.
     """
 
     def __init__(
-        self, server: viser.ViserServer, head: HeadModel, on_look: OnLook | None = None
-    ) -> None:
+        self, server: viser.ViserServer, head: HeadModel, on_look: OnLook | None = None,
+        room: Scene | None = None,
+    ) -> None:  # fmt: skip
         self._server, self._head = server, head
         self._shapes = HeadShapes(head)
         self._N = np.eye(4)
@@ -118,16 +125,38 @@ class HeadScene:
             *size.tolist(),
             cast_shadow=False,
         )
-        self._object = api.add_icosphere("/head/object", radius=_OBJECT_M, color=TARGET_COLOUR)
+        self._object = self._thing(room)
         self.target = api.add_transform_controls(
             "/head/target", scale=0.18, disable_rotations=True, visible=False, line_width=3.0
         )
         self._screens = [] if on_look is None else [self._screen(eye, on_look) for eye in range(2)]
         self._camera_placed = False
         floor_m = rest_poses(head).floor_m
+        if room is not None:
+            self._add_wall(room)
         api.add_grid(
             "/floor", 4.0, 4.0, cell_size=0.1, section_size=0.5, position=(0.0, -1.0, floor_m),
             cell_color=(225, 225, 225), section_color=(200, 200, 200),
+        )  # fmt: skip
+
+    def _thing(self, room: Scene | None) -> viser.SceneNodeHandle:
+        """What stands at the target's place, where it is no tag."""
+        api = self._server.scene
+        if room is None or room.thing == "nothing":
+            return api.add_icosphere("/head/object", radius=_OBJECT_M, color=TARGET_COLOUR)
+        if room.thing == "ball":
+            return api.add_icosphere("/head/object", radius=0.5 * room.size_m, color=room.colour)
+        poster = print_poster(room)[..., ::-1]
+        return api.add_image("/head/object", poster, *poster_size_m(room), cast_shadow=False)
+
+    def _add_wall(self, room: Scene) -> None:
+        """Show the room's front wall, which stands before the head at rest."""
+        T_head_wall = self._shapes.pose_of_n(self._head.rest())
+        middle = T_head_wall @ [*(0.5 * (LOW_M + HIGH_M))[:2], HIGH_M[2], 1.0]
+        self._server.scene.add_image(
+            "/head/wall", front_wall(room.wall, _WALL_PX_M)[..., ::-1],
+            *(HIGH_M - LOW_M)[:2].tolist(), format="jpeg", cast_shadow=False,
+            receive_shadow=False, position=middle[:3], wxyz=_wxyz(T_head_wall[:3, :3]),
         )  # fmt: skip
 
     def _screen(self, eye: int, on_look: OnLook) -> viser.ImageHandle:
@@ -209,7 +238,7 @@ class HeadScene:
             if there:
                 pose = self._N @ board_pose(shown.target)
                 self._board.position, self._board.wxyz = pose[:3, 3], _wxyz(pose[:3, :3])
-                self._object.position = pose[:3, 3]
+                self._object.position, self._object.wxyz = self._board.position, self._board.wxyz
                 if moves_target:
                     self.target.position = pose[:3, 3]
 
