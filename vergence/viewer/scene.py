@@ -48,12 +48,13 @@ _DISTANCE_WITHOUT_FIX_M: Final = 1.0
 
 
 OnLook = Callable[[int, FloatArray], None]
-_SCREEN_M: Final = 0.24
-"""Width of an eye's image above the head, m (chosen: in view with the head)."""
+_SCREEN_SHARE: Final = 0.24
+"""Width of an eye's image above the head by the distance of the page's first camera (chosen: fine
+enough to be clicked in, in view with the head)."""
 _SCREEN_SPACING: Final = 1.06
 """Distance of both images' middles, in widths (chosen: looks)."""
-_SCREEN_HEIGHT_M: Final = 0.32
-"""Height of their middles above the head's origin, m (chosen: above every preset)."""
+_SCREEN_HEIGHT_M: Final = 0.22
+"""Height of their lower edges above the head's origin, m (chosen: above every preset)."""
 
 
 class HeadScene:
@@ -162,27 +163,39 @@ class HeadScene:
     def _screen(self, eye: int, on_look: OnLook) -> viser.ImageHandle:
         """An eye's image above the head, facing the page's first camera, that can be clicked."""
         size = self._head.cameras.size[eye]
-        width_m, height_m = _SCREEN_M, _SCREEN_M * float(size[1] / size[0])
         away = -np.array(_CAMERA_OFFSET) / np.linalg.norm(_CAMERA_OFFSET)
         right = np.cross(away, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
         turn = np.column_stack([right, np.cross(away, right), away])
-        middle = (eye - 0.5) * _SCREEN_SPACING * width_m * right + [0.0, 0.0, _SCREEN_HEIGHT_M]
         node = self._server.scene.add_image(
             f"/head/screen_{EYE_NAMES[eye]}", np.full((2, 2, 3), BACKGROUND_GREY, np.uint8),
-            width_m, height_m, format="jpeg", cast_shadow=False, receive_shadow=False,
-            position=middle, wxyz=_wxyz(turn),
+            1.0, 1.0, format="jpeg", cast_shadow=False, receive_shadow=False, visible=False,
+            wxyz=_wxyz(turn),
         )  # fmt: skip
 
         @node.on_click
         def look(event: "viser.SceneNodePointerEvent[viser.ImageHandle]") -> None:
-            start = turn.T @ (np.array(event.ray_origin) - middle)
+            start = turn.T @ (np.array(event.ray_origin) - node.position)
             along = turn.T @ np.array(event.ray_direction)
-            x, y = (start - start[2] / along[2] * along)[:2]
-            share = np.array([x / width_m, y / height_m]) + 0.5
+            place = (start - start[2] / along[2] * along)[:2]
+            share = place / [node.render_width, node.render_height] + 0.5
             on_look(eye, share * size - 0.5)
 
         return node
+
+    def _place_screens(self, away_m: float) -> None:
+        """Hang the eyes' images above the head, as large as the page's camera is far away."""
+        for eye, node in enumerate(self._screens):
+            size = (
+                _SCREEN_SHARE
+                * away_m
+                * np.array([1.0, np.divide(*self._head.cameras.size[eye, ::-1])])
+            )
+            right = Rotation.from_quat(node.wxyz, scalar_first=True).as_matrix()[:, 0]
+            above = [0.0, 0.0, _SCREEN_HEIGHT_M + 0.5 * size[1]]
+            node.render_width, node.render_height = size.tolist()
+            node.position = (eye - 1.0) * _SCREEN_SPACING * size[0] * right + above
+            node.visible = True
 
     def show_screens(self, images: Sequence[Image]) -> None:
         """Show both eyes' pictures, (height, width, 3) RGB, where they can be clicked."""
@@ -249,6 +262,7 @@ class HeadScene:
         size = max(float(np.linalg.norm(reach)), _MIN_VIEW_M + 2.0 * self._shapes.baseline_m)
         if size > _MAX_VIEW_M:
             reach, size = reach * (_MAX_VIEW_M / size), _MAX_VIEW_M
+        self._place_screens(size)
         middle = self._N[:3, 3] + 0.35 * reach
         self._look_at, self._away = middle, size * np.array(_CAMERA_OFFSET)
         self._server.initial_camera.look_at = middle
