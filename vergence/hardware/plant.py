@@ -131,10 +131,12 @@ class HardwarePlant(Plant):
         self.places_targets = self.config.places_targets
         self.overruns = 0
         self._log, self._moves, self._appears = log, moves, appears
-        by_images = not isinstance(self.config.target, PlaceTarget)  # whose pixels are computed
+        # a place's pixels are computed, and a point that nobody has named yet has none
+        target = self.config.target
+        by_images = not isinstance(target, PlaceTarget) and target != PointTarget()
         self._view_unchecked = view_check and moves and self.config.safety.view_check and by_images
         self._shown: FloatArray | None = None
-        self._target = self.config.target
+        self._target = target
         self._clock, self._sleep = clock, sleep
         self._period_s = head.timing.period_s
         self._reading = Reading.empty(1)
@@ -302,14 +304,14 @@ class HardwarePlant(Plant):
                 servos.switch_on()
                 angles = servos.angles
             rested_s = self._come_to_start(positions[0], angles) if self._moves else self._clock()
+            self._search_anew(rested_s)
             if self._view_unchecked:
                 self._check_view(positions[0], angles)
                 rested_s = self._come_to_start(positions[0], angles)
+                self._search_anew(rested_s)
         except HardwareError as error:
             self.rest(str(error))
             raise
-        self._open.eyes.forget()
-        self._name_point()
         blank = Reading.empty(1)
         for own, empty in zip(self._reading, blank, strict=True):
             own[:] = empty
@@ -470,7 +472,7 @@ class HardwarePlant(Plant):
         check = turn_each_joint(
             self.config, angles, self._move, lambda: self._drive.last_sent, self._look
         )
-        findings = check.findings(self._target, self._open.eyes.frames())
+        findings = check.findings(self._target, self._open.eyes.frames(), self.remark)
         if world is not None and shown is not None:
             world.place_target(shown)
         for finding in raise_errors(findings):
@@ -511,8 +513,14 @@ class HardwarePlant(Plant):
         self._check_health()
         return now
 
-    def _name_point(self) -> None:
-        """Follow the target before an emulated head as the point that nobody has named."""
+    def _search_anew(self, rested_s: float) -> None:
+        """Forget the target's track; a point is named in an image of the head at rest.
+
+        One that nobody has named is the target before an emulated head.
+        """
+        if isinstance(self._target, PointTarget):
+            self._first_images(rested_s)
+        self._open.eyes.forget()
         self._named = isinstance(self._target, PointTarget) and self._target != PointTarget()
         world, search = self._open.world, self._open.eyes.search
         if world is not None and search is not None and self._target == PointTarget():

@@ -93,9 +93,10 @@ class Identity:
 
     def forget(self) -> None:
         """Drop the target and all that was seen."""
-        self._eyes = (_Seen(), _Seen())
-        self._depth_m = _DEPTH_M
-        self._refusing = False
+        with self._lock:
+            self._eyes = (_Seen(), _Seen())
+            self._depth_m = _DEPTH_M
+            self._refusing = False
 
     def hint(self, eye: int, T_0_C: FloatArray, time_s: float) -> FloatArray | None:
         """(2,) pixel at which an eye will see the target; None if it is unknown.

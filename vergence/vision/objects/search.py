@@ -201,8 +201,6 @@ class _ObjectSearch(EyeSearch):
         self.forget()
 
     def forget(self) -> None:
-        self._source.forget()
-        self._identity.forget()
         self._seen: SeenImage | None = None
         self._answer: _Answer | None = None
         self._waiting: _Answer | None = None
@@ -390,7 +388,7 @@ class HeadSearch:
         self._seed: PointSeed | None = None
         self._source: _Source | None = None
         if isinstance(target, PointTarget):
-            seed = self._seed = PointSeed(cameras, target)
+            seed = self._seed = PointSeed(cameras, target, waits=frame_s is not None)
             self.eyes = PointSearch(0, seed), PointSearch(1, seed)
         elif isinstance(target, ColourTarget | FaceTarget | OwnTarget):
             make: Any = make_object_detector
@@ -451,9 +449,16 @@ class HeadSearch:
             self._source.rehearse(images)
 
     def forget(self) -> None:
-        """Drop the track of the target in both eyes."""
+        """Drop the track of the target in both eyes, and name a point anew."""
+        self.forget_shared()
         for eye in self.eyes:
             eye.forget()
+
+    def forget_shared(self) -> None:
+        """Drop what both eyes share; eyes in threads of their own forget the rest there."""
+        for shared in (self._identity, self._source, self._seed):
+            if shared is not None:
+                shared.forget()
 
     def close(self) -> None:
         """End the detector's threads and processes."""
