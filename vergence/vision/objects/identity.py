@@ -82,6 +82,7 @@ class Identity:
         refused: number of jumps to another object that were refused.
         offered: numbers of images of each eye with candidates.
         taken: numbers of images of each eye in which one was the target.
+        depth_m: depth of the target, m.
     """
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
@@ -94,7 +95,7 @@ class Identity:
     def forget(self) -> None:
         """Drop the target and all that was seen."""
         self._eyes = (_Seen(), _Seen())
-        self._depth_m = _DEPTH_M
+        self.depth_m = _DEPTH_M
         self._refusing = False
 
     def hint(self, eye: int, T_0_C: FloatArray, time_s: float) -> FloatArray | None:
@@ -144,7 +145,7 @@ class Identity:
         if not lead_s <= _HOLD_S:
             return None
         lead_s = float(np.clip(lead_s, -_LEAD_S, _LEAD_S))
-        point = seen.origin + self._depth_m * (seen.ray + lead_s * seen.turn)
+        point = seen.origin + self.depth_m * (seen.ray + lead_s * seen.turn)
         pixel = pixel_of(self._cameras[eye], T_0_C, point)
         return pixel if np.isfinite(pixel).all() else None
 
@@ -191,12 +192,12 @@ class Identity:
         if not own.candidates or own.time_s - other.time_s > _HOLD_S:
             return None
         if not other.candidates:
-            self._depth_m = _DEPTH_M
+            self.depth_m = _DEPTH_M
             return max(own.candidates, key=lambda one: one.score)
         best = max(self._pairs(eye), key=lambda pair: pair[0], default=None)
         if best is None:
             return None
-        _score, found, self._depth_m = best
+        _score, found, self.depth_m = best
         return found
 
     def _continue(self, eye: int) -> Detection | None:
@@ -243,7 +244,7 @@ class Identity:
             if not self._is_other(eye, pair[1]) and _alike(pair[1].size_px, own.size_px)
         ]  # fmt: skip
         if len(pairs) == 1:
-            _score, found, self._depth_m = pairs[0]
+            _score, found, self.depth_m = pairs[0]
             return found
         known = [one for one in own.candidates if self._is_other(eye, one)]
         own.others += [(own.time_s, self._line(eye, one.pixel)) for one in known]
@@ -277,7 +278,7 @@ class Identity:
         self._refusing = False
         for _score, one, depth_m in self._pairs(eye):
             if one is found:
-                self._depth_m = depth_m
+                self.depth_m = depth_m
 
 
 def _alike(one: float | None, other: float | None) -> bool:
