@@ -59,6 +59,8 @@ class _Seen:
     chosen: Detection | None = None
     chosen_s: float = -np.inf
     """Time of the last sighting, s."""
+    missed_s: float = -np.inf
+    """Time of the first image after it, s; that of the sighting if there is none."""
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
     ray: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Line of sight in frame 0, of length 1."""
@@ -107,7 +109,7 @@ class Identity:
             time_s: time of the exposure, s.
         """
         with self._lock:
-            return self._predict(eye, T_0_C, time_s)
+            return None if self._unknown(eye) else self._predict(eye, T_0_C, time_s)
 
     def post(
         self, eye: int, candidates: Sequence[Detection], T_0_C: FloatArray, time_s: float
@@ -115,6 +117,8 @@ class Identity:
         """Add the candidates of an eye's image; for the other arguments see `hint`."""
         with self._lock:
             seen = self._eyes[eye]
+            if seen.missed_s == seen.chosen_s > -np.inf:
+                seen.missed_s = time_s
             seen.candidates, seen.T_0_C, seen.time_s = list(candidates), T_0_C, time_s
             self.offered[eye] += bool(candidates)
 
@@ -122,14 +126,14 @@ class Identity:
         """True if nothing can be chosen until the other eye has been heard."""
         with self._lock:
             own, other = self._eyes[eye], self._eyes[1 - eye]
-            unknown = own.time_s - max(own.chosen_s, other.chosen_s) > _HOLD_S
-            return unknown and bool(own.candidates) and own.time_s - other.time_s > _HOLD_S
+            return (
+                self._unknown(eye) and bool(own.candidates) and own.time_s - other.time_s > _HOLD_S
+            )
 
     def choose(self, eye: int) -> Detection | None:
         """The target among the candidates posted last; None if it is not there."""
         with self._lock:
-            own, other = self._eyes[eye], self._eyes[1 - eye]
-            if own.time_s - max(own.chosen_s, other.chosen_s) > _HOLD_S:
+            if self._unknown(eye):
                 found = self._acquire(eye)
             else:
                 found = self._continue(eye) or self._as_other(eye) or self._moved(eye)
@@ -138,11 +142,16 @@ class Identity:
                 self._keep(eye, found)
             return found
 
+    def _unknown(self, eye: int) -> bool:
+        """True if there is no target, or images have been without it for long enough."""
+        missed_s = max(seen.missed_s for seen in self._eyes)
+        return self._eyes[eye].time_s - missed_s > _HOLD_S or missed_s == -np.inf
+
     def _predict(self, eye: int, T_0_C: FloatArray, time_s: float) -> FloatArray | None:
         own, other = self._eyes[eye], self._eyes[1 - eye]
         seen = own if own.chosen_s >= other.chosen_s - _HOLD_S else other
         lead_s = time_s - seen.chosen_s
-        if not lead_s <= _HOLD_S:
+        if lead_s == np.inf:
             return None
         lead_s = float(np.clip(lead_s, -_LEAD_S, _LEAD_S))
         point = seen.origin + self.depth_m * (seen.ray + lead_s * seen.turn)
@@ -270,7 +279,7 @@ class Identity:
         turn = (ray - own.ray) / since_s if 1e-4 < since_s < _LEAD_S else np.zeros(3)
         own.turn = 0.5 * (own.turn + turn) if np.isfinite(since_s) else turn
         own.origin, own.ray = own.T_0_C[:3, 3].copy(), ray
-        own.chosen, own.chosen_s = found, now
+        own.chosen, own.chosen_s, own.missed_s = found, now, now
         own.others = [one for one in own.others if now - one[0] < _MEMORY_S]
         own.others += [
             (now, self._line(eye, one.pixel)) for one in own.candidates if one is not found

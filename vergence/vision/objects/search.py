@@ -2,10 +2,9 @@
 
 A detector works in a thread of its own, a user's in a process of its own. What it finds belongs to
 the exposure of its image; from there the target is carried to the present image by tracking, and
-from image to image until the detector answers again. Where tracking loses it, images say nothing
-for a moment, and an answer is reported with the time of its own exposure. What was seen longer ago
-is taken to rest: images say where it was seen last, by the joints' angles, until the detector's
-next answer.
+from image to image until the detector answers again. Where tracking does not see it, the target is
+taken to rest: images say where it was seen last, by the joints' angles, until the next answer. A
+law that was given old exposures instead would turn by them after it has turned already.
 """
 
 import threading
@@ -67,11 +66,8 @@ _TRACK: Final = 512
 """Most images whose carried pixels are remembered (chosen: 4 s at 120 Hz)."""
 _LOST_S: Final = 0.5
 """Time for which tracking looks for what it has lost, s (chosen: the blur of a saccade)."""
-_QUIET_S: Final = 0.25
-"""Time after a sighting from which the target is taken to rest, s (chosen: laws extrapolate for as
-long, and take no pixel of 0.5 s with the latency)."""
 _HELD_S: Final = 4.5
-"""Time after a sighting for which it is, s (chosen: two answers of a detector that takes 2 s)."""
+"""Time after a sighting for which the target is taken to rest, s (chosen: two answers of a detector that takes 2 s)."""
 _VIEW_SHARE: Final = 0.8
 """Share of the view within which a place stands that is out of view (chosen: the lens model
 holds)."""
@@ -219,7 +215,6 @@ class _ObjectSearch(EyeSearch):
         self._recent: list[SeenImage] = []
         self._track: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_TRACK)
         self._last: Detection | None = None
-        self._told_s = -np.inf
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
         seen = SeenImage(_as_colour(image, self._camera), T_0_C, time_s)
@@ -249,7 +244,7 @@ class _ObjectSearch(EyeSearch):
             return None
         self._seen = None
         if answer is None:
-            return self._tell(self._carry(seen) or self._hold(seen))
+            return self._carry(seen) or self._hold(seen)
         target, then_s = self._identity.choose(self._eye), answer.seen.time_s
         if target is None and self._identity.waits(self._eye):
             self._waiting = answer
@@ -257,7 +252,7 @@ class _ObjectSearch(EyeSearch):
         since = self._recent = [one for one in self._recent if one.time_s > then_s]
         if target is None or then_s == seen.time_s:
             self._start(seen, target)
-            return self._tell(Found(target, seen.time_s))
+            return Found(target, seen.time_s)
         carried = self._carry(seen)
         before = [pixel for at_s, pixel, _ in self._track if at_s == then_s]
         if carried is not None and before:
@@ -276,18 +271,11 @@ class _ObjectSearch(EyeSearch):
             for between in since[:: -max(len(since) // _STEPS, 1)][::-1]:  # ends with the present
                 carried = self._carry(between)
             if carried is None:
-                return self._tell(self._hold(seen) or Found(target, then_s))
+                return self._hold(seen)
             moved = carried.detection.pixel
         target = target._replace(pixel=moved, sigma_px=np.asarray(target.sigma_px))
         self._start(seen, target)
-        return self._tell(Found(target, seen.time_s))
-
-    def _tell(self, found: Found | None) -> Found | None:
-        """What is reported, in the order of exposures."""
-        if found is None or found.time_s <= self._told_s:
-            return None
-        self._told_s = found.time_s
-        return found
+        return Found(target, seen.time_s)
 
     def _start(self, seen: SeenImage, target: Detection | None) -> None:
         """Follow the image around the target from here."""
@@ -351,8 +339,8 @@ class _ObjectSearch(EyeSearch):
         return pixel if np.isfinite(pixel).all() else None
 
     def _hold(self, seen: SeenImage) -> Found | None:
-        """The target at rest where it was seen last, once that is some time ago."""
-        if self._last is None or not seen.time_s - self._track[-1][0] > _QUIET_S:
+        """The target at rest where it was seen last; None if the last answer had none."""
+        if self._last is None:
             return None
         pixel = pixel_of(self._camera, seen.T_0_C, self._place(-1))
         if seen.time_s - self._track[-1][0] > _HELD_S or not np.isfinite(pixel).all():
