@@ -128,7 +128,7 @@ def test_an_answer_that_cannot_be_carried_is_where_the_target_was(search_of):
 
 
 @pytest.mark.parametrize(("rate_hz", "tracked"), [(30.0, True), (120.0, False)])
-def test_a_target_at_rest_stays_while_the_eyes_turn_and_the_detector_takes_2_s(
+def test_a_target_at_rest_stays_while_eyes_turn_and_its_detector_takes_2_s(
     search_of, rate_hz, tracked
 ):
     search, shown, q = search_of("Old"), images(), HEAD.rest()

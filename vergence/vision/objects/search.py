@@ -67,7 +67,8 @@ _TRACK: Final = 512
 _LOST_S: Final = 0.5
 """Time for which tracking looks for what it has lost, s (chosen: the blur of a saccade)."""
 _HELD_S: Final = 4.5
-"""Time after a sighting for which the target is taken to rest, s (chosen: two answers of a detector that takes 2 s)."""
+"""Time after a sighting for which the target is taken to rest, s (chosen: two answers of a detector
+that takes 2 s)."""
 _VIEW_SHARE: Final = 0.8
 """Share of the view within which a place stands that is out of view (chosen: the lens model
 holds)."""
@@ -215,6 +216,7 @@ class _ObjectSearch(EyeSearch):
         self._recent: list[SeenImage] = []
         self._track: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_TRACK)
         self._last: Detection | None = None
+        self._doubted = False
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
         seen = SeenImage(_as_colour(image, self._camera), T_0_C, time_s)
@@ -250,6 +252,10 @@ class _ObjectSearch(EyeSearch):
             self._waiting = answer
             return None
         since = self._recent = [one for one in self._recent if one.time_s > then_s]
+        if target is None and then_s < seen.time_s and not self._doubted:
+            self._doubted = True  # a blurred image, say; tracking knows more of later ones
+            if (carried := self._carry(seen)) is not None:
+                return carried
         if target is None or then_s == seen.time_s:
             self._start(seen, target)
             return Found(target, seen.time_s)
@@ -257,13 +263,8 @@ class _ObjectSearch(EyeSearch):
         before = [pixel for at_s, pixel, _ in self._track if at_s == then_s]
         if carried is not None and before:
             shift = target.pixel - before[0]
-            self._track = deque(
-                (
-                    (at_s, pixel + shift * (at_s >= then_s), pose)
-                    for at_s, pixel, pose in self._track
-                ),
-                _TRACK,
-            )
+            later = [one for one in self._track if one[0] >= then_s]
+            self._track = deque(((at_s, px + shift, pose) for at_s, px, pose in later), _TRACK)
             moved = carried.detection.pixel + shift
         else:
             self._track.clear()
@@ -280,20 +281,21 @@ class _ObjectSearch(EyeSearch):
     def _start(self, seen: SeenImage, target: Detection | None) -> None:
         """Follow the image around the target from here."""
         self._target, self._started, self._from = target, False, seen
-        self._last, self._lost_s = target, np.inf
+        self._last, self._lost_s, self._doubted = target, np.inf, False
         if target is not None:
             self._note(seen, np.asarray(target.pixel))
 
     def _carry(self, seen: SeenImage) -> Found | None:
         """The target carried to an image; None if nothing is followed, or it is not seen."""
-        if self._target is None:
+        target = self._target
+        if target is None:
             return None
         try:
             if not self._started:
-                size_px = self._target.size_px or _CARRIED_SIZE_PX
-                self._mix = _contrast(self._from.image, self._target.pixel, size_px)
+                size_px = target.size_px or _CARRIED_SIZE_PX
+                self._mix = _contrast(self._from.image, target.pixel, size_px)
                 self._tracker.begin(
-                    cv2.transform(self._from.image, self._mix), self._target.pixel,
+                    cv2.transform(self._from.image, self._mix), target.pixel,
                     self._from.T_0_C, half_px=_CARRIED_HALF * size_px, checked=False,
                 )  # fmt: skip
                 self._started = True
@@ -309,8 +311,8 @@ class _ObjectSearch(EyeSearch):
         self._lost_s = np.inf
         pixel, sigma_px = point
         self._note(seen, pixel)
-        sigma_px = np.hypot(sigma_px, self._target.sigma_px)
-        return Found(self._target._replace(pixel=pixel, sigma_px=sigma_px), seen.time_s)
+        sigma_px = np.hypot(sigma_px, target.sigma_px)
+        return Found(target._replace(pixel=pixel, sigma_px=sigma_px), seen.time_s)
 
     def _note(self, seen: SeenImage, pixel: FloatArray) -> None:
         """Remember where the target was in an image."""
