@@ -54,7 +54,7 @@ _LEVEL_NOISE: Final = 6.0
 """Noise of a level against which a mixture's weights are chosen (chosen: webcams' and JPEG's)."""
 _CARRIED_SIZE_PX: Final = 40.0
 """Size of an object that states none, px (chosen: a hand at arm's length)."""
-_STEPS: Final = 6
+_STEPS: Final = 16
 """Images between a slow detector's and the present one through which its answer is tracked
 (chosen: motion from one to the next against time)."""
 _MOTION_S: Final = (0.015, 0.2)
