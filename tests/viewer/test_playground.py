@@ -74,11 +74,11 @@ def test_a_target_that_is_dragged_upwards_rises(playground):
 
 @pytest.mark.slow
 def test_a_click_in_an_eyes_picture_moves_the_target_there(playground):
-    before, size = playground.simulated.target, np.array([1040.0, 860.0])
+    before = playground.simulated.target
+    run(playground)
     screen = playground.view.scene._screens[1]
     turn = viser.transforms.SO3(np.array(screen.wxyz)).as_matrix()
-    corner = np.array([0.24, 0.24 * size[1] / size[0]]) * (np.array([0.75, 0.5]) - 0.5)
-    place = np.array(screen.position) + turn[:, :2] @ corner
+    place = np.array(screen.position) + 0.25 * screen.render_width * turn[:, 0]
     away = turn @ [0.1, -0.2, 1.0]
     for on_click in screen._impl.click_cb:
         on_click.callback(

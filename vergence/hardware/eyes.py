@@ -143,7 +143,9 @@ class HeadEyes:
             before.close()
 
     def forget(self) -> None:
-        """Drop the track of the target in both eyes."""
+        """Drop the track of the target in both eyes, and name a point anew."""
+        if self.search is not None:
+            self.search.forget_shared()
         for eye in self.threads:
             eye.forget_track()
 

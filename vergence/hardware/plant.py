@@ -60,6 +60,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.vision.detection import as_pixel
+from vergence.vision.objects.sights import line_of_sight, pixel_of
 from vergence.vision.objects.targets import GazeTarget, PlaceTarget, PointTarget, parse_gaze_target
 from vergence.vision.targets import AprilTag
 
@@ -130,10 +131,12 @@ class HardwarePlant(Plant):
         self.places_targets = self.config.places_targets
         self.overruns = 0
         self._log, self._moves, self._appears = log, moves, appears
-        by_images = not isinstance(self.config.target, PlaceTarget)  # whose pixels are computed
+        # a place's pixels are computed, and a point that nobody has named yet has none
+        target = self.config.target
+        by_images = not isinstance(target, PlaceTarget) and target != PointTarget()
         self._view_unchecked = view_check and moves and self.config.safety.view_check and by_images
         self._shown: FloatArray | None = None
-        self._target = self.config.target
+        self._target = target
         self._clock, self._sleep = clock, sleep
         self._period_s = head.timing.period_s
         self._reading = Reading.empty(1)
@@ -148,6 +151,7 @@ class HardwarePlant(Plant):
         self._missed = CountLog(_LOG, logging.WARNING, "periods missed: %d", clock)
         self._goals = np.full(4, np.nan)
         self._truth: Truth | None = None
+        self._named = False
         self._supervisor = self._new_supervisor()
 
     def _new_supervisor(self) -> Supervisor:
@@ -273,9 +277,9 @@ class HardwarePlant(Plant):
             self.head.base_pose(q) @ self.head.camera_poses(q)
             for q in (self._history.at(exposed_s), self._history.newest()[1])
         )
-        ray = np.append(camera.rays(as_pixel("pixel", pixel)[None])[0], 1.0)
-        turned = now[eye, :3, :3].T @ then[eye, :3, :3] @ ray
-        self._open.eyes.search.click(eye, camera.project(turned[None])[0])
+        ray = line_of_sight(camera, then[eye], as_pixel("pixel", pixel))
+        self._open.eyes.search.click(eye, pixel_of(camera, now[eye], now[eye, :3, 3] + ray))
+        self._named = True
 
     def show(self, ids: IntArray, motions: FloatArray) -> None:
         """Place the target before an emulated head, see `Plant.show`."""
@@ -300,14 +304,14 @@ class HardwarePlant(Plant):
                 servos.switch_on()
                 angles = servos.angles
             rested_s = self._come_to_start(positions[0], angles) if self._moves else self._clock()
+            self._search_anew(rested_s)
             if self._view_unchecked:
                 self._check_view(positions[0], angles)
                 rested_s = self._come_to_start(positions[0], angles)
+                self._search_anew(rested_s)
         except HardwareError as error:
             self.rest(str(error))
             raise
-        self._open.eyes.forget()
-        self._name_point()
         blank = Reading.empty(1)
         for own, empty in zip(self._reading, blank, strict=True):
             own[:] = empty
@@ -372,8 +376,11 @@ class HardwarePlant(Plant):
         return self._open.eyes.frames()
 
     def truth(self) -> Truth | None:
-        """Ground truth of an emulated head at the last reading; None for a real one."""
-        if self._open.world is None:
+        """Ground truth of an emulated head at the last reading.
+
+        None for a real one, and once somebody has named a point, which the emulator does not know.
+        """
+        if self._open.world is None or self._named:
             return None
         if self._truth is None:
             self._truth = self._open.world.truth(self.head, float(self._reading.time_s[0]))
@@ -465,7 +472,7 @@ class HardwarePlant(Plant):
         check = turn_each_joint(
             self.config, angles, self._move, lambda: self._drive.last_sent, self._look
         )
-        findings = check.findings(self._target, self._open.eyes.frames())
+        findings = check.findings(self._target, self._open.eyes.frames(), self.remark)
         if world is not None and shown is not None:
             world.place_target(shown)
         for finding in raise_errors(findings):
@@ -506,8 +513,15 @@ class HardwarePlant(Plant):
         self._check_health()
         return now
 
-    def _name_point(self) -> None:
-        """Follow the target before an emulated head as the point that nobody has named."""
+    def _search_anew(self, rested_s: float) -> None:
+        """Forget the target's track; a point is named in an image of the head at rest.
+
+        One that nobody has named is the target before an emulated head.
+        """
+        if isinstance(self._target, PointTarget):
+            self._first_images(rested_s)
+        self._open.eyes.forget()
+        self._named = isinstance(self._target, PointTarget) and self._target != PointTarget()
         world, search = self._open.world, self._open.eyes.search
         if world is not None and search is not None and self._target == PointTarget():
             search.click(0, world.truth(self.head, 0.0).pixels[0, 0])

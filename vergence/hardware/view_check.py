@@ -209,17 +209,20 @@ class ViewCheck:
     turns: list[Turn] = field(default_factory=list)
     """These turns."""
 
-    def findings(self, target: GazeTarget, images: tuple[Image, Image] | None) -> list[Finding]:
+    def findings(
+        self, target: GazeTarget, images: tuple[Image, Image] | None, remark: str = ""
+    ) -> list[Finding]:
         """All mistakes, each named by its likeliest cause; empty for a head that is right.
 
         Args:
             target: the target that was looked for.
             images: the newest images of both eyes, in which it is looked for mirrored if it was
                 not found; None if there are none.
+            remark: why an eye has not seen it, in words, see `Plant.remark`; empty if unknown.
         """
         last = {turn.servo.name: turn for turn in self.turns}
         found = [finding for turn in last.values() for finding in _speeds(turn)]
-        found = found or self._unseen(target, images)
+        found = found or self._unseen(target, images, remark)
         if found:
             return found
         angles = np.array([posture.angles for posture in self.postures])
@@ -228,7 +231,9 @@ class ViewCheck:
             return self._zeros()
         return [self._explained(angles, pixels)]
 
-    def _unseen(self, target: GazeTarget, images: tuple[Image, Image] | None) -> list[Finding]:
+    def _unseen(
+        self, target: GazeTarget, images: tuple[Image, Image] | None, remark: str
+    ) -> list[Finding]:
         """Findings of eyes that have never seen the target."""
         seen = np.array([np.isfinite(posture.pixels).all(axis=-1) for posture in self.postures])
         found, blind = [], np.flatnonzero(~seen.any(axis=0)).tolist()
@@ -244,18 +249,22 @@ class ViewCheck:
                 Finding(
                     part="view",
                     problem=f"expected {target} in view of the head at the start, got images "
-                    "without it from both cameras",
+                    "without it from both cameras" + (remark and f" ({remark})"),
                     cure=_VIEW_CURE,
                 )
             ]
         if not found and blind:
             eye = blind[0]
+            why = (
+                f" ({remark})" if remark
+                else f", so the zeros of the {EYE_NAMES[eye]} eye's joints are off by far, or "
+                "something hides it"
+            )  # fmt: skip
             found.append(
                 Finding(
                     part=self._camera(eye),
                     problem=f"expected {target} in view of both eyes at the start, got images "
-                    f"without it: the {EYE_NAMES[1 - eye]} eye sees it, so the zeros of the "
-                    f"{EYE_NAMES[eye]} eye's joints are off by far, or something hides it",
+                    f"without it: the {EYE_NAMES[1 - eye]} eye sees it{why}",
                     cure=_VIEW_CURE,
                 )
             )

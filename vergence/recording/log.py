@@ -157,13 +157,14 @@ class _OpenTrial:
                 f"{schema.COMMAND.name}: expected one before each of {steps} readings, and at most "
                 f"one after them, got {commands}"
             )
+        known = max(self.truths, default=0) >= steps - 1  # the last one may be missing
         unknown = Truth._make(value[0] for value in Truth.unknown(1))
         truths = [self.truths.get(step, unknown) for step in range(len(self.readings))]
         return LoggedTrial(
             number=self.number,
             begun_s=self.begun_s,
             readings=reading,
-            truths=Truth._make(_columns(truths)) if self.truths else None,
+            truths=Truth._make(_columns(truths)) if self.truths and known else None,
             commands=tuple(self.commands),
             images=self.images,
         )

@@ -66,10 +66,12 @@ class Recorder:
             self._pixel_error[step] = task.pixel_error
         self._lost[step] = task.lost
         truth = task.truth() if self._truth_fields else None
-        if truth is not None and self._truth is None:
+        if truth is None:
+            self._truth, self._truth_fields = None, ()
+            return
+        if self._truth is None:
             self._truth = _allocate(Truth.unknown(task.num), self._truth_fields, self._length)
-        if self._truth is not None:
-            _store(self._truth, Truth.unknown(task.num) if truth is None else truth, step)
+        _store(self._truth, truth, step)
 
     @property
     def reading(self) -> Reading:
@@ -78,7 +80,7 @@ class Recorder:
 
     @property
     def truth(self) -> Truth | None:
-        """Recorded ground truth; None if the plant has none, or no field was asked for."""
+        """Recorded ground truth; None if it was unknown once, or no field was asked for."""
         if self._truth is None:
             return None
         return Truth._make(part[: self._rows] for part in self._truth)

@@ -11,6 +11,7 @@ from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.viewer.moment import Moment
 from vergence.viewer.panels import CurvePanel, EyePanel
 from vergence.viewer.scene import HeadScene, OnLook
+from vergence.vision.objects.scenes import Scene
 
 SHOWN_HZ: Final = 30.0
 """Greatest number of moments shown per second (chosen: smooth; each costs two JPEGs)."""
@@ -30,6 +31,7 @@ class HeadView:
         head: the model of the head.
         on_look: called with the eye and the pixel of a click in an eye's image, see `HeadScene`;
             None if nothing can be clicked.
+        room: the room in which the head stands; None for none.
 
     Attributes:
         scene: the head in 3D.
@@ -39,9 +41,10 @@ class HeadView:
     """
 
     def __init__(
-        self, server: viser.ViserServer, head: HeadModel, on_look: OnLook | None = None
-    ) -> None:
-        self._server, self._on_look = server, on_look
+        self, server: viser.ViserServer, head: HeadModel, on_look: OnLook | None = None,
+        room: Scene | None = None,
+    ) -> None:  # fmt: skip
+        self._server, self._on_look, self._room = server, on_look, room
         self.sigmas, self.shown = 3.0, 0
         self._words = server.gui.add_markdown("", order=_FIRST)
         self._lines = _LEAST_LINES
@@ -49,7 +52,7 @@ class HeadView:
         self._tab = panel.add_tab("Eyes")
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH_PX)
-        self.scene = HeadScene(server, head, on_look)
+        self.scene = HeadScene(server, head, on_look, room)
         with self._tab:
             self._eyes = EyePanel(server, head)
             self.curves = CurvePanel(server, head)
@@ -58,7 +61,7 @@ class HeadView:
     def change_head(self, head: HeadModel) -> None:
         """Show another head from now on."""
         self._server.scene.reset()
-        self.scene = HeadScene(self._server, head, self._on_look)
+        self.scene = HeadScene(self._server, head, self._on_look, self._room)
         self._eyes.head = head
         self.curves.set_head(head)
 

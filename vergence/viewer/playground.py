@@ -57,7 +57,7 @@ class Playground:
         self.simulated = SimulatedHead(setup, mode, seed)
         self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._speed, self._paused, self._dragging = 1.0, False, False
-        self.view = HeadView(server, setup.head, self._look_at)
+        self.view = HeadView(server, setup.head, self._look_at, self.simulated.room)
         self._add_target_controls(mode)
         self._add_head_controls(setup)
         self._sliders: dict[str, Any] = {}

@@ -15,6 +15,9 @@ from vergence.models.posture import rest_poses
 from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS, FIX_COLOUR, TARGET_COLOUR
 from vergence.viewer.moment import Moment
 from vergence.viewer.shapes import HeadShapes
+from vergence.vision.objects.room import print_poster
+from vergence.vision.objects.scenes import Scene, poster_size_m
+from vergence.vision.objects.walls import HIGH_M, LOW_M, front_wall
 from vergence.vision.targets import board_pose, make_planar_target, outline_m, texture
 
 _GAP_COLOUR: Final = (200, 30, 30)
@@ -28,6 +31,8 @@ _BOARD_PX_PER_CELL: Final = 16
 """Pixels of the target's picture along a cell (chosen: sharp edges)."""
 _OBJECT_M: Final = 0.02
 """Radius of a target that is no tag, m (chosen: legible beside the fix's ellipsoid)."""
+_WALL_PX_M: Final = 150.0
+"""Pixels of the room's wall for each metre (chosen: detail against time)."""
 _CAMERA_OFFSET: Final = (0.85, 0.6, 0.45)
 """First place of the page's camera from the middle between head and target, by their distance
 (chosen: both are in view, the eyes from beside)."""
@@ -43,12 +48,13 @@ _DISTANCE_WITHOUT_FIX_M: Final = 1.0
 
 
 OnLook = Callable[[int, FloatArray], None]
-_SCREEN_M: Final = 0.24
-"""Width of an eye's image above the head, m (chosen: in view with the head)."""
+_SCREEN_SHARE: Final = 0.24
+"""Width of an eye's image above the head by the distance of the page's first camera (chosen: fine
+enough to be clicked in, in view with the head)."""
 _SCREEN_SPACING: Final = 1.06
 """Distance of both images' middles, in widths (chosen: looks)."""
-_SCREEN_HEIGHT_M: Final = 0.32
-"""Height of their middles above the head's origin, m (chosen: above every preset)."""
+_SCREEN_HEIGHT_M: Final = 0.22
+"""Height of their lower edges above the head's origin, m (chosen: above every preset)."""
 
 
 class HeadScene:
@@ -59,14 +65,16 @@ class HeadScene:
         head: one head, not a population.
         on_look: called with an eye, 0 for left, and a raw pixel (u, v), shape (2,), that somebody
             has clicked in the eye's image, which then hangs above the head; None for no images.
+        room: the room, whose front wall and thing are shown; None for none.
 
     Attributes:
         target: the handles by which the target can be dragged, hidden at first.
     """
 
     def __init__(
-        self, server: viser.ViserServer, head: HeadModel, on_look: OnLook | None = None
-    ) -> None:
+        self, server: viser.ViserServer, head: HeadModel, on_look: OnLook | None = None,
+        room: Scene | None = None,
+    ) -> None:  # fmt: skip
         self._server, self._head = server, head
         self._shapes = HeadShapes(head)
         self._N = np.eye(4)
@@ -118,42 +126,76 @@ class HeadScene:
             *size.tolist(),
             cast_shadow=False,
         )
-        self._object = api.add_icosphere("/head/object", radius=_OBJECT_M, color=TARGET_COLOUR)
+        self._object = self._thing(room)
         self.target = api.add_transform_controls(
             "/head/target", scale=0.18, disable_rotations=True, visible=False, line_width=3.0
         )
         self._screens = [] if on_look is None else [self._screen(eye, on_look) for eye in range(2)]
         self._camera_placed = False
         floor_m = rest_poses(head).floor_m
+        if room is not None:
+            self._add_wall(room)
         api.add_grid(
             "/floor", 4.0, 4.0, cell_size=0.1, section_size=0.5, position=(0.0, -1.0, floor_m),
             cell_color=(225, 225, 225), section_color=(200, 200, 200),
         )  # fmt: skip
 
+    def _thing(self, room: Scene | None) -> viser.SceneNodeHandle:
+        """What stands at the target's place, where it is no tag."""
+        api = self._server.scene
+        if room is None or room.thing == "nothing":
+            return api.add_icosphere("/head/object", radius=_OBJECT_M, color=TARGET_COLOUR)
+        if room.thing == "ball":
+            return api.add_icosphere("/head/object", radius=0.5 * room.size_m, color=room.colour)
+        poster = print_poster(room)[..., ::-1]
+        return api.add_image("/head/object", poster, *poster_size_m(room), cast_shadow=False)
+
+    def _add_wall(self, room: Scene) -> None:
+        """Show the room's front wall, which stands before the head at rest."""
+        T_head_wall = self._shapes.pose_of_n(self._head.rest())
+        middle = T_head_wall @ [*(0.5 * (LOW_M + HIGH_M))[:2], HIGH_M[2], 1.0]
+        self._server.scene.add_image(
+            "/head/wall", front_wall(room.wall, _WALL_PX_M)[..., ::-1],
+            *(HIGH_M - LOW_M)[:2].tolist(), format="jpeg", cast_shadow=False,
+            receive_shadow=False, position=middle[:3], wxyz=_wxyz(T_head_wall[:3, :3]),
+        )  # fmt: skip
+
     def _screen(self, eye: int, on_look: OnLook) -> viser.ImageHandle:
         """An eye's image above the head, facing the page's first camera, that can be clicked."""
         size = self._head.cameras.size[eye]
-        width_m, height_m = _SCREEN_M, _SCREEN_M * float(size[1] / size[0])
         away = -np.array(_CAMERA_OFFSET) / np.linalg.norm(_CAMERA_OFFSET)
         right = np.cross(away, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
         turn = np.column_stack([right, np.cross(away, right), away])
-        middle = (eye - 0.5) * _SCREEN_SPACING * width_m * right + [0.0, 0.0, _SCREEN_HEIGHT_M]
         node = self._server.scene.add_image(
             f"/head/screen_{EYE_NAMES[eye]}", np.full((2, 2, 3), BACKGROUND_GREY, np.uint8),
-            width_m, height_m, format="jpeg", cast_shadow=False, receive_shadow=False,
-            position=middle, wxyz=_wxyz(turn),
+            1.0, 1.0, format="jpeg", cast_shadow=False, receive_shadow=False, visible=False,
+            wxyz=_wxyz(turn),
         )  # fmt: skip
 
         @node.on_click
         def look(event: "viser.SceneNodePointerEvent[viser.ImageHandle]") -> None:
-            start = turn.T @ (np.array(event.ray_origin) - middle)
+            start = turn.T @ (np.array(event.ray_origin) - node.position)
             along = turn.T @ np.array(event.ray_direction)
-            x, y = (start - start[2] / along[2] * along)[:2]
-            share = np.array([x / width_m, y / height_m]) + 0.5
+            place = (start - start[2] / along[2] * along)[:2]
+            share = place / [node.render_width, node.render_height] + 0.5
             on_look(eye, share * size - 0.5)
 
         return node
+
+    def _place_screens(self, away_m: float) -> None:
+        """Hang the eyes' images above the head, as large as the page's camera is far away."""
+        for eye, node in enumerate(self._screens):
+            size = (
+                _SCREEN_SHARE
+                * away_m
+                * np.array([1.0, np.divide(*self._head.cameras.size[eye, ::-1])])
+            )
+            right = Rotation.from_quat(node.wxyz, scalar_first=True).as_matrix()[:, 0]
+            above = [0.0, 0.0, _SCREEN_HEIGHT_M + 0.5 * size[1]]
+            node.render_width, node.render_height = size.tolist()
+            node.position = (eye - 1.0) * _SCREEN_SPACING * size[0] * right + above
+            node.visible = True
 
     def show_screens(self, images: Sequence[Image]) -> None:
         """Show both eyes' pictures, (height, width, 3) RGB, where they can be clicked."""
@@ -209,7 +251,7 @@ class HeadScene:
             if there:
                 pose = self._N @ board_pose(shown.target)
                 self._board.position, self._board.wxyz = pose[:3, 3], _wxyz(pose[:3, :3])
-                self._object.position = pose[:3, 3]
+                self._object.position, self._object.wxyz = self._board.position, self._board.wxyz
                 if moves_target:
                     self.target.position = pose[:3, 3]
 
@@ -220,6 +262,7 @@ class HeadScene:
         size = max(float(np.linalg.norm(reach)), _MIN_VIEW_M + 2.0 * self._shapes.baseline_m)
         if size > _MAX_VIEW_M:
             reach, size = reach * (_MAX_VIEW_M / size), _MAX_VIEW_M
+        self._place_screens(size)
         middle = self._N[:3, 3] + 0.35 * reach
         self._look_at, self._away = middle, size * np.array(_CAMERA_OFFSET)
         self._server.initial_camera.look_at = middle

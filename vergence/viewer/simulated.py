@@ -25,6 +25,7 @@ from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.viewer.moment import Moment, moment_of
+from vergence.vision.objects.scenes import Scene
 from vergence.vision.objects.sights import line_of_sight
 
 TargetMode = Literal["step", "circle", "wander", "by hand"]
@@ -166,6 +167,11 @@ class SimulatedHead:
     def period_s(self) -> float:
         """Control period, s."""
         return self._setup.head.timing.period_s
+
+    @property
+    def room(self) -> Scene | None:
+        """The room around the head; None for none."""
+        return self._plant.scene if isinstance(self._plant, RenderedPlant) else None
 
     @property
     def target(self) -> FloatArray:

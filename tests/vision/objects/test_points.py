@@ -162,7 +162,18 @@ def test_forgetting_starts_again_from_the_targets_pixel():
     search = PointSearch(0, seed)
     seed.click(0, SECOND)
     search.look(image(0), ONE.poses[0], 0.0)
+    seed.forget()
     search.forget()
     assert search.found() is None
     search.look(image(0), ONE.poses[0], FRAME_S)
     assert search.found().detection.pixel == pytest.approx(FIRST, abs=0.1)
+
+
+def test_the_pixel_of_a_robots_target_waits_until_the_head_is_at_its_start():
+    seed = PointSeed(ONE.cameras, PointTarget(eye=0, pixel=(5.0, 5.0)), waits=True)
+    search = PointSearch(0, seed)
+    search.look(image(0), ONE.poses[0], 0.0)  # too near the border to be followed
+    assert search.found().detection is None
+    seed.forget()
+    with pytest.raises(PointRefusedError, match="border"):
+        search.look(image(0), ONE.poses[0], FRAME_S)

@@ -78,6 +78,9 @@ class RenderedPlant(MujocoPlant):
         wall: file of a photograph on the room's front wall; None for procedural texture.
         **options: options of `MujocoPlant`.
 
+    Attributes:
+        scene: the room; None for a board before plain grey.
+
     Raises:
         ConfigurationError: an option has an invalid value.
     """
@@ -111,7 +114,7 @@ class RenderedPlant(MujocoPlant):
             target, width_rad = parse_gaze_target(look), None
         shown = AprilTag() if isinstance(target, PlaceTarget) else target
         true, many = self.true_head, bool(self.true_head.batch_shape)
-        in_room = scene_of(shown, scene, wall)
+        in_room = self.scene = scene_of(shown, scene, wall)
         self._views: list[BoardImageRenderer] = []
         for i in range(num):
             one = true[i % len(self.conditions.heads)] if many else true

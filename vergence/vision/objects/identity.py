@@ -59,6 +59,8 @@ class _Seen:
     chosen: Detection | None = None
     chosen_s: float = -np.inf
     """Time of the last sighting, s."""
+    missed_s: float = -np.inf
+    """Time of the first image after it, s; that of the sighting if there is none."""
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
     ray: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Line of sight in frame 0, of length 1."""
@@ -82,6 +84,7 @@ class Identity:
         refused: number of jumps to another object that were refused.
         offered: numbers of images of each eye with candidates.
         taken: numbers of images of each eye in which one was the target.
+        depth_m: depth of the target, m.
     """
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
@@ -93,9 +96,10 @@ class Identity:
 
     def forget(self) -> None:
         """Drop the target and all that was seen."""
-        self._eyes = (_Seen(), _Seen())
-        self._depth_m = _DEPTH_M
-        self._refusing = False
+        with self._lock:
+            self._eyes = (_Seen(), _Seen())
+            self.depth_m = _DEPTH_M
+            self._refusing = False
 
     def hint(self, eye: int, T_0_C: FloatArray, time_s: float) -> FloatArray | None:
         """(2,) pixel at which an eye will see the target; None if it is unknown.
@@ -106,7 +110,7 @@ class Identity:
             time_s: time of the exposure, s.
         """
         with self._lock:
-            return self._predict(eye, T_0_C, time_s)
+            return None if self._unknown(eye) else self._predict(eye, T_0_C, time_s)
 
     def post(
         self, eye: int, candidates: Sequence[Detection], T_0_C: FloatArray, time_s: float
@@ -114,6 +118,8 @@ class Identity:
         """Add the candidates of an eye's image; for the other arguments see `hint`."""
         with self._lock:
             seen = self._eyes[eye]
+            if seen.missed_s == seen.chosen_s > -np.inf:
+                seen.missed_s = time_s
             seen.candidates, seen.T_0_C, seen.time_s = list(candidates), T_0_C, time_s
             self.offered[eye] += bool(candidates)
 
@@ -121,14 +127,14 @@ class Identity:
         """True if nothing can be chosen until the other eye has been heard."""
         with self._lock:
             own, other = self._eyes[eye], self._eyes[1 - eye]
-            unknown = own.time_s - max(own.chosen_s, other.chosen_s) > _HOLD_S
-            return unknown and bool(own.candidates) and own.time_s - other.time_s > _HOLD_S
+            return (
+                self._unknown(eye) and bool(own.candidates) and own.time_s - other.time_s > _HOLD_S
+            )
 
     def choose(self, eye: int) -> Detection | None:
         """The target among the candidates posted last; None if it is not there."""
         with self._lock:
-            own, other = self._eyes[eye], self._eyes[1 - eye]
-            if own.time_s - max(own.chosen_s, other.chosen_s) > _HOLD_S:
+            if self._unknown(eye):
                 found = self._acquire(eye)
             else:
                 found = self._continue(eye) or self._as_other(eye) or self._moved(eye)
@@ -137,14 +143,19 @@ class Identity:
                 self._keep(eye, found)
             return found
 
+    def _unknown(self, eye: int) -> bool:
+        """True if there is no target, or images have been without it for long enough."""
+        missed_s = max(seen.missed_s for seen in self._eyes)
+        return self._eyes[eye].time_s - missed_s > _HOLD_S or missed_s == -np.inf
+
     def _predict(self, eye: int, T_0_C: FloatArray, time_s: float) -> FloatArray | None:
         own, other = self._eyes[eye], self._eyes[1 - eye]
         seen = own if own.chosen_s >= other.chosen_s - _HOLD_S else other
         lead_s = time_s - seen.chosen_s
-        if not lead_s <= _HOLD_S:
+        if lead_s == np.inf:
             return None
         lead_s = float(np.clip(lead_s, -_LEAD_S, _LEAD_S))
-        point = seen.origin + self._depth_m * (seen.ray + lead_s * seen.turn)
+        point = seen.origin + self.depth_m * (seen.ray + lead_s * seen.turn)
         pixel = pixel_of(self._cameras[eye], T_0_C, point)
         return pixel if np.isfinite(pixel).all() else None
 
@@ -191,12 +202,12 @@ class Identity:
         if not own.candidates or own.time_s - other.time_s > _HOLD_S:
             return None
         if not other.candidates:
-            self._depth_m = _DEPTH_M
+            self.depth_m = _DEPTH_M
             return max(own.candidates, key=lambda one: one.score)
         best = max(self._pairs(eye), key=lambda pair: pair[0], default=None)
         if best is None:
             return None
-        _score, found, self._depth_m = best
+        _score, found, self.depth_m = best
         return found
 
     def _continue(self, eye: int) -> Detection | None:
@@ -243,7 +254,7 @@ class Identity:
             if not self._is_other(eye, pair[1]) and _alike(pair[1].size_px, own.size_px)
         ]  # fmt: skip
         if len(pairs) == 1:
-            _score, found, self._depth_m = pairs[0]
+            _score, found, self.depth_m = pairs[0]
             return found
         known = [one for one in own.candidates if self._is_other(eye, one)]
         own.others += [(own.time_s, self._line(eye, one.pixel)) for one in known]
@@ -269,7 +280,7 @@ class Identity:
         turn = (ray - own.ray) / since_s if 1e-4 < since_s < _LEAD_S else np.zeros(3)
         own.turn = 0.5 * (own.turn + turn) if np.isfinite(since_s) else turn
         own.origin, own.ray = own.T_0_C[:3, 3].copy(), ray
-        own.chosen, own.chosen_s = found, now
+        own.chosen, own.chosen_s, own.missed_s = found, now, now
         own.others = [one for one in own.others if now - one[0] < _MEMORY_S]
         own.others += [
             (now, self._line(eye, one.pixel)) for one in own.candidates if one is not found
@@ -277,7 +288,7 @@ class Identity:
         self._refusing = False
         for _score, one, depth_m in self._pairs(eye):
             if one is found:
-                self._depth_m = depth_m
+                self.depth_m = depth_m
 
 
 def _alike(one: float | None, other: float | None) -> bool:

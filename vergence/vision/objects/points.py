@@ -226,6 +226,12 @@ class _Sight(NamedTuple):
 class PointSeed:
     """The point that both eyes follow: where it was named, and where each eye saw it last.
 
+    Args:
+        cameras: the left and the right eye's camera.
+        target: the target.
+        waits: True to name its pixel in images after the first `forget` only, as for a robot that
+            has yet to drive to the start.
+
     Attributes:
         generation: number of points that have been named; what belongs to an earlier one is void.
         named: the eye and pixel that wait for the eye's next image.
@@ -234,13 +240,17 @@ class PointSeed:
         place: where both eyes saw it last in frame 0, m, and when.
     """
 
-    def __init__(self, cameras: Sequence[Camera], target: PointTarget) -> None:
+    def __init__(
+        self, cameras: Sequence[Camera], target: PointTarget, *, waits: bool = False
+    ) -> None:
         self.cameras, self.lock, self.generation = cameras, threading.RLock(), 0
         self._target = target
-        self.forget()
+        self._name(None, None, clicked=False)
+        if not waits:
+            self.forget()
 
     def forget(self) -> None:
-        """Start again from the pixel that the target names."""
+        """Start again from the pixel that the target names, in the eye's next image."""
         self._name(self._target.eye, self._target.pixel, clicked=False)
 
     def click(self, eye: int, pixel: ArrayLike) -> None:
@@ -270,7 +280,6 @@ class PointSearch(EyeSearch):
     def forget(self) -> None:
         """See `EyeSearch.forget`."""
         self._found = None
-        self._seed.forget()
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
         """See `EyeSearch.look`."""

@@ -347,8 +347,8 @@ class RoomRenderer:
 
 
 @lru_cache(maxsize=2)
-def _print_poster(scene: Scene) -> Colours:
-    """Light of a poster with its border, in its finest texture."""
+def print_poster(scene: Scene) -> Colours:
+    """Colours of a scene's poster with its border, in its finest texture, sRGB levels."""
     size_m = np.array(poster_size_m(scene))
     density = _POSTER_TEXELS / size_m.max()
     border = round(BORDER * size_m[0] * density)
@@ -358,8 +358,8 @@ def _print_poster(scene: Scene) -> Colours:
     else:
         picture = painted((columns, rows), np.random.default_rng(_POSTER_TEXELS))
     white, sides = (255, 255, 255), (border,) * 4
-    return to_light(
-        np.asarray(cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=white), np.uint8)
+    return np.asarray(
+        cv2.copyMakeBorder(picture, *sides, cv2.BORDER_CONSTANT, value=white), np.uint8
     )
 
 
@@ -369,7 +369,7 @@ def _poster(scene: Scene, level: int, black: float) -> tuple[NDArray[np.uint8], 
 
     Black is a share of white's light.
     """
-    light = _print_poster(scene)
+    light = to_light(print_poster(scene))
     shrink = 2.0 ** (-level / _LEVELS_PER_OCTAVE)
     rows, columns = (max(round(shrink * count), 1) for count in light.shape[:2])
     image = cv2.cvtColor(fitted(light, (columns, rows)), cv2.COLOR_BGR2BGRA).astype(np.float32)

@@ -2,8 +2,9 @@
 
 A detector works in a thread of its own, a user's in a process of its own. What it finds belongs to
 the exposure of its image; from there the target is carried to the present image by tracking, and
-from image to image until the detector answers again. Where tracking loses it, the image says
-nothing, and the detector's next answer is reported with the time of its own exposure.
+from image to image until the detector answers again. Where tracking does not see it, the target is
+taken to rest: images say where it was seen last, by the joints' angles, until the next answer. A
+law that was given old exposures instead would turn by them after it has turned already.
 """
 
 import threading
@@ -53,16 +54,21 @@ _LEVEL_NOISE: Final = 6.0
 """Noise of a level against which a mixture's weights are chosen (chosen: webcams' and JPEG's)."""
 _CARRIED_SIZE_PX: Final = 40.0
 """Size of an object that states none, px (chosen: a hand at arm's length)."""
-_STEPS: Final = 6
+_STEPS: Final = 16
 """Images between a slow detector's and the present one through which its answer is tracked
 (chosen: motion from one to the next against time)."""
 _MOTION_S: Final = (0.015, 0.2)
 """Least and greatest time over which the motion of a line of sight is measured, s (chosen: noise
 against accelerations)."""
 _RECENT: Final = 32
-"""Most images that are kept for that (chosen: 0.25 s at 120 Hz)."""
-_TRACK: Final = 64
-"""Most images whose carried pixels are remembered (chosen: half a second at 120 Hz)."""
+"""Most images that are kept for that, older ones thinned out (chosen: memory)."""
+_TRACK: Final = 512
+"""Most images whose carried pixels are remembered (chosen: 4 s at 120 Hz)."""
+_LOST_S: Final = 0.5
+"""Time for which tracking looks for what it has lost, s (chosen: the blur of a saccade)."""
+_HELD_S: Final = 4.5
+"""Time after a sighting for which the target is taken to rest, s (chosen: two answers of a detector
+that takes 2 s)."""
 _VIEW_SHARE: Final = 0.8
 """Share of the view within which a place stands that is out of view (chosen: the lens model
 holds)."""
@@ -142,7 +148,7 @@ class _Source:
             if running is not None:
                 running.result()  # raises what the detector raised
             if self._pool is None:
-                if seen.time_s < self._due_s[place]:
+                if seen.time_s < self._due_s[place] or len(self._answers[place]) >= _RECENT:
                     return
                 self._due_s[place] = seen.time_s + self._period_s - 1e-9
             if self._both:
@@ -201,19 +207,20 @@ class _ObjectSearch(EyeSearch):
         self.forget()
 
     def forget(self) -> None:
-        self._source.forget()
-        self._identity.forget()
         self._seen: SeenImage | None = None
         self._answer: _Answer | None = None
         self._waiting: _Answer | None = None
         self._target: Detection | None = None
-        self._recent: deque[SeenImage] = deque(maxlen=_RECENT)
+        self._recent: list[SeenImage] = []
         self._track: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_TRACK)
-        self._told_s = -np.inf
+        self._last: Detection | None = None
+        self._doubted = False
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
         seen = SeenImage(_as_colour(image, self._camera), T_0_C, time_s)
         self._recent.append(seen)
+        if len(self._recent) > _RECENT:
+            del self._recent[1:-1:2]
         self._source.ask(self._eye, seen, self._identity.hint(self._eye, T_0_C, time_s))
         self._seen, self._answer = seen, None
         self.take_answer()
@@ -237,86 +244,108 @@ class _ObjectSearch(EyeSearch):
             return None
         self._seen = None
         if answer is None:
-            return self._tell(self._carry(seen))
-        target = self._identity.choose(self._eye)
+            return self._carry(seen) or self._hold(seen)
+        target, then_s = self._identity.choose(self._eye), answer.seen.time_s
         if target is None and self._identity.waits(self._eye):
             self._waiting = answer
             return None
-        if target is None or answer.seen.time_s == seen.time_s:
+        since = self._recent = [one for one in self._recent if one.time_s > then_s]
+        if target is None and then_s < seen.time_s and not self._doubted:
+            self._doubted = True  # a blurred image, say; tracking knows more of later ones
+            if (carried := self._carry(seen)) is not None:
+                return carried
+        if target is None or then_s == seen.time_s:
             self._start(seen, target)
-            return self._tell(Found(target, seen.time_s))
+            return Found(target, seen.time_s)
         carried = self._carry(seen)
-        then_s = answer.seen.time_s
-        before = [pixel for at_s, pixel, _ in self._track if self._from.time_s <= at_s == then_s]
+        before = [pixel for at_s, pixel, _ in self._track if at_s == then_s]
         if carried is not None and before:
-            moved = carried.detection.pixel + (target.pixel - before[0])
+            shift = target.pixel - before[0]
+            later = [one for one in self._track if one[0] >= then_s]
+            self._track = deque(((at_s, px + shift, pose) for at_s, px, pose in later), _TRACK)
+            moved = carried.detection.pixel + shift
         else:
+            self._track.clear()
             self._start(answer.seen, target)
-            since = [one for one in self._recent if one.time_s > answer.seen.time_s]
             for between in since[:: -max(len(since) // _STEPS, 1)][::-1]:  # ends with the present
                 carried = self._carry(between)
             if carried is None:
-                self._start(seen, None)
-                return self._tell(Found(target, answer.seen.time_s))
+                return self._hold(seen)
             moved = carried.detection.pixel
         target = target._replace(pixel=moved, sigma_px=np.asarray(target.sigma_px))
         self._start(seen, target)
-        return self._tell(Found(target, seen.time_s))
-
-    def _tell(self, found: Found | None) -> Found | None:
-        """What is reported, in the order of exposures."""
-        if found is None or found.time_s <= self._told_s:
-            return None
-        self._told_s = found.time_s
-        return found
+        return Found(target, seen.time_s)
 
     def _start(self, seen: SeenImage, target: Detection | None) -> None:
         """Follow the image around the target from here."""
         self._target, self._started, self._from = target, False, seen
+        self._last, self._lost_s, self._doubted = target, np.inf, False
+        if target is not None:
+            self._note(seen, np.asarray(target.pixel))
 
     def _carry(self, seen: SeenImage) -> Found | None:
-        """The target carried to an image; None if nothing is followed."""
-        if self._target is None:
+        """The target carried to an image; None if nothing is followed, or it is not seen."""
+        target = self._target
+        if target is None:
             return None
         try:
             if not self._started:
-                size_px = self._target.size_px or _CARRIED_SIZE_PX
-                self._mix = _contrast(self._from.image, self._target.pixel, size_px)
+                size_px = target.size_px or _CARRIED_SIZE_PX
+                self._mix = _contrast(self._from.image, target.pixel, size_px)
                 self._tracker.begin(
-                    cv2.transform(self._from.image, self._mix), self._target.pixel,
+                    cv2.transform(self._from.image, self._mix), target.pixel,
                     self._from.T_0_C, half_px=_CARRIED_HALF * size_px, checked=False,
                 )  # fmt: skip
-                self._note(self._from, np.asarray(self._target.pixel))
                 self._started = True
             mixed = cv2.transform(seen.image, self._mix)
             point = self._tracker.find(mixed, seen.T_0_C, self._predict(seen))
         except PointRefusedError:
-            point = None
+            self._target = point = None
         if point is None:
-            self._target = None
+            self._lost_s = min(self._lost_s, seen.time_s)
+            if seen.time_s - self._lost_s > _LOST_S:
+                self._target = None
             return None
+        self._lost_s = np.inf
         pixel, sigma_px = point
         self._note(seen, pixel)
-        sigma_px = np.hypot(sigma_px, self._target.sigma_px)
-        return Found(self._target._replace(pixel=pixel, sigma_px=sigma_px), seen.time_s)
+        sigma_px = np.hypot(sigma_px, target.sigma_px)
+        return Found(target._replace(pixel=pixel, sigma_px=sigma_px), seen.time_s)
 
     def _note(self, seen: SeenImage, pixel: FloatArray) -> None:
         """Remember where the target was in an image."""
         while self._track and self._track[-1][0] >= seen.time_s:
             self._track.pop()
-        ray = line_of_sight(self._camera, seen.T_0_C, pixel)
-        self._track.append((seen.time_s, pixel, ray))
+        self._track.append((seen.time_s, pixel, seen.T_0_C))
+
+    def _place(self, place: int) -> FloatArray:
+        """(3,) where the target was in a remembered image, in frame 0, m."""
+        _, pixel, T_0_C = self._track[place]
+        ray = line_of_sight(self._camera, T_0_C, pixel)
+        return np.asarray(T_0_C[:3, 3] + self._identity.depth_m * ray)
 
     def _predict(self, seen: SeenImage) -> FloatArray | None:
-        """(2,) pixel at which the motion of the line of sight leads; None without any."""
-        now_s, _, ray = self._track[-1]
-        earlier = [one for one in self._track if _MOTION_S[0] <= now_s - one[0] <= _MOTION_S[1]]
-        if not earlier:
-            return None
-        before_s, _, before = earlier[-1]
-        ahead = ray + (seen.time_s - now_s) / (now_s - before_s) * (ray - before)
-        pixel = pixel_of(self._camera, seen.T_0_C, seen.T_0_C[:3, 3] + ahead)
+        """(2,) pixel at which the motion in frame 0 leads; None if it cannot be seen."""
+        now_s, ahead = self._track[-1][0], self._place(-1)
+        for i in range(len(self._track) - 2, -1, -1):
+            since_s = now_s - self._track[i][0]
+            if since_s > _MOTION_S[1]:
+                break
+            if since_s >= _MOTION_S[0]:
+                lead_s = min(seen.time_s - now_s, _MOTION_S[1])
+                ahead = ahead + lead_s / since_s * (ahead - self._place(i))
+                break
+        pixel = pixel_of(self._camera, seen.T_0_C, ahead)
         return pixel if np.isfinite(pixel).all() else None
+
+    def _hold(self, seen: SeenImage) -> Found | None:
+        """The target at rest where it was seen last; None if the last answer had none."""
+        if self._last is None:
+            return None
+        pixel = pixel_of(self._camera, seen.T_0_C, self._place(-1))
+        if seen.time_s - self._track[-1][0] > _HELD_S or not np.isfinite(pixel).all():
+            return Found(None, seen.time_s)
+        return Found(self._last._replace(pixel=pixel), seen.time_s)
 
 
 def _contrast(image: NDArray[np.uint8], pixel: FloatArray, size_px: float) -> FloatArray:
@@ -390,7 +419,7 @@ class HeadSearch:
         self._seed: PointSeed | None = None
         self._source: _Source | None = None
         if isinstance(target, PointTarget):
-            seed = self._seed = PointSeed(cameras, target)
+            seed = self._seed = PointSeed(cameras, target, waits=frame_s is not None)
             self.eyes = PointSearch(0, seed), PointSearch(1, seed)
         elif isinstance(target, ColourTarget | FaceTarget | OwnTarget):
             make: Any = make_object_detector
@@ -451,9 +480,16 @@ class HeadSearch:
             self._source.rehearse(images)
 
     def forget(self) -> None:
-        """Drop the track of the target in both eyes."""
+        """Drop the track of the target in both eyes, and name a point anew."""
+        self.forget_shared()
         for eye in self.eyes:
             eye.forget()
+
+    def forget_shared(self) -> None:
+        """Drop what both eyes share; eyes in threads of their own forget the rest there."""
+        for shared in (self._identity, self._source, self._seed):
+            if shared is not None:
+                shared.forget()
 
     def close(self) -> None:
         """End the detector's threads and processes."""

@@ -52,7 +52,7 @@ class EyeSearch:
         return found
 
     def forget(self) -> None:
-        """Drop the track of the target."""
+        """Drop this eye's track of the target."""
 
 
 def line_of_sight(camera: Camera, T_0_C: FloatArray, pixel: FloatArray) -> FloatArray:

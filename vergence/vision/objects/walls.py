@@ -190,6 +190,16 @@ def to_light(levels: Colours) -> Colours:
     return np.asarray(cv2.LUT(levels, np.rint(light_table(SRGB)).astype(np.uint8)), np.uint8)
 
 
+def front_wall(picture: str | None, density: float) -> Colours:
+    """Colours of the front wall, sRGB levels, without the shade of the corners.
+
+    Args:
+        picture: as `wall` of `atlas`.
+        density: texels per metre.
+    """
+    return _wall("front", picture, density)
+
+
 def _corner(name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least coordinates of a wall along its columns and rows, and its size, m."""
     axes = list(_AXES[name])
