@@ -9,7 +9,7 @@ of both images, which is estimated from the images (Immerkaer 1996) and from the
 """
 
 from collections.abc import Sequence
-from math import hypot, sqrt
+from math import hypot, isqrt, sqrt
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -158,8 +158,7 @@ class Fit(NamedTuple):
     covariance: FloatArray  # (2, 2) of it, px^2
     model_px2: float  # share of that which is no noise
     misfit: float  # variance of the template that the view does not explain
-    uneven: float  # the same as a share of its usual one, by the noise or the median
-    unlike_px: float  # displacement that would cause the misfit without noise
+    unlike_px: float  # displacement that would cause the misfit of the worst quarter without noise
     likeness: float  # correlation without noise
     gain: float  # contrast of the view by that of the template
     rise: float  # mean grey level of the view above that of the template
@@ -209,7 +208,8 @@ class Template:
         normal[:count, :count] -= np.diag(share) * (
             _GRADIENT_NOISE * _INTERPOLATED * self.noise * side**2
         )
-        # misfit of a displacement, per px^2
+        # misfits of a displacement, per px^2
+        self._slopes = np.maximum(_quarters(gx**2 + gy**2), 1e-3)
         self.slopes = max((normal[0, 0] + normal[1, 1]) / side**2, 1e-9)
         values, vectors = np.linalg.eigh(normal + prior)
         values = np.maximum(values, 1e-3 * self.noise)
@@ -255,8 +255,8 @@ class Template:
         both = view.noise + gain**2 * self.noise
         excess = max(residual - _INTERPOLATED * both, 0.0)
         likeness = sqrt(max(1.0 - excess / max(variance - _INTERPOLATED * view.noise, 1e-9), 0.0))
-        unlike_px = sqrt(excess / self.slopes) / gain
-        usual = max(float(np.median(squares)) / _NORMAL_MEDIAN**2, _INTERPOLATED * both)
+        beyond = _quarters(squares) - _INTERPOLATED * both
+        unlike_px = sqrt(max(float((beyond / self._slopes).max()), 0.0)) / gain
         noise = max(residual, both) / gain**2
         covariance = stretch @ (noise * self._spread) @ stretch.T
         blur_px2 = float(np.linalg.norm(found[4 + self.affine :])) / gain
@@ -266,9 +266,15 @@ class Template:
         model_px2 = model_px**2 + (_BLUR_SIGMA * blur_px2**2) ** 2
         covariance += model_px2 * np.eye(2)
         return Fit(
-            stretch, place, covariance, model_px2, residual / gain**2, residual / usual, unlike_px,
-            likeness, float(gain), mean - self._mean,
+            stretch, place, covariance, model_px2, residual / gain**2, unlike_px, likeness,
+            float(gain), mean - self._mean,
         )  # fmt: skip
+
+
+def _quarters(values: FloatArray) -> FloatArray:
+    """Means over the quarters of a square patch, (2, 2)."""
+    side = isqrt(len(values))
+    return np.asarray(cv2.resize(values.reshape(side, side), (2, 2), interpolation=cv2.INTER_AREA))
 
 
 def search(

@@ -20,9 +20,10 @@ from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.operands import as_operand
 from vergence.vision.detection import Detection, as_pixel
 from vergence.vision.image import as_grey
-from vergence.vision.objects.alignment import Fit, Template, focal_at, look, noise_variance, search
+from vergence.vision.objects.alignment import Template, focal_at, look, noise_variance, search
 from vergence.vision.objects.patches import (
     BORDER,
+    LEAST_LIKENESS,
     MOST_SIGMA_PX,
     RADIUS_PX,
     REPEATING,
@@ -43,19 +44,11 @@ from vergence.vision.objects.sights import (
 )
 from vergence.vision.objects.targets import PointTarget
 
-_CORE_PX: Final = 6
-"""Half the side of the smaller patch that must agree, px (chosen: edges against texture)."""
-_MOST_CORE_SIGMA_PX: Final = 0.6
-"""Largest standard deviation of its place, px (chosen: as above)."""
-_MOST_APART: Final = 3.0
-"""Largest distance of its place from the whole one's, standard deviations (chosen: as above)."""
 _ROWS_PX: Final = 6
 """Tolerance across the epipolar line, px (chosen: errors of encoders)."""
-_MOST_UNEVEN: Final = 1.3
-"""Largest mean misfit of a patch by its usual one (measured: below without edges of objects)."""
-_MOST_UNLIKE_PX: Final = 0.9
-"""Largest misfit, as the displacement that would cause it, px (measured: by JPEG up to 0.8, by
-other things mostly above 1)."""
+_MOST_UNLIKE_PX: Final = 0.8
+"""Largest misfit of a quarter of the patch, as the displacement that would cause it, px (measured:
+by photographs of MEASURED)."""
 _STRETCHES: Final = tuple(np.diag([width, 1.0]) for width in (0.75, 1.0, 1.33))
 """Widths of a patch in the other eye for which it is searched (chosen: slants)."""
 _CONSISTENT_PX: Final = 1.0
@@ -166,8 +159,8 @@ def _match(
     place = np.array([r, r], float)
     if not view.holds(place, RADIUS_PX):
         raise refuse(pixel, BORDER)
-    template, core = Template(view, place, RADIUS_PX, 2), Template(view, place, _CORE_PX, 0)
-    if template.worst_sigma_px > MOST_SIGMA_PX or core.worst_sigma_px > _MOST_CORE_SIGMA_PX:
+    template = Template(view, place, RADIUS_PX, 2)
+    if template.worst_sigma_px > MOST_SIGMA_PX:
         raise refuse(pixel, TEXTURELESS)
     most, least = (shift_px_m / distance_m for distance_m in depth_range_m)
     room = r + _ROWS_PX
@@ -183,12 +176,11 @@ def _match(
         nothing = "nothing like it in the other eye"
         raise refuse(pixel, nothing if strip.seen.any() else "out of the other eye's view")
     fit, distinct = found
-    if fit.unlike_px > _MOST_UNLIKE_PX:
+    if fit.likeness < LEAST_LIKENESS:
         raise refuse(pixel, f"nothing like it in the other eye (at best {fit.likeness:.2f})")
     if not distinct:
         raise refuse(pixel, REPEATING)
-    small = core.align(strip, fit.place, fit.stretch)
-    if small is None or fit.uneven > _MOST_UNEVEN or _distance(small, fit) > _MOST_APART:
+    if fit.unlike_px > _MOST_UNLIKE_PX:
         raise refuse(pixel, "at the edge of an object, beside which the eyes see other things")
     disparity = x - float(fit.place[0] + strip.corner[0])
     return Match(
@@ -198,12 +190,6 @@ def _match(
         fit.likeness,
         sqrt(fit.model_px2),
     )
-
-
-def _distance(one: Fit, other: Fit) -> float:
-    """Distance of two alignments' places, in standard deviations."""
-    apart = one.place - other.place
-    return sqrt(float(apart @ np.linalg.solve(one.covariance + other.covariance, apart)))
 
 
 class _Sight(NamedTuple):
