@@ -31,7 +31,7 @@ _STRETCH_SIGMA: Final = 0.3
 """Standard deviation of a patch's affine change before it is measured (chosen: slants up to 60
 degrees at the least distances)."""
 _DISTINCT_NOISE: Final = 0.25
-_DISTINCT_PX: Final = 0.5
+_DISTINCT_PX: Final = 0.3
 """Least excess of the second-best place's misfit, as a share of the best one's, and as the
 displacement that would cause it, px (chosen: repeating patterns against noise, whose misfits
 scatter by 6 %)."""
@@ -48,9 +48,9 @@ _SAME_EYE_SIGMA_PX: Final = 0.012
 _BLUR_SIGMA: Final = 0.04
 """Further one in an image whose blur differs, px per square of half the blur's variance in px^2
 (measured: by benchmarks/points.py, smears up to 6 px)."""
-_UNLIKE_SIGMA: Final = 0.1
-"""Further one by misfits that are no white noise, px per px of displacement that would cause them
-(measured: by benchmarks/points.py, JPEG and edges of cards)."""
+_UNLIKE_SIGMA: Final = 0.2
+"""Further one by misfits beyond noise, px per px of displacement that would cause them (measured:
+across epipolar lines of photographs, 0.06 to 0.2 px at misfits from 0 to 0.8 px)."""
 _FADING_PX: Final = 0.5
 """Distance over which a round patch fades, px (measured: balls before textured surfaces)."""
 _GRADIENT_NOISE: Final = 0.23
@@ -158,7 +158,7 @@ class Fit(NamedTuple):
     covariance: FloatArray  # (2, 2) of it, px^2
     model_px2: float  # share of that which is no noise
     misfit: float  # variance of the template that the view does not explain
-    unlike_px: float  # displacement that would cause the misfit of the worst quarter without noise
+    unlike_px: float  # displacement that would cause the misfit of the worst quarter beyond noise
     likeness: float  # correlation without noise
     gain: float  # contrast of the view by that of the template
     rise: float  # mean grey level of the view above that of the template
@@ -255,7 +255,7 @@ class Template:
         both = view.noise + gain**2 * self.noise
         excess = max(residual - _INTERPOLATED * both, 0.0)
         likeness = sqrt(max(1.0 - excess / max(variance - _INTERPOLATED * view.noise, 1e-9), 0.0))
-        beyond = _quarters(squares) - _INTERPOLATED * both
+        beyond = _quarters(squares) - both  # more than noise scatters a quarter's misfit
         unlike_px = sqrt(max(float((beyond / self._slopes).max()), 0.0)) / gain
         noise = max(residual, both) / gain**2
         covariance = stretch @ (noise * self._spread) @ stretch.T
