@@ -9,7 +9,7 @@ of both images, which is estimated from the images (Immerkaer 1996) and from the
 """
 
 from collections.abc import Sequence
-from math import hypot, isqrt, sqrt
+from math import hypot, sqrt
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -208,9 +208,9 @@ class Template:
         normal[:count, :count] -= np.diag(share) * (
             _GRADIENT_NOISE * _INTERPOLATED * self.noise * side**2
         )
-        # misfits of a displacement, per px^2
-        self._slopes = np.maximum(_quarters(gx**2 + gy**2), 1e-3)
-        self.slopes = max((normal[0, 0] + normal[1, 1]) / side**2, 1e-9)
+        # misfits of the quarters by a displacement, per px^2
+        slopes_2 = (gx**2 + gy**2).reshape(side, side)
+        self.slopes: Any = cv2.resize(slopes_2, (2, 2), interpolation=cv2.INTER_AREA).clip(1e-3)
         values, vectors = np.linalg.eigh(normal + prior)
         values = np.maximum(values, 1e-3 * self.noise)
         self._spread = ((vectors / values) @ vectors.T)[:2, :2]
@@ -255,26 +255,20 @@ class Template:
         both = view.noise + gain**2 * self.noise
         excess = max(residual - _INTERPOLATED * both, 0.0)
         likeness = sqrt(max(1.0 - excess / max(variance - _INTERPOLATED * view.noise, 1e-9), 0.0))
-        beyond = _quarters(squares) - both  # more than noise scatters a quarter's misfit
-        unlike_px = sqrt(max(float((beyond / self._slopes).max()), 0.0)) / gain
+        quarters = cv2.resize(squares.reshape(side, side), (2, 2), interpolation=cv2.INTER_AREA)
+        beyond = (quarters - both) / self.slopes  # noise leaves less, so that it does not count
+        unlike_px = sqrt(max(float(beyond.max()), 0.0)) / gain
         noise = max(residual, both) / gain**2
         covariance = stretch @ (noise * self._spread) @ stretch.T
         blur_px2 = float(np.linalg.norm(found[4 + self.affine :])) / gain
-        model_px = _SAME_EYE_SIGMA_PX
-        if self.affine:
-            model_px = hypot(_MODEL_SIGMA_PX, _UNLIKE_SIGMA * unlike_px)
+        unlike = hypot(_MODEL_SIGMA_PX, _UNLIKE_SIGMA * unlike_px)
+        model_px = unlike if self.affine else _SAME_EYE_SIGMA_PX
         model_px2 = model_px**2 + (_BLUR_SIGMA * blur_px2**2) ** 2
         covariance += model_px2 * np.eye(2)
         return Fit(
             stretch, place, covariance, model_px2, residual / gain**2, unlike_px, likeness,
             float(gain), mean - self._mean,
         )  # fmt: skip
-
-
-def _quarters(values: FloatArray) -> FloatArray:
-    """Means over the quarters of a square patch, (2, 2)."""
-    side = isqrt(len(values))
-    return np.asarray(cv2.resize(values.reshape(side, side), (2, 2), interpolation=cv2.INTER_AREA))
 
 
 def search(
@@ -326,5 +320,5 @@ def search(
     best = max(fits, key=lambda fit: fit.likeness)
     others = [fit for fit in fits if hypot(*(fit.place - best.place)) > _APART_PX]
     least = max(best.misfit, view.noise + template.noise)
-    limit = (1.0 + _DISTINCT_NOISE) * least + _DISTINCT_PX**2 * template.slopes
+    limit = (1.0 + _DISTINCT_NOISE) * least + _DISTINCT_PX**2 * float(template.slopes.mean())
     return best, all(fit.misfit > limit for fit in others)

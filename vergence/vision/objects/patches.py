@@ -5,7 +5,7 @@ A patch in such a view stays nearly the same while the eye turns.
 
 The standard deviations describe noise, interpolation and blur. They cannot hold where the patch's
 model fails: at the edges of objects, on surfaces that are curved within the patch, on glossy ones,
-and behind what is transparent. A point is refused where patches of two sizes disagree.
+and behind what is transparent. A match is refused where a quarter or the middle does not fit.
 """
 
 from math import hypot, inf, pi, sqrt
