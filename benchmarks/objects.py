@@ -1,13 +1,15 @@
 """Measure gazes at objects against gazes at a tag, in rendered images.
 
-Run ``python -m benchmarks.objects`` with ``settle``, ``slow`` or ``depth``, and ``--count`` for the
-number of trials of each.
+Run ``python -m benchmarks.objects`` with ``settle``, ``slow``, ``rest`` or ``depth``, and
+``--count`` for the number of trials of each.
 
 - settle: the same jumps of a tag, a ball and a textured point through the loop of the scenario
   `hardware`; time until both true errors stay below 2 px.
 - slow: a ball that swings by up to 60 degrees a second; a detector that takes 100 ms, 10 times a
   second, and is carried by tracking, against a detector of every image whose images come 100 ms
   later.
+- rest: a ball at rest and a detector that takes 1 s; true error and speed of the eyes in the second
+  half of 6 s.
 - depth: one fixation of a textured point; the error of depth by the images over its bound by the
   noise of pixels and encoders.
 """
@@ -51,11 +53,19 @@ class SlowBall:
         return self._detector.detect(image, hint)
 
 
-def run(task: GazeTask, law: str, steps: int, trial: int) -> tuple[FloatArray, FloatArray]:
-    """Time, s, and true pixel errors (steps, 2, 2) of a trial."""
+class VerySlowBall(SlowBall):
+    """The same, found once a second, and 1 s late."""
+
+    latency_s, rate_hz = 1.0, 1.0
+
+
+def run(
+    task: GazeTask, law: str, steps: int, trial: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Time, s, true pixel errors (steps, 2, 2) and joint angles (steps, 7), rad, of a trial."""
     controller = make_controller(law, head=task.head)
     task.begin(np.zeros(1, int), np.zeros(1, np.uint64), np.full(1, trial, np.uint64))
-    state, times, errors = None, [], []
+    state, times, errors, angles = None, [], [], []
     for step in range(steps):
         action, state = controller.predict(
             task.observation.copy(), state=state, episode_start=np.array([step == 0])
@@ -65,7 +75,8 @@ def run(task: GazeTask, law: str, steps: int, trial: int) -> tuple[FloatArray, F
         assert truth is not None
         times.append(float(truth.time_s[0]))
         errors.append(truth.pixel_error[0].copy())
-    return np.array(times), np.array(errors)
+        angles.append(truth.positions[0].copy())
+    return np.array(times), np.array(errors), np.array(angles)
 
 
 def jump(head: HeadModel, rng: np.random.Generator) -> dict[str, Any]:
@@ -95,7 +106,7 @@ def settle(count: int, law: str) -> None:
             task = GazeTask(
                 1, head=head, plant="rendered", target=target, variation=loop, plant_options=options
             )
-            time_s, errors = run(task, law, steps, trial)
+            time_s, errors, _ = run(task, law, steps, trial)
             task.close()
             times[name].append(float(settle_time(time_s, errors, BAND_PX)))
     tag = np.array(times["tag"])
@@ -122,7 +133,7 @@ def slow(count: int, law: str) -> None:
         for name, look, late_s in (("slow", f"{__name__}:SlowBall", 0.0), ("fast", BALL, 0.1)):
             options = {"look": look, "latency_s": head.timing.latency_s + late_s}
             task = GazeTask(1, head=head, plant="rendered", target=target, plant_options=options)
-            time_s, errors = run(task, law, steps, trial)
+            time_s, errors, _ = run(task, law, steps, trial)
             task.close()
             late = time_s > 0.5 * SWING_S
             rms = float(np.sqrt(np.square(errors[late]).sum(axis=-1).mean()))
@@ -131,6 +142,29 @@ def slow(count: int, law: str) -> None:
         print(f"{law}, {name}: error {np.median(rms_px):.2f} px rms (median of {count})")
     ratio = np.array(results["slow"]) / np.array(results["fast"])
     print(f"{law}: slow over fast {np.median(ratio):.2f}")
+
+
+def rest(count: int, law: str) -> None:
+    """Measure how still the eyes are before a ball at rest with a very slow detector."""
+    head = load_head("physical")
+    rate_hz = head.timing.control_rate_hz
+    loop = replace(HARDWARE_LOOP, detection_noise_px=None, skew_s=None, model_errors=None)
+    errors_px, speeds = [], []
+    for trial in range(count):
+        target = {"kind": "static", "point": jump(head, np.random.default_rng(trial))["before"]}
+        task = GazeTask(
+            1, head=head, plant="rendered", target=target, variation=loop,
+            plant_options={"look": f"{__name__}:VerySlowBall"},
+        )  # fmt: skip
+        _, errors, angles = run(task, law, round(SWING_S * rate_hz), trial)
+        task.close()
+        late = slice(len(errors) // 2, None)
+        errors_px.append(float(np.linalg.norm(errors[late], axis=-1).max()))
+        speeds.append(float(np.rad2deg(np.abs(np.diff(angles[late], axis=0)).max() * rate_hz)))
+    print(
+        f"{law}, at rest: error at most {max(errors_px):.2f} px, speed at most {max(speeds):.1f} "
+        f"degrees/s, of {count}"
+    )
 
 
 def depth(count: int, law: str) -> None:
@@ -158,11 +192,11 @@ def depth(count: int, law: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["settle", "slow", "depth"])
+    parser.add_argument("what", choices=["settle", "slow", "rest", "depth"])
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--law", default="state-feedback")
     args = parser.parse_args()
-    {"settle": settle, "slow": slow, "depth": depth}[args.what](args.count, args.law)
+    {"settle": settle, "slow": slow, "rest": rest, "depth": depth}[args.what](args.count, args.law)
 
 
 if __name__ == "__main__":

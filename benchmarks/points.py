@@ -315,7 +315,7 @@ def gazes(count: int, rng: np.random.Generator, preset: str) -> None:
         lost = any(np.isnan(eye.errors[-AT_END:]).all() for eye in eyes)
         lost_at_end += lost
         if lost:
-            print(f"    lost: {np.round(point, 3)}: {search.remark}")
+            print(f"    lost: {np.round(point, 3)}: {search.shared.remark}")
         task.close()
     tally.seconds = end.seconds = seconds
     tally.show(f"{preset}, images of gazes ({settled} of {count} settled)")

@@ -42,6 +42,13 @@ def test_readings_truth_and_facts_come_back_to_the_bit(logged):
             assert read.tobytes() == values.tobytes()
 
 
+@pytest.mark.parametrize(("truths", "known"), [(0, False), (40, False), (STEPS, True)])
+def test_ground_truth_that_ends_early_is_none(tmp_path, truths, known):
+    log_trials(tmp_path / "run.mcap", trials=1, truths=truths)
+    (trial,) = read_log(tmp_path / "run.mcap").trials
+    assert (trial.truths is not None) == known
+
+
 def test_other_readers_of_mcap_find_messages_with_schemas(logged):
     with logged[0].open("rb") as file:
         reader = mcap_reader.make_reader(file, validate_crcs=True)

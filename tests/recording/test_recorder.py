@@ -69,6 +69,18 @@ def test_fields_that_are_not_asked_for_have_no_rows_nor_truth(task, monkeypatch)
     assert record.truth is None
 
 
+def test_truth_that_is_unknown_once_is_none(task, monkeypatch):
+    record, truth = Recorder(task, STEPS), task.truth
+
+    def keep(step):
+        monkeypatch.setattr(task, "truth", truth if step < 5 or step > 8 else lambda: None)
+        record(step)
+
+    rollout(task, make_controller("ibvs", head=task.head), STEPS, keep, seed=3)
+    assert record.truth is None
+    assert len(record.reading.positions) == STEPS + 1
+
+
 def test_a_robot_has_no_truth_and_a_trial_that_ended_early_as_many_rows_as_were_recorded(robot):
     record, told = recorded(robot)
     assert record.truth is None

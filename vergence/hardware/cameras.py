@@ -174,8 +174,7 @@ class EyeThread(threading.Thread):
         self.found += found is not None
         self.frame = grey
         if answer is not None:  # else a slow detector has yet to answer
-            own = grey if answer.time_s == exposed_s else None
-            self._new.append(SearchedImage(answer.time_s, self._clock(), pixel, found, own))
+            self._new.append(SearchedImage(exposed_s, self._clock(), pixel, found, grey))
 
     @property
     def newest_received_s(self) -> float:

@@ -65,7 +65,9 @@ class HeadEyes:
         self.search = HeadSearch(self._target, head, head.timing.frame_s)
         rng = np.random.default_rng(0)
         sizes = head.cameras.size.tolist()
-        self.search.rehearse([rng.integers(256, size=(h, w, 3), dtype=np.uint8) for w, h in sizes])
+        self.search.shared.rehearse(
+            [rng.integers(256, size=(h, w, 3), dtype=np.uint8) for w, h in sizes]
+        )
         # errors of streams are reported by our own messages
         self._settings.enter_context(suppress_opencv_log())
         for camera, search in zip(self._config.cameras, self.search.eyes, strict=True):
@@ -140,12 +142,12 @@ class HeadEyes:
         for eye, search in zip(self.threads, self.search.eyes, strict=False):
             eye.look_for(search)
         if before is not None:
-            before.close()
+            before.shared.close()
 
     def forget(self) -> None:
         """Drop the track of the target in both eyes, and name a point anew."""
         if self.search is not None:
-            self.search.forget_shared()
+            self.search.shared.forget()
         for eye in self.threads:
             eye.forget_track()
 
@@ -162,5 +164,5 @@ class HeadEyes:
         for eye in threads:
             eye.close()
         if self.search is not None:
-            self.search.close()
+            self.search.shared.close()
         self._settings.close()

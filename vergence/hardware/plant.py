@@ -173,7 +173,7 @@ class HardwarePlant(Plant):
     @property
     def remark(self) -> str:
         """See `Plant.remark`."""
-        return "" if self._open.eyes.search is None else self._open.eyes.search.remark
+        return "" if self._open.eyes.search is None else self._open.eyes.search.shared.remark
 
     def release(self) -> None:
         """See `Plant.release`: the next `reset` opens and checks everything again."""
@@ -278,7 +278,7 @@ class HardwarePlant(Plant):
             for q in (self._history.at(exposed_s), self._history.newest()[1])
         )
         ray = line_of_sight(camera, then[eye], as_pixel("pixel", pixel))
-        self._open.eyes.search.click(eye, pixel_of(camera, now[eye], now[eye, :3, 3] + ray))
+        self._open.eyes.search.shared.click(eye, pixel_of(camera, now[eye], now[eye, :3, 3] + ray))
         self._named = True
 
     def show(self, ids: IntArray, motions: FloatArray) -> None:
@@ -396,7 +396,7 @@ class HardwarePlant(Plant):
     def diagnostics(self) -> dict[str, int]:
         """Counts of paired and lone images, late periods and missed answers."""
         counts, search = self._open.eyes.counts, self._open.eyes.search
-        refused = 0 if search is None else search.jumps_refused
+        refused = 0 if search is None else search.shared.refused
         return {
             "image_pairs": counts.pairs,
             "images_alone_left": counts.unpaired_left,
@@ -524,7 +524,7 @@ class HardwarePlant(Plant):
         self._named = isinstance(self._target, PointTarget) and self._target != PointTarget()
         world, search = self._open.world, self._open.eyes.search
         if world is not None and search is not None and self._target == PointTarget():
-            search.click(0, world.truth(self.head, 0.0).pixels[0, 0])
+            search.shared.click(0, world.truth(self.head, 0.0).pixels[0, 0])
 
     def _come_to_rest(self) -> None:
         """Brake as far as the line allows, switch the torque of hot servos off, and say so."""

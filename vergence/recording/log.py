@@ -42,7 +42,8 @@ class LoggedTrial:
     readings: Reading
     """Readings of shape (steps + 1, 1, ...), from time zero."""
     truths: Truth | None
-    """Ground truth at the times of the readings; nan if not logged then, None if never logged."""
+    """Ground truth at the times of the readings; None if they end early, as where a point was
+    named meanwhile; nan if one is missing."""
     commands: tuple[LoggedCommand, ...]
     """The policy's commands, one before each reading but the first; one more if a fault prevented
     the last reading."""

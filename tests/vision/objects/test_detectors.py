@@ -276,7 +276,7 @@ def test_an_impossible_latency_or_rate_is_refused(tmp_path):
         target = parse_gaze_target(f"{tmp_path}/mine.py:Own")
         refused(rf"target: expected Own\.{name} to be", HeadSearch, target, head)
     own(tmp_path, "return None", latency_s=0.1, rate_hz=None)
-    assert HeadSearch(parse_gaze_target(f"{tmp_path}/mine.py:Own"), head).jumps_refused == 0
+    assert HeadSearch(parse_gaze_target(f"{tmp_path}/mine.py:Own"), head).shared.refused == 0
 
 
 def test_the_example_of_a_ball_finds_it():

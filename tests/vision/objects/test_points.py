@@ -66,7 +66,7 @@ def test_a_click_in_either_eye_is_followed_in_both(eye):
         seen = eyes.both()
     assert seen[eye] == pytest.approx(pixel, abs=0.1)
     assert seen[1 - eye] == pytest.approx(partner(pixel, eye), abs=0.3)
-    assert eyes.seed.refusal == ""
+    assert eyes.seed.remark == ""
 
 
 def test_a_click_makes_both_eyes_forget_the_old_point_at_once():
@@ -97,7 +97,7 @@ def test_a_point_that_is_found_while_another_one_is_clicked_is_not_reported(monk
 def test_a_refused_click_is_told_and_nothing_is_seen():
     eyes = Eyes((3.0, 3.0))
     assert eyes.both() == (None, None)
-    assert "border" in eyes.seed.refusal
+    assert "border" in eyes.seed.remark
     assert eyes.both() == (None, None)
 
 
@@ -145,7 +145,7 @@ def test_a_match_at_another_distance_is_refused_while_the_point_rests():
     eyes.seed.place = towards, there[1]
     eyes.time_s += FRAME_S
     assert eyes.look(1) is None
-    assert "distance" in eyes.seed.refusal
+    assert "distance" in eyes.seed.remark
 
 
 def test_eyes_that_are_not_in_step_are_matched_to_each_others_last_image():

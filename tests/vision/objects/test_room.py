@@ -288,6 +288,13 @@ def test_a_thing_that_is_not_in_view_leaves_the_room_as_it_is():
     assert np.array_equal(renderer.frame, room)
 
 
+def test_a_ball_passes_the_border_of_the_image():
+    camera, rendering = eye()
+    renderer = RoomRenderer(camera, Scene(thing="ball"), rendering)
+    for u in np.arange(-14.0, -4.0, 0.25):
+        renderer.draw(AHEAD, pose(*(8.0 * np.append(camera.rays([[u, 100.0]])[0], 1.0))))
+
+
 def test_a_ray_hits_the_thing_or_the_wall_behind_it():
     ball, poster = Scene(thing="ball", size_m=0.1), Scene(size_m=0.2)
     for scene, thing, expected in (

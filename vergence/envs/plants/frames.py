@@ -61,8 +61,6 @@ class Frames(NamedTuple):
     """(n,) number of the first frame that has not arrived."""
     latest_s: FloatArray
     """(n,) time at which the last exposed frame becomes readable, s."""
-    late_s: FloatArray
-    """(n, F) age of the detections by when the frame is exposed, s: of a slow detector's answer."""
 
     @classmethod
     def empty(cls, num: int, max_latency_s: float, max_hz: float) -> "Frames":
@@ -84,7 +82,6 @@ class Frames(NamedTuple):
             next=np.zeros(num, dtype=np.int64),
             pending=np.zeros(num, dtype=np.int64),
             latest_s=np.zeros(num),
-            late_s=np.zeros((num, size)),
         )
 
 

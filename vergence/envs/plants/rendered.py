@@ -1,7 +1,7 @@
 """The rendered plant: MuJoCo's dynamics, rendered images, and a real detector that reads them."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,9 +53,6 @@ from vergence.vision.objects.targets import (
 )
 from vergence.vision.targets import AprilTag, Checkerboard, make_planar_target
 
-_OLDEST_ANSWER_S: Final = 0.5
-"""Age of a slow detector's answer up to which the joints' angles are known, s (chosen)."""
-
 
 class RenderedPlant(MujocoPlant):
     """Heads whose eyes see rendered images, in which a detector finds the target.
@@ -101,7 +98,6 @@ class RenderedPlant(MujocoPlant):
         wall: str | None = None,
         **options: Any,
     ) -> None:
-        self._detection_age_s = 0.0 if look is None else _OLDEST_ANSWER_S
         super().__init__(head, num, **options)
         if self.conditions.skew_s.any():
             raise ConfigurationError(
@@ -138,7 +134,7 @@ class RenderedPlant(MujocoPlant):
         self._smear_px = np.empty((2, 2))
         self._found = np.zeros((*self._exposures.time_s.shape, 2, 2))
         self._seen = np.zeros((*self._exposures.time_s.shape, 2), dtype=np.bool_)
-        self._dated_s = np.zeros(self._exposures.time_s.shape)
+        self._answered = np.zeros(self._exposures.time_s.shape, dtype=np.bool_)
 
     @property
     def board(self) -> Board:
@@ -183,7 +179,7 @@ class RenderedPlant(MujocoPlant):
         store_detections(
             ids, untyped_tuple(self._true_heads.packed), untyped_tuple(self._streams.keys),
             untyped_tuple(self._exposures), untyped_tuple(self._frames), self._found, self._seen,
-            self._dated_s,
+            self._answered,
         )  # fmt: skip
         return super()._advance(ids, phases & (REPORT | JUDGE))
 
@@ -216,17 +212,17 @@ class RenderedPlant(MujocoPlant):
         begun = time_s >= float(self.conditions.onset_s[env])
         if self._unnamed_point and not self._named[env] and begun:
             self._named[env] = True
-            search.click(0, Camera.of(self.true_head, 0).project(self._T_C_T[:1, :3, 3])[0])
+            search.shared.click(0, Camera.of(self.true_head, 0).project(self._T_C_T[:1, :3, 3])[0])
         for eye, own in enumerate(search.eyes):
             # plain background need not be searched
             image = frames[eye].copy() if self._keeps_images else frames[eye]
             own.look(image, T_0_C[eye], time_s, search=views.board_in_image[eye])
         found = [one.found() for one in search.eyes]
-        newest_s = max((one.time_s for one in found if one is not None), default=np.nan)
-        self._dated_s[env, i] = newest_s  # nan: a slow detector has not answered yet
+        # neither eye's: a slow detector has not answered yet
+        self._answered[env, i] = any(one is not None for one in found)
         for eye, one in enumerate(found):
             self._seen[env, i, eye] = False
-            if one is not None and one.time_s == newest_s and one.detection is not None:
+            if one is not None and one.detection is not None:
                 self._found[env, i, eye], self._seen[env, i, eye] = one.detection.pixel, True
 
     def click(self, eye: int, pixel: ArrayLike, place: int = 0) -> FloatArray:
@@ -243,7 +239,7 @@ class RenderedPlant(MujocoPlant):
         Raises:
             ConfigurationError: the target is no point in a room, or `pixel` is no pixel.
         """
-        self._searches[place].click(eye, pixel)
+        self._searches[place].shared.click(eye, pixel)
         self._named[place] = True
         views = self._views[place]
         assert isinstance(views, RoomImageRenderer)  # as points are in rooms only
@@ -252,17 +248,17 @@ class RenderedPlant(MujocoPlant):
     @property
     def remark(self) -> str:
         """See `Plant.remark`; that of the first head."""
-        return self._searches[0].remark
+        return self._searches[0].shared.remark
 
     def diagnostics(self) -> dict[str, int]:
         """Jumps to another object that were refused, if there were any."""
-        refused = sum(search.jumps_refused for search in self._searches)
+        refused = sum(search.shared.refused for search in self._searches)
         return {"jumps_refused": refused} if refused else {}
 
     def close(self) -> None:
         """See `Plant.close`."""
         for search in self._searches:
-            search.close()
+            search.shared.close()
         super().close()
 
 
@@ -298,7 +294,7 @@ def store_detections(
     frames: Frames,
     detections_px: FloatArray,
     detected: BoolArray,
-    dated_s: FloatArray,
+    answered: BoolArray,
 ) -> None:
     """Store the detections of some environments in the frames' ring buffers.
 
@@ -310,7 +306,7 @@ def store_detections(
         frames: ring buffers, updated in place.
         detections_px: (n, E, 2, 2) detections, px.
         detected: (n, E, 2) True if the target was detected.
-        dated_s: (n, E) time of the exposure that a detection belongs to, s; nan for no answer yet.
+        answered: (n, E) False for an image of which nothing is known yet, as for a dropped one.
     """
     packed, keys = PackedConditions(*packed), StreamKeys(*keys)
     exposures, frames = Exposures(*exposures), Frames(*frames)
@@ -321,9 +317,8 @@ def store_detections(
             f, time_s = frames.next[n], exposures.time_s[n, i]
             frames.next[n] = f + 1
             slot, faults = np.uintp(f & mask), draw_frame_faults(conditions, key, f)
-            dropped = faults.dropped or dated_s[n, i] != dated_s[n, i]
-            frames.exposed_s[n, slot], frames.dropped[n, slot] = dated_s[n, i], dropped
-            frames.late_s[n, slot] = time_s - dated_s[n, i]
+            dropped = faults.dropped or not answered[n, i]
+            frames.exposed_s[n, slot], frames.dropped[n, slot] = time_s, dropped
             if dropped:
                 continue
             comes_s = frame_arrival_time(

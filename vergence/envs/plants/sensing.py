@@ -110,7 +110,7 @@ def simulate_detections(
     # unpacked once, as numba would count references at each access in the loop
     heads, motions, necks, _steps, _positions, _velocities = scene
     counts, times, then_q, then_v = exposures
-    pixels, visible, dropped, exposed_s, comes_s, following, _pending, latest_s, _late_s = frames
+    pixels, visible, dropped, exposed_s, comes_s, following, _pending, latest_s = frames
     half_exposure_s = 0.5 * timing.exposure_s
     mask, many = dropped.shape[1] - 1, np.uintp(heads.shape[0] > 1)
     for env in ids:
@@ -207,7 +207,7 @@ def read_sensors(
     )  # fmt: skip
     reported = JointFeedbackBuffers(*feedback).reported_angles
     # unpacked once, as numba would count references at each access in the loop
-    pixels, visible, dropped, exposed_s, comes_s, following, pending, _latest_s, late_s = frames
+    pixels, visible, dropped, exposed_s, comes_s, following, pending, _latest_s = frames
     time_s, frame, read_pixels, read_visible = (
         reading.time_s,
         reading.frame,
@@ -243,7 +243,7 @@ def read_sensors(
         date_s = (
             exposed_s[n, slot]
             if timing.exposure_stamped
-            else comes_s[n, slot] - timing.nominal_latency_s - late_s[n, slot]
+            else comes_s[n, slot] - timing.nominal_latency_s
         )
         read_exposure_s[n] = date_s
         at = ring_interval_by_time((date_s + timing.nominal_feedback_latency_s) * rate, k, kept)

@@ -77,8 +77,6 @@ class SimulatedPlant(Simulation):
 
     _varies: ClassVar[frozenset[str]] = frozenset((*RANGES, "model_errors"))
     """Fields of a variation that this plant supports."""
-    _detection_age_s: float = 0.0
-    """Greatest age of a detection by when its frame is exposed, s."""
     _kept_table: NDArray[np.void] | None = None
 
     @_named
@@ -128,7 +126,7 @@ class SimulatedPlant(Simulation):
         )
         # the reading of an image looks up joint angles as old as its date
         max_age_s = max(late_s, timing.latency_s) + 1.0 / max_hz + timing.feedback_latency_s
-        max_age_s = max(max_age_s, heads.largest_value("speed_span_s")) + self._detection_age_s
+        max_age_s = max(max_age_s, heads.largest_value("speed_span_s"))
         feedback_s = heads.largest_value("feedback_latency_s") + heads.largest_value(
             "speed_latency_s"
         )

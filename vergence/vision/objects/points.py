@@ -38,6 +38,7 @@ from vergence.vision.objects.sights import (
     EyeSearch,
     Found,
     SeenImage,
+    SharedSearch,
     crossing,
     line_of_sight,
     pixel_of,
@@ -216,7 +217,7 @@ class _Sight(NamedTuple):
         return _AGREE_PX + 3.0 * sigma_px
 
 
-class PointSeed:
+class PointSeed(SharedSearch):
     """The point that both eyes follow: where it was named, and where each eye saw it last.
 
     Args:
@@ -258,7 +259,7 @@ class PointSeed:
             self.origin: int | None = None
             self.sights: list[_Sight | None] = [None, None]
             self.place: tuple[FloatArray, float] | None = None
-            self.refusal = ""
+            self.remark = ""
 
 
 class PointSearch(EyeSearch):
@@ -307,7 +308,7 @@ class PointSearch(EyeSearch):
             else:
                 self._keep(seen, point, refusal)
             detection = None if point is None else Detection(point.pixel, point.sigma_px)
-            self._found = Found(detection, time_s)
+            self._found = Found(detection)
 
     def _keep(self, seen: SeenImage, point: TrackedPoint | None, refusal: str | None) -> None:
         """Share what this eye sees with the other one; a refused point is followed no longer."""
@@ -316,7 +317,7 @@ class PointSearch(EyeSearch):
             seed.origin = None
         seed.sights[eye] = None if point is None else _Sight(self._camera, seen, point)
         if refusal is not None or (point is not None and eye != seed.origin):
-            seed.refusal = refusal or ""
+            seed.remark = refusal or ""
         both = [sight for sight in seed.sights if sight is not None]
         if len(both) == 2 and abs(both[0].seen.time_s - both[1].seen.time_s) <= _PAIR_S:
             depths, place = crossing([one.seen.T_0_C[:3, 3] for one in both],

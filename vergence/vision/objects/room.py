@@ -228,7 +228,10 @@ class RoomRenderer:
     def _region(
         self, outline_C: FloatArray, radius: int, smear: FloatArray
     ) -> tuple[int, int, int, int] | None:
-        """Region x0, y0, x1, y1 of pixels around points in front of the camera, with blur."""
+        """Region x0, y0, x1, y1 of pixels around points in front of the camera, with blur.
+
+        One pixel of it lies beyond the frame's margin, and shows nothing.
+        """
         size, pixels = np.array(self.camera.size), self.camera.project(outline_C)
         if np.isnan(pixels).any():  # beyond the lens model: may be anywhere in the frame
             pixels = np.array([[0.0, 0.0], size - 1.0])
@@ -236,7 +239,7 @@ class RoomRenderer:
         low = np.maximum(np.floor(pixels.min(axis=0)) - reach, -reach)
         high = np.minimum(np.ceil(pixels.max(axis=0)) + reach + 1, size + reach)
         x0, y0, x1, y1 = np.concatenate([low, high]).astype(int).tolist()
-        return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
+        return (x0, y0, x1, y1) if x0 + 1 < x1 and y0 + 1 < y1 else None
 
     def _rays_of(self, region: tuple[int, int, int, int]) -> NDArray[np.float32]:
         x0, y0, x1, y1 = (side + _MARGIN_PX for side in region)

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, PointRefusedError
 from vergence.models.camera import Camera
@@ -26,11 +26,19 @@ from vergence.vision.objects.detectors import make_object_detector
 from vergence.vision.objects.identity import Identity
 from vergence.vision.objects.patches import PointTracker
 from vergence.vision.objects.points import PointSearch, PointSeed
-from vergence.vision.objects.sights import EyeSearch, Found, SeenImage, line_of_sight, pixel_of
+from vergence.vision.objects.sights import (
+    EyeSearch,
+    Found,
+    SeenImage,
+    SharedSearch,
+    line_of_sight,
+    pixel_of,
+)
 from vergence.vision.objects.targets import (
     ColourTarget,
     FaceTarget,
     GazeTarget,
+    ObjectTarget,
     OwnTarget,
     PlaceTarget,
     PointTarget,
@@ -86,7 +94,7 @@ class _PrintedSearch(EyeSearch):
         self._tracker.forget()
 
     def look(self, image: Any, T_0_C: FloatArray, time_s: float, *, search: bool = True) -> None:
-        self._found = Found(self._tracker.find(image, T_0_C=T_0_C, search=search), time_s)
+        self._found = Found(self._tracker.find(image, T_0_C=T_0_C, search=search))
 
 
 class _Answer(NamedTuple):
@@ -96,18 +104,27 @@ class _Answer(NamedTuple):
     seen: SeenImage
 
 
-class _Source:
+class _Source(SharedSearch):
     """Answers of a detector: at once, delayed as it states, or from a thread of its own.
 
     Args:
-        detectors: one for each eye, or a single one for both eyes' images at once.
+        target: an object.
+        cameras: the left and the right eye's camera.
         frame_s: time between two images of a real camera, for a thread of its own; None for a
             simulation, whose time stands still meanwhile.
     """
 
-    def __init__(self, detectors: Sequence[Any], frame_s: float | None) -> None:
-        self._detectors, self._frame_s = detectors, frame_s
+    def __init__(
+        self, target: ObjectTarget, cameras: Sequence[Camera], frame_s: float | None
+    ) -> None:
+        in_process = isinstance(target, OwnTarget) and frame_s is not None
+        make: Any = WorkerDetector if in_process else make_object_detector
+        detectors: list[Any] = [make(target, cameras[0])]
         own = getattr(detectors[0], "own", None)
+        if not getattr(own, "both_eyes", False):
+            detectors.append(make(target, cameras[1]))
+        self._detectors, self._frame_s = detectors, frame_s
+        self.identity = Identity(cameras)
         self._latency_s = _stated(own, "latency_s", "a time of 0 s or more")
         rate_hz = _stated(own, "rate_hz", "a rate, Hz, or 0 or None for that of the images")
         self._period_s = 1.0 / rate_hz if rate_hz else 0.0
@@ -126,7 +143,8 @@ class _Source:
         return self.searches if self._both and self._pool is None else ()
 
     def forget(self) -> None:
-        """Drop all answers; one that is still being found is ignored."""
+        """Drop all answers, and the target; an answer that is still being found is ignored."""
+        self.identity.forget()
         with self._lock:
             self._newest: list[tuple[SeenImage, Any] | None] = [None, None]
             self._answers: tuple[deque[_Answer], deque[_Answer]] = (deque(), deque())
@@ -179,8 +197,21 @@ class _Source:
             newest = answers.popleft()
         return newest
 
+    @property
+    def refused(self) -> int:  # type: ignore[override]
+        return self.identity.refused
+
+    @property
+    def remark(self) -> str:  # type: ignore[override]
+        known = self.identity
+        if all(known.taken):
+            return ""
+        for eye, name in enumerate(EYE_NAMES):
+            if not known.offered[eye]:
+                return f"its detector has found nothing in the {name} eye's images"
+        return "what it finds in both eyes never agrees in line of sight, depth and size"
+
     def rehearse(self, images: Sequence[Any]) -> None:
-        """Call each detector once, and wait for it."""
         if self._both:
             self._detectors[0].detect(images, [None, None])
             return
@@ -188,7 +219,6 @@ class _Source:
             detector.detect(image, None)
 
     def close(self) -> None:
-        """Let the threads end after their present image, and processes at once."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
         for detector in self._detectors:
@@ -199,8 +229,8 @@ class _Source:
 class _ObjectSearch(EyeSearch):
     """Search for an object, carried by tracking while its detector is at work."""
 
-    def __init__(self, eye: int, camera: Camera, source: _Source, identity: Identity) -> None:
-        self._eye, self._source, self._identity = eye, source, identity
+    def __init__(self, eye: int, camera: Camera, source: _Source) -> None:
+        self._eye, self._source, self._identity = eye, source, source.identity
         self._tracker = PointTracker(camera)
         self._camera = camera
         source.searches.append(self)
@@ -256,7 +286,7 @@ class _ObjectSearch(EyeSearch):
                 return carried
         if target is None or then_s == seen.time_s:
             self._start(seen, target)
-            return Found(target, seen.time_s)
+            return Found(target)
         carried = self._carry(seen)
         before = [pixel for at_s, pixel, _ in self._track if at_s == then_s]
         if carried is not None and before:
@@ -274,7 +304,7 @@ class _ObjectSearch(EyeSearch):
             moved = carried.detection.pixel
         target = target._replace(pixel=moved, sigma_px=np.asarray(target.sigma_px))
         self._start(seen, target)
-        return Found(target, seen.time_s)
+        return Found(target)
 
     def _start(self, seen: SeenImage, target: Detection | None) -> None:
         """Follow the image around the target from here."""
@@ -310,7 +340,7 @@ class _ObjectSearch(EyeSearch):
         pixel, sigma_px = point
         self._note(seen, pixel)
         sigma_px = np.hypot(sigma_px, target.sigma_px)
-        return Found(target._replace(pixel=pixel, sigma_px=sigma_px), seen.time_s)
+        return Found(target._replace(pixel=pixel, sigma_px=sigma_px))
 
     def _note(self, seen: SeenImage, pixel: FloatArray) -> None:
         """Remember where the target was in an image."""
@@ -344,8 +374,8 @@ class _ObjectSearch(EyeSearch):
             return None
         pixel = pixel_of(self._camera, seen.T_0_C, self._place(-1))
         if seen.time_s - self._track[-1][0] > _HELD_S or not np.isfinite(pixel).all():
-            return Found(None, seen.time_s)
-        return Found(self._last._replace(pixel=pixel), seen.time_s)
+            return Found(None)
+        return Found(self._last._replace(pixel=pixel))
 
 
 def _contrast(image: NDArray[np.uint8], pixel: FloatArray, size_px: float) -> FloatArray:
@@ -393,7 +423,7 @@ class _PlaceSearch(EyeSearch):
         edge = _VIEW_SHARE * float((self._camera.size / self._camera.focal).min()) / 2
         tangent = min(away / z if z > 0.0 else np.inf, edge)
         pixel = self._camera.project([[tangent * x / away, tangent * y / away, 1.0]])[0]
-        self._found = Found(Detection(pixel, np.full(2, _PLACE_SIGMA_PX)), time_s)
+        self._found = Found(Detection(pixel, np.full(2, _PLACE_SIGMA_PX)))
 
 
 class HeadSearch:
@@ -407,6 +437,7 @@ class HeadSearch:
 
     Attributes:
         eyes: the left and the right eye's search, which may run in two threads.
+        shared: what both share.
 
     Raises:
         ConfigurationError: the target's network or class cannot be loaded.
@@ -415,25 +446,13 @@ class HeadSearch:
     def __init__(self, target: GazeTarget, head: HeadModel, frame_s: float | None = None) -> None:
         cameras = [Camera.of(head, eye) for eye in range(2)]
         self.eyes: tuple[EyeSearch, EyeSearch]
-        self._identity: Identity | None = None
-        self._seed: PointSeed | None = None
-        self._source: _Source | None = None
+        self.shared = SharedSearch()
         if isinstance(target, PointTarget):
-            seed = self._seed = PointSeed(cameras, target, waits=frame_s is not None)
+            seed = self.shared = PointSeed(cameras, target, waits=frame_s is not None)
             self.eyes = PointSearch(0, seed), PointSearch(1, seed)
         elif isinstance(target, ColourTarget | FaceTarget | OwnTarget):
-            make: Any = make_object_detector
-            if isinstance(target, OwnTarget) and frame_s is not None:
-                make = WorkerDetector
-            detectors: list[Any] = [make(target, cameras[0])]
-            if not getattr(getattr(detectors[0], "own", None), "both_eyes", False):
-                detectors.append(make(target, cameras[1]))
-            source = self._source = _Source(detectors, frame_s)
-            known = self._identity = Identity(cameras)
-            self.eyes = (
-                _ObjectSearch(0, cameras[0], source, known),
-                _ObjectSearch(1, cameras[1], source, known),
-            )
+            source = self.shared = _Source(target, cameras, frame_s)
+            self.eyes = _ObjectSearch(0, cameras[0], source), _ObjectSearch(1, cameras[1], source)
         elif isinstance(target, PlaceTarget):
             T_0_N = head.base_pose(head.rest())
             place = T_0_N[:3, :3] @ (np.array(target.point_mm) / 1000.0) + T_0_N[:3, 3]
@@ -442,59 +461,11 @@ class HeadSearch:
             left, right = (Tracker(make_detector(target, camera)) for camera in cameras)
             self.eyes = _PrintedSearch(left), _PrintedSearch(right)
 
-    @property
-    def jumps_refused(self) -> int:
-        """Number of jumps to another object that were refused."""
-        return 0 if self._identity is None else self._identity.refused
-
-    @property
-    def remark(self) -> str:
-        """Why an eye has not seen the target, in words; empty if both have, or for a board."""
-        if self._seed is not None:
-            return self._seed.refusal
-        known = self._identity
-        if known is None or all(known.taken):
-            return ""
-        for eye, name in enumerate(EYE_NAMES):
-            if not known.offered[eye]:
-                return f"its detector has found nothing in the {name} eye's images"
-        return "what it finds in both eyes never agrees in line of sight, depth and size"
-
-    def click(self, eye: int, pixel: ArrayLike) -> None:
-        """Follow the point at a pixel (u, v) of an eye from its next image on.
-
-        Raises:
-            ConfigurationError: the target is no point, or `pixel` is no pixel.
-        """
-        if self._seed is None:
-            raise ConfigurationError("click: expected --target point, got another target")
-        self._seed.click(eye, pixel)
-
-    def rehearse(self, images: Sequence[Any]) -> None:
-        """Call an object's detector once on both eyes' images, blue, green and red, and wait.
-
-        Raises:
-            ConfigurationError: a user's detector raises.
-        """
-        if self._source is not None:
-            self._source.rehearse(images)
-
     def forget(self) -> None:
         """Drop the track of the target in both eyes, and name a point anew."""
-        self.forget_shared()
+        self.shared.forget()
         for eye in self.eyes:
             eye.forget()
-
-    def forget_shared(self) -> None:
-        """Drop what both eyes share; eyes in threads of their own forget the rest there."""
-        for shared in (self._identity, self._source, self._seed):
-            if shared is not None:
-                shared.forget()
-
-    def close(self) -> None:
-        """End the detector's threads and processes."""
-        if self._source is not None:
-            self._source.close()
 
 
 def _stated(own: object, name: str, expected: str) -> float:

@@ -4,19 +4,18 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from vergence.errors import ConfigurationError
 from vergence.models.camera import Camera
 from vergence.models.parts import FloatArray
 
 
 class Found(NamedTuple):
-    """What an eye's images say about the target."""
+    """What an eye's newest image says about the target."""
 
     detection: Any
     """The detection, see `Detection`; None if the target is not in the image."""
-    time_s: float
-    """Time of the exposure, s."""
 
 
 class SeenImage(NamedTuple):
@@ -47,12 +46,45 @@ class EyeSearch:
         raise NotImplementedError
 
     def found(self) -> Found | None:
-        """What the images say since the last call; None for nothing new."""
+        """What the newest image says; None for nothing yet, or once it has been asked."""
         found, self._found = self._found, None
         return found
 
     def forget(self) -> None:
         """Drop this eye's track of the target."""
+
+
+class SharedSearch:
+    """What both eyes' searches share; their threads may call it at any time.
+
+    Attributes:
+        refused: number of jumps to another object that were refused.
+        remark: why an eye has not seen the target, in words; empty if both have, or for a board.
+    """
+
+    refused: int = 0
+    remark: str = ""
+
+    def forget(self) -> None:
+        """Drop what is known of the target, and name a point anew."""
+
+    def click(self, eye: int, pixel: ArrayLike) -> None:
+        """Follow the point at a pixel (u, v) of an eye from its next image on.
+
+        Raises:
+            ConfigurationError: the target is no point, or `pixel` is no pixel.
+        """
+        raise ConfigurationError("click: expected --target point, got another target")
+
+    def rehearse(self, images: Sequence[Any]) -> None:
+        """Call an object's detector once on both eyes' images, blue, green and red, and wait.
+
+        Raises:
+            ConfigurationError: a user's detector raises.
+        """
+
+    def close(self) -> None:
+        """End the detector's threads and processes."""
 
 
 def line_of_sight(camera: Camera, T_0_C: FloatArray, pixel: FloatArray) -> FloatArray:
