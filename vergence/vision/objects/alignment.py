@@ -32,9 +32,8 @@ _STRETCH_SIGMA: Final = 0.3
 degrees at the least distances)."""
 _DISTINCT_NOISE: Final = 0.25
 _DISTINCT_PX: Final = 0.3
-"""Least excess of the second-best place's misfit, as a share of the best one's, and as the
-displacement that would cause it, px (chosen: repeating patterns against noise, whose misfits
-scatter by 6 %)."""
+"""Least excess of the second-best place's misfit: a share of the best one's, and a displacement
+that would cause it, px (chosen: repeating patterns against noise, whose misfits scatter by 6 %)."""
 _APART_PX: Final = 4
 """Least distance of two places that a patch may be at, px (chosen: width of a correlation peak)."""
 _PLACES: Final = 6
@@ -49,8 +48,8 @@ _BLUR_SIGMA: Final = 0.04
 """Further one in an image whose blur differs, px per square of half the blur's variance in px^2
 (measured: by benchmarks/points.py, smears up to 6 px)."""
 _UNLIKE_SIGMA: Final = 0.2
-"""Further one by misfits beyond noise, px per px of displacement that would cause them (measured:
-across epipolar lines of photographs, 0.06 to 0.2 px at misfits from 0 to 0.8 px)."""
+"""Further one by misfits, px per px of displacement that would cause them (measured: photographs,
+whose errors across epipolar lines are 0.06 px at none and 0.2 px at 0.8 px)."""
 _FADING_PX: Final = 0.5
 """Distance over which a round patch fades, px (measured: balls before textured surfaces)."""
 _GRADIENT_NOISE: Final = 0.23
@@ -156,7 +155,7 @@ class Fit(NamedTuple):
     stretch: FloatArray  # (2, 2) from the template to the view
     place: FloatArray  # (2,) of the template's middle in the view
     covariance: FloatArray  # (2, 2) of it, px^2
-    model_px2: float  # share of that which is no noise
+    model_px: float  # standard deviation by the share of that which is no noise
     misfit: float  # variance of the template that the view does not explain
     unlike_px: float  # displacement that would cause the misfit of the worst quarter beyond noise
     likeness: float  # correlation without noise
@@ -208,8 +207,7 @@ class Template:
         normal[:count, :count] -= np.diag(share) * (
             _GRADIENT_NOISE * _INTERPOLATED * self.noise * side**2
         )
-        # misfits of the quarters by a displacement, per px^2
-        slopes_2 = (gx**2 + gy**2).reshape(side, side)
+        slopes_2 = (gx**2 + gy**2).reshape(side, side)  # misfits by a displacement, per px^2
         self.slopes: Any = cv2.resize(slopes_2, (2, 2), interpolation=cv2.INTER_AREA).clip(1e-3)
         values, vectors = np.linalg.eigh(normal + prior)
         values = np.maximum(values, 1e-3 * self.noise)
@@ -248,25 +246,24 @@ class Template:
                 break
         else:
             return None
-        squares = self._weight * (levels - self._columns @ found) ** 2
-        residual = float(squares.mean())
+        squares = (self._weight * (levels - self._columns @ found) ** 2).reshape(side, side)
+        quarters = cv2.resize(squares, (2, 2), interpolation=cv2.INTER_AREA)
+        residual = float(quarters.mean())
         mean = float((self._weight * levels).mean())
         variance = float((self._weight * (levels - mean) ** 2).mean())
         both = view.noise + gain**2 * self.noise
         excess = max(residual - _INTERPOLATED * both, 0.0)
         likeness = sqrt(max(1.0 - excess / max(variance - _INTERPOLATED * view.noise, 1e-9), 0.0))
-        quarters = cv2.resize(squares.reshape(side, side), (2, 2), interpolation=cv2.INTER_AREA)
-        beyond = (quarters - both) / self.slopes  # noise leaves less, so that it does not count
-        unlike_px = sqrt(max(float(beyond.max()), 0.0)) / gain
+        beyond = float(((quarters - both) / self.slopes).max())  # noise alone leaves less
+        unlike_px = sqrt(max(beyond, 0.0)) / gain
         noise = max(residual, both) / gain**2
         covariance = stretch @ (noise * self._spread) @ stretch.T
         blur_px2 = float(np.linalg.norm(found[4 + self.affine :])) / gain
         unlike = hypot(_MODEL_SIGMA_PX, _UNLIKE_SIGMA * unlike_px)
-        model_px = unlike if self.affine else _SAME_EYE_SIGMA_PX
-        model_px2 = model_px**2 + (_BLUR_SIGMA * blur_px2**2) ** 2
-        covariance += model_px2 * np.eye(2)
+        model_px = hypot(unlike if self.affine else _SAME_EYE_SIGMA_PX, _BLUR_SIGMA * blur_px2**2)
+        covariance += model_px**2 * np.eye(2)
         return Fit(
-            stretch, place, covariance, model_px2, residual / gain**2, unlike_px, likeness,
+            stretch, place, covariance, model_px, residual / gain**2, unlike_px, likeness,
             float(gain), mean - self._mean,
         )  # fmt: skip
 

@@ -48,17 +48,16 @@ from vergence.vision.objects.targets import PointTarget
 _CORE_PX: Final = 6
 _MOST_APART_PX: Final = 0.6
 """Half the side of the smaller patch that must agree, and the largest distance of its place from
-the whole one's, px (measured: half of the false matches on photographs, 3 % of the right ones)."""
+the whole one's, px (measured: as below, 3 % of the right matches and half of the false ones)."""
 _ROWS_PX: Final = 6
 """Tolerance across the epipolar line, px (chosen: errors of encoders)."""
 _MOST_UNLIKE_PX: Final = 0.85
-"""Largest misfit of a quarter of the patch, as the displacement that would cause it, px (measured:
-on photographs 0.5 in 90 % of right matches of even surfaces, above in half of the false ones)."""
+"""Largest misfit of a quarter of a patch, as the displacement that would cause it, px (measured:
+photographs, exceeded by 5 % of the right matches and two thirds of the false ones)."""
 _STRETCHES: Final = tuple(np.diag([width, 1.0]) for width in (0.75, 1.0, 1.33))
 """Widths of a patch in the other eye for which it is searched (chosen: slants)."""
 _CONSISTENT_PX: Final = 0.2
-"""Largest distance of a point from itself, there and back, px (measured: on photographs exceeded
-by 2 % of right matches, and a third of the false ones that are left)."""
+"""Largest way of a point from itself, there and back, px (measured: as above; 2 %, a third)."""
 _ALONG_BASELINE: Final = 0.95
 """Largest cosine between a ray and the baseline (chosen: 18 degrees, where no depth is left)."""
 _PAIR_S: Final = 0.05
@@ -196,7 +195,7 @@ def _match(
         strip.sigma_px(fit.place, fit.covariance),
         shift_px_m / disparity if disparity > 0.0 else inf,
         fit.likeness,
-        sqrt(fit.model_px2),
+        fit.model_px,
     )
 
 
