@@ -9,6 +9,10 @@ A point has sufficient texture if the bound on its standard deviation, by the sc
 without noise, the preset's noise in both images, and a window of 25 px, is below 0.1 px in the
 direction in which it is largest. Nothing that the code under test computes decides that.
 
+Photographs are rectified pairs with the disparity of each pixel, such as the motorcycle that the
+package scikit-image ships: ``--photographs LEFT.png RIGHT.png DISPARITY.npz``. Points of their
+surfaces have disparities within 2 px in their window; errors are those of the disparities, too.
+
 Whole gazes are those of the law state-feedback, towards points of the room that the left eye sees
 at the start, drawn without regard to texture but for the plain and the periodic part of its front.
 """
@@ -59,6 +63,12 @@ SETTLED_PX = 1.0
 """Largest error of both eyes' gaze at the end."""
 
 Pixel = NDArray[np.float64]
+
+
+PHOTOGRAPH_NOISE = 2.0
+"""Noise by which texture of photographs is sufficient, grey levels."""
+SURFACE_PX = 2.1
+"""Most that disparities of one surface differ by in a window."""
 
 
 def bound_px(image: NDArray[np.uint8], pixel: Pixel, noise: float) -> float:
@@ -142,12 +152,12 @@ class Tally:
         )
 
 
-def attempt(tally: Tally, one: Rig, images: list[Any], poses: Any, pixel: Pixel, truth: Pixel,
-            eye: int) -> None:  # fmt: skip
+def attempt(tally: Tally, cameras: Any, images: list[Any], poses: Any, pixel: Pixel,
+            truth: Pixel, eye: int) -> None:  # fmt: skip
     """Match one point."""
     begun = time.perf_counter()
     try:
-        match = match_point(one.cameras, images, poses, pixel, eye)
+        match = match_point(cameras, images, poses, pixel, eye)
     except PointRefusedError as refused:
         tally.counts[str(refused).rpartition(": ")[2].partition(" (")[0]] += 1
         return
@@ -194,7 +204,7 @@ def matching(count: int, rng: np.random.Generator, preset: str, pictures: list[A
             else:
                 tally = whole
             if tally is not whole or whole.asked < count:
-                attempt(tally, one, images, poses, pixel, truth, eye)
+                attempt(tally, one.cameras, images, poses, pixel, truth, eye)
         scene += 1
     whole.show(f"{preset}, pairs, sufficient texture")
     weak.show(f"{preset}, pairs, weaker texture")
@@ -227,13 +237,39 @@ def refusals(count: int, rng: np.random.Generator, preset: str) -> None:
                     point = cards[0].T_0_T @ [rng.uniform(-0.3, 0.3) * z, 0.0, 0.0, 1.0]
                     pixel = project(one, cards, point[:3], 0) + rng.uniform(-4.0, 4.0, 2)
                 _, truth = seen_from(one, cards, pixel)
-                attempt(tally, one, images, misread(one, rng, 1.0), pixel, truth, 0)
+                attempt(tally, one.cameras, images, misread(one, rng, 1.0), pixel, truth, 0)
                 try:
                     PointTracker(one.cameras[0]).begin(images[0], pixel, one.poses[0])
                     tracked += 1
                 except PointRefusedError:
                     pass
         tally.show(f"{preset}, {name} ({tracked} followed)")
+
+
+def photographs(count: int, rng: np.random.Generator, files: list[str]) -> None:
+    """Points of a rectified pair of photographs; lengths are of no account."""
+    left, right = (np.asarray(cv2.imread(file), np.uint8) for file in files[:2])
+    disparity = np.load(files[2])["arr_0"]
+    size, grey = np.array(left.shape[1::-1]), cv2.cvtColor(left, cv2.COLOR_BGR2GRAY)
+    matrix = np.array([[1000.0, 0.0, size[0] / 2], [0.0, 1000.0, size[1] / 2], [0.0, 0.0, 1.0]])
+    cameras = [Camera(size=(int(size[0]), int(size[1])), matrix=matrix)] * 2
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, 0, 3] = 0.2
+    surfaces, edges = Tally(), Tally()
+    half = WINDOW_PX // 2
+    while surfaces.asked < count:
+        u, v = rng.integers(30, size - 30).tolist()
+        truth, pixel = np.array([u - disparity[v, u], v]), np.array([u, v], float)
+        window = disparity[v - half : v + half + 1, u - half : u + half + 1]
+        known = window[np.isfinite(window)]
+        enough = bound_px(np.asarray(grey, np.uint8), pixel, PHOTOGRAPH_NOISE) <= SUFFICIENT_PX
+        if not truth[0] > 24.0 or not np.isfinite(truth[0]) or not enough:
+            continue
+        surface = len(known) > 0.9 * window.size and np.ptp(known) < SURFACE_PX
+        tally = surfaces if surface else edges
+        attempt(tally, cameras, [left, right], poses, pixel, truth, 0)
+    surfaces.show("photographs, surfaces")
+    edges.show("photographs, at edges")
 
 
 class Watched:
@@ -331,6 +367,7 @@ def report() -> None:
     parser.add_argument("--gazes", type=int, default=4, help="whole gazes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--preset", nargs="*", default=["simulated", "physical"])
+    parser.add_argument("--photographs", nargs=3, metavar="FILE", help="a pair and its disparities")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     pictures = [picture(path) for path in options.pictures]
@@ -338,6 +375,9 @@ def report() -> None:
         f"{name:>8}" for name in ("found", "refused", "false", "px rms", "norm.", "ms")
     )
     print(f"{'':44} {'points':>6}{columns}")
+    if options.photographs:
+        photographs(options.pairs, np.random.default_rng(options.seed), options.photographs)
+        return
     for preset in options.preset:
         rng = np.random.default_rng(options.seed)
         if options.pairs:
