@@ -4,8 +4,13 @@ The two factors were fixed before any verdict was computed with them. The people
 seen earlier tables of our results beside the article's. No verdict is a reason to change them.
 """
 
+from collections import Counter
 from math import isfinite, sqrt
-from typing import Final
+from typing import Any, Final
+
+from vergence.eval.article.reported import reported_results
+from vergence.reporting.report import ArticleSummary, ReportSection
+from vergence.reporting.text import NONE, format_number
 
 REPRODUCED_FACTOR: Final = 1.25
 """Largest factor, in either direction, between our figure and the article's that counts as
@@ -22,7 +27,7 @@ REPRODUCED: Final = "reproduced"
 SAME_ORDER: Final = "same order"
 DIFFERS: Final = "differs"
 BY_CONSTRUCTION: Final = "by construction"
-NONE: Final = "none"
+NO_FIGURE: Final = "none"
 
 VERDICTS: Final[dict[str, str]] = {
     REPRODUCED: f"Ours and the article's figures are within a factor of {REPRODUCED_FACTOR:g}, at "
@@ -31,7 +36,7 @@ VERDICTS: Final[dict[str, str]] = {
     DIFFERS: "Farther apart than that at one end at least.",
     BY_CONSTRUCTION: "A parameter of ours was chosen so that this figure comes near the article's: "
     "no evidence.",
-    NONE: "We have no figure, such as the time of a trial that never settles.",
+    NO_FIGURE: "We have no figure, such as the time of a trial that never settles.",
 }
 """Meaning of each verdict on a result of the article, the best first."""
 OTHER_VERDICTS: Final[dict[str, str]] = {
@@ -65,7 +70,7 @@ def verdict_of_ranges(
         `reproduced`, `same order` or `differs`; `none` if we have no figure.
     """
     if not (isfinite(ours_low) and isfinite(ours_high)):
-        return NONE
+        return NO_FIGURE
     apart = ratio_above_one(*most_different_ends(ours_low, ours_high, article_low, article_high))
     if apart <= REPRODUCED_FACTOR:
         return REPRODUCED
@@ -89,3 +94,66 @@ def ratio_above_one(ours: float, article: float) -> float:
         return float("inf")
     ratio = ours / article
     return max(ratio, 1.0 / ratio)
+
+
+_VERDICT_PHRASES: Final = {
+    SAME_ORDER: "of the same order",
+    DIFFERS: "farther apart",
+    BY_CONSTRUCTION: "by construction",
+    NO_FIGURE: "without a figure of ours",
+}
+"""Words of the headline's sentence for the verdicts below `reproduced`."""
+
+
+def summarise_article(sections: list[ReportSection]) -> ArticleSummary:
+    """Summarise sections for `vergence.reporting.report.write_report`."""
+    return ArticleSummary(
+        rows=article_summary_rows(sections),
+        tally=count_verdicts(sections),
+        reported=len(reported_results()),
+        phrases=_VERDICT_PHRASES,
+        verdicts=VERDICTS,
+        other_verdicts=OTHER_VERDICTS,
+        ratio=_ratio,
+    )
+
+
+def article_summary_rows(sections: list[ReportSection]) -> list[tuple[str, dict[str, Any]]]:
+    """Rows of the report's summary: each result that the article reports, once.
+
+    Args:
+        sections: the sections, in order.
+
+    Returns:
+        Pairs of a section's name and a row with the fields of `SummaryRow`.
+    """
+    keys = ("experiment", "quantity", "method", "axis")
+    reported = {tuple(getattr(row, key) for key in keys) for row in reported_results()}
+    return [
+        (section.name, row)
+        for section in sections
+        for row in section.summary
+        if tuple(row[key] for key in keys) in reported
+    ]
+
+
+def count_verdicts(sections: list[ReportSection]) -> dict[str, int]:
+    """Count the article's results by verdict, the best verdict first.
+
+    Args:
+        sections: the sections.
+
+    Returns:
+        Counts by verdict, without zeros.
+    """
+    counts = Counter(row["verdict"] for _name, row in article_summary_rows(sections))
+    return {verdict: counts[verdict] for verdict in VERDICTS if counts[verdict]}
+
+
+def _ratio(row: dict[str, Any]) -> str:
+    """Ratio of our value to the article's, at the end of the range where they differ most."""
+    article = row["article_low"], row["article_high"]
+    if row["ours_low"] is None or row["ours_high"] is None or article == (None, None):
+        return NONE
+    ours, theirs = most_different_ends(row["ours_low"], row["ours_high"], *article)
+    return format_number(ours / theirs) if theirs else NONE

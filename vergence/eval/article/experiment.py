@@ -1,21 +1,24 @@
-"""Definition of an experiment: a function of a config and a seed that returns a tidy table."""
+"""An experiment: a function of a config and a seed that returns a tidy table; its settings."""
 
 import dataclasses
+import shlex
+import tomllib
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from math import isfinite
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
-from vergence.eval.article.config_rules import check_bounds, check_value
+from vergence.eval.article.config import EXPERIMENTS
 from vergence.eval.article.criterion import verdict_of_ranges
-from vergence.eval.article.registry import EXPERIMENTS
+from vergence.models.head_file import load_head
 from vergence.models.perturbation import ModelErrors
 from vergence.reporting.jobs import Mapper
 from vergence.reporting.text import Numbers
@@ -92,7 +95,7 @@ class Experiment:
     article: str
     """Place in the article: section, tables, figures."""
     text: str
-    """The template of its section in the report, `section.jinja` in its folder: procedure and
+    """The template of its section in the report, a file of `sections`: procedure and
     results, see `vergence.reporting.text`."""
     config: type[Any]
     """A frozen dataclass with a default for every field."""
@@ -184,3 +187,163 @@ def job_rng(seed: int, experiment: str, *keys: int) -> np.random.Generator:
     """
     entropy = [seed, zlib.crc32(experiment.encode()), *keys]
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
+
+
+_SIGNED: Final = ("point_mm", "origin_mm", "end_mm", "place_mm", "aside_deg")
+"""Name endings of coordinates and angles, which may be negative."""
+_NOT_SIGNED: Final = ("mount_place_mm",)
+_MAY_BE_ZERO: Final = ("settle_s", "worse_margin", "mount_rotation_deg", "mount_place_mm")
+"""Fields that may be zero, besides those whose default has a zero; all others must be positive."""
+_MOST_COUNT: Final = 10_000_000
+"""Largest integer that a field may have (chosen: far above any useful count)."""
+_ORDERED: Final = (
+    ("least_gain", "greatest_gain"),
+    ("least_threshold_px", "greatest_threshold_px"),
+)
+"""Pairs of fields; the first must not exceed the second."""
+_RISING: Final = ("onset_gains",)
+"""Fields with two values, the first below the second."""
+ARTICLE_HEADS: Final = ("simulated", "physical")
+"""Names of the article's own heads; the experiments reproduce their figures."""
+_STEPS: Final[tuple[tuple[str, str | None, str], ...]] = (
+    ("gain_step", "least_gain", "greatest_gain"),
+    ("plane_step", "least_gain", "greatest_gain"),
+    ("threshold_step_px", "least_threshold_px", "greatest_threshold_px"),
+    ("lag_step_s", None, "greatest_lag_s"),
+)
+"""For each grid: the fields of its step, its first value (None for zero) and its last value."""
+_MOST_STEPS: Final = 100_000
+"""Largest number of steps of a grid (chosen: bounds memory, far above any useful grid)."""
+
+
+def check_value(key: str, name: str, value: Any, default: Any) -> None:
+    """Refuse a number or a head that a field of this name must not have.
+
+    Args:
+        key: the field's name in error messages.
+        name: the field's name.
+        value: a new value of the default's type.
+        default: the field's default.
+
+    Raises:
+        ConfigurationError: the value is not allowed.
+    """
+    if name == "head":
+        _check_head(key, value)
+    place = isinstance(default, tuple) and len(default) < 4 and name.endswith(("_mm", "_px"))
+    if place and len(value) != len(default):
+        raise ConfigurationError(f"{key}: expected {len(default)} numbers, got {value!r}")
+    signed = name.endswith(_SIGNED) and name not in _NOT_SIGNED
+    defaults = default if isinstance(default, tuple) else (default,)
+    zero = name in _MAY_BE_ZERO or 0 in defaults
+    for one in value if isinstance(value, tuple) else (value,):
+        if isinstance(one, bool | str) or not isinstance(one, int | float) or signed:
+            continue
+        if one < 0 or (one == 0 and not zero):
+            least = "of at least 0" if zero else "above 0"
+            raise ConfigurationError(f"{key}: expected a number {least}, got {one!r}")
+        if isinstance(one, int) and one > _MOST_COUNT:
+            raise ConfigurationError(f"{key}: expected at most {_MOST_COUNT}, got {one!r}")
+
+
+def _check_head(key: str, name: str) -> None:
+    """Refuse a head, given by name or file, that is not one of the article's."""
+    head = load_head(name)
+    if head.digest not in {load_head(own).digest for own in ARTICLE_HEADS}:
+        raise ConfigurationError(
+            f"{key}: expected {' or '.join(ARTICLE_HEADS)}, the article's own heads, got {name}; "
+            f"vergence evaluate --head {shlex.quote(name)} compares controllers on it"
+        )
+
+
+def check_bounds(config_name: str, values: Mapping[str, Any]) -> None:
+    """Refuse reversed bounds, and grids with too many steps.
+
+    Args:
+        config_name: the config's name in error messages.
+        values: all of its fields.
+
+    Raises:
+        ConfigurationError: bounds are reversed, or a grid has too many steps.
+    """
+    for low, high in _ORDERED:
+        if low in values and not values[low] <= values[high]:
+            raise ConfigurationError(
+                f"{config_name}: expected {low} <= {high}, got {values[low]} and {values[high]}"
+            )
+    for name in _RISING:
+        if name in values and (len(values[name]) != 2 or not values[name][0] < values[name][1]):
+            raise ConfigurationError(
+                f"{config_name}.{name}: expected two rising numbers, got {values[name]}"
+            )
+    for step, least, most in _STEPS:
+        if step not in values:
+            continue
+        span = values[most] - (0.0 if least is None else values[least])
+        if span > _MOST_STEPS * values[step]:
+            raise ConfigurationError(
+                f"{config_name}.{step}: expected at most {_MOST_STEPS} steps to {most} = "
+                f"{values[most]}, got {values[step]}"
+            )
+
+
+Overrides = dict[str, dict[str, Any]]
+"""Values by experiment and field; nested by field for a field that is a dataclass."""
+
+
+def read_overrides(path: Path | None, settings: Sequence[str]) -> Overrides:
+    """Read overrides from a TOML file and from `EXPERIMENT.FIELD=VALUE` words.
+
+    Args:
+        path: a TOML file with a table per experiment, or None.
+        settings: words that override the file; values are written as in TOML, text also unquoted.
+
+    Returns:
+        Values by experiment and field.
+
+    Raises:
+        ConfigurationError: the file or a word cannot be read, or names no experiment.
+    """
+    overrides = {} if path is None else _read_file(path)
+    for word in settings:
+        key, equals, text = word.partition("=")
+        name, *fields = (part.strip() for part in key.split("."))
+        if not (equals and name and fields and all(fields)):
+            raise ConfigurationError(f"set: expected EXPERIMENT.FIELD=VALUE, got {word!r}")
+        place: Any = overrides.setdefault(name, {})
+        for field in fields[:-1]:
+            place = place.setdefault(field.replace("-", "_"), {})
+            if not isinstance(place, dict):
+                raise ConfigurationError(
+                    f"set: expected a field with fields of its own for {word!r}, got {place!r}"
+                )
+        place[fields[-1].replace("-", "_")] = _read_value(text)
+    for name in overrides:
+        if name not in EXPERIMENTS:
+            raise ConfigurationError(
+                f"config: expected one of {', '.join(EXPERIMENTS)}, got {name!r}"
+                f"{did_you_mean(name, EXPERIMENTS)}"
+            )
+    return overrides
+
+
+def _read_file(path: Path) -> Overrides:
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(
+            f"config: expected a readable TOML file, got {path}: {error}"
+        ) from error
+    for name, values in content.items():
+        if not isinstance(values, dict):
+            raise ConfigurationError(
+                f"config: expected tables named after experiments, got {name} = {values!r}"
+            )
+    return content
+
+
+def _read_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()

@@ -1,0 +1,228 @@
+"""Error budget of depth: each error source alone, at settled fixations and for ITPC off the axis.
+
+At a settled fixation gaze and ITPC are the same computation. They differ if the target is imaged
+away from the principal points, so ITPC is evaluated there: the eyes look past the target by up to
+300 px in eight directions, equal for both eyes, as far as image and joint limits allow.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from vergence.eval.article.twin import draw_heads, mean_fix_errors_m
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.models.perturbation import ModelErrors
+from vergence.triangulation import Noise, triangulate_gaze
+
+ENCODERS: Final = "encoders"
+ALL: Final = "all"
+SOURCE_LABELS: Final = {
+    "link_m": "link lengths",
+    "coaxiality_rad": "coaxiality",
+    "joint_offset_rad": "joint offsets",
+    "head_eye_rad": "head-eye rotation",
+    "head_eye_m": "head-eye translation",
+    "focal_relative": "focal lengths",
+    "principal_px": "principal points",
+    "distortion": "distortion",
+    "common_tilt": "common tilt",
+    ENCODERS: "encoders",
+}
+"""Titles of the error sources by their names in tables."""
+BUDGET_SOURCES: Final = tuple(SOURCE_LABELS)
+"""Sources evaluated one at a time here; the detector's errors are added by `detector_rows`."""
+_DIRECTIONS: Final = 8
+"""Number of directions in which the eyes look past the target (numerical)."""
+_REACH_M: Final = 0.03
+"""Half side, in x and z, of the grid around a point that samples encoder quantisation, m (chosen:
+spans several encoder steps, small beside the depth)."""
+_PLACES: Final = 13
+"""Points per side of that grid (numerical)."""
+
+
+class BudgetCase(NamedTuple):
+    """Heads and points of an error budget."""
+
+    nominal: HeadModel
+    """The head used for control and triangulation."""
+    errors: ModelErrors
+    """Standard deviations of the true heads' model errors, all sources."""
+    heads: int
+    """Number of true heads."""
+    points: FloatArray
+    """(points, 3) in N, m."""
+    seed: int
+    """The run's seed."""
+
+
+class _Drawn(NamedTuple):
+    """Draws of one error source: differing heads, or points around each point for the encoders."""
+
+    heads: HeadModel
+    points: FloatArray
+    """(1 or n, points, 3) in N, m: n positions around each point are n draws of quantisation."""
+    encoders: bool
+
+
+def _draw(case: BudgetCase, source: str) -> _Drawn:
+    points, errors = case.points, case.errors
+    if source == ENCODERS:
+        steps = np.linspace(-_REACH_M, _REACH_M, _PLACES)
+        around = np.stack(np.meshgrid(steps, [0.0], steps), axis=-1).reshape(-1, 1, 3)
+        return _Drawn(case.nominal, points + around, True)
+    if source != ALL:
+        name = "common_tilt_rad" if source == "common_tilt" else source
+        errors = ModelErrors(**{name: getattr(errors, name)})
+    heads = draw_heads(case.nominal, errors, case.heads, case.seed)
+    return _Drawn(heads, points[None], source == ALL)
+
+
+def budget_rows(case: BudgetCase, source: str) -> pd.DataFrame:
+    """Depth errors of settled fixations with one error source alone, or all.
+
+    Args:
+        case: the heads and points.
+        source: one of `BUDGET_SOURCES`, or `all`.
+
+    Returns:
+        A row per point: rms over the draws of the depth error, percent of depth.
+    """
+    nominal, points, drawn = case.nominal, case.points, _draw(case, source)
+    depth = _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., 0, 0]
+    return _budget(source, points, np.sqrt(np.nanmean(depth**2, axis=0)))
+
+
+def detector_rows(
+    nominal: HeadModel, points: FloatArray, error_px: FloatArray, source: str
+) -> pd.DataFrame:
+    """Depth errors of settled fixations from detector errors alone, to first order.
+
+    Args:
+        nominal: the head.
+        points: (points, 3) in N, m.
+        error_px: (points, 2, 2) rms error of the detected pixels, px.
+        source: name of the error source in the table.
+
+    Returns:
+        Rows like those of `budget_rows`.
+    """
+    q = nominal.fixate(points, nominal.rest()[:3])
+    return _budget(
+        source, points, triangulate_gaze(nominal, q, Noise(pixel_px=error_px)).sigma[:, 2]
+    )
+
+
+def _budget(source: str, points: FloatArray, depth_error_m: FloatArray) -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "case": "budget",
+            "source": source,
+            "point": np.arange(1, len(points) + 1),
+            "truth_z_mm": 1000.0 * points[:, 2],
+            "rms_depth_error_percent": 100.0 * depth_error_m / points[:, 2],
+        }
+    )
+
+
+def off_axis_pixels(nominal: HeadModel, offsets_px: tuple[float, ...]) -> FloatArray:
+    """(offsets, directions, 2, 2) raw pixels at offsets from the principal points of both eyes."""
+    angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    offset = np.asarray(offsets_px)[:, None, None] * direction
+    return np.asarray(nominal.cameras.principal + offset[:, :, None, :])
+
+
+def off_axis_rows(
+    case: BudgetCase,
+    source: str,
+    offsets_px: tuple[float, ...],
+    excess_percent: float,
+) -> pd.DataFrame:
+    """Compare ITPC off the optical axis with gaze on it, with one error source or all.
+
+    Args:
+        case: the heads and points.
+        source: one of `BUDGET_SOURCES`, or `all`.
+        offsets_px: distances of the target from both principal points, px.
+        excess_percent: excess of ITPC's largest depth error over that of gaze in the article,
+            percentage points of depth.
+
+    Returns:
+        A row per offset. Both rms are over the same heads, points and directions. `added` is the
+        rms of their difference, `worse` the fraction of fixations in which ITPC's error is larger,
+        `possible` the fraction within image and joint limits, and `excess` the fraction of heads
+        and directions in which ITPC's largest error exceeds that of gaze by `excess_percent` or
+        more. The largest depth error is the median over heads and directions.
+    """
+    nominal, points, drawn = case.nominal, case.points, _draw(case, source)
+    relative = 100.0 / points[:, 2, None, None]
+    itpc = relative * _depth(nominal, drawn, off_axis_pixels(nominal, offsets_px))
+    gaze = relative * _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., :1]
+    rows = []
+    for k, offset in enumerate(offsets_px):
+        there = itpc[:, :, k]
+        valid = np.isfinite(there)
+        here = np.where(valid, gaze[:, :, 0], np.nan)
+        largest = np.abs(there).max(axis=1)
+        excess = largest - np.abs(gaze[:, :, 0]).max(axis=1)
+        known = np.isfinite(excess)
+        rows.append(
+            {
+                "case": "off axis",
+                "source": source,
+                "offset_px": float(offset),
+                "gaze_rms_percent": _rms(here),
+                "itpc_rms_percent": _rms(there),
+                "added_rms_percent": _rms(there - here),
+                "worse_share": float(np.mean(np.abs(there[valid]) > np.abs(here[valid]))),
+                "possible_share": float(valid.mean()),
+                "itpc_largest_percent": float(np.median(largest[known])) if known.any() else np.nan,
+                "excess_share": float(np.mean(excess[known] >= excess_percent))
+                if known.any()
+                else np.nan,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _depth(nominal: HeadModel, drawn: _Drawn, pixels: FloatArray) -> FloatArray:
+    """(draws, points, offsets, directions) depth errors, m."""
+    heads = drawn.heads[:, None, None, None] if drawn.heads.batch_shape else drawn.heads
+    points = drawn.points[:, :, None, None]
+    return mean_fix_errors_m(nominal, heads, points, pixels, drawn.encoders)[..., 2]
+
+
+def _rms(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+
+
+def crossover_px(rows: pd.DataFrame, margin: float) -> float:
+    """Offset beyond which ITPC's rms depth error exceeds that of gaze by a margin.
+
+    Args:
+        rows: the rows of one source of `off_axis_rows`.
+        margin: the margin, as a fraction of gaze's error.
+
+    Returns:
+        The offset, interpolated between those evaluated, px; 0 if gaze has no error; inf if the
+        margin is not exceeded at the largest offset.
+    """
+    rows = rows.sort_values("offset_px")
+    offset = rows["offset_px"].to_numpy()
+    gaze, itpc = rows["gaze_rms_percent"].to_numpy(), rows["itpc_rms_percent"].to_numpy()
+    if gaze.max() < 1e-6 * max(itpc.max(), 1e-12):
+        return 0.0
+    # errors that grow with the offset add in squares, so squares are interpolated
+    over = (itpc / gaze) ** 2 - (1.0 + margin) ** 2
+    above = over > 0.0
+    if not above[-1]:
+        return float("inf")
+    first = len(above) - int(np.argmin(above[::-1])) if not above.all() else 0
+    if first == 0:
+        return float(offset[0])
+    share = -over[first - 1] / (over[first] - over[first - 1])
+    near, far = offset[first - 1] ** 2, offset[first] ** 2
+    return float(np.sqrt(near + share * (far - near)))
