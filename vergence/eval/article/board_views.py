@@ -29,16 +29,7 @@ from vergence.vision.tracking import Tracker, make_detector
 
 
 def board_poses_in_eyes(head: HeadModel, q: ArrayLike, point: ArrayLike) -> FloatArray:
-    """Poses in both cameras of a board that faces forward.
-
-    Args:
-        head: the head.
-        q: (7,) joint angles, rad.
-        point: (3,) the board's reference point, in N, m.
-
-    Returns:
-        (2, 4, 4) T_Cl_T and T_Cr_T, m.
-    """
+    """(2, 4, 4) poses T_Cl_T and T_Cr_T of a board at `point` in N that faces forward, m."""
     return np.asarray(np.linalg.inv(head.camera_poses(q)) @ board_pose(point, "forward"))
 
 
@@ -50,13 +41,7 @@ def shifted_pose(head: HeadModel, eye: int, T_C_T: FloatArray, offset_px: ArrayL
 
 
 class FixedView:
-    """One eye before one checkerboard: draws images and detects in them.
-
-    Args:
-        head: the head; it sets the camera, the images and their noise.
-        eye: 0 for left, 1 for right.
-        board: the target's name.
-    """
+    """One eye (0 left, 1 right) before one checkerboard: draws images and detects in them."""
 
     def __init__(self, head: HeadModel, eye: int, board: str = "checkerboard") -> None:
         self.head = head
@@ -70,15 +55,7 @@ class FixedView:
         return np.asarray(self._drawing.camera.project(T_C_T[None, :3, 3])[0])
 
     def detect(self, poses: Iterable[FloatArray], rng: np.random.Generator) -> FloatArray:
-        """Detect the point once per pose, each time with new image noise.
-
-        Args:
-            poses: T_C_T of the board, each near the previous one.
-            rng: source of the noise.
-
-        Returns:
-            (n, 2) px; nan where the board was not detected.
-        """
+        """(n, 2) detections, px, one per pose near the last, each with new noise; nan if lost."""
         tracker, pixels = Tracker(self._detector), []
         for pose in poses:
             self._drawing.draw(pose, rng)
@@ -103,13 +80,7 @@ class CramerRaoBound(NamedTuple):
 
 
 def cramer_rao_bound(head: HeadModel, eye: int, T_C_T: FloatArray) -> CramerRaoBound:
-    """The bounds for one eye's view of the checkerboard.
-
-    Args:
-        head: the head; it sets the camera, the images and their noise.
-        eye: 0 for left, 1 for right.
-        T_C_T: (4, 4) the board's pose, m.
-    """
+    """The bounds for one eye's view of the checkerboard at a pose T_C_T, (4, 4), m."""
     camera, board = Camera.of(head, eye), make_planar_target("checkerboard")
     rendering = head.rendering
     # full contrast reduces the rounding error of the finite differences

@@ -46,12 +46,9 @@ from vergence.triangulation import Fix, Noise, triangulate_gaze, triangulate_vie
 class PerTrialGainLaw:
     """The article's control law with gains per trial and a reference per control period.
 
-    Args:
-        head: the model that the law uses.
-        gain: (..., 2, 2) by trial, eye and image axis, 1/s.
-        reference: function from the control period, counted from 0, to the image position at which
-            to hold the target: an array that broadcasts to (..., 2, 2), px from the principal
-            points. None for the principal points.
+    Gains have shape (..., 2, 2) by trial, eye and image axis, 1/s. The reference gives for a
+    control period, counted from 0, the image position (..., 2, 2) at which to hold the target, px
+    from the principal points.
     """
 
     def __init__(
@@ -94,20 +91,9 @@ def servo_pixel_errors(
     plant: str = "kinematic",
     plant_options: Mapping[str, Any] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Turn heads to a target under the article's control law, see `vergence.controllers.ibvs`.
+    """Turn heads to a target under the article's law; gains k1 and k2 per trial, (n, 2), 1/s.
 
-    Args:
-        head: the model that the law uses.
-        target: the target of all trials.
-        gains: (n, 2) the gains k1 and k2 of each trial, 1/s.
-        duration_s: duration of the trials, s.
-        seed: seed of all noise.
-        first_trial: number of the first trial; the others take the next numbers.
-        plant: the simulated plant.
-        plant_options: the plant's own options, numbers or (n,) arrays.
-
-    Returns:
-        (steps,) seconds since time zero, and (steps, n, 2, 2) true pixel errors, px.
+    Returns (steps,) seconds since time zero, and (steps, n, 2, 2) true pixel errors, px.
     """
     gain = np.asarray(gains, dtype=np.float64)
     # both eyes have the same gains
@@ -206,18 +192,7 @@ class GazeRecord(NamedTuple):
 
 
 def hold_gaze(loop: ClosedLoop) -> GazeRecord:
-    """Bring the gaze to a target, let it settle, and record.
-
-    Args:
-        loop: the head, the target, the plant and the law.
-
-    Returns:
-        The samples.
-
-    Raises:
-        ConfigurationError: a number is not allowed.
-        VergenceError: the plant or the target cannot be made.
-    """
+    """Bring the gaze to a target, let it settle, and record."""
     _check(loop)
     head, num = loop.head, 1 if loop.num is None else loop.num
     options = dict(loop.plant_options)
@@ -304,30 +279,16 @@ def dither_references_px(points_per_side: int) -> tuple[tuple[float, float], ...
 
 
 def detection_sigma(pixels: FloatArray) -> FloatArray:
-    """Sample standard deviations of n detections (Eqs. 25 and 26).
-
-    Args:
-        pixels: (n, ..., 2, 2) px; nan if not visible.
-
-    Returns:
-        (..., 2, 2) by eye and coordinate, px.
-    """
+    """(..., 2, 2) standard deviation of n detections (n, ..., 2, 2), px (Eqs. 25 and 26)."""
     return np.asarray(np.nanstd(pixels, axis=0, ddof=1))
 
 
 def gaze_uncertainty_mm(head: HeadModel, q: FloatArray, sigma_px: FloatArray) -> FloatArray:
-    """Standard deviation of a gaze fix as the article propagates it (Eqs. 27 to 33).
+    """(..., 3) standard deviation of a gaze fix as in the article (Eqs. 27 to 33), mm.
 
     Tilt and pan are taken as the arctangent of pixel over focal length f in px, so at the principal
-    point one pixel of noise is 1/f radians of either.
-
-    Args:
-        head: the model.
-        q: (..., 7) mean joint angles, rad.
-        sigma_px: (..., 2, 2) standard deviation of detections by eye and coordinate (u, v), px.
-
-    Returns:
-        (..., 3) along x, y, z, mm.
+    point one pixel of noise is 1/f radians of either. The noise has shape (..., 2, 2), by eye and
+    coordinate.
     """
     angle = sigma_px / head.cameras.focal
     joints = np.zeros((*angle.shape[:-2], 7))
@@ -338,17 +299,7 @@ def gaze_uncertainty_mm(head: HeadModel, q: FloatArray, sigma_px: FloatArray) ->
 def itpc_uncertainty_mm(
     head: HeadModel, q: FloatArray, pixels: FloatArray, sigma_px: FloatArray
 ) -> FloatArray:
-    """Standard deviation of a fix from two pixels (Eqs. 34 to 36).
-
-    Args:
-        head: the model.
-        q: (..., 7) joint angles, rad.
-        pixels: (..., 2, 2) mean raw detections, px.
-        sigma_px: (..., 2, 2) standard deviation of detections by eye and coordinate, px.
-
-    Returns:
-        (..., 3) along x, y, z, mm.
-    """
+    """(..., 3) standard deviation of a fix from two pixels (Eqs. 34 to 36), mm."""
     return MM * triangulate_views(head, q, pixels, Noise(pixel_px=sigma_px)).sigma
 
 
@@ -357,14 +308,8 @@ def corrected_gaze_fix(
 ) -> Fix:
     """Triangulate by gaze from angles corrected to first order for the remaining pixel error.
 
-    Args:
-        head: the model.
-        q: (..., 7) joint angles at exposure, rad.
-        pixel_error: (..., 2, 2) undistorted pixel minus principal point, px.
-        depth_m: (..., 2) the target's depth in each eye, m.
-
-    Returns:
-        The fix from the angles that would have put the target on both optical axes.
+    The pixel error is (..., 2, 2), undistorted pixel minus principal point, px; the depth is (...,
+    2), that of the target in each eye, m.
     """
     principal = np.broadcast_to(head.cameras.principal, pixel_error.shape)
     jacobian = head.image_jacobian(q, principal, depth_m)
@@ -427,14 +372,7 @@ def _matrices(loop: LinearLoop) -> tuple[FloatArray, FloatArray]:
 
 
 def noise_gain(loop: LinearLoop) -> float:
-    """Ratio of the optical axis' standard deviation to that of white detection noise, both in px.
-
-    Args:
-        loop: the loop.
-
-    Returns:
-        The ratio; inf for an unstable loop.
-    """
+    """Ratio of the optical axis' scatter to that of white detections; inf if unstable."""
     step, noise = _matrices(loop)
     if np.abs(np.linalg.eigvals(step)).max() >= 1.0:
         return float("inf")
@@ -442,15 +380,7 @@ def noise_gain(loop: LinearLoop) -> float:
 
 
 def impulse_response(loop: LinearLoop, steps: int) -> FloatArray:
-    """Response of the optical axis to a single detection that is off by one pixel.
-
-    Args:
-        loop: the loop.
-        steps: number of control periods.
-
-    Returns:
-        (steps,) px.
-    """
+    """(steps,) response of the optical axis to one detection that is off by one pixel, px."""
     step, state = _matrices(loop)
     response = np.empty(steps)
     for k in range(steps):
@@ -465,18 +395,7 @@ def noise_bandwidth_hz(loop: LinearLoop) -> float:
 
 
 def with_joint_offsets(head: HeadModel, added_rad: FloatArray) -> HeadModel:
-    """Add joint offsets to a head or a population: its joints then differ from their encoders.
-
-    Args:
-        head: a head with Denavit-Hartenberg rows, as the article's.
-        added_rad: (..., 9) additions to the offsets of its rows, rad.
-
-    Returns:
-        The head with the changed offsets.
-
-    Raises:
-        ConfigurationError: the head is not given by Denavit-Hartenberg rows.
-    """
+    """Add (..., 9) joint offsets, rad: a head's joints then differ from their encoders."""
     if not isinstance(head.links, DenavitHartenberg):
         raise ConfigurationError(
             f"head: expected one of the article's form, nine Denavit-Hartenberg rows, got "

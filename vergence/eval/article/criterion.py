@@ -54,20 +54,11 @@ OTHER_VERDICTS: Final[dict[str, str]] = {
 def verdict_of_ranges(
     ours_low: float, ours_high: float, article_low: float | None, article_high: float | None
 ) -> str:
-    """Judge a result by the factor between its figures and the article's.
+    """Judge a result by the factor between its figures and the article's; nan is none of ours.
 
     Each end of a range that the article reports is compared with the same end of ours. The worse
     end decides; an overlap does not count. If the article has one number, `article_low ==
-    article_high`, both ends of ours are compared with it.
-
-    Args:
-        ours_low: our least figure; nan for none.
-        ours_high: our greatest figure; nan for none.
-        article_low: the article's least figure; None if it reports only a greatest one.
-        article_high: its greatest figure; None if it reports only a least one.
-
-    Returns:
-        `reproduced`, `same order` or `differs`; `none` if we have no figure.
+    article_high`, both ends of ours are compared with it; None is an end that it does not report.
     """
     if not (isfinite(ours_low) and isfinite(ours_high)):
         return NO_FIGURE
@@ -119,14 +110,7 @@ def summarise_article(sections: list[ReportSection]) -> ArticleSummary:
 
 
 def article_summary_rows(sections: list[ReportSection]) -> list[tuple[str, dict[str, Any]]]:
-    """Rows of the report's summary: each result that the article reports, once.
-
-    Args:
-        sections: the sections, in order.
-
-    Returns:
-        Pairs of a section's name and a row with the fields of `SummaryRow`.
-    """
+    """Pairs of a section's name and a row of its summary: each result of the article, once."""
     keys = ("experiment", "quantity", "method", "axis")
     reported = {tuple(getattr(row, key) for key in keys) for row in reported_results()}
     return [
@@ -138,14 +122,7 @@ def article_summary_rows(sections: list[ReportSection]) -> list[tuple[str, dict[
 
 
 def count_verdicts(sections: list[ReportSection]) -> dict[str, int]:
-    """Count the article's results by verdict, the best verdict first.
-
-    Args:
-        sections: the sections.
-
-    Returns:
-        Counts by verdict, without zeros.
-    """
+    """Count the article's results by verdict, the best verdict first, without zeros."""
     counts = Counter(row["verdict"] for _name, row in article_summary_rows(sections))
     return {verdict: counts[verdict] for verdict in VERDICTS if counts[verdict]}
 

@@ -80,15 +80,7 @@ def _draw(case: BudgetCase, source: str) -> _Drawn:
 
 
 def budget_rows(case: BudgetCase, source: str) -> pd.DataFrame:
-    """Depth errors of settled fixations with one error source alone, or all.
-
-    Args:
-        case: the heads and points.
-        source: one of `BUDGET_SOURCES`, or `all`.
-
-    Returns:
-        A row per point: rms over the draws of the depth error, percent of depth.
-    """
+    """A row per point: rms depth error of settled fixations with one source or all, percent."""
     nominal, points, drawn = case.nominal, case.points, _draw(case, source)
     depth = _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., 0, 0]
     return _budget(source, points, np.sqrt(np.nanmean(depth**2, axis=0)))
@@ -97,17 +89,7 @@ def budget_rows(case: BudgetCase, source: str) -> pd.DataFrame:
 def detector_rows(
     nominal: HeadModel, points: FloatArray, error_px: FloatArray, source: str
 ) -> pd.DataFrame:
-    """Depth errors of settled fixations from detector errors alone, to first order.
-
-    Args:
-        nominal: the head.
-        points: (points, 3) in N, m.
-        error_px: (points, 2, 2) rms error of the detected pixels, px.
-        source: name of the error source in the table.
-
-    Returns:
-        Rows like those of `budget_rows`.
-    """
+    """Rows as of `budget_rows` for detector errors (points, 2, 2), px, to first order."""
     q = nominal.fixate(points, nominal.rest()[:3])
     return _budget(
         source, points, triangulate_gaze(nominal, q, Noise(pixel_px=error_px)).sigma[:, 2]
@@ -142,19 +124,11 @@ def off_axis_rows(
 ) -> pd.DataFrame:
     """Compare ITPC off the optical axis with gaze on it, with one error source or all.
 
-    Args:
-        case: the heads and points.
-        source: one of `BUDGET_SOURCES`, or `all`.
-        offsets_px: distances of the target from both principal points, px.
-        excess_percent: excess of ITPC's largest depth error over that of gaze in the article,
-            percentage points of depth.
-
-    Returns:
-        A row per offset. Both rms are over the same heads, points and directions. `added` is the
-        rms of their difference, `worse` the fraction of fixations in which ITPC's error is larger,
-        `possible` the fraction within image and joint limits, and `excess` the fraction of heads
-        and directions in which ITPC's largest error exceeds that of gaze by `excess_percent` or
-        more. The largest depth error is the median over heads and directions.
+    A row per offset. Both rms are over the same heads, points and directions. `added` is the rms of
+    their difference, `worse` the fraction of fixations in which ITPC's error is larger, `possible`
+    the fraction within image and joint limits, and `excess` the fraction of heads and directions in
+    which ITPC's largest error exceeds that of gaze by `excess_percent` or more. The largest depth
+    error is the median over heads and directions.
     """
     nominal, points, drawn = case.nominal, case.points, _draw(case, source)
     relative = 100.0 / points[:, 2, None, None]
@@ -200,15 +174,10 @@ def _rms(values: FloatArray) -> float:
 
 
 def crossover_px(rows: pd.DataFrame, margin: float) -> float:
-    """Offset beyond which ITPC's rms depth error exceeds that of gaze by a margin.
+    """Offset beyond which ITPC's rms depth error exceeds that of gaze by a fraction, px.
 
-    Args:
-        rows: the rows of one source of `off_axis_rows`.
-        margin: the margin, as a fraction of gaze's error.
-
-    Returns:
-        The offset, interpolated between those evaluated, px; 0 if gaze has no error; inf if the
-        margin is not exceeded at the largest offset.
+    It is interpolated; 0 if gaze has no error; inf if the margin is not exceeded at the largest
+    offset.
     """
     rows = rows.sort_values("offset_px")
     offset = rows["offset_px"].to_numpy()

@@ -53,18 +53,10 @@ class SummaryRow:
         verdict: str | None = None,
         unit: str = "mm",
     ) -> "SummaryRow":
-        """Make a row from ranges.
+        """Make a row from least and greatest figures, or from single ones.
 
-        Args:
-            experiment: name of the experiment.
-            quantity: the compared quantity.
-            method: the triangulation method, or the control law.
-            axis: axis of the quantity.
-            article: the article's least and greatest figure, one of them None if it reports only
-                the other; or a single figure; None for none.
-            ours: our least and greatest figure, or a single one; nan for none.
-            verdict: see the field; None to compare the ranges, see `verdict_of_ranges`.
-            unit: unit of both figures.
+        The article's are None where it reports none, ours nan. Without a verdict the ranges are
+        compared.
         """
         article_low, article_high = article if isinstance(article, tuple) else (article, article)
         low, high = ours if isinstance(ours, tuple) else (ours, ours)
@@ -112,11 +104,7 @@ class Experiment:
 
 
 def load_experiment(name: str) -> Experiment:
-    """Load an experiment by name.
-
-    Raises:
-        UnknownNameError: there is no such experiment.
-    """
+    """Load an experiment by name."""
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, list(EXPERIMENTS))
     module, _, attribute = EXPERIMENTS[name].partition(":")
@@ -125,20 +113,7 @@ def load_experiment(name: str) -> Experiment:
 
 
 def resolve_config(experiment: Experiment, overrides: Mapping[str, Any], quick: bool) -> Any:
-    """Apply the changes of `--quick`, if asked for, and then the user's to an experiment's config.
-
-    Args:
-        experiment: the experiment.
-        overrides: the user's values by field.
-        quick: true to apply the changes of `--quick` first.
-
-    Returns:
-        The config.
-
-    Raises:
-        ConfigurationError: a field is unknown, or a value is not allowed or not of its default's
-            type.
-    """
+    """Apply the changes of `--quick`, if asked for, then the user's to a config."""
     config = dataclasses.replace(experiment.config(), **(experiment.quick if quick else {}))
     return _changed(experiment.name, overrides, config)
 
@@ -180,10 +155,7 @@ def _like(key: str, value: Any, default: Any) -> Any:
 def job_rng(seed: int, experiment: str, *keys: int) -> np.random.Generator:
     """Random generator of one job, independent of those of all other jobs and of where it runs.
 
-    Args:
-        seed: the run's seed.
-        experiment: the experiment's name.
-        keys: non-negative integers that identify the job within the experiment.
+    The keys are non-negative integers that identify the job within the experiment.
     """
     entropy = [seed, zlib.crc32(experiment.encode()), *keys]
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
@@ -217,17 +189,7 @@ _MOST_STEPS: Final = 100_000
 
 
 def check_value(key: str, name: str, value: Any, default: Any) -> None:
-    """Refuse a number or a head that a field of this name must not have.
-
-    Args:
-        key: the field's name in error messages.
-        name: the field's name.
-        value: a new value of the default's type.
-        default: the field's default.
-
-    Raises:
-        ConfigurationError: the value is not allowed.
-    """
+    """Refuse a number or a head that a field of this name must not have."""
     if name == "head":
         _check_head(key, value)
     place = isinstance(default, tuple) and len(default) < 4 and name.endswith(("_mm", "_px"))
@@ -257,15 +219,7 @@ def _check_head(key: str, name: str) -> None:
 
 
 def check_bounds(config_name: str, values: Mapping[str, Any]) -> None:
-    """Refuse reversed bounds, and grids with too many steps.
-
-    Args:
-        config_name: the config's name in error messages.
-        values: all of its fields.
-
-    Raises:
-        ConfigurationError: bounds are reversed, or a grid has too many steps.
-    """
+    """Refuse reversed bounds, and grids with too many steps."""
     for low, high in _ORDERED:
         if low in values and not values[low] <= values[high]:
             raise ConfigurationError(
@@ -292,18 +246,7 @@ Overrides = dict[str, dict[str, Any]]
 
 
 def read_overrides(path: Path | None, settings: Sequence[str]) -> Overrides:
-    """Read overrides from a TOML file and from `EXPERIMENT.FIELD=VALUE` words.
-
-    Args:
-        path: a TOML file with a table per experiment, or None.
-        settings: words that override the file; values are written as in TOML, text also unquoted.
-
-    Returns:
-        Values by experiment and field.
-
-    Raises:
-        ConfigurationError: the file or a word cannot be read, or names no experiment.
-    """
+    """Read overrides from a TOML file and, over those, from `EXPERIMENT.FIELD=VALUE` words."""
     overrides = {} if path is None else _read_file(path)
     for word in settings:
         key, equals, text = word.partition("=")

@@ -79,15 +79,9 @@ class FixedPairConfig(TwinConfig):
 def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     """Measure Table 7's points with the population and with as many drawn pairs.
 
-    Args:
-        config: the configuration.
-        seed: seed of heads, pairs and noise.
-        mapper: runs the jobs.
-
-    Returns:
-        A table with the column `case`: `twin` (one row), `detector` (one row per point) or `fix`
-        (one row per draw, point and method). The methods are `gaze` and `itpc` of the drawn head,
-        `pair` of the drawn pair, and `misaligned` of that pair with an unknown pose in N.
+    The table's `case` is `twin` (one row), `detector` (one row per point) or `fix` (one row per
+    draw, point and method). The methods are `gaze` and `itpc` of the drawn head, `pair` of the
+    drawn pair, and `misaligned` of that pair with an unknown pose in N.
     """
     drawn = draw_population(config, seed, mapper)
     points = static_points("zed_mini")
@@ -252,18 +246,11 @@ class Misalignment(NamedTuple):
 
 
 def explaining_misalignment(r: ReportedResult, pair_z_mm: float) -> Misalignment:
-    """Misalignment that explains a range if heads and pair have no other errors.
+    """Misalignment that explains a range in x or y if heads and pair have no other errors.
 
     A rotation by a small angle t shifts a point at distance z by t z, so differences grow with
     depth. The least difference is taken to belong to the nearest point, the greatest to the
     farthest.
-
-    Args:
-        r: a row of the article along x or y.
-        pair_z_mm: z of the pair in N.
-
-    Returns:
-        The misalignment.
     """
     low, high = r.span
     depth = 1000.0 * static_points("zed_mini")[:, 2] - pair_z_mm

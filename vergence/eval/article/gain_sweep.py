@@ -51,12 +51,7 @@ from vergence.reporting.text import Numbers, read_template
 
 
 def critical_gain(delay_s: float, lag_s: float) -> float:
-    """Greatest gain without overshoot, 1/s.
-
-    Args:
-        delay_s: pure delay of the whole loop, s; must be above 0 if the lag is 0.
-        lag_s: lag of the joints' velocity, s.
-    """
+    """Greatest gain without overshoot for a pure delay and a lag, not both 0, 1/s."""
     middle = 2.0 * lag_s + delay_s
     # smaller root of the quadratic, in a form that also holds if delay or lag is 0
     x = 2.0 / (middle + sqrt(middle**2 - 4.0 * delay_s * lag_s))
@@ -74,16 +69,7 @@ def critical_lag(delay_s: float, gain: float) -> float:
 
 
 def first_crossing(at: ArrayLike, values: ArrayLike, level: float) -> float:
-    """Argument at which sampled values first rise above a level, by linear interpolation.
-
-    Args:
-        at: (n,) rising arguments.
-        values: (n,) samples there.
-        level: the level.
-
-    Returns:
-        The argument; nan if the first value is above the level already, or none is.
-    """
+    """Argument at which samples first rise above a level, interpolated; nan if they never do."""
     x: FloatArray = np.asarray(at, dtype=np.float64)
     y: FloatArray = np.asarray(values, dtype=np.float64)
     above = y > level
@@ -137,16 +123,10 @@ class GainSweepConfig:
 
 
 def run(config: GainSweepConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
-    """Run all trials.
+    """A row per trial. `case` is `sweep` (k1 = k2), `plane` (k1 and k2 independent) or `loop`.
 
-    Args:
-        config: the configuration.
-        seed: seed of the detection noise.
-        mapper: runs the jobs.
-
-    Returns:
-        A row per trial. `case` is `sweep` (k1 = k2), `plane` (k1 and k2 independent) or `loop`
-        (without noise, at other delays and lags); `overshoot` is a fraction of the step.
+    Those of `loop` are without noise, at other delays and lags; `overshoot` is a fraction of the
+    step.
     """
     gains = _grid(config.least_gain, config.greatest_gain, config.gain_step)
     plane = _grid(config.least_gain, config.greatest_gain, config.plane_step)

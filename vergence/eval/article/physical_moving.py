@@ -90,17 +90,11 @@ class _Errors(NamedTuple):
 
 
 def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
-    """Follow the line with the population, with half its common tilt, and with one head on images.
+    """Follow the line: the population, also with half its common tilt, and one head on images.
 
-    Args:
-        config: the configuration.
-        seed: seed of the heads and of all noise.
-        mapper: runs the jobs.
-
-    Returns:
-        A table with the column `case`: `twin` (one row), `head` (a row per head and method: mean
-        absolute errors over the line), `time` (a row per instant and method: the head with images),
-        `band` (a row per instant, method and axis: percentiles of the population).
+    The table's `case` is `twin` (one row), `head` (a row per head and method: mean absolute errors
+    over the line), `time` (a row per instant and method: the head with images) or `band` (a row per
+    instant, method and axis: percentiles of the population).
     """
     drawn = draw_population(config, seed, mapper)
     loop = _loop(drawn, config, seed)

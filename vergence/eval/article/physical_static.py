@@ -100,16 +100,9 @@ class PhysicalStaticConfig(TwinConfig):
 def run(config: PhysicalStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     """Run the population, the head with images, the error budget and ITPC off the axis.
 
-    Args:
-        config: the configuration.
-        seed: seed of the heads and of all noise.
-        mapper: runs the jobs.
-
-    Returns:
-        A table with the column `case`: `twin` (one row: error scale, index of the head with images,
-        effect of one encoder step), `detector` (a row per point), `fixation` (a row per head, point
-        and method), `budget` (a row per source and point), `off axis` (a row per source and
-        offset).
+    The table's `case` is `twin` (one row: error scale, index of the head with images, effect of one
+    encoder step), `detector` (a row per point), `fixation` (a row per head, point and method),
+    `budget` (a row per source and point) or `off axis` (a row per source and offset).
     """
     drawn = draw_population(config, seed, mapper)
     nominal, points = drawn.nominal, drawn.points

@@ -60,11 +60,7 @@ def reported_results() -> tuple[ReportedResult, ...]:
 
 
 def reported_result(experiment: str, quantity: str, method: str, axis: str) -> ReportedResult:
-    """Look up one result that the article reports.
-
-    Raises:
-        ConfigurationError: the article reports no such result.
-    """
+    """Look up one result that the article reports."""
     wanted = (experiment, quantity, method, axis)
     for row in reported_results():
         if (row.experiment, row.quantity, row.method, row.axis) == wanted:
@@ -75,14 +71,7 @@ def reported_result(experiment: str, quantity: str, method: str, axis: str) -> R
 def static_points(
     which: Literal["simulated", "physical", "zed_mini"],
 ) -> FloatArray:
-    """The static target points of Table 3, 5 or 7.
-
-    Args:
-        which: `simulated` for Table 3, `physical` for Table 5, `zed_mini` for Table 7.
-
-    Returns:
-        (points, 3) in N, m.
-    """
+    """(points, 3) static target points of Table 3, 5 or 7, in N, m."""
     name = {
         "simulated": "table3_simulated_static_points.csv",
         "physical": "table5_physical_static_points.csv",

@@ -50,11 +50,7 @@ _FORMAT: Final = 3
 
 
 def open_run_folder(folder: Path) -> Path:
-    """Make a run folder, or reuse the one of an earlier run.
-
-    Raises:
-        ConfigurationError: it holds something else, or cannot be written.
-    """
+    """Make a run folder, or reuse the one of an earlier run; refuse any other folder."""
     ours = {*_PARTS, INCLUDED, *_FILES}
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -79,11 +75,7 @@ def open_run_folder(folder: Path) -> Path:
 
 
 def remove_partial_files(folder: Path) -> None:
-    """Remove partial files that killed processes have left.
-
-    Args:
-        folder: the run folder; no other process may be writing to it.
-    """
+    """Remove partial files that killed processes have left; nobody else may be writing."""
     for place in (folder, *(folder / part for part in (*_PARTS, INCLUDED))):
         remove_partial(place)
 
@@ -111,17 +103,7 @@ def _sources_digest() -> str:
 
 
 def reason_to_run(folder: Path, experiment: Experiment, config: Any, seed: int) -> str | None:
-    """Reason to run an experiment, if there is one.
-
-    Args:
-        folder: the run folder, see `open_run_folder`.
-        experiment: the experiment.
-        config: its configuration.
-        seed: its seed.
-
-    Returns:
-        None if it is finished there; otherwise the reason, empty if it has not run there.
-    """
+    """Reason to run an experiment, empty if it never ran there; None if finished there."""
     try:
         earlier = _finished(folder, experiment.name)
     except _NotFinishedError as error:
@@ -145,19 +127,7 @@ def run_experiment(
     mapper: Mapper,
     quick: bool = False,
 ) -> None:
-    """Run an experiment and write its table and figures; earlier ones stay until then.
-
-    Args:
-        folder: the run folder, see `open_run_folder`.
-        experiment: the experiment.
-        config: its configuration.
-        seed: its seed.
-        mapper: runs its jobs.
-        quick: true if the configuration is that of `--quick`; the report then says so.
-
-    Raises:
-        ConfigurationError: its files cannot be written.
-    """
+    """Run an experiment and write its table and figures; earlier ones stay until then."""
     table = experiment.run(config, seed, mapper)
     with figure_style():
         figures = experiment.draw(table, config)
@@ -206,11 +176,7 @@ class _NotFinishedError(Exception):
 
 
 def _finished(folder: Path, name: str) -> dict[str, Any] | None:
-    """Read the marker of a finished experiment; None if there is none, or in another format.
-
-    Raises:
-        _NotFinishedError: it is damaged, or one of its files is missing or has changed.
-    """
+    """Read the marker of a finished experiment; None if there is none, or in another format."""
     marker = _marker(folder, name)
     part = marker.relative_to(folder).as_posix()
     try:
@@ -262,16 +228,8 @@ def write_folder_report(
 ) -> list[ReportSection]:
     """Write summary, numbers, config and report of all finished experiments of a folder.
 
-    Args:
-        folder: the run folder.
-        omit: called with the name of each experiment left out as its files are damaged, and the
-            reason.
-
-    Returns:
-        The report's sections, in the article's order, then those of included runs.
-
-    Raises:
-        ConfigurationError: the files cannot be written, or an included run is damaged.
+    `omit` is called with the name of each experiment left out as its files are damaged, and why.
+    The sections returned are in the article's order, then those of included runs.
     """
     sections, numbers, configs = [], {}, {}
     for name in EXPERIMENTS:
@@ -319,30 +277,13 @@ class ReproduceListener(Protocol):
     """Callbacks for the progress of a run."""
 
     def begin(self, name: str) -> Progress:
-        """Called at the start of an experiment.
-
-        Args:
-            name: the experiment.
-
-        Returns:
-            The callback for its progress.
-        """
+        """Called at the start of an experiment; returns the callback for its progress."""
 
     def warn(self, name: str, why: str) -> None:
-        """Called for an experiment that runs again, or is left out of the report.
-
-        Args:
-            name: the experiment.
-            why: the warning with its reason.
-        """
+        """Called for an experiment that runs again, or is left out of the report."""
 
     def end(self, name: str, seconds: float | None) -> None:
-        """Called at the end of an experiment.
-
-        Args:
-            name: the experiment.
-            seconds: its duration, s; None if its results were there already.
-        """
+        """Called at the end of an experiment; None if its results were there already."""
 
 
 class _Silent:

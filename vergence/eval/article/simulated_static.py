@@ -83,17 +83,7 @@ class RigCase:
 
 
 def draw_true_heads(preset: HeadModel, errors: ModelErrors, seed: int, count: int) -> HeadModel:
-    """Draw true heads with model errors, to see how representative a single draw is.
-
-    Args:
-        preset: the model.
-        errors: standard deviations of the model errors.
-        seed: the run's seed.
-        count: number of heads.
-
-    Returns:
-        A population of shape (count,), independent of the head of the case `drawn`.
-    """
+    """Draw a population (count,) of true heads, independent of the head of the case `drawn`."""
     return preset.perturbed(job_rng(seed, _DRAW, 1), errors, count)
 
 
@@ -127,13 +117,7 @@ CASES: Final[dict[str, RigCase]] = {
 
 
 def make_nominal_and_true_head(case: str, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
-    """Make the simulated rig under a case's model errors.
-
-    Args:
-        case: one of `CASES`.
-        errors: standard deviations of the drawn model errors.
-        seed: the run's seed.
-    """
+    """Make the simulated rig under the model errors of one of `CASES`."""
     return CASES[case].make(load_head("simulated"), errors, seed)
 
 

@@ -70,17 +70,11 @@ class TimeResponseConfig:
 def run(config: TimeResponseConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     """Run all trials.
 
-    Args:
-        config: the configuration.
-        seed: seed of the detection noise.
-        mapper: runs the jobs.
-
-    Returns:
-        A table with the column `case`: `offset` (a joint offset that explains the initial pixels),
-        `initial` (a pixel coordinate by the article and by the nominal head), `map` (settling time
-        for a delay, lag and threshold, without noise), `by` (least threshold within which the error
-        stays from the article's time on), `rig` (a noisy trial of the preset's own loop) and
-        `trace` (error of one such trial over time).
+    The table's `case` is `offset` (a joint offset that explains the initial pixels), `initial` (a
+    pixel coordinate by the article and by the nominal head), `map` (settling time for a delay, lag
+    and threshold, without noise), `by` (least threshold within which the error stays from the
+    article's time on), `rig` (a noisy trial of the preset's own loop) or `trace` (error of one such
+    trial over time).
     """
     head = load_head(config.head)
     offsets = joint_offsets(head, config)
@@ -97,19 +91,9 @@ def run(config: TimeResponseConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
 
 
 def joint_offsets(head: HeadModel, config: TimeResponseConfig) -> tuple[float, ...]:
-    """Eye joint offsets with which the target appears at the article's initial pixels.
+    """(4,) offsets of the eyes' joints that explain the article's initial pixels, rad.
 
     Four pixel coordinates determine four offsets. Other model errors could explain the pixels too.
-
-    Args:
-        head: the nominal head, whose joints are assumed to be at rest.
-        config: the target and the pixels.
-
-    Returns:
-        Left tilt and pan, right tilt and pan, rad.
-
-    Raises:
-        ConfigurationError: no offsets make the target appear there.
     """
     point = np.array(config.point_mm) / 1000.0
     wanted = np.array([config.left_px, config.right_px])

@@ -59,15 +59,7 @@ class RankInPopulation(NamedTuple):
 
 
 def rank_in_population(article: float, population: ArrayLike) -> RankInPopulation:
-    """Compare a figure of the article with a population's.
-
-    Args:
-        article: the article's figure.
-        population: (heads,) our figures.
-
-    Returns:
-        The percentiles of the population and the article's rank in it.
-    """
+    """Compare a figure of the article with a population's, (heads,)."""
     values = np.asarray(population, dtype=np.float64)
     low, median, high = np.percentile(values, [LOW, 50.0, HIGH])
     below = 100.0 * float(np.mean(values < article))
@@ -138,20 +130,7 @@ class TwinConfig:
 
 
 def draw_heads(nominal: HeadModel, errors: ModelErrors, count: int, seed: int) -> HeadModel:
-    """Draw the population of true heads; the random numbers do not depend on the errors' size.
-
-    Args:
-        nominal: the head that they deviate from.
-        errors: standard deviations of the model errors.
-        count: number of heads.
-        seed: the run's seed.
-
-    Returns:
-        A head of batch shape (count,).
-
-    Raises:
-        ConfigurationError: count is below 1.
-    """
+    """Draw the population of true heads; the random numbers do not depend on the errors' size."""
     if count < 1:
         raise ConfigurationError(f"heads: expected at least 1, got {count}")
     rng = job_rng(seed, "physical twin")
@@ -162,15 +141,7 @@ def draw_heads(nominal: HeadModel, errors: ModelErrors, count: int, seed: int) -
 
 
 def with_common_tilt(heads: HeadModel, tilt_rad: FloatArray) -> HeadModel:
-    """Lower both eyes of each head by an angle that the encoders do not measure.
-
-    Args:
-        heads: heads of batch shape (n,).
-        tilt_rad: (n,) the angles, rad.
-
-    Returns:
-        The heads with changed offsets of both tilts.
-    """
+    """Lower both eyes of each head by an angle, (n,) rad, that the encoders do not measure."""
     lowers = np.array([_LOWERS.get(joint, 0.0) for _frame, _parent, joint in LINKS])
     return with_joint_offsets(heads, lowers * np.asarray(tilt_rad)[:, None])
 
@@ -194,11 +165,7 @@ class DetectorNoise(NamedTuple):
         return sigma, bias
 
     def table(self, points: FloatArray) -> pd.DataFrame:
-        """Rows of an experiment's table, one per place.
-
-        Args:
-            points: (places, 3) in N, m.
-        """
+        """Rows of an experiment's table, one per place."""
         sigma, bias = self.over_cameras()
         return pd.DataFrame(
             {
@@ -237,18 +204,7 @@ def measure_pair_noise(
     frames: int,
     rng: np.random.Generator,
 ) -> DetectorNoise:
-    """Measure two cameras' detections of a tag.
-
-    Args:
-        cameras: both cameras.
-        rendering: grey levels, blur and noise of their images.
-        T_C_T: (poses, 2, 4, 4) the tag in each camera, metres.
-        frames: number of images per pose.
-        rng: source of the image noise.
-
-    Returns:
-        Scatter and bias.
-    """
+    """Measure two cameras' detections of a tag at poses T_C_T, (poses, 2, 4, 4), m."""
     sigma, bias = np.empty((2, len(T_C_T), 2, 2))
     for pose, both in enumerate(T_C_T):
         for eye, camera in enumerate(cameras):
@@ -261,18 +217,7 @@ def measure_pair_noise(
 def measure_head_noise(
     head: HeadModel, point: FloatArray, poses: int, frames: int, rng: np.random.Generator
 ) -> DetectorNoise:
-    """Measure detections of a tag that an exact head fixates to within half a pixel.
-
-    Args:
-        head: the head.
-        point: (3,) the tag's centre in N, m.
-        poses: number of fixations, each with another sub-pixel position of the tag.
-        frames: number of images per fixation.
-        rng: source of the fixations and of the image noise.
-
-    Returns:
-        Scatter and bias.
-    """
+    """Measure detections of a tag that an exact head fixates to within half a pixel."""
     pixels = head.cameras.principal + rng.uniform(-0.5, 0.5, (poses, 2, 2))
     T_N_C = head.camera_poses(joint_angles_imaging_at(head, head, point, pixels))
     cameras = (Camera.of(head, 0), Camera.of(head, 1))
@@ -287,20 +232,11 @@ ARTICLE_GAIN: Final = 4.0
 def joint_angles_imaging_at(
     nominal: HeadModel, heads: HeadModel, points: ArrayLike, pixels: ArrayLike
 ) -> FloatArray:
-    """True joint angles at which true heads see points at given pixels.
+    """(..., 7) true joint angles, rad, at which heads see points at raw pixels (..., 2, 2).
 
     With the nominal principal points as pixels these are the angles at which the closed loop
     settles: the undistorted detection is at the nominal principal point only if the raw pixel is.
-
-    Args:
-        nominal: the nominal head; it gives the joint limits and the neck's rest angles.
-        heads: the true heads, of batch shape (..., 1) or ().
-        points: (..., 3) in N, m.
-        pixels: (..., 2, 2) raw pixels.
-
-    Returns:
-        (..., 7) joint angles, rad; nan if a pixel lies outside the image or a joint outside its
-        limits.
+    They are nan if a pixel lies outside the image or a joint outside its limits.
     """
     pixels = np.asarray(pixels, dtype=np.float64)
     cameras = heads.cameras
@@ -323,18 +259,10 @@ def joint_angles_imaging_at(
 def mean_encoder_readings(
     nominal: HeadModel, q: FloatArray, noise_px: ArrayLike | None = None
 ) -> FloatArray:
-    """Mean encoder readings of the joint angles in a settled loop.
+    """(..., 7) mean encoder readings of true joint angles in a settled loop, rad.
 
     Detection noise makes the eyes jitter by far less than an encoder step. But near the boundary
     between two steps the encoder reads both in turn, and its mean lies between them.
-
-    Args:
-        nominal: the head; its encoders and its loop are used.
-        q: (..., 7) true angles, rad.
-        noise_px: (...) standard deviation of the detections, px; None for the preset's.
-
-    Returns:
-        (..., 7) rad.
     """
     step = nominal.sensor.encoder_resolution_rad
     if step <= 0.0:
@@ -362,20 +290,11 @@ def mean_fix_errors_m(
     encoders: bool = True,
     noise_px: ArrayLike | None = None,
 ) -> FloatArray:
-    """Mean errors of the nominal head's fixes on resting targets.
+    """(..., 3) mean errors of the nominal head's fixes on resting targets, m; nan out of sight.
 
     At the principal points gaze and ITPC are the same computation; elsewhere the fixes are ITPC's.
-
-    Args:
-        nominal: the head that triangulates.
-        heads: the true heads, of batch shape (..., 1) or ().
-        points: (..., 3) in N, m.
-        pixels: (..., 2, 2) raw pixels at which the target is seen; None for the principal points.
-        encoders: true to read the joints through their encoders, with quantisation.
-        noise_px: (...) standard deviation of the detections, px; None for the preset's.
-
-    Returns:
-        (..., 3) fix minus truth, m; nan where `joint_angles_imaging_at` gives nan.
+    True heads have the batch shape (..., 1) or (); pixels are raw, (..., 2, 2), and None for the
+    principal points; the noise of the detections, px, is None for the preset's.
     """
     seen = nominal.cameras.principal if pixels is None else np.asarray(pixels)
     q = joint_angles_imaging_at(nominal, heads, points, seen)
@@ -410,21 +329,7 @@ def largest_depth_error_percent(errors: FloatArray, points: FloatArray) -> Float
 def find_error_scale(
     nominal: HeadModel, config: TwinConfig, seed: int, noise_px: ArrayLike | None = None
 ) -> float:
-    """Find the error scale at which the median head's largest depth error is the article's.
-
-    Args:
-        nominal: the nominal head.
-        config: the standard deviations and the article's figure.
-        seed: the run's seed.
-        noise_px: (21,) standard deviation of the detections at Table 5's points, px; None for
-            the preset's.
-
-    Returns:
-        The scale, or the config's if it is not 0.
-
-    Raises:
-        ConfigurationError: the encoders alone give a larger error, or no scale reaches the error.
-    """
+    """Find the error scale at which the median head's largest depth error is the article's."""
     if config.scale > 0.0:
         return config.scale
     points = static_points("physical")
@@ -488,15 +393,7 @@ class TwinPopulation(NamedTuple):
     def hold_static_target(
         self, number: int, point: FloatArray, *, samples: int, settle_s: float, seed: int
     ) -> ClosedLoop:
-        """Closed loop of all heads side by side before a target at rest, without images.
-
-        Args:
-            number: number of the point in its table, from 1; each has its own noise.
-            point: (3,) in N, m.
-            samples: number of fixes to record.
-            settle_s: settling time before the first fix, s.
-            seed: seed of all noise.
-        """
+        """Closed loop of all heads before a numbered target at rest, without images."""
         return ClosedLoop(
             head=self.nominal,
             true_head=self.heads,
@@ -516,16 +413,7 @@ class TwinPopulation(NamedTuple):
 
 
 def draw_population(config: TwinConfig, seed: int, mapper: Mapper) -> TwinPopulation:
-    """Measure the detector on images, find the error scale and draw the heads.
-
-    Args:
-        config: the population.
-        seed: the run's seed; it gives the same population in every experiment.
-        mapper: runs the measurements.
-
-    Returns:
-        The population.
-    """
+    """Measure the detector on images, find the error scale and draw the heads."""
     nominal = load_head(config.head)
     points = static_points("physical")
     measured = DetectorNoise.stacked(
