@@ -31,8 +31,8 @@ from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors
+from vergence.reporting import style
 from vergence.reporting.jobs import Job, Mapper
-from vergence.reporting.style import ARTICLE_BAND, BLUE, GREEN, ORANGE, legend_below, new_figure
 from vergence.reporting.text import Numbers, read_template
 from vergence.triangulation import triangulate_views
 from vergence.vision.targets import board_pose
@@ -370,13 +370,13 @@ def numbers(table: pd.DataFrame, config: FixedPairConfig) -> Numbers:
 
 
 _PAIRS: Final[dict[str, dict[str, Any]]] = {
-    "pair": {"color": BLUE, "marker": "o", "label": "pose known"},
-    "misaligned": {"color": ORANGE, "marker": "s", "label": "pose unknown"},
+    "pair": {"color": style.BLUE, "marker": "o", "label": "pose known"},
+    "misaligned": {"color": style.ORANGE, "marker": "s", "label": "pose unknown"},
 }
 _METHODS: Final[dict[str, dict[str, Any]]] = {
-    "gaze": {"color": BLUE, "marker": "o", "label": "gaze"},
-    "itpc": {"color": ORANGE, "marker": "s", "label": "ITPC"},
-    "pair": {"color": GREEN, "marker": "^", "label": "fixed pair"},
+    "gaze": {"color": style.BLUE, "marker": "o", "label": "gaze"},
+    "itpc": {"color": style.ORANGE, "marker": "s", "label": "ITPC"},
+    "pair": {"color": style.GREEN, "marker": "^", "label": "fixed pair"},
 }
 
 
@@ -389,9 +389,9 @@ def draw(table: pd.DataFrame, config: FixedPairConfig) -> dict[str, Figure]:
 def _differences(table: pd.DataFrame) -> Figure:
     def draw_panel(panel: Axes, axis: str) -> None:
         row = next(r for r in article_results() if r.axis == axis)
-        panel.axhspan(*row.span, **ARTICLE_BAND, label="article's range")
-        for shift, (pair, style) in zip((-0.15, 0.15), _PAIRS.items(), strict=True):
-            _whiskers(panel, absolute_differences_mm(table, "gaze", axis, pair), shift, **style)
+        panel.axhspan(*row.span, **style.ARTICLE_BAND, label="article's range")
+        for shift, (pair, look) in zip((-0.15, 0.15), _PAIRS.items(), strict=True):
+            _whiskers(panel, absolute_differences_mm(table, "gaze", axis, pair), shift, **look)
         panel.set_ylabel(f"|gaze - pair| in {axis} [mm]")
 
     draws = len(fix_errors_mm(table, "pair", "z"))
@@ -400,8 +400,8 @@ def _differences(table: pd.DataFrame) -> Figure:
 
 def _truth(table: pd.DataFrame) -> Figure:
     def draw_panel(panel: Axes, axis: str) -> None:
-        for shift, (method, style) in zip((-0.22, 0.0, 0.22), _METHODS.items(), strict=True):
-            _whiskers(panel, fix_errors_mm(table, method, axis), shift, **style)
+        for shift, (method, look) in zip((-0.22, 0.0, 0.22), _METHODS.items(), strict=True):
+            _whiskers(panel, fix_errors_mm(table, method, axis), shift, **look)
         panel.set_ylabel(f"|error in {axis}| [mm]")
 
     return _by_axis(draw_panel, "against the truth, which the article did not have")
@@ -409,22 +409,22 @@ def _truth(table: pd.DataFrame) -> Figure:
 
 def _by_axis(draw_panel: Callable[[Axes, str], None], title: str) -> Figure:
     """A figure with a panel per axis, over the points of Table 7."""
-    figure = new_figure(9.6, 4.2)
+    figure = style.new_figure(9.6, 4.2)
     for axis, panel in zip(AXES, figure.subplots(1, 3), strict=True):
         draw_panel(panel, axis)
         panel.set_xlabel("point of Table 7")
         panel.set_xticks(range(1, 9))
         panel.set_ylim(bottom=0.0)
-    legend_below(figure, 3, title=title)
+    style.legend_below(figure, 3, title=title)
     return figure
 
 
-def _whiskers(panel: Axes, values: FloatArray, shift: float, **style: Any) -> None:
+def _whiskers(panel: Axes, values: FloatArray, shift: float, **look: Any) -> None:
     """Median and middle 80 % of the draws at each point."""
     low, median, high = np.percentile(np.abs(values), [10.0, 50.0, 90.0], axis=0)
     panel.errorbar(
         np.arange(1, values.shape[1] + 1) + shift, median, yerr=[median - low, high - median],
-        linestyle="none", capsize=3, markersize=6, elinewidth=1.3, **style,
+        linestyle="none", capsize=3, markersize=6, elinewidth=1.3, **look,
     )  # fmt: skip
 
 

@@ -20,20 +20,8 @@ from vergence.eval.article.simulated_static import (
     make_nominal_and_true_head,
 )
 from vergence.models.head_file import load_head
+from vergence.reporting import style
 from vergence.reporting.jobs import Job, Mapper
-from vergence.reporting.style import (
-    ARTICLE_STYLE,
-    BLUE,
-    GREEN,
-    GREY,
-    METHOD_STYLE,
-    ORANGE,
-    PURPLE,
-    figure_style,
-    legend_below,
-    log_axis,
-    new_figure,
-)
 from vergence.reporting.text import Numbers, read_template
 
 NAME: Final = "simulated-moving"
@@ -317,48 +305,52 @@ _DRAWN_EVERY: Final = 6
 
 def draw(table: pd.DataFrame, config: SimulatedMovingConfig) -> dict[str, Figure]:
     """The figures by name."""
-    with figure_style():
-        return {
-            "fig08-moving-target": _errors(table),
-            "fig08-mean-absolute-errors": _bars(table),
-            "fig08-noise-bandwidth": _ratios(table, config),
-        }
+    return {
+        "fig08-moving-target": _errors(table),
+        "fig08-mean-absolute-errors": _bars(table),
+        "fig08-noise-bandwidth": _ratios(table, config),
+    }
 
 
 def _errors(table: pd.DataFrame) -> Figure:
-    figure = new_figure(9.5, 5.6)
+    figure = style.new_figure(9.5, 5.6)
     axes = figure.subplots(2, 3, sharex=True, sharey="col")
     for row, case in zip(axes, ("exact", ARTICLE_CASE), strict=True):
         for axis, letter in zip(row, "xyz", strict=True):
             for method in ("itpc", "gaze"):
                 samples = select_samples(table, case, method).iloc[::_DRAWN_EVERY]
-                style = METHOD_STYLE[method]
+                look = style.METHOD_STYLE[method]
                 axis.plot(
-                    samples["time_s"], samples[f"error_{letter}_mm"], color=style["color"],
+                    samples["time_s"], samples[f"error_{letter}_mm"], color=look["color"],
                     linestyle="-" if method == "gaze" else "none",
                     marker="" if method == "gaze" else ".", markersize=2.5,
-                    label=style["label"],
+                    label=look["label"],
                 )  # fmt: skip
             article = article_value_mm("mean absolute error", "gaze", letter)
             for sign in (-1.0, 1.0):
-                axis.axhline(sign * article, **ARTICLE_STYLE,
+                axis.axhline(sign * article, **style.ARTICLE_STYLE,
                              label="article: ± mean absolute error, gaze")  # fmt: skip
             axis.set_title(f"{letter}, {CASES[case].title}", fontsize=10)
         row[0].set_ylabel("error (mm)")
     for axis in axes[-1]:
         axis.set_xlabel("time (s)")
-    legend_below(figure, 3, markerscale=3)
+    style.legend_below(figure, 3, markerscale=3)
     return figure
 
 
 def _bars(table: pd.DataFrame) -> Figure:
     errors = errors_by_case(table)
-    figure = new_figure(9.5, 4.2)
+    figure = style.new_figure(9.5, 4.2)
     axes = figure.subplots(1, 3, sharey=True)
     methods = ("gaze", "itpc")
     for axis, letter in zip(axes, "xyz", strict=True):
         for number, (case, colour, hatch) in enumerate(
-            zip(CASES, (GREEN, BLUE, ORANGE, PURPLE), ("", "//", "..", "xx"), strict=False)
+            zip(
+                CASES,
+                (style.GREEN, style.BLUE, style.ORANGE, style.PURPLE),
+                ("", "//", "..", "xx"),
+                strict=False,
+            )
         ):
             values = [errors[case, method, IMAGES].mean_absolute[letter] for method in methods]
             axis.bar(
@@ -369,38 +361,38 @@ def _bars(table: pd.DataFrame) -> Figure:
             axis.plot(
                 [place - 0.42, place + 0.42],
                 2 * [article_value_mm("mean absolute error", method, letter)],
-                **{**ARTICLE_STYLE, "linewidth": 2.2}, label="article",
+                **{**style.ARTICLE_STYLE, "linewidth": 2.2}, label="article",
             )  # fmt: skip
         axis.set_xticks(range(2), ["gaze", "ITPC"])
         axis.set_title(letter)
         axis.set_axisbelow(True)
-        log_axis(axis)
+        style.log_axis(axis)
     axes[0].set_ylabel("mean absolute error (mm)")
-    legend_below(figure, 2)
+    style.legend_below(figure, 2)
     return figure
 
 
 def _ratios(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
     errors = errors_by_case(table)
-    figure = new_figure(7.0, 4.0)
+    figure = style.new_figure(7.0, 4.0)
     axis = figure.subplots()
     gains = np.linspace(0.25, 4.5, 40)
     head = load_head("simulated")
     for rate, colour, dash in zip(
-        RATES_HZ[:3], (BLUE, PURPLE, GREEN), ("-", "--", "-."), strict=True
+        RATES_HZ[:3], (style.BLUE, style.PURPLE, style.GREEN), ("-", "--", "-."), strict=True
     ):
         values = [noise_gain(LinearLoop.of(head, float(gain)).at_rate(rate)) for gain in gains]
         axis.plot(gains, values, color=colour, linestyle=dash, label=f"predicted at {rate:g} Hz")
     images, white = (deviation_ratio(errors, "exact", noise) for noise in (IMAGES, WHITE))
-    axis.plot(config.gain, images, marker="o", markersize=9, color=ORANGE,
+    axis.plot(config.gain, images, marker="o", markersize=9, color=style.ORANGE,
               linestyle="", label="measured, images, exact model")  # fmt: skip
-    axis.plot(config.gain, white, marker="x", markersize=9, color=GREY,
+    axis.plot(config.gain, white, marker="x", markersize=9, color=style.GREY,
               markeredgewidth=2, linestyle="", label="measured, white noise")  # fmt: skip
-    axis.axhline(article_deviation_ratio(), **ARTICLE_STYLE, label="article: 0.30 / 0.98 mm")
+    axis.axhline(article_deviation_ratio(), **style.ARTICLE_STYLE, label="article: 0.30 / 0.98 mm")
     axis.set_xlabel("gain k (1/s)")
     axis.set_ylabel("standard deviation in z,\ngaze over ITPC")
     axis.set_ylim(0.0, None)
-    legend_below(figure, 2)
+    style.legend_below(figure, 2)
     return figure
 
 
