@@ -121,7 +121,7 @@ def test_the_numbers_of_the_text_are_those_of_the_table(table):
 
 @pytest.mark.nightly
 def test_a_further_case_is_one_more_entry(monkeypatch, table):
-    exact = dataclasses.replace(CASES["exact"], title="calibrated model")
+    exact = CASES["exact"]._replace(title="calibrated model")
     monkeypatch.setitem(CASES, "calibrated", exact)
     calibrated = select_fixes(table, "exact").assign(case="calibrated")
     more = pd.concat([table, calibrated], ignore_index=True)

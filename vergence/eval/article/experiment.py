@@ -161,6 +161,11 @@ def job_rng(seed: int, experiment: str, *keys: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
 
 
+def job_seed(seed: int, experiment: str, *keys: int) -> int:
+    """Seed of one job's plant, see `job_rng`."""
+    return int(job_rng(seed, experiment, *keys).integers(2**63))
+
+
 _SIGNED: Final = ("point_mm", "origin_mm", "end_mm", "place_mm", "aside_deg")
 """Name endings of coordinates and angles, which may be negative."""
 _NOT_SIGNED: Final = ("mount_place_mm",)

@@ -429,14 +429,9 @@ def _whiskers(panel: Axes, values: FloatArray, shift: float, **look: Any) -> Non
 
 
 EXPERIMENT: Final = Experiment(
-    name="fixed-pair",
-    title="Against a fixed stereo pair",
+    name="fixed-pair", title="Against a fixed stereo pair",
     article="Section 5.2, Tables 6 and 7, Figure 14",
-    text=read_template(__package__, "sections/fixed_pair.jinja"),
-    config=FixedPairConfig,
+    text=read_template(__package__, "sections/fixed_pair.jinja"), config=FixedPairConfig,
     quick={"heads": 40, "samples": 60, "noise_poses": 2, "noise_frames": 10},
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip

@@ -16,11 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import exp, sqrt
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
@@ -28,12 +27,11 @@ from scipy.optimize import brentq
 
 from vergence.envs.targets.prescribed import StepTarget
 from vergence.eval.article.closed_loop import servo_pixel_errors
-from vergence.eval.article.criterion import BY_CONSTRUCTION
+from vergence.eval.article.criterion import BY_CONSTRUCTION, NO_FIGURE
 from vergence.eval.article.experiment import Experiment, SummaryRow
 from vergence.eval.trials.metrics import overshoot_fraction, settle_time
-from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
-from vergence.models.parts import FloatArray
+from vergence.models.parts import FloatArray, LoopTiming
 from vergence.reporting import style
 from vergence.reporting.jobs import Job, Mapper
 from vergence.reporting.text import Numbers, read_template
@@ -117,10 +115,9 @@ def run(config: GainSweepConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     Those of `loop` are without noise, at other delays and lags; `overshoot` is a fraction of the
     step.
     """
-    gains = _grid(config.least_gain, config.greatest_gain, config.gain_step)
     plane = _grid(config.least_gain, config.greatest_gain, config.plane_step)
     pairs = [(k1, k2) for k1 in plane for k2 in plane]
-    both = [(k, k) for k in gains]
+    both = [(k, k) for k in _grid(config.least_gain, config.greatest_gain, config.gain_step)]
     few = [(k, k) for k in config.mujoco_gains]
     cases = [("sweep", "kinematic", step, both) for step in STEPS]
     cases += [("plane", "kinematic", step, pairs) for step in PLANE_STEPS]
@@ -129,8 +126,7 @@ def run(config: GainSweepConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
         partial(_steps, config, seed, index * _TRIALS, *case) for index, case in enumerate(cases)
     ]
     jobs += [partial(_loops, config, delay) for delay in config.delays_frames]
-    table: pd.DataFrame = pd.concat(mapper(jobs), ignore_index=True)
-    return table
+    return pd.concat(mapper(jobs), ignore_index=True)
 
 
 def _grid(least: float, greatest: float, step: float) -> list[float]:
@@ -138,27 +134,16 @@ def _grid(least: float, greatest: float, step: float) -> list[float]:
 
 
 def _steps(
-    config: GainSweepConfig,
-    seed: int,
-    first_trial: int,
-    case: str,
-    plant: str,
-    step: str,
+    config: GainSweepConfig, seed: int, first_trial: int, case: str, plant: str, step: str,
     gains: Sequence[tuple[float, float]],
-) -> pd.DataFrame:
+) -> pd.DataFrame:  # fmt: skip
     """Run trials of one step with the preset's own delay and lag."""
     head = load_head(config.head)
-    options = {"nthread": 1} if plant == "mujoco" else {}
     time, error = servo_pixel_errors(
-        head,
-        _target(config, step),
-        gains,
-        duration_s=config.duration_s,
-        seed=seed,
-        first_trial=first_trial,
-        plant=plant,
-        plant_options=options,
-    )
+        head, _target(config, step), gains, duration_s=config.duration_s, seed=seed,
+        first_trial=first_trial, plant=plant,
+        plant_options={"nthread": 1} if plant == "mujoco" else {},
+    )  # fmt: skip
     timing = head.timing
     return _rows(case, plant, step, gains, timing.latency_frames, timing.lag_s, time, error)
 
@@ -166,20 +151,15 @@ def _steps(
 def _loops(config: GainSweepConfig, delay_frames: int) -> pd.DataFrame:
     """Run trials with one image delay and many lags, at the config's onset gains."""
     lags = _grid(0.0, config.greatest_lag_s, config.lag_step_s)
-    cases = [(gain, lag) for gain in config.onset_gains for lag in lags]
-    gains = [(gain, gain) for gain, _ in cases]
-    lag_s = np.array([lag for _, lag in cases])
+    gains = [(gain, gain) for gain in config.onset_gains for _ in lags]
+    lag_s = np.tile(lags, len(config.onset_gains))
     preset = load_head(config.head)
     latency_s = delay_frames / preset.timing.control_rate_hz
-    head: HeadModel = preset.replace(timing={"latency_s": latency_s})
     time, error = servo_pixel_errors(
-        head,
-        _target(config, "-y"),
-        gains,
-        duration_s=min(config.duration_s, 3.0),
-        seed=0,
+        preset.replace(timing={"latency_s": latency_s}), _target(config, "-y"), gains,
+        duration_s=min(config.duration_s, 3.0), seed=0,
         plant_options={"lag_s": lag_s, "detection_noise_px": 0.0},
-    )
+    )  # fmt: skip
     return _rows("loop", "kinematic", "-y", gains, delay_frames, lag_s, time, error)
 
 
@@ -195,40 +175,27 @@ def _metres(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 def _rows(
-    case: str,
-    plant: str,
-    step: str,
-    gains: Sequence[tuple[float, float]],
-    delay_frames: int,
-    lag_s: float | FloatArray,
-    time: FloatArray,
-    error: FloatArray,
-) -> pd.DataFrame:
+    case: str, plant: str, step: str, gains: Sequence[tuple[float, float]], delay_frames: int,
+    lag_s: float | FloatArray, time: FloatArray, error: FloatArray,
+) -> pd.DataFrame:  # fmt: skip
     k1, k2 = np.array(gains).T
-    return pd.DataFrame(
-        {
-            "case": case,
-            "plant": plant,
-            "step": step,
-            "k1_per_s": k1,
-            "k2_per_s": k2,
-            "delay_frames": delay_frames,
-            "lag_s": lag_s,
-            "step_px": np.linalg.norm(error[0], axis=-1).max(axis=-1),
-            "settle_1px_s": settle_time(time, error, 1.0),
-            "settle_05px_s": settle_time(time, error, 0.5),
-            "overshoot": overshoot_fraction(error),
-        }
-    )
+    return pd.DataFrame({
+        "case": case, "plant": plant, "step": step, "k1_per_s": k1, "k2_per_s": k2,
+        "delay_frames": delay_frames, "lag_s": lag_s,
+        "step_px": np.linalg.norm(error[0], axis=-1).max(axis=-1),
+        "settle_1px_s": settle_time(time, error, 1.0),
+        "settle_05px_s": settle_time(time, error, 0.5),
+        "overshoot": overshoot_fraction(error),
+    })  # fmt: skip
 
 
 NAME: Final = "gain sweep"
+_row = partial(SummaryRow.of, NAME)
 ARTICLE_GAIN: Final = 4.0
 """Gain above which the article's system overshot, 1/s (physical: reported by the article)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LoopFamily:
+class LoopFamily(NamedTuple):
     """Loops, by image delay and lag, whose overshoot begins at one gain."""
 
     gain: float
@@ -242,25 +209,14 @@ class LoopFamily:
 
     def delay_frames_at_lag(self, lag_s: float) -> float:
         """Image delay of the loop with a lag, control periods; nan if beyond those tried."""
-        return first_crossing(self.delays_frames, -self._filled(), -lag_s)
-
-    def _filled(self) -> FloatArray:
-        return np.where(np.isnan(self.lags_s), -1.0, self.lags_s)
+        lags = np.where(np.isnan(self.lags_s), -1.0, self.lags_s)
+        return first_crossing(self.delays_frames, -lags, -lag_s)
 
 
 def sweep_trials(table: pd.DataFrame, step: str, plant: str = "kinematic") -> pd.DataFrame:
     """Trials of one step with k1 = k2, sorted by gain."""
     rows = table.query("case == 'sweep' and step == @step and plant == @plant")
     return rows.sort_values("k1_per_s")
-
-
-def overshoot_onset_gains(table: pd.DataFrame, config: GainSweepConfig) -> dict[str, float]:
-    """Gain at which overshoot begins, by step, 1/s; nan if it does not begin in the sweep."""
-    found = {}
-    for step in STEPS:
-        rows = sweep_trials(table, step)
-        found[step] = first_crossing(rows["k1_per_s"], rows["overshoot"], config.onset_fraction)
-    return found
 
 
 def trial_at_gain(rows: pd.DataFrame, gain: float) -> "pd.Series[Any]":
@@ -273,44 +229,27 @@ def fastest_trial(rows: pd.DataFrame) -> "pd.Series[Any]":
     return rows.iloc[int(np.nanargmin(rows["settle_1px_s"].to_numpy()))]
 
 
-def loop_families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
-    """Loops whose overshoot begins at each of the config's onset gains."""
-    loops = table[table["case"] == "loop"]
-    found = []
-    for gain in config.onset_gains:
-        of_gain = loops[loops["k1_per_s"] == gain]
-        lags = [
-            first_crossing(rows["lag_s"], rows["overshoot"], config.onset_fraction)
-            for _, rows in of_gain.groupby("delay_frames")
-        ]
-        without = of_gain[of_gain["lag_s"] == 0.0].sort_values("delay_frames")
-        delays = without["delay_frames"].to_numpy(dtype=np.float64)
-        found.append(
-            LoopFamily(
-                gain=gain,
-                delays_frames=delays,
-                lags_s=np.array(lags),
-                longest_delay_frames=first_crossing(
-                    delays, without["overshoot"], config.onset_fraction
-                ),
-            )
-        )
-    return found
+def loop_family(table: pd.DataFrame, config: GainSweepConfig, gain: float) -> LoopFamily:
+    """Loops whose overshoot begins at one of the config's onset gains."""
+    loops = table[(table["case"] == "loop") & (table["k1_per_s"] == gain)]
+    lags = [
+        first_crossing(rows["lag_s"], rows["overshoot"], config.onset_fraction)
+        for _, rows in loops.groupby("delay_frames")
+    ]
+    without = loops[loops["lag_s"] == 0.0].sort_values("delay_frames")
+    delays = without["delay_frames"].to_numpy(dtype=np.float64)
+    longest = first_crossing(delays, without["overshoot"], config.onset_fraction)
+    return LoopFamily(gain, delays, np.array(lags), longest)
 
 
-@dataclass(frozen=True, kw_only=True)
-class GainSweepFindings:
+class GainSweepFindings(NamedTuple):
     """Results used by the figures, the summary and the text."""
 
     onset_gain_by_step: dict[str, float]
-    """Gain at which overshoot begins, by step, 1/s."""
+    """Gain at which overshoot begins, by step, 1/s; nan if it does not begin in the sweep."""
     families: list[LoopFamily]
-    period_s: float
-    """The head's control period, s."""
-    latency_frames: int
-    """The head's own image delay, control periods."""
-    lag_s: float
-    """The head's own lag, s."""
+    timing: LoopTiming
+    """That of the head, with its own delay and lag."""
     plants_settle_difference_s: float
     """Largest difference of settling times to 1 px between the kinematic and mujoco plants, s."""
     plants_overshoot_difference: float
@@ -321,29 +260,24 @@ class GainSweepFindings:
     @property
     def delays_frames(self) -> list[float]:
         """Image delay of each family for the head's own lag, control periods."""
-        return [family.delay_frames_at_lag(self.lag_s) for family in self.families]
+        return [family.delay_frames_at_lag(self.timing.lag_s) for family in self.families]
 
 
 def derive_findings(table: pd.DataFrame, config: GainSweepConfig) -> GainSweepFindings:
     """Derive the results from the table."""
-    timing = load_head(config.head).timing
-    settle, beyond = [0.0], [0.0]
+    settle, beyond, onsets = [0.0], [0.0], {}
     for step in STEPS:
-        both = sweep_trials(table, step).merge(sweep_trials(table, step, "mujoco"), on="k1_per_s")
+        rows = sweep_trials(table, step)
+        onsets[step] = first_crossing(rows["k1_per_s"], rows["overshoot"], config.onset_fraction)
+        both = rows.merge(sweep_trials(table, step, "mujoco"), on="k1_per_s")
         for column, apart in (("settle_1px_s", settle), ("overshoot", beyond)):
             apart.extend((both[f"{column}_x"] - both[f"{column}_y"]).abs())
     down, up = (sweep_trials(table, step)["settle_1px_s"].to_numpy() for step in ("+y", "-y"))
-    directions = np.abs(down - up)
+    families = [loop_family(table, config, gain) for gain in config.onset_gains]
     return GainSweepFindings(
-        onset_gain_by_step=overshoot_onset_gains(table, config),
-        families=loop_families(table, config),
-        period_s=timing.period_s,
-        latency_frames=timing.latency_frames,
-        lag_s=timing.lag_s,
-        plants_settle_difference_s=_greatest(settle),
-        plants_overshoot_difference=_greatest(beyond),
-        directions_settle_difference_s=_greatest(directions),
-    )
+        onsets, families, load_head(config.head).timing,
+        _greatest(settle), _greatest(beyond), _greatest(np.abs(down - up)),
+    )  # fmt: skip
 
 
 def _greatest(values: ArrayLike) -> float:
@@ -378,20 +312,21 @@ def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
         "onset_percent": 100.0 * config.onset_fraction,
         "onset_low": float(np.min(onsets)),
         "onset_high": float(np.max(onsets)),
-        "period_ms": 1000.0 * found.period_s,
-        "latency_frames": found.latency_frames,
-        "lag_ms": 1000.0 * found.lag_s,
+        "period_ms": 1000.0 * found.timing.period_s,
+        "latency_frames": found.timing.latency_frames,
+        "lag_ms": 1000.0 * found.timing.lag_s,
         "theory_delay_ms": 1000.0 / (np.e * ARTICLE_GAIN),
         "theory_lag_ms": 1000.0 / (4.0 * ARTICLE_GAIN),
     }
     for step, name in zip(PLANE_STEPS, ("y", "xy"), strict=True):
         settle = plane[plane["step"] == step]["settle_1px_s"]
         filled[f"plane_{name}_change_ms"] = 1000.0 * (settle.max() - settle.min())
-    for end, family, frames in zip(
-        ("low", "high"), found.families, found.delays_frames, strict=True
-    ):
+    ends = zip(("low", "high"), found.families, found.delays_frames, strict=True)
+    for end, family, frames in ends:
         filled[f"loops_{end}_gain"] = family.gain
-        filled[f"loops_{end}_delay_ms"] = 1000.0 * found.period_s * family.longest_delay_frames
+        filled[f"loops_{end}_delay_ms"] = (
+            1000.0 * found.timing.period_s * family.longest_delay_frames
+        )
         filled[f"loops_{end}_lag_ms"] = 1000.0 * family.lags_s[0]
         filled[f"loops_{end}_frames"] = frames
     return {name: float(value) for name, value in filled.items()}
@@ -412,35 +347,26 @@ def summarise(table: pd.DataFrame, config: GainSweepConfig) -> list[SummaryRow]:
         # the preset's image delay was chosen for an onset just above the article's gain
         verdict = BY_CONSTRUCTION if np.isfinite(onset).all() else None
         quantity = "gain at which overshoot begins"
-        rows.append(_row(quantity, axis, "1/s", onset, ARTICLE_GAIN, verdict))
+        rows.append(_row(quantity, "ibvs", axis, ARTICLE_GAIN, onset, verdict, "1/s"))
         for gain in (sweep_trials(table, "+y")["k1_per_s"].min(), ARTICLE_GAIN):
-            settled = [
-                trial_at_gain(sweep_trials(table, step), gain)["settle_1px_s"] for step in steps
-            ]
-            quantity = f"settle time to 1 px at k = {gain:g}"
-            rows.append(_row(quantity, axis, "s", (min(settled), max(settled))))
+            trials = [trial_at_gain(sweep_trials(table, step), gain) for step in steps]
+            settled = [trial["settle_1px_s"] for trial in trials]
+            ours, quantity = (min(settled), max(settled)), f"settle time to 1 px at k = {gain:g}"
+            rows.append(_row(quantity, "ibvs", axis, None, ours, unit="s"))
     best = [float(fastest_trial(sweep_trials(table, step))["k1_per_s"]) for step in ("+y", "-y")]
-    rows.append(_row("fastest gain", "y", "1/s", (min(best), max(best))))
+    rows.append(_row("fastest gain", "ibvs", "y", None, (min(best), max(best)), unit="1/s"))
     low, high = float(np.min(found.delays_frames)), float(np.max(found.delays_frames))
-    period_ms = 1000.0 * found.period_s
-    quantity = f"image delay identified with a lag of {1000.0 * found.lag_s:g} ms"
-    verdict = "inside" if low <= found.latency_frames <= high else "outside"
-    rows.append(
-        _row(quantity, "y", "ms", (period_ms * low, period_ms * high), None,
-             verdict if np.isfinite([low, high]).all() else "none")
-    )  # fmt: skip
+    period_ms = 1000.0 * found.timing.period_s
+    quantity = f"image delay identified with a lag of {1000.0 * found.timing.lag_s:g} ms"
+    verdict = "inside" if low <= found.timing.latency_frames <= high else "outside"
+    verdict = verdict if np.isfinite([low, high]).all() else NO_FIGURE
+    ours = (period_ms * low, period_ms * high)
+    rows.append(_row(quantity, "ibvs", "y", None, ours, verdict, "ms"))
     up_to = sweep_trials(table, "-y").query("k1_per_s <= @ARTICLE_GAIN + 1e-9")["settle_1px_s"]
     rise = float(up_to.diff().max())
     quantity = f"greatest rise of the settle time from gain to gain up to k = {ARTICLE_GAIN:g}"
     verdict = "target met" if rise <= 0.0 else "target missed"
-    return [*rows, _row(f"{quantity}, target 0 s", "y", "s", (rise, rise), None, verdict)]
-
-
-def _row(
-    quantity: str, axis: str, unit: str, ours: tuple[float, float], article: float | None = None,
-    verdict: str | None = None,
-) -> SummaryRow:  # fmt: skip
-    return SummaryRow.of(NAME, quantity, "ibvs", axis, article, ours, verdict, unit)
+    return [*rows, _row(f"{quantity}, target 0 s", "ibvs", "y", None, rise, verdict, "s")]
 
 
 _STEP_STYLE: Final[dict[str, dict[str, Any]]] = {
@@ -532,20 +458,27 @@ def _draw_plane(table: pd.DataFrame) -> Figure:
 def _draw_loops(found: GainSweepFindings, config: GainSweepConfig) -> Figure:
     figure = style.new_figure(6.4, 4.6)
     axes = figure.subplots()
-    _draw_families(axes, found, config)
+    level, timing = 100.0 * config.onset_fraction, found.timing
+    for family, color, dash in zip(
+        found.families, (style.BLUE, style.GREEN), ("-", "--"), strict=True
+    ):
+        delays = np.append(family.delays_frames, family.longest_delay_frames)
+        known = np.isfinite(delays) & np.isfinite(lags := np.append(family.lags_s, 0.0))
+        label = f"{level:g} % at k = {family.gain:g}"
+        axes.plot(delays[known], 1000.0 * lags[known], color=color, linestyle=dash, label=label)
     axes.plot(
-        found.latency_frames, 1000.0 * found.lag_s, "D", color=style.BLACK, markersize=9,
-        label=f"our rig: {found.latency_frames} frames, {1000.0 * found.lag_s:g} ms",
+        timing.latency_frames, 1000.0 * timing.lag_s, "D", color=style.BLACK, markersize=9,
+        label=f"our rig: {timing.latency_frames} frames, {1000.0 * timing.lag_s:g} ms",
     )  # fmt: skip
-    hold = 0.5 * found.period_s
-    delays = np.linspace(0.0, 14.0, 113) * found.period_s
-    lags = [critical_lag(delay + hold, ARTICLE_GAIN) for delay in delays]
+    delays = np.linspace(0.0, 14.0, 113) * timing.period_s
+    hold = 0.5 * timing.period_s
+    critical = [critical_lag(delay + hold, ARTICLE_GAIN) for delay in delays]
     axes.plot(
-        delays / found.period_s, 1000.0 * np.array(lags), **style.ARTICLE_STYLE,
+        delays / timing.period_s, 1000.0 * np.array(critical), **style.ARTICLE_STYLE,
         label=f"linear theory: none at all up to k = {ARTICLE_GAIN:g}",
     )  # fmt: skip
     axes.set(
-        xlabel=f"image delay (frames of {1000.0 * found.period_s:.3g} ms)",
+        xlabel=f"image delay (frames of {1000.0 * timing.period_s:.3g} ms)",
         ylabel="lag of the joints (ms)",
         title="Loops whose overshoot begins where the article's does",
         xlim=(-0.2, None), ylim=(0.0, None),
@@ -554,29 +487,10 @@ def _draw_loops(found: GainSweepFindings, config: GainSweepConfig) -> Figure:
     return figure
 
 
-def _draw_families(axes: Axes, found: GainSweepFindings, config: GainSweepConfig) -> None:
-    level = 100.0 * config.onset_fraction
-    for family, color, look in zip(
-        found.families, (style.BLUE, style.GREEN), ("-", "--"), strict=True
-    ):
-        delays = np.append(family.delays_frames, family.longest_delay_frames)
-        lags = np.append(family.lags_s, 0.0)
-        known = np.isfinite(delays) & np.isfinite(lags)
-        axes.plot(
-            delays[known], 1000.0 * lags[known], color=color, linestyle=look,
-            label=f"{level:g} % at k = {family.gain:g}",
-        )  # fmt: skip
-
-
 EXPERIMENT: Final = Experiment(
-    name="gain-sweep",
-    title="Gain sweep",
+    name="gain-sweep", title="Gain sweep",
     article="Section 5.3.1, Fig. 15",
-    text=read_template(__package__, "sections/gain_sweep.jinja"),
-    config=GainSweepConfig,
+    text=read_template(__package__, "sections/gain_sweep.jinja"), config=GainSweepConfig,
     quick={"gain_step": 0.25, "plane_step": 0.5, "lag_step_s": 0.005, "mujoco_gains": (1.0, 4.0)},
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip

@@ -181,14 +181,9 @@ def draw(table: pd.DataFrame, config: HeadEyeConfig) -> dict[str, Figure]:
 
 
 EXPERIMENT: Final = Experiment(
-    name="head-eye",
-    title="Physical twin, calibrated",
+    name="head-eye", title="Physical twin, calibrated",
     article="Sections 5.1.2 and 6, Table 5, Figure 10",
-    text=read_template(__package__, "sections/head_eye.jinja"),
-    config=HeadEyeConfig,
+    text=read_template(__package__, "sections/head_eye.jinja"), config=HeadEyeConfig,
     quick={"heads": 4, "poses": 20},
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip

@@ -398,21 +398,12 @@ def _population(table: pd.DataFrame) -> Figure:
 
 
 EXPERIMENT: Final = Experiment(
-    name="physical-moving",
-    title="Physical twin, moving target",
+    name="physical-moving", title="Physical twin, moving target",
     article="Section 5.1.2, Figures 12 and 13",
-    text=read_template(__package__, "sections/physical_moving.jinja"),
-    config=PhysicalMovingConfig,
+    text=read_template(__package__, "sections/physical_moving.jinja"), config=PhysicalMovingConfig,
     quick={
-        "heads": 40,
-        "every": 4,
-        "table_every": 10,
-        "speed_m_s": 0.03,
-        "noise_poses": 2,
+        "heads": 40, "every": 4, "table_every": 10, "speed_m_s": 0.03, "noise_poses": 2,
         "noise_frames": 10,
     },
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip

@@ -618,21 +618,12 @@ def _draw_off_axis(table: pd.DataFrame) -> Figure:
 
 
 EXPERIMENT: Final = Experiment(
-    name="physical-static",
-    title="Physical twin, static targets",
+    name="physical-static", title="Physical twin, static targets",
     article="Section 5.1.2, Table 5, Figures 10 and 11",
-    text=read_template(__package__, "sections/physical_static.jinja"),
-    config=PhysicalStaticConfig,
+    text=read_template(__package__, "sections/physical_static.jinja"), config=PhysicalStaticConfig,
     quick={
-        "heads": 40,
-        "imaged_every": 5,
-        "samples": 60,
-        "noise_poses": 2,
-        "noise_frames": 10,
+        "heads": 40, "imaged_every": 5, "samples": 60, "noise_poses": 2, "noise_frames": 10,
         "offsets_px": (0.0, 100.0, 200.0, 300.0),
     },
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip

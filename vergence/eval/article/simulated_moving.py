@@ -1,9 +1,9 @@
 """A moving target on the simulated rig: Figure 8."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import hypot, pi
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 from vergence.envs.targets.prescribed import CircleTarget
 from vergence.eval.article.closed_loop import MM, ClosedLoop, LinearLoop, hold_gaze, noise_gain
-from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
+from vergence.eval.article.experiment import Experiment, SummaryRow, job_seed
 from vergence.eval.article.reported import reported_result, reported_results
 from vergence.eval.article.simulated_static import (
+    ARTICLE_CASE,
     BOARD,
     CASES,
     DRAWN_ERRORS,
-    make_nominal_and_true_head,
 )
 from vergence.models.head_file import load_head
 from vergence.reporting import style
@@ -65,22 +65,17 @@ def _follow(
     config: SimulatedMovingConfig, seed: int, case: str, noise: str, sigma_px: float
 ) -> pd.DataFrame:
     """Follow the target; returns a row for each sample and method."""
-    rig = make_nominal_and_true_head(case, DRAWN_ERRORS, seed)
-    images = noise == IMAGES
-    record = hold_gaze(
-        ClosedLoop(
-            head=rig.nominal,
-            true_head=rig.true,
-            target=CircleTarget(radius=config.radius_mm / MM, period=config.period_s),
-            plant="rendered" if images else "kinematic",
-            plant_options=BOARD if images else {"detection_noise_px": sigma_px},
-            samples=config.samples,
-            every=config.every,
-            settle_s=config.settle_s,
-            gain=config.gain,
-            seed=int(job_rng(seed, NAME, list(CASES).index(case)).integers(2**63)),
-        )
-    )
+    nominal = load_head("simulated")
+    loop = ClosedLoop(
+        head=nominal, true_head=CASES[case].true_head(nominal, DRAWN_ERRORS, seed),
+        target=CircleTarget(radius=config.radius_mm / MM, period=config.period_s),
+        plant="kinematic", plant_options={"detection_noise_px": sigma_px}, samples=config.samples,
+        every=config.every, settle_s=config.settle_s, gain=config.gain,
+        seed=job_seed(seed, NAME, list(CASES).index(case)),
+    )  # fmt: skip
+    if noise == IMAGES:
+        loop = replace(loop, plant="rendered", plant_options=BOARD)
+    record = hold_gaze(loop)
     detected = record.pixels - record.true_pixels_at_exposure
     frames = []
     for method, error, time_s in (
@@ -92,10 +87,8 @@ def _follow(
         target = record.target_at_exposure if method == "itpc" else record.target
         rows = pd.DataFrame({"case": case, "noise": noise, "method": method,
                              "sample": np.arange(config.samples), "time_s": time_s})  # fmt: skip
-        for axis, letter in enumerate("xy"):
-            rows[f"target_{letter}_mm"] = MM * target[:, axis]
-        for axis, letter in enumerate("xyz"):
-            rows[f"error_{letter}_mm"] = error[:, axis]
+        rows[["target_x_mm", "target_y_mm"]] = MM * target[:, :2]
+        rows[["error_x_mm", "error_y_mm", "error_z_mm"]] = error
         rows["detection_sigma_px"] = float(np.sqrt(np.nanvar(detected, axis=0, ddof=1).mean()))
         frames.append(rows)
     return pd.concat(frames, ignore_index=True)
@@ -103,8 +96,7 @@ def _follow(
 
 ARTICLE_NAME: Final = "simulated moving"
 """Name of this experiment in the table of the article's results."""
-ARTICLE_CASE: Final = "principal"
-"""Case that represents the article's rig: Table 2's camera matrix on a centred image."""
+_row = partial(SummaryRow.of, ARTICLE_NAME)
 RATES_HZ: Final = (120.0, 60.0, 30.0, 20.0, 15.0)
 """Frame rates at which the loop's noise gain is predicted, Hz (chosen)."""
 
@@ -122,22 +114,21 @@ def select_samples(
     return table[chosen]
 
 
-@dataclass(frozen=True, kw_only=True)
-class SampleErrors:
+class SampleErrors(NamedTuple):
     """Errors of one case and method over the samples, by axis, mm."""
 
     mean_absolute: dict[str, float]
     mean: dict[str, float]
     standard_deviation: dict[str, float]
 
-    @staticmethod
-    def of(samples: pd.DataFrame) -> "SampleErrors":
+    @classmethod
+    def of(cls, samples: pd.DataFrame) -> "SampleErrors":
         """The errors of some samples."""
         columns = {axis: samples[f"error_{axis}_mm"] for axis in "xyz"}
-        return SampleErrors(
-            mean_absolute={axis: float(column.abs().mean()) for axis, column in columns.items()},
-            mean={axis: float(column.mean()) for axis, column in columns.items()},
-            standard_deviation={axis: float(column.std()) for axis, column in columns.items()},
+        return cls(
+            {axis: float(column.abs().mean()) for axis, column in columns.items()},
+            {axis: float(column.mean()) for axis, column in columns.items()},
+            {axis: float(column.std()) for axis, column in columns.items()},
         )
 
     @property
@@ -167,9 +158,7 @@ def deviation_ratio(errors: Cases, case: str, noise: str = IMAGES) -> float:
 
 def article_deviation_ratio() -> float:
     """Ratio of the article's standard deviations in z, gaze over ITPC."""
-    gaze, itpc = (
-        article_value_mm("standard deviation", method, "z") for method in ("gaze", "itpc")
-    )
+    gaze, itpc = (article_value_mm("standard deviation", m, "z") for m in ("gaze", "itpc"))
     return gaze / itpc
 
 
@@ -211,23 +200,18 @@ def numbers(table: pd.DataFrame, config: SimulatedMovingConfig) -> Numbers:
     found |= {f"still_{axis}_mm": still.mean_absolute[axis] for axis in "xyz"}
     for method in ("gaze", "itpc"):
         for axis in "xyz":
-            key, article = (
-                f"{method}_{axis}_mm",
-                article_value_mm("mean absolute error", method, axis),
-            )
-            found[f"article_{key}"] = article
+            key = f"{method}_{axis}_mm"
+            found[f"article_{key}"] = article_value_mm("mean absolute error", method, axis)
             for case in ("exact", ARTICLE_CASE):
                 found[f"{case}_{key}"] = errors[case, method, IMAGES].mean_absolute[axis]
         found[f"article_{method}_scatter_mm"] = article_value_mm("standard deviation", method, "z")
-        found[f"exact_{method}_scatter_mm"] = errors["exact", method, IMAGES].standard_deviation[
-            "z"
-        ]
+        own = errors["exact", method, IMAGES]
+        found[f"exact_{method}_scatter_mm"] = own.standard_deviation["z"]
     for rate, share in predicted_deviation_ratios(config.gain).items():
         found[f"ratio_predicted_{rate:g}_hz"] = share
         for case in ("exact", ARTICLE_CASE):
-            found[f"expected_{case}_{rate:g}_hz_mm"] = expected_gaze_deviation_mm(
-                errors, case, share
-            )
+            expected = expected_gaze_deviation_mm(errors, case, share)
+            found[f"expected_{case}_{rate:g}_hz_mm"] = expected
     return found
 
 
@@ -246,57 +230,40 @@ def summarise(table: pd.DataFrame, config: SimulatedMovingConfig) -> list[Summar
                 own = errors[case, row.method, IMAGES]
                 scatter = row.quantity == "standard deviation"
                 value = (own.standard_deviation if scatter else own.mean_absolute)[row.axis]
-                rows.append(_row(row.quantity + suffix, row.method, row.axis, value, row.low))
+                rows.append(_row(row.quantity + suffix, row.method, row.axis, row.low, value))
     for axis in "xyz":
         for quantity, method, noise in (
             ("mean absolute error, exact model, no noise", "gaze", NONE),
             ("mean absolute error, exact model", "itpc, undated", IMAGES),
         ):
-            rows.append(
-                _row(quantity, method, axis, errors["exact", method, noise].mean_absolute[axis])
-            )
+            value = errors["exact", method, noise].mean_absolute[axis]
+            rows.append(_row(quantity, method, axis, None, value))
     for case in CASES:
         quantity = f"standard deviation, {CASES[case].title}, no noise"
-        rows.append(_row(quantity, "gaze", "z", errors[case, "gaze", NONE].standard_deviation["z"]))
+        value = errors[case, "gaze", NONE].standard_deviation["z"]
+        rows.append(_row(quantity, "gaze", "z", None, value))
     predicted = predicted_deviation_ratios(config.gain)
     measured = {CASES[case].title: deviation_ratio(errors, case) for case in CASES}
     measured["exact model, white noise"] = deviation_ratio(errors, "exact", WHITE)
     measured |= {f"predicted at {rate:g} Hz": share for rate, share in predicted.items()}
     for title, value in measured.items():
         quantity = f"standard deviation, gaze over ITPC, {title}"
-        rows.append(_row(quantity, "both", "z", value, article_deviation_ratio(), "1"))
+        rows.append(_row(quantity, "both", "z", article_deviation_ratio(), value, unit="1"))
     for case in ("exact", ARTICLE_CASE):
         for rate, share in predicted.items():
             quantity = (
                 f"standard deviation expected beside the article's ITPC, {CASES[case].title}, "
                 f"{rate:g} Hz"
             )
+            article = article_value_mm("standard deviation", "gaze", "z")
             value = expected_gaze_deviation_mm(errors, case, share)
-            rows.append(
-                _row(
-                    quantity,
-                    "gaze",
-                    "z",
-                    value,
-                    article_value_mm("standard deviation", "gaze", "z"),
-                )
-            )
-    return [*rows, _trail(numbers(table, config))]
-
-
-def _trail(found: Numbers) -> SummaryRow:
-    """Summary row on the distance by which the optical axes trail: expected is speed over gain."""
+            rows.append(_row(quantity, "gaze", "z", article, value))
+    found = numbers(table, config)
+    # the optical axes should trail the target by its speed over the gain
     wanted, trail = found["speed_over_gain_mm"], found["trail_mm"]
     verdict = "target met" if abs(trail - wanted) < 0.1 * wanted else "target missed"
     quantity = f"way behind the target, exact model, no noise, target {wanted:.3g} mm within 10 %"
-    return SummaryRow.of(ARTICLE_NAME, quantity, "gaze", "x, y", None, trail, verdict)
-
-
-def _row(
-    quantity: str, method: str, axis: str, value: float, article: float | None = None,
-    unit: str = "mm",
-) -> SummaryRow:  # fmt: skip
-    return SummaryRow.of(ARTICLE_NAME, quantity, method, axis, article, value, unit=unit)
+    return [*rows, _row(quantity, "gaze", "x, y", None, trail, verdict)]
 
 
 _DRAWN_EVERY: Final = 6
@@ -343,15 +310,9 @@ def _bars(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.5, 4.2)
     axes = figure.subplots(1, 3, sharey=True)
     methods = ("gaze", "itpc")
+    colours, hatches = (style.GREEN, style.BLUE, style.ORANGE, style.PURPLE), ("", "//", "..", "xx")
     for axis, letter in zip(axes, "xyz", strict=True):
-        for number, (case, colour, hatch) in enumerate(
-            zip(
-                CASES,
-                (style.GREEN, style.BLUE, style.ORANGE, style.PURPLE),
-                ("", "//", "..", "xx"),
-                strict=False,
-            )
-        ):
+        for number, (case, colour, hatch) in enumerate(zip(CASES, colours, hatches, strict=False)):
             values = [errors[case, method, IMAGES].mean_absolute[letter] for method in methods]
             axis.bar(
                 np.arange(2) + 0.25 * (number - 0.5 * (len(CASES) - 1)), values, 0.23,
@@ -397,14 +358,8 @@ def _ratios(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
 
 
 EXPERIMENT: Final = Experiment(
-    name=NAME,
-    title="A moving target on the simulated rig",
-    article="Section 5.1.1, Figure 8",
+    name=NAME, title="A moving target on the simulated rig", article="Section 5.1.1, Figure 8",
     text=read_template(__package__, "sections/simulated_moving.jinja"),
-    config=SimulatedMovingConfig,
-    quick={"samples": 420},
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    config=SimulatedMovingConfig, quick={"samples": 420},
+    run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip

@@ -22,7 +22,7 @@ from vergence.eval.article.closed_loop import (
     hold_gaze,
     itpc_uncertainty_mm,
 )
-from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
+from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, job_seed
 from vergence.eval.article.reported import (
     ReportedResult,
     reported_result,
@@ -41,13 +41,6 @@ from vergence.triangulation import Fix
 _DRAW: Final = "simulated-rig"
 
 
-class NominalAndTrueHead(NamedTuple):
-    """The controller's model of a head, and the true head."""
-
-    nominal: HeadModel
-    true: HeadModel
-
-
 DRAWN_ERRORS: Final = ModelErrors(
     link_m=5e-5,
     coaxiality_rad=radians(0.02),
@@ -60,22 +53,16 @@ DRAWN_ERRORS: Final = ModelErrors(
 """Standard deviations of the model errors drawn for the simulated rig."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RigCase:
+class RigCase(NamedTuple):
     """One set of model errors."""
 
     title: str
     """Short title for figures."""
-    make: Callable[[HeadModel, ModelErrors, int], NominalAndTrueHead]
-    """Function from (the preset, the errors' standard deviations, the run's seed) to the rig."""
+    true_head: Callable[[HeadModel, ModelErrors, int], HeadModel]
+    """Function from (the preset, the errors' standard deviations, the run's seed)."""
 
 
-def draw_true_heads(preset: HeadModel, errors: ModelErrors, seed: int, count: int) -> HeadModel:
-    """Draw a population (count,) of true heads, independent of the head of the case `drawn`."""
-    return preset.perturbed(job_rng(seed, _DRAW, 1), errors, count)
-
-
-def with_true_principal_points(preset: HeadModel) -> HeadModel:
+def _centred(preset: HeadModel, _errors: ModelErrors, _seed: int) -> HeadModel:
     """The preset with its principal points at the true image centres.
 
     With pixel centres at integers these are ((W - 1) / 2, (H - 1) / 2); Table 2 says
@@ -84,29 +71,16 @@ def with_true_principal_points(preset: HeadModel) -> HeadModel:
     return preset.replace(cameras={"principal": (preset.cameras.size - 1) / 2.0})
 
 
-def _exact(preset: HeadModel, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
-    return NominalAndTrueHead(preset, preset)
-
-
-def _principal(preset: HeadModel, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
-    return NominalAndTrueHead(preset, with_true_principal_points(preset))
-
-
-def _drawn(preset: HeadModel, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
-    return NominalAndTrueHead(preset, preset.perturbed(job_rng(seed, _DRAW, 0), errors))
+def _drawn(preset: HeadModel, errors: ModelErrors, seed: int) -> HeadModel:
+    return preset.perturbed(job_rng(seed, _DRAW, 0), errors)
 
 
 CASES: Final[dict[str, RigCase]] = {
-    "exact": RigCase(title="exact model", make=_exact),
-    "principal": RigCase(title="principal point 1 px off", make=_principal),
-    "drawn": RigCase(title="drawn model errors", make=_drawn),
+    "exact": RigCase("exact model", lambda preset, _errors, _seed: preset),
+    "principal": RigCase("principal point 1 px off", _centred),
+    "drawn": RigCase("drawn model errors", _drawn),
 }
-"""The cases by name, in the order of the figures."""
-
-
-def make_nominal_and_true_head(case: str, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
-    """Make the simulated rig under the model errors of one of `CASES`."""
-    return CASES[case].make(load_head("simulated"), errors, seed)
+"""The cases by name, in the order of the figures; a further one is one more entry."""
 
 
 NAME: Final = "simulated-static"
@@ -158,25 +132,18 @@ def _look(
     config: SimulatedStaticConfig, seed: int, case: str, fixation: str, point: int
 ) -> list[dict[str, Any]]:
     """Hold one point with rendered images; returns a row for each method and axis."""
-    rig = make_nominal_and_true_head(case, config.errors, seed)
-    dithered = fixation == "dithered"
-    keys = (list(CASES).index(case), int(dithered), point)
-    record = hold_gaze(
-        ClosedLoop(
-            head=rig.nominal,
-            true_head=rig.true,
-            target=_target(point),
-            plant_options=BOARD,
-            samples=config.samples,
-            settle_s=config.settle_s,
-            gain=config.gain,
-            references_px=dither_references_px(config.dither_side) if dithered else ((0.0, 0.0),),
-            seed=int(job_rng(seed, NAME, *keys).integers(2**63)),
-        )
-    )
+    nominal, dithered = load_head("simulated"), fixation == "dithered"
+    loop = ClosedLoop(
+        head=nominal, true_head=CASES[case].true_head(nominal, config.errors, seed),
+        target=_target(point), plant_options=BOARD, samples=config.samples,
+        settle_s=config.settle_s, gain=config.gain,
+        references_px=dither_references_px(config.dither_side) if dithered else ((0.0, 0.0),),
+        seed=job_seed(seed, NAME, list(CASES).index(case), int(dithered), point),
+    )  # fmt: skip
+    record = hold_gaze(loop)
     common = {"case": case, "images": "rendered", "fixation": fixation, "head": 0}
     common |= _detections(record, dithered)
-    return list(_rows(common, rig.nominal, record, point, dithered))
+    return list(_rows(common, nominal, record, point, dithered))
 
 
 def _detections(record: GazeRecord, dithered: bool) -> dict[str, float]:
@@ -210,16 +177,12 @@ def _rows(
     for method, error in errors.items():
         for axis, letter in enumerate("xyz"):
             yield {
-                **common,
-                "point": point + 1,
-                "depth_mm": MM * float(truth[0, 2]),
-                "method": method,
-                "axis": letter,
-                "n": int(np.isfinite(error[:, axis]).sum()),
+                **common, "point": point + 1, "depth_mm": MM * float(truth[0, 2]),
+                "method": method, "axis": letter, "n": int(np.isfinite(error[:, axis]).sum()),
                 "error_mm": float(np.nanmean(error[:, axis])),
                 "standard_deviation_mm": float(np.nanstd(error[:, axis], ddof=1)),
                 "uncertainty_mm": np.nan if dithered else float(uncertainty[method][axis]),
-            }
+            }  # fmt: skip
 
 
 def _depths(head: HeadModel, q: FloatArray, fix: Fix) -> FloatArray:
@@ -232,41 +195,29 @@ def _depths(head: HeadModel, q: FloatArray, fix: Fix) -> FloatArray:
 def _population(config: SimulatedStaticConfig, seed: int, point: int) -> list[dict[str, Any]]:
     """Gaze errors of many drawn heads at one point, without images and noise."""
     preset = load_head("simulated")
-    record = hold_gaze(
-        ClosedLoop(
-            head=preset,
-            true_head=draw_true_heads(preset, config.errors, seed, config.heads),
-            num=config.heads,
-            target=_target(point),
-            plant="kinematic",
-            plant_options={"detection_noise_px": 0.0},
-            samples=1,
-            settle_s=max(config.settle_s, 3.0),
-            gain=config.gain,
-        )
-    )
+    loop = ClosedLoop(
+        head=preset, num=config.heads, target=_target(point),
+        # independent of the head of the case `drawn`
+        true_head=preset.perturbed(job_rng(seed, _DRAW, 1), config.errors, config.heads),
+        plant="kinematic", plant_options={"detection_noise_px": 0.0}, samples=1,
+        settle_s=max(config.settle_s, 3.0), gain=config.gain,
+    )  # fmt: skip
+    record = hold_gaze(loop)
     error, depth = record.gaze_error_mm[0], MM * float(record.target[0, 0, 2])
     return [
         {
-            "case": "drawn",
-            "images": "none",
-            "fixation": "still",
-            "head": number + 1,
-            "seen": 1.0,
-            "point": point + 1,
-            "depth_mm": depth,
-            "method": "gaze",
-            "axis": letter,
-            "n": 1,
-            "error_mm": float(error[number, axis]),
+            "case": "drawn", "images": "none", "fixation": "still", "head": number + 1,
+            "seen": 1.0, "point": point + 1, "depth_mm": depth, "method": "gaze", "axis": letter,
+            "n": 1, "error_mm": float(error[number, axis]),
         }
         for number in range(config.heads)
         for axis, letter in enumerate("xyz")
-    ]
+    ]  # fmt: skip
 
 
 ARTICLE_NAME: Final = "simulated static"
 """Name of this experiment in the table of the article's results."""
+_row = partial(SummaryRow.of, ARTICLE_NAME)
 ARTICLE_CASE: Final = "principal"
 """Case that represents the article's rig: Table 2's camera matrix on a centred image."""
 ARTICLE_Z_PERCENT: Final = 0.5
@@ -296,8 +247,7 @@ def select_fixes(
     return table[chosen]
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeanFixErrors:
+class MeanFixErrors(NamedTuple):
     """Absolute errors of the mean fixes of some rows, over points and methods."""
 
     low_mm: dict[str, float]
@@ -309,8 +259,8 @@ class MeanFixErrors:
     greatest_standard_errors: float
     """Greatest error of an ITPC mean, in standard errors from the scatter of its single fixes."""
 
-    @staticmethod
-    def of(rows: pd.DataFrame) -> "MeanFixErrors":
+    @classmethod
+    def of(cls, rows: pd.DataFrame) -> "MeanFixErrors":
         """The errors of some rows."""
         absolute = rows["error_mm"].abs()
         by_axis = absolute.groupby(rows["axis"])
@@ -318,12 +268,11 @@ class MeanFixErrors:
         share = 100.0 * absolute[deep] / rows["depth_mm"][deep]
         itpc = rows[rows["method"] == "itpc"]
         errors = itpc["error_mm"].abs() * np.sqrt(itpc["n"]) / itpc["standard_deviation_mm"]
-        return MeanFixErrors(
-            low_mm={axis: float(by_axis.min()[axis]) for axis in "xyz"},
-            high_mm={axis: float(by_axis.max()[axis]) for axis in "xyz"},
-            z_percent=(float(share.min()), float(share.median()), float(share.max())),
-            greatest_standard_errors=float(errors.max()),
-        )
+        return cls(
+            {axis: float(by_axis.min()[axis]) for axis in "xyz"},
+            {axis: float(by_axis.max()[axis]) for axis in "xyz"},
+            (float(share.min()), float(share.median()), float(share.max())), float(errors.max()),
+        )  # fmt: skip
 
 
 def errors_by_case(table: pd.DataFrame) -> dict[str, MeanFixErrors]:
@@ -474,13 +423,6 @@ def summarise(table: pd.DataFrame, config: SimulatedStaticConfig) -> list[Summar
     return rows + _explanations(numbers(table, config))
 
 
-def _row(
-    quantity: str, method: str, axis: str, theirs: tuple[float | None, float | None] | None,
-    ours: tuple[float, float] | float, verdict: str | None = None, unit: str = "mm",
-) -> SummaryRow:  # fmt: skip
-    return SummaryRow.of(ARTICLE_NAME, quantity, method, axis, theirs, ours, verdict, unit)
-
-
 def _reported(row: ReportedResult, case: pd.DataFrame) -> SummaryRow:
     """Summary row of our range beside one of the article's."""
     own = case[case["axis"] == row.axis]
@@ -605,11 +547,8 @@ def _errors(table: pd.DataFrame) -> Figure:
             axis.plot(1.1, least, marker="*", markersize=9, linestyle="", color="black",
                       label="article's least")  # fmt: skip
         else:
-            axis.axhspan(
-                *article_result("absolute error", letter).span,
-                **style.ARTICLE_BAND,
-                label="article's range",
-            )
+            span = article_result("absolute error", letter).span
+            axis.axhspan(*span, **style.ARTICLE_BAND, label="article's range")
         for case in CASES:
             look = _CASE_STYLE.get(case, {"color": style.PURPLE, "linestyle": ":"})
             rows = select_fixes(table, case)
@@ -649,11 +588,8 @@ def _uncertainties(table: pd.DataFrame) -> Figure:
     axes = _panels(figure, "uncertainty, standard deviation (mm)")
     rows = select_fixes(table, ARTICLE_CASE)
     for axis, letter in zip(axes, "xyz", strict=True):
-        axis.axhspan(
-            *article_result("uncertainty", letter).span,
-            **style.ARTICLE_BAND,
-            label="article's range",
-        )
+        span = article_result("uncertainty", letter).span
+        axis.axhspan(*span, **style.ARTICLE_BAND, label="article's range")
         for method, column, look in _UNCERTAINTIES:
             color = style.METHOD_STYLE[method]["color"]
             axis.plot(*_by_depth(rows, method, letter, column), color=color, **look)
@@ -681,14 +617,9 @@ def _implied(table: pd.DataFrame) -> Figure:
 
 
 EXPERIMENT: Final = Experiment(
-    name=NAME,
-    title="Static targets on the simulated rig",
+    name=NAME, title="Static targets on the simulated rig",
     article="Section 5.1.1, Tables 2 and 3, Figures 6 and 7",
     text=read_template(__package__, "sections/simulated_static.jinja"),
-    config=SimulatedStaticConfig,
-    quick={"samples": 60, "point_step": 10, "heads": 20},
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    config=SimulatedStaticConfig, quick={"samples": 60, "point_step": 10, "heads": 20},
+    run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -75,9 +75,7 @@ def run(config: TimeResponseConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
         for delay in config.delays_frames
     ]
     jobs.append(partial(_rig, config, offsets, seed))
-    parts = [_start(head, config, offsets), *mapper(jobs)]
-    table: pd.DataFrame = pd.concat(parts, ignore_index=True)
-    return table
+    return pd.concat([_start(head, config, offsets), *mapper(jobs)], ignore_index=True)
 
 
 def joint_offsets(head: HeadModel, config: TimeResponseConfig) -> tuple[float, ...]:
@@ -102,51 +100,30 @@ def joint_offsets(head: HeadModel, config: TimeResponseConfig) -> tuple[float, .
     return tuple(float(offset) for offset in found.x)
 
 
-def _with_offsets(head: HeadModel, offsets: tuple[float, ...]) -> HeadModel:
-    more = np.zeros(len(LINKS))
-    more[_EYE_FRAMES] = offsets
-    return with_joint_offsets(head, more)
-
-
 def _start(head: HeadModel, config: TimeResponseConfig, offsets: tuple[float, ...]) -> pd.DataFrame:
     """Table rows with the offsets, and with the initial pixels beside those of the nominal head."""
-    joints = pd.DataFrame(
-        {"case": "offset", "joint": JOINTS[EYES], "offset_deg": np.rad2deg(offsets)}
-    )
+    joints = {"case": "offset", "joint": JOINTS[EYES], "offset_deg": np.rad2deg(offsets)}
     nominal = head.project(head.rest(), np.array(config.point_mm) / 1000.0)
-    pixels = pd.DataFrame(
-        {
-            "case": "initial",
-            "eye": np.repeat(EYE_NAMES, 2),
-            "axis": ["u", "v"] * 2,
-            "article_px": [*config.left_px, *config.right_px],
-            "nominal_px": nominal.ravel(),
-            "principal_px": head.cameras.principal.ravel(),
-        }
-    )
-    return pd.concat([joints, pixels], ignore_index=True)
+    pixels = {
+        "case": "initial", "eye": np.repeat(EYE_NAMES, 2), "axis": ["u", "v"] * 2,
+        "article_px": [*config.left_px, *config.right_px], "nominal_px": nominal.ravel(),
+        "principal_px": head.cameras.principal.ravel(),
+    }  # fmt: skip
+    return pd.concat([pd.DataFrame(joints), pd.DataFrame(pixels)], ignore_index=True)
 
 
 def _servo(
-    config: TimeResponseConfig,
-    head: HeadModel,
-    offsets: tuple[float, ...],
-    seed: int,
-    num: int,
+    config: TimeResponseConfig, head: HeadModel, offsets: tuple[float, ...], seed: int, num: int,
     noise_px: float,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     x, y, z = (value / 1000.0 for value in config.point_mm)
+    added = np.zeros(len(LINKS))
+    added[_EYE_FRAMES] = offsets
+    options = {"true_head": with_joint_offsets(head, added), "detection_noise_px": noise_px}
     return servo_pixel_errors(
-        head,
-        StaticTarget(point=(x, y, z)),
-        np.full((num, 2), config.gain),
-        duration_s=config.duration_s,
-        seed=seed,
-        plant_options={
-            "true_head": _with_offsets(head, offsets),
-            "detection_noise_px": noise_px,
-        },
-    )
+        head, StaticTarget(point=(x, y, z)), np.full((num, 2), config.gain),
+        duration_s=config.duration_s, seed=seed, plant_options=options,
+    )  # fmt: skip
 
 
 def _map_delay(
@@ -177,18 +154,10 @@ def _rig(config: TimeResponseConfig, offsets: tuple[float, ...], seed: int) -> p
     noise_px = head.sensor.detection_noise_px
     time, error = _servo(config, head, offsets, seed, config.trials, noise_px)
     loop = {"delay_frames": timing.latency_frames, "lag_s": timing.lag_s}
-    parts = [
-        pd.DataFrame(
-            {
-                "case": "rig",
-                **loop,
-                "threshold_px": band,
-                "trial": np.arange(config.trials),
-                "settle_s": settle_time(time, error, band),
-            }
-        )
-        for band in (1.0, 0.5)
-    ]
+    parts = []
+    for band in (1.0, 0.5):
+        trials = {"case": "rig", **loop, "threshold_px": band, "trial": np.arange(config.trials)}
+        parts.append(pd.DataFrame({**trials, "settle_s": settle_time(time, error, band)}))
     for eye, name in enumerate(EYE_NAMES):
         norm = np.linalg.norm(error[:, 0, eye], axis=-1)
         course = {"case": "trace", **loop, "trial": 0, "eye": name, "time_s": time}
@@ -197,13 +166,13 @@ def _rig(config: TimeResponseConfig, offsets: tuple[float, ...], seed: int) -> p
 
 
 NAME: Final = "time response"
+_row = partial(SummaryRow.of, NAME)
 PAIRS: Final = ((0, False, 3.0), (4, True, 1.3))
 """Loops that should give the article's time: image delay (control periods), true for the head's own
 lag and false for none, settling threshold (px)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LoopAndThreshold:
+class LoopAndThreshold(NamedTuple):
     """A loop and a settling threshold that should give the article's time."""
 
     delay_frames: int
@@ -213,8 +182,7 @@ class LoopAndThreshold:
     """Settling time of this loop in the map, s; nan if the map lacks it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TimeResponseFindings:
+class TimeResponseFindings(NamedTuple):
     """Results used by the figures, the summary and the text."""
 
     delay_frames: int
@@ -237,29 +205,22 @@ class TimeResponseFindings:
 
 def derive_findings(table: pd.DataFrame) -> TimeResponseFindings:
     """Derive the results from the table."""
-    rig = table[table["case"] == "rig"]
+    rig, offsets, initial, trace = (
+        table[table["case"] == case] for case in ("rig", "offset", "initial", "trace")
+    )
     delay, lag = int(rig["delay_frames"].iloc[0]), float(rig["lag_s"].iloc[0])
-    settle = {}
-    for band, rows in rig.groupby("threshold_px"):
-        times = rows["settle_s"].to_numpy()
-        settle[float(str(band))] = (float(times.min()), float(times.max()))
-    offsets = table[table["case"] == "offset"]
-    initial = table[table["case"] == "initial"]
+    settle = {
+        float(str(band)): (float(times.to_numpy().min()), float(times.to_numpy().max()))
+        for band, times in rig.groupby("threshold_px")["settle_s"]
+    }
     miss = np.abs((initial["article_px"] - initial["nominal_px"]).to_numpy())
-    trace = table[table["case"] == "trace"]
     first = trace[trace["time_s"] == 0.0]["error_px"].to_numpy()
     return TimeResponseFindings(
-        delay_frames=delay,
-        lag_s=lag,
-        settle_s=settle,
-        trials=int(rig["trial"].nunique()),
-        pairs=[
-            _pair(table, delay, lag if lagging else 0.0, band) for delay, lagging, band in PAIRS
-        ],
-        offsets_deg=dict(zip(offsets["joint"], offsets["offset_deg"], strict=True)),
-        nominal_difference_px=(float(miss.min()), float(miss.max())),
-        step_px=(float(first[0]), float(first[1])),
-    )
+        delay, lag, settle, int(rig["trial"].nunique()),
+        [_pair(table, frames, lag if lagging else 0.0, band) for frames, lagging, band in PAIRS],
+        dict(zip(offsets["joint"], offsets["offset_deg"], strict=True)),
+        (float(miss.min()), float(miss.max())), (float(first[0]), float(first[1])),
+    )  # fmt: skip
 
 
 def settle_time_map(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
@@ -277,16 +238,10 @@ def held_thresholds_px(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
 
 
 def _pair(table: pd.DataFrame, delay: int, lag_s: float, threshold_px: float) -> LoopAndThreshold:
-    rows = table[
-        (table["case"] == "map")
-        & (table["lag_s"] == lag_s)
-        & (table["delay_frames"] == delay)
-        & ((table["threshold_px"] - threshold_px).abs() < 1e-6)
-    ]
-    settle = float(rows["settle_s"].iloc[0]) if len(rows) else np.nan
-    return LoopAndThreshold(
-        delay_frames=delay, lag_s=lag_s, threshold_px=threshold_px, settle_s=settle
-    )
+    rows = table[(table["case"] == "map") & (table["lag_s"] == lag_s)]
+    near = (rows["threshold_px"] - threshold_px).abs() < 1e-6
+    settle = rows.loc[near & (rows["delay_frames"] == delay), "settle_s"]
+    return LoopAndThreshold(delay, lag_s, threshold_px, settle.iloc[0] if len(settle) else np.nan)
 
 
 def summarise(table: pd.DataFrame, config: TimeResponseConfig) -> list[SummaryRow]:
@@ -298,16 +253,16 @@ def summarise(table: pd.DataFrame, config: TimeResponseConfig) -> list[SummaryRo
     for band, (low_s, high_s) in sorted(found.settle_s.items(), reverse=True):
         ours = (1000.0 * low_s, 1000.0 * high_s)
         what = f"settle time to {band:g} px"
-        rows.append(SummaryRow.of(NAME, what, "ibvs", "both eyes", article, ours, unit="ms"))
+        rows.append(_row(what, "ibvs", "both eyes", article, ours, unit="ms"))
     for pair in found.pairs:
         what = (
             f"settle time to {pair.threshold_px:g} px with {pair.delay_frames} frames of delay and "
             f"{1000.0 * pair.lag_s:g} ms of lag"
         )
         settle = 1000.0 * pair.settle_s
-        rows.append(SummaryRow.of(NAME, what, "ibvs", "both eyes", article, settle, unit="ms"))
+        rows.append(_row(what, "ibvs", "both eyes", article, settle, unit="ms"))
     for joint, offset in found.offsets_deg.items():
-        rows.append(SummaryRow.of(NAME, "joint offset", "ibvs", joint, None, offset, unit="deg"))
+        rows.append(_row("joint offset", "ibvs", joint, None, offset, unit="deg"))
     return rows
 
 
@@ -350,14 +305,10 @@ def draw(table: pd.DataFrame, config: TimeResponseConfig) -> dict[str, Figure]:
 
 def _draw_trace(table: pd.DataFrame, found: TimeResponseFindings) -> Figure:
     trace = table[table["case"] == "trace"]
-    styles: dict[str, dict[str, Any]] = {
-        "left": {"color": style.BLUE},
-        "right": {"color": style.ORANGE, "linestyle": "--"},
-    }
     figure = style.new_figure(6.4, 4.4)
     axes = figure.subplots()
-    for eye, look in styles.items():
-        rows = trace[trace["eye"] == eye]
+    for eye, colour, dash in (("left", style.BLUE, "-"), ("right", style.ORANGE, "--")):
+        rows, look = trace[trace["eye"] == eye], {"color": colour, "linestyle": dash}
         axes.plot(1000.0 * rows["time_s"], rows["error_px"], label=f"{eye} eye", **look)
     ends = 0.0
     for band, (_, latest) in found.settle_s.items():
@@ -434,14 +385,9 @@ def _mark(axes: Axes, found: TimeResponseFindings, lag_s: float) -> None:
 
 
 EXPERIMENT: Final = Experiment(
-    name="time-response",
-    title="Physical time response",
+    name="time-response", title="Physical time response",
     article="Section 5.3.2",
-    text=read_template(__package__, "sections/time_response.jinja"),
-    config=TimeResponseConfig,
+    text=read_template(__package__, "sections/time_response.jinja"), config=TimeResponseConfig,
     quick={"trials": 20, "delays_frames": (0, 2, 4, 6, 8, 10, 12)},
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip

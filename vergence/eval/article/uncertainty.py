@@ -592,26 +592,13 @@ def _draw_averaging(table: pd.DataFrame) -> Figure:
 
 
 EXPERIMENT: Final = Experiment(
-    name=NAME,
-    title="Uncertainty",
+    name=NAME, title="Uncertainty",
     article="Section 4, Eqs. 25 to 36",
-    text=read_template(__package__, "sections/uncertainty.jinja"),
-    config=UncertaintyConfig,
+    text=read_template(__package__, "sections/uncertainty.jinja"), config=UncertaintyConfig,
     quick={
-        "draws": 200,
-        "point_step": 10,
-        "gains": (1.0, 4.0),
-        "heads": 40,
-        "loop_samples": 600,
-        "image_gains": (4.0,),
-        "image_samples": 900,
-        "reach_draws": 100,
-        "averaging_depths_m": (1.5, 2.5),
-        "frames": 256,
-        "replicates": 6,
+        "draws": 200, "point_step": 10, "gains": (1.0, 4.0), "heads": 40, "loop_samples": 600,
+        "image_gains": (4.0,), "image_samples": 900, "reach_draws": 100,
+        "averaging_depths_m": (1.5, 2.5), "frames": 256, "replicates": 6,
     },
-    run=run,
-    summarise=summarise,
-    numbers=numbers,
-    draw=draw,
-)
+    run=run, summarise=summarise, numbers=numbers, draw=draw,
+)  # fmt: skip
