@@ -22,7 +22,6 @@ from vergence.eval.article.twin import (
     measure_head_noise,
     rank_in_population,
     settled_fix_errors_m,
-    verdict,
     with_common_tilt,
 )
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
@@ -37,9 +36,9 @@ def test_a_figure_between_the_10th_and_90th_percentile_is_inside():
     assert placed.inside
     assert (placed.low, placed.median, placed.high) == (10.0, 50.0, 90.0)
     assert placed.percentile == pytest.approx(100.0 * 51 / 101)
-    assert verdict(placed) == verdict(rank_in_population(10.0, POPULATION)) == "inside"
+    assert placed.verdict == rank_in_population(10.0, POPULATION).verdict == "inside"
     for value in (5.0, 95.0):
-        assert verdict(rank_in_population(value, POPULATION)) == "outside"
+        assert rank_in_population(value, POPULATION).verdict == "outside"
 
 
 def test_figures_inside_are_counted():

@@ -20,7 +20,7 @@ of the squares of its impulse response, which solves a discrete Lyapunov equatio
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import exp
 from typing import Any, Final, NamedTuple
 
@@ -145,6 +145,12 @@ class ClosedLoop:
     """Seed of all noise."""
     trial: int = 0
     """Trial number of the first head under that seed; the other heads take the next numbers."""
+
+    def imaged(self, true_head: HeadModel, trial: int) -> "ClosedLoop":
+        """This loop with one true head, of batch shape (1,), on rendered images."""
+        return replace(
+            self, true_head=true_head, num=1, plant="rendered", plant_options={}, trial=trial
+        )
 
 
 class GazeRecord(NamedTuple):

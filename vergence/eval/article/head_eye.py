@@ -13,7 +13,7 @@ from vergence.calibration.head.recording import HeadFrames
 from vergence.calibration.head.simulated import quantised, simulate_recording
 from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
 from vergence.eval.article.hand_eye import refine_by_reprojection, solve_both_eyes
-from vergence.eval.article.reported import static_points
+from vergence.eval.article.reported import ARTICLE_LARGEST_PERCENT, static_points
 from vergence.eval.article.twin import draw_heads
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.head import HeadModel
@@ -21,7 +21,7 @@ from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors
 from vergence.reporting import style
-from vergence.reporting.jobs import Job, Mapper
+from vergence.reporting.jobs import Mapper
 from vergence.reporting.text import Numbers, read_template
 from vergence.triangulation import triangulate_views
 
@@ -56,11 +56,8 @@ def run(config: HeadEyeConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     """Calibrate every head of a population; a row per head, stage, reading and point of Table 5."""
     nominal = load_head(config.head)
     heads = draw_heads(nominal, config.errors, config.heads, seed)
-    jobs: list[Job] = [
-        partial(_calibrated, nominal, heads[i], config, seed, i) for i in range(config.heads)
-    ]
-    frames: list[pd.DataFrame] = list(mapper(jobs))
-    return pd.concat(frames, ignore_index=True)
+    jobs = [partial(_calibrated, nominal, heads[i], config, seed, i) for i in range(config.heads)]
+    return pd.concat(mapper(jobs), ignore_index=True)
 
 
 def _calibrated(
@@ -78,12 +75,8 @@ def _stages(nominal: HeadModel, frames: HeadFrames) -> tuple[HeadModel, ...]:
     """Calibrate the head in each of `STAGES`."""
     closed = solve_both_eyes(nominal, frames)
     refined = refine_by_reprojection(nominal, frames, closed)
-    return (
-        nominal,
-        nominal.replace(head_eye=closed.head_eye),
-        nominal.replace(head_eye=refined.head_eye),
-        calibrate_head(nominal, frames).head,
-    )
+    head_eye = (nominal.replace(head_eye=fit.head_eye) for fit in (closed, refined))
+    return nominal, *head_eye, calibrate_head(nominal, frames).head
 
 
 def _at_points(found: HeadModel, true: HeadModel, number: int, stage: str) -> pd.DataFrame:
@@ -95,24 +88,17 @@ def _at_points(found: HeadModel, true: HeadModel, number: int, stage: str) -> pd
     for reading in READINGS:
         read = quantised(found, q) if reading == "encoders" else q
         fix = triangulate_views(found, read, pixels)
-        tables.append(
-            pd.DataFrame(
-                {
-                    "head": number,
-                    "stage": stage,
-                    "reading": reading,
-                    "point": np.arange(1, len(points) + 1),
-                    "truth_z_mm": 1000.0 * points[:, 2],
-                    "error_z_mm": 1000.0 * (fix.point - points)[:, 2],
-                }
-            )
-        )
+        rows = {
+            "head": number, "stage": stage, "reading": reading,
+            "point": np.arange(1, len(points) + 1), "truth_z_mm": 1000.0 * points[:, 2],
+            "error_z_mm": 1000.0 * (fix.point - points)[:, 2],
+        }  # fmt: skip
+        tables.append(pd.DataFrame(rows))
     return pd.concat(tables)
 
 
 NAME: Final = "head-eye"
-ARTICLE_PERCENT: Final = 6.98
-"""Largest depth error by ITPC at 2.5 m, percent of depth (measured: reported by the article)."""
+ARTICLE_PERCENT: Final = ARTICLE_LARGEST_PERCENT["itpc"]
 
 
 def depth_errors_percent(table: pd.DataFrame, stage: str, reading: str = "exact") -> FloatArray:

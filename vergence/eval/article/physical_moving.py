@@ -13,7 +13,7 @@ from vergence.envs.streams import IntArray
 from vergence.envs.targets.prescribed import LineTarget
 from vergence.eval.article.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.article.experiment import Experiment, SummaryRow
-from vergence.eval.article.reported import ReportedResult, reported_result
+from vergence.eval.article.reported import ARTICLE_GAIN, ReportedResult, reported_result
 from vergence.eval.article.twin import (
     AXES,
     METHOD_LABELS,
@@ -26,7 +26,6 @@ from vergence.eval.article.twin import (
     draw_heads,
     draw_population,
     rank_in_population,
-    verdict,
 )
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -91,19 +90,14 @@ def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame
     loop = _loop(drawn, config, seed)
     errors = config.errors.scaled(drawn.scale)
     halved = dataclasses.replace(errors, common_tilt_rad=0.5 * errors.common_tilt_rad)
-    heads = {
-        "population": drawn.heads,
-        "half tilt": draw_heads(drawn.nominal, halved, config.heads, seed),
-    }
     firsts = range(0, config.heads, _CHUNK)
     jobs: list[Job] = [
         partial(_follow, loop, group[first : first + _CHUNK], first)
-        for group in heads.values()
+        for group in (drawn.heads, draw_heads(drawn.nominal, halved, config.heads, seed))
         for first in firsts
     ]
-    seeing = dataclasses.replace(loop, plant="rendered", plant_options={})
     imaged = drawn.heads[drawn.imaged_head : drawn.imaged_head + 1]
-    jobs.append(partial(_follow, seeing, imaged, _IMAGED_TRIAL))
+    jobs.append(partial(_errors_along, loop.imaged(imaged, _IMAGED_TRIAL)))
     *parts, seen = mapper(jobs)
     population, half_tilt = _joined(parts[: len(firsts)]), _joined(parts[len(firsts) :])
     kept = slice(None, None, config.table_every)
@@ -129,22 +123,20 @@ def _loop(drawn: TwinPopulation, config: PhysicalMovingConfig, seed: int) -> Clo
     periods = int(length / config.speed_m_s * drawn.nominal.timing.control_rate_hz)
     depth_m = 0.5 * (config.origin_mm[2] + config.end_mm[2]) / MM
     return ClosedLoop(
-        head=drawn.nominal,
-        target=target,
-        samples=1 + periods // config.every,
-        every=config.every,
-        settle_s=config.settle_s,
-        plant="kinematic",
-        plant_options={"detection_noise_px": drawn.noise_at(depth_m)},
-        seed=seed,
-    )
+        head=drawn.nominal, target=target, samples=1 + periods // config.every,
+        every=config.every, settle_s=config.settle_s, plant="kinematic",
+        plant_options={"detection_noise_px": drawn.noise_at(depth_m)}, seed=seed,
+    )  # fmt: skip
 
 
 def _follow(loop: ClosedLoop, heads: HeadModel, trial: int) -> _Errors:
     """Run some heads along the line."""
-    record = hold_gaze(
-        dataclasses.replace(loop, true_head=heads, num=heads.batch_shape[0], trial=trial)
-    )
+    num = heads.batch_shape[0]
+    return _errors_along(dataclasses.replace(loop, true_head=heads, num=num, trial=trial))
+
+
+def _errors_along(loop: ClosedLoop) -> _Errors:
+    record = hold_gaze(loop)
     return _Errors(
         record.time_s[:, 0] - loop.settle_s,
         MM * record.target[:, 0],
@@ -167,27 +159,17 @@ def _head_rows(group: str, seen: _Errors, heads: IntArray) -> pd.DataFrame:
             mean=[np.nanmean(own, axis=0) for own in by_axis],
             std=[np.nanstd(own, axis=0, ddof=1) for own in by_axis],
         )
-        frames.append(
-            pd.DataFrame(
-                {"case": "head", "group": group, "head": heads, "method": method, **columns}
-            )
-        )
+        keys = {"case": "head", "group": group, "head": heads, "method": method}
+        frames.append(pd.DataFrame({**keys, **columns}))
     return pd.concat(frames)
 
 
 def _time_rows(seen: _Errors, kept: slice) -> pd.DataFrame:
-    frames: list[pd.DataFrame] = [
-        pd.DataFrame(
-            {
-                "case": "time",
-                "group": "imaged",
-                "method": method,
-                "time_s": seen.time_s[kept],
-                **axis_columns(truth=seen.target[kept].T, error=error[kept, 0].T),
-            }
-        )
-        for method, error in seen.errors.items()
-    ]
+    frames = []
+    for method, error in seen.errors.items():
+        keys = {"case": "time", "group": "imaged", "method": method, "time_s": seen.time_s[kept]}
+        columns = axis_columns(truth=seen.target[kept].T, error=error[kept, 0].T)
+        frames.append(pd.DataFrame({**keys, **columns}))
     return pd.concat(frames)
 
 
@@ -196,27 +178,18 @@ def _band_rows(population: _Errors, kept: slice) -> pd.DataFrame:
     for method, error in population.errors.items():
         for k, axis in enumerate(AXES):
             low, median, high = np.percentile(np.abs(error[kept, :, k]), [10.0, 50.0, 90.0], axis=1)
-            frames.append(
-                pd.DataFrame(
-                    {
-                        "case": "band",
-                        "group": "population",
-                        "method": method,
-                        "axis": axis,
-                        "time_s": population.time_s[kept],
-                        "low_mm": low,
-                        "median_mm": median,
-                        "high_mm": high,
-                    }
-                )
-            )
+            rows = pd.DataFrame({
+                "case": "band", "group": "population", "method": method, "axis": axis,
+                "time_s": population.time_s[kept], "low_mm": low, "median_mm": median,
+                "high_mm": high,
+            })  # fmt: skip
+            frames.append(rows)
     return pd.concat(frames)
 
 
 NAME: Final = "physical moving"
+_row = partial(SummaryRow.of, NAME)
 _MIDDLE: Final = ", middle 80 % of the heads"
-_GAIN: Final = 4.0
-"""Gain of the control law, 1/s (physical: a setting of the article's system)."""
 _FARTHEST_STATIC_M: Final = 2.5
 """Depth of the farthest static point, m (physical: the article's Table 5)."""
 
@@ -245,31 +218,24 @@ def population_rank(
 def summarise(table: pd.DataFrame, config: PhysicalMovingConfig) -> list[SummaryRow]:
     """Rows of the summary: median and middle 80 % of the heads, and the head with images."""
     del config
-    rows = []
+    rows, quantity = [], "mean absolute error"
     for axis in AXES:
         for method in METHODS:
-            placed, quantity = population_rank(table, method, axis), "mean absolute error"
-            rows.append(SummaryRow.of(NAME, quantity, method, axis, placed.article, placed.median))
-            rows.append(_row(f"{quantity}{_MIDDLE}", method, axis, placed))
+            rank = population_rank(table, method, axis)
+            rows.append(_row(quantity, method, axis, rank.article, rank.median))
+            rows.append(_rank_row(quantity, method, axis, rank))
             seen = float(column_by_head(table, "imaged", method, f"mean_abs_{axis}_mm")[0])
-            rows.append(
-                SummaryRow.of(NAME, "mean absolute error, head with images", method, axis, None,
-                              seen)
-            )  # fmt: skip
-        rows.append(
-            _row(f"mean absolute error, gaze less ITPC{_MIDDLE}", "both", axis, _apart(table, axis))
-        )
+            rows.append(_row(f"{quantity}, head with images", method, axis, None, seen))
+        rows.append(_rank_row(f"{quantity}, gaze less ITPC", "both", axis, _apart(table, axis)))
     for method in METHODS:
-        placed = population_rank(table, method, "y", "half tilt")
-        rows.append(
-            _row(f"mean absolute error, half the common tilt{_MIDDLE}", method, "y", placed)
-        )
+        rank = population_rank(table, method, "y", "half tilt")
+        rows.append(_rank_row(f"{quantity}, half the common tilt", method, "y", rank))
     return rows
 
 
-def _row(quantity: str, method: str, axis: str, placed: RankInPopulation) -> SummaryRow:
-    return SummaryRow.of(NAME, quantity, method, axis, placed.article, (placed.low, placed.high),
-                         verdict(placed))  # fmt: skip
+def _rank_row(quantity: str, method: str, axis: str, rank: RankInPopulation) -> SummaryRow:
+    ours = (rank.low, rank.high)
+    return _row(f"{quantity}{_MIDDLE}", method, axis, rank.article, ours, rank.verdict)
 
 
 def _apart(table: pd.DataFrame, axis: str) -> RankInPopulation:
@@ -304,7 +270,7 @@ def numbers(table: pd.DataFrame, config: PhysicalMovingConfig) -> Numbers:
         apart = _apart(table, axis)
         values |= {
             f"trail_{axis}_mm": float(np.median(gaze - itpc)),
-            f"lag_{axis}_mm": -velocity / _GAIN,
+            f"lag_{axis}_mm": -velocity / ARTICLE_GAIN,
             f"apart_{axis}_low_mm": apart.low,
             f"apart_{axis}_high_mm": apart.high,
         }

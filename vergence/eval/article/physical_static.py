@@ -1,6 +1,5 @@
 """The physical twin on static targets: Table 5, Figures 10 and 11."""
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -34,7 +33,12 @@ from vergence.eval.article.error_budget import (
     off_axis_rows,
 )
 from vergence.eval.article.experiment import Experiment, SummaryRow
-from vergence.eval.article.reported import ReportedResult, reported_result, reported_results
+from vergence.eval.article.reported import (
+    ARTICLE_LARGEST_PERCENT,
+    ReportedResult,
+    reported_result,
+    reported_results,
+)
 from vergence.eval.article.twin import (
     AXES,
     METHOD_LABELS,
@@ -48,8 +52,8 @@ from vergence.eval.article.twin import (
     depth_errors_percent,
     draw_population,
     fixation_rows,
+    rank_ends,
     rank_in_population,
-    verdict,
 )
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, FloatArray
@@ -57,9 +61,6 @@ from vergence.reporting import style
 from vergence.reporting.jobs import Job, Mapper
 from vergence.reporting.text import Numbers, read_template
 from vergence.triangulation import triangulate_gaze
-
-ARTICLE_LARGEST_PERCENT: Final = {"gaze": 4.97, "itpc": 6.98}
-"""The article's largest depth errors, percent of depth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,20 +126,15 @@ def _encoder_step(drawn: TwinPopulation) -> dict[str, float]:
     step = np.zeros(7)
     step[EYES.start + 1] = nominal.sensor.encoder_resolution_rad
     moved = abs(float((triangulate_gaze(nominal, q + step).point - far)[2]))
-    return {
-        "encoder_step_mm": MM * moved,
-        "encoder_step_percent": 100.0 * moved / float(far[2]),
-    }
+    percent = 100.0 * moved / float(far[2])
+    return {"encoder_step_mm": MM * moved, "encoder_step_percent": percent}
 
 
 def _population(loop: ClosedLoop, number: int) -> pd.DataFrame:
     """Run all heads at one point, without images."""
     record = hold_gaze(loop)
     which = np.arange(loop.num or 1)
-    frames: list[pd.DataFrame] = [
-        _rows("population", method, record, which, number) for method in METHODS
-    ]
-    return pd.concat(frames)
+    return pd.concat([_rows("population", method, record, which, number) for method in METHODS])
 
 
 def _imaged(loop: ClosedLoop, which: int, number: int) -> pd.DataFrame:
@@ -146,9 +142,7 @@ def _imaged(loop: ClosedLoop, which: int, number: int) -> pd.DataFrame:
     nominal = loop.head
     assert loop.true_head is not None  # a population's loop
     head: HeadModel = loop.true_head[which]
-    record = hold_gaze(
-        dataclasses.replace(loop, true_head=head[None], num=1, plant="rendered", plant_options={})
-    )
+    record = hold_gaze(loop.imaged(head[None], loop.trial))
     sigma_px = detection_sigma(record.pixels)[0]
     q = record.positions.mean(axis=0)[0]
     pixels = np.nanmean(record.pixels, axis=0)[0]
@@ -156,16 +150,14 @@ def _imaged(loop: ClosedLoop, which: int, number: int) -> pd.DataFrame:
         "gaze": gaze_uncertainty_mm(nominal, q, sigma_px),
         "itpc": itpc_uncertainty_mm(nominal, q, pixels, sigma_px),
     }
-    frames: list[pd.DataFrame] = [
+    return pd.concat([
         _rows("imaged", method, record, np.array([which]), number).assign(
             **axis_columns(uncertainty=uncertainty[method]),
             sigma_rms_px=float(np.sqrt(np.mean(sigma_px**2))),
-            sigma_least_px=float(sigma_px.min()),
-            sigma_greatest_px=float(sigma_px.max()),
+            sigma_least_px=float(sigma_px.min()), sigma_greatest_px=float(sigma_px.max()),
         )
         for method in METHODS
-    ]
-    return pd.concat(frames)
+    ])  # fmt: skip
 
 
 def _rows(
@@ -175,25 +167,19 @@ def _rows(
     error = record.gaze_error_mm if method == "gaze" else record.itpc_error_mm
     by_axis = np.moveaxis(error, -1, 0)
     pixel_error = np.linalg.norm(np.nanmean(record.pixel_error, axis=0), axis=-1)
-    return pd.DataFrame(
-        {
-            "case": "fixation",
-            "group": group,
-            "head": heads,
-            "point": number,
-            "method": method,
-            "truth_z_mm": MM * record.target[0, :, 2],
-            "pixel_error_px": pixel_error.max(-1),
-            "seen_share": np.isfinite(record.pixels).all(axis=(-2, -1)).mean(axis=0),
-            **axis_columns(
-                error=[np.nanmean(own, axis=0) for own in by_axis],
-                scatter=[np.nanstd(own, axis=0, ddof=1) for own in by_axis],
-            ),
-        }
-    )
+    return pd.DataFrame({
+        "case": "fixation", "group": group, "head": heads, "point": number, "method": method,
+        "truth_z_mm": MM * record.target[0, :, 2], "pixel_error_px": pixel_error.max(-1),
+        "seen_share": np.isfinite(record.pixels).all(axis=(-2, -1)).mean(axis=0),
+        **axis_columns(
+            error=[np.nanmean(own, axis=0) for own in by_axis],
+            scatter=[np.nanstd(own, axis=0, ddof=1) for own in by_axis],
+        ),
+    })  # fmt: skip
 
 
 NAME: Final = "physical static"
+_row = partial(SummaryRow.of, NAME)
 ARTICLE_SMALLEST_PERCENT: Final = {"gaze": 0.23, "itpc": 0.38}
 """The article's smallest depth errors, percent of depth."""
 STILL_MM: Final = 1e-3
@@ -207,15 +193,9 @@ def article_results(quantity: str) -> list[ReportedResult]:
     return [r for r in reported_results() if (r.experiment, r.quantity) == (NAME, quantity)]
 
 
-def population_ranks(
-    table: pd.DataFrame, row: ReportedResult
-) -> tuple[RankInPopulation, RankInPopulation]:
-    """Placements of the article's least and greatest error in `row` among the heads'."""
-    errors = absolute_errors_mm(fixation_rows(table), row.method, row.axis)
-    least, greatest = row.span
-    return rank_in_population(least, errors.min(axis=1)), rank_in_population(
-        greatest, errors.max(axis=1)
-    )
+def population_ranks(table: pd.DataFrame, row: ReportedResult) -> tuple[RankInPopulation, ...]:
+    """Ranks of the article's least and greatest error in `row` among the heads'."""
+    return rank_ends(row.span, absolute_errors_mm(fixation_rows(table), row.method, row.axis))
 
 
 def summarise(table: pd.DataFrame, config: PhysicalStaticConfig) -> list[SummaryRow]:
@@ -227,98 +207,80 @@ def summarise(table: pd.DataFrame, config: PhysicalStaticConfig) -> list[Summary
     `alike`.
     """
     return [
-        *_reported_rows(table),
-        *_population_rows(table),
-        *_imaged_rows(table),
-        *_method_rows(table),
-        *_off_axis_rows(table, config),
-        *_budget_rows(table),
-    ]
+        *_reported_rows(table), *_population_rows(table), *_imaged_rows(table),
+        *_off_axis_rows(table, config), *_budget_rows(table),
+    ]  # fmt: skip
 
 
 def _reported_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     for r in article_results("absolute error"):
-        low, high = population_ranks(table, r)
+        ours = tuple(rank.median for rank in population_ranks(table, r))
         # the error scale was set by the largest depth error by gaze
         chosen = BY_CONSTRUCTION if (r.method, r.axis) == ("gaze", "z") else None
-        yield SummaryRow.of(NAME, r.quantity, r.method, r.axis, r.span,
-                            (low.median, high.median), chosen)  # fmt: skip
+        yield _row(r.quantity, r.method, r.axis, r.span, ours, chosen)
     for r in article_results("uncertainty"):
         ours = _range(fixation_rows(table, "imaged")[f"uncertainty_{r.axis}_mm"])
-        yield SummaryRow.of(NAME, r.quantity, r.method, r.axis, r.span, ours)
+        yield _row(r.quantity, r.method, r.axis, r.span, ours)
 
 
 def _population_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     """Statistics of the population, 10th to 90th percentile of the heads."""
     population = fixation_rows(table)
-    yield SummaryRow.of(NAME, "scale of all spreads", "both", "all", None,
-                        float(_twin(table)["scale"]), unit="1")  # fmt: skip
+    yield _row("scale of all spreads", "both", "all", None, float(_twin(table)["scale"]), unit="1")
     for method in METHODS:
         relative = depth_errors_percent(population, method)
         largest = rank_in_population(ARTICLE_LARGEST_PERCENT[method], relative.max(axis=1))
         smallest = rank_in_population(ARTICLE_SMALLEST_PERCENT[method], relative.min(axis=1))
-        chosen = BY_CONSTRUCTION if method == "gaze" else verdict(largest)
-        for quantity, placed, said in (
-            ("largest depth error", largest, chosen),
-            ("smallest depth error", smallest, verdict(smallest)),
+        chosen = BY_CONSTRUCTION if method == "gaze" else largest.verdict
+        for which, rank, said in (
+            ("largest", largest, chosen),
+            ("smallest", smallest, smallest.verdict),
         ):
-            yield SummaryRow.of(NAME, f"{quantity}, middle 80 % of the heads", method, "z",
-                                placed.article, (placed.low, placed.high), said, "%")  # fmt: skip
+            quantity = f"{which} depth error, middle 80 % of the heads"
+            yield _row(quantity, method, "z", rank.article, (rank.low, rank.high), said, "%")
         for axis in AXES:
-            low, high = np.percentile(
-                absolute_errors_mm(population, method, axis).mean(axis=1), [10.0, 90.0]
-            )
-            yield SummaryRow.of(NAME, "mean absolute error", method, axis, None, (low, high))
+            means = absolute_errors_mm(population, method, axis).mean(axis=1)
+            low, high = np.percentile(means, [10.0, 90.0])
+            yield _row("mean absolute error", method, axis, None, (low, high))
 
 
 def _imaged_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
-    imaged = fixation_rows(table, "imaged")
+    imaged, apart = fixation_rows(table, "imaged"), _apart(table)
     for method in METHODS:
         for axis in AXES:
-            yield SummaryRow.of(NAME, "absolute error, head with images", method, axis, None,
-                                _range(absolute_errors_mm(imaged, method, axis)))  # fmt: skip
-
-
-def _method_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
-    apart = _apart(table)
-    yield SummaryRow.of(NAME, "gaze and ITPC apart in depth at settled fixations", "both", "z",
-                        _article_apart_mm(),
-                        (float(np.median(apart)), float(apart.max())))  # fmt: skip
+            ours = _range(absolute_errors_mm(imaged, method, axis))
+            yield _row("absolute error, head with images", method, axis, None, ours)
+    yield _row("gaze and ITPC apart in depth at settled fixations", "both", "z",
+               _article_apart_mm(), (float(np.median(apart)), float(apart.max())))  # fmt: skip
 
 
 def _off_axis_rows(table: pd.DataFrame, config: PhysicalStaticConfig) -> Iterator[SummaryRow]:
     whole = _off_axis(table, ALL)
-    yield SummaryRow.of(NAME, "largest depth error off the axis, median head", "itpc", "z",
-                        ARTICLE_LARGEST_PERCENT["itpc"], _range(whole["itpc_largest_percent"]),
-                        unit="%")  # fmt: skip
-    yield SummaryRow.of(NAME, "offset from which ITPC is worse than gaze, all errors", "both", "z",
-                        None, crossover_px(whole, config.worse_margin), unit="px")  # fmt: skip
+    yield _row("largest depth error off the axis, median head", "itpc", "z",
+               ARTICLE_LARGEST_PERCENT["itpc"], _range(whole["itpc_largest_percent"]),
+               unit="%")  # fmt: skip
+    yield _row("offset from which ITPC is worse than gaze, all errors", "both", "z",
+               None, crossover_px(whole, config.worse_margin), unit="px")  # fmt: skip
     for source in (ALL, *BUDGET_SOURCES):
         rows = _off_axis(table, source)
         last = rows.iloc[-1]
-        yield SummaryRow.of(
-            NAME,
+        gaze, itpc = last["gaze_rms_percent"], last["itpc_rms_percent"]
+        verdict = "ITPC better" if itpc < (1.0 - config.worse_margin) * gaze else "alike"
+        if np.isfinite(crossover_px(rows, config.worse_margin)):
+            verdict = "ITPC worse"
+        quantity = (
             f"rms depth error of ITPC {last['offset_px']:g} px off the axis less that of gaze, "
-            f"{_label(source)}",
-            "both", "z", None, round(last["itpc_rms_percent"] - last["gaze_rms_percent"], _DIGITS),
-            _off_axis_verdict(rows, config.worse_margin), "%",
-        )  # fmt: skip
-
-
-def _off_axis_verdict(rows: pd.DataFrame, margin: float) -> str:
-    if np.isfinite(crossover_px(rows, margin)):
-        return "ITPC worse"
-    last = rows.iloc[-1]
-    better = last["itpc_rms_percent"] < (1.0 - margin) * last["gaze_rms_percent"]
-    return "ITPC better" if better else "alike"
+            f"{_label(source)}"
+        )
+        yield _row(quantity, "both", "z", None, round(itpc - gaze, _DIGITS), verdict, "%")
 
 
 def _budget_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     """Depth errors from each source alone, over Table 5's points."""
     for source, rows in table[table["case"] == "budget"].groupby("source", sort=False):
-        yield SummaryRow.of(NAME, f"rms depth error of a fixation, {_label(str(source))}", "both",
-                            "z", None, _range(rows["rms_depth_error_percent"].round(_DIGITS)),
-                            unit="%")  # fmt: skip
+        ours = _range(rows["rms_depth_error_percent"].round(_DIGITS))
+        quantity = f"rms depth error of a fixation, {_label(str(source))}"
+        yield _row(quantity, "both", "z", None, ours, unit="%")
 
 
 def _label(source: str) -> str:

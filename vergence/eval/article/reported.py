@@ -7,12 +7,17 @@ import csv
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
+
+ARTICLE_GAIN: Final = 4.0
+"""Gain of the article's control law, 1/s (physical: a setting of the article's system)."""
+ARTICLE_LARGEST_PERCENT: Final = {"gaze": 4.97, "itpc": 6.98}
+"""The article's largest depth errors of static targets on its head, percent of depth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +73,7 @@ def reported_result(experiment: str, quantity: str, method: str, axis: str) -> R
     raise ConfigurationError(f"reported: expected a result of the article, got {wanted}")
 
 
-def static_points(
-    which: Literal["simulated", "physical", "zed_mini"],
-) -> FloatArray:
+def static_points(which: Literal["simulated", "physical", "zed_mini"]) -> FloatArray:
     """(points, 3) static target points of Table 3, 5 or 7, in N, m."""
     name = {
         "simulated": "table3_simulated_static_points.csv",

@@ -20,7 +20,7 @@ from vergence.eval.article.closed_loop import (
     with_joint_offsets,
 )
 from vergence.eval.article.experiment import job_rng
-from vergence.eval.article.reported import static_points
+from vergence.eval.article.reported import ARTICLE_GAIN, ARTICLE_LARGEST_PERCENT, static_points
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
@@ -57,6 +57,11 @@ class RankInPopulation(NamedTuple):
         """True if the article's figure lies between the 10th and 90th percentile."""
         return self.low <= self.article <= self.high
 
+    @property
+    def verdict(self) -> str:
+        """`inside` or `outside`."""
+        return "inside" if self.inside else "outside"
+
 
 def rank_in_population(article: float, population: ArrayLike) -> RankInPopulation:
     """Compare a figure of the article with a population's, (heads,)."""
@@ -66,23 +71,20 @@ def rank_in_population(article: float, population: ArrayLike) -> RankInPopulatio
     return RankInPopulation(article, float(low), float(median), float(high), below)
 
 
-def verdict(placement: RankInPopulation) -> str:
-    """`inside` if the article's figure lies between our 10th and 90th percentile, or `outside`."""
-    return "inside" if placement.inside else "outside"
+def rank_ends(span: tuple[float, float], values: FloatArray) -> tuple[RankInPopulation, ...]:
+    """Ranks of the article's least and greatest figure among those of heads, (heads, points)."""
+    ends = (values.min(axis=1), values.max(axis=1))
+    return tuple(rank_in_population(*pair) for pair in zip(span, ends, strict=True))
 
 
-def count_inside(placements: Sequence[RankInPopulation]) -> int:
+def count_inside(ranks: Sequence[RankInPopulation]) -> int:
     """Count the article's figures that lie between the 10th and 90th percentile of ours."""
-    return sum(placement.inside for placement in placements)
+    return sum(rank.inside for rank in ranks)
 
 
 def axis_columns(**values: Sequence[FloatArray] | FloatArray) -> dict[str, FloatArray]:
     """Columns of a table such as `error_x_mm`, from three arrays per name, one for each axis."""
-    return {
-        f"{name}_{axis}_mm": value[k]
-        for k, axis in enumerate(AXES)
-        for name, value in values.items()
-    }
+    return {f"{name}_{a}_mm": v[k] for k, a in enumerate(AXES) for name, v in values.items()}
 
 
 def fixation_rows(table: pd.DataFrame, group: str = "population") -> pd.DataFrame:
@@ -118,7 +120,7 @@ class TwinConfig:
     """Number of true heads drawn."""
     errors: ModelErrors = TWIN_SPREADS
     """Standard deviations of the true heads' model errors, before scaling."""
-    largest_error_percent: float = 4.97
+    largest_error_percent: float = ARTICLE_LARGEST_PERCENT["gaze"]
     """Largest depth error by gaze of the article's head over the static points, percent of depth.
     The scale is set so that the population's median is equal to it."""
     scale: float = 0.0
@@ -167,23 +169,14 @@ class DetectorNoise(NamedTuple):
     def table(self, points: FloatArray) -> pd.DataFrame:
         """Rows of an experiment's table, one per place."""
         sigma, bias = self.over_cameras()
-        return pd.DataFrame(
-            {
-                "case": "detector",
-                "point": np.arange(1, len(points) + 1),
-                "truth_z_mm": MM * points[:, 2],
-                "sigma_px": sigma,
-                "bias_px": bias,
-            }
-        )
+        return pd.DataFrame({
+            "case": "detector", "point": np.arange(1, len(points) + 1),
+            "truth_z_mm": MM * points[:, 2], "sigma_px": sigma, "bias_px": bias,
+        })  # fmt: skip
 
 
 def _detections(
-    camera: Camera,
-    rendering: Rendering,
-    T_C_T: FloatArray,
-    frames: int,
-    rng: np.random.Generator,
+    camera: Camera, rendering: Rendering, T_C_T: FloatArray, frames: int, rng: np.random.Generator
 ) -> FloatArray:
     """(frames, 2) detected centres of a tag at a fixed pose, px; nan where not found."""
     tag = AprilTag()
@@ -198,12 +191,9 @@ def _detections(
 
 
 def measure_pair_noise(
-    cameras: tuple[Camera, Camera],
-    rendering: Rendering,
-    T_C_T: FloatArray,
-    frames: int,
+    cameras: tuple[Camera, Camera], rendering: Rendering, T_C_T: FloatArray, frames: int,
     rng: np.random.Generator,
-) -> DetectorNoise:
+) -> DetectorNoise:  # fmt: skip
     """Measure two cameras' detections of a tag at poses T_C_T, (poses, 2, 4, 4), m."""
     sigma, bias = np.empty((2, len(T_C_T), 2, 2))
     for pose, both in enumerate(T_C_T):
@@ -223,10 +213,6 @@ def measure_head_noise(
     cameras = (Camera.of(head, 0), Camera.of(head, 1))
     T_C_T = np.linalg.inv(T_N_C) @ board_pose(point)
     return measure_pair_noise(cameras, head.rendering, T_C_T, frames, rng)
-
-
-ARTICLE_GAIN: Final = 4.0
-"""Gain of the article's control law, 1/s (physical: a setting of the article's system)."""
 
 
 def joint_angles_imaging_at(
@@ -283,13 +269,9 @@ def _noise_gain(nominal: HeadModel) -> float:
 
 
 def mean_fix_errors_m(
-    nominal: HeadModel,
-    heads: HeadModel,
-    points: FloatArray,
-    pixels: ArrayLike | None = None,
-    encoders: bool = True,
-    noise_px: ArrayLike | None = None,
-) -> FloatArray:
+    nominal: HeadModel, heads: HeadModel, points: FloatArray, pixels: ArrayLike | None = None,
+    encoders: bool = True, noise_px: ArrayLike | None = None,
+) -> FloatArray:  # fmt: skip
     """(..., 3) mean errors of the nominal head's fixes on resting targets, m; nan out of sight.
 
     At the principal points gaze and ITPC are the same computation; elsewhere the fixes are ITPC's.
@@ -298,19 +280,14 @@ def mean_fix_errors_m(
     """
     seen = nominal.cameras.principal if pixels is None else np.asarray(pixels)
     q = joint_angles_imaging_at(nominal, heads, points, seen)
-    fix = triangulate_views(
-        nominal, mean_encoder_readings(nominal, q, noise_px) if encoders else q, seen
-    )
-    return fix.point - points
+    read = mean_encoder_readings(nominal, q, noise_px) if encoders else q
+    return triangulate_views(nominal, read, seen).point - points
 
 
 def settled_fix_errors_m(
-    nominal: HeadModel,
-    heads: HeadModel,
-    points: FloatArray,
-    encoders: bool = True,
+    nominal: HeadModel, heads: HeadModel, points: FloatArray, encoders: bool = True,
     noise_px: ArrayLike | None = None,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """(heads, points, 3) errors of settled fixations on all points, m; see `mean_fix_errors_m`."""
     return mean_fix_errors_m(nominal, heads[:, None], points, encoders=encoders, noise_px=noise_px)
 
@@ -395,17 +372,12 @@ class TwinPopulation(NamedTuple):
     ) -> ClosedLoop:
         """Closed loop of all heads before a numbered target at rest, without images."""
         return ClosedLoop(
-            head=self.nominal,
-            true_head=self.heads,
-            num=self.heads.batch_shape[0],
+            head=self.nominal, true_head=self.heads, num=self.heads.batch_shape[0],
             target={"kind": "static", "point": point.tolist(), "start": "fixation"},
-            samples=samples,
-            settle_s=settle_s,
-            plant="kinematic",
-            plant_options={"detection_noise_px": self.noise_at(float(point[2]))},
-            seed=seed,
+            samples=samples, settle_s=settle_s, plant="kinematic",
+            plant_options={"detection_noise_px": self.noise_at(float(point[2]))}, seed=seed,
             trial=number * _TRIALS,
-        )
+        )  # fmt: skip
 
     def table_row(self) -> pd.DataFrame:
         """Error scale and index of the head with images: a row of the experiments' tables."""
@@ -416,11 +388,8 @@ def draw_population(config: TwinConfig, seed: int, mapper: Mapper) -> TwinPopula
     """Measure the detector on images, find the error scale and draw the heads."""
     nominal = load_head(config.head)
     points = static_points("physical")
-    measured = DetectorNoise.stacked(
-        mapper(
-            [partial(_measure, nominal, point, config, seed, i) for i, point in enumerate(points)]
-        )
-    )
+    jobs = [partial(_measure, nominal, point, config, seed, i) for i, point in enumerate(points)]
+    measured = DetectorNoise.stacked(mapper(jobs))
     noise, _ = measured.over_cameras()
     scale = find_error_scale(nominal, config, seed, noise)
     heads = draw_heads(nominal, config.errors.scaled(scale), config.heads, seed)
