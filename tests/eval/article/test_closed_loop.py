@@ -9,11 +9,11 @@ from tests.eval.refusals import not_refused
 from vergence.eval.article.closed_loop import (
     ClosedLoop,
     LinearLoop,
+    _matrices,
     corrected_gaze_fix,
     dither_references_px,
     gaze_uncertainty_mm,
     hold_gaze,
-    impulse_response,
     itpc_uncertainty_mm,
     noise_bandwidth_hz,
     noise_gain,
@@ -131,6 +131,16 @@ def test_without_delay_and_lag_it_is_that_of_an_exponential_average():
 
 def test_a_slow_loop_has_the_bandwidth_of_a_first_order_low_pass():
     assert noise_bandwidth_hz(replace(RIG, gain=0.1)) == pytest.approx(0.1 / 4.0, rel=0.03)
+
+
+def impulse_response(loop, steps):
+    """Response of the optical axis to a single detection that is off by one pixel, px."""
+    step, state = _matrices(loop)
+    response = np.empty(steps)
+    for k in range(steps):
+        response[k] = state[0]
+        state = step @ state
+    return response
 
 
 def test_the_variance_is_the_sum_of_the_squared_impulse_response():

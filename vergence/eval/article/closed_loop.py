@@ -52,28 +52,19 @@ class PerTrialGainLaw:
     """
 
     def __init__(
-        self,
-        head: HeadModel,
-        gain: FloatArray,
-        reference: Callable[[int], FloatArray] | None = None,
+        self, head: HeadModel, gain: FloatArray, reference: Callable[[int], FloatArray]
     ) -> None:
         self._head, self._gain, self._reference = head, gain, reference
         self._layout = ObservationLayout.of(head)
 
     def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], int]:
+        self, observation: NDArray[np.float32], state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None, deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], int]:  # fmt: skip
         """See `vergence.envs.rollout.Policy`; the state is the number of the control period."""
         step = 0 if state is None else int(state)
-        seen = self._layout.decode(observation)
-        error = seen.pixel_error
-        if self._reference is not None:
-            error = error - self._reference(step)
-        limits = np.array(self._layout.action_limits)
+        seen, limits = self._layout.decode(observation), np.array(self._layout.action_limits)
+        error = seen.pixel_error - self._reference(step)
         command = ibvs_command(
             seen.positions_at_exposure, error, self._gain, np.nan, limits, self._head.packed
         )
@@ -81,23 +72,17 @@ class PerTrialGainLaw:
 
 
 def servo_pixel_errors(
-    head: HeadModel,
-    target: Target | Mapping[str, Any],
-    gains: ArrayLike,
-    *,
-    duration_s: float,
-    seed: int,
-    first_trial: int = 0,
-    plant: str = "kinematic",
+    head: HeadModel, target: Target, gains: ArrayLike, *, duration_s: float, seed: int,
+    first_trial: int = 0, plant: str = "kinematic",
     plant_options: Mapping[str, Any] | None = None,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Turn heads to a target under the article's law; gains k1 and k2 per trial, (n, 2), 1/s.
 
     Returns (steps,) seconds since time zero, and (steps, n, 2, 2) true pixel errors, px.
     """
     gain = np.asarray(gains, dtype=np.float64)
     # both eyes have the same gains
-    law = PerTrialGainLaw(head, np.repeat(gain[:, None, :], 2, axis=1))
+    law = PerTrialGainLaw(head, np.repeat(gain[:, None, :], 2, axis=1), lambda _step: np.zeros(2))
     task = GazeTask(len(gain), head=head, plant=plant, target=target, plant_options=plant_options)
     steps = round(duration_s * head.timing.control_rate_hz)
     simulation_of(task.plant)  # refuses a plant without ground truth
@@ -234,26 +219,16 @@ def _samples(loop: ClosedLoop, record: Recorder, present: IntArray) -> GazeRecor
     places = np.arange(steps.shape[1])
     then = truth.target[steps, places]
     samples = GazeRecord(
-        time_s=reading.time_s[present],
-        exposure_s=exposure_s,
-        pixels=pixels,
+        time_s=reading.time_s[present], exposure_s=exposure_s, pixels=pixels,
         pixel_error=record.pixel_error[present],
         true_pixels_at_exposure=true_head.project(truth.positions[steps, places], then),
-        positions=positions,
-        positions_at_exposure=at_exposure,
-        true_positions=truth.positions[present],
-        target=truth.target[present],
-        target_at_exposure=then,
-        gaze=triangulate_gaze(head, positions),
+        positions=positions, positions_at_exposure=at_exposure,
+        true_positions=truth.positions[present], target=truth.target[present],
+        target_at_exposure=then, gaze=triangulate_gaze(head, positions),
         itpc=triangulate_views(head, at_exposure, pixels),
-    )
-    return samples if loop.num is not None else _without_axis(samples)
-
-
-def _without_axis(record: GazeRecord) -> GazeRecord:
-    """The record of one head without the axis over heads."""
-    arrays = {name: _first(value) for name, value in record._asdict().items()}
-    return GazeRecord(**arrays)
+    )  # fmt: skip
+    # one head alone has no axis over heads
+    return samples if loop.num is not None else GazeRecord._make(map(_first, samples))
 
 
 def _first(value: Any) -> Any:
@@ -383,16 +358,6 @@ def noise_gain(loop: LinearLoop) -> float:
     if np.abs(np.linalg.eigvals(step)).max() >= 1.0:
         return float("inf")
     return float(np.sqrt(solve_discrete_lyapunov(step, np.outer(noise, noise))[0, 0]))
-
-
-def impulse_response(loop: LinearLoop, steps: int) -> FloatArray:
-    """(steps,) response of the optical axis to one detection that is off by one pixel, px."""
-    step, state = _matrices(loop)
-    response = np.empty(steps)
-    for k in range(steps):
-        response[k] = state[0]
-        state = step @ state
-    return response
 
 
 def noise_bandwidth_hz(loop: LinearLoop) -> float:

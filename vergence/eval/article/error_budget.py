@@ -91,21 +91,16 @@ def detector_rows(
 ) -> pd.DataFrame:
     """Rows as of `budget_rows` for detector errors (points, 2, 2), px, to first order."""
     q = nominal.fixate(points, nominal.rest()[:3])
-    return _budget(
-        source, points, triangulate_gaze(nominal, q, Noise(pixel_px=error_px)).sigma[:, 2]
-    )
+    sigma = triangulate_gaze(nominal, q, Noise(pixel_px=error_px)).sigma
+    return _budget(source, points, sigma[:, 2])
 
 
 def _budget(source: str, points: FloatArray, depth_error_m: FloatArray) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "case": "budget",
-            "source": source,
-            "point": np.arange(1, len(points) + 1),
-            "truth_z_mm": 1000.0 * points[:, 2],
-            "rms_depth_error_percent": 100.0 * depth_error_m / points[:, 2],
-        }
-    )
+    return pd.DataFrame({
+        "case": "budget", "source": source, "point": np.arange(1, len(points) + 1),
+        "truth_z_mm": 1000.0 * points[:, 2],
+        "rms_depth_error_percent": 100.0 * depth_error_m / points[:, 2],
+    })  # fmt: skip
 
 
 def off_axis_pixels(nominal: HeadModel, offsets_px: tuple[float, ...]) -> FloatArray:
@@ -117,10 +112,7 @@ def off_axis_pixels(nominal: HeadModel, offsets_px: tuple[float, ...]) -> FloatA
 
 
 def off_axis_rows(
-    case: BudgetCase,
-    source: str,
-    offsets_px: tuple[float, ...],
-    excess_percent: float,
+    case: BudgetCase, source: str, offsets_px: tuple[float, ...], excess_percent: float
 ) -> pd.DataFrame:
     """Compare ITPC off the optical axis with gaze on it, with one error source or all.
 
@@ -142,22 +134,19 @@ def off_axis_rows(
         largest = np.abs(there).max(axis=1)
         excess = largest - np.abs(gaze[:, :, 0]).max(axis=1)
         known = np.isfinite(excess)
-        rows.append(
-            {
-                "case": "off axis",
-                "source": source,
-                "offset_px": float(offset),
-                "gaze_rms_percent": _rms(here),
-                "itpc_rms_percent": _rms(there),
-                "added_rms_percent": _rms(there - here),
-                "worse_share": float(np.mean(np.abs(there[valid]) > np.abs(here[valid]))),
-                "possible_share": float(valid.mean()),
-                "itpc_largest_percent": float(np.median(largest[known])) if known.any() else np.nan,
-                "excess_share": float(np.mean(excess[known] >= excess_percent))
-                if known.any()
-                else np.nan,
-            }
-        )
+        typical, share = np.nan, np.nan
+        if known.any():
+            typical = float(np.median(largest[known]))
+            share = float(np.mean(excess[known] >= excess_percent))
+        row = {
+            "case": "off axis", "source": source, "offset_px": float(offset),
+            "gaze_rms_percent": _rms(here), "itpc_rms_percent": _rms(there),
+            "added_rms_percent": _rms(there - here),
+            "worse_share": float(np.mean(np.abs(there[valid]) > np.abs(here[valid]))),
+            "possible_share": float(valid.mean()), "itpc_largest_percent": typical,
+            "excess_share": share,
+        }  # fmt: skip
+        rows.append(row)
     return pd.DataFrame(rows)
 
 

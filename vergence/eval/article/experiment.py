@@ -43,16 +43,10 @@ class SummaryRow:
 
     @classmethod
     def of(
-        cls,
-        experiment: str,
-        quantity: str,
-        method: str,
-        axis: str,
+        cls, experiment: str, quantity: str, method: str, axis: str,
         article: tuple[float | None, float | None] | float | None,
-        ours: tuple[float, float] | float,
-        verdict: str | None = None,
-        unit: str = "mm",
-    ) -> "SummaryRow":
+        ours: tuple[float, ...] | float, verdict: str | None = None, unit: str = "mm",
+    ) -> "SummaryRow":  # fmt: skip
         """Make a row from least and greatest figures, or from single ones.
 
         The article's are None where it reports none, ours nan. Without a verdict the ranges are
@@ -64,18 +58,12 @@ class SummaryRow:
             verdict = "not reported"
             if article_low is not None or article_high is not None:
                 verdict = verdict_of_ranges(low, high, article_low, article_high)
+        low, high = (float(value) if isfinite(value) else None for value in (low, high))
         return cls(
-            experiment=experiment,
-            quantity=quantity,
-            method=method,
-            axis=axis,
-            unit=unit,
-            article_low=article_low,
-            article_high=article_high,
-            ours_low=float(low) if isfinite(low) else None,
-            ours_high=float(high) if isfinite(high) else None,
+            experiment=experiment, quantity=quantity, method=method, axis=axis, unit=unit,
+            article_low=article_low, article_high=article_high, ours_low=low, ours_high=high,
             verdict=verdict,
-        )
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,13 +161,8 @@ _MAY_BE_ZERO: Final = ("settle_s", "worse_margin", "mount_rotation_deg", "mount_
 """Fields that may be zero, besides those whose default has a zero; all others must be positive."""
 _MOST_COUNT: Final = 10_000_000
 """Largest integer that a field may have (chosen: far above any useful count)."""
-_ORDERED: Final = (
-    ("least_gain", "greatest_gain"),
-    ("least_threshold_px", "greatest_threshold_px"),
-)
+_ORDERED: Final = (("least_gain", "greatest_gain"), ("least_threshold_px", "greatest_threshold_px"))
 """Pairs of fields; the first must not exceed the second."""
-_RISING: Final = ("onset_gains",)
-"""Fields with two values, the first below the second."""
 ARTICLE_HEADS: Final = ("simulated", "physical")
 """Names of the article's own heads; the experiments reproduce their figures."""
 _STEPS: Final[tuple[tuple[str, str | None, str], ...]] = (
@@ -230,11 +213,11 @@ def check_bounds(config_name: str, values: Mapping[str, Any]) -> None:
             raise ConfigurationError(
                 f"{config_name}: expected {low} <= {high}, got {values[low]} and {values[high]}"
             )
-    for name in _RISING:
-        if name in values and (len(values[name]) != 2 or not values[name][0] < values[name][1]):
-            raise ConfigurationError(
-                f"{config_name}.{name}: expected two rising numbers, got {values[name]}"
-            )
+    onsets = values.get("onset_gains", (0.0, 1.0))
+    if len(onsets) != 2 or not onsets[0] < onsets[1]:
+        raise ConfigurationError(
+            f"{config_name}.onset_gains: expected two rising numbers, got {onsets}"
+        )
     for step, least, most in _STEPS:
         if step not in values:
             continue

@@ -1,7 +1,7 @@
 """Comparison of the head with a fixed pair of cameras: Tables 6 and 7, Figure 14."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -24,7 +24,7 @@ from vergence.eval.article.twin import (
     count_inside,
     draw_population,
     measure_pair_noise,
-    rank_in_population,
+    rank_ends,
 )
 from vergence.models.camera import Camera, Cameras, camera_matrix
 from vergence.models.head import HeadModel
@@ -86,25 +86,17 @@ def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     drawn = draw_population(config, seed, mapper)
     points = static_points("zed_mini")
     pair = pair_head(config)
-    measured = DetectorNoise.stacked(
-        mapper([partial(_noise, pair, point, config, seed, i) for i, point in enumerate(points)])
-    )
     jobs: list[Job] = [
-        partial(
-            _by_heads,
-            drawn.hold_static_target(
-                i + 1, point, samples=config.samples, settle_s=config.settle_s, seed=seed
-            ),
-            i + 1,
+        partial(_noise, pair, point, config, seed, i) for i, point in enumerate(points)
+    ]
+    measured, jobs = DetectorNoise.stacked(mapper(jobs)), []
+    for number, point in enumerate(points, 1):
+        loop = drawn.hold_static_target(
+            number, point, samples=config.samples, settle_s=config.settle_s, seed=seed
         )
-        for i, point in enumerate(points)
-    ]
-    frames: list[pd.DataFrame] = [
-        drawn.table_row(),
-        measured.table(points),
-        *mapper(jobs),
-        _by_pairs(pair, points, measured, config, seed),
-    ]
+        jobs.append(partial(_by_heads, loop, number))
+    by_heads, by_pairs = mapper(jobs), _by_pairs(pair, points, measured, config, seed)
+    frames = [drawn.table_row(), measured.table(points), *by_heads, by_pairs]
     return pd.concat(frames, ignore_index=True)
 
 
@@ -138,20 +130,14 @@ def _noise(
 def _by_heads(loop: ClosedLoop, number: int) -> pd.DataFrame:
     record = hold_gaze(loop)
     truth = record.target[0]
+    errors = {"gaze": record.gaze_error_mm, "itpc": record.itpc_error_mm}
     return pd.concat(
-        [
-            _rows("gaze", number, truth, np.nanmean(record.gaze_error_mm, axis=0)),
-            _rows("itpc", number, truth, np.nanmean(record.itpc_error_mm, axis=0)),
-        ]
+        [_rows(m, number, truth, np.nanmean(error, axis=0)) for m, error in errors.items()]
     )
 
 
 def _by_pairs(
-    pair: HeadModel,
-    points: FloatArray,
-    noise: DetectorNoise,
-    config: FixedPairConfig,
-    seed: int,
+    pair: HeadModel, points: FloatArray, noise: DetectorNoise, config: FixedPairConfig, seed: int
 ) -> pd.DataFrame:
     """Draw as many pairs as heads; each fix is from the mean of as many images as the head's."""
     rng = job_rng(seed, "fixed pair")
@@ -176,19 +162,14 @@ def _by_pairs(
 
 
 def _rows(method: str, number: int, truth: FloatArray, error_mm: FloatArray) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "case": "fix",
-            "draw": np.arange(len(error_mm)),
-            "point": number,
-            "method": method,
-            "truth_z_mm": MM * truth[:, 2],
-            **axis_columns(error=error_mm.T),
-        }
-    )
+    return pd.DataFrame({
+        "case": "fix", "draw": np.arange(len(error_mm)), "point": number, "method": method,
+        "truth_z_mm": MM * truth[:, 2], **axis_columns(error=error_mm.T),
+    })  # fmt: skip
 
 
 NAME: Final = "versus ZED Mini"
+_row = partial(SummaryRow.of, NAME)
 _BASELINE_M: Final = 0.092
 """Baseline of the head's eyes, m (physical: the article's head)."""
 
@@ -214,13 +195,9 @@ def absolute_differences_mm(table: pd.DataFrame, method: str, axis: str, pair: s
 
 def population_ranks(
     table: pd.DataFrame, r: ReportedResult, pair: str
-) -> tuple[RankInPopulation, RankInPopulation]:
-    """Placements of the article's least and greatest difference among ours."""
-    apart = absolute_differences_mm(table, r.method, r.axis, pair)
-    least, greatest = r.span
-    return rank_in_population(least, apart.min(axis=1)), rank_in_population(
-        greatest, apart.max(axis=1)
-    )
+) -> tuple[RankInPopulation, ...]:
+    """Ranks of the article's least and greatest difference among ours."""
+    return rank_ends(r.span, absolute_differences_mm(table, r.method, r.axis, pair))
 
 
 class Misalignment(NamedTuple):
@@ -240,9 +217,8 @@ class Misalignment(NamedTuple):
     @property
     def misfit_mm(self) -> float:
         """Largest difference between an end of the article's range and of the rotation's."""
-        return max(
-            abs(self.rotation_low_mm - self.low_mm), abs(self.rotation_high_mm - self.high_mm)
-        )
+        ends = (self.rotation_low_mm - self.low_mm, self.rotation_high_mm - self.high_mm)
+        return max(map(abs, ends))
 
 
 def explaining_misalignment(r: ReportedResult, pair_z_mm: float) -> Misalignment:
@@ -265,11 +241,8 @@ def explaining_misalignment(r: ReportedResult, pair_z_mm: float) -> Misalignment
 
 def explaining_misalignments(config: FixedPairConfig) -> dict[str, Misalignment]:
     """Misalignments that explain the article's ranges along x and y, by axis."""
-    return {
-        r.axis: explaining_misalignment(r, config.pair_place_mm[2])
-        for r in article_results()
-        if r.axis in ("x", "y")
-    }
+    z_mm, rows = config.pair_place_mm[2], article_results()
+    return {r.axis: explaining_misalignment(r, z_mm) for r in rows if r.axis in ("x", "y")}
 
 
 def summarise(table: pd.DataFrame, config: FixedPairConfig) -> list[SummaryRow]:
@@ -279,42 +252,27 @@ def summarise(table: pd.DataFrame, config: FixedPairConfig) -> list[SummaryRow]:
     truth; `agrees` if a rotation of the pair alone gives the article's range within a tenth of its
     upper end, else `differs`.
     """
-    return [
-        *_difference_rows(table),
-        *_error_rows(table),
-        *_turn_rows(config),
-    ]
-
-
-def _difference_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
+    rows = []
     for quantity, pair in (
         ("absolute difference", "pair"),
         ("absolute difference, pair's pose unknown", "misaligned"),
     ):
         for r in article_results():
-            low, high = population_ranks(table, r, pair)
-            yield SummaryRow.of(NAME, quantity, r.method, r.axis, r.span,
-                                (low.median, high.median))  # fmt: skip
-
-
-def _error_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
-    for method in ("gaze", "itpc", "pair"):
+            ours = tuple(rank.median for rank in population_ranks(table, r, pair))
+            rows.append(_row(quantity, r.method, r.axis, r.span, ours))
+    for method in _METHODS:
         for axis in AXES:
             low, high = np.percentile(_means(table, method, axis), [10.0, 90.0])
-            yield SummaryRow.of(NAME, "mean absolute error", method, axis, None, (low, high))
-    ratio = _depth_ratio(table)
+            rows.append(_row("mean absolute error", method, axis, None, (low, high)))
+    ratio, quantity = _depth_ratio(table), "mean absolute error, median head over median pair"
     nearer = "pair nearer" if ratio > 1.0 else "head nearer"
-    yield SummaryRow.of(NAME, "mean absolute error, median head over median pair", "gaze", "z",
-                        None, ratio, nearer, "1")  # fmt: skip
-
-
-def _turn_rows(config: FixedPairConfig) -> Iterator[SummaryRow]:
+    rows.append(_row(quantity, "gaze", "z", None, ratio, nearer, "1"))
     for axis, m in explaining_misalignments(config).items():
-        yield SummaryRow.of(
-            NAME, "absolute difference, by a turn of the pair alone", "both", axis,
-            (m.low_mm, m.high_mm), (m.rotation_low_mm, m.rotation_high_mm),
-            "agrees" if m.misfit_mm < 0.1 * m.high_mm else "differs",
-        )  # fmt: skip
+        verdict = "agrees" if m.misfit_mm < 0.1 * m.high_mm else "differs"
+        ours = (m.rotation_low_mm, m.rotation_high_mm)
+        quantity = "absolute difference, by a turn of the pair alone"
+        rows.append(_row(quantity, "both", axis, (m.low_mm, m.high_mm), ours, verdict))
+    return rows
 
 
 def _means(table: pd.DataFrame, method: str, axis: str) -> FloatArray:
