@@ -43,10 +43,8 @@ def shifted_pose(head: HeadModel, eye: int, T_C_T: FloatArray, offset_px: ArrayL
 class FixedView:
     """One eye (0 left, 1 right) before one checkerboard: draws images and detects in them."""
 
-    def __init__(self, head: HeadModel, eye: int, board: str = "checkerboard") -> None:
-        self.head = head
-        self.eye = eye
-        camera, target = Camera.of(head, eye), make_planar_target(board)
+    def __init__(self, head: HeadModel, eye: int) -> None:
+        camera, target = Camera.of(head, eye), make_planar_target("checkerboard")
         self._drawing = TargetRenderer(camera, target, head.rendering)
         self._detector = make_detector(target, camera)
 
@@ -85,12 +83,9 @@ def cramer_rao_bound(head: HeadModel, eye: int, T_C_T: FloatArray) -> CramerRaoB
     rendering = head.rendering
     # full contrast reduces the rounding error of the finite differences
     contrast = (rendering.white_grey - rendering.black_grey) / 255.0
+    background = (rendering.background_grey - rendering.black_grey) / contrast
     plain = dataclasses.replace(
-        rendering,
-        noise_grey=0.0,
-        black_grey=0.0,
-        white_grey=255.0,
-        background_grey=(rendering.background_grey - rendering.black_grey) / contrast,
+        rendering, noise_grey=0.0, black_grey=0.0, white_grey=255.0, background_grey=background
     )
     drawing = TargetRenderer(camera, board, plain)
 

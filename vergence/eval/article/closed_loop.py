@@ -321,19 +321,13 @@ class LinearLoop:
     def of(head: HeadModel, gain: float) -> "LinearLoop":
         """The loop of a head; its frames come at the control rate."""
         timing = head.timing
-        return LinearLoop(
-            gain=gain,
-            period_s=timing.period_s,
-            delay_periods=timing.latency_frames,
-            lag_s=timing.lag_s,
-        )
+        delay, lag_s = timing.latency_frames, timing.lag_s
+        return LinearLoop(gain=gain, period_s=timing.period_s, delay_periods=delay, lag_s=lag_s)
 
     def at_rate(self, rate_hz: float) -> "LinearLoop":
         """This loop at another rate, its delay in seconds rounded to whole periods."""
         delay = round(self.delay_periods * self.period_s * rate_hz)
-        return LinearLoop(
-            gain=self.gain, period_s=1.0 / rate_hz, delay_periods=delay, lag_s=self.lag_s
-        )
+        return replace(self, period_s=1.0 / rate_hz, delay_periods=delay)
 
 
 def _matrices(loop: LinearLoop) -> tuple[FloatArray, FloatArray]:

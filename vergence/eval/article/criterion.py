@@ -99,14 +99,10 @@ _VERDICT_PHRASES: Final = {
 def summarise_article(sections: list[ReportSection]) -> ArticleSummary:
     """Summarise sections for `vergence.reporting.report.write_report`."""
     return ArticleSummary(
-        rows=article_summary_rows(sections),
-        tally=count_verdicts(sections),
-        reported=len(reported_results()),
-        phrases=_VERDICT_PHRASES,
-        verdicts=VERDICTS,
-        other_verdicts=OTHER_VERDICTS,
-        ratio=_ratio,
-    )
+        rows=article_summary_rows(sections), tally=count_verdicts(sections),
+        reported=len(reported_results()), phrases=_VERDICT_PHRASES, verdicts=VERDICTS,
+        other_verdicts=OTHER_VERDICTS, ratio=_ratio,
+    )  # fmt: skip
 
 
 def article_summary_rows(sections: list[ReportSection]) -> list[tuple[str, dict[str, Any]]]:

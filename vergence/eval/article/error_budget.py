@@ -18,21 +18,20 @@ from vergence.triangulation import Noise, triangulate_gaze
 
 ENCODERS: Final = "encoders"
 ALL: Final = "all"
-SOURCE_LABELS: Final = {
-    "link_m": "link lengths",
-    "coaxiality_rad": "coaxiality",
-    "joint_offset_rad": "joint offsets",
-    "head_eye_rad": "head-eye rotation",
-    "head_eye_m": "head-eye translation",
-    "focal_relative": "focal lengths",
-    "principal_px": "principal points",
-    "distortion": "distortion",
-    "common_tilt": "common tilt",
-    ENCODERS: "encoders",
+SOURCES: Final = {
+    "link_m": ("link lengths", "links"),
+    "coaxiality_rad": ("coaxiality", "coaxiality"),
+    "joint_offset_rad": ("joint offsets", "joint offsets"),
+    "head_eye_rad": ("head-eye rotation", "head-eye turn"),
+    "head_eye_m": ("head-eye translation", "head-eye shift"),
+    "focal_relative": ("focal lengths", "focal length"),
+    "principal_px": ("principal points", "principal point"),
+    "distortion": ("distortion", "distortion"),
+    "common_tilt": ("common tilt", "common tilt"),
+    ENCODERS: ("encoders", "encoders"),
 }
-"""Titles of the error sources by their names in tables."""
-BUDGET_SOURCES: Final = tuple(SOURCE_LABELS)
-"""Sources evaluated one at a time here; the detector's errors are added by `detector_rows`."""
+"""Titles, long and short, of the sources evaluated one at a time here, by their names in tables;
+those of the detector are added by `detector_rows`."""
 _DIRECTIONS: Final = 8
 """Number of directions in which the eyes look past the target (numerical)."""
 _REACH_M: Final = 0.03

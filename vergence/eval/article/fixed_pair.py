@@ -11,21 +11,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from vergence.eval.article import twin
 from vergence.eval.article.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
 from vergence.eval.article.reported import ReportedResult, reported_results, static_points
-from vergence.eval.article.twin import (
-    AXES,
-    METHODS,
-    DetectorNoise,
-    RankInPopulation,
-    TwinConfig,
-    axis_columns,
-    count_inside,
-    draw_population,
-    measure_pair_noise,
-    rank_ends,
-)
+from vergence.eval.article.twin import AXES, METHODS
 from vergence.models.camera import Camera, Cameras, camera_matrix
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
@@ -49,7 +39,7 @@ FACTORY_ERRORS: Final = ModelErrors(
 
 
 @dataclass(frozen=True, kw_only=True)
-class FixedPairConfig(TwinConfig):
+class FixedPairConfig(twin.TwinConfig):
     """Configuration of the comparison with a fixed pair."""
 
     samples: int = 120
@@ -83,13 +73,13 @@ def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     draw, point and method). The methods are `gaze` and `itpc` of the drawn head, `pair` of the
     drawn pair, and `misaligned` of that pair with an unknown pose in N.
     """
-    drawn = draw_population(config, seed, mapper)
+    drawn = twin.draw_population(config, seed, mapper)
     points = static_points("zed_mini")
     pair = pair_head(config)
     jobs: list[Job] = [
         partial(_noise, pair, point, config, seed, i) for i, point in enumerate(points)
     ]
-    measured, jobs = DetectorNoise.stacked(mapper(jobs)), []
+    measured, jobs = twin.DetectorNoise.stacked(mapper(jobs)), []
     for number, point in enumerate(points, 1):
         loop = drawn.hold_static_target(
             number, point, samples=config.samples, settle_s=config.settle_s, seed=seed
@@ -116,7 +106,7 @@ def pair_head(config: FixedPairConfig) -> HeadModel:
 
 def _noise(
     pair: HeadModel, point: FloatArray, config: FixedPairConfig, seed: int, number: int
-) -> DetectorNoise:
+) -> twin.DetectorNoise:
     """Scatter and bias of the pair's detections at one point."""
     rng = job_rng(seed, "fixed pair detector", number)
     half_pixel = 0.5 * point[2] / config.pair_focal_px
@@ -124,7 +114,7 @@ def _noise(
     boards = np.stack([board_pose(p) for p in around])
     T_C_T = np.linalg.inv(pair.camera_poses(pair.rest())) @ boards[:, None]
     cameras = (Camera.of(pair, 0), Camera.of(pair, 1))
-    return measure_pair_noise(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
+    return twin.measure_pair_noise(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
 
 
 def _by_heads(loop: ClosedLoop, number: int) -> pd.DataFrame:
@@ -137,7 +127,11 @@ def _by_heads(loop: ClosedLoop, number: int) -> pd.DataFrame:
 
 
 def _by_pairs(
-    pair: HeadModel, points: FloatArray, noise: DetectorNoise, config: FixedPairConfig, seed: int
+    pair: HeadModel,
+    points: FloatArray,
+    noise: twin.DetectorNoise,
+    config: FixedPairConfig,
+    seed: int,
 ) -> pd.DataFrame:
     """Draw as many pairs as heads; each fix is from the mean of as many images as the head's."""
     rng = job_rng(seed, "fixed pair")
@@ -164,7 +158,7 @@ def _by_pairs(
 def _rows(method: str, number: int, truth: FloatArray, error_mm: FloatArray) -> pd.DataFrame:
     return pd.DataFrame({
         "case": "fix", "draw": np.arange(len(error_mm)), "point": number, "method": method,
-        "truth_z_mm": MM * truth[:, 2], **axis_columns(error=error_mm.T),
+        "truth_z_mm": MM * truth[:, 2], **twin.axis_columns(error=error_mm.T),
     })  # fmt: skip
 
 
@@ -195,9 +189,9 @@ def absolute_differences_mm(table: pd.DataFrame, method: str, axis: str, pair: s
 
 def population_ranks(
     table: pd.DataFrame, r: ReportedResult, pair: str
-) -> tuple[RankInPopulation, ...]:
+) -> tuple[twin.RankInPopulation, ...]:
     """Ranks of the article's least and greatest difference among ours."""
-    return rank_ends(r.span, absolute_differences_mm(table, r.method, r.axis, pair))
+    return twin.rank_ends(r.span, absolute_differences_mm(table, r.method, r.axis, pair))
 
 
 class Misalignment(NamedTuple):
@@ -291,7 +285,7 @@ def numbers(table: pd.DataFrame, config: FixedPairConfig) -> Numbers:
     detector = table.loc[table["case"] == "detector", "sigma_px"]
     gaze, itpc, pair = (fix_errors_mm(table, method, "z") for method in ("gaze", "itpc", "pair"))
     inside = {
-        pair: [count_inside(population_ranks(table, r, pair)) for r in article_results()]
+        pair: [twin.count_inside(population_ranks(table, r, pair)) for r in article_results()]
         for pair in ("pair", "misaligned")
     }
     most_m = max(r.span[1] for r in article_results() if r.axis == "z") / 1000.0

@@ -11,22 +11,11 @@ from matplotlib.figure import Figure
 
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.prescribed import LineTarget
+from vergence.eval.article import twin
 from vergence.eval.article.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.article.experiment import Experiment, SummaryRow
 from vergence.eval.article.reported import ARTICLE_GAIN, ReportedResult, reported_result
-from vergence.eval.article.twin import (
-    AXES,
-    METHOD_LABELS,
-    METHODS,
-    RankInPopulation,
-    TwinConfig,
-    TwinPopulation,
-    axis_columns,
-    count_inside,
-    draw_heads,
-    draw_population,
-    rank_in_population,
-)
+from vergence.eval.article.twin import AXES, METHODS
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.reporting import style
@@ -40,7 +29,7 @@ _CHUNK: Final = 25
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhysicalMovingConfig(TwinConfig):
+class PhysicalMovingConfig(twin.TwinConfig):
     """Configuration of the moving target on the physical twin."""
 
     origin_mm: tuple[float, float, float] = (-278.60, -23.13, 957.84)
@@ -86,14 +75,14 @@ def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame
     over the line), `time` (a row per instant and method: the head with images) or `band` (a row per
     instant, method and axis: percentiles of the population).
     """
-    drawn = draw_population(config, seed, mapper)
+    drawn = twin.draw_population(config, seed, mapper)
     loop = _loop(drawn, config, seed)
     errors = config.errors.scaled(drawn.scale)
     halved = dataclasses.replace(errors, common_tilt_rad=0.5 * errors.common_tilt_rad)
     firsts = range(0, config.heads, _CHUNK)
     jobs: list[Job] = [
         partial(_follow, loop, group[first : first + _CHUNK], first)
-        for group in (drawn.heads, draw_heads(drawn.nominal, halved, config.heads, seed))
+        for group in (drawn.heads, twin.draw_heads(drawn.nominal, halved, config.heads, seed))
         for first in firsts
     ]
     imaged = drawn.heads[drawn.imaged_head : drawn.imaged_head + 1]
@@ -112,7 +101,7 @@ def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame
     return pd.concat(frames, ignore_index=True)
 
 
-def _loop(drawn: TwinPopulation, config: PhysicalMovingConfig, seed: int) -> ClosedLoop:
+def _loop(drawn: twin.TwinPopulation, config: PhysicalMovingConfig, seed: int) -> ClosedLoop:
     """Closed loop on the line, begun early so that the eyes follow when the record begins."""
     origin, end = np.array(config.origin_mm) / MM, np.array(config.end_mm) / MM
     length = float(np.linalg.norm(end - origin))
@@ -154,7 +143,7 @@ def _head_rows(group: str, seen: _Errors, heads: IntArray) -> pd.DataFrame:
     frames = []
     for method, error in seen.errors.items():
         by_axis = np.moveaxis(error, -1, 0)
-        columns = axis_columns(
+        columns = twin.axis_columns(
             mean_abs=[np.nanmean(np.abs(own), axis=0) for own in by_axis],
             mean=[np.nanmean(own, axis=0) for own in by_axis],
             std=[np.nanstd(own, axis=0, ddof=1) for own in by_axis],
@@ -168,7 +157,7 @@ def _time_rows(seen: _Errors, kept: slice) -> pd.DataFrame:
     frames = []
     for method, error in seen.errors.items():
         keys = {"case": "time", "group": "imaged", "method": method, "time_s": seen.time_s[kept]}
-        columns = axis_columns(truth=seen.target[kept].T, error=error[kept, 0].T)
+        columns = twin.axis_columns(truth=seen.target[kept].T, error=error[kept, 0].T)
         frames.append(pd.DataFrame({**keys, **columns}))
     return pd.concat(frames)
 
@@ -209,10 +198,10 @@ def column_by_head(table: pd.DataFrame, group: str, method: str, column: str) ->
 
 def population_rank(
     table: pd.DataFrame, method: str, axis: str, group: str = "population"
-) -> RankInPopulation:
+) -> twin.RankInPopulation:
     """Placement of the article's mean absolute error among the heads'."""
     ours = column_by_head(table, group, method, f"mean_abs_{axis}_mm")
-    return rank_in_population(article_result(method, axis).low, ours)
+    return twin.rank_in_population(article_result(method, axis).low, ours)
 
 
 def summarise(table: pd.DataFrame, config: PhysicalMovingConfig) -> list[SummaryRow]:
@@ -233,34 +222,36 @@ def summarise(table: pd.DataFrame, config: PhysicalMovingConfig) -> list[Summary
     return rows
 
 
-def _rank_row(quantity: str, method: str, axis: str, rank: RankInPopulation) -> SummaryRow:
+def _rank_row(quantity: str, method: str, axis: str, rank: twin.RankInPopulation) -> SummaryRow:
     ours = (rank.low, rank.high)
     return _row(f"{quantity}{_MIDDLE}", method, axis, rank.article, ours, rank.verdict)
 
 
-def _apart(table: pd.DataFrame, axis: str) -> RankInPopulation:
+def _apart(table: pd.DataFrame, axis: str) -> twin.RankInPopulation:
     """Placement of the article's difference between the methods among the heads'."""
     gaze, itpc = (column_by_head(table, "population", m, f"mean_abs_{axis}_mm") for m in METHODS)
     article = round(article_result("gaze", axis).low - article_result("itpc", axis).low, 2)
-    return rank_in_population(article, gaze - itpc)
+    return twin.rank_in_population(article, gaze - itpc)
 
 
 def numbers(table: pd.DataFrame, config: PhysicalMovingConfig) -> Numbers:
     """The numbers of the text."""
-    twin = table[table["case"] == "twin"].iloc[0]
+    row = table[table["case"] == "twin"].iloc[0]
     x_mm, _, z_mm = config.middle_mm
     tilt = max(article_result(method, "y").low for method in METHODS) / z_mm
     values = {
-        "scale_ratio": float(twin["scale"]),
-        "inside_count": count_inside([population_rank(table, m, a) for m in METHODS for a in AXES]),
+        "scale_ratio": float(row["scale"]),
+        "inside_count": twin.count_inside(
+            [population_rank(table, m, a) for m in METHODS for a in AXES]
+        ),
         # the error in x that follows from the depth error along the line of sight
         "along_sight_mm": abs(x_mm / z_mm) * article_result("gaze", "z").low,
         "article_tilt_deg": float(np.rad2deg(tilt)),
         "article_tilt_far_mm": 1000.0 * tilt * _FARTHEST_STATIC_M,
         "middle_m": z_mm / 1000.0,
         "assumed_tilt_deg": float(np.rad2deg(config.errors.common_tilt_rad)),
-        "common_tilt_deg": twin["scale"] * float(np.rad2deg(config.errors.common_tilt_rad)),
-        "imaged_head": float(twin["head"]),
+        "common_tilt_deg": row["scale"] * float(np.rad2deg(config.errors.common_tilt_rad)),
+        "imaged_head": float(row["head"]),
     }
     for method in METHODS:
         placed = population_rank(table, method, "y", "half tilt")
@@ -303,7 +294,7 @@ def _trajectory(table: pd.DataFrame) -> Figure:
         for method in METHODS:
             own = rows[rows["method"] == method]
             look = {**style.METHOD_STYLE[method], "linestyle": "none", "markersize": 5}
-            look["label"] = f"{METHOD_LABELS[method]}, images"
+            look["label"] = f"{twin.METHOD_LABELS[method]}, images"
             if method == "itpc":
                 look.update(markerfacecolor="none", markersize=8)
             panel.plot(
@@ -311,8 +302,7 @@ def _trajectory(table: pd.DataFrame) -> Figure:
                 own[f"truth_{axis}_mm"] + own[f"error_{axis}_mm"],
                 **look,
             )
-        panel.set_xlabel("z [mm]")
-        panel.set_ylabel(f"{axis} [mm]")
+        panel.set(xlabel="z [mm]", ylabel=f"{axis} [mm]")
     style.legend_below(figure, 3)
     return figure
 
@@ -330,13 +320,11 @@ def _errors(table: pd.DataFrame) -> Figure:
             own = rows[rows["method"] == method]
             panel.plot(own["time_s"], own[f"error_{axis}_mm"].abs(), color=_COLOUR[method],
                        linestyle=style.METHOD_STYLE[method]["linestyle"],
-                       label=f"{METHOD_LABELS[method]}, images")  # fmt: skip
+                       label=f"{twin.METHOD_LABELS[method]}, images")  # fmt: skip
             panel.axhline(article_result(method, axis).low,
-                          label=f"article, {METHOD_LABELS[method]}",
+                          label=f"article, {twin.METHOD_LABELS[method]}",
                           **{**style.ARTICLE_STYLE, "linestyle": dash})  # fmt: skip
-        panel.set_xlabel("time [s]")
-        panel.set_ylabel(f"|error in {axis}| [mm]")
-        panel.set_ylim(bottom=0.0)
+        panel.set(xlabel="time [s]", ylabel=f"|error in {axis}| [mm]", ylim=(0.0, None))
     style.legend_below(figure, 3)
     return figure
 
@@ -355,7 +343,7 @@ def _population(table: pd.DataFrame) -> Figure:
                    label="heads, 10-90 %" if k == 0 else None)  # fmt: skip
         panel.plot(placed.article, k, linestyle="none", marker="D", color=style.BLACK, markersize=8,
                    label="article" if k == 0 else None)  # fmt: skip
-    panel.set_yticks(range(6), [f"{a}, {METHOD_LABELS[m]}" for a in AXES for m in METHODS])
+    panel.set_yticks(range(6), [f"{a}, {twin.METHOD_LABELS[m]}" for a in AXES for m in METHODS])
     panel.invert_yaxis()
     panel.set_xlim(left=0.0)
     panel.set_xlabel("mean absolute error of a head along the line [mm]")

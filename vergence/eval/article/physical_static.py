@@ -11,21 +11,13 @@ from matplotlib.figure import Figure
 
 from vergence.envs.streams import IntArray
 from vergence.errors import ConfigurationError
-from vergence.eval.article.closed_loop import (
-    MM,
-    ClosedLoop,
-    GazeRecord,
-    detection_sigma,
-    gaze_uncertainty_mm,
-    hold_gaze,
-    itpc_uncertainty_mm,
-)
+from vergence.eval.article import closed_loop, twin
+from vergence.eval.article.closed_loop import MM, ClosedLoop, GazeRecord, hold_gaze
 from vergence.eval.article.criterion import BY_CONSTRUCTION
 from vergence.eval.article.error_budget import (
     ALL,
-    BUDGET_SOURCES,
     ENCODERS,
-    SOURCE_LABELS,
+    SOURCES,
     BudgetCase,
     budget_rows,
     crossover_px,
@@ -39,22 +31,7 @@ from vergence.eval.article.reported import (
     reported_result,
     reported_results,
 )
-from vergence.eval.article.twin import (
-    AXES,
-    METHOD_LABELS,
-    METHODS,
-    RankInPopulation,
-    TwinConfig,
-    TwinPopulation,
-    absolute_errors_mm,
-    axis_columns,
-    count_inside,
-    depth_errors_percent,
-    draw_population,
-    fixation_rows,
-    rank_ends,
-    rank_in_population,
-)
+from vergence.eval.article.twin import AXES, METHODS
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, FloatArray
 from vergence.reporting import style
@@ -64,7 +41,7 @@ from vergence.triangulation import triangulate_gaze
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhysicalStaticConfig(TwinConfig):
+class PhysicalStaticConfig(twin.TwinConfig):
     """Configuration of static targets on the physical twin."""
 
     imaged_every: int = 1
@@ -92,12 +69,12 @@ def run(config: PhysicalStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame
     encoder step), `detector` (a row per point), `fixation` (a row per head, point and method),
     `budget` (a row per source and point) or `off axis` (a row per source and offset).
     """
-    drawn = draw_population(config, seed, mapper)
+    drawn = twin.draw_population(config, seed, mapper)
     nominal, points = drawn.nominal, drawn.points
     case = BudgetCase(nominal, config.errors.scaled(drawn.scale), config.heads, points, seed)
     excess = ARTICLE_LARGEST_PERCENT["itpc"] - ARTICLE_LARGEST_PERCENT["gaze"]
     jobs: list[Job] = []
-    for source in (ALL, *BUDGET_SOURCES):
+    for source in (ALL, *SOURCES):
         jobs.append(partial(budget_rows, case, source))
         jobs.append(partial(off_axis_rows, case, source, config.offsets_px, excess))
     frames: list[pd.DataFrame] = [
@@ -119,7 +96,7 @@ def run(config: PhysicalStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame
     return pd.concat(frames, ignore_index=True)
 
 
-def _encoder_step(drawn: TwinPopulation) -> dict[str, float]:
+def _encoder_step(drawn: twin.TwinPopulation) -> dict[str, float]:
     """Depth error of the farthest point from one step of the left pan encoder."""
     nominal, far = drawn.nominal, drawn.points[np.argmax(drawn.points[:, 2])]
     q = nominal.fixate(far, nominal.rest()[:3])
@@ -143,16 +120,16 @@ def _imaged(loop: ClosedLoop, which: int, number: int) -> pd.DataFrame:
     assert loop.true_head is not None  # a population's loop
     head: HeadModel = loop.true_head[which]
     record = hold_gaze(loop.imaged(head[None], loop.trial))
-    sigma_px = detection_sigma(record.pixels)[0]
+    sigma_px = closed_loop.detection_sigma(record.pixels)[0]
     q = record.positions.mean(axis=0)[0]
     pixels = np.nanmean(record.pixels, axis=0)[0]
     uncertainty = {
-        "gaze": gaze_uncertainty_mm(nominal, q, sigma_px),
-        "itpc": itpc_uncertainty_mm(nominal, q, pixels, sigma_px),
+        "gaze": closed_loop.gaze_uncertainty_mm(nominal, q, sigma_px),
+        "itpc": closed_loop.itpc_uncertainty_mm(nominal, q, pixels, sigma_px),
     }
     return pd.concat([
         _rows("imaged", method, record, np.array([which]), number).assign(
-            **axis_columns(uncertainty=uncertainty[method]),
+            **twin.axis_columns(uncertainty=uncertainty[method]),
             sigma_rms_px=float(np.sqrt(np.mean(sigma_px**2))),
             sigma_least_px=float(sigma_px.min()), sigma_greatest_px=float(sigma_px.max()),
         )
@@ -171,7 +148,7 @@ def _rows(
         "case": "fixation", "group": group, "head": heads, "point": number, "method": method,
         "truth_z_mm": MM * record.target[0, :, 2], "pixel_error_px": pixel_error.max(-1),
         "seen_share": np.isfinite(record.pixels).all(axis=(-2, -1)).mean(axis=0),
-        **axis_columns(
+        **twin.axis_columns(
             error=[np.nanmean(own, axis=0) for own in by_axis],
             scatter=[np.nanstd(own, axis=0, ddof=1) for own in by_axis],
         ),
@@ -193,9 +170,11 @@ def article_results(quantity: str) -> list[ReportedResult]:
     return [r for r in reported_results() if (r.experiment, r.quantity) == (NAME, quantity)]
 
 
-def population_ranks(table: pd.DataFrame, row: ReportedResult) -> tuple[RankInPopulation, ...]:
+def population_ranks(table: pd.DataFrame, row: ReportedResult) -> tuple[twin.RankInPopulation, ...]:
     """Ranks of the article's least and greatest error in `row` among the heads'."""
-    return rank_ends(row.span, absolute_errors_mm(fixation_rows(table), row.method, row.axis))
+    return twin.rank_ends(
+        row.span, twin.absolute_errors_mm(twin.fixation_rows(table), row.method, row.axis)
+    )
 
 
 def summarise(table: pd.DataFrame, config: PhysicalStaticConfig) -> list[SummaryRow]:
@@ -219,18 +198,18 @@ def _reported_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
         chosen = BY_CONSTRUCTION if (r.method, r.axis) == ("gaze", "z") else None
         yield _row(r.quantity, r.method, r.axis, r.span, ours, chosen)
     for r in article_results("uncertainty"):
-        ours = _range(fixation_rows(table, "imaged")[f"uncertainty_{r.axis}_mm"])
+        ours = _range(twin.fixation_rows(table, "imaged")[f"uncertainty_{r.axis}_mm"])
         yield _row(r.quantity, r.method, r.axis, r.span, ours)
 
 
 def _population_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     """Statistics of the population, 10th to 90th percentile of the heads."""
-    population = fixation_rows(table)
+    population = twin.fixation_rows(table)
     yield _row("scale of all spreads", "both", "all", None, float(_twin(table)["scale"]), unit="1")
     for method in METHODS:
-        relative = depth_errors_percent(population, method)
-        largest = rank_in_population(ARTICLE_LARGEST_PERCENT[method], relative.max(axis=1))
-        smallest = rank_in_population(ARTICLE_SMALLEST_PERCENT[method], relative.min(axis=1))
+        relative = twin.depth_errors_percent(population, method)
+        largest = twin.rank_in_population(ARTICLE_LARGEST_PERCENT[method], relative.max(axis=1))
+        smallest = twin.rank_in_population(ARTICLE_SMALLEST_PERCENT[method], relative.min(axis=1))
         chosen = BY_CONSTRUCTION if method == "gaze" else largest.verdict
         for which, rank, said in (
             ("largest", largest, chosen),
@@ -239,16 +218,16 @@ def _population_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
             quantity = f"{which} depth error, middle 80 % of the heads"
             yield _row(quantity, method, "z", rank.article, (rank.low, rank.high), said, "%")
         for axis in AXES:
-            means = absolute_errors_mm(population, method, axis).mean(axis=1)
+            means = twin.absolute_errors_mm(population, method, axis).mean(axis=1)
             low, high = np.percentile(means, [10.0, 90.0])
             yield _row("mean absolute error", method, axis, None, (low, high))
 
 
 def _imaged_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
-    imaged, apart = fixation_rows(table, "imaged"), _apart(table)
+    imaged, apart = twin.fixation_rows(table, "imaged"), _apart(table)
     for method in METHODS:
         for axis in AXES:
-            ours = _range(absolute_errors_mm(imaged, method, axis))
+            ours = _range(twin.absolute_errors_mm(imaged, method, axis))
             yield _row("absolute error, head with images", method, axis, None, ours)
     yield _row("gaze and ITPC apart in depth at settled fixations", "both", "z",
                _article_apart_mm(), (float(np.median(apart)), float(apart.max())))  # fmt: skip
@@ -261,7 +240,7 @@ def _off_axis_rows(table: pd.DataFrame, config: PhysicalStaticConfig) -> Iterato
                unit="%")  # fmt: skip
     yield _row("offset from which ITPC is worse than gaze, all errors", "both", "z",
                None, crossover_px(whole, config.worse_margin), unit="px")  # fmt: skip
-    for source in (ALL, *BUDGET_SOURCES):
+    for source in (ALL, *SOURCES):
         rows = _off_axis(table, source)
         last = rows.iloc[-1]
         gaze, itpc = last["gaze_rms_percent"], last["itpc_rms_percent"]
@@ -270,7 +249,7 @@ def _off_axis_rows(table: pd.DataFrame, config: PhysicalStaticConfig) -> Iterato
             verdict = "ITPC worse"
         quantity = (
             f"rms depth error of ITPC {last['offset_px']:g} px off the axis less that of gaze, "
-            f"{_label(source)}"
+            f"{_title(source)}"
         )
         yield _row(quantity, "both", "z", None, round(itpc - gaze, _DIGITS), verdict, "%")
 
@@ -279,12 +258,12 @@ def _budget_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     """Depth errors from each source alone, over Table 5's points."""
     for source, rows in table[table["case"] == "budget"].groupby("source", sort=False):
         ours = _range(rows["rms_depth_error_percent"].round(_DIGITS))
-        quantity = f"rms depth error of a fixation, {_label(str(source))}"
+        quantity = f"rms depth error of a fixation, {_title(str(source))}"
         yield _row(quantity, "both", "z", None, ours, unit="%")
 
 
-def _label(source: str) -> str:
-    return "all errors" if source == ALL else SOURCE_LABELS.get(source, source)
+def _title(source: str, short: bool = False) -> str:
+    return {**SOURCES, ALL: ("all errors", "all errors")}.get(source, (source, source))[short]
 
 
 def _range(values: FloatArray | pd.Series) -> tuple[float, float]:
@@ -303,7 +282,7 @@ def _off_axis(table: pd.DataFrame, source: str) -> pd.DataFrame:
 
 def _apart(table: pd.DataFrame) -> FloatArray:
     """(heads * points,) absolute depth difference of gaze and ITPC at settled fixations, mm."""
-    rows = fixation_rows(table).pivot(
+    rows = twin.fixation_rows(table).pivot(
         index=["head", "point"], columns="method", values="error_z_mm"
     )
     return np.asarray((rows["gaze"] - rows["itpc"]).abs().to_numpy(), dtype=np.float64)
@@ -317,12 +296,14 @@ def _article_apart_mm() -> float:
 
 def numbers(table: pd.DataFrame, config: PhysicalStaticConfig) -> Numbers:
     """The numbers of the text."""
-    largest = depth_errors_percent(fixation_rows(table), "gaze").max(axis=1)
-    inside = [count_inside(population_ranks(table, r)) for r in article_results("absolute error")]
-    apart, twin = _apart(table), _twin(table)
+    largest = twin.depth_errors_percent(twin.fixation_rows(table), "gaze").max(axis=1)
+    inside = [
+        twin.count_inside(population_ranks(table, r)) for r in article_results("absolute error")
+    ]
+    apart, row = _apart(table), _twin(table)
     return {
-        "points_count": float(fixation_rows(table)["point"].nunique()),
-        "scale_ratio": float(twin["scale"]),
+        "points_count": float(twin.fixation_rows(table)["point"].nunique()),
+        "scale_ratio": float(row["scale"]),
         "largest_median_percent": float(np.median(largest)),
         "largest_high_percent": float(np.percentile(largest, 90.0)),
         "inside_count": sum(inside),
@@ -330,8 +311,8 @@ def numbers(table: pd.DataFrame, config: PhysicalStaticConfig) -> Numbers:
         "apart_median_mm": float(np.median(apart)),
         "apart_most_mm": float(apart.max()),
         "article_apart_mm": _article_apart_mm(),
-        "encoder_step_mm": float(twin["encoder_step_mm"]),
-        "encoder_step_percent": float(twin["encoder_step_percent"]),
+        "encoder_step_mm": float(row["encoder_step_mm"]),
+        "encoder_step_percent": float(row["encoder_step_percent"]),
         **_off_axis_numbers(table, config),
         **_budget_numbers(table),
         **_imaged_numbers(table),
@@ -372,7 +353,7 @@ def _budget_numbers(table: pd.DataFrame) -> Numbers:
 
 def _imaged_numbers(table: pd.DataFrame) -> Numbers:
     """Numbers on the head with images: errors, detection noise and propagated uncertainty."""
-    imaged, population = fixation_rows(table, "imaged"), fixation_rows(table)
+    imaged, population = twin.fixation_rows(table, "imaged"), twin.fixation_rows(table)
     far = imaged.sort_values("uncertainty_z_mm").iloc[-1]
     article = reported_result(NAME, "uncertainty", "both", "z").span[1]
     ratio = float(far["uncertainty_z_mm"]) / article
@@ -383,7 +364,7 @@ def _imaged_numbers(table: pd.DataFrame) -> Numbers:
     uncertainty = {axis: _range(imaged[f"uncertainty_{axis}_mm"]) for axis in AXES}
     return {
         "imaged_head": float(imaged["head"].iloc[0]),
-        "imaged_largest_percent": float(depth_errors_percent(imaged, "gaze").max()),
+        "imaged_largest_percent": float(twin.depth_errors_percent(imaged, "gaze").max()),
         "sigma_least_px": float(imaged["sigma_least_px"].min()),
         "sigma_greatest_px": float(imaged["sigma_greatest_px"].max()),
         **{f"uncertainty_{axis}_least_mm": low for axis, (low, _) in uncertainty.items()},
@@ -396,17 +377,6 @@ def _imaged_numbers(table: pd.DataFrame) -> Numbers:
     }
 
 
-SHORT: Final = {
-    "link_m": "links",
-    "coaxiality_rad": "coaxiality",
-    "joint_offset_rad": "joint offsets",
-    "head_eye_rad": "head-eye turn",
-    "head_eye_m": "head-eye shift",
-    "focal_relative": "focal length",
-    "principal_px": "principal point",
-    "common_tilt": "common tilt",
-}
-"""Short names of error sources, for legends on small screens."""
 _MARKS: Final = (
     (style.BLUE, "o", "-"), (style.ORANGE, "s", "--"), (style.GREEN, "^", "-"),
     (style.PURPLE, "D", "--"), (style.BLACK, "v", "-"), (style.GREY, "P", ":"),
@@ -433,52 +403,52 @@ def draw(table: pd.DataFrame, config: PhysicalStaticConfig) -> dict[str, Figure]
 
 def _errors(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.6, 4.0)
-    population, imaged = fixation_rows(table), fixation_rows(table, "imaged")
+    population, imaged = twin.fixation_rows(table), twin.fixation_rows(table, "imaged")
     depth, looked = (np.sort(rows["truth_z_mm"].unique()) / 1000.0 for rows in (population, imaged))
     for axis, panel in zip(AXES, figure.subplots(1, 3), strict=True):
-        errors = absolute_errors_mm(population, "gaze", axis)
+        errors = twin.absolute_errors_mm(population, "gaze", axis)
         low, median, high = np.percentile(errors, [10.0, 50.0, 90.0], axis=0)
         panel.fill_between(depth, low, high, color=style.BLUE, alpha=0.2, linewidth=0.0,
                            label="heads, 10-90 %")  # fmt: skip
         panel.plot(depth, median, color=style.BLUE, linewidth=1.2, label="median head")
         for method in METHODS:
             look = dict(style.METHOD_STYLE[method])
-            look.update(label=f"{METHOD_LABELS[method]}, images", linewidth=1.3)
+            look.update(label=f"{twin.METHOD_LABELS[method]}, images", linewidth=1.3)
             if method == "itpc":
                 look.update(markerfacecolor="none", markersize=9, linestyle="none")
-            panel.plot(looked, absolute_errors_mm(imaged, method, axis)[0], **look)
+            panel.plot(looked, twin.absolute_errors_mm(imaged, method, axis)[0], **look)
         for r in article_results("absolute error"):
             if r.axis == axis:
                 for value in (r.low, r.high):
                     panel.axhline(value, **{**style.ARTICLE_STYLE, "linestyle": DASHES[r.method]})
         for method, dash in DASHES.items():
             look = {**style.ARTICLE_STYLE, "linestyle": dash}
-            panel.plot([], [], label=f"article, {METHOD_LABELS[method]}", **look)
-        panel.set_xlabel("depth z [m]")
-        panel.set_ylabel(f"|error in {axis}| [mm]")
-        panel.set_ylim(bottom=0.0)
+            panel.plot([], [], label=f"article, {twin.METHOD_LABELS[method]}", **look)
+        panel.set(xlabel="depth z [m]", ylabel=f"|error in {axis}| [mm]", ylim=(0.0, None))
     style.legend_below(figure, 3)
     return figure
 
 
 def _draw_population(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.0, 4.6)
-    population = fixation_rows(table)
+    population = twin.fixation_rows(table)
     left, right = figure.subplots(1, 2)
-    largest = np.sort(depth_errors_percent(population, "gaze").max(axis=1))
+    largest = np.sort(twin.depth_errors_percent(population, "gaze").max(axis=1))
     share = 100.0 * (np.arange(len(largest)) + 0.5) / len(largest)
     left.plot(largest, share, color=style.BLUE, drawstyle="steps-mid", label="gaze, settled")
     for method, percent in ARTICLE_LARGEST_PERCENT.items():
         left.axvline(percent, color=style.BLACK, linestyle=DASHES[method], linewidth=1.3,
-                     label=f"article, {METHOD_LABELS[method]}: {percent} %")  # fmt: skip
-    left.set_xlabel("largest depth error of a head [% of depth]")
-    left.set_ylabel("heads below [%]")
-    left.set_xlim(left=0.0)
+                     label=f"article, {twin.METHOD_LABELS[method]}: {percent} %")  # fmt: skip
+    left.set(
+        xlabel="largest depth error of a head [% of depth]",
+        ylabel="heads below [%]",
+        xlim=(0.0, None),
+    )
     style.legend_below(left, 1)
     names, places = [], []
     for r in article_results("absolute error"):
         for which, placed in zip(("least", "most"), population_ranks(table, r), strict=True):
-            names.append(f"{r.axis} {which}, {METHOD_LABELS[r.method]}")
+            names.append(f"{r.axis} {which}, {twin.METHOD_LABELS[r.method]}")
             places.append(placed.percentile)
     row = np.arange(len(names))[::-1]
     right.axvspan(10.0, 90.0, **style.ARTICLE_BAND)
@@ -492,7 +462,7 @@ def _draw_population(table: pd.DataFrame) -> Figure:
 
 def _uncertainties(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.6, 3.9)
-    imaged = fixation_rows(table, "imaged")
+    imaged = twin.fixation_rows(table, "imaged")
     for r, panel in zip(article_results("uncertainty"), figure.subplots(1, 3), strict=True):
         panel.axhspan(r.low, r.high, **style.ARTICLE_BAND)
         for method in METHODS:
@@ -508,8 +478,7 @@ def _uncertainties(table: pd.DataFrame) -> Figure:
                    label="gaze, observed scatter where an encoder stepped")  # fmt: skip
         panel.fill_between([], [], label="article's range", **style.ARTICLE_BAND)
         style.log_axis(panel)
-        panel.set_xlabel("depth z [m]")
-        panel.set_ylabel(f"uncertainty in {r.axis} [mm]")
+        panel.set(xlabel="depth z [m]", ylabel=f"uncertainty in {r.axis} [mm]")
     style.legend_below(figure, 2)
     return figure
 
@@ -531,16 +500,15 @@ def _budget(table: pd.DataFrame) -> Figure:
         rows = budget[budget["source"] == source].sort_values("truth_z_mm")
         panel.plot(rows["truth_z_mm"] / 1000.0, rows["rms_depth_error_percent"], color=colour,
                    marker=marker, linestyle=dash, linewidth=1.2, markevery=2,
-                   label=SHORT.get(source, source))  # fmt: skip
+                   label=_title(source, short=True))  # fmt: skip
     panel.axhline(
         ARTICLE_LARGEST_PERCENT["gaze"], label="article's largest, gaze", **style.ARTICLE_STYLE
     )
-    zero = [SOURCE_LABELS.get(s, s) for s in order[order <= _NEGLIGIBLE_PERCENT].index]
+    zero = [_title(s) for s in order[order <= _NEGLIGIBLE_PERCENT].index]
     if zero:
         panel.set_title(f"nothing by: {', '.join(zero)}", fontsize=11)
     style.log_axis(panel)
-    panel.set_xlabel("depth z [m]")
-    panel.set_ylabel("rms depth error of a fixation [% of depth]")
+    panel.set(xlabel="depth z [m]", ylabel="rms depth error of a fixation [% of depth]")
     figure.legend(*panel.get_legend_handles_labels(), loc="outside right center")
     return figure
 
@@ -562,17 +530,15 @@ def _draw_off_axis(table: pd.DataFrame) -> Figure:
         ARTICLE_LARGEST_PERCENT["itpc"], label="article's largest, ITPC", **style.ARTICLE_STYLE
     )
     left.set_ylim(bottom=0.0)
-    left.set_title("all errors")
-    left.set_ylabel("depth error [% of depth]")
+    left.set(title="all errors", ylabel="depth error [% of depth]")
     style.legend_below(left, 1)
-    for source, (colour, marker, dash) in zip(BUDGET_SOURCES, _MARKS, strict=False):
+    for source, (colour, marker, dash) in zip(SOURCES, _MARKS, strict=False):
         own = rows[rows["source"] == source].sort_values("offset_px")
         change = own["itpc_rms_percent"] - own["gaze_rms_percent"]
         right.plot(own["offset_px"], change, color=colour, marker=marker, linestyle=dash,
-                   linewidth=1.3, label=SHORT.get(source, source))  # fmt: skip
+                   linewidth=1.3, label=_title(source, short=True))  # fmt: skip
     right.axhline(0.0, color=style.BLACK, linewidth=1.0)
-    right.set_title("one source alone")
-    right.set_ylabel("rms of ITPC less that of gaze [points]")
+    right.set(title="one source alone", ylabel="rms of ITPC less that of gaze [points]")
     style.legend_below(right, 2, columnspacing=1.0)
     for panel in (left, right):
         panel.set_xlabel("target off the axis [px]")

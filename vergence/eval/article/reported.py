@@ -33,7 +33,6 @@ class ReportedResult:
     low: float
     high: float | None
     """None if the article gives only a least value."""
-    note: str
 
     @property
     def span(self) -> tuple[float, float]:
@@ -51,17 +50,12 @@ def reported_results() -> tuple[ReportedResult, ...]:
     """Every result that the article reports, in its order."""
     return tuple(
         ReportedResult(
-            experiment=row["experiment"],
-            quantity=row["quantity"],
-            method=row["method"],
-            axis=row["axis"],
-            unit=row["unit"],
-            low=float(row["low"]),
+            experiment=row["experiment"], quantity=row["quantity"], method=row["method"],
+            axis=row["axis"], unit=row["unit"], low=float(row["low"]),
             high=float(row["high"]) if row["high"] else None,
-            note=row["note"] or "",
         )
         for row in _rows("reported_results.csv")
-    )
+    )  # fmt: skip
 
 
 def reported_result(experiment: str, quantity: str, method: str, axis: str) -> ReportedResult:

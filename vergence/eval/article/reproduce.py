@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
@@ -54,10 +54,8 @@ def open_run_folder(folder: Path) -> Path:
     ours = {*_PARTS, INCLUDED, *_FILES}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        names = sorted(path.name for path in folder.iterdir())
-        others = [
-            name for name in names if name not in ours and not name.startswith(PARTIAL_PREFIX)
-        ]
+        names = sorted({path.name for path in folder.iterdir()} - ours)
+        others = [name for name in names if not name.startswith(PARTIAL_PREFIX)]
         if others:
             what = f"a folder with {', '.join(others[:3])} in it"
             if run_folder_command(folder) != "reproduce":
@@ -120,12 +118,7 @@ def reason_to_run(folder: Path, experiment: Experiment, config: Any, seed: int) 
 
 
 def run_experiment(
-    folder: Path,
-    experiment: Experiment,
-    config: Any,
-    seed: int,
-    mapper: Mapper,
-    quick: bool = False,
+    folder: Path, experiment: Experiment, config: Any, seed: int, mapper: Mapper, quick: bool
 ) -> None:
     """Run an experiment and write its table and figures; earlier ones stay until then."""
     table = experiment.run(config, seed, mapper)
@@ -196,10 +189,8 @@ def _finished(folder: Path, name: str) -> dict[str, Any] | None:
         try:
             found = _digest((folder / file).read_bytes())
         except OSError as error:
-            missing = isinstance(error, FileNotFoundError)
-            raise _NotFinishedError(
-                f"{file} {'is missing' if missing else 'cannot be read'}"
-            ) from None
+            why = "is missing" if isinstance(error, FileNotFoundError) else "cannot be read"
+            raise _NotFinishedError(f"{file} {why}") from None
         if found != expected:
             raise _NotFinishedError(f"{file} is not as it was written")
     return content
@@ -211,12 +202,6 @@ def _marker(folder: Path, name: str) -> Path:
 
 def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
-
-
-def _changed(experiment: Experiment, config: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a configuration that differ from those of a full run."""
-    full = toml_value(dataclasses.asdict(experiment.config()))
-    return {name: value for name, value in config.items() if value != full.get(name)}
 
 
 def _json(content: Any) -> str:
@@ -242,24 +227,16 @@ def write_folder_report(
             continue
         experiment, identity = load_experiment(name), content["identity"]
         text, config = content["text"], identity["config"]
-        sections.append(
-            ReportSection(
-                name=name,
-                title=experiment.title,
-                article=experiment.article,
-                what=text["what"],
-                conclusion=text["found"],
-                summary=content["summary"],
-                figures=[folder / "figures" / f"{stem}.svg" for stem in content["figures"]],
-                rows=content["rows"],
-                config=config,
-                seed=identity["seed"],
-                headline=text["headline"],
-                captions=text["captions"],
-                quick=content["quick"],
-                changed=_changed(experiment, config),
-            )
-        )
+        full = toml_value(dataclasses.asdict(experiment.config()))
+        section = ReportSection(
+            name=name, title=experiment.title, article=experiment.article, what=text["what"],
+            conclusion=text["found"], summary=content["summary"],
+            figures=[folder / "figures" / f"{stem}.svg" for stem in content["figures"]],
+            rows=content["rows"], config=config, seed=identity["seed"],
+            headline=text["headline"], captions=text["captions"], quick=content["quick"],
+            changed={field: value for field, value in config.items() if value != full.get(field)},
+        )  # fmt: skip
+        sections.append(section)
         numbers[name] = content["numbers"]
         configs[name] = {"seed": identity["seed"], **identity["config"]}
     sections += included_sections(folder / INCLUDED)
@@ -278,6 +255,7 @@ class ReproduceListener(Protocol):
 
     def begin(self, name: str) -> Progress:
         """Called at the start of an experiment; returns the callback for its progress."""
+        return lambda _done, _total: None
 
     def warn(self, name: str, why: str) -> None:
         """Called for an experiment that runs again, or is left out of the report."""
@@ -286,16 +264,8 @@ class ReproduceListener(Protocol):
         """Called at the end of an experiment; None if its results were there already."""
 
 
-class _Silent:
-    def begin(self, name: str) -> Progress:
-        del name
-        return lambda _done, _total: None
-
-    def warn(self, name: str, why: str) -> None:
-        del name, why
-
-    def end(self, name: str, seconds: float | None) -> None:
-        del name, seconds
+class _Silent(ReproduceListener):
+    """A run without callbacks."""
 
 
 def reproduce(

@@ -350,9 +350,9 @@ def _ratios(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
     axis.plot(config.gain, white, marker="x", markersize=9, color=style.GREY,
               markeredgewidth=2, linestyle="", label="measured, white noise")  # fmt: skip
     axis.axhline(article_deviation_ratio(), **style.ARTICLE_STYLE, label="article: 0.30 / 0.98 mm")
-    axis.set_xlabel("gain k (1/s)")
-    axis.set_ylabel("standard deviation in z,\ngaze over ITPC")
-    axis.set_ylim(0.0, None)
+    axis.set(
+        xlabel="gain k (1/s)", ylabel="standard deviation in z,\ngaze over ITPC", ylim=(0.0, None)
+    )
     style.legend_below(figure, 2)
     return figure
 

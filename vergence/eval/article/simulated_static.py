@@ -11,17 +11,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vergence.eval.article.closed_loop import (
-    MM,
-    ClosedLoop,
-    GazeRecord,
-    corrected_gaze_fix,
-    detection_sigma,
-    dither_references_px,
-    gaze_uncertainty_mm,
-    hold_gaze,
-    itpc_uncertainty_mm,
-)
+from vergence.eval.article import closed_loop
+from vergence.eval.article.closed_loop import MM, ClosedLoop, GazeRecord, hold_gaze
 from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, job_seed
 from vergence.eval.article.reported import (
     ReportedResult,
@@ -42,14 +33,9 @@ _DRAW: Final = "simulated-rig"
 
 
 DRAWN_ERRORS: Final = ModelErrors(
-    link_m=5e-5,
-    coaxiality_rad=radians(0.02),
-    joint_offset_rad=radians(0.02),
-    head_eye_rad=radians(0.02),
-    head_eye_m=1e-4,
-    focal_relative=5e-4,
-    principal_px=0.3,
-)
+    link_m=5e-5, coaxiality_rad=radians(0.02), joint_offset_rad=radians(0.02),
+    head_eye_rad=radians(0.02), head_eye_m=1e-4, focal_relative=5e-4, principal_px=0.3,
+)  # fmt: skip
 """Standard deviations of the model errors drawn for the simulated rig."""
 
 
@@ -133,11 +119,12 @@ def _look(
 ) -> list[dict[str, Any]]:
     """Hold one point with rendered images; returns a row for each method and axis."""
     nominal, dithered = load_head("simulated"), fixation == "dithered"
+    references = closed_loop.dither_references_px(config.dither_side)
     loop = ClosedLoop(
         head=nominal, true_head=CASES[case].true_head(nominal, config.errors, seed),
         target=_target(point), plant_options=BOARD, samples=config.samples,
         settle_s=config.settle_s, gain=config.gain,
-        references_px=dither_references_px(config.dither_side) if dithered else ((0.0, 0.0),),
+        references_px=references if dithered else ((0.0, 0.0),),
         seed=job_seed(seed, NAME, list(CASES).index(case), int(dithered), point),
     )  # fmt: skip
     record = hold_gaze(loop)
@@ -149,7 +136,7 @@ def _look(
 def _detections(record: GazeRecord, dithered: bool) -> dict[str, float]:
     """Noise and bias of the detections, and the fraction of images with detections."""
     noise = record.pixels - record.true_pixels_at_exposure
-    sigma = detection_sigma(record.pixels)
+    sigma = closed_loop.detection_sigma(record.pixels)
     columns = {"seen": float(np.isfinite(record.pixels).all(axis=(1, 2)).mean())}
     for eye, name in enumerate(EYE_NAMES):
         for axis, letter in enumerate("uv"):
@@ -161,18 +148,24 @@ def _detections(record: GazeRecord, dithered: bool) -> dict[str, float]:
 
 
 def _rows(
-    common: dict[str, Any], head: HeadModel, record: GazeRecord, point: int, dithered: bool
+    common: dict[str, Any],
+    head: HeadModel,
+    record: GazeRecord,
+    point: int,
+    dithered: bool,
 ) -> Iterator[dict[str, Any]]:
     q, truth = record.positions_at_exposure, record.target_at_exposure
     mean_q, mean_pixels = q.mean(axis=0), np.nanmean(record.pixels, axis=0)
-    sigma = detection_sigma(record.pixels)
+    sigma = closed_loop.detection_sigma(record.pixels)
     uncertainty = {
-        "gaze": gaze_uncertainty_mm(head, record.positions.mean(axis=0), sigma),
-        "itpc": itpc_uncertainty_mm(head, mean_q, mean_pixels, sigma),
+        "gaze": closed_loop.gaze_uncertainty_mm(head, record.positions.mean(axis=0), sigma),
+        "itpc": closed_loop.itpc_uncertainty_mm(head, mean_q, mean_pixels, sigma),
     }
     errors = {"gaze": record.gaze_error_mm, "itpc": record.itpc_error_mm}
     if dithered:
-        corrected = corrected_gaze_fix(head, q, record.pixel_error, _depths(head, q, record.itpc))
+        corrected = closed_loop.corrected_gaze_fix(
+            head, q, record.pixel_error, _depths(head, q, record.itpc)
+        )
         errors["gaze"] = MM * (corrected.point - truth)
     for method, error in errors.items():
         for axis, letter in enumerate("xyz"):
@@ -387,7 +380,7 @@ def implied_noise_px() -> dict[str, tuple[float, float]]:
 def uncertainty_mm_per_px() -> FloatArray:
     """(21, 3) uncertainty at Table 3's points per pixel of detection noise, mm/px."""
     head, points = load_head("simulated"), static_points("simulated")
-    return gaze_uncertainty_mm(head, head.fixate(points), np.ones((len(points), 2, 2)))
+    return closed_loop.gaze_uncertainty_mm(head, head.fixate(points), np.ones((len(points), 2, 2)))
 
 
 def summarise(table: pd.DataFrame, config: SimulatedStaticConfig) -> list[SummaryRow]:
@@ -523,8 +516,7 @@ def draw(table: pd.DataFrame, config: SimulatedStaticConfig) -> dict[str, Figure
 def _panels(figure: Figure, unit: str) -> list[Axes]:
     axes = list(figure.subplots(1, 3))
     for axis, letter in zip(axes, "xyz", strict=True):
-        axis.set_title(letter)
-        axis.set_xlabel("depth (m)")
+        axis.set(title=letter, xlabel="depth (m)")
         style.log_axis(axis)
     axes[0].set_ylabel(unit)
     return axes

@@ -1,36 +1,25 @@
 """Uncertainty: propagated, by Monte Carlo, in the closed loop, and its lower bound."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from vergence.eval.article import closed_loop
 from vergence.eval.article.board_views import (
     FixedView,
     board_poses_in_eyes,
     cramer_rao_bound,
     shifted_pose,
 )
-from vergence.eval.article.closed_loop import (
-    MM,
-    ClosedLoop,
-    LinearLoop,
-    corrected_gaze_fix,
-    detection_sigma,
-    dither_references_px,
-    gaze_uncertainty_mm,
-    hold_gaze,
-    itpc_uncertainty_mm,
-    noise_bandwidth_hz,
-    noise_gain,
-)
-from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
+from vergence.eval.article.closed_loop import MM, ClosedLoop, LinearLoop, hold_gaze, noise_gain
+from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, job_seed
 from vergence.eval.article.reported import static_points
-from vergence.eval.article.simulated_moving import article_value_mm as reported_moving
+from vergence.eval.article.simulated_moving import article_deviation_ratio
 from vergence.eval.article.simulated_static import ARTICLE_DETECTION_PX, BOARD, article_result
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
@@ -99,13 +88,15 @@ def run(config: UncertaintyConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     return pd.DataFrame([row for rows in mapper(jobs) for row in rows])
 
 
-def _row(part: str, quantity: str, unit: str, value: float, **keys: Any) -> dict[str, Any]:
+Values = list[dict[str, Any]]
+"""Rows of the table."""
+
+
+def _value(part: str, quantity: str, unit: str, value: float, **keys: Any) -> dict[str, Any]:
     return {"part": part, **keys, "quantity": quantity, "unit": unit, "value": float(value)}
 
 
-def _propagation(
-    config: UncertaintyConfig, seed: int, index: int, pose: str
-) -> list[dict[str, Any]]:
+def _propagation(config: UncertaintyConfig, seed: int, index: int, pose: str) -> Values:
     """(a) Uncertainties at one pose: propagated, and by Monte Carlo with the real detector."""
     head = load_head("simulated")
     point = static_points("simulated")[index]
@@ -117,22 +108,24 @@ def _propagation(
     pixels = np.stack(
         [FixedView(head, eye).detect([boards[eye]] * config.draws, rng) for eye in range(2)], axis=1
     )
-    sigma, truth = detection_sigma(pixels), head.project(q, point)
+    sigma, truth = closed_loop.detection_sigma(pixels), head.project(q, point)
     mean = np.nanmean(pixels, axis=0)
     error = pixels - head.cameras.principal  # no lens distorts on this rig
-    gaze = corrected_gaze_fix(head, np.broadcast_to(q, (len(pixels), 7)), error, boards[:, 2, 3])
+    gaze = closed_loop.corrected_gaze_fix(
+        head, np.broadcast_to(q, (len(pixels), 7)), error, boards[:, 2, 3]
+    )
     itpc = triangulate_views(head, q, pixels)
     propagated = {
-        "gaze": gaze_uncertainty_mm(head, q, sigma),
+        "gaze": closed_loop.gaze_uncertainty_mm(head, q, sigma),
         "gaze, exact": MM * triangulate_gaze(head, q, Noise(pixel_px=sigma)).sigma,
-        "itpc": itpc_uncertainty_mm(head, q, mean, sigma),
+        "itpc": closed_loop.itpc_uncertainty_mm(head, q, mean, sigma),
     }
     scatter = {
         name: MM * np.nanstd(fix.point, axis=0, ddof=1)
         for name, fix in (("gaze", gaze), ("gaze, exact", gaze), ("itpc", itpc))
     }
     rows = [
-        _row(
+        _value(
             "propagation", quantity, "mm", values[method][axis],
             pose=pose, depth_mm=MM * point[2], method=method, axis=letter,
         )
@@ -145,27 +138,24 @@ def _propagation(
             ("detection sigma", np.sqrt((sigma[:, axis] ** 2).mean())),
             ("detection bias", np.sqrt(((mean - truth)[:, axis] ** 2).mean())),
         ):
-            rows.append(
-                _row("propagation", quantity, "px", value, pose=pose, depth_mm=MM * point[2],
-                     axis=letter)
-            )  # fmt: skip
+            keys = {"pose": pose, "depth_mm": MM * point[2], "axis": letter}
+            rows.append(_value("propagation", quantity, "px", value, **keys))
     return rows
+
+
+def _loop_at(depth_m: float, gain: float, seed: int) -> ClosedLoop:
+    return ClosedLoop(
+        head=load_head("simulated"), samples=1, settle_s=4.0 / gain, gain=gain, seed=seed,
+        target={"kind": "static", "point": (0.0, -0.1, depth_m), "start": "fixation"},
+    )  # fmt: skip
 
 
 def _loop(config: UncertaintyConfig, seed: int, number: int) -> list[dict[str, Any]]:
     """(b) Noise gain (axis scatter over detection noise) of loops with white noise, no images."""
     gain = config.gains[number]
+    loop = _loop_at(1.0, gain, seed=job_seed(seed, NAME, _LOOP, number))
     record = hold_gaze(
-        ClosedLoop(
-            head=load_head("simulated"),
-            target={"kind": "static", "point": (0.0, -0.1, 1.0), "start": "fixation"},
-            plant="kinematic",
-            num=config.heads,
-            samples=config.loop_samples,
-            settle_s=4.0 / gain,
-            gain=gain,
-            seed=int(job_rng(seed, NAME, _LOOP, number).integers(2**63)),
-        )
+        replace(loop, plant="kinematic", num=config.heads, samples=config.loop_samples)
     )
     # without bias the optical axes scatter around the target itself
     axis_px = record.true_pixels_at_exposure - load_head("simulated").cameras.principal
@@ -175,21 +165,8 @@ def _loop(config: UncertaintyConfig, seed: int, number: int) -> list[dict[str, A
 def _loop_images(config: UncertaintyConfig, seed: int, number: int) -> list[dict[str, Any]]:
     """(b) Noise gain of one head's loop with images; scatter about the mean."""
     gain = config.image_gains[number]
-    record = hold_gaze(
-        ClosedLoop(
-            head=load_head("simulated"),
-            target={
-                "kind": "static",
-                "point": (0.0, -0.1, config.image_depth_m),
-                "start": "fixation",
-            },
-            plant_options=BOARD,
-            samples=config.image_samples,
-            settle_s=4.0 / gain,
-            gain=gain,
-            seed=int(job_rng(seed, NAME, _LOOP_IMAGES, number).integers(2**63)),
-        )
-    )
+    loop = _loop_at(config.image_depth_m, gain, seed=job_seed(seed, NAME, _LOOP_IMAGES, number))
+    record = hold_gaze(replace(loop, plant_options=BOARD, samples=config.image_samples))
     sigma = np.sqrt(record.true_pixels_at_exposure.var(axis=0).mean())
     return _scatter("images", gain, sigma, _noise(record))
 
@@ -209,7 +186,7 @@ def _bias_within_reach(config: UncertaintyConfig, seed: int, axis: int) -> list[
         squares.append(np.nanvar(error, ddof=1) / config.reach_draws)
     # subtract the variance of the means due to noise
     bias = np.sqrt(max(np.var(means, ddof=1) - np.mean(squares), 0.0))
-    return [_row("loop", "bias within reach", "px", bias, source="images", axis="uv"[axis])]
+    return [_value("loop", "bias within reach", "px", bias, source="images", axis="uv"[axis])]
 
 
 def _noise(record: Any) -> float:
@@ -220,15 +197,13 @@ def _noise(record: Any) -> float:
 def _scatter(source: str, gain: float, axis_px: float, noise_px: float) -> list[dict[str, Any]]:
     keys = {"source": source, "gain_per_s": gain}
     return [
-        _row("loop", "axis sigma", "px", axis_px, **keys),
-        _row("loop", "detection sigma", "px", noise_px, **keys),
-        _row("loop", "noise gain", "1", axis_px / noise_px, **keys),
+        _value("loop", "axis sigma", "px", axis_px, **keys),
+        _value("loop", "detection sigma", "px", noise_px, **keys),
+        _value("loop", "noise gain", "1", axis_px / noise_px, **keys),
     ]
 
 
-def _averaging(
-    config: UncertaintyConfig, seed: int, index: int, replicate: int
-) -> list[dict[str, Any]]:
+def _averaging(config: UncertaintyConfig, seed: int, index: int, replicate: int) -> Values:
     """(c) Errors of means of n frames of one eye, still and dithered; the bound of one frame."""
     head = load_head("simulated")
     depth = config.averaging_depths_m[index]
@@ -237,7 +212,7 @@ def _averaging(
     centred = board_poses_in_eyes(head, head.fixate(point), point)[0]
     board = shifted_pose(head, 0, centred, rng.uniform(-0.5, 0.5, 2))
     view = FixedView(head, 0)
-    references = np.asarray(dither_references_px(config.dither_side))
+    references = np.asarray(closed_loop.dither_references_px(config.dither_side))
     order = rng.permutation(np.arange(config.frames) % len(references))
     keys = {"depth_mm": MM * depth, "replicate": replicate}
     rows = []
@@ -249,13 +224,11 @@ def _averaging(
         error = view.detect(poses, rng) - truth
         for frames, mean in _means(error):
             for axis, letter in enumerate("uv"):
-                rows.append(
-                    _row("averaging", "error", "px", mean[axis], fixation=fixation, axis=letter,
-                         frames=frames, **keys)
-                )  # fmt: skip
+                more = {"fixation": fixation, "axis": letter, "frames": frames}
+                rows.append(_value("averaging", "error", "px", mean[axis], **more, **keys))
     for window, sigma in zip(("board", "window"), cramer_rao_bound(head, 0, board), strict=True):
         rows += [
-            _row("bound", window, "px", sigma[axis], axis=letter, frames=1, **keys)
+            _value("bound", window, "px", sigma[axis], axis=letter, frames=1, **keys)
             for axis, letter in enumerate("uv")
         ]
     return rows
@@ -270,6 +243,7 @@ def _means(error: FloatArray) -> Iterator[tuple[int, FloatArray]]:
     yield len(error), np.nanmean(error, axis=0)
 
 
+_row = partial(SummaryRow.of, NAME)
 METHOD_NAMES: Final = {
     "gaze": "gaze, Eqs. 27 to 33",
     "gaze, exact": "gaze, exact derivatives",
@@ -332,7 +306,7 @@ def noise_gains(table: pd.DataFrame, config: UncertaintyConfig) -> pd.DataFrame:
         "images": 4 * config.image_samples,
     }
     values = [
-        2.0 * noise_bandwidth_hz(loop) * loop.period_s * records[source]
+        2.0 * closed_loop.noise_bandwidth_hz(loop) * loop.period_s * records[source]
         for loop, source in zip(loops, rows["source"], strict=True)
     ]
     predicted = np.array([noise_gain(loop) for loop in loops])
@@ -350,8 +324,7 @@ def bias_variation_px(table: pd.DataFrame) -> float:
     return float((values**2).mean() ** 0.5)
 
 
-@dataclass(frozen=True, kw_only=True)
-class AveragingErrors:
+class AveragingErrors(NamedTuple):
     """Errors before and after averaging, root mean square over all depths, px."""
 
     frames: int
@@ -379,14 +352,11 @@ def averaging_errors(table: pd.DataFrame) -> AveragingErrors:
 
     sigma = rows_of_part(table, "propagation", "detection sigma")["value"]
     root = float(np.sqrt(frames))
+    of_all = (
+        float(np.sqrt((v**2).mean())) / root for v in (sigma, bound["board"], bound["window"])
+    )
     return AveragingErrors(
-        frames=frames,
-        one_frame_px=rms("still", 1),
-        still_mean_px=rms("still", frames),
-        dithered_mean_px=rms("dithered", frames),
-        white_noise_mean_px=float(np.sqrt((sigma**2).mean())) / root,
-        board_bound_px=float(np.sqrt((bound["board"] ** 2).mean())) / root,
-        window_bound_px=float(np.sqrt((bound["window"] ** 2).mean())) / root,
+        frames, rms("still", 1), rms("still", frames), rms("dithered", frames), *of_all
     )
 
 
@@ -403,11 +373,8 @@ def summarise(table: pd.DataFrame, config: UncertaintyConfig) -> list[SummaryRow
     mean of frames and white noise, within the factor `BIAS_RATIO`. For dithering it is `better` or
     `alike`.
     """
-    return [
-        *_propagation_rows(table, config),
-        *_loop_rows(table, config),
-        *_averaging_rows(averaging_errors(table)),
-    ]
+    averaging = _averaging_rows(averaging_errors(table))
+    return [*_propagation_rows(table, config), *_loop_rows(table, config), *averaging]
 
 
 def _propagation_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterator[SummaryRow]:
@@ -418,10 +385,8 @@ def _propagation_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterato
             for axis in "xyz":
                 low, high = float(own[axis].min()), float(own[axis].max())
                 agrees = max(abs(low - 1.0), abs(high - 1.0)) <= sigma_ratio_tolerance(config)
-                yield SummaryRow.of(
-                    NAME, f"propagated over Monte Carlo, {pose}, {title}", method, axis, None,
-                    (low, high), _agreement(agrees), "1",
-                )  # fmt: skip
+                quantity = f"propagated over Monte Carlo, {pose}, {title}"
+                yield _row(quantity, method, axis, None, (low, high), _agreement(agrees), "1")
 
 
 def _loop_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterator[SummaryRow]:
@@ -432,9 +397,9 @@ def _loop_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterator[Summa
             "over predicted"
         )
         agrees = abs(value - 1.0) <= loop["chance"]
-        yield SummaryRow.of(NAME, quantity, "gaze", "u, v", None, value, _agreement(agrees), "1")
+        yield _row(quantity, "gaze", "u, v", None, value, _agreement(agrees), "1")
     quantity = "change of the bias in the images over what the axes wander"
-    yield SummaryRow.of(NAME, quantity, "gaze", "u, v", None, bias_variation_px(table), unit="px")
+    yield _row(quantity, "gaze", "u, v", None, bias_variation_px(table), unit="px")
 
 
 def _averaging_rows(found: AveragingErrors) -> Iterator[SummaryRow]:
@@ -445,17 +410,15 @@ def _averaging_rows(found: AveragingErrors) -> Iterator[SummaryRow]:
         (f"bound for {found.frames} frames, detector's window", found.window_bound_px),
         (f"bound for {found.frames} frames, whole board", found.board_bound_px),
     ):
-        yield SummaryRow.of(NAME, quantity, "itpc", "u, v", None, value, unit="px")
-    biased, dithered = (
-        found.still_mean_px / found.white_noise_mean_px,
-        found.dithered_mean_px / found.still_mean_px,
-    )
+        yield _row(quantity, "itpc", "u, v", None, value, unit="px")
+    biased = found.still_mean_px / found.white_noise_mean_px
+    dithered = found.dithered_mean_px / found.still_mean_px
     for quantity, ratio, verdict in (
         ("still, over what white noise would leave", biased, _agreement(biased <= BIAS_RATIO)),
         ("dithered, over still", dithered, "better" if dithered < IMPROVEMENT_RATIO else "alike"),
     ):
-        yield SummaryRow.of(NAME, f"error of the mean of {found.frames} frames, {quantity}",
-                            "itpc", "u, v", None, ratio, verdict, "1")  # fmt: skip
+        quantity = f"error of the mean of {found.frames} frames, {quantity}"
+        yield _row(quantity, "itpc", "u, v", None, ratio, verdict, "1")
 
 
 def _agreement(agrees: bool) -> str:
@@ -534,8 +497,7 @@ def _propagated(table: pd.DataFrame) -> Figure:
                     marker="" if line else look["marker"], markerfacecolor="none",
                     label=METHOD_NAMES[method] if line else f"{look['label']}, Monte Carlo",
                 )  # fmt: skip
-        axis.set_title(letter)
-        axis.set_xlabel("depth (m)")
+        axis.set(title=letter, xlabel="depth (m)")
         style.log_axis(axis)
     axes[0].set_ylabel("uncertainty, standard deviation (mm)")
     style.legend_below(figure, 3)
@@ -554,13 +516,13 @@ def _draw_loop(table: pd.DataFrame, config: UncertaintyConfig) -> Figure:
         own = measured[measured["source"] == source]
         axis.plot(own["gain_per_s"], own["measured"], color=colour, marker=marker, linestyle="",
                   markersize=8, markeredgewidth=2, label=f"measured, {source}")  # fmt: skip
-    ratio = reported_moving("standard deviation", "gaze", "z") / reported_moving(
-        "standard deviation", "itpc", "z"
+    ratio, label = article_deviation_ratio(), "article, moving target: 0.30 / 0.98 mm"
+    axis.axhline(ratio, **style.ARTICLE_STYLE, label=label)
+    axis.set(
+        xlabel="gain k (1/s)",
+        ylabel="scatter of the axes\nover that of detections",
+        ylim=(0.0, None),
     )
-    axis.axhline(ratio, **style.ARTICLE_STYLE, label="article, moving target: 0.30 / 0.98 mm")
-    axis.set_xlabel("gain k (1/s)")
-    axis.set_ylabel("scatter of the axes\nover that of detections")
-    axis.set_ylim(0.0, None)
     style.legend_below(figure, 2)
     return figure
 
@@ -573,17 +535,16 @@ def _draw_averaging(table: pd.DataFrame) -> Figure:
     for axis, depth in zip(axes, depths, strict=True):
         frames = np.asarray(errors.columns, dtype=np.float64)
         axis.axhspan(*ARTICLE_DETECTION_PX, **style.ARTICLE_BAND, label="article's detection noise")
-        for fixation, colour, marker, dash in (
-            ("still", style.BLUE, "o", "-"),
-            ("dithered", style.GREEN, "^", "--"),
+        for fixation, colour, line in (
+            ("still", style.BLUE, "o-"),
+            ("dithered", style.GREEN, "^--"),
         ):
-            axis.plot(frames, errors.loc[(depth, fixation)], color=colour, marker=marker,
-                      linestyle=dash, label=f"{fixation} fixation")  # fmt: skip
+            axis.plot(frames, errors.loc[(depth, fixation)], line, color=colour,
+                      label=f"{fixation} fixation")  # fmt: skip
         for name, colour, dash in (("window", style.PURPLE, "-."), ("board", style.GREY, "-")):
             axis.plot(frames, bound.loc[depth, name] / np.sqrt(frames), color=colour,
                       linestyle=dash, label=f"Cramér-Rao bound, {name}")  # fmt: skip
-        axis.set_title(f"{depth / 1000.0:g} m")
-        axis.set_xlabel("frames averaged")
+        axis.set(title=f"{depth / 1000.0:g} m", xlabel="frames averaged")
         style.log_axis(axis, "x")
         style.log_axis(axis)
     axes[0].set_ylabel("root mean square error (px)")
@@ -592,8 +553,7 @@ def _draw_averaging(table: pd.DataFrame) -> Figure:
 
 
 EXPERIMENT: Final = Experiment(
-    name=NAME, title="Uncertainty",
-    article="Section 4, Eqs. 25 to 36",
+    name=NAME, title="Uncertainty", article="Section 4, Eqs. 25 to 36",
     text=read_template(__package__, "sections/uncertainty.jinja"), config=UncertaintyConfig,
     quick={
         "draws": 200, "point_step": 10, "gains": (1.0, 4.0), "heads": 40, "loop_samples": 600,
