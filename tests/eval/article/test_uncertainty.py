@@ -58,8 +58,8 @@ def test_white_noise_scatters_as_the_bandwidth_says(table):
 
 def test_no_average_beats_the_bound(table):
     found = averaging_errors(table)
-    best_px = min(found.still_mean_px, found.dithered_mean_px)
-    assert found.board_bound_px < found.window_bound_px < best_px
+    best_px = min(found.still_px, found.dithered_px)
+    assert found.board_px < found.window_px < best_px
     assert (cramer_rao_bounds_px(table)["board"] < cramer_rao_bounds_px(table)["window"]).all()
 
 
@@ -104,7 +104,7 @@ def test_the_verdicts_on_averaging_follow_the_errors(table):
 def test_the_text_has_the_numbers_of_the_table(table):
     found = averaging_errors(table)
     text = section_text(EXPERIMENT, table, CONFIG)
-    assert f"One frame is off by {found.one_frame_px:.4f} px" in text.found
+    assert f"One frame is off by {found.single_px:.4f} px" in text.found
     assert "the mean of 16 frames" in text.found
 
 

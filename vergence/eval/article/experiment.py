@@ -58,11 +58,12 @@ class SummaryRow:
             verdict = "not reported"
             if article_low is not None or article_high is not None:
                 verdict = verdict_of_ranges(low, high, article_low, article_high)
-        low, high = (float(value) if isfinite(value) else None for value in (low, high))
+        known = (float(value) if isfinite(value) else None for value in (low, high))
+        ours_low, ours_high = known
         return cls(
             experiment=experiment, quantity=quantity, method=method, axis=axis, unit=unit,
-            article_low=article_low, article_high=article_high, ours_low=low, ours_high=high,
-            verdict=verdict,
+            article_low=article_low, article_high=article_high, ours_low=ours_low,
+            ours_high=ours_high, verdict=verdict,
         )  # fmt: skip
 
 

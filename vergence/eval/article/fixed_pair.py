@@ -86,7 +86,7 @@ def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
         )
         jobs.append(partial(_by_heads, loop, number))
     by_heads, by_pairs = mapper(jobs), _by_pairs(pair, points, measured, config, seed)
-    frames = [drawn.table_row(), measured.table(points), *by_heads, by_pairs]
+    frames: list[pd.DataFrame] = [drawn.table_row(), measured.table(points), *by_heads, by_pairs]
     return pd.concat(frames, ignore_index=True)
 
 
@@ -240,12 +240,7 @@ def explaining_misalignments(config: FixedPairConfig) -> dict[str, Misalignment]
 
 
 def summarise(table: pd.DataFrame, config: FixedPairConfig) -> list[SummaryRow]:
-    """Rows of the summary: medians over the draws of the least and the greatest difference.
-
-    Verdicts beyond those of `verdict_of_ranges`: `head nearer` or `pair nearer` to the ground
-    truth; `agrees` if a rotation of the pair alone gives the article's range within a tenth of its
-    upper end, else `differs`.
-    """
+    """Rows of the summary: medians over the draws of the least and the greatest difference."""
     rows = []
     for quantity, pair in (
         ("absolute difference", "pair"),

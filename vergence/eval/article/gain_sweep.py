@@ -126,7 +126,8 @@ def run(config: GainSweepConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
         partial(_steps, config, seed, index * _TRIALS, *case) for index, case in enumerate(cases)
     ]
     jobs += [partial(_loops, config, delay) for delay in config.delays_frames]
-    return pd.concat(mapper(jobs), ignore_index=True)
+    tables: list[pd.DataFrame] = mapper(jobs)
+    return pd.concat(tables, ignore_index=True)
 
 
 def _grid(least: float, greatest: float, step: float) -> list[float]:
@@ -333,12 +334,7 @@ def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
 
 
 def summarise(table: pd.DataFrame, config: GainSweepConfig) -> list[SummaryRow]:
-    """Rows of the summary: our figures beside the article's only one, and further figures of ours.
-
-    Verdicts beyond those of `verdict_of_ranges`: `inside` if our rig's delay lies between those of
-    the identified loops, else `outside`; `target met` if the settling time never rises with the
-    gain up to the article's, else `target missed`.
-    """
+    """Rows of the summary: our figures beside the article's only one, and others of ours."""
     found = derive_findings(table, config)
     rows = []
     for axis, steps in (("y", ("+y", "-y")), ("x", ("+x", "-x"))):

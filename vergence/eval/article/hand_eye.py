@@ -145,12 +145,8 @@ def _fitted(
     A, B, group = A[kept], B[kept], group[kept]
     rows = np.zeros((len(A), 3, 3 + 3 * groups))
     rows[:, :, :3] = A[:, :3, :3]
-    np.put_along_axis(
-        rows,
-        (3 + 3 * group[:, None] + np.arange(3))[:, :, None],
-        np.full((len(A), 3, 1), -1.0),
-        axis=2,
-    )
+    columns = (3 + 3 * group[:, None] + np.arange(3))[:, :, None]
+    np.put_along_axis(rows, columns, np.full((len(A), 3, 1), -1.0), axis=2)
     right = np.einsum("nij,nj->ni", Y[group, :3, :3], B[:, :3, 3]) - A[:, :3, 3]
     shifts = np.linalg.lstsq(rows.reshape(-1, 3 + 3 * groups), right.ravel(), rcond=None)[0]
     X[:3, 3], Y[:, :3, 3] = shifts[:3], shifts[3:].reshape(-1, 3)
@@ -167,7 +163,7 @@ def _rotations(
         p, q = a[mine], b[mine]
         # q and -q are the same rotation: choose signs so that relative quaternions agree in A and B
         signs = np.sign(p @ p[0]) * np.sign(q @ q[0])
-        K[each] = np.einsum("n,nji,njk->ik", signs, _right(q), _left(p))
+        K[each] = np.einsum("n,nji,njk->ik", signs, _product(q, -1.0), _product(p, 1.0))
         count[each] = mine.sum()
     x = np.linalg.eigh((K.transpose(0, 2, 1) @ K / count[:, None, None]).sum(axis=0))[1][:, -1]
     y = K @ x
@@ -175,17 +171,8 @@ def _rotations(
     return Rotation.from_quat(x), Rotation.from_quat(y)
 
 
-def _left(q: FloatArray) -> FloatArray:
-    """(n, 4, 4) L(q) of quaternions x, y, z, w."""
-    return _product(q, 1.0)
-
-
-def _right(q: FloatArray) -> FloatArray:
-    """(n, 4, 4) R(q)."""
-    return _product(q, -1.0)
-
-
 def _product(q: FloatArray, sign: float) -> FloatArray:
+    """(n, 4, 4) L(q) of quaternions x, y, z, w for the sign 1, R(q) for the sign -1."""
     x, y, z, w = q.T
     u, v, s = sign * x, sign * y, sign * z
     rows = [[w, -s, v, x], [s, w, -u, y], [-v, u, w, z], [-x, -y, -z, w]]
@@ -291,8 +278,5 @@ def refine_by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEyeFi
     problem = HeadAdjustment(start_head, prior_sigma, start_of_board.frames)
     fit = fit_robustly(problem, start_of_board.boards, start_of_board.inlier_views)
     residuals = fit.normal.residuals * problem.frames.sigma
-    return HeadEyeFit(
-        np.asarray(fit.head.head_eye),
-        rms_length(residuals[fit.kept_corners]),
-        np.asarray(fit.kept_corners.any(axis=-1)),
-    )
+    kept_views, rms_px = fit.kept_corners.any(axis=-1), rms_length(residuals[fit.kept_corners])
+    return HeadEyeFit(np.asarray(fit.head.head_eye), rms_px, np.asarray(kept_views))

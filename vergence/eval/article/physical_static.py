@@ -178,13 +178,7 @@ def population_ranks(table: pd.DataFrame, row: ReportedResult) -> tuple[twin.Ran
 
 
 def summarise(table: pd.DataFrame, config: PhysicalStaticConfig) -> list[SummaryRow]:
-    """Rows of the summary: the article's beside the median heads', then population and sources.
-
-    Verdicts beyond those of `verdict_of_ranges`: `by construction` for the figure that set the
-    error scale; `inside` or `outside` the middle 80 % of the heads; and for ITPC off the axis `ITPC
-    worse` or `ITPC better` if its error differs from that of gaze by more than the margin, else
-    `alike`.
-    """
+    """Rows of the summary: the article's beside the median heads', then population and sources."""
     return [
         *_reported_rows(table), *_population_rows(table), *_imaged_rows(table),
         *_off_axis_rows(table, config), *_budget_rows(table),

@@ -259,9 +259,11 @@ class ReproduceListener(Protocol):
 
     def warn(self, name: str, why: str) -> None:
         """Called for an experiment that runs again, or is left out of the report."""
+        return
 
     def end(self, name: str, seconds: float | None) -> None:
         """Called at the end of an experiment; None if its results were there already."""
+        return
 
 
 class _Silent(ReproduceListener):

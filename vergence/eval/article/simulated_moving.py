@@ -216,11 +216,7 @@ def numbers(table: pd.DataFrame, config: SimulatedMovingConfig) -> Numbers:
 
 
 def summarise(table: pd.DataFrame, config: SimulatedMovingConfig) -> list[SummaryRow]:
-    """Rows of the summary: the article's under its own camera matrix, then those of other cases.
-
-    Verdicts beyond those of `verdict_of_ranges`: `target met` if the optical axes trail the target
-    by its speed over the gain, else `target missed`.
-    """
+    """Rows of the summary: the article's under its own camera matrix, then those of other cases."""
     errors = errors_by_case(table)
     rows = []
     for case in (ARTICLE_CASE, *(case for case in CASES if case != ARTICLE_CASE)):

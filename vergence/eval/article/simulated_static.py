@@ -384,11 +384,7 @@ def uncertainty_mm_per_px() -> FloatArray:
 
 
 def summarise(table: pd.DataFrame, config: SimulatedStaticConfig) -> list[SummaryRow]:
-    """Rows of the summary: the article's under its own camera matrix, other cases, our targets.
-
-    Verdicts beyond those of `verdict_of_ranges`: `target met` or `target missed` for our targets of
-    the exact model, and `inside` or `outside` the article's own range of detection noise.
-    """
+    """Rows of the summary: the article's under its own camera matrix, other cases, our targets."""
     rows = [_reported(row, select_fixes(table, ARTICLE_CASE)) for row in reported_results()
             if row.experiment == ARTICLE_NAME]  # fmt: skip
     cases, dithered = errors_by_case(table), dithered_errors(table)
@@ -513,7 +509,8 @@ def draw(table: pd.DataFrame, config: SimulatedStaticConfig) -> dict[str, Figure
     }
 
 
-def _panels(figure: Figure, unit: str) -> list[Axes]:
+def depth_panels(figure: Figure, unit: str) -> list[Axes]:
+    """Three panels over the depth, for x, y and z."""
     axes = list(figure.subplots(1, 3))
     for axis, letter in zip(axes, "xyz", strict=True):
         axis.set(title=letter, xlabel="depth (m)")
@@ -529,7 +526,7 @@ def _by_depth(rows: pd.DataFrame, method: str, axis: str, column: str) -> tuple[
 
 def _errors(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.5, 5.0)
-    axes = _panels(figure, "absolute error of the mean (mm)")
+    axes = depth_panels(figure, "absolute error of the mean (mm)")
     depth = static_points("simulated")[:, 2]
     for axis, letter in zip(axes, "xyz", strict=True):
         if letter == "z":
@@ -556,7 +553,7 @@ def _errors(table: pd.DataFrame) -> Figure:
 
 def _dithered(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.5, 4.4)
-    axes = _panels(figure, "absolute error of the mean (mm)")
+    axes = depth_panels(figure, "absolute error of the mean (mm)")
     depth = static_points("simulated")[:, 2]
     for axis, letter in zip(axes, "xyz", strict=True):
         worst = 10.0 * Z_WORST_PERCENT * depth if letter == "z" else XY_WORST_MM + 0.0 * depth
@@ -577,7 +574,7 @@ def _dithered(table: pd.DataFrame) -> Figure:
 
 def _uncertainties(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.5, 5.0)
-    axes = _panels(figure, "uncertainty, standard deviation (mm)")
+    axes = depth_panels(figure, "uncertainty, standard deviation (mm)")
     rows = select_fixes(table, ARTICLE_CASE)
     for axis, letter in zip(axes, "xyz", strict=True):
         span = article_result("uncertainty", letter).span

@@ -75,7 +75,8 @@ def run(config: TimeResponseConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
         for delay in config.delays_frames
     ]
     jobs.append(partial(_rig, config, offsets, seed))
-    return pd.concat([_start(head, config, offsets), *mapper(jobs)], ignore_index=True)
+    parts: list[pd.DataFrame] = [_start(head, config, offsets), *mapper(jobs)]
+    return pd.concat(parts, ignore_index=True)
 
 
 def joint_offsets(head: HeadModel, config: TimeResponseConfig) -> tuple[float, ...]:
@@ -308,8 +309,9 @@ def _draw_trace(table: pd.DataFrame, found: TimeResponseFindings) -> Figure:
     figure = style.new_figure(6.4, 4.4)
     axes = figure.subplots()
     for eye, colour, dash in (("left", style.BLUE, "-"), ("right", style.ORANGE, "--")):
-        rows, look = trace[trace["eye"] == eye], {"color": colour, "linestyle": dash}
-        axes.plot(1000.0 * rows["time_s"], rows["error_px"], label=f"{eye} eye", **look)
+        rows = trace[trace["eye"] == eye]
+        axes.plot(1000.0 * rows["time_s"], rows["error_px"], color=colour, linestyle=dash,
+                  label=f"{eye} eye")  # fmt: skip
     ends = 0.0
     for band, (_, latest) in found.settle_s.items():
         axes.axhline(band, color=style.GREY, linewidth=1.0)

@@ -20,7 +20,12 @@ from vergence.eval.article.closed_loop import MM, ClosedLoop, LinearLoop, hold_g
 from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, job_seed
 from vergence.eval.article.reported import static_points
 from vergence.eval.article.simulated_moving import article_deviation_ratio
-from vergence.eval.article.simulated_static import ARTICLE_DETECTION_PX, BOARD, article_result
+from vergence.eval.article.simulated_static import (
+    ARTICLE_DETECTION_PX,
+    BOARD,
+    article_result,
+    depth_panels,
+)
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.reporting import style
@@ -327,19 +332,19 @@ def bias_variation_px(table: pd.DataFrame) -> float:
 class AveragingErrors(NamedTuple):
     """Errors before and after averaging, root mean square over all depths, px."""
 
-    frames: int
-    one_frame_px: float
+    frames_count: int
+    single_px: float
     """Error of one frame, still fixation."""
-    still_mean_px: float
+    still_px: float
     """Error of the mean of all frames, still fixation."""
-    dithered_mean_px: float
-    """Error of the mean of all frames, dithered fixation."""
-    white_noise_mean_px: float
+    white_px: float
     """Error of the mean of all frames if single frames had only white scatter and no bias."""
-    board_bound_px: float
-    """Cramer-Rao bound for as many frames, from the whole board."""
-    window_bound_px: float
+    dithered_px: float
+    """Error of the mean of all frames, dithered fixation."""
+    window_px: float
     """Cramer-Rao bound for as many frames, from the detector's window."""
+    board_px: float
+    """Cramer-Rao bound for as many frames, from the whole board."""
 
 
 def averaging_errors(table: pd.DataFrame) -> AveragingErrors:
@@ -350,14 +355,14 @@ def averaging_errors(table: pd.DataFrame) -> AveragingErrors:
     def rms(fixation: str, count: int) -> float:
         return float(np.sqrt((errors.xs(fixation, level="fixation")[count] ** 2).mean()))
 
+    def rms_of_mean(values: "pd.Series[float]") -> float:
+        return float(np.sqrt((values**2).mean())) / float(np.sqrt(frames))
+
     sigma = rows_of_part(table, "propagation", "detection sigma")["value"]
-    root = float(np.sqrt(frames))
-    of_all = (
-        float(np.sqrt((v**2).mean())) / root for v in (sigma, bound["board"], bound["window"])
-    )
     return AveragingErrors(
-        frames, rms("still", 1), rms("still", frames), rms("dithered", frames), *of_all
-    )
+        frames, rms("still", 1), rms("still", frames), rms_of_mean(sigma), rms("dithered", frames),
+        rms_of_mean(bound["window"]), rms_of_mean(bound["board"]),
+    )  # fmt: skip
 
 
 def sigma_ratio_tolerance(config: UncertaintyConfig) -> float:
@@ -366,13 +371,7 @@ def sigma_ratio_tolerance(config: UncertaintyConfig) -> float:
 
 
 def summarise(table: pd.DataFrame, config: UncertaintyConfig) -> list[SummaryRow]:
-    """Rows of the summary, with our figures only; the article has none to compare with.
-
-    The verdict is `agrees` or `differs` if two ways to obtain a figure are compared: propagation
-    and Monte Carlo, or measured loops and their noise bandwidth, within three standard errors; a
-    mean of frames and white noise, within the factor `BIAS_RATIO`. For dithering it is `better` or
-    `alike`.
-    """
+    """Rows of the summary, with our figures only; the article has none to compare with."""
     averaging = _averaging_rows(averaging_errors(table))
     return [*_propagation_rows(table, config), *_loop_rows(table, config), *averaging]
 
@@ -404,20 +403,20 @@ def _loop_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterator[Summa
 
 def _averaging_rows(found: AveragingErrors) -> Iterator[SummaryRow]:
     for quantity, value in (
-        ("error of one frame, root mean square", found.one_frame_px),
-        (f"error of the mean of {found.frames} frames, still", found.still_mean_px),
-        (f"error of the mean of {found.frames} frames, dithered", found.dithered_mean_px),
-        (f"bound for {found.frames} frames, detector's window", found.window_bound_px),
-        (f"bound for {found.frames} frames, whole board", found.board_bound_px),
+        ("error of one frame, root mean square", found.single_px),
+        (f"error of the mean of {found.frames_count} frames, still", found.still_px),
+        (f"error of the mean of {found.frames_count} frames, dithered", found.dithered_px),
+        (f"bound for {found.frames_count} frames, detector's window", found.window_px),
+        (f"bound for {found.frames_count} frames, whole board", found.board_px),
     ):
         yield _row(quantity, "itpc", "u, v", None, value, unit="px")
-    biased = found.still_mean_px / found.white_noise_mean_px
-    dithered = found.dithered_mean_px / found.still_mean_px
+    biased = found.still_px / found.white_px
+    dithered = found.dithered_px / found.still_px
     for quantity, ratio, verdict in (
         ("still, over what white noise would leave", biased, _agreement(biased <= BIAS_RATIO)),
         ("dithered, over still", dithered, "better" if dithered < IMPROVEMENT_RATIO else "alike"),
     ):
-        quantity = f"error of the mean of {found.frames} frames, {quantity}"
+        quantity = f"error of the mean of {found.frames_count} frames, {quantity}"
         yield _row(quantity, "itpc", "u, v", None, ratio, verdict, "1")
 
 
@@ -434,7 +433,7 @@ def numbers(table: pd.DataFrame, config: UncertaintyConfig) -> Numbers:
     white = gains[gains["source"] == "white noise"]
     images = gains[gains["source"] == "images"].sort_values("gain_per_s")
     last, found = images.iloc[-1], averaging_errors(table)
-    root = float(np.sqrt(found.frames))
+    root = float(np.sqrt(found.frames_count))
     return {
         "points_count": float(len(off.xs((AHEAD, "gaze"), level=("pose", "method")))),
         "aside_count": float(len(off.xs((ASIDE, "gaze"), level=("pose", "method")))),
@@ -453,18 +452,12 @@ def numbers(table: pd.DataFrame, config: UncertaintyConfig) -> Numbers:
         "excess_least_px": float(images["excess_px"].min()),
         "excess_greatest_px": float(images["excess_px"].max()),
         "bias_within_reach_px": bias_variation_px(table),
-        "frames_count": found.frames,
-        "single_px": found.one_frame_px,
-        "still_px": found.still_mean_px,
-        "white_px": found.white_noise_mean_px,
-        "dithered_px": found.dithered_mean_px,
-        "window_px": found.window_bound_px,
-        "board_px": found.board_bound_px,
-        "still_over_dithered_ratio": found.still_mean_px / found.dithered_mean_px,
-        "dithered_over_window_ratio": found.dithered_mean_px / found.window_bound_px,
-        "dithered_over_board_ratio": found.dithered_mean_px / found.board_bound_px,
-        "single_over_window_ratio": found.one_frame_px / found.window_bound_px / root,
-        "single_over_board_ratio": found.one_frame_px / found.board_bound_px / root,
+        **found._asdict(),
+        "still_over_dithered_ratio": found.still_px / found.dithered_px,
+        "dithered_over_window_ratio": found.dithered_px / found.window_px,
+        "dithered_over_board_ratio": found.dithered_px / found.board_px,
+        "single_over_window_ratio": found.single_px / found.window_px / root,
+        "single_over_board_ratio": found.single_px / found.board_px / root,
     }
 
 
@@ -479,7 +472,7 @@ def draw(table: pd.DataFrame, config: UncertaintyConfig) -> dict[str, Figure]:
 
 def _propagated(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.5, 4.6)
-    axes = figure.subplots(1, 3)
+    axes = depth_panels(figure, "uncertainty, standard deviation (mm)")
     rows = rows_of_part(table, "propagation")
     rows = rows[(rows["unit"] == "mm") & (rows["pose"] == AHEAD)]
     for axis, letter in zip(axes, "xyz", strict=True):
@@ -497,9 +490,6 @@ def _propagated(table: pd.DataFrame) -> Figure:
                     marker="" if line else look["marker"], markerfacecolor="none",
                     label=METHOD_NAMES[method] if line else f"{look['label']}, Monte Carlo",
                 )  # fmt: skip
-        axis.set(title=letter, xlabel="depth (m)")
-        style.log_axis(axis)
-    axes[0].set_ylabel("uncertainty, standard deviation (mm)")
     style.legend_below(figure, 3)
     return figure
 
