@@ -8,13 +8,12 @@ import pytest
 
 from tests.eval.article.checks import incomplete, unjudged
 from tests.eval.mappers import Backwards
-from vergence.eval.article.experiment import load_experiment
+from vergence.eval.article.experiment import load_experiment, rows_where
 from vergence.eval.article.simulated_moving import (
     NONE,
     SimulatedMovingConfig,
     _follow,
     errors_by_case,
-    select_samples,
 )
 from vergence.reporting.jobs import SerialMapper
 
@@ -45,7 +44,7 @@ def test_the_article_s_samples_make_one_turn():
 
 
 def test_the_axes_trail_by_speed_over_gain_along_the_path(table):
-    rows = select_samples(table, "exact", "gaze", NONE)
+    rows = rows_where(table, case="exact", method="gaze", noise=NONE)
     error = rows[["error_x_mm", "error_y_mm"]].to_numpy()
     speed = 100.0 * 2.0 * np.pi / CONFIG.period_s
     assert np.allclose(np.linalg.norm(error, axis=1), speed / CONFIG.gain, rtol=0.03)
@@ -56,12 +55,12 @@ def test_the_axes_trail_by_speed_over_gain_along_the_path(table):
 
 
 def test_without_noise_pixels_of_one_exposure_do_not_trail(table):
-    rows = select_samples(table, "exact", "itpc", NONE)
+    rows = rows_where(table, case="exact", method="itpc", noise=NONE)
     assert rows[["error_x_mm", "error_y_mm", "error_z_mm"]].abs().to_numpy().max() < 1e-6
 
 
 def test_an_undated_fix_is_late_by_the_latency(table):
-    rows = select_samples(table, "exact", "itpc, undated", NONE)
+    rows = rows_where(table, case="exact", method="itpc, undated", noise=NONE)
     late = np.linalg.norm(rows[["error_x_mm", "error_y_mm"]], axis=1)
     assert np.allclose(late, 10.0 * 8.0 / 120.0, rtol=0.01)
 
@@ -89,7 +88,7 @@ def test_the_verdict_on_the_trail_follows_the_numbers(table):
 
 def test_the_numbers_of_the_text_are_those_of_the_table(table):
     numbers = EXPERIMENT.numbers(table, CONFIG)
-    z = select_samples(table, "principal", "gaze")["error_z_mm"]
+    z = rows_where(table, case="principal", method="gaze", noise="images")["error_z_mm"]
     assert numbers["principal_gaze_z_mm"] == pytest.approx(z.abs().mean())
     assert numbers["speed_over_gain_mm"] == pytest.approx(10.0 / 4.0)
     assert numbers["article_gaze_scatter_mm"] == 0.30

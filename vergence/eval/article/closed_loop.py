@@ -160,8 +160,6 @@ class GazeRecord(NamedTuple):
     """(samples, 7) joint feedback at present, rad."""
     positions_at_exposure: FloatArray
     """(samples, 7) joint feedback at exposure, rad."""
-    true_positions: FloatArray
-    """(samples, 7) joint angles at present without encoder quantisation, rad."""
     target: FloatArray
     """(samples, 3) target position at present, in N, m."""
     target_at_exposure: FloatArray
@@ -222,8 +220,7 @@ def _samples(loop: ClosedLoop, record: Recorder, present: IntArray) -> GazeRecor
         time_s=reading.time_s[present], exposure_s=exposure_s, pixels=pixels,
         pixel_error=record.pixel_error[present],
         true_pixels_at_exposure=true_head.project(truth.positions[steps, places], then),
-        positions=positions, positions_at_exposure=at_exposure,
-        true_positions=truth.positions[present], target=truth.target[present],
+        positions=positions, positions_at_exposure=at_exposure, target=truth.target[present],
         target_at_exposure=then, gaze=triangulate_gaze(head, positions),
         itpc=triangulate_views(head, at_exposure, pixels),
     )  # fmt: skip

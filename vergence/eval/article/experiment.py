@@ -92,6 +92,13 @@ class Experiment:
     """(table, config) to figures by name, such as `fig06-absolute-errors`."""
 
 
+def rows_where(table: pd.DataFrame, **values: Any) -> pd.DataFrame:
+    """The rows of a table whose columns have the given values."""
+    for column, value in values.items():
+        table = table[table[column] == value]
+    return table
+
+
 def load_experiment(name: str) -> Experiment:
     """Load an experiment by name."""
     if name not in EXPERIMENTS:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from vergence.eval.article import twin
 from vergence.eval.article.closed_loop import MM, ClosedLoop, hold_gaze
-from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
+from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, rows_where
 from vergence.eval.article.reported import ReportedResult, reported_results, static_points
 from vergence.eval.article.twin import AXES, METHODS
 from vergence.models.camera import Camera, Cameras, camera_matrix
@@ -175,7 +175,7 @@ def article_results() -> list[ReportedResult]:
 
 def fix_errors_mm(table: pd.DataFrame, method: str, axis: str) -> FloatArray:
     """(draws, points) errors against the truth, mm."""
-    rows = table[(table["case"] == "fix") & (table["method"] == method)]
+    rows = rows_where(table, case="fix", method=method)
     wide = rows.pivot(index="draw", columns="point", values=f"error_{axis}_mm")
     return np.asarray(wide.to_numpy(), dtype=np.float64)
 
@@ -277,7 +277,7 @@ def _depth_ratio(table: pd.DataFrame) -> float:
 
 def numbers(table: pd.DataFrame, config: FixedPairConfig) -> Numbers:
     """The numbers of the text."""
-    detector = table.loc[table["case"] == "detector", "sigma_px"]
+    detector = rows_where(table, case="detector")["sigma_px"]
     gaze, itpc, pair = (fix_errors_mm(table, method, "z") for method in ("gaze", "itpc", "pair"))
     inside = {
         pair: [twin.count_inside(population_ranks(table, r, pair)) for r in article_results()]

@@ -28,7 +28,7 @@ from scipy.optimize import brentq
 from vergence.envs.targets.prescribed import StepTarget
 from vergence.eval.article.closed_loop import servo_pixel_errors
 from vergence.eval.article.criterion import BY_CONSTRUCTION, NO_FIGURE
-from vergence.eval.article.experiment import Experiment, SummaryRow
+from vergence.eval.article.experiment import Experiment, SummaryRow, rows_where
 from vergence.eval.trials.metrics import overshoot_fraction, settle_time
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray, LoopTiming
@@ -167,12 +167,8 @@ def _loops(config: GainSweepConfig, delay_frames: int) -> pd.DataFrame:
 def _target(config: GainSweepConfig, step: str) -> StepTarget:
     dx, dy = {**STEPS, **PLANE_STEPS}[step]
     x, y, z = config.point_mm
-    after = (x + config.step_mm * dx, y + config.step_mm * dy, z)
-    return StepTarget(before=_metres(x, y, z), after=_metres(*after))
-
-
-def _metres(x: float, y: float, z: float) -> tuple[float, float, float]:
-    return (x / 1000.0, y / 1000.0, z / 1000.0)
+    after = ((x + config.step_mm * dx) / 1000.0, (y + config.step_mm * dy) / 1000.0, z / 1000.0)
+    return StepTarget(before=(x / 1000.0, y / 1000.0, z / 1000.0), after=after)
 
 
 def _rows(
@@ -216,8 +212,7 @@ class LoopFamily(NamedTuple):
 
 def sweep_trials(table: pd.DataFrame, step: str, plant: str = "kinematic") -> pd.DataFrame:
     """Trials of one step with k1 = k2, sorted by gain."""
-    rows = table.query("case == 'sweep' and step == @step and plant == @plant")
-    return rows.sort_values("k1_per_s")
+    return rows_where(table, case="sweep", step=step, plant=plant).sort_values("k1_per_s")
 
 
 def trial_at_gain(rows: pd.DataFrame, gain: float) -> "pd.Series[Any]":
@@ -232,12 +227,12 @@ def fastest_trial(rows: pd.DataFrame) -> "pd.Series[Any]":
 
 def loop_family(table: pd.DataFrame, config: GainSweepConfig, gain: float) -> LoopFamily:
     """Loops whose overshoot begins at one of the config's onset gains."""
-    loops = table[(table["case"] == "loop") & (table["k1_per_s"] == gain)]
+    loops = rows_where(table, case="loop", k1_per_s=gain)
     lags = [
         first_crossing(rows["lag_s"], rows["overshoot"], config.onset_fraction)
         for _, rows in loops.groupby("delay_frames")
     ]
-    without = loops[loops["lag_s"] == 0.0].sort_values("delay_frames")
+    without = rows_where(loops, lag_s=0.0).sort_values("delay_frames")
     delays = without["delay_frames"].to_numpy(dtype=np.float64)
     longest = first_crossing(delays, without["overshoot"], config.onset_fraction)
     return LoopFamily(gain, delays, np.array(lags), longest)
@@ -292,8 +287,8 @@ def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
     """The numbers of the text."""
     found, rows = derive_findings(table, config), sweep_trials(table, "-y")
     slow, reached, best = rows.iloc[0], trial_at_gain(rows, ARTICLE_GAIN), fastest_trial(rows)
-    plane = table[table["case"] == "plane"]
-    plane = plane[plane["k2_per_s"] == trial_at_gain(plane, ARTICLE_GAIN)["k2_per_s"]]
+    plane = rows_where(table, case="plane")
+    plane = rows_where(plane, k2_per_s=trial_at_gain(plane, ARTICLE_GAIN)["k2_per_s"])
     onsets = list(found.onset_gain_by_step.values())
     filled: dict[str, float] = {
         "article_gain": ARTICLE_GAIN,
@@ -320,7 +315,7 @@ def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
         "theory_lag_ms": 1000.0 / (4.0 * ARTICLE_GAIN),
     }
     for step, name in zip(PLANE_STEPS, ("y", "xy"), strict=True):
-        settle = plane[plane["step"] == step]["settle_1px_s"]
+        settle = rows_where(plane, step=step)["settle_1px_s"]
         filled[f"plane_{name}_change_ms"] = 1000.0 * (settle.max() - settle.min())
     ends = zip(("low", "high"), found.families, found.delays_frames, strict=True)
     for end, family, frames in ends:
@@ -422,13 +417,13 @@ def _draw_sweep(table: pd.DataFrame, config: GainSweepConfig) -> Figure:
 
 def _draw_plane(table: pd.DataFrame) -> Figure:
     titles = {"+y": "Step in y alone", "+x+y": "Step in x and y"}
-    plane = table[table["case"] == "plane"]
+    plane = rows_where(table, case="plane")
     low, high = plane["settle_1px_s"].min(), plane["settle_1px_s"].max()
     norm = LogNorm(low, high)
     figure = style.new_figure(9.0, 4.3)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, step in zip(panels, PLANE_STEPS, strict=True):
-        rows = plane[plane["step"] == step]
+        rows = rows_where(plane, step=step)
         grid = rows.pivot_table(index="k2_per_s", columns="k1_per_s", values="settle_1px_s")
         filled = axes.pcolormesh(
             grid.columns, grid.index, grid.to_numpy(), norm=norm, cmap="cividis",

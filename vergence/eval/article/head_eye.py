@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.recording import HeadFrames
 from vergence.calibration.head.simulated import quantised, simulate_recording
-from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
+from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, rows_where
 from vergence.eval.article.hand_eye import refine_by_reprojection, solve_both_eyes
 from vergence.eval.article.reported import ARTICLE_LARGEST_PERCENT, static_points
 from vergence.eval.article.twin import draw_heads
@@ -103,7 +103,7 @@ ARTICLE_PERCENT: Final = ARTICLE_LARGEST_PERCENT["itpc"]
 
 def depth_errors_percent(table: pd.DataFrame, stage: str, reading: str = "exact") -> FloatArray:
     """(heads, points) absolute depth errors, percent of depth; infinite where there is no fix."""
-    rows = table[(table["stage"] == stage) & (table["reading"] == reading)]
+    rows = rows_where(table, stage=stage, reading=reading)
     share = 100.0 * rows["error_z_mm"].abs() / rows["truth_z_mm"]
     wide = rows.assign(percent=share).pivot(index="head", columns="point", values="percent")
     return np.asarray(wide.fillna(np.inf).to_numpy(), dtype=np.float64)

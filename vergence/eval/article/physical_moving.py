@@ -13,7 +13,7 @@ from vergence.envs.streams import IntArray
 from vergence.envs.targets.prescribed import LineTarget
 from vergence.eval.article import twin
 from vergence.eval.article.closed_loop import MM, ClosedLoop, hold_gaze
-from vergence.eval.article.experiment import Experiment, SummaryRow
+from vergence.eval.article.experiment import Experiment, SummaryRow, rows_where
 from vergence.eval.article.reported import ARTICLE_GAIN, ReportedResult, reported_result
 from vergence.eval.article.twin import AXES, METHODS
 from vergence.models.head import HeadModel
@@ -190,9 +190,7 @@ def article_result(method: str, axis: str) -> ReportedResult:
 
 def column_by_head(table: pd.DataFrame, group: str, method: str, column: str) -> FloatArray:
     """(heads,) one column of the table, by head."""
-    rows = table[
-        (table["case"] == "head") & (table["group"] == group) & (table["method"] == method)
-    ]
+    rows = rows_where(table, case="head", group=group, method=method)
     return np.asarray(rows.sort_values("head")[column].to_numpy(), dtype=np.float64)
 
 
@@ -236,7 +234,7 @@ def _apart(table: pd.DataFrame, axis: str) -> twin.RankInPopulation:
 
 def numbers(table: pd.DataFrame, config: PhysicalMovingConfig) -> Numbers:
     """The numbers of the text."""
-    row = table[table["case"] == "twin"].iloc[0]
+    row = rows_where(table, case="twin").iloc[0]
     x_mm, _, z_mm = config.middle_mm
     tilt = max(article_result(method, "y").low for method in METHODS) / z_mm
     values = {
@@ -286,17 +284,15 @@ def draw(table: pd.DataFrame, config: PhysicalMovingConfig) -> dict[str, Figure]
 
 def _trajectory(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.0, 4.2)
-    rows = table[table["case"] == "time"]
+    rows = rows_where(table, case="time")
     for panel, axis in zip(figure.subplots(1, 2), ("x", "y"), strict=True):
-        truth = rows[rows["method"] == "gaze"]
+        truth = rows_where(rows, method="gaze")
         panel.plot(truth["truth_z_mm"], truth[f"truth_{axis}_mm"], color=style.BLACK, linewidth=2.5,
                    label="truth")  # fmt: skip
         for method in METHODS:
-            own = rows[rows["method"] == method]
-            look = {**style.METHOD_STYLE[method], "linestyle": "none", "markersize": 5}
-            look["label"] = f"{twin.METHOD_LABELS[method]}, images"
-            if method == "itpc":
-                look.update(markerfacecolor="none", markersize=8)
+            own = rows_where(rows, method=method)
+            label = f"{twin.METHOD_LABELS[method]}, images"
+            look = twin.method_look(method, 8, linestyle="none", markersize=5, label=label)
             panel.plot(
                 own["truth_z_mm"] + own["error_z_mm"],
                 own[f"truth_{axis}_mm"] + own[f"error_{axis}_mm"],
@@ -309,15 +305,15 @@ def _trajectory(table: pd.DataFrame) -> Figure:
 
 def _errors(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.6, 4.2)
-    rows, bands = table[table["case"] == "time"], table[table["case"] == "band"]
+    rows, bands = rows_where(table, case="time"), rows_where(table, case="band")
     for panel, axis in zip(figure.subplots(1, 3), AXES, strict=True):
-        band = bands[(bands["axis"] == axis) & (bands["method"] == "gaze")]
+        band = rows_where(bands, axis=axis, method="gaze")
         panel.fill_between(band["time_s"], band["low_mm"], band["high_mm"], color=style.GREY,
                            alpha=0.25, linewidth=0.0, label="heads by gaze, 10-90 %")  # fmt: skip
         panel.plot(band["time_s"], band["median_mm"], color=style.GREY, linewidth=1.2,
                    label="median head")  # fmt: skip
         for method, dash in zip(METHODS, ("--", ":"), strict=True):
-            own = rows[rows["method"] == method]
+            own = rows_where(rows, method=method)
             panel.plot(own["time_s"], own[f"error_{axis}_mm"].abs(), color=_COLOUR[method],
                        linestyle=style.METHOD_STYLE[method]["linestyle"],
                        label=f"{twin.METHOD_LABELS[method]}, images")  # fmt: skip

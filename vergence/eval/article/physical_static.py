@@ -24,7 +24,7 @@ from vergence.eval.article.error_budget import (
     detector_rows,
     off_axis_rows,
 )
-from vergence.eval.article.experiment import Experiment, SummaryRow
+from vergence.eval.article.experiment import Experiment, SummaryRow, rows_where
 from vergence.eval.article.reported import (
     ARTICLE_LARGEST_PERCENT,
     ReportedResult,
@@ -250,7 +250,7 @@ def _off_axis_rows(table: pd.DataFrame, config: PhysicalStaticConfig) -> Iterato
 
 def _budget_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     """Depth errors from each source alone, over Table 5's points."""
-    for source, rows in table[table["case"] == "budget"].groupby("source", sort=False):
+    for source, rows in rows_where(table, case="budget").groupby("source", sort=False):
         ours = _range(rows["rms_depth_error_percent"].round(_DIGITS))
         quantity = f"rms depth error of a fixation, {_title(str(source))}"
         yield _row(quantity, "both", "z", None, ours, unit="%")
@@ -265,12 +265,12 @@ def _range(values: FloatArray | pd.Series) -> tuple[float, float]:
 
 
 def _twin(table: pd.DataFrame) -> pd.Series:
-    return table[table["case"] == "twin"].iloc[0]
+    return rows_where(table, case="twin").iloc[0]
 
 
 def _off_axis(table: pd.DataFrame, source: str) -> pd.DataFrame:
     """Rows of one source, from the axis outwards."""
-    rows = table[(table["case"] == "off axis") & (table["source"] == source)]
+    rows = rows_where(table, case="off axis", source=source)
     return rows.sort_values("offset_px")
 
 
@@ -336,7 +336,7 @@ def _off_axis_numbers(table: pd.DataFrame, config: PhysicalStaticConfig) -> Numb
 
 def _budget_numbers(table: pd.DataFrame) -> Numbers:
     """Depth errors from each source alone at the nearest and at the farthest point."""
-    rows = table[table["case"] == "budget"]
+    rows = rows_where(table, case="budget")
     wide = rows.pivot(index="truth_z_mm", columns="source", values="rms_depth_error_percent")
     return {"near_m": wide.index[0] / 1000.0, "far_m": wide.index[-1] / 1000.0} | {
         f"{where}_{source.replace(' ', '_')}_percent": float(wide[source].iloc[end])
@@ -352,7 +352,7 @@ def _imaged_numbers(table: pd.DataFrame) -> Numbers:
     article = reported_result(NAME, "uncertainty", "both", "z").span[1]
     ratio = float(far["uncertainty_z_mm"]) / article
     still = {
-        name: rows.loc[rows["method"] == "gaze", "scatter_z_mm"] <= STILL_MM
+        name: rows_where(rows, method="gaze")["scatter_z_mm"] <= STILL_MM
         for name, rows in (("imaged", imaged), ("population", population))
     }
     uncertainty = {axis: _range(imaged[f"uncertainty_{axis}_mm"]) for axis in AXES}
@@ -406,10 +406,11 @@ def _errors(table: pd.DataFrame) -> Figure:
                            label="heads, 10-90 %")  # fmt: skip
         panel.plot(depth, median, color=style.BLUE, linewidth=1.2, label="median head")
         for method in METHODS:
-            look = dict(style.METHOD_STYLE[method])
-            look.update(label=f"{twin.METHOD_LABELS[method]}, images", linewidth=1.3)
-            if method == "itpc":
-                look.update(markerfacecolor="none", markersize=9, linestyle="none")
+            label, dash = (
+                f"{twin.METHOD_LABELS[method]}, images",
+                "-" if method == "gaze" else "none",
+            )
+            look = twin.method_look(method, 9, label=label, linewidth=1.3, linestyle=dash)
             panel.plot(looked, twin.absolute_errors_mm(imaged, method, axis)[0], **look)
         for r in article_results("absolute error"):
             if r.axis == axis:
@@ -460,12 +461,10 @@ def _uncertainties(table: pd.DataFrame) -> Figure:
     for r, panel in zip(article_results("uncertainty"), figure.subplots(1, 3), strict=True):
         panel.axhspan(r.low, r.high, **style.ARTICLE_BAND)
         for method in METHODS:
-            rows = imaged[imaged["method"] == method].sort_values("truth_z_mm")
-            look = dict(style.METHOD_STYLE[method])
-            if method == "itpc":
-                look.update(markerfacecolor="none", markersize=9)
+            rows = rows_where(imaged, method=method).sort_values("truth_z_mm")
+            look = twin.method_look(method, 9)
             panel.plot(rows["truth_z_mm"] / 1000.0, rows[f"uncertainty_{r.axis}_mm"], **look)
-        rows = imaged[imaged["method"] == "gaze"].sort_values("truth_z_mm")
+        rows = rows_where(imaged, method="gaze").sort_values("truth_z_mm")
         moved = rows[rows[f"scatter_{r.axis}_mm"] > STILL_MM]
         panel.plot(moved["truth_z_mm"] / 1000.0, moved[f"scatter_{r.axis}_mm"], color=style.GREEN,
                    marker="^", linestyle="none",
@@ -480,8 +479,8 @@ def _uncertainties(table: pd.DataFrame) -> Figure:
 def _budget(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(8.0, 5.2)
     panel = figure.subplots()
-    budget = table[table["case"] == "budget"]
-    whole = budget[budget["source"] == ALL].sort_values("truth_z_mm")
+    budget = rows_where(table, case="budget")
+    whole = rows_where(budget, source=ALL).sort_values("truth_z_mm")
     panel.plot(whole["truth_z_mm"] / 1000.0, whole["rms_depth_error_percent"], color=style.BLACK,
                linewidth=3.0, label="all, encoders too")  # fmt: skip
     order = (
@@ -491,7 +490,7 @@ def _budget(table: pd.DataFrame) -> Figure:
     for source, (colour, marker, dash) in zip(
         order[order > _NEGLIGIBLE_PERCENT].index, _MARKS, strict=False
     ):
-        rows = budget[budget["source"] == source].sort_values("truth_z_mm")
+        rows = rows_where(budget, source=source).sort_values("truth_z_mm")
         panel.plot(rows["truth_z_mm"] / 1000.0, rows["rms_depth_error_percent"], color=colour,
                    marker=marker, linestyle=dash, linewidth=1.2, markevery=2,
                    label=_title(source, short=True))  # fmt: skip
@@ -510,8 +509,8 @@ def _budget(table: pd.DataFrame) -> Figure:
 def _draw_off_axis(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.6, 5.0)
     left, right = figure.subplots(1, 2)
-    rows = table[table["case"] == "off axis"]
-    whole = rows[rows["source"] == ALL].sort_values("offset_px")
+    rows = rows_where(table, case="off axis")
+    whole = rows_where(rows, source=ALL).sort_values("offset_px")
     look = {m: {**style.METHOD_STYLE[m]} for m in METHODS}
     look["gaze"]["label"], look["itpc"]["label"] = "gaze, settled: rms", "ITPC: rms"
     for method in METHODS:
@@ -527,7 +526,7 @@ def _draw_off_axis(table: pd.DataFrame) -> Figure:
     left.set(title="all errors", ylabel="depth error [% of depth]")
     style.legend_below(left, 1)
     for source, (colour, marker, dash) in zip(SOURCES, _MARKS, strict=False):
-        own = rows[rows["source"] == source].sort_values("offset_px")
+        own = rows_where(rows, source=source).sort_values("offset_px")
         change = own["itpc_rms_percent"] - own["gaze_rms_percent"]
         right.plot(own["offset_px"], change, color=colour, marker=marker, linestyle=dash,
                    linewidth=1.3, label=_title(source, short=True))  # fmt: skip

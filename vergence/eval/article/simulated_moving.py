@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from vergence.envs.targets.prescribed import CircleTarget
 from vergence.eval.article.closed_loop import MM, ClosedLoop, LinearLoop, hold_gaze, noise_gain
-from vergence.eval.article.experiment import Experiment, SummaryRow, job_seed
+from vergence.eval.article.experiment import Experiment, SummaryRow, job_seed, rows_where
 from vergence.eval.article.reported import reported_result, reported_results
 from vergence.eval.article.simulated_static import (
     ARTICLE_CASE,
@@ -56,7 +56,7 @@ def run(config: SimulatedMovingConfig, seed: int, mapper: Mapper) -> pd.DataFram
     tables: list[pd.DataFrame] = mapper(jobs)
     exact = tables[list(CASES).index("exact")]
     # noise of the same standard deviation, but white and without the detector's bias
-    sigma = float(exact.loc[exact["method"] == "itpc", "detection_sigma_px"].iloc[0])
+    sigma = float(rows_where(exact, method="itpc")["detection_sigma_px"].iloc[0])
     tables += mapper([partial(_follow, config, seed, "exact", WHITE, sigma)])
     return pd.concat(tables, ignore_index=True)
 
@@ -104,14 +104,6 @@ RATES_HZ: Final = (120.0, 60.0, 30.0, 20.0, 15.0)
 def article_value_mm(quantity: str, method: str, axis: str) -> float:
     """A value that the article reports, mm."""
     return reported_result(ARTICLE_NAME, quantity, method, axis).low
-
-
-def select_samples(
-    table: pd.DataFrame, case: str, method: str, noise: str = IMAGES
-) -> pd.DataFrame:
-    """The samples of one case and method, in order."""
-    chosen = (table["case"] == case) & (table["method"] == method) & (table["noise"] == noise)
-    return table[chosen]
 
 
 class SampleErrors(NamedTuple):
@@ -281,7 +273,9 @@ def _errors(table: pd.DataFrame) -> Figure:
     for row, case in zip(axes, ("exact", ARTICLE_CASE), strict=True):
         for axis, letter in zip(row, "xyz", strict=True):
             for method in ("itpc", "gaze"):
-                samples = select_samples(table, case, method).iloc[::_DRAWN_EVERY]
+                samples = rows_where(table, case=case, method=method, noise=IMAGES).iloc[
+                    ::_DRAWN_EVERY
+                ]
                 look = style.METHOD_STYLE[method]
                 axis.plot(
                     samples["time_s"], samples[f"error_{letter}_mm"], color=look["color"],

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from vergence.eval.article import closed_loop
 from vergence.eval.article.closed_loop import MM, ClosedLoop, GazeRecord, hold_gaze
-from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, job_seed
+from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, job_seed, rows_where
 from vergence.eval.article.reported import (
     ReportedResult,
     reported_result,
@@ -236,8 +236,7 @@ def select_fixes(
     table: pd.DataFrame, case: str, fixation: str = "still", images: str = "rendered"
 ) -> pd.DataFrame:
     """The rows of one case and kind of fixation."""
-    chosen = (table["case"] == case) & (table["fixation"] == fixation) & (table["images"] == images)
-    return table[chosen]
+    return rows_where(table, case=case, fixation=fixation, images=images)
 
 
 class MeanFixErrors(NamedTuple):
@@ -259,7 +258,7 @@ class MeanFixErrors(NamedTuple):
         by_axis = absolute.groupby(rows["axis"])
         deep = rows["axis"] == "z"
         share = 100.0 * absolute[deep] / rows["depth_mm"][deep]
-        itpc = rows[rows["method"] == "itpc"]
+        itpc = rows_where(rows, method="itpc")
         errors = itpc["error_mm"].abs() * np.sqrt(itpc["n"]) / itpc["standard_deviation_mm"]
         return cls(
             {axis: float(by_axis.min()[axis]) for axis in "xyz"},
@@ -327,10 +326,10 @@ def _methods_apart(table: pd.DataFrame) -> dict[str, float]:
     keys = ["case", "point", "axis"]
     wide = rendered.pivot_table(index=keys, columns="method", values="error_mm")
     difference = (wide["gaze"] - wide["itpc"]).abs()
-    itpc = rendered[rendered["method"] == "itpc"].set_index(keys)
+    itpc = rows_where(rendered, method="itpc").set_index(keys)
     error = itpc["standard_deviation_mm"] / np.sqrt(itpc["n"])
     exact = select_fixes(table, "exact")
-    scatter = exact[exact["axis"] == "z"].pivot_table(
+    scatter = rows_where(exact, axis="z").pivot_table(
         index="point", columns="method", values="standard_deviation_mm"
     )
     return {
@@ -349,7 +348,7 @@ def _drawn_heads(table: pd.DataFrame) -> dict[str, float]:
     heads = select_fixes(table, "drawn", images="none")
     absolute = heads.assign(error_mm=heads["error_mm"].abs())
     worst = absolute.pivot_table(index="head", columns="axis", values="error_mm", aggfunc="max")
-    deep = absolute[absolute["axis"] == "z"]
+    deep = rows_where(absolute, axis="z")
     share = (100.0 * deep["error_mm"] / deep["depth_mm"]).groupby(deep["head"]).max()
     _, article_x = article_result("absolute error", "x").span
     like = worst["x"].between(0.5 * article_x, 2.0 * article_x) & (share <= ARTICLE_Z_PERCENT)
@@ -409,27 +408,21 @@ def summarise(table: pd.DataFrame, config: SimulatedStaticConfig) -> list[Summar
         scatter = own["standard_deviation_mm"]
         ours, quantity = (scatter.min(), scatter.max()), "standard deviation of single fixes"
         rows.append(_row(quantity, str(method), str(letter), None, ours))
-    return rows + _explanations(numbers(table, config))
+    return [*rows, *_explanations(numbers(table, config))]
 
 
-def _reported(row: ReportedResult, case: pd.DataFrame) -> SummaryRow:
-    """Summary row of our range beside one of the article's."""
-    own = case[case["axis"] == row.axis]
-    if row.method != "both":
-        own = own[own["method"] == row.method]
-    column = "error_mm" if row.quantity == "absolute error" else "uncertainty_mm"
-    values = own[column].abs()
-    low, high = float(values.min()), float(values.max())
-    return _row(row.quantity, row.method, row.axis, (row.low, row.high), (low, high))
+def _reported(r: ReportedResult, case: pd.DataFrame) -> SummaryRow:
+    own = rows_where(case, axis=r.axis, **({} if r.method == "both" else {"method": r.method}))
+    column = "error_mm" if r.quantity == "absolute error" else "uncertainty_mm"
+    ours = (float(own[column].abs().min()), float(own[column].abs().max()))
+    return _row(r.quantity, r.method, r.axis, (r.low, r.high), ours)
 
 
-def _case_errors(title: str, errors: MeanFixErrors) -> list[SummaryRow]:
-    rows = []
+def _case_errors(title: str, errors: MeanFixErrors) -> Iterator[SummaryRow]:
     for axis in "xyz":
         theirs = None if axis == "z" else article_result("absolute error", axis).span
         ours = (errors.low_mm[axis], errors.high_mm[axis])
-        rows.append(_row(f"absolute error, {title}", "both", axis, theirs, ours))
-    return rows
+        yield _row(f"absolute error, {title}", "both", axis, theirs, ours)
 
 
 def _depth_share(title: str, errors: MeanFixErrors) -> SummaryRow:
@@ -438,18 +431,15 @@ def _depth_share(title: str, errors: MeanFixErrors) -> SummaryRow:
     return _row(quantity, "both", "z", theirs, (low, high), unit="%")
 
 
-def _targets(title: str, errors: MeanFixErrors, factor: float) -> list[SummaryRow]:
-    """Summary rows on our own targets for a case."""
+def _targets(title: str, errors: MeanFixErrors, factor: float) -> Iterator[SummaryRow]:
     _, median, worst = errors.z_percent
-    return [
-        _target_row(f"{what}, {title}", "both", axis, value, factor * limit, unit)
-        for what, axis, unit, value, limit in (
-            ("greatest error over depth", "z", "%", worst, Z_WORST_PERCENT),
-            ("median error over depth", "z", "%", median, Z_MEDIAN_PERCENT),
-            ("greatest error", "x", "mm", errors.high_mm["x"], XY_WORST_MM),
-            ("greatest error", "y", "mm", errors.high_mm["y"], XY_WORST_MM),
-        )
-    ]
+    for what, axis, unit, value, limit in (
+        ("greatest error over depth", "z", "%", worst, Z_WORST_PERCENT),
+        ("median error over depth", "z", "%", median, Z_MEDIAN_PERCENT),
+        ("greatest error", "x", "mm", errors.high_mm["x"], XY_WORST_MM),
+        ("greatest error", "y", "mm", errors.high_mm["y"], XY_WORST_MM),
+    ):
+        yield _target_row(f"{what}, {title}", "both", axis, value, factor * limit, unit)
 
 
 def _target_row(
@@ -459,25 +449,19 @@ def _target_row(
     return _row(f"{quantity}, target {limit:g} {unit}", method, axis, None, value, verdict, unit)
 
 
-def _explanations(found: Numbers) -> list[SummaryRow]:
+def _explanations(found: Numbers) -> Iterator[SummaryRow]:
     """Summary rows on errors beyond chance, and on drawn errors like the article's."""
-    unit, all_axes = "standard errors", "x, y, z"
-    ratio, theirs = found["heads_z_over_x"], found["article_z_over_x"]
-    return [
-        _target_row(
-            quantity, method, all_axes, found[f"{name}_standard_errors"], STANDARD_ERRORS, unit
-        )
-        for quantity, method, name in (
-            ("greatest difference of the methods' means", "both", "apart"),
-            ("greatest error of the mean, exact model", "itpc", "exact"),
-            ("greatest error of the mean, exact model, dithered", "itpc", "dithered"),
-        )
-    ] + [
-        _row("error in z over error in x at the farthest point, drawn heads", "gaze", "x, z",
-             (None, theirs), ratio, unit="1"),
-        _row("drawn heads with the article's errors in x and z", "gaze", "x, z", None,
-             found["heads_like_percent"], unit="%"),
-    ]  # fmt: skip
+    for quantity, method, name in (
+        ("greatest difference of the methods' means", "both", "apart"),
+        ("greatest error of the mean, exact model", "itpc", "exact"),
+        ("greatest error of the mean, exact model, dithered", "itpc", "dithered"),
+    ):
+        value, unit = found[f"{name}_standard_errors"], "standard errors"
+        yield _target_row(quantity, method, "x, y, z", value, STANDARD_ERRORS, unit)
+    yield _row("error in z over error in x at the farthest point, drawn heads", "gaze", "x, z",
+               (None, found["article_z_over_x"]), found["heads_z_over_x"], unit="1")  # fmt: skip
+    yield _row("drawn heads with the article's errors in x and z", "gaze", "x, z", None,
+               found["heads_like_percent"], unit="%")  # fmt: skip
 
 
 _CASE_STYLE: Final[dict[str, dict[str, Any]]] = {
@@ -520,7 +504,7 @@ def depth_panels(figure: Figure, unit: str) -> list[Axes]:
 
 
 def _by_depth(rows: pd.DataFrame, method: str, axis: str, column: str) -> tuple[Any, Any]:
-    own = rows[(rows["method"] == method) & (rows["axis"] == axis)].sort_values("depth_mm")
+    own = rows_where(rows, method=method, axis=axis).sort_values("depth_mm")
     return own["depth_mm"] / 1000.0, own[column].abs().clip(lower=_LEAST_MM)
 
 

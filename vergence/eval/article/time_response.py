@@ -14,7 +14,7 @@ from scipy.optimize import root
 from vergence.envs.targets.prescribed import StaticTarget
 from vergence.errors import ConfigurationError
 from vergence.eval.article.closed_loop import servo_pixel_errors, with_joint_offsets
-from vergence.eval.article.experiment import Experiment, SummaryRow
+from vergence.eval.article.experiment import Experiment, SummaryRow, rows_where
 from vergence.eval.trials.metrics import settle_time
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
@@ -207,7 +207,7 @@ class TimeResponseFindings(NamedTuple):
 def derive_findings(table: pd.DataFrame) -> TimeResponseFindings:
     """Derive the results from the table."""
     rig, offsets, initial, trace = (
-        table[table["case"] == case] for case in ("rig", "offset", "initial", "trace")
+        rows_where(table, case=case) for case in ("rig", "offset", "initial", "trace")
     )
     delay, lag = int(rig["delay_frames"].iloc[0]), float(rig["lag_s"].iloc[0])
     settle = {
@@ -215,7 +215,7 @@ def derive_findings(table: pd.DataFrame) -> TimeResponseFindings:
         for band, times in rig.groupby("threshold_px")["settle_s"]
     }
     miss = np.abs((initial["article_px"] - initial["nominal_px"]).to_numpy())
-    first = trace[trace["time_s"] == 0.0]["error_px"].to_numpy()
+    first = rows_where(trace, time_s=0.0)["error_px"].to_numpy()
     return TimeResponseFindings(
         delay, lag, settle, int(rig["trial"].nunique()),
         [_pair(table, frames, lag if lagging else 0.0, band) for frames, lagging, band in PAIRS],
@@ -226,7 +226,7 @@ def derive_findings(table: pd.DataFrame) -> TimeResponseFindings:
 
 def settle_time_map(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
     """Map of one lag: settling time in s, a row per threshold, a column per delay."""
-    rows = table[(table["case"] == "map") & (table["lag_s"] == lag_s)]
+    rows = rows_where(table, case="map", lag_s=lag_s)
     return rows.pivot_table(
         index="threshold_px", columns="delay_frames", values="settle_s", dropna=False
     )
@@ -234,12 +234,12 @@ def settle_time_map(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
 
 def held_thresholds_px(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
     """Least threshold within which the error stays from the article's time on, by delay."""
-    rows = table[(table["case"] == "by") & (table["lag_s"] == lag_s)]
+    rows = rows_where(table, case="by", lag_s=lag_s)
     return rows.sort_values("delay_frames")
 
 
 def _pair(table: pd.DataFrame, delay: int, lag_s: float, threshold_px: float) -> LoopAndThreshold:
-    rows = table[(table["case"] == "map") & (table["lag_s"] == lag_s)]
+    rows = rows_where(table, case="map", lag_s=lag_s)
     near = (rows["threshold_px"] - threshold_px).abs() < 1e-6
     settle = rows.loc[near & (rows["delay_frames"] == delay), "settle_s"]
     return LoopAndThreshold(delay, lag_s, threshold_px, settle.iloc[0] if len(settle) else np.nan)
@@ -305,11 +305,11 @@ def draw(table: pd.DataFrame, config: TimeResponseConfig) -> dict[str, Figure]:
 
 
 def _draw_trace(table: pd.DataFrame, found: TimeResponseFindings) -> Figure:
-    trace = table[table["case"] == "trace"]
+    trace = rows_where(table, case="trace")
     figure = style.new_figure(6.4, 4.4)
     axes = figure.subplots()
     for eye, colour, dash in (("left", style.BLUE, "-"), ("right", style.ORANGE, "--")):
-        rows = trace[trace["eye"] == eye]
+        rows = rows_where(trace, eye=eye)
         axes.plot(1000.0 * rows["time_s"], rows["error_px"], color=colour, linestyle=dash,
                   label=f"{eye} eye")  # fmt: skip
     ends = 0.0

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -19,7 +19,7 @@ from vergence.eval.article.closed_loop import (
     noise_gain,
     with_joint_offsets,
 )
-from vergence.eval.article.experiment import job_rng
+from vergence.eval.article.experiment import job_rng, rows_where
 from vergence.eval.article.reported import ARTICLE_GAIN, ARTICLE_LARGEST_PERCENT, static_points
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.head import HeadModel
@@ -27,6 +27,7 @@ from vergence.models.head_file import load_head
 from vergence.models.parts import LINKS, FloatArray, Rendering
 from vergence.models.perturbation import ModelErrors
 from vergence.reporting.jobs import Mapper
+from vergence.reporting.style import METHOD_STYLE
 from vergence.triangulation import triangulate_views
 from vergence.vision import AprilTag, Camera, TargetRenderer, Tracker, make_detector
 from vergence.vision.targets import board_pose
@@ -38,6 +39,12 @@ AXES: Final = ("x", "y", "z")
 # 80 %).
 LOW: Final = 10.0
 HIGH: Final = 90.0
+
+
+def method_look(method: str, size: float, **more: Any) -> dict[str, Any]:
+    """Style of a method's line; the markers of ITPC are hollow, of a size around those of gaze."""
+    hollow = {"markerfacecolor": "none", "markersize": size} if method == "itpc" else {}
+    return {**METHOD_STYLE[method], **more, **hollow}
 
 
 class RankInPopulation(NamedTuple):
@@ -89,13 +96,13 @@ def axis_columns(**values: Sequence[FloatArray] | FloatArray) -> dict[str, Float
 
 def fixation_rows(table: pd.DataFrame, group: str = "population") -> pd.DataFrame:
     """The rows of one group's fixations."""
-    chosen = table[(table["case"] == "fixation") & (table["group"] == group)]
+    chosen = rows_where(table, case="fixation", group=group)
     return chosen.astype({"head": int, "point": int})
 
 
 def absolute_errors_mm(rows: pd.DataFrame, method: str, axis: str) -> FloatArray:
     """(heads, points) absolute errors of the mean fix, mm."""
-    of_method = rows[rows["method"] == method]
+    of_method = rows_where(rows, method=method)
     wide = of_method.pivot(index="head", columns="point", values=f"error_{axis}_mm")
     return np.asarray(wide.abs().to_numpy(), dtype=np.float64)
 

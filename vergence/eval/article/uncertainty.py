@@ -17,7 +17,7 @@ from vergence.eval.article.board_views import (
     shifted_pose,
 )
 from vergence.eval.article.closed_loop import MM, ClosedLoop, LinearLoop, hold_gaze, noise_gain
-from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, job_seed
+from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng, job_seed, rows_where
 from vergence.eval.article.reported import static_points
 from vergence.eval.article.simulated_moving import article_deviation_ratio
 from vergence.eval.article.simulated_static import (
@@ -263,14 +263,14 @@ IMPROVEMENT_RATIO: Final = 0.67
 
 def rows_of_part(table: pd.DataFrame, name: str, quantity: str | None = None) -> pd.DataFrame:
     """Rows of one part of the experiment, of one quantity or of all."""
-    rows = table[table["part"] == name]
-    return rows if quantity is None else rows[rows["quantity"] == quantity]
+    rows = rows_where(table, part=name)
+    return rows if quantity is None else rows_where(rows, quantity=quantity)
 
 
 def propagation_ratios(table: pd.DataFrame) -> pd.DataFrame:
     """Ratio of propagated to Monte Carlo uncertainty: a row per pose, depth and method, by axis."""
     rows = rows_of_part(table, "propagation")
-    wide = rows[rows["unit"] == "mm"].pivot_table(
+    wide = rows_where(rows, unit="mm").pivot_table(
         index=["pose", "depth_mm", "method", "axis"], columns="quantity", values="value"
     )
     return (wide["propagated"] / wide["Monte Carlo"]).unstack("axis")
@@ -430,8 +430,8 @@ def numbers(table: pd.DataFrame, config: UncertaintyConfig) -> Numbers:
     aside = off.xs(ASIDE, level="pose")
     gains = noise_gains(table, config)
     gains["off"] = 100.0 * (gains["measured"] / gains["predicted"] - 1.0).abs()
-    white = gains[gains["source"] == "white noise"]
-    images = gains[gains["source"] == "images"].sort_values("gain_per_s")
+    white = rows_where(gains, source="white noise")
+    images = rows_where(gains, source="images").sort_values("gain_per_s")
     last, found = images.iloc[-1], averaging_errors(table)
     root = float(np.sqrt(found.frames_count))
     return {
@@ -474,15 +474,15 @@ def _propagated(table: pd.DataFrame) -> Figure:
     figure = style.new_figure(9.5, 4.6)
     axes = depth_panels(figure, "uncertainty, standard deviation (mm)")
     rows = rows_of_part(table, "propagation")
-    rows = rows[(rows["unit"] == "mm") & (rows["pose"] == AHEAD)]
+    rows = rows_where(rows, unit="mm", pose=AHEAD)
     for axis, letter in zip(axes, "xyz", strict=True):
-        own = rows[rows["axis"] == letter].sort_values("depth_mm")
+        own = rows_where(rows, axis=letter).sort_values("depth_mm")
         article = article_result("uncertainty", letter)
         axis.axhspan(article.low, article.high, **style.ARTICLE_BAND, label="article's range")
         for method in ("gaze", "itpc"):
             look = style.METHOD_STYLE[method]
             for quantity in ("propagated", "Monte Carlo"):
-                values = own[(own["method"] == method) & (own["quantity"] == quantity)]
+                values = rows_where(own, method=method, quantity=quantity)
                 line = quantity == "propagated"
                 axis.plot(
                     values["depth_mm"] / 1000.0, values["value"], color=look["color"],
@@ -503,7 +503,7 @@ def _draw_loop(table: pd.DataFrame, config: UncertaintyConfig) -> Figure:
     predicted = [noise_gain(LinearLoop.of(head, float(gain))) for gain in gains]
     axis.plot(gains, predicted, color=style.BLACK, label="from the noise bandwidth")
     for source, colour, marker in (("white noise", style.BLUE, "x"), ("images", style.ORANGE, "o")):
-        own = measured[measured["source"] == source]
+        own = rows_where(measured, source=source)
         axis.plot(own["gain_per_s"], own["measured"], color=colour, marker=marker, linestyle="",
                   markersize=8, markeredgewidth=2, label=f"measured, {source}")  # fmt: skip
     ratio, label = article_deviation_ratio(), "article, moving target: 0.30 / 0.98 mm"
