@@ -131,11 +131,10 @@ class ClosedLoop:
     trial: int = 0
     """Trial number of the first head under that seed; the other heads take the next numbers."""
 
-    def imaged(self, true_head: HeadModel, trial: int) -> "ClosedLoop":
-        """This loop with one true head, of batch shape (1,), on rendered images."""
-        return replace(
-            self, true_head=true_head, num=1, plant="rendered", plant_options={}, trial=trial
-        )
+    def of_heads(self, heads: HeadModel, trial: int, images: bool = False) -> "ClosedLoop":
+        """This loop with true heads of batch shape (n,), on rendered images if asked for."""
+        loop = replace(self, true_head=heads, num=heads.batch_shape[0], trial=trial)
+        return replace(loop, plant="rendered", plant_options={}) if images else loop
 
 
 class GazeRecord(NamedTuple):

@@ -16,7 +16,6 @@ from vergence.eval.article.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.article.experiment import Experiment, SummaryRow, rows_where
 from vergence.eval.article.reported import ARTICLE_GAIN, ReportedResult, reported_result
 from vergence.eval.article.twin import AXES, METHODS
-from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.reporting import style
 from vergence.reporting.jobs import Job, Mapper
@@ -81,34 +80,31 @@ def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame
     halved = dataclasses.replace(errors, common_tilt_rad=0.5 * errors.common_tilt_rad)
     firsts = range(0, config.heads, _CHUNK)
     jobs: list[Job] = [
-        partial(_follow, loop, group[first : first + _CHUNK], first)
+        partial(_follow, loop.of_heads(group[first : first + _CHUNK], first))
         for group in (drawn.heads, twin.draw_heads(drawn.nominal, halved, config.heads, seed))
         for first in firsts
     ]
     imaged = drawn.heads[drawn.imaged_head : drawn.imaged_head + 1]
-    jobs.append(partial(_errors_along, loop.imaged(imaged, _IMAGED_TRIAL)))
+    jobs.append(partial(_follow, loop.of_heads(imaged, _IMAGED_TRIAL, images=True)))
     *parts, seen = mapper(jobs)
     population, half_tilt = _joined(parts[: len(firsts)]), _joined(parts[len(firsts) :])
     kept = slice(None, None, config.table_every)
+    all_heads = np.arange(config.heads)
     frames: list[pd.DataFrame] = [
-        drawn.table_row(),
-        _head_rows("population", population, np.arange(config.heads)),
-        _head_rows("half tilt", half_tilt, np.arange(config.heads)),
-        _head_rows("imaged", seen, np.array([drawn.imaged_head])),
-        _time_rows(seen, kept),
+        drawn.table_row(), _head_rows("population", population, all_heads),
+        _head_rows("half tilt", half_tilt, all_heads),
+        _head_rows("imaged", seen, np.array([drawn.imaged_head])), _time_rows(seen, kept),
         _band_rows(population, kept),
-    ]
+    ]  # fmt: skip
     return pd.concat(frames, ignore_index=True)
 
 
 def _loop(drawn: twin.TwinPopulation, config: PhysicalMovingConfig, seed: int) -> ClosedLoop:
     """Closed loop on the line, begun early so that the eyes follow when the record begins."""
     origin, end = np.array(config.origin_mm) / MM, np.array(config.end_mm) / MM
-    length = float(np.linalg.norm(end - origin))
-    early = origin - (end - origin) / length * config.speed_m_s * config.settle_s
-    target = LineTarget(
-        origin=tuple(early.tolist()), end=tuple(end.tolist()), speed=config.speed_m_s
-    )
+    length, speed = float(np.linalg.norm(end - origin)), config.speed_m_s
+    early = origin - (end - origin) / length * speed * config.settle_s
+    target = LineTarget(origin=tuple(early.tolist()), end=tuple(end.tolist()), speed=speed)
     periods = int(length / config.speed_m_s * drawn.nominal.timing.control_rate_hz)
     depth_m = 0.5 * (config.origin_mm[2] + config.end_mm[2]) / MM
     return ClosedLoop(
@@ -118,23 +114,13 @@ def _loop(drawn: twin.TwinPopulation, config: PhysicalMovingConfig, seed: int) -
     )  # fmt: skip
 
 
-def _follow(loop: ClosedLoop, heads: HeadModel, trial: int) -> _Errors:
-    """Run some heads along the line."""
-    num = heads.batch_shape[0]
-    return _errors_along(dataclasses.replace(loop, true_head=heads, num=num, trial=trial))
-
-
-def _errors_along(loop: ClosedLoop) -> _Errors:
+def _follow(loop: ClosedLoop) -> _Errors:
     record = hold_gaze(loop)
-    return _Errors(
-        record.time_s[:, 0] - loop.settle_s,
-        MM * record.target[:, 0],
-        {"gaze": record.gaze_error_mm, "itpc": record.itpc_error_mm},
-    )
+    errors = {"gaze": record.gaze_error_mm, "itpc": record.itpc_error_mm}
+    return _Errors(record.time_s[:, 0] - loop.settle_s, MM * record.target[:, 0], errors)
 
 
 def _joined(parts: list[_Errors]) -> _Errors:
-    """Join the heads of several jobs."""
     errors = {m: np.concatenate([part.errors[m] for part in parts], axis=1) for m in METHODS}
     return parts[0]._replace(errors=errors)
 

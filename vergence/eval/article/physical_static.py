@@ -119,7 +119,7 @@ def _imaged(loop: ClosedLoop, which: int, number: int) -> pd.DataFrame:
     nominal = loop.head
     assert loop.true_head is not None  # a population's loop
     head: HeadModel = loop.true_head[which]
-    record = hold_gaze(loop.imaged(head[None], loop.trial))
+    record = hold_gaze(loop.of_heads(head[None], loop.trial, images=True))
     sigma_px = closed_loop.detection_sigma(record.pixels)[0]
     q = record.positions.mean(axis=0)[0]
     pixels = np.nanmean(record.pixels, axis=0)[0]
