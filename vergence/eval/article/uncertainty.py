@@ -478,7 +478,7 @@ def _propagated(table: pd.DataFrame) -> Figure:
     for axis, letter in zip(axes, "xyz", strict=True):
         own = rows_where(rows, axis=letter).sort_values("depth_mm")
         article = article_result("uncertainty", letter)
-        axis.axhspan(article.low, article.high, **style.ARTICLE_BAND, label="article's range")
+        axis.axhspan(*article.span, **style.ARTICLE_BAND, label="article's range")
         for method in ("gaze", "itpc"):
             look = style.METHOD_STYLE[method]
             for quantity in ("propagated", "Monte Carlo"):
