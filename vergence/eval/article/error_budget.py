@@ -56,33 +56,28 @@ class BudgetCase(NamedTuple):
     """The run's seed."""
 
 
-class _Drawn(NamedTuple):
-    """Draws of one error source: differing heads, or points around each point for the encoders."""
+def _depth_errors_m(case: BudgetCase, source: str, offsets_px: tuple[float, ...]) -> FloatArray:
+    """(draws, points, offsets, directions) depth errors, m.
 
-    heads: HeadModel
-    points: FloatArray
-    """(1 or n, points, 3) in N, m: n positions around each point are n draws of quantisation."""
-    encoders: bool
-
-
-def _draw(case: BudgetCase, source: str) -> _Drawn:
-    points, errors = case.points, case.errors
+    The draws are heads or, for the encoders' quantisation, places around each point.
+    """
+    nominal, points, errors = case.nominal, case.points[None], case.errors
     if source == ENCODERS:
-        steps = np.linspace(-_REACH_M, _REACH_M, _PLACES)
-        around = np.stack(np.meshgrid(steps, [0.0], steps), axis=-1).reshape(-1, 1, 3)
-        return _Drawn(case.nominal, points + around, True)
-    if source != ALL:
-        name = "common_tilt_rad" if source == "common_tilt" else source
-        errors = ModelErrors(**{name: getattr(errors, name)})
-    heads = draw_heads(case.nominal, errors, case.heads, case.seed)
-    return _Drawn(heads, points[None], source == ALL)
+        steps, heads = np.linspace(-_REACH_M, _REACH_M, _PLACES), nominal
+        points = points + np.stack(np.meshgrid(steps, [0.0], steps), axis=-1).reshape(-1, 1, 3)
+    else:
+        if source != ALL:
+            name = "common_tilt_rad" if source == "common_tilt" else source
+            errors = ModelErrors(**{name: getattr(errors, name)})
+        heads = draw_heads(nominal, errors, case.heads, case.seed)[:, None, None, None]
+    pixels, encoders = off_axis_pixels(nominal, offsets_px), source in {ENCODERS, ALL}
+    return mean_fix_errors_m(nominal, heads, points[:, :, None, None], pixels, encoders)[..., 2]
 
 
 def budget_rows(case: BudgetCase, source: str) -> pd.DataFrame:
     """A row per point: rms depth error of settled fixations with one source or all, percent."""
-    nominal, points, drawn = case.nominal, case.points, _draw(case, source)
-    depth = _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., 0, 0]
-    return _budget(source, points, np.sqrt(np.nanmean(depth**2, axis=0)))
+    depth = _depth_errors_m(case, source, (0.0,))[..., 0, 0]
+    return _budget(source, case.points, np.sqrt(np.nanmean(depth**2, axis=0)))
 
 
 def detector_rows(
@@ -121,10 +116,9 @@ def off_axis_rows(
     which ITPC's largest error exceeds that of gaze by `excess_percent` or more. The largest depth
     error is the median over heads and directions.
     """
-    nominal, points, drawn = case.nominal, case.points, _draw(case, source)
-    relative = 100.0 / points[:, 2, None, None]
-    itpc = relative * _depth(nominal, drawn, off_axis_pixels(nominal, offsets_px))
-    gaze = relative * _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., :1]
+    relative = 100.0 / case.points[:, 2, None, None]
+    itpc = relative * _depth_errors_m(case, source, offsets_px)
+    gaze = relative * _depth_errors_m(case, source, (0.0,))[..., :1]
     rows = []
     for k, offset in enumerate(offsets_px):
         there = itpc[:, :, k]
@@ -147,13 +141,6 @@ def off_axis_rows(
         }  # fmt: skip
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _depth(nominal: HeadModel, drawn: _Drawn, pixels: FloatArray) -> FloatArray:
-    """(draws, points, offsets, directions) depth errors, m."""
-    heads = drawn.heads[:, None, None, None] if drawn.heads.batch_shape else drawn.heads
-    points = drawn.points[:, :, None, None]
-    return mean_fix_errors_m(nominal, heads, points, pixels, drawn.encoders)[..., 2]
 
 
 def _rms(values: FloatArray) -> float:
