@@ -46,7 +46,7 @@ from vergence.calibration.head.calibrate import calibrate_head
 from vergence.calibration.head.recording import HeadFrames
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
-from vergence.eval.article.head_eye.hand_eye import (
+from vergence.eval.article.hand_eye import (
     HeadEyeFit,
     refine_by_reprojection,
     solve_both_eyes,

@@ -6,20 +6,20 @@ import pytest
 
 from tests.conftest import sketched
 from tests.eval.trials.toys import STEP, ideal_head
-from vergence.eval.article import folder
+from vergence.eval.article import reproduce
 from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evaluate
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.models import HeadModel
 from vergence.models.head_file import load_head, save_head
 
-SOURCES = folder._sources_digest()
+SOURCES = reproduce._sources_digest()
 
 
 def toy_alone(patch: pytest.MonkeyPatch) -> None:
     """Leave the toy experiment alone in the registry of experiments."""
-    patch.setattr(folder, "_sources_digest", lambda: SOURCES)  # which takes as long as all else
-    for module in ("experiment", "folder", "overrides", "reproduce"):
+    patch.setattr(reproduce, "_sources_digest", lambda: SOURCES)  # which takes as long as all else
+    for module in ("experiment", "reproduce"):
         patch.setattr(
             f"vergence.eval.article.{module}.EXPERIMENTS",
             {"toy": "tests.eval.article.toy:EXPERIMENT"},

@@ -37,7 +37,7 @@ class Info:
 
         from vergence.envs.plant import PLANTS
         from vergence.envs.targets.registry import TARGETS
-        from vergence.eval.article.registry import EXPERIMENTS
+        from vergence.eval.article.config import EXPERIMENTS
         from vergence.eval.comparison.contestants import controllers_in_table_order
         from vergence.eval.trials.scenarios import SCENARIOS
         from vergence.models.head_file import load_head, presets

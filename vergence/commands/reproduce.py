@@ -44,8 +44,12 @@ class Reproduce:
 
 
 def _print_summary(sections: "list[ReportSection]") -> None:
-    from vergence.eval.article.criterion import REPRODUCED, VERDICTS
-    from vergence.eval.article.summary import article_summary_rows, count_verdicts
+    from vergence.eval.article.criterion import (
+        REPRODUCED,
+        VERDICTS,
+        article_summary_rows,
+        count_verdicts,
+    )
     from vergence.reporting.text import METHODS_LEGEND, format_range
 
     judged = [row for _name, row in article_summary_rows(sections)]

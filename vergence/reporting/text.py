@@ -31,7 +31,7 @@ class SectionText(NamedTuple):
 
 
 def read_template(package: str, name: str = "section.jinja") -> str:
-    """Read a template from a package, such as `vergence.eval.article.gain_sweep`."""
+    """Read a template from a package, such as `vergence.eval.comparison`."""
     return (resources.files(package) / name).read_text(encoding="utf-8")
 
 

@@ -19,11 +19,10 @@ from tests.eval.refusals import not_refused
 from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.article.config import ReproduceConfig
-from vergence.eval.article.folder import write_folder_report
-from vergence.eval.article.overrides import read_overrides
+from vergence.eval.article.criterion import count_verdicts
+from vergence.eval.article.experiment import read_overrides
 from vergence.eval.article.reported import reported_results
-from vergence.eval.article.reproduce import reproduce
-from vergence.eval.article.summary import count_verdicts
+from vergence.eval.article.reproduce import reproduce, write_folder_report
 from vergence.files import hold_lock
 from vergence.reporting.report import ReportSection
 from vergence.reporting.runs import write_parquet
@@ -239,7 +238,7 @@ def test_a_report_that_cannot_be_written_is_one_line_and_the_results_stay(tmp_pa
         raise OSError(errno.EROFS, "Read-only file system")
 
     with monkeypatch.context() as patch:
-        patch.setattr("vergence.eval.article.folder.write_report", fail)
+        patch.setattr("vergence.eval.article.reproduce.write_report", fail)
         with pytest.raises(ConfigurationError, match="the report cannot be written"):
             reproduce(config(tmp_path))
     listener = Warned()
@@ -310,7 +309,7 @@ def test_a_changed_configuration_is_said_first_too(tmp_path):
 def test_the_report_begins_with_what_was_found_and_what_reproduced_requires(tmp_path, monkeypatch):
     (row,) = reported_results()[:1]
     monkeypatch.setattr(
-        "vergence.eval.article.summary.reported_results",
+        "vergence.eval.article.criterion.reported_results",
         lambda: (replace(row, experiment="toy", quantity="value", method="both", axis="x"),) * 2,
     )
     reproduce(config(tmp_path))

@@ -15,7 +15,7 @@ from vergence.envs.streams import RandomStreams
 from vergence.envs.targets.motion import target_position
 from vergence.envs.targets.registry import make_target
 from vergence.errors import ConfigurationError, UnknownNameError, UnreachableTargetError
-from vergence.eval.article.twin.heads import TwinConfig
+from vergence.eval.article.twin import TwinConfig
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import SCENARIOS, SPLITS, Scenario, load_scenario
 from vergence.eval.trials.twin_errors import TWIN_ERRORS, TWIN_SPREADS

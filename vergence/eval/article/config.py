@@ -1,8 +1,8 @@
-"""Configuration of a run of the experiments; also the options of `vergence reproduce`."""
+"""Names of the experiments, and the options of `vergence reproduce`; quick to import."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import tyro
 
@@ -36,3 +36,17 @@ class ReproduceConfig:
     def folder(self) -> Path:
         """The run folder; experiments finished there with the same config and seed are kept."""
         return self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
+
+
+EXPERIMENTS: Final[dict[str, str]] = {
+    "simulated-static": "vergence.eval.article.simulated_static:EXPERIMENT",
+    "simulated-moving": "vergence.eval.article.simulated_moving:EXPERIMENT",
+    "physical-static": "vergence.eval.article.physical_static:EXPERIMENT",
+    "physical-moving": "vergence.eval.article.physical_moving:EXPERIMENT",
+    "fixed-pair": "vergence.eval.article.fixed_pair:EXPERIMENT",
+    "gain-sweep": "vergence.eval.article.gain_sweep:EXPERIMENT",
+    "time-response": "vergence.eval.article.time_response:EXPERIMENT",
+    "uncertainty": "vergence.eval.article.uncertainty:EXPERIMENT",
+    "head-eye": "vergence.eval.article.head_eye:EXPERIMENT",
+}
+"""Entry points, `module:attribute`, of the experiments by name, in the article's order."""

@@ -1,21 +1,24 @@
-"""Definition of an experiment: a function of a config and a seed that returns a tidy table."""
+"""An experiment: a function of a config and a seed that returns a tidy table; its settings."""
 
 import dataclasses
+import shlex
+import tomllib
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from math import isfinite
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
-from vergence.eval.article.config_rules import check_bounds, check_value
+from vergence.eval.article.config import EXPERIMENTS
 from vergence.eval.article.criterion import verdict_of_ranges
-from vergence.eval.article.registry import EXPERIMENTS
+from vergence.models.head_file import load_head
 from vergence.models.perturbation import ModelErrors
 from vergence.reporting.jobs import Mapper
 from vergence.reporting.text import Numbers
@@ -40,28 +43,14 @@ class SummaryRow:
 
     @classmethod
     def of(
-        cls,
-        experiment: str,
-        quantity: str,
-        method: str,
-        axis: str,
+        cls, experiment: str, quantity: str, method: str, axis: str,
         article: tuple[float | None, float | None] | float | None,
-        ours: tuple[float, float] | float,
-        verdict: str | None = None,
-        unit: str = "mm",
-    ) -> "SummaryRow":
-        """Make a row from ranges.
+        ours: tuple[float, ...] | float, verdict: str | None = None, unit: str = "mm",
+    ) -> "SummaryRow":  # fmt: skip
+        """Make a row from least and greatest figures, or from single ones.
 
-        Args:
-            experiment: name of the experiment.
-            quantity: the compared quantity.
-            method: the triangulation method, or the control law.
-            axis: axis of the quantity.
-            article: the article's least and greatest figure, one of them None if it reports only
-                the other; or a single figure; None for none.
-            ours: our least and greatest figure, or a single one; nan for none.
-            verdict: see the field; None to compare the ranges, see `verdict_of_ranges`.
-            unit: unit of both figures.
+        The article's are None where it reports none, ours nan. Without a verdict the ranges are
+        compared.
         """
         article_low, article_high = article if isinstance(article, tuple) else (article, article)
         low, high = ours if isinstance(ours, tuple) else (ours, ours)
@@ -69,18 +58,13 @@ class SummaryRow:
             verdict = "not reported"
             if article_low is not None or article_high is not None:
                 verdict = verdict_of_ranges(low, high, article_low, article_high)
+        known = (float(value) if isfinite(value) else None for value in (low, high))
+        ours_low, ours_high = known
         return cls(
-            experiment=experiment,
-            quantity=quantity,
-            method=method,
-            axis=axis,
-            unit=unit,
-            article_low=article_low,
-            article_high=article_high,
-            ours_low=float(low) if isfinite(low) else None,
-            ours_high=float(high) if isfinite(high) else None,
-            verdict=verdict,
-        )
+            experiment=experiment, quantity=quantity, method=method, axis=axis, unit=unit,
+            article_low=article_low, article_high=article_high, ours_low=ours_low,
+            ours_high=ours_high, verdict=verdict,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +76,7 @@ class Experiment:
     article: str
     """Place in the article: section, tables, figures."""
     text: str
-    """The template of its section in the report, `section.jinja` in its folder: procedure and
+    """The template of its section in the report, a file of `sections`: procedure and
     results, see `vergence.reporting.text`."""
     config: type[Any]
     """A frozen dataclass with a default for every field."""
@@ -108,12 +92,15 @@ class Experiment:
     """(table, config) to figures by name, such as `fig06-absolute-errors`."""
 
 
-def load_experiment(name: str) -> Experiment:
-    """Load an experiment by name.
+def rows_where(table: pd.DataFrame, **values: Any) -> pd.DataFrame:
+    """The rows of a table whose columns have the given values."""
+    for column, value in values.items():
+        table = table[table[column] == value]
+    return table
 
-    Raises:
-        UnknownNameError: there is no such experiment.
-    """
+
+def load_experiment(name: str) -> Experiment:
+    """Load an experiment by name."""
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, list(EXPERIMENTS))
     module, _, attribute = EXPERIMENTS[name].partition(":")
@@ -122,20 +109,7 @@ def load_experiment(name: str) -> Experiment:
 
 
 def resolve_config(experiment: Experiment, overrides: Mapping[str, Any], quick: bool) -> Any:
-    """Apply the changes of `--quick`, if asked for, and then the user's to an experiment's config.
-
-    Args:
-        experiment: the experiment.
-        overrides: the user's values by field.
-        quick: true to apply the changes of `--quick` first.
-
-    Returns:
-        The config.
-
-    Raises:
-        ConfigurationError: a field is unknown, or a value is not allowed or not of its default's
-            type.
-    """
+    """Apply the changes of `--quick`, if asked for, then the user's to a config."""
     config = dataclasses.replace(experiment.config(), **(experiment.quick if quick else {}))
     return _changed(experiment.name, overrides, config)
 
@@ -177,10 +151,138 @@ def _like(key: str, value: Any, default: Any) -> Any:
 def job_rng(seed: int, experiment: str, *keys: int) -> np.random.Generator:
     """Random generator of one job, independent of those of all other jobs and of where it runs.
 
-    Args:
-        seed: the run's seed.
-        experiment: the experiment's name.
-        keys: non-negative integers that identify the job within the experiment.
+    The keys are non-negative integers that identify the job within the experiment.
     """
     entropy = [seed, zlib.crc32(experiment.encode()), *keys]
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
+
+
+def job_seed(seed: int, experiment: str, *keys: int) -> int:
+    """Seed of one job's plant, see `job_rng`."""
+    return int(job_rng(seed, experiment, *keys).integers(2**63))
+
+
+_SIGNED: Final = ("point_mm", "origin_mm", "end_mm", "place_mm", "aside_deg")
+"""Name endings of coordinates and angles, which may be negative."""
+_NOT_SIGNED: Final = ("mount_place_mm",)
+_MAY_BE_ZERO: Final = ("settle_s", "worse_margin", "mount_rotation_deg", "mount_place_mm")
+"""Fields that may be zero, besides those whose default has a zero; all others must be positive."""
+_MOST_COUNT: Final = 10_000_000
+"""Largest integer that a field may have (chosen: far above any useful count)."""
+_ORDERED: Final = (("least_gain", "greatest_gain"), ("least_threshold_px", "greatest_threshold_px"))
+"""Pairs of fields; the first must not exceed the second."""
+ARTICLE_HEADS: Final = ("simulated", "physical")
+"""Names of the article's own heads; the experiments reproduce their figures."""
+_STEPS: Final[tuple[tuple[str, str | None, str], ...]] = (
+    ("gain_step", "least_gain", "greatest_gain"),
+    ("plane_step", "least_gain", "greatest_gain"),
+    ("threshold_step_px", "least_threshold_px", "greatest_threshold_px"),
+    ("lag_step_s", None, "greatest_lag_s"),
+)
+"""For each grid: the fields of its step, its first value (None for zero) and its last value."""
+_MOST_STEPS: Final = 100_000
+"""Largest number of steps of a grid (chosen: bounds memory, far above any useful grid)."""
+
+
+def check_value(key: str, name: str, value: Any, default: Any) -> None:
+    """Refuse a number or a head that a field of this name must not have."""
+    if name == "head":
+        _check_head(key, value)
+    place = isinstance(default, tuple) and len(default) < 4 and name.endswith(("_mm", "_px"))
+    if place and len(value) != len(default):
+        raise ConfigurationError(f"{key}: expected {len(default)} numbers, got {value!r}")
+    signed = name.endswith(_SIGNED) and name not in _NOT_SIGNED
+    defaults = default if isinstance(default, tuple) else (default,)
+    zero = name in _MAY_BE_ZERO or 0 in defaults
+    for one in value if isinstance(value, tuple) else (value,):
+        if isinstance(one, bool | str) or not isinstance(one, int | float) or signed:
+            continue
+        if one < 0 or (one == 0 and not zero):
+            least = "of at least 0" if zero else "above 0"
+            raise ConfigurationError(f"{key}: expected a number {least}, got {one!r}")
+        if isinstance(one, int) and one > _MOST_COUNT:
+            raise ConfigurationError(f"{key}: expected at most {_MOST_COUNT}, got {one!r}")
+
+
+def _check_head(key: str, name: str) -> None:
+    """Refuse a head, given by name or file, that is not one of the article's."""
+    head = load_head(name)
+    if head.digest not in {load_head(own).digest for own in ARTICLE_HEADS}:
+        raise ConfigurationError(
+            f"{key}: expected {' or '.join(ARTICLE_HEADS)}, the article's own heads, got {name}; "
+            f"vergence evaluate --head {shlex.quote(name)} compares controllers on it"
+        )
+
+
+def check_bounds(config_name: str, values: Mapping[str, Any]) -> None:
+    """Refuse reversed bounds, and grids with too many steps."""
+    for low, high in _ORDERED:
+        if low in values and not values[low] <= values[high]:
+            raise ConfigurationError(
+                f"{config_name}: expected {low} <= {high}, got {values[low]} and {values[high]}"
+            )
+    onsets = values.get("onset_gains", (0.0, 1.0))
+    if len(onsets) != 2 or not onsets[0] < onsets[1]:
+        raise ConfigurationError(
+            f"{config_name}.onset_gains: expected two rising numbers, got {onsets}"
+        )
+    for step, least, most in _STEPS:
+        if step not in values:
+            continue
+        span = values[most] - (0.0 if least is None else values[least])
+        if span > _MOST_STEPS * values[step]:
+            raise ConfigurationError(
+                f"{config_name}.{step}: expected at most {_MOST_STEPS} steps to {most} = "
+                f"{values[most]}, got {values[step]}"
+            )
+
+
+Overrides = dict[str, dict[str, Any]]
+"""Values by experiment and field; nested by field for a field that is a dataclass."""
+
+
+def read_overrides(path: Path | None, settings: Sequence[str]) -> Overrides:
+    """Read overrides from a TOML file and, over those, from `EXPERIMENT.FIELD=VALUE` words."""
+    overrides = {} if path is None else _read_file(path)
+    for word in settings:
+        key, equals, text = word.partition("=")
+        name, *fields = (part.strip() for part in key.split("."))
+        if not (equals and name and fields and all(fields)):
+            raise ConfigurationError(f"set: expected EXPERIMENT.FIELD=VALUE, got {word!r}")
+        place: Any = overrides.setdefault(name, {})
+        for field in fields[:-1]:
+            place = place.setdefault(field.replace("-", "_"), {})
+            if not isinstance(place, dict):
+                raise ConfigurationError(
+                    f"set: expected a field with fields of its own for {word!r}, got {place!r}"
+                )
+        place[fields[-1].replace("-", "_")] = _read_value(text)
+    for name in overrides:
+        if name not in EXPERIMENTS:
+            raise ConfigurationError(
+                f"config: expected one of {', '.join(EXPERIMENTS)}, got {name!r}"
+                f"{did_you_mean(name, EXPERIMENTS)}"
+            )
+    return overrides
+
+
+def _read_file(path: Path) -> Overrides:
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(
+            f"config: expected a readable TOML file, got {path}: {error}"
+        ) from error
+    for name, values in content.items():
+        if not isinstance(values, dict):
+            raise ConfigurationError(
+                f"config: expected tables named after experiments, got {name} = {values!r}"
+            )
+    return content
+
+
+def _read_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()

@@ -7,12 +7,17 @@ import csv
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
+
+ARTICLE_GAIN: Final = 4.0
+"""Gain of the article's control law, 1/s (physical: a setting of the article's system)."""
+ARTICLE_LARGEST_PERCENT: Final = {"gaze": 4.97, "itpc": 6.98}
+"""The article's largest depth errors of static targets on its head, percent of depth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +33,6 @@ class ReportedResult:
     low: float
     high: float | None
     """None if the article gives only a least value."""
-    note: str
 
     @property
     def span(self) -> tuple[float, float]:
@@ -46,25 +50,16 @@ def reported_results() -> tuple[ReportedResult, ...]:
     """Every result that the article reports, in its order."""
     return tuple(
         ReportedResult(
-            experiment=row["experiment"],
-            quantity=row["quantity"],
-            method=row["method"],
-            axis=row["axis"],
-            unit=row["unit"],
-            low=float(row["low"]),
+            experiment=row["experiment"], quantity=row["quantity"], method=row["method"],
+            axis=row["axis"], unit=row["unit"], low=float(row["low"]),
             high=float(row["high"]) if row["high"] else None,
-            note=row["note"] or "",
         )
         for row in _rows("reported_results.csv")
-    )
+    )  # fmt: skip
 
 
 def reported_result(experiment: str, quantity: str, method: str, axis: str) -> ReportedResult:
-    """Look up one result that the article reports.
-
-    Raises:
-        ConfigurationError: the article reports no such result.
-    """
+    """Look up one result that the article reports."""
     wanted = (experiment, quantity, method, axis)
     for row in reported_results():
         if (row.experiment, row.quantity, row.method, row.axis) == wanted:
@@ -72,17 +67,8 @@ def reported_result(experiment: str, quantity: str, method: str, axis: str) -> R
     raise ConfigurationError(f"reported: expected a result of the article, got {wanted}")
 
 
-def static_points(
-    which: Literal["simulated", "physical", "zed_mini"],
-) -> FloatArray:
-    """The static target points of Table 3, 5 or 7.
-
-    Args:
-        which: `simulated` for Table 3, `physical` for Table 5, `zed_mini` for Table 7.
-
-    Returns:
-        (points, 3) in N, m.
-    """
+def static_points(which: Literal["simulated", "physical", "zed_mini"]) -> FloatArray:
+    """(points, 3) static target points of Table 3, 5 or 7, in N, m."""
     name = {
         "simulated": "table3_simulated_static_points.csv",
         "physical": "table5_physical_static_points.csv",

@@ -1,1 +1,0 @@
-"""Settling time and overshoot over the gain: Figure 15."""

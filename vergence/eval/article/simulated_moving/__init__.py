@@ -1,1 +1,0 @@
-"""A moving target on the simulated rig: Figure 8."""

@@ -1,1 +1,0 @@
-"""The physical twin: a population of simulated true heads in place of the article's single head."""

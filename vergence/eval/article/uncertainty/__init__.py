@@ -1,1 +1,0 @@
-"""Uncertainty: propagated, by Monte Carlo, in the closed loop, and its lower bound: section 4."""
