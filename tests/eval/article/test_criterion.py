@@ -1,6 +1,7 @@
 """Criterion by which a result of the article counts as reproduced."""
 
 import math
+from dataclasses import fields, replace
 
 import pytest
 from hypothesis import given
@@ -11,10 +12,14 @@ from vergence.eval.article.criterion import (
     SAME_ORDER_FACTOR,
     most_different_ends,
     ratio_above_one,
+    summarise_article,
     verdict_of_ranges,
 )
+from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.reported import reported_results
+from vergence.reporting.report import write_report
 
+ROW = {each.name: None for each in fields(SummaryRow)} | {"verdict": "differs"}
 FIGURES = st.floats(1e-6, 1e6)
 
 
@@ -62,3 +67,12 @@ def test_the_factor_covers_how_far_the_articles_own_two_methods_are_apart_in_x_y
     ]
     assert max(apart) == pytest.approx(1.24, abs=0.005)
     assert max(apart) < REPRODUCED_FACTOR
+
+
+def test_a_report_without_a_reproduced_result_counts_none(tmp_path):
+    article = replace(
+        summarise_article([]), rows=[("gain-sweep", ROW)] * 2,
+        tally={"differs": 2}, ratio=lambda row: "-",
+    )  # fmt: skip
+    write_report(tmp_path / "report.html", [], article=article)
+    assert "0 of 2 results reproduced" in (tmp_path / "report.html").read_text()
