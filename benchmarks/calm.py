@@ -28,8 +28,12 @@ from rich.progress import track
 from rich.table import Table
 
 from vergence.controllers.controller import make_controller
-from vergence.eval.margins.measure import with_imperfection
-from vergence.eval.margins.ranges import IMPERFECTION_RANGES, has_effect, search_interval
+from vergence.eval.margins.run import (
+    IMPERFECTION_RANGES,
+    has_effect,
+    search_interval,
+    with_imperfection,
+)
 from vergence.eval.trials.results import Trials
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario, load_scenario

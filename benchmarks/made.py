@@ -10,7 +10,7 @@ from typing import Final
 
 from benchmarks.marks import text_above
 from vergence.envs.plants.imperfections import IMPERFECTIONS
-from vergence.eval.margins.ranges import IMPERFECTION_RANGES
+from vergence.eval.margins.run import IMPERFECTION_RANGES
 
 _MARK: Final = re.compile(r"<!-- rows (\w+) -->")
 

@@ -35,7 +35,7 @@ from vergence.eval.comparison.config import EvaluateConfig
 
 if TYPE_CHECKING:
     from vergence.eval.comparison.evaluate import Evaluation
-    from vergence.eval.margins.margins import Margins
+    from vergence.eval.margins.run import Margins
     from vergence.reporting.jobs import Mapper
     from vergence.reporting.report import ReportTable
 
@@ -167,9 +167,8 @@ class Evaluate:
         return _as_result(evaluate(self.config, mapper=mapper, keep_going=True), self.legend)
 
     def _margins(self, mapper: "Mapper") -> "_Result":
-        from vergence.eval.margins.config import MarginsConfig
-        from vergence.eval.margins.folder import write_margins
-        from vergence.eval.margins.run import measure_margins
+        from vergence.eval.margins.report import write_margins
+        from vergence.eval.margins.run import MarginsConfig, measure_margins
 
         config = MarginsConfig(**vars(self.config), imperfections=self.imperfections)
         found = measure_margins(config, mapper=mapper, keep_going=True)
@@ -223,7 +222,7 @@ def _kept(run: Path) -> Iterator[None]:
 
 
 def _print_margins(margins: "Margins", legend: bool) -> None:
-    from vergence.eval.margins.tables import LEGEND, report_tables
+    from vergence.eval.margins.report import LEGEND, report_tables
 
     console = _console()
     for found in report_tables(margins):

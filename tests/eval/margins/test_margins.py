@@ -11,13 +11,16 @@ from tests.eval.refusals import not_refused
 from tests.eval.trials.toys import AFTER, BEFORE, PERIOD_S, KnowsTheWay, ideal_head
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.errors import ConfigurationError, UserControllerError
-from vergence.eval.margins.config import MarginsConfig
-from vergence.eval.margins.folder import write_margins
-from vergence.eval.margins.margins import MARGIN_ROW_FIELDS, Margins
-from vergence.eval.margins.ranges import IMPERFECTION_RANGES
-from vergence.eval.margins.run import measure_margins
-from vergence.eval.margins.search import BISECTIONS, GRID_FRACTIONS
-from vergence.eval.margins.tables import report_tables
+from vergence.eval.margins.report import report_tables, write_margins
+from vergence.eval.margins.run import (
+    BISECTIONS,
+    GRID_FRACTIONS,
+    IMPERFECTION_RANGES,
+    MARGIN_ROW_FIELDS,
+    Margins,
+    MarginsConfig,
+    measure_margins,
+)
 from vergence.reporting.report import SECTION_FILE, read_section
 
 
@@ -83,8 +86,8 @@ def test_a_higher_gain_bears_less_delay():
 
 
 def coarse(monkeypatch):
-    monkeypatch.setattr("vergence.eval.margins.search.BISECTIONS", 1)
-    monkeypatch.setattr("vergence.eval.margins.search.GRID_FRACTIONS", (0.5, 1.0))
+    monkeypatch.setattr("vergence.eval.margins.run.BISECTIONS", 1)
+    monkeypatch.setattr("vergence.eval.margins.run.GRID_FRACTIONS", (0.5, 1.0))
 
 
 @pytest.mark.nightly

@@ -9,7 +9,7 @@ import pytest
 from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, Shaking, ideal_head
 from tests.naming import named
 from vergence.envs.plant import PLANTS
-from vergence.eval.margins.measure import MarginMeasurement
+from vergence.eval.margins.run import MarginMeasurement
 from vergence.eval.trials.fixation import (
     detect_band_exits,
     detect_oscillation,
