@@ -4,7 +4,7 @@ import pytest
 
 from tests.training.runs import PPO, SMALL
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.eval.tuning.config import TuneConfig
+from vergence.eval.tuning.spaces import TuneConfig
 from vergence.eval.tuning.tune import tune
 from vergence.training.choices import resolve_config
 from vergence.training.options import TrainOptions

@@ -13,7 +13,7 @@ from vergence.commands.extras import require_modules
 from vergence.commands.options import Flat, JobOptions, print_written
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
-from vergence.eval.tuning.config import TuneConfig
+from vergence.eval.tuning.spaces import TuneConfig
 
 if TYPE_CHECKING:
     from vergence.controllers.tuned import TunedEntry

@@ -5,9 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, cast
 
-from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import Objective
-from vergence.eval.tuning.spaces import Options, SearchRange
+from vergence.eval.tuning.spaces import Options, SearchRange, TuneConfig
 from vergence.training.choices import resolve_config
 from vergence.training.options import TrainingPlant, TrainOptions
 from vergence.training.run import train

@@ -21,7 +21,7 @@ from vergence.eval.comparison.tables import (
     table_legend,
 )
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.eval.tuning import baseline
+from vergence.eval.tuning import objective
 from vergence.eval.tuning.spaces import SEARCH_SPACES, SearchRange
 from vergence.models.head_file import load_head, save_head
 from vergence.reporting.jobs import SerialMapper
@@ -39,7 +39,7 @@ def mine(tmp_path):
 @pytest.fixture
 def few_gains(monkeypatch):
     monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(3.0, 5.0, "linear", 0.4)})
-    monkeypatch.setattr(baseline, "EPISODES", 6)
+    monkeypatch.setattr(objective, "EPISODES", 6)
 
 
 def rows_of(evaluation) -> dict[str, dict]:
@@ -141,10 +141,10 @@ def test_tune_tunes_the_baseline_first_and_keeps_what_it_found(few_gains, mine, 
 def test_the_search_finds_the_best_gain_of_the_grid_whoever_runs_the_jobs(few_gains):
     scenario = load_scenario("workspace")
     head = scenario.model()
-    every = baseline._try(SEARCH_SPACES["ibvs"]["gain"].points(), scenario, head, SerialMapper())
+    every = objective._try(SEARCH_SPACES["ibvs"]["gain"].points(), scenario, head, SerialMapper())
     best = min(every, key=lambda one: one.rank).options["gain"]
-    assert baseline.best_gain(scenario, head, SerialMapper()) == best
-    assert baseline.best_gain(scenario, head, Backwards()) == best
+    assert objective.best_gain(scenario, head, SerialMapper()) == best
+    assert objective.best_gain(scenario, head, Backwards()) == best
 
 
 @pytest.mark.slow
@@ -152,14 +152,14 @@ def test_a_best_gain_at_the_edge_of_the_search_is_refused(few_gains, monkeypatch
     monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(2.0, 3.0, "linear", 0.25)})
     scenario = load_scenario("workspace")
     with pytest.raises(ConfigurationError, match="a best gain below 3, the greatest that is tried"):
-        baseline.best_gain(scenario, scenario.model(), SerialMapper())
+        objective.best_gain(scenario, scenario.model(), SerialMapper())
 
 
 @pytest.mark.slow
 def test_a_head_with_which_nothing_settles_has_no_best_gain(few_gains):
     head = load_head("simulated").replace(timing={"latency_s": 1.5, "lag_s": 0.2})
     with pytest.raises(ConfigurationError, match="expected trials of workspace that settle"):
-        baseline.best_gain(load_scenario("workspace"), head, SerialMapper())
+        objective.best_gain(load_scenario("workspace"), head, SerialMapper())
 
 
 def test_a_table_that_cannot_be_written_is_refused_before_the_search(
@@ -167,9 +167,9 @@ def test_a_table_that_cannot_be_written_is_refused_before_the_search(
 ):
     (tmp_path / "file").touch()
     monkeypatch.setenv("VERGENCE_TUNED", str(tmp_path / "file" / "tuned.toml"))
-    monkeypatch.setattr(baseline, "best_gain", lambda *_: pytest.fail("searched all the same"))
+    monkeypatch.setattr(objective, "best_gain", lambda *_: pytest.fail("searched all the same"))
     with pytest.raises(ConfigurationError, match="expected a"):
-        baseline.tune_baseline(load_scenario("workspace"), load_head(mine), mine, SerialMapper())
+        objective.tune_baseline(load_scenario("workspace"), load_head(mine), mine, SerialMapper())
 
 
 def test_what_iterations_leave_is_no_residual_in_the_table():

@@ -27,11 +27,9 @@ from vergence.controllers.tuned import (
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.run import headline_metric, run_trials
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import controller_objective
-from vergence.eval.tuning.spaces import SEARCH_SPACES, SearchRange
-from vergence.eval.tuning.study import SearchSpec, run_search
-from vergence.eval.tuning.study_storage import open_study, without_password
+from vergence.eval.tuning.spaces import SEARCH_SPACES, SearchRange, TuneConfig
+from vergence.eval.tuning.tune import SearchSpec, open_study, run_search, without_password
 from vergence.models.head_file import load_head, save_head
 
 BOWL = {"x": SearchRange(-2.0, 2.0), "y": SearchRange(0.01, 100.0, "log")}
@@ -160,7 +158,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from tests.eval.tuning.test_tune import bowl, search
-from vergence.eval.tuning.study import run_search
+from vergence.eval.tuning.tune import run_search
 print("ready", flush=True)
 sys.stdin.readline()
 run_search(search(Path("."), 16, storage=sys.argv[2]), bowl)
