@@ -239,7 +239,7 @@ def _console() -> Console:
 
 
 def _print(evaluation: "Evaluation", legend: bool) -> None:
-    from vergence.eval.comparison.evaluation import laws_for_loop
+    from vergence.eval.comparison.evaluate import laws_for_loop
     from vergence.eval.comparison.tables import (
         describe_evaluation,
         report_tables,

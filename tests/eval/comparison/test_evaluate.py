@@ -23,7 +23,7 @@ from vergence.eval.comparison.evaluate import (
     row_fields,
 )
 from vergence.eval.comparison.folder import write_evaluation
-from vergence.eval.comparison.summary import bound_trials, imputed_trial_values
+from vergence.eval.comparison.statistics import bound_trials, imputed_trial_values
 from vergence.eval.comparison.tables import describe_evaluation, report_tables
 from vergence.eval.trials.settling import ONE_PX
 from vergence.reporting.report import SECTION_FILE, read_section

@@ -15,7 +15,7 @@ from vergence.eval.comparison.evaluate import (
     row_fields,
 )
 from vergence.eval.comparison.folder import write_evaluation
-from vergence.eval.comparison.summary import speed_up
+from vergence.eval.comparison.statistics import speed_up
 from vergence.eval.trials.settling import SettlingBand
 
 NEAR = InTwoTurns(20, 50, 1.5)

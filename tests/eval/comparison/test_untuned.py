@@ -11,9 +11,9 @@ from tests.eval.mappers import Backwards
 from vergence.cli import main
 from vergence.controllers.tuned import TunedEntry, find_tuned_or_fallback, load_tuned, write_tuned
 from vergence.errors import ConfigurationError
+from vergence.eval.comparison.contestants import resolve_options
 from vergence.eval.comparison.evaluate import BASELINE, EvaluateConfig, evaluate
 from vergence.eval.comparison.folder import write_evaluation
-from vergence.eval.comparison.options import resolve_options
 from vergence.eval.comparison.tables import (
     RESIDUAL_COLUMN,
     describe_evaluation,

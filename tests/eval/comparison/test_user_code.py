@@ -11,9 +11,8 @@ import pytest
 from tests.naming import named
 from vergence.cli import main
 from vergence.errors import ConfigurationError, HardwareError, UserControllerError, VergenceError
-from vergence.eval.comparison.contestants import make_contestants
+from vergence.eval.comparison.contestants import GuardedController, make_contestants
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
-from vergence.eval.comparison.user_code import GuardedController
 from vergence.reporting.jobs import ProcessMapper
 
 GENTLE = """

@@ -202,7 +202,7 @@ def test_what_a_plant_cannot_have_is_left_out_with_a_note():
 
 
 def test_what_cannot_be_measured_is_refused_before_any_trial(monkeypatch):
-    monkeypatch.setattr("vergence.eval.comparison.contestant_job.run_trials", None)
+    monkeypatch.setattr("vergence.eval.comparison.evaluate.run_trials", None)
     cases = [
         ({"imperfections": ("delay",)}, "imperfection: .*latency_s.*'delay'"),
         ({"scenarios": ("fast",)}, "scenario: .*never comes to rest"),

@@ -9,8 +9,7 @@ from tests.eval.refusals import not_refused
 from tests.hardware.test_config import document
 from vergence.controllers import make_controller
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.comparison.evaluate import evaluate
-from vergence.eval.comparison.evaluation import laws_for_loop
+from vergence.eval.comparison.evaluate import evaluate, laws_for_loop
 from vergence.eval.comparison.lineup import resolve_lineup
 from vergence.eval.robot.judge import robot_settle_bounds
 from vergence.eval.trials.run import run_trials

@@ -8,9 +8,8 @@ import pytest
 from tests.hardware.desk import desk_config
 from tests.recording.logged import log_trials
 from vergence.eval.comparison.config import ROBOT
-from vergence.eval.comparison.contestant_job import ControllerFailure
-from vergence.eval.comparison.contestants import make_contestants
-from vergence.eval.comparison.options import GivenOptions
+from vergence.eval.comparison.contestants import GivenOptions, make_contestants
+from vergence.eval.comparison.evaluate import ControllerFailure
 from vergence.eval.robot.evaluation_record import JournalEntry, RecordedTrial
 from vergence.eval.robot.judge import RecordedTrialsJob
 from vergence.eval.trials.run import evaluated_and_run_periods

@@ -1,10 +1,33 @@
-"""Controllers that take part: by name, by entry point, from a file, or as objects."""
+"""Controllers that take part, by name, by entry point, from a file, or as objects; their options.
+
+Options are tuned for the head, tuned for another head, or given in a file:
+
+```toml
+[pid]                   # in every scenario
+kp = 6.5
+
+[pid.robust]            # in this scenario, over the former
+kp = 6.8
+
+["mine.py:Gentle"]      # passed to the class beside head= and layout=
+softness = 0.5
+```
+
+An error in the code of a user-defined controller becomes a message of one line that names the place
+in that code, instead of a traceback through this package.
+"""
 
 import hashlib
-from collections.abc import Collection, Mapping
+import inspect
+import tomllib
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from vergence.controllers.controller import (
     CONTROLLERS,
@@ -13,21 +36,297 @@ from vergence.controllers.controller import (
     make_controller,
 )
 from vergence.controllers.networks.learned import load_policy
-from vergence.entry_points import EntryPoint
+from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for, name_in_tuned_table
+from vergence.entry_points import EntryPoint, shown_path, user_error_with_place
 from vergence.envs.layout import ObservationLayout
+from vergence.envs.policy import Policy
 from vergence.envs.rollout import rollout
 from vergence.errors import (
     ConfigurationError,
+    HardwareError,
     OtherHeadError,
     UnknownNameError,
     UserControllerError,
     VergenceError,
     did_you_mean,
 )
-from vergence.eval.comparison.options import GivenOptions, ResolvedOptions, resolve_options
-from vergence.eval.comparison.user_code import GuardedController, make_user_controller, option_names
-from vergence.eval.trials.scenarios import Scenario
+from vergence.eval.trials.scenarios import SCENARIOS, Scenario
+from vergence.eval.tuning.spaces import SEARCH_SPACES
 from vergence.models.head import HeadModel
+
+UNTUNED = "untuned for this head"
+"""Mark for options that were tuned for another head, or never."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResolvedOptions:
+    """A controller's options and their source."""
+
+    options: dict[str, Any]
+    tuned: bool | None = None
+    """True if they were tuned for this head; None if there is nothing to tune or they were
+    given."""
+    tuned_for: str | None = None
+    """Name of the head for which they were tuned, if any."""
+    given_names: tuple[str, ...] = ()
+    """Names of the user-given options."""
+
+
+def resolve_options(
+    name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]
+) -> ResolvedOptions:
+    """Resolve the options of a registry controller.
+
+    Args:
+        name: the controller.
+        head: the head.
+        scenario: the scenario's name.
+        given: user-given options, which override tuned ones.
+
+    Raises:
+        ConfigurationError: the user's table of tuned options cannot be read.
+    """
+    space = {} if name == "ibvs" else SEARCH_SPACES.get(name_in_tuned_table(name), {})
+    entry = find_tuned_or_fallback(name, scenario, head)
+    tuned = is_tuned_for(entry, head) if space else None
+    # A given value replaces a tuned one, so options tuned for this head count as tuned no longer.
+    # Remaining options that were tuned for another head stay marked as untuned.
+    if space.keys() <= given.keys() or (tuned and space.keys() & given.keys()):
+        entry, tuned = (None if space.keys() <= given.keys() else entry), None
+    return ResolvedOptions(
+        options={**({} if entry is None else entry.options), **given},
+        tuned=tuned,
+        tuned_for=None if entry is None or tuned is None else entry.head,
+        given_names=tuple(given),
+    )
+
+
+class GivenOptions:
+    """User-given options by controller, and by controller and scenario.
+
+    Args:
+        content: options by controller; a nested table holds the options of one scenario.
+        where: name of the source in messages, such as the file's path.
+
+    Raises:
+        ConfigurationError: a controller has no table.
+    """
+
+    def __init__(self, content: Mapping[str, Any] | None = None, where: str = "options") -> None:
+        self.where = where
+        self._content = dict(content or {})
+        for name, options in self._content.items():
+            if not isinstance(options, Mapping):
+                raise ConfigurationError(
+                    f"{where}: {name}: expected a table [controller], got {options!r:.60}"
+                )
+
+    @classmethod
+    def read(cls, path: Path) -> "GivenOptions":
+        """Read the options from a TOML file.
+
+        Raises:
+            ConfigurationError: the file cannot be read or is not a TOML file of options.
+        """
+        try:
+            return cls(tomllib.loads(path.read_text(encoding="utf-8")), str(path))
+        except OSError as error:
+            raise ConfigurationError(
+                f"options: expected a file that can be read, got {path}: {error.strerror}"
+            ) from error
+        except UnicodeDecodeError as error:
+            raise ConfigurationError(f"{path}: expected a TOML file, got a binary one") from error
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigurationError(f"{path}: expected a TOML file, got {error}") from error
+
+    def check_names(self, known: Iterable[str]) -> list[str]:
+        """Reject options of unknown controllers.
+
+        Args:
+            known: names of the controllers that take part.
+
+        Returns:
+            A note for each controller that has options but does not take part.
+
+        Raises:
+            ConfigurationError: a name is not that of a controller.
+        """
+        taking_part = list(known)
+        notes = []
+        for name in self._content:
+            if name in taking_part:
+                continue
+            if name not in CONTROLLERS:
+                names = ", ".join(dict.fromkeys([*CONTROLLERS, *taking_part]))
+                raise ConfigurationError(f"{self.where}: {name}: expected a controller of {names}")
+            notes.append(f"options of {name} in {self.where} are not used: it does not take part")
+        return notes
+
+    def for_controller(self, names: Iterable[str], scenario: str) -> dict[str, Any]:
+        """The options of one controller in one scenario.
+
+        Args:
+            names: the controller's names.
+            scenario: the scenario's name.
+
+        Raises:
+            ConfigurationError: a nested table has an unknown scenario's name.
+        """
+        found: dict[str, Any] = {}
+        special: dict[str, Any] = {}
+        for name in dict.fromkeys(names):
+            for key, value in self._content.get(name, {}).items():
+                if not isinstance(value, Mapping):
+                    found[key] = value
+                elif key not in SCENARIOS:
+                    raise ConfigurationError(
+                        f"{self.where}: {name}.{key}: expected an option's value, or a scenario "
+                        f"of {', '.join(SCENARIOS)}"
+                    )
+                elif key == scenario:
+                    special.update(value)
+        return {**found, **special}
+
+
+_PREDICT_SIGNATURE: Final = (
+    "predict(observation, state=None, episode_start=None, deterministic=True)"
+)
+
+
+def make_user_controller(
+    entry: EntryPoint, head: HeadModel, layout: ObservationLayout, options: Mapping[str, Any]
+) -> "GuardedController":
+    """Make a user-defined controller and wrap it in `GuardedController`.
+
+    Raises:
+        ConfigurationError: there is no such class, or it has no suitable `predict`.
+        UserControllerError: its constructor raises.
+    """
+    make = entry.load()
+    with suppress(ValueError):  # classes written in C may have no signature
+        try:
+            inspect.signature(make).bind(head=head, layout=layout, **options)
+        except TypeError as error:
+            raise ConfigurationError(
+                f"controller {entry.spec}: expected to be made with head= and layout=, "
+                f"got {entry.attribute}{inspect.signature(make)}: {error}"
+            ) from error
+    try:
+        controller = make(head=head, layout=layout, **options)
+    except (Exception, SystemExit) as error:
+        raise UserControllerError(
+            f"controller {entry.spec}: cannot be made: {user_error_with_place(error)}"
+        ) from error
+    return GuardedController(controller, entry.spec)
+
+
+def option_names(controller_factory: Any) -> set[str] | None:
+    """Names of the options that a class takes besides `head` and `layout`; None for any name."""
+    parameters = inspect.signature(controller_factory).parameters.values()
+    if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters):
+        return None
+    return {one.name for one in parameters} - {"head", "layout"}
+
+
+def errors_attributed_to(controller: Policy) -> AbstractContextManager[None]:
+    """Context that attributes errors to a user-defined controller; no effect for other ones.
+
+    See `GuardedController.attributing_errors`.
+    """
+    return (
+        controller.attributing_errors()
+        if isinstance(controller, GuardedController)
+        else nullcontext()
+    )
+
+
+class GuardedController:
+    """Wrapper of a controller that reports errors of its `predict` in one line, with their place.
+
+    Args:
+        controller: any object with Stable-Baselines3's `predict`.
+        label: name in messages.
+
+    Raises:
+        ConfigurationError: the controller has no `predict` with that signature.
+    """
+
+    def __init__(self, controller: Any, label: str) -> None:
+        predict = getattr(controller, "predict", None)
+        if not callable(predict):
+            raise ConfigurationError(
+                f"controller {label}: expected an object with predict, got {controller!r:.60}"
+            )
+        with suppress(ValueError):
+            try:
+                inspect.signature(predict).bind(
+                    None, state=None, episode_start=None, deterministic=True
+                )
+            except TypeError as error:
+                raise ConfigurationError(
+                    f"controller {label}: expected {_PREDICT_SIGNATURE}, got "
+                    f"predict{inspect.signature(predict)}{_file_of(controller)}: {error}"
+                ) from error
+        self._controller = controller
+        self._label = label
+        self._calls = 0
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Any = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], Any]:
+        """See `Controller.predict`.
+
+        Raises:
+            UserControllerError: it raises, or does not return actions and a state.
+        """
+        self._calls += 1
+        try:
+            answer = self._controller.predict(
+                observation, state=state, episode_start=episode_start, deterministic=deterministic
+            )
+        except (Exception, SystemExit) as error:
+            raise self._wrong(user_error_with_place(error)) from error
+        try:
+            action, state = answer
+            action = np.asarray(action)
+        except (TypeError, ValueError) as error:
+            raise self._wrong(
+                f"expected (actions, state), got {answer!r:.60}{_file_of(self._controller)}"
+            ) from error
+        if action.dtype.kind not in "fiu":
+            raise self._wrong(
+                f"expected actions as real numbers, got {action.dtype}{_file_of(self._controller)}"
+            )
+        return action, state
+
+    @contextmanager
+    def attributing_errors(self) -> Iterator[None]:
+        """Attribute errors raised within the context, such as for nan actions, to this controller.
+
+        Errors of a robot, such as a disconnected cable, stay as they are.
+        """
+        try:
+            yield
+        except (UserControllerError, HardwareError):
+            raise
+        except VergenceError as error:
+            if self._calls == 0:
+                raise
+            raise self._wrong(f"{error}{_file_of(self._controller)}") from error
+
+    def _wrong(self, what: str) -> UserControllerError:
+        return UserControllerError(f"controller {self._label}: predict, call {self._calls}: {what}")
+
+
+def _file_of(controller: Controller) -> str:
+    with suppress(TypeError, OSError):
+        return f" ({shown_path(inspect.getfile(type(controller)))})"
+    return ""
+
 
 BASELINE: Final = "ibvs-tuned"
 """The controller with which all others are compared."""

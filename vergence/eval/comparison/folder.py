@@ -1,17 +1,168 @@
-"""The run folder of an evaluation, and its section in a report."""
+"""The run folders of evaluations and margins: tables, figures, config.toml, section and report."""
 
 import json
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Protocol
 
 import pandas as pd
+import tomli_w
+from matplotlib.figure import Figure
 
 from vergence.errors import ConfigurationError
-from vergence.eval.comparison.evaluation import Evaluation
+from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.comparison.evaluate import Evaluation
 from vergence.eval.comparison.figures import evaluation_figures, figure_caption
-from vergence.eval.comparison.run_folder import write_run_report
 from vergence.eval.comparison.tables import describe_evaluation, report_tables
-from vergence.reporting.runs import write_json
+from vergence.files import write_atomic
+from vergence.models.head import HeadModel
+from vergence.models.head_file import head_to_toml
+from vergence.reporting.report import (
+    SECTION_FILE,
+    ReportSection,
+    ReportTable,
+    write_report,
+    write_section,
+)
+from vergence.reporting.runs import package_versions, toml_value, write_json
+from vergence.reporting.style import save_figure
+from vergence.reporting.text import SectionText
+
+
+class ControllerRun(Protocol):
+    """Result of one controller in one scenario."""
+
+    @property
+    def scenario(self) -> str:
+        """The scenario's name."""
+
+    @property
+    def controller(self) -> str:
+        """The controller's label."""
+
+    @property
+    def head(self) -> HeadModel:
+        """The head that the controller knew."""
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The controller's options."""
+
+    @property
+    def tuned(self) -> bool | None:
+        """True if the options were tuned for the head, see `ResolvedOptions`."""
+
+
+def config_with_notes(
+    config: EvaluateConfig, notes: Sequence[str], failures: Sequence[str]
+) -> dict[str, Any]:
+    """The configuration with notes and failures, as plain values.
+
+    Args:
+        config: the configuration.
+        notes: notes on controllers and plants that were left out.
+        failures: errors of user-defined controllers.
+    """
+    found: dict[str, Any] = toml_value(
+        {**config.resolved(), "notes": list(notes), "failures": list(failures)}
+    )
+    return found
+
+
+def write_config_and_heads(
+    folder: Path,
+    config: EvaluateConfig,
+    notes: Sequence[str],
+    failures: Sequence[str],
+    outcomes: Iterable[ControllerRun],
+) -> None:
+    """Write config.toml and a file for the head of each scenario.
+
+    Args:
+        folder: the run folder.
+        config: the configuration.
+        notes: notes on controllers and plants that were left out.
+        failures: errors of user-defined controllers.
+        outcomes: results of the controllers that ran.
+    """
+    heads: dict[str, Any] = {}
+    ran: dict[str, dict[str, Any]] = {}
+    tuned: dict[str, dict[str, bool]] = {}
+    for one in outcomes:
+        if one.scenario not in heads:
+            file = f"head-{one.scenario}.toml"
+            write_atomic(folder / file, head_to_toml(one.head))
+            heads[one.scenario] = {"name": one.head.name, "digest": one.head.digest, "file": file}
+        ran.setdefault(one.controller, {})[one.scenario] = toml_value(one.options)
+        if one.tuned is not None:
+            tuned.setdefault(one.controller, {})[one.scenario] = one.tuned
+    content = {
+        "config": toml_value(config.resolved()),
+        "notes": list(notes),
+        "failures": list(failures),
+        "heads": heads,
+        "controllers": ran,
+        "tuned": tuned,
+        "versions": package_versions(),
+    }
+    (folder / "config.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
+
+
+def write_run_report(
+    folder: Path,
+    *,
+    name: str,
+    title: str,
+    text: SectionText,
+    tables: list[ReportTable],
+    figures: Mapping[str, Figure],
+    captions: Mapping[str, str],
+    data_file: str,
+    data_row_count: int,
+    config: EvaluateConfig,
+    notes: list[str],
+    failures: list[str],
+    outcomes: Iterable[ControllerRun],
+) -> None:
+    """Write figures, configuration, section and report beside the tables of a run folder.
+
+    Args:
+        folder: the run folder.
+        name: name of the section.
+        title: title of the section and of the report.
+        text: text of the section.
+        tables: tables of the section.
+        figures: figures by name.
+        captions: captions by the figures' names.
+        data_file: the section's data file in the folder.
+        data_row_count: number of rows of the data file.
+        config: the configuration.
+        notes: notes on controllers and plants that were left out.
+        failures: errors of user-defined controllers.
+        outcomes: results of the controllers that ran.
+    """
+    (folder / "figures").mkdir()
+    for figure_name, figure in figures.items():
+        save_figure(figure, folder / "figures" / figure_name)
+    write_config_and_heads(folder, config, notes, failures, outcomes)
+    section = ReportSection(
+        name=name,
+        title=title,
+        article="",
+        what=text.what,
+        conclusion=text.found,
+        summary=[],
+        figures=[folder / "figures" / f"{figure_name}.svg" for figure_name in figures],
+        rows=data_row_count,
+        config=config_with_notes(config, notes, failures),
+        seed=config.seed,
+        data=data_file,
+        tables=tables,
+        captions=dict(captions),
+    )
+    write_section(folder / SECTION_FILE, section)
+    write_report(folder / "report.html", [section], title=title)
+
 
 TITLE: Final = "Ways of looking at a target, compared"
 

@@ -16,11 +16,14 @@ from vergence.errors import ConfigurationError
 from vergence.eval.comparison.config import ROBOT, EvaluateConfig
 from vergence.eval.comparison.contestants import (
     BASELINE,
+    UNTUNED,
     Contestant,
+    GivenOptions,
+    ResolvedOptions,
     available_contestants,
     make_contestants,
+    resolve_options,
 )
-from vergence.eval.comparison.options import UNTUNED, GivenOptions, ResolvedOptions, resolve_options
 from vergence.eval.trials.loops import TICK_RAD_S
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.eval.tuning.objective import tune_baseline

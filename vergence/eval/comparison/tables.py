@@ -4,10 +4,9 @@ import math
 from operator import itemgetter
 from typing import Any, Final
 
-from vergence.eval.comparison.contestants import BASELINE, BOUND
-from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult
-from vergence.eval.comparison.options import UNTUNED
-from vergence.eval.comparison.summary import SWINGING
+from vergence.eval.comparison.contestants import BASELINE, BOUND, UNTUNED
+from vergence.eval.comparison.evaluate import Evaluation, EvaluationResult
+from vergence.eval.comparison.statistics import SWINGING
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.trials.settling import ONE_PX, SettlingBand, bands_with_bound
 from vergence.reporting.report import ReportTable

@@ -12,8 +12,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from vergence.errors import ConfigurationError
-from vergence.eval.comparison.run_folder import write_run_report
-from vergence.eval.comparison.style import controller_styles
+from vergence.eval.comparison.figures import controller_styles
+from vergence.eval.comparison.folder import write_run_report
 from vergence.eval.margins.run import IMPERFECTION_RANGES, RANGE_ENDS, Margin, Margins
 from vergence.reporting.report import ReportTable
 from vergence.reporting.runs import write_json

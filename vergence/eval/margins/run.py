@@ -19,7 +19,7 @@ from vergence.envs.plants.imperfections import IMPERFECTIONS, LOOP_PARTS
 from vergence.envs.plants.variation import Variation
 from vergence.errors import ConfigurationError, UnknownNameError, UserControllerError
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.comparison.contestant_job import ContestantJob, ControllerFailure, MadeController
+from vergence.eval.comparison.evaluate import ContestantJob, ControllerFailure, MadeController
 from vergence.eval.comparison.lineup import Lineup, resolve_lineup
 from vergence.eval.trials.results import Trials
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario

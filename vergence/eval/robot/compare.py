@@ -16,8 +16,7 @@ from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, HardwareError, UserControllerError
 from vergence.eval.comparison.config import ROBOT
-from vergence.eval.comparison.contestant_job import ControllerFailure
-from vergence.eval.comparison.evaluation import EvaluationResult
+from vergence.eval.comparison.evaluate import ControllerFailure, EvaluationResult
 from vergence.eval.comparison.lineup import Lineup
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.evaluation_record import (

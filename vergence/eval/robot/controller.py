@@ -11,9 +11,12 @@ from typing import Any, Final
 from vergence.controllers.controller import Controller
 from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
-from vergence.eval.comparison.contestants import Contestant, make_contestants
-from vergence.eval.comparison.options import GivenOptions
-from vergence.eval.comparison.user_code import errors_attributed_to
+from vergence.eval.comparison.contestants import (
+    Contestant,
+    GivenOptions,
+    errors_attributed_to,
+    make_contestants,
+)
 from vergence.models.head import HeadModel
 
 TUNED_OPTIONS_SCENARIO: Final = "desk"

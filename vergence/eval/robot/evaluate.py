@@ -8,8 +8,7 @@ from typing import Any
 
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.comparison.evaluate import run_and_join
-from vergence.eval.comparison.evaluation import Evaluation
+from vergence.eval.comparison.evaluate import Evaluation, run_and_join
 from vergence.eval.comparison.lineup import resolve_lineup
 from vergence.eval.robot.compare import RobotRun
 from vergence.eval.robot.evaluation_record import EvaluationRecord

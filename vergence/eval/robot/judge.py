@@ -12,8 +12,8 @@ from vergence.envs.plants.simulation import TrialStart, simulation_of
 from vergence.envs.reading import BoolArray, Reading, Truth
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
-from vergence.eval.comparison.job import EvaluationJob
-from vergence.eval.comparison.user_code import errors_attributed_to
+from vergence.eval.comparison.contestants import errors_attributed_to
+from vergence.eval.comparison.evaluate import EvaluationJob
 from vergence.eval.robot.evaluation_record import RecordedTrial
 from vergence.eval.robot.stage import REST_TARGET
 from vergence.eval.trials.bound import settle_bound
