@@ -21,19 +21,14 @@ from vergence.reporting.style import BLACK, GREY, figure_style, new_figure
 from vergence.reporting.text import SectionText, format_number, read_template, render_text
 
 COLUMNS: Final = ("imperfection", "expected", "searched", "99 % settle", "median not doubled")
-_NO_RANGE_TEXT: Final = "nowhere"
 
 
 def report_tables(margins: Margins) -> list[ReportTable]:
-    """Make a table for each controller in each scenario, with one row per imperfection.
-
-    Args:
-        margins: the margins.
-    """
+    """Make a table for each controller in each scenario, with one row per imperfection."""
     return [
         ReportTable(
             title=f"{controller} in {scenario} on {margins.config.plants[0]}: "
-            f"{_settled(group)} of {margins.config.trials} trials settle untouched",
+            f"{group[0].points[0].trials} of {margins.config.trials} trials settle untouched",
             columns=list(COLUMNS),
             rows=[_row(one) for one in group],
         )
@@ -42,24 +37,16 @@ def report_tables(margins: Margins) -> list[ReportTable]:
 
 
 def imperfection_title(imperfection: str) -> str:
-    """Label of an imperfection, with the unit in which it is shown.
-
-    Args:
-        imperfection: name of the imperfection.
-    """
+    """Label of an imperfection, with the unit in which it is shown."""
     shown = IMPERFECTION_RANGES[imperfection]
     return f"{shown.label} ({shown.unit})" if shown.unit else shown.label
-
-
-def _settled(group: list[Margin]) -> int:
-    return group[0].points[0].trials
 
 
 def _row(one: Margin) -> list[str]:
     def span(kind: str) -> str:
         low, high = f"{kind}_low", f"{kind}_high"
         if getattr(one, low) is None:
-            return _NO_RANGE_TEXT
+            return "nowhere"
         least = ("≤ " if one.is_open(low) else "") + _number(one, getattr(one, low))
         most = ("≥ " if one.is_open(high) else "") + _number(one, getattr(one, high))
         return f"{least} to {most}"
@@ -88,14 +75,7 @@ LEGEND: Final = (
 
 
 def describe_margins(margins: Margins) -> SectionText:
-    """Describe the margins, by `section.jinja`.
-
-    Args:
-        margins: the margins.
-
-    Returns:
-        The text of its section in a report.
-    """
+    """Describe the margins, by `section.jinja`, as the text of their section."""
     groups = [
         {
             "controller": controller,
@@ -125,11 +105,7 @@ _AXIS_MARGIN: Final = 0.05
 
 
 def margin_figures(margins: Margins) -> dict[str, Figure]:
-    """Draw a figure for each scenario, by name.
-
-    Args:
-        margins: the margins.
-    """
+    """Draw a figure for each scenario, by name."""
     with figure_style():
         return {
             f"margins-{scenario}": _draw(found, scenario)
@@ -207,19 +183,8 @@ def _legend() -> list[Patch | Line2D]:
     ]
 
 
-TITLE: Final = "How far a loop may be from its model"
-
-
 def write_margins(folder: Path, margins: Margins) -> None:
-    """Write the tables, figures, configuration and report of margins.
-
-    Args:
-        folder: an empty folder, see `vergence.reporting.runs.run_folder`.
-        margins: the margins.
-
-    Raises:
-        ConfigurationError: there are no margins.
-    """
+    """Write the tables, figures, configuration and report into an empty folder."""
     if not margins.margins:
         raise ConfigurationError("margins: expected at least one, got none")
     write_json(folder / "margins.json", margins.rows())
@@ -229,7 +194,7 @@ def write_margins(folder: Path, margins: Margins) -> None:
     write_run_report(
         folder,
         name="margins",
-        title=TITLE,
+        title="How far a loop may be from its model",
         text=text,
         tables=report_tables(margins),
         figures=figures,

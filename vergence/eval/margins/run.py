@@ -61,7 +61,10 @@ IMPERFECTION_RANGES: Final = {
 }
 """Search ranges by name, in the order of tables and figures: part by part of the loop.
 
-An imperfection that each actuator has of its own gets the same value for all of them."""
+An imperfection that each actuator has of its own gets the same value for all of them. Onset and
+frame phase are not faults: a controller that is sensitive to them relies on knowledge that it
+cannot have.
+"""
 
 
 class SearchInterval(NamedTuple):
@@ -75,13 +78,7 @@ class SearchInterval(NamedTuple):
 
 
 def search_interval(imperfection: str, scenario: Scenario, head: HeadModel) -> SearchInterval:
-    """Search range of an imperfection's margins, widened to hold the expected value.
-
-    Args:
-        imperfection: the imperfection.
-        scenario: the scenario, which may draw the imperfection.
-        head: the model that the controller knows.
-    """
+    """Search range of an imperfection's margins, widened to hold the expected value."""
     expected = float(np.max(IMPERFECTIONS[imperfection].nominal(head)))
     drawn = None if scenario.variation is None else getattr(scenario.variation, imperfection)
     if drawn is not None:
@@ -91,11 +88,7 @@ def search_interval(imperfection: str, scenario: Scenario, head: HeadModel) -> S
 
 
 def has_effect(imperfection: str, scenario: Scenario) -> bool:
-    """True if an imperfection has an effect in a scenario.
-
-    The size or duration of random events, such as outliers, has one only if the scenario has such
-    events.
-    """
+    """True if it has an effect: the size of random events has none in a scenario without events."""
     chance = IMPERFECTIONS[imperfection].probability
     if not chance:
         return True
@@ -123,16 +116,12 @@ BISECTIONS: Final = 4
 
 
 def last_holding_value(holds: Callable[[float], bool], begin: float, end: float) -> float | None:
-    """Last value on the way to another at which a condition holds, by a grid and a bisection.
+    """Last value on the way to another at which a condition holds; None if not even at `begin`.
 
-    Args:
-        holds: the condition, tested at a value.
-        begin: start of the search.
-        end: end of the search.
-
-    Returns:
-        The last value at which the condition holds, which may be `begin` or `end`; None if it does
-        not hold at `begin`.
+    The search tests the values of a grid until the first at which the condition fails. The grid is
+    finest next to the expected value, where fragile controllers fail. Bisection then narrows the
+    bracket between the last value at which the condition holds and that first one. A failure
+    between two grid values that both hold is not detected.
     """
     if not holds(begin):
         return None
@@ -202,37 +191,21 @@ class MarginPoint(NamedTuple):
 
 
 def with_imperfection(scenario: Scenario, imperfection: str, value: float) -> Scenario:
-    """Copy a scenario with one imperfection fixed at a value in every trial.
-
-    Args:
-        scenario: the scenario.
-        imperfection: the imperfection.
-        value: its value.
-    """
+    """Copy a scenario with one imperfection fixed at a value in every trial."""
     variation = scenario.variation or Variation()
     fixed: dict[str, Any] = {imperfection: (value, value)}
     duration_s = scenario.duration_s
     if imperfection == "onset_s":
         # trials with a later onset are longer, to leave the same time
         duration_s += max(0.0, value - variation.largest_value("onset_s", 0.0))
-    return replace(
-        scenario,
-        variation=replace(variation, **fixed),
-        duration_s=duration_s,
-    )
+    return replace(scenario, variation=replace(variation, **fixed), duration_s=duration_s)
 
 
 def noise_widened_band_px(scenario: Scenario, imperfection: str, value: float) -> float:
     """Settling band: the scenario's, or three standard deviations of the detection noise if larger.
 
-    Noise limits how well a controller knows the target, and so how still it can hold the eyes.
-    Nothing else widens the band: the judged error is the true one, which can be small in spite of
-    outliers, backlash and encoder quantisation.
-
-    Args:
-        scenario: the scenario.
-        imperfection: the imperfection that is varied.
-        value: its value.
+    Nothing but noise widens the band: the judged error is the true one, which can be small in spite
+    of outliers, backlash and encoder quantisation.
     """
     if imperfection != "detection_noise_px":
         return scenario.band_px
@@ -240,13 +213,7 @@ def noise_widened_band_px(scenario: Scenario, imperfection: str, value: float) -
 
 
 class MarginMeasurement:
-    """Measurement of one controller in one scenario by value of an imperfection, cached.
-
-    Args:
-        run: callback that runs the controller's trials in a scenario.
-        scenario: the unmodified scenario.
-        imperfection: the imperfection that is varied.
-    """
+    """Measurement of one controller in one scenario by value of an imperfection, cached."""
 
     def __init__(
         self, run: Callable[[Scenario], Trials], scenario: Scenario, imperfection: str
@@ -338,11 +305,7 @@ class Margin:
         return {name: getattr(self, name) for name in MARGIN_ROW_FIELDS}
 
     def is_open(self, end: str) -> bool:
-        """True if an end is only the end of the search, while the imperfection may go beyond it.
-
-        Args:
-            end: one of `RANGE_ENDS`.
-        """
+        """True if an end, of `RANGE_ENDS`, is that of the search and not of the imperfection."""
         value, one = getattr(self, end), IMPERFECTIONS[self.imperfection]
         if end.endswith("_low"):
             return bool(value == self.range.low > one.least)
