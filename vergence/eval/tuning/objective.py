@@ -117,12 +117,6 @@ def controller_objective(
     The jobs are parts of a point's trials, not points: the next point of a search depends on all
     points before it, and so would depend on the number of points tried at a time. A trial is the
     same in any batch, so the results are the same for any mapper.
-
-    Args:
-        config: the configuration of tuning.
-        scenario: the scenario of the trials.
-        head: the head that moves and that the controller knows.
-        mapper: runs the trials; this process by default.
     """
     mapper = mapper or SerialMapper()
 
@@ -147,14 +141,7 @@ def controller_objective(
 def summarise_trials(
     job_results: Sequence[tuple[FloatArray, NDArray[np.bool_]]],
 ) -> dict[str, float]:
-    """Summarise the trials of a point.
-
-    Args:
-        job_results: results of the point's jobs.
-
-    Returns:
-        See `Objective`.
-    """
+    """Summarise the trials of a point, from the results of its jobs; see `Objective`."""
     values, good = (np.concatenate(part) for part in zip(*job_results, strict=True))
     return {
         "headline": float(np.median(values)),
@@ -175,17 +162,7 @@ def tune_baseline(
 ) -> TunedEntry:
     """Find the best fixed gain and save it in the user's table of tuned options.
 
-    Args:
-        scenario: the scenario whose training trials judge the gains.
-        head: the head that moves and that the law knows.
-        head_source: source of the head: a preset's name or a path; None for the scenario's head.
-        mapper: runs the trials.
-
-    Returns:
-        The entry of the table.
-
-    Raises:
-        ConfigurationError: the table cannot be written.
+    `head_source` is a preset's name or a path; None for the scenario's own head.
     """
     words = ["vergence", "evaluate", "ibvs-tuned", "--scenario", scenario.name]
     words += [] if head_source is None else ["--head", absolute_source(head_source)]
@@ -205,15 +182,7 @@ def tune_baseline(
 
 
 def best_gain(scenario: Scenario, head: HeadModel, mapper: Mapper) -> float:
-    """The gain with the least loss on training trials, see `vergence.eval.tuning.objective`.
-
-    Args:
-        scenario: the scenario of the trials.
-        head: the head.
-        mapper: runs the trials, one job per gain.
-
-    Returns:
-        The gain, 1/s, a multiple of the search's step.
+    """The gain with the least loss on training trials, 1/s, a multiple of the search's step.
 
     Raises:
         ConfigurationError: the best gain lets no trial settle, or it is the greatest gain of the

@@ -114,12 +114,7 @@ SEARCH_SPACES: Final[dict[str, dict[str, SearchRange]]] = {
 
 
 def search_space(controller: str) -> dict[str, SearchRange]:
-    """Search space of a controller's options.
-
-    Raises:
-        UnknownNameError: there is no such controller.
-        ConfigurationError: it has nothing to tune.
-    """
+    """Search space of a controller's options; an error if there is nothing to tune."""
     from vergence.controllers.controller import CONTROLLERS
     from vergence.controllers.tuned import name_in_tuned_table
 

@@ -65,19 +65,7 @@ _RETRY_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 @contextmanager
 def open_study(file_or_url: str, name: str, sampler: BaseSampler) -> Iterator[Study]:
-    """Open or create a study; its connections are closed at the end of the context.
-
-    Args:
-        file_or_url: a file, which is created if it does not exist, or the URL of a database.
-        name: the study's name.
-        sampler: the sampler that chooses its points.
-
-    Yields:
-        The study.
-
-    Raises:
-        ConfigurationError: the storage cannot be opened, read or written.
-    """
+    """Open or create a study; its connections are closed at the end of the context."""
     try:
         study, storage = _create(file_or_url, name, sampler)
     except (SQLAlchemyError, ImportError, RuntimeError) as error:
@@ -124,14 +112,7 @@ def _create(place: str, name: str, sampler: BaseSampler) -> tuple[Study, RDBStor
 
 
 def without_password(storage: str) -> str:
-    """Hide the password of a study's storage, for messages and files.
-
-    Args:
-        storage: a file, or a URL.
-
-    Returns:
-        The storage, with stars in place of a URL's password.
-    """
+    """Hide the password of a study's storage, for messages and files."""
     return re.sub(r"(://[^/?#:]*:)[^/?#]*@", r"\1***@", storage)
 
 
@@ -156,12 +137,7 @@ MOST_POINTS: Final = 5000
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSpec:
-    """The search space, settings and storage of a study.
-
-    Raises:
-        ConfigurationError: `attempts` is below 1, or a grid has a span without a step or too many
-            points.
-    """
+    """The search space, settings and storage of a study."""
 
     name: str
     """The study's name."""
@@ -213,15 +189,7 @@ def run_search(
     objective: Objective,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Attempt]:
-    """Try points until the study has the requested number.
-
-    Args:
-        search: the search.
-        objective: the objective to minimise; it raises a `VergenceError` for an invalid point.
-        progress: callback with the number of points tried and the total number.
-
-    Returns:
-        All valid points of the study, in the order of their numbers.
+    """Try points until the study has the requested number; return all valid ones by their numbers.
 
     Raises:
         ConfigurationError: the study cannot be opened or has another setting.
@@ -329,9 +297,6 @@ class _KeyedSampler(BaseSampler):
 
     An interrupted search then resumes as if it had not been interrupted, and processes that share a
     study never draw the same numbers.
-
-    Args:
-        seed: seed of the search.
     """
 
     def __init__(self, seed: int) -> None:
@@ -368,18 +333,7 @@ _METRIC_LABELS = {"s": "settle time (s)", "px": "tracking RMS (px)"}
 def draw_search(
     attempts: Sequence[Attempt], search_ranges: Mapping[str, SearchRange], title: str, unit: str
 ) -> Figure:
-    """Draw the headline metric against the options.
-
-    Args:
-        attempts: the points tried.
-        search_ranges: search range of each option.
-        title: title of the figure.
-        unit: unit of the metric, `s` or `px`.
-
-    Returns:
-        A curve for a single option; for several, one panel each, in which the other options vary
-        too.
-    """
+    """Draw the headline metric, in `s` or `px`, against the only option or in a panel for each."""
     best = min(attempts, key=lambda attempt: attempt.rank)
     with figure_style():
         if len(search_ranges) == 1:
