@@ -75,17 +75,7 @@ class ResolvedOptions:
 def resolve_options(
     name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]
 ) -> ResolvedOptions:
-    """Resolve the options of a registry controller.
-
-    Args:
-        name: the controller.
-        head: the head.
-        scenario: the scenario's name.
-        given: user-given options, which override tuned ones.
-
-    Raises:
-        ConfigurationError: the user's table of tuned options cannot be read.
-    """
+    """Resolve the options of a registry controller; given ones override tuned ones."""
     space = {} if name == "ibvs" else SEARCH_SPACES.get(name_in_tuned_table(name), {})
     entry = find_tuned_or_fallback(name, scenario, head)
     tuned = is_tuned_for(entry, head) if space else None
@@ -102,15 +92,7 @@ def resolve_options(
 
 
 class GivenOptions:
-    """User-given options by controller, and by controller and scenario.
-
-    Args:
-        content: options by controller; a nested table holds the options of one scenario.
-        where: name of the source in messages, such as the file's path.
-
-    Raises:
-        ConfigurationError: a controller has no table.
-    """
+    """User-given options by controller, and by controller and scenario; `where` is their source."""
 
     def __init__(self, content: Mapping[str, Any] | None = None, where: str = "options") -> None:
         self.where = where
@@ -123,11 +105,7 @@ class GivenOptions:
 
     @classmethod
     def read(cls, path: Path) -> "GivenOptions":
-        """Read the options from a TOML file.
-
-        Raises:
-            ConfigurationError: the file cannot be read or is not a TOML file of options.
-        """
+        """Read the options from a TOML file."""
         try:
             return cls(tomllib.loads(path.read_text(encoding="utf-8")), str(path))
         except OSError as error:
@@ -140,17 +118,7 @@ class GivenOptions:
             raise ConfigurationError(f"{path}: expected a TOML file, got {error}") from error
 
     def check_names(self, known: Iterable[str]) -> list[str]:
-        """Reject options of unknown controllers.
-
-        Args:
-            known: names of the controllers that take part.
-
-        Returns:
-            A note for each controller that has options but does not take part.
-
-        Raises:
-            ConfigurationError: a name is not that of a controller.
-        """
+        """Reject options of unknown controllers; a note for each one that does not take part."""
         taking_part = list(known)
         notes = []
         for name in self._content:
@@ -163,15 +131,7 @@ class GivenOptions:
         return notes
 
     def for_controller(self, names: Iterable[str], scenario: str) -> dict[str, Any]:
-        """The options of one controller in one scenario.
-
-        Args:
-            names: the controller's names.
-            scenario: the scenario's name.
-
-        Raises:
-            ConfigurationError: a nested table has an unknown scenario's name.
-        """
+        """The options of one controller, by any of its names, in one scenario."""
         found: dict[str, Any] = {}
         special: dict[str, Any] = {}
         for name in dict.fromkeys(names):
@@ -196,12 +156,7 @@ _PREDICT_SIGNATURE: Final = (
 def make_user_controller(
     entry: EntryPoint, head: HeadModel, layout: ObservationLayout, options: Mapping[str, Any]
 ) -> "GuardedController":
-    """Make a user-defined controller and wrap it in `GuardedController`.
-
-    Raises:
-        ConfigurationError: there is no such class, or it has no suitable `predict`.
-        UserControllerError: its constructor raises.
-    """
+    """Make a user-defined controller and wrap it in `GuardedController`."""
     make = entry.load()
     with suppress(ValueError):  # classes written in C may have no signature
         try:
@@ -229,10 +184,7 @@ def option_names(controller_factory: Any) -> set[str] | None:
 
 
 def errors_attributed_to(controller: Policy) -> AbstractContextManager[None]:
-    """Context that attributes errors to a user-defined controller; no effect for other ones.
-
-    See `GuardedController.attributing_errors`.
-    """
+    """Context that attributes errors to a user-defined controller; no effect for other ones."""
     return (
         controller.attributing_errors()
         if isinstance(controller, GuardedController)
@@ -241,15 +193,7 @@ def errors_attributed_to(controller: Policy) -> AbstractContextManager[None]:
 
 
 class GuardedController:
-    """Wrapper of a controller that reports errors of its `predict` in one line, with their place.
-
-    Args:
-        controller: any object with Stable-Baselines3's `predict`.
-        label: name in messages.
-
-    Raises:
-        ConfigurationError: the controller has no `predict` with that signature.
-    """
+    """Wrapper of a controller that reports errors of its `predict` in one line, with a place."""
 
     def __init__(self, controller: Any, label: str) -> None:
         predict = getattr(controller, "predict", None)
@@ -278,11 +222,7 @@ class GuardedController:
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], Any]:
-        """See `Controller.predict`.
-
-        Raises:
-            UserControllerError: it raises, or does not return actions and a state.
-        """
+        """See `Controller.predict`; a `UserControllerError` if it raises or returns no actions."""
         self._calls += 1
         try:
             answer = self._controller.predict(
@@ -361,16 +301,7 @@ class Contestant:
         return (word, self.label) if isinstance(word, str) else (self.label,)
 
     def resolve_options(self, head: HeadModel, scenario: str) -> ResolvedOptions:
-        """Resolve the controller's options.
-
-        Args:
-            head: the model that the controller knows.
-            scenario: name of the scenario whose tuned options apply to a registry controller.
-
-        Raises:
-            ConfigurationError: the controller has no option of a given name, or the user's table
-                of tuned options cannot be read.
-        """
+        """Resolve its options for a head that it knows, in a scenario by name."""
         given = self.given_options.for_controller(self.names, scenario)
         if given:
             known = self._option_names()
@@ -396,19 +327,7 @@ class Contestant:
     def make(
         self, head: HeadModel, layout: ObservationLayout, options: Mapping[str, Any]
     ) -> tuple[Controller, dict[str, Any]]:
-        """Make the controller for a head.
-
-        Args:
-            head: the model that the controller knows.
-            layout: layout of observations and actions.
-            options: the controller's options, see `resolve_options`.
-
-        Returns:
-            The controller and its options; for a policy file its SHA-256.
-
-        Raises:
-            VergenceError: it cannot be made.
-        """
+        """Make it for a head; return it and its options, for a policy file its SHA-256."""
         if isinstance(self.source, EntryPoint):
             return make_user_controller(self.source, head, layout, options), dict(options)
         if not isinstance(self.source, str):
@@ -420,18 +339,7 @@ class Contestant:
         return policy, {"sha256": hashlib.sha256(Path(self.source).read_bytes()).hexdigest()}
 
     def check(self, head: HeadModel, scenario: Scenario) -> ResolvedOptions:
-        """Make the controller once before the evaluation; user-defined ones also act once.
-
-        Args:
-            head: the model that the controller knows.
-            scenario: the scenario in which it will run.
-
-        Returns:
-            The controller's options.
-
-        Raises:
-            VergenceError: it cannot run.
-        """
+        """Resolve the options and make it once; user-defined controllers also act once."""
         found = self.resolve_options(head, scenario.name)
         layout = ObservationLayout.of(head)
         try:
@@ -475,15 +383,6 @@ def make_contestants(
             the registry.
         extra_controllers: more controllers by their labels.
         given: user-given options of the controllers.
-
-    Returns:
-        The contestants, in the order of the specifications.
-
-    Raises:
-        UnknownNameError: a specification names no controller.
-        ConfigurationError: a file or an attribute does not exist, or two rows of the tables would
-            have one label.
-        UserControllerError: a module cannot be imported.
     """
     given = given or GivenOptions()
     names = list(dict.fromkeys(specs or controllers_in_table_order()))
@@ -508,20 +407,10 @@ def make_contestants(
 def available_contestants(
     contestants: list[Contestant], head: HeadModel, scenario: Scenario, requested: Collection[str]
 ) -> tuple[list[tuple[Contestant, ResolvedOptions]], list[str]]:
-    """Leave out contestants that cannot be made here, for example if a package is missing.
+    """Leave out contestants that cannot be made here, with a note for each.
 
-    Args:
-        contestants: the contestants.
-        head: the head for which to make them.
-        scenario: the scenario for which to make them.
-        requested: requested names and paths, which are left out only if they were trained for
-            another head and others remain.
-
-    Returns:
-        The contestants that can be made, with their options; and a note for each other one.
-
-    Raises:
-        VergenceError: a requested contestant cannot be made.
+    Requested names and paths are left out only if they were trained for another head and others
+    remain; else their error is raised.
     """
     available, notes = [], []
     unfit: list[OtherHeadError] = []

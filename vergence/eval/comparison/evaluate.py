@@ -467,16 +467,7 @@ def run_and_join(
     *,
     keep_going: bool,
 ) -> Evaluation:
-    """Run the simulated trials and join them with a robot's results.
-
-    Args:
-        config: the configuration.
-        lineup: the controllers, scenarios and plants.
-        mapper: runs the jobs.
-        robot_results: results of a robot's trials.
-        robot_failures: failures of controllers in a robot's trials.
-        keep_going: see `evaluate`, which also describes the result and the errors.
-    """
+    """Run the simulated trials and join them with a robot's results, see `evaluate`."""
     jobs = [
         EvaluationJob(
             contestant=one, resolved=resolved, scenario=scenario, plant=plant, head=lineup.head,

@@ -53,14 +53,7 @@ _MARKERS: Final = ("h", "d", "8", "H", "1", "2")
 
 
 def controller_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Line styles by controller, the label included.
-
-    Args:
-        names: the controllers; those outside the registry get further styles in order.
-
-    Returns:
-        Keyword arguments of `Axes.plot`.
-    """
+    """Keyword arguments of `Axes.plot` by controller; strangers get further styles in order."""
     styles = {}
     strangers = 0
     for name in names:
@@ -79,16 +72,7 @@ def controller_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
 def draw_line(
     axes: Axes, x: Values, y: Values, style: dict[str, Any], line_index: int, **more: Any
 ) -> None:
-    """Draw a line with a few markers, which are shifted from line to line.
-
-    Args:
-        axes: axes to draw in.
-        x: (n,) abscissae.
-        y: (n,) ordinates.
-        style: line style of the controller.
-        line_index: index of the line in the figure.
-        **more: overrides of the style.
-    """
+    """Draw a line with a few markers, which are shifted from line to line."""
     every = max(1, len(x) // 6)
     start = (line_index * every) // 7 % every
     axes.plot(x, y, markevery=(start, every), **{"linewidth": 1.6, **style, **more})
@@ -131,23 +115,12 @@ _CAPTIONS: Final = {
 
 
 def figure_caption(name: str) -> str:
-    """Caption of a figure; empty if there is none.
-
-    Args:
-        name: name of the figure, see `evaluation_figures`.
-    """
+    """Caption of a figure; empty if there is none."""
     return next((said for kind, said in _CAPTIONS.items() if name.startswith(f"{kind}-")), "")
 
 
 def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
-    """Draw all figures, by name, such as `settle-times-workspace-kinematic`.
-
-    Args:
-        evaluation: the evaluation.
-
-    Returns:
-        The figures, in the order of the report.
-    """
+    """Draw all figures, by names such as `settle-times-workspace-kinematic`."""
     figures = {}
     with figure_style():
         for (scenario, plant), group in evaluation.groups().items():

@@ -1,9 +1,9 @@
 """The run folders of evaluations and margins: tables, figures, config.toml, section and report."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import pandas as pd
 import tomli_w
@@ -53,38 +53,14 @@ class ControllerRun(Protocol):
         """True if the options were tuned for the head, see `ResolvedOptions`."""
 
 
-def config_with_notes(
-    config: EvaluateConfig, notes: Sequence[str], failures: Sequence[str]
-) -> dict[str, Any]:
-    """The configuration with notes and failures, as plain values.
-
-    Args:
-        config: the configuration.
-        notes: notes on controllers and plants that were left out.
-        failures: errors of user-defined controllers.
-    """
-    found: dict[str, Any] = toml_value(
-        {**config.resolved(), "notes": list(notes), "failures": list(failures)}
-    )
-    return found
-
-
 def write_config_and_heads(
     folder: Path,
     config: EvaluateConfig,
-    notes: Sequence[str],
-    failures: Sequence[str],
+    notes: list[str],
+    failures: list[str],
     outcomes: Iterable[ControllerRun],
 ) -> None:
-    """Write config.toml and a file for the head of each scenario.
-
-    Args:
-        folder: the run folder.
-        config: the configuration.
-        notes: notes on controllers and plants that were left out.
-        failures: errors of user-defined controllers.
-        outcomes: results of the controllers that ran.
-    """
+    """Write config.toml and a file for the head of each scenario."""
     heads: dict[str, Any] = {}
     ran: dict[str, dict[str, Any]] = {}
     tuned: dict[str, dict[str, bool]] = {}
@@ -98,8 +74,8 @@ def write_config_and_heads(
             tuned.setdefault(one.controller, {})[one.scenario] = one.tuned
     content = {
         "config": toml_value(config.resolved()),
-        "notes": list(notes),
-        "failures": list(failures),
+        "notes": notes,
+        "failures": failures,
         "heads": heads,
         "controllers": ran,
         "tuned": tuned,
@@ -124,23 +100,7 @@ def write_run_report(
     failures: list[str],
     outcomes: Iterable[ControllerRun],
 ) -> None:
-    """Write figures, configuration, section and report beside the tables of a run folder.
-
-    Args:
-        folder: the run folder.
-        name: name of the section.
-        title: title of the section and of the report.
-        text: text of the section.
-        tables: tables of the section.
-        figures: figures by name.
-        captions: captions by the figures' names.
-        data_file: the section's data file in the folder.
-        data_row_count: number of rows of the data file.
-        config: the configuration.
-        notes: notes on controllers and plants that were left out.
-        failures: errors of user-defined controllers.
-        outcomes: results of the controllers that ran.
-    """
+    """Write figures, configuration, section and report beside the tables of a run folder."""
     (folder / "figures").mkdir()
     for figure_name, figure in figures.items():
         save_figure(figure, folder / "figures" / figure_name)
@@ -154,7 +114,7 @@ def write_run_report(
         summary=[],
         figures=[folder / "figures" / f"{figure_name}.svg" for figure_name in figures],
         rows=data_row_count,
-        config=config_with_notes(config, notes, failures),
+        config=toml_value({**config.resolved(), "notes": notes, "failures": failures}),
         seed=config.seed,
         data=data_file,
         tables=tables,
@@ -164,19 +124,8 @@ def write_run_report(
     write_report(folder / "report.html", [section], title=title)
 
 
-TITLE: Final = "Ways of looking at a target, compared"
-
-
 def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
-    """Write an evaluation's tables, figures, configuration and report.
-
-    Args:
-        folder: an empty folder, see `vergence.reporting.runs.run_folder`.
-        evaluation: the evaluation.
-
-    Raises:
-        ConfigurationError: nothing was evaluated.
-    """
+    """Write an evaluation's tables, figures, configuration and report into an empty folder."""
     if not evaluation.outcomes:
         raise ConfigurationError("evaluation: expected at least one outcome, got none")
     rows = evaluation.rows()
@@ -196,7 +145,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     write_run_report(
         folder,
         name="evaluation",
-        title=TITLE,
+        title="Ways of looking at a target, compared",
         text=describe_evaluation(evaluation),
         tables=report_tables(evaluation),
         figures=figures,

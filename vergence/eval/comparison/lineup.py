@@ -64,19 +64,7 @@ def resolve_lineup(
 ) -> Lineup:
     """Resolve and check the line-up before any trial runs, and tune the baseline on request.
 
-    Args:
-        config: the configuration.
-        extra_controllers: more controllers by their labels.
-        mapper: runs the trials of tuning.
-        options: options by controller, and within these by scenario, in place of a file's.
-        include_baseline: True if `ibvs-tuned` takes part even without a request.
-
-    Returns:
-        The line-up.
-
-    Raises:
-        UserControllerError: a user-defined controller raises.
-        VergenceError: a name is unknown or an option has an invalid value.
+    `include_baseline` is true if `ibvs-tuned` takes part even without a request.
     """
     as_seed(config.seed)
     if config.trials < 1:
@@ -124,17 +112,7 @@ def tune_baselines(
     options: Mapping[str, Mapping[str, Any]] | None = None,
     report: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Tune the baseline for each scenario's head for which it is untuned.
-
-    Args:
-        config: the configuration.
-        mapper: runs the trials.
-        options: see `evaluate`.
-        report: callback with a message before each tuning and one with its result.
-
-    Raises:
-        VergenceError: a name is unknown, or the tuned gain cannot be saved.
-    """
+    """Tune the baseline for each scenario's head for which it is untuned, and report on it."""
     given, hardware = _given(config, options), _hardware(config)
     if hardware is not None:
         raise ConfigurationError(

@@ -70,13 +70,7 @@ p95: Final[Statistic] = partial(percentile, percent=95.0)
 
 
 class Bootstrap:
-    """Intervals for statistics of n trials.
-
-    Args:
-        num: number of trials, n.
-        seed: seed of the resampling.
-        resamples: number of resamples.
-    """
+    """Intervals for statistics of `num` trials."""
 
     def __init__(self, num: int, seed: int = 0, resamples: int = RESAMPLES) -> None:
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, num])))
@@ -87,15 +81,7 @@ class Bootstrap:
         ]
 
     def interval(self, values: ArrayLike, statistic: Statistic) -> ConfidenceInterval:
-        """A statistic of all trials with its interval.
-
-        Args:
-            values: (n,) one per trial.
-            statistic: the statistic.
-
-        Returns:
-            The value and its percentile interval.
-        """
+        """A statistic of (n,) values, one per trial, with its percentile interval."""
         array = np.asarray(values)
         if (array == array[0]).all():  # nothing to resample
             value = float(statistic(array))
@@ -107,16 +93,7 @@ class Bootstrap:
     def ratio(
         self, numerator: ArrayLike, denominator: ArrayLike, statistic: Statistic
     ) -> ConfidenceInterval:
-        """The ratio of a statistic of two controllers on the same trials, with its interval.
-
-        Args:
-            numerator: (n,) values of the numerator, one per trial.
-            denominator: (n,) values of the denominator, one per trial.
-            statistic: the statistic.
-
-        Returns:
-            The ratio and its paired interval.
-        """
+        """The ratio of a statistic of two controllers on the same trials; its paired interval."""
         top, bottom = np.asarray(numerator), np.asarray(denominator)
         drawn = self._resampled(top, statistic) / self._resampled(bottom, statistic)
         return _interval(float(statistic(top) / statistic(bottom)), drawn)
@@ -140,6 +117,8 @@ def _interval(value: float, drawn: FloatArray) -> ConfidenceInterval:
     low, high = np.percentile(drawn, [tail, 100.0 - tail], method="nearest")
     return ConfidenceInterval(value, float(low), float(high))
 
+
+_UNDEFINED: Final = ConfidenceInterval(np.nan, np.nan, np.nan)
 
 SWINGING: Final = "swinging_trials"
 """Column with the number of trials that swing; `swings_fraction` is their fraction, with its
@@ -186,17 +165,10 @@ def _of_bands(band_px: float) -> dict[str, tuple[str, Statistic]]:
 
 
 def imputed_trial_values(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
-    """Columns of a trial table as arrays in which missing values are imputed.
+    """Columns of a controller's trials as arrays in which missing values are imputed.
 
     A missing settle time becomes the trial's duration; a missing ratio to the bound, or a missing
     fix, infinity. Columns for settling and for the ratio are added.
-
-    Args:
-        table: one row per trial, of one controller.
-        band_px: the scenario's leading band of settling, px.
-
-    Returns:
-        (n,) values by column.
     """
     duration = table["duration_s"].to_numpy()
     values: dict[str, Any] = {
@@ -226,18 +198,9 @@ def imputed_trial_values(table: pd.DataFrame, band_px: float) -> dict[str, Float
 def trial_statistics(
     table: pd.DataFrame, target_moves: bool, duration_s: float, band_px: float, seed: int
 ) -> dict[str, Any]:
-    """All statistics of one controller's trials.
+    """All statistics of one controller's trials, nan if undefined.
 
-    Args:
-        table: one row per trial.
-        target_moves: True if the scenario's target moves throughout.
-        duration_s: duration of a trial, s.
-        band_px: the scenario's leading band of settling, px.
-        seed: seed of the bootstrap.
-
-    Returns:
-        `trials`, `duration_s`, `swinging_trials`, and each statistic by name; the ends of its
-        interval have the suffixes `_low` and `_high`; nan if undefined.
+    The ends of the interval of each have the suffixes `_low` and `_high`.
     """
     bootstrap = Bootstrap(len(table), seed)
     values = imputed_trial_values(table, band_px)
@@ -250,7 +213,7 @@ def trial_statistics(
         **_TRACKING_STATISTICS,
         **_COMMON_STATISTICS,
     }.items():
-        found = ConfidenceInterval(np.nan, np.nan, np.nan)
+        found = _UNDEFINED
         if name in has and not np.isnan(values[column]).any():
             found = bootstrap.interval(values[column], statistic)
         _put(row, name, found)
@@ -260,20 +223,11 @@ def trial_statistics(
 def speed_up(
     table: pd.DataFrame, reference: pd.DataFrame, target_moves: bool, band_px: float, seed: int
 ) -> dict[str, float]:
-    """Speed-up over another controller on the same trials.
+    """Speed-up over another controller on the same trials: `faster` with the ends of its interval.
 
-    Args:
-        table: one row per trial.
-        reference: one row per trial of the other controller.
-        target_moves: True if the scenario's target moves throughout: the tracking RMS is compared
-            then.
-        band_px: the scenario's leading band of settling, px.
-        seed: seed of the bootstrap.
-
-    Returns:
-        `faster`, the ratio of the other controller's median settle time to that band (or tracking
-        RMS) to this one's, and the ends of its interval; nan if no more than half of the trials of
-        either controller have settled, as the median is undefined then.
+    It is the ratio of the other's median settle time to the band, or tracking RMS if the target
+    moves, to this one's; nan if no more than half of the trials of either controller have settled,
+    as the median is undefined then.
     """
     column = "tracking_px" if target_moves else SettlingBand(band_px).settle_s_column
     ours, theirs = (imputed_trial_values(one, band_px)[column] for one in (table, reference))
@@ -281,7 +235,7 @@ def speed_up(
         target_moves or min(np.isfinite(one[column]).mean() for one in (table, reference)) > 0.5
     )
     row: dict[str, float] = {}
-    found = ConfidenceInterval(np.nan, np.nan, np.nan)
+    found = _UNDEFINED
     if settled:
         with np.errstate(divide="ignore", invalid="ignore"):
             found = Bootstrap(len(ours), seed).ratio(theirs, ours, median)
@@ -294,10 +248,6 @@ def bound_trials(tables: Sequence[pd.DataFrame], band_px: float) -> pd.DataFrame
 
     In simulation all controllers have the same bounds. On a robot each trial has its own, as its
     images arrive at other times.
-
-    Args:
-        tables: a table for each controller, one row per trial, in the order of the targets.
-        band_px: the scenario's leading band of settling, px.
     """
     least = {
         band.bound_s_column: np.fmin.reduce([one[band.bound_s_column].to_numpy() for one in tables])
@@ -307,25 +257,16 @@ def bound_trials(tables: Sequence[pd.DataFrame], band_px: float) -> pd.DataFrame
 
 
 def bound_summary(table: pd.DataFrame, band_px: float, seed: int) -> dict[str, Any]:
-    """The row of the time-optimal bound.
-
-    Args:
-        table: one row per trial, see `bound_trials`.
-        band_px: the scenario's leading band of settling, px.
-        seed: seed of the bootstrap.
-
-    Returns:
-        A row with the fields of `trial_statistics`; nan for those that a bound does not have.
-    """
+    """The row of the time-optimal bound over `bound_trials`; nan for what a bound does not have."""
     limit = imputed_trial_values(table, band_px)
     bootstrap = Bootstrap(len(table), seed)
     row: dict[str, Any] = {name: table[name].iloc[0] for name in ("scenario", "plant")}
     row |= {"controller": BOUND, "options": {}, "trials": len(table)}
     row["duration_s"] = float(table["duration_s"].iloc[0])
-    none, one = ConfidenceInterval(np.nan, np.nan, np.nan), ConfidenceInterval(1.0, 1.0, 1.0)
+    one = ConfidenceInterval(1.0, 1.0, 1.0)
     found = dict.fromkeys(
         [*_of_bands(band_px), *_SETTLING_STATISTICS, *_TRACKING_STATISTICS, *_COMMON_STATISTICS],
-        none,
+        _UNDEFINED,
     )
     for band in bands_with_bound(band_px):
         bound = limit[band.bound_s_column]

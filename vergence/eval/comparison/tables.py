@@ -41,14 +41,7 @@ ONE_PIXEL_COLUMN: Final = "1 px (ms)"
 
 
 def report_tables(evaluation: Evaluation) -> list[ReportTable]:
-    """Make a table for each scenario and plant; medians have their intervals.
-
-    Args:
-        evaluation: the evaluation.
-
-    Returns:
-        The tables. A cell may have a second line: in the first column, the controller's options.
-    """
+    """Make a table for each scenario and plant; in the first column are the options too."""
     found = []
     for (scenario, plant), group in evaluation.groups().items():
         target_moves = group[0].target_moves
@@ -201,12 +194,9 @@ def _short(value: Any) -> str:
 
 def _number(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
     value = row.get(key, math.nan)
-    nothing = _is_no_residual(key, value) or abs(scale * value) < _ZERO_TOLERANCE
+    no_residual = key.startswith("residual") and abs(value) < LEAST_RESIDUAL_PX
+    nothing = no_residual or abs(scale * value) < _ZERO_TOLERANCE
     return format_number(0.0 if nothing else scale * value)
-
-
-def _is_no_residual(key: str, value: float) -> bool:
-    return key.startswith("residual") and abs(value) < LEAST_RESIDUAL_PX
 
 
 def _share(row: dict[str, Any], key: str) -> str:
@@ -236,22 +226,12 @@ def _cell(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
 
 
 def _stacked(row: dict[str, Any], one: str, other: str, scale: float = 1.0) -> str:
-    return _lines(_number(row, one, scale), _number(row, other, scale))
-
-
-def _lines(first: str, second: str) -> str:
+    first, second = _number(row, one, scale), _number(row, other, scale)
     return NONE if first == second == NONE else f"{first}\n{second}"
 
 
 def describe_evaluation(evaluation: Evaluation) -> SectionText:
-    """Describe the evaluation and its best results per scenario and plant, by `section.jinja`.
-
-    Args:
-        evaluation: the evaluation.
-
-    Returns:
-        The text of its section in a report.
-    """
+    """Describe the evaluation and its best results per scenario and plant, by `section.jinja`."""
     groups = []
     for (scenario, plant), group in evaluation.groups().items():
         band = SettlingBand(group[0].band_px)
