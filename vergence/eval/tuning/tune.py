@@ -436,7 +436,7 @@ def tune(
         progress: callback with the number of points tried and the total number.
 
     Returns:
-        The result. The best point has the smallest loss (see `objective.loss`) and, among equal
+        The result. The best point has the smallest loss (see `Attempt.rank`) and, among equal
         ones (median settle times are whole control periods), the smallest mean.
 
     Raises:
