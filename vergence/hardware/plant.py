@@ -61,7 +61,13 @@ from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.vision.detection import as_pixel
 from vergence.vision.objects.sights import line_of_sight, pixel_of
-from vergence.vision.objects.targets import GazeTarget, PlaceTarget, PointTarget, parse_gaze_target
+from vergence.vision.objects.targets import (
+    FaceTarget,
+    GazeTarget,
+    PlaceTarget,
+    PointTarget,
+    parse_gaze_target,
+)
 from vergence.vision.targets import AprilTag
 
 _LOG: Final = logging.getLogger(__name__)
@@ -378,7 +384,8 @@ class HardwarePlant(Plant):
     def truth(self) -> Truth | None:
         """Ground truth of an emulated head at the last reading.
 
-        None for a real one, and once somebody has named a point, which the emulator does not know.
+        None for a real one, before a face, and once somebody has named a point: the emulator does
+        not know where these are.
         """
         if self._open.world is None or self._named:
             return None
@@ -521,7 +528,8 @@ class HardwarePlant(Plant):
         if isinstance(self._target, PointTarget):
             self._first_images(rested_s)
         self._open.eyes.forget()
-        self._named = isinstance(self._target, PointTarget) and self._target != PointTarget()
+        own = isinstance(self._target, FaceTarget | PointTarget)
+        self._named = own and self._target != PointTarget()
         world, search = self._open.world, self._open.eyes.search
         if world is not None and search is not None and self._target == PointTarget():
             search.shared.click(0, world.truth(self.head, 0.0).pixels[0, 0])

@@ -127,6 +127,7 @@ class HeadScene:
             cast_shadow=False,
         )
         self._object = self._thing(room)
+        self._off_m = np.zeros(2) if room is None else -np.array(room.measured_m)
         self.target = api.add_transform_controls(
             "/head/target", scale=0.18, disable_rotations=True, visible=False, line_width=3.0
         )
@@ -251,7 +252,8 @@ class HeadScene:
             if there:
                 pose = self._N @ board_pose(shown.target)
                 self._board.position, self._board.wxyz = pose[:3, 3], _wxyz(pose[:3, :3])
-                self._object.position, self._object.wxyz = self._board.position, self._board.wxyz
+                place = pose @ [*self._off_m, 0.0, 1.0]
+                self._object.position, self._object.wxyz = place[:3], self._board.wxyz
                 if moves_target:
                     self.target.position = pose[:3, 3]
 

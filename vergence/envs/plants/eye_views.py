@@ -223,7 +223,7 @@ class RoomImageRenderer(BoardImageRenderer):
 
     @property
     def board(self) -> Board:
-        """Shape of the target: all of a ball, or some of a poster around its middle."""
+        """Shape of the target: all of a ball, or some of a poster around its measured point."""
         half_m = _POINT_HALF_M if self._scene.thing == "poster" else 0.5 * self._scene.size_m
         outline = half_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         return POINT._replace(outline=outline, border_px=BOARD_BORDER_PX)
@@ -260,6 +260,7 @@ class RoomImageRenderer(BoardImageRenderer):
         smears = np.asarray(smear_px, dtype=np.float64)
         for eye, drawing in enumerate(self._eyes):
             T_room_T = self._T_room_C[eye] @ T_C_T[eye]
+            T_room_T[:3, 3] -= T_room_T[:3, :2] @ self._scene.measured_m
             if T_C_T[eye, 2, 3] <= 0.0:
                 T_room_T = np.full((4, 4), np.nan)
             drawing.draw(self._T_room_C[eye], T_room_T, rng, self._room_smears_px[eye], smears[eye])

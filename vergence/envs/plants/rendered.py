@@ -1,6 +1,7 @@
 """The rendered plant: MuJoCo's dynamics, rendered images, and a real detector that reads them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -40,7 +41,8 @@ from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import direction_to_local, eye_frames, point_to_local
 from vergence.models.parts import FloatArray
-from vergence.vision.objects.scenes import Scene, parse_scene
+from vergence.vision.objects.faces import face_from_middle
+from vergence.vision.objects.scenes import BORDER, Scene, parse_scene
 from vergence.vision.objects.search import HeadSearch
 from vergence.vision.objects.targets import (
     ColourTarget,
@@ -51,6 +53,7 @@ from vergence.vision.objects.targets import (
     PointTarget,
     parse_gaze_target,
 )
+from vergence.vision.objects.walls import read_colours
 from vergence.vision.targets import AprilTag, Checkerboard, make_planar_target
 
 
@@ -266,7 +269,8 @@ def scene_of(target: GazeTarget, scene: str | None, wall: str | None) -> Scene |
     """The room in which a target is shown; None for printed ones before plain grey.
 
     Raises:
-        ConfigurationError: the scene is invalid, or the target needs one that is not given.
+        ConfigurationError: the scene is invalid, shows no face to look at, or the target needs one
+            that is not given.
     """
     if not isinstance(target, ColourTarget | FaceTarget | PointTarget | OwnTarget):
         if scene is not None or wall is not None:
@@ -282,7 +286,13 @@ def scene_of(target: GazeTarget, scene: str | None, wall: str | None) -> Scene |
         rgb = target.rgb if isinstance(target, ColourTarget) else (255, 128, 0)
         ball = f"ball:#{bytes(rgb).hex()}"
         scene = "poster" if isinstance(target, PointTarget) else ball
-    return parse_scene(scene, wall)
+    in_room = parse_scene(scene, wall)
+    if isinstance(target, FaceTarget) and in_room.picture is not None:
+        picture = read_colours(in_room.picture)
+        inner_m = in_room.size_m * (1.0 - 2.0 * BORDER)
+        off = face_from_middle(target, picture) * inner_m / picture.shape[1]
+        in_room = replace(in_room, measured_m=tuple(off.tolist()))
+    return in_room
 
 
 @compiled

@@ -20,6 +20,8 @@ _SIGMA_PX: Final = 0.5
 """The same in pixels of the network's own image (chosen: likewise)."""
 _SCORE: Final = 0.6
 """Least score of a face (chosen: OpenCV's example has 0.9 for photographs, webcams need less)."""
+_PICTURE_PX: Final = 640
+"""Longer side at which a photograph is searched, px (chosen: what the networks are made for)."""
 _OVERLAP: Final = 0.3
 """Overlap above which two boxes are one face, area of both over that of either (chosen: OpenCV's
 and MediaPipe's default)."""
@@ -64,6 +66,26 @@ class FaceDetector:
             _face(row[4:14].reshape(5, 2).mean(axis=0), float(row[2]), float(row[14]), 1.0)
             for row in rows
         ]
+
+
+def face_from_middle(target: FaceTarget, picture: NDArray[np.uint8]) -> FloatArray:
+    """Place (2,) of the best face of a photograph, right and down from its middle, px.
+
+    Raises:
+        ConfigurationError: the file is no such network, or finds no face.
+    """
+    scale = min(_PICTURE_PX / max(picture.shape), 1.0)
+    small = np.asarray(
+        cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8
+    )
+    size = small.shape[1], small.shape[0]
+    faces = FaceDetector(target, Camera(size=size, matrix=np.eye(3))).detect(small)
+    if not faces:
+        raise ConfigurationError(
+            f"scene: expected a photograph in which {target} finds a face, got one without"
+        )
+    best = max(faces, key=lambda one: one.score)
+    return np.asarray((best.pixel - 0.5 * (np.array(size) - 1.0)) / scale)
 
 
 def _face(pixel: FloatArray, width_px: float, score: float, scale: float) -> Detection:

@@ -40,6 +40,8 @@ class Scene:
     """Diameter of the ball, or width of the poster with its border, m."""
     picture: str | None = None
     """Image file on the poster, such as a printed face; None for a procedural texture."""
+    measured_m: tuple[float, float] = (0.0, 0.0)
+    """Point of the poster at the target's place, right and down from its middle, m."""
     wall: str | None = None
     """Image file on the room's front wall; None for a procedural texture."""
 
