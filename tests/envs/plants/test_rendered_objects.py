@@ -1,13 +1,19 @@
 """Objects in a room, seen by the rendered plant."""
 
+import cv2
 import numpy as np
 import pytest
 
 from tests.naming import refused
 from vergence.controllers import make_controller
+from vergence.envs.plants import rendered
+from vergence.envs.plants.eye_views import RoomImageRenderer
 from vergence.envs.targets.registry import separate_look
 from vergence.envs.task import GazeTask
 from vergence.models.head_file import load_head
+from vergence.vision.detection import Detection
+from vergence.vision.objects import faces
+from vergence.vision.objects.targets import FaceTarget
 
 HEAD = load_head("turrets")
 POINT = [0.05, -0.05, 0.9]
@@ -48,6 +54,37 @@ def test_a_clicked_point_of_the_wall_is_looked_at():
     assert task.reading.visible.all()
     assert np.abs(task.reading.pixels[0] - HEAD.project(HEAD.rest(), seen)).max() < 0.5
     task.close()
+
+
+class Green:
+    """A network that takes the green spot of an image for a face."""
+
+    def __init__(self, target, camera):
+        self.size = camera.size
+
+    def detect(self, image):
+        assert image.shape[1::-1] == self.size
+        v, u = np.argwhere(image[..., 1] > 200).mean(axis=0)
+        return [Detection(np.array([u, v]), 1.0)] if image[0, 0, 2] else []
+
+
+@pytest.mark.slow
+def test_the_face_of_a_photograph_stands_at_the_targets_place(tmp_path, monkeypatch):
+    monkeypatch.setattr(faces, "FaceDetector", Green)
+    picture = np.full((1000, 800, 3), 60, np.uint8)
+    cv2.circle(picture, (250, 700), 40, (0, 255, 0), -1)
+    cv2.imwrite(str(tmp_path / "anna.png"), picture)
+    shown = rendered.scene_of(FaceTarget(model="net"), f"poster:{tmp_path}/anna.png:300", None)
+    views = RoomImageRenderer(HEAD, shown)
+    images = views.draw(HEAD.rest(), np.zeros(7), POINT)
+    for image, expected in zip(images, HEAD.project(HEAD.rest(), POINT), strict=True):
+        v, u = np.argwhere(image[..., 1] > 100.0 + image[..., 0]).mean(axis=0)
+        assert np.abs([u, v] - expected).max() < 0.5
+    cv2.imwrite(str(tmp_path / "dark.png"), picture * np.uint8([1, 1, 0]))
+    dark = f"poster:{tmp_path}/dark.png"
+    refused(
+        "in which face:net finds a face", rendered.scene_of, FaceTarget(model="net"), dark, None
+    )
 
 
 def test_what_moves_and_what_it_is_are_told_apart():
