@@ -75,6 +75,31 @@ def test_sights_are_dated_by_their_receipt_less_the_latency_and_taken_once(eye_o
 
 
 @pytest.mark.slow
+class BufferedCapture(ScriptedCapture):
+    """Images that wait until they are taken."""
+
+    def grab(self):
+        self._clock.now, there = max(self._clock.now, (self._times or [0.0])[0]), bool(self._times)
+        del self._times[:1]
+        return there
+
+
+def test_images_that_have_waited_while_one_was_searched_are_passed_over(eye_of):
+    clock, times = FakeClock(), [100.0 + FRAME_S * i for i in range(1, 60)]
+    eye = eye_of(BufferedCapture(clock, times, blank(HEAD)), clock)
+    look = eye._search.look
+
+    def slow(*arguments):
+        clock.sleep(2.5 * FRAME_S)
+        look(*arguments)
+
+    eye._search.look = slow
+    eye.run()
+    dates = [sight.exposed_s + 0.1 for sight in eye.take_searched_images()]
+    assert len(dates) > 15
+    assert np.abs(np.subtract.outer(dates, times)).min(axis=1) == pytest.approx(0.0, abs=1e-6)
+
+
 def test_a_target_is_found_in_grey_and_in_colour(eye_of):
     image, middle = with_tag(HEAD)
     for shown in (image, np.repeat(image[..., None], 3, axis=2)):

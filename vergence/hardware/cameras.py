@@ -29,6 +29,11 @@ from vergence.vision.image import as_grey, grey_if_channels_equal, is_local_came
 from vergence.vision.objects.sights import EyeSearch
 
 _LOG: Final = logging.getLogger(__name__)
+_AT_ONCE: Final = 0.25
+"""Wait for an image, frames, below which the image has waited for us (chosen: above decoding)."""
+_MOST_LATE: Final = 9
+"""Images in succession that have waited, of which the last one is searched all the same (chosen:
+buffers of streams)."""
 _STEADY_INTERVALS: Final = 5
 """Consecutive intervals outside a burst after which the times of images are trusted (chosen)."""
 _BURST_FRACTION: Final = 0.5
@@ -109,13 +114,19 @@ class EyeThread(threading.Thread):
             self._capture.release()
 
     def _run(self) -> None:
-        in_pace = 0
-        least_s = _BURST_FRACTION * self._head.timing.frame_s
+        in_pace = late = 0
+        frame_s = self._head.timing.frame_s
+        least_s = _BURST_FRACTION * frame_s
         while not self._ended:
+            asked_s = self._clock()
             if not self._capture.grab():
                 self._fault = self._fault or "the stream ended"
                 return
             received_s = self._received_s()
+            waited = asked_s - self._last_s > frame_s and received_s - asked_s < _AT_ONCE * frame_s
+            late = late + 1 if waited and self.ready else 0
+            if 0 < late < _MOST_LATE:  # it came while the last one was searched: nobody knows when
+                continue
             there, image = self._capture.retrieve()
             gap_s = received_s - self._last_s
             if self.ready and gap_s > _STALLED_S:

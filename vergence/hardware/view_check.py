@@ -28,7 +28,7 @@ from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.vision.detection import BoardDetection, Detection
-from vergence.vision.objects.targets import GazeTarget
+from vergence.vision.objects.targets import GazeTarget, PointTarget
 from vergence.vision.targets import AprilTag, PlanarTarget, TagFamily
 from vergence.vision.tracking import make_detector
 
@@ -67,6 +67,10 @@ _REFUSED_ZERO_RAD: Final = 0.12
 _FLIP_CURE: Final = "turn the camera, or switch its flip off"
 _VIEW_CURE: Final = (
     "put it about 1 m ahead of the head at rest, in good light, in view of both eyes; to move "
+    "without this check: --no-view-check"
+)
+_POINT_CURE: Final = (
+    "name another pixel, of something with texture at least 0.5 m away that both eyes see; to move "
     "without this check: --no-view-check"
 )
 
@@ -244,13 +248,14 @@ class ViewCheck:
             if detector.detect(images[eye][:, ::-1].copy()) is not None:
                 problem = f"expected images as the eye sees {target}, got mirrored ones"
                 found.append(Finding(part=self._camera(eye), problem=problem, cure=_FLIP_CURE))
+        cure = _POINT_CURE if isinstance(target, PointTarget) else _VIEW_CURE
         if not found and not seen.any():
             return [
                 Finding(
                     part="view",
                     problem=f"expected {target} in view of the head at the start, got images "
                     "without it from both cameras" + (remark and f" ({remark})"),
-                    cure=_VIEW_CURE,
+                    cure=cure,
                 )
             ]
         if not found and blind:
@@ -265,7 +270,7 @@ class ViewCheck:
                     part=self._camera(eye),
                     problem=f"expected {target} in view of both eyes at the start, got images "
                     f"without it: the {EYE_NAMES[1 - eye]} eye sees it{why}",
-                    cure=_VIEW_CURE,
+                    cure=cure,
                 )
             )
         return found

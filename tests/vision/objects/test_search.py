@@ -8,6 +8,7 @@ import pytest
 
 from vergence.errors import ConfigurationError
 from vergence.models.head_file import load_head
+from vergence.vision.objects import search
 from vergence.vision.objects.search import HeadSearch
 from vergence.vision.objects.targets import parse_gaze_target
 
@@ -175,6 +176,30 @@ def test_a_slow_detector_holds_up_no_image(search_of, tmp_path):
             break
     for eye, one in enumerate(first):  # where it was in the first image
         assert np.abs(one.detection.pixel - PIXELS[eye]).max() < 4.0
+
+
+def test_a_detector_that_hangs_is_told_and_ended(search_of, monkeypatch):
+    monkeypatch.setattr(search, "_ANSWER_S", 0.3)
+    hangs, begun = search_of("Blocked", frame_s=0.02), time.monotonic()
+
+    def look_on():
+        for k in range(200):
+            look(hangs, 0.02 * k, images())
+            time.sleep(0.02)
+
+    with pytest.raises(ConfigurationError, match=r"to answer within 0\.3 s, got nothing"):
+        look_on()
+    hangs.shared.close()
+    assert time.monotonic() - begun < 6.0  # of 10 s
+
+
+@pytest.mark.parametrize("size_px", [30.0, 60.0, 120.0])
+def test_the_size_of_what_states_none_is_seen(size_px):
+    image = images(BLANK, textured=True)[0]
+    cv2.circle(image, (320, 240), round(size_px / 2), (40, 90, 220), -1)
+    found, mix = search._contrast(image, np.array([320.0, 240.0]), search._SIZES_PX)
+    assert 0.8 < found / size_px < 1.25
+    assert mix.shape == (1, 4)
 
 
 @pytest.mark.parametrize(

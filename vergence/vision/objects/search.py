@@ -8,6 +8,7 @@ law that was given old exposures instead would turn by them after it has turned 
 """
 
 import threading
+import time
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -49,6 +50,8 @@ from vergence.vision.tracking import Tracker, make_detector
 _WAIT_FRAMES: Final = 0.5
 """Longest wait of an image for a quick detector's answer, frames (chosen: no delay by a slow
 one)."""
+_ANSWER_S: Final = 10.0
+"""Longest time that a detector may take for an image, s (chosen: it hangs)."""
 _CARRIED_HALF: Final = 0.55
 """Half width of what is tracked, in sizes of the object (chosen: its outline counts, little beside
 it)."""
@@ -60,8 +63,10 @@ _LEAST_PIXELS: Final = 9
 """Least number of pixels of either for a mixture of colours (chosen: a scatter of three)."""
 _LEVEL_NOISE: Final = 6.0
 """Noise of a level against which a mixture's weights are chosen (chosen: webcams' and JPEG's)."""
-_CARRIED_SIZE_PX: Final = 40.0
-"""Size of an object that states none, px (chosen: a hand at arm's length)."""
+_SIZES_PX: Final = (24.0, 34.0, 48.0, 68.0, 96.0, 136.0, 192.0)
+"""Sizes of which an object that states none has one, px (chosen: from a ball to a face)."""
+_SAMPLES: Final = 40.0
+"""Samples along an object's size for a mixture of colours (chosen: time)."""
 _STEPS: Final = 16
 """Images between a slow detector's and the present one through which its answer is tracked
 (chosen: motion from one to the next against time)."""
@@ -123,7 +128,7 @@ class _Source(SharedSearch):
         own = getattr(detectors[0], "own", None)
         if not getattr(own, "both_eyes", False):
             detectors.append(make(target, cameras[1]))
-        self._detectors, self._frame_s = detectors, frame_s
+        self._target, self._detectors, self._frame_s = target, detectors, frame_s
         self.identity = Identity(cameras)
         self._latency_s = _stated(own, "latency_s", "a time of 0 s or more")
         rate_hz = _stated(own, "rate_hz", "a rate, Hz, or 0 or None for that of the images")
@@ -150,6 +155,7 @@ class _Source(SharedSearch):
             self._answers: tuple[deque[_Answer], deque[_Answer]] = (deque(), deque())
             self._running: list[Future[None] | None] = [None] * len(self._detectors)
             self._due_s = [-np.inf] * len(self._detectors)
+            self._asked_s = [np.inf] * len(self._detectors)
             self._quick = [True] * len(self._detectors)
 
     def ask(self, eye: int, seen: SeenImage, hint: FloatArray | None) -> None:
@@ -162,6 +168,11 @@ class _Source(SharedSearch):
             jobs = [one for one in (self._newest if self._both else [self._newest[eye]]) if one]
             running = self._running[place]
             if running is not None and not running.done():
+                if time.monotonic() - self._asked_s[place] > _ANSWER_S:
+                    raise ConfigurationError(
+                        f"target {self._target}: expected its detector to answer within "
+                        f"{_ANSWER_S:g} s, got nothing"
+                    )
                 return
             if running is not None:
                 running.result()  # raises what the detector raised
@@ -174,7 +185,7 @@ class _Source(SharedSearch):
             answers = self._answers
             if self._pool is not None:
                 running = self._pool.submit(self._detect, place, jobs, answers)
-                self._running[place] = running
+                self._running[place], self._asked_s[place] = running, time.monotonic()
         if self._pool is None:
             self._detect(place, jobs, answers)
         elif self._quick[place] and self._frame_s is not None and running is not None:
@@ -320,8 +331,8 @@ class _ObjectSearch(EyeSearch):
             return None
         try:
             if not self._started:
-                size_px = target.size_px or _CARRIED_SIZE_PX
-                self._mix = _contrast(self._from.image, target.pixel, size_px)
+                sizes = [target.size_px] if target.size_px else _SIZES_PX
+                size_px, self._mix = _contrast(self._from.image, target.pixel, sizes)
                 self._tracker.begin(
                     cv2.transform(self._from.image, self._mix), target.pixel,
                     self._from.T_0_C, half_px=_CARRIED_HALF * size_px, checked=False,
@@ -378,34 +389,37 @@ class _ObjectSearch(EyeSearch):
         return Found(self._last._replace(pixel=pixel))
 
 
-def _contrast(image: NDArray[np.uint8], pixel: FloatArray, size_px: float) -> FloatArray:
-    """(1, 4) mixture of blue, green and red that tells an object best from what surrounds it.
+def _contrast(
+    image: NDArray[np.uint8], pixel: FloatArray, sizes_px: Sequence[float]
+) -> tuple[float, FloatArray]:
+    """Size, px, and mixture (1, 4) of blue, green and red that tell an object best from the rest.
 
     Fisher's linear discriminant of the pixels inside the object and of those around it, scaled so
     that their means are a quarter of the range apart from the middle.
     """
     u, v = pixel
-    reach = int(np.ceil(size_px)) + 2
-    rows = slice(max(int(v) - reach, 0), max(int(v) + reach + 1, 0))
-    columns = slice(max(int(u) - reach, 0), max(int(u) + reach + 1, 0))
-    y, x = np.mgrid[rows, columns][
-        :, : image[rows, columns].shape[0], : image[rows, columns].shape[1]
-    ]
-    away = np.hypot(x - u, y - v) / size_px
-    part = image[rows, columns].astype(float)
-    inside, around = part[away < _INSIDE], part[(away > _AROUND[0]) & (away < _AROUND[1])]
-    grey = np.array([[0.114, 0.587, 0.299, 0.0]])
-    if min(len(inside), len(around)) < _LEAST_PIXELS:
-        return grey
-    apart = inside.mean(axis=0) - around.mean(axis=0)
-    scatter = np.cov(inside.T) + np.cov(around.T) + _LEVEL_NOISE**2 * np.eye(3)
-    mix = np.linalg.solve(scatter, apart)
-    between = float(mix @ apart)
-    if not between > 0.0:
-        return grey
-    mix *= 128.0 / between
-    middle = 0.5 * float(mix @ (inside.mean(axis=0) + around.mean(axis=0)))
-    return np.array([[*mix, 128.0 - middle]])
+    best = 0.0, float(np.median(sizes_px)), np.array([[0.114, 0.587, 0.299, 0.0]])  # grey
+    for size_px in sizes_px:
+        step = max(round(size_px / _SAMPLES), 1)
+        reach = step * (int(np.ceil(size_px / step)) + 2)
+        left, top = max(int(u) - reach, 0), max(int(v) - reach, 0)
+        part = image[top : int(v) + reach + 1 : step, left : int(u) + reach + 1 : step].astype(
+            float
+        )
+        y, x = np.indices(part.shape[:2]) * step
+        away = np.hypot(x + left - u, y + top - v) / size_px
+        inside, around = part[away < _INSIDE], part[(away > _AROUND[0]) & (away < _AROUND[1])]
+        if min(len(inside), len(around)) < _LEAST_PIXELS:
+            continue
+        apart = inside.mean(axis=0) - around.mean(axis=0)
+        scatter = np.cov(inside.T) + np.cov(around.T) + _LEVEL_NOISE**2 * np.eye(3)
+        mix = np.linalg.solve(scatter, apart)
+        between = float(mix @ apart)
+        if between > best[0]:
+            mix *= 128.0 / between
+            middle = 0.5 * float(mix @ (inside.mean(axis=0) + around.mean(axis=0)))
+            best = between, size_px, np.array([[*mix, 128.0 - middle]])
+    return best[1:]
 
 
 class _PlaceSearch(EyeSearch):

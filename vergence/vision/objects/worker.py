@@ -21,7 +21,7 @@ from vergence.vision.objects.targets import OwnTarget
 _NICENESS: Final = 10
 """Niceness of the process: where processors are few, the control loop goes first (chosen)."""
 _END_S: Final = 2.0
-"""Longest wait for the process to end by itself, s (chosen: a network that is being released)."""
+"""Longest wait for the process to end when it is told to, s (chosen: code that hears signals)."""
 
 
 class WorkerDetector:
@@ -73,16 +73,17 @@ class WorkerDetector:
         return answer
 
     def close(self) -> None:
-        """End the process."""
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
+        """End the process, at work or not, and so the call that waits for its answer."""
+        self._process.terminate()
         try:
             self._process.wait(_END_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
 
 
 def main() -> None:
