@@ -176,3 +176,11 @@ def test_its_driver_dates_a_local_camera(eye_of, source, stamped_before_s, earli
     eye.run()
     expected = PACE[-1] - earlier_s - HEAD.timing.latency_s
     assert eye.take_searched_images()[-1].exposed_s == pytest.approx(expected, abs=1e-9)
+
+
+def test_images_that_a_driver_stamps_a_frame_ago_have_not_waited(eye_of):
+    clock = FakeClock()
+    capture = ScriptedCapture(clock, PACE, blank(HEAD), stamped_before_s=1.3 * FRAME_S)
+    eye = eye_of(capture, clock, source="7")
+    eye.run()
+    assert eye.images == 5  # all once they come in pace

@@ -115,6 +115,7 @@ class EyeThread(threading.Thread):
 
     def _run(self) -> None:
         in_pace = late = 0
+        taken_s = np.inf
         frame_s = self._head.timing.frame_s
         least_s = _BURST_FRACTION * frame_s
         while not self._ended:
@@ -122,11 +123,12 @@ class EyeThread(threading.Thread):
             if not self._capture.grab():
                 self._fault = self._fault or "the stream ended"
                 return
-            received_s = self._received_s()
-            waited = asked_s - self._last_s > frame_s and received_s - asked_s < _AT_ONCE * frame_s
+            grabbed_s, received_s = self._clock(), self._received_s()
+            waited = asked_s - taken_s > frame_s and grabbed_s - asked_s < _AT_ONCE * frame_s
             late = late + 1 if waited and self.ready else 0
             if 0 < late < _MOST_LATE:  # it came while the last one was searched: nobody knows when
                 continue
+            taken_s = grabbed_s
             there, image = self._capture.retrieve()
             gap_s = received_s - self._last_s
             if self.ready and gap_s > _STALLED_S:

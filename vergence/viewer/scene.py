@@ -187,11 +187,8 @@ class HeadScene:
     def _place_screens(self, away_m: float) -> None:
         """Hang the eyes' images above the head, as large as the page's camera is far away."""
         for eye, node in enumerate(self._screens):
-            size = (
-                _SCREEN_SHARE
-                * away_m
-                * np.array([1.0, np.divide(*self._head.cameras.size[eye, ::-1])])
-            )
+            width, height = self._head.cameras.size[eye].tolist()
+            size = _SCREEN_SHARE * away_m * np.array([1.0, height / width])
             right = Rotation.from_quat(node.wxyz, scalar_first=True).as_matrix()[:, 0]
             above = [0.0, 0.0, _SCREEN_HEIGHT_M + 0.5 * size[1]]
             node.render_width, node.render_height = size.tolist()

@@ -178,6 +178,23 @@ def test_a_slow_detector_holds_up_no_image(search_of, tmp_path):
         assert np.abs(one.detection.pixel - PIXELS[eye]).max() < 4.0
 
 
+def test_a_detector_is_asked_for_one_image_at_a_time_though_it_is_forgotten(search_of):
+    naps, at_work, most = search_of("Spot", frame_s=0.02), [], []
+
+    def detect(*_arguments):
+        at_work.append(0)
+        most.append(len(at_work))
+        time.sleep(0.12)
+        at_work.pop()
+
+    naps.shared._detect = detect
+    for k in range(8):
+        naps.forget()
+        naps.eyes[0].look(images()[0], POSES[0], 0.02 * k)
+        time.sleep(0.03)
+    assert set(most) == {1}
+
+
 def test_a_detector_that_hangs_is_told_and_ended(search_of, monkeypatch):
     monkeypatch.setattr(search, "_ANSWER_S", 0.3)
     hangs, begun = search_of("Blocked", frame_s=0.02), time.monotonic()

@@ -136,6 +136,9 @@ class _Source(SharedSearch):
         self._pool = None if frame_s is None else ThreadPoolExecutor(len(detectors), "vergence eye")
         self._lock = threading.Lock()
         self.searches: list[_ObjectSearch] = []
+        # not forgotten: a detector is asked for one image at a time
+        self._running: list[Future[None] | None] = [None] * len(detectors)
+        self._asked_s = [np.inf] * len(detectors)
         self.forget()
 
     @property
@@ -153,9 +156,7 @@ class _Source(SharedSearch):
         with self._lock:
             self._newest: list[tuple[SeenImage, Any] | None] = [None, None]
             self._answers: tuple[deque[_Answer], deque[_Answer]] = (deque(), deque())
-            self._running: list[Future[None] | None] = [None] * len(self._detectors)
             self._due_s = [-np.inf] * len(self._detectors)
-            self._asked_s = [np.inf] * len(self._detectors)
             self._quick = [True] * len(self._detectors)
 
     def ask(self, eye: int, seen: SeenImage, hint: FloatArray | None) -> None:
