@@ -1,6 +1,8 @@
 """Exported networks do what the trained ones do, and the command writes them as bundles."""
 
 import shlex
+from dataclasses import replace
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -17,27 +19,17 @@ from tests.test_cli import call
 from tests.training.runs import Silent
 from vergence import make_controller
 from vergence.commands.train import Train
-from vergence.controllers.gain_schedule import gains_from_action
 from vergence.controllers.networks.bundle import read_bundle
-from vergence.controllers.networks.environments import decode_velocity_action
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.learned import load_policy
-from vergence.controllers.networks.runtime import Runtime
-from vergence.errors import BundleError, ConfigurationError
+from vergence.errors import BundleError
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.training import onnx_export
 from vergence.training.choices import resolve_config
 from vergence.training.config import load_run
-from vergence.training.export import export_run
-from vergence.training.learner import load_learner
+from vergence.training.export import TOLERANCE, check_agreement, export_run, learned_network
+from vergence.training.learner import _ACTIVATIONS, load_learner
 from vergence.training.networks import JointwisePolicy
-from vergence.training.onnx_export import (
-    TOLERANCE,
-    check_agreement,
-    export_network,
-    learner_network,
-)
 from vergence.training.options import TrainOptions
 from vergence.training.run import train
 
@@ -76,92 +68,41 @@ def learner(activation: type[nn.Module] = nn.Tanh, **options):
     return model
 
 
-class Unexported:
-    """Stands for a network and for what runs it: the actor that would be exported."""
-
-    def __init__(self, actor, size):
-        self.actor, self.input_size = actor, size
-
-    def __call__(self, inputs):
-        with torch.no_grad():
-            return self.actor(torch.as_tensor(inputs)).numpy()
-
-
-@pytest.mark.parametrize("exported", [False, pytest.param(True, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
-def test_a_network_and_its_learner_agree_on_10000_observations(kind, exported, monkeypatch):
-    if not exported:
-        monkeypatch.setattr(onnx_export, "export_network", Unexported)
-        monkeypatch.setattr(onnx_export, "Runtime", lambda network: network)
-    model = learner()
+def as_learner(model, activation="tanh", normalise=True):
+    """What `Learner` has of a model."""
+    config = SimpleNamespace(normalise_inputs=normalise, activation=activation)
     env = model.get_vec_normalize_env()
-    network, difference = learner_network(kind, model, env)
-    assert difference <= TOLERANCE
-    x = np.random.default_rng(1).uniform(-1, 1, (10_000, SIZE)).astype("f4")
-    action, _state = model.predict(env.normalize_obs(x).astype("f4"), deterministic=True)
-    out = onnx_export.Runtime(network)(x)
-    assert action.std() > 0.2  # neither rests nor saturates everywhere
-    if kind == "policy":
-        assert np.abs(out - decode_velocity_action(action)).max() <= 1e-5
-    else:
-        # by eye and image axis; in the order of the joints, v comes first
-        gains = 10.0 * (1.0 + out.reshape(-1, 2, 2)[..., ::-1])
-        assert np.abs(gains - gains_from_action(action)).max() <= 1e-4
+    if not normalise:
+        env.norm_obs = False
+    return SimpleNamespace(model=model, config=config, normalisation=env)
 
 
-@pytest.mark.nightly
-def test_other_activations_and_layers_are_exported():
-    kinds = (nn.ReLU, nn.ELU, nn.SiLU, nn.GELU, nn.LeakyReLU, nn.Mish)
-    layers = [module for kind in kinds for module in (nn.Linear(SIZE, SIZE), kind())]
-    actor = nn.Sequential(nn.Flatten(), *layers, nn.LayerNorm(SIZE), nn.Linear(SIZE, 4))
-    network = export_network(actor, SIZE)
-
-    def act(inputs):
-        with torch.no_grad():
-            return actor(torch.as_tensor(inputs)).numpy()
-
-    assert check_agreement(network, act) <= TOLERANCE
+@pytest.mark.parametrize("activation", ["tanh", "relu", "elu", "silu"])
+def test_a_network_and_its_learner_agree_on_10000_observations(activation):
+    whole = as_learner(learner(_ACTIVATIONS[activation]), activation)
+    network = learned_network(whole)
+    assert network.normalisation is not None
+    assert check_agreement(network, whole) <= TOLERANCE
+    x = np.random.default_rng(1).uniform(-1, 1, (1000, SIZE)).astype("f4")
+    assert network(x).std() > 0.2  # neither rests nor saturates everywhere
 
 
-@pytest.mark.nightly
 def test_the_network_shared_by_the_joints_is_exported():
     by_joint = np.arange(SIZE).reshape(3, 4).T.tolist()
     options = {"net_arch": [8, 8], "by_joint": by_joint, "critic": (8,)}
     model = PPO(JointwisePolicy, room(), policy_kwargs=options, device="cpu", seed=0)
     with torch.no_grad():
         model.policy.action_net.out.weight.mul_(100.0)
-    network, _difference = learner_network("gain-schedule", model, None)
-    assert network.output_size == 4
+    whole = as_learner(model, normalise=False)
+    network = learned_network(whole)
+    assert (network.joints, network.output_size) == (4, 4)
+    assert check_agreement(network, whole) <= TOLERANCE
 
 
-@pytest.mark.slow
-def test_nothing_of_the_machine_that_exported_it_is_in_the_file(bundle):
-    network = read_bundle(bundle).network
-    assert network.operators <= {"Add", "Clip", "Div", "Gemm", "Mul", "Pow", "Sub", "Tanh"}
-    for word in (b"/", b".py", b"torch.nn"):
-        assert word not in network.data.replace(b"pkg", b"")[:64]
-    assert b"site-packages" not in network.data
-    assert b"metadata" not in network.data
-
-
-@pytest.mark.slow
-def test_a_difference_is_found(bundle):
-    network = read_bundle(bundle).network
-    with pytest.raises(BundleError, match="expected ONNX and torch to agree to 1e-05, got"):
-        check_agreement(network, lambda inputs: Runtime(network)(inputs) + 2e-5)
-
-
-@pytest.mark.nightly
-def test_an_actor_of_other_operators_is_refused():
-    with pytest.raises(BundleError, match=r"expected operators among .*'Softmax'"):
-        export_network(nn.Sequential(nn.Linear(SIZE, 4), nn.Softmax(-1)), SIZE)
-
-
-def test_other_bounds_of_actions_are_refused():
-    model = learner()
-    model.action_space = Box(-2.0, 2.0, (4,), np.float32)
-    with pytest.raises(ConfigurationError, match="four actions from -1 to 1"):
-        learner_network("policy", model, None)
+def test_a_difference_is_found():
+    whole = as_learner(learner())
+    with pytest.raises(BundleError, match="the network and torch to agree to 1e-05, got"):
+        check_agreement(replace(learned_network(whole), activation="relu"), whole)
 
 
 # From a run folder.
@@ -205,7 +146,7 @@ def test_a_run_is_exported_to_a_bundle_that_runs(bundle):
     assert manifest.training["command"].startswith("vergence train policy --scenario hardware")
     assert "--seed 5" in manifest.training["command"]
     assert "torch" in manifest.training["versions"]
-    assert manifest.metrics["onnx_difference"] <= 1e-5
+    assert manifest.metrics["learner_difference"] <= 1e-5
     assert set(manifest.metrics["validation"]) >= {"headline", "settled_fraction"}
 
 
@@ -232,7 +173,7 @@ def test_a_bundle_moves_a_head_with_tied_joints(run, bundle):
 def test_a_network_is_learned_and_exported_for_either_kind_of_head(tmp_path, kind, shape):
     folder = trained(tmp_path / "run", kind, shape)
     manifest = export_run(folder, tmp_path / "mine.vgp", "last")
-    assert manifest.metrics["onnx_difference"] <= 1e-5
+    assert manifest.metrics["learner_difference"] <= 1e-5
     assert read_bundle(tmp_path / "mine.vgp").network.output_size == 4
     command_of(tmp_path / "mine.vgp", load_run(folder)[1])
 
@@ -247,7 +188,7 @@ def test_the_exported_network_acts_as_the_learner_does(run, bundle):
     seen = rng.uniform(layout.low(), layout.high(), (200, layout.size)).astype("f4")
     expected, _state = learned.controller().predict(seen)
     learned.close()
-    assert bundled.inputs.to_dict() == Inputs.of("to_go", head).to_dict()
+    assert bundled.inputs.to_dict() == Inputs("to_go", head).to_dict()
     assert bundled.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
 
 

@@ -6,20 +6,14 @@ import pytest
 from tests.controllers.loops import begin
 from vergence.controllers.networks.environments import GainScheduleTask, PolicyTask
 from vergence.controllers.networks.inputs import Inputs
+from vergence.controllers.networks.learned import NetworkController
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.training.learner import LearnerPolicy
 
 TASKS = {"gain-schedule": GainScheduleTask, "policy": PolicyTask}
 
 
-@pytest.mark.parametrize(
-    ("kind", "inputs"),
-    [
-        *(("gain-schedule", inputs) for inputs in ("observation", "to_go")),
-        *(("policy", inputs) for inputs in ("error", "history", "predicted")),
-    ],
-)
+@pytest.mark.parametrize(("kind", "inputs"), [("gain-schedule", "to_go"), ("policy", "predicted")])
 def test_the_environment_and_the_controller_act_alike_to_the_last_bit(kind, inputs) -> None:
     options = load_scenario("hardware").env_options()
     task, raw = TASKS[kind](6, inputs=inputs, **options), GazeTask(6, **options)
@@ -28,7 +22,9 @@ def test_the_environment_and_the_controller_act_alike_to_the_last_bit(kind, inpu
     def act(seen: np.ndarray) -> np.ndarray:
         return np.tanh(seen @ weights).astype(np.float32)
 
-    controller = LearnerPolicy(kind, Inputs.of(inputs, raw.head, raw.layout), act)
+    controller = NetworkController(
+        Inputs(inputs, raw.head, raw.layout), act, kind == "gain-schedule"
+    )
     state = None
     begin(task, 3)
     begin(raw, 3)

@@ -1,9 +1,11 @@
 """Defaults of `vergence train`."""
 
 import shlex
+from dataclasses import replace
 
 import pytest
 
+from tests.heads import text_of
 from vergence.controllers.networks.inputs import KINDS
 from vergence.errors import UnknownNameError
 from vergence.eval.trials.loops import LATEST_ONSET_S
@@ -49,17 +51,17 @@ def test_randomising_is_as_asked_and_else_as_the_recipe_has_it(kind) -> None:
 
 
 def test_what_is_asked_for_on_the_command_line_goes_before_the_recipe() -> None:
-    asked = {"steps": 4096, "envs": 16, "inputs": "error"}
+    asked = {"steps": 4096, "envs": 16, "inputs": "predicted"}
     config, _head = resolve_config(TrainOptions(kind="policy", **asked))
     assert {name: getattr(config, name) for name in asked} == asked
 
 
-def test_what_cannot_be_shared_is_not_shared_unless_asked_for() -> None:
-    config, _head = resolve_config(TrainOptions(kind="policy", inputs="observation"))
-    assert not config.shared
-    assert resolve_config(TrainOptions(kind="policy", inputs="observation", set=("shared=true",)))[
-        0
-    ].shared
+def test_what_cannot_be_shared_is_not_shared_unless_asked_for(tmp_path) -> None:
+    head = tmp_path / "tied.toml"
+    head.write_text(text_of("tied"))
+    options = TrainOptions(kind="policy", head=str(head))
+    assert not resolve_config(options)[0].shared
+    assert resolve_config(replace(options, set=("shared=true",)))[0].shared
 
 
 def test_a_number_of_the_recipe_can_be_changed() -> None:

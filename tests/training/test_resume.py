@@ -28,7 +28,7 @@ RUNS = {
     "policy": lambda: small(
         "policy", "normalise_inputs=true", "episodes=2",
         "algorithm.n_steps=8", "algorithm.batch_size=64",
-        inputs="history", randomise=True, steps=256,
+        inputs="predicted", randomise=True, steps=256,
     ),
 }  # fmt: skip
 

@@ -78,8 +78,8 @@ class Info:
         rows = [
             [f"{package} ({use})", found.get(package) or _missing(extra)]
             for package, extra, use in (
-                ("onnx", "learned", "learned controllers"),
-                ("onnxruntime", "learned", "learned controllers"),
+                ("onnx", "learned", "export onnx"),
+                ("onnxruntime", "learned", "a network of your own"),
                 ("pyarrow", "parquet", "--parquet"),
                 ("pygame", "render", "render_mode='human'"),
                 ("ray", "cluster", "--cluster"),

@@ -45,7 +45,7 @@ def resolve_config(options: TrainOptions) -> tuple[TrainConfig, HeadModel]:
     asked = [_apply(change, fields, known) for change in options.set]
     # the scenario's head may differ from the preset of that name in its encoder quantisation
     model = load_head(fields["head"]) if fields["head"] else scenario.model()
-    if "shared" not in asked and Inputs.of(fields["inputs"], model).by_joint is None:
+    if "shared" not in asked and Inputs(fields["inputs"], model).by_joint is None:
         # a network shared by the joints needs inputs that are given per joint
         fields["shared"] = False
     return TrainConfig(**fields), model

@@ -8,7 +8,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
 
-from vergence.controllers.networks.onnx_graph import MAX_PRODUCTS, MAX_WIDTH
 from vergence.envs.streams import as_seed
 from vergence.errors import ConfigurationError, did_you_mean
 from vergence.models.head import HeadModel
@@ -23,6 +22,9 @@ from vergence.training.algorithm_options import check_ppo_options
 from vergence.training.options import Kind, TrainingPlant
 from vergence.training.recipes import Recipe
 
+MAX_WIDTH: Final = 4096
+MAX_PRODUCTS: Final = 2**20
+"""Largest width of a hidden layer, and number of weights between them (chosen: a bundle's size)."""
 KINDS: Final = get_args(Kind)
 PLANTS: Final = get_args(TrainingPlant)
 ACTIVATIONS: Final = ("tanh", "relu", "elu", "silu")

@@ -8,17 +8,17 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import tomli_w
+import torch
 
-from vergence.controllers.networks.bundle import write_bundle
-from vergence.controllers.networks.inputs import Inputs
-from vergence.controllers.networks.manifest import Manifest
-from vergence.errors import ConfigurationError
+from vergence.controllers.networks.bundle import Manifest, Perceptron, write_bundle
+from vergence.errors import BundleError, ConfigurationError
 from vergence.reporting.runs import toml_value
 from vergence.training.choices import resolve_config
 from vergence.training.config import TrainConfig
-from vergence.training.learner import load_learner
-from vergence.training.onnx_export import learner_network
+from vergence.training.learner import Learner, load_learner
+from vergence.training.networks import JointwisePolicy
 from vergence.training.options import TrainOptions
 from vergence.training.recipes import default_recipe
 from vergence.training.run_checkpoints import RunCheckpoints
@@ -48,15 +48,15 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
         ) from error
     try:
         config = learner.config
-        network, difference = learner_network(config.kind, learner.model, learner.normalisation)
-        inputs = Inputs.of(config.inputs, learner.head)
+        network = learned_network(learner)
+        difference = check_agreement(network, learner)
     finally:
         learner.close()
     content = RunCheckpoints(run, config, learner.head).read(checkpoint)
     manifest = Manifest.of(
         config.kind,
-        inputs,
-        network.data,
+        learner.inputs,
+        network,
         training={
             "command": training_command(config),
             "scenario": config.scenario,
@@ -68,11 +68,64 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
         },
         metrics={
             "validation": _finite(content.get("validation", {})),
-            "onnx_difference": difference,
+            "learner_difference": difference,
         },
     )
-    write_bundle(out, manifest, network.data, replace)
+    write_bundle(out, manifest, network, replace)
     return manifest
+
+
+CHECK_INPUT_COUNT: Final = 10_000
+"""Random inputs on which a network and its learner must agree (numerical)."""
+TOLERANCE: Final = 1e-5
+"""Largest difference between their outputs: 84 machine epsilons of float32 (numerical)."""
+
+
+def learned_network(learner: Learner) -> Perceptron:
+    """The deterministic actor of a learner, as numbers."""
+    policy: Any = learner.model.policy
+    if isinstance(policy, JointwisePolicy):
+        joints, modules = len(policy.mlp_extractor.by_joint), [*policy.mlp_extractor.actor]
+        modules.append(policy.action_net.out)
+    else:
+        joints, modules = 1, [*policy.mlp_extractor.policy_net, policy.action_net]
+    normalisation = None
+    if learner.config.normalise_inputs:
+        moments: Any = learner.normalisation.obs_rms
+        std = np.sqrt(moments.var + learner.normalisation.epsilon)
+        normalisation = (moments.mean.copy(), std, float(learner.normalisation.clip_obs))
+    return Perceptron(
+        layers=tuple(
+            (one.weight.detach().numpy().copy(), one.bias.detach().numpy().copy())
+            for one in modules
+            if isinstance(one, torch.nn.Linear)
+        ),
+        activation=learner.config.activation,
+        joints=joints,
+        normalisation=normalisation,
+    )
+
+
+def check_agreement(network: Perceptron, learner: Learner, seed: int = 0) -> float:
+    """Compare a network with its learner on random inputs over their whole range.
+
+    Returns:
+        Largest difference of an output.
+
+    Raises:
+        BundleError: the difference exceeds `TOLERANCE`.
+    """
+    rng = np.random.default_rng(seed)
+    inputs = rng.uniform(-1.0, 1.0, (CHECK_INPUT_COUNT, network.input_size)).astype(np.float32)
+    seen: Any = learner.normalisation.normalize_obs(inputs)
+    action, _state = learner.model.predict(seen.astype(np.float32), deterministic=True)
+    difference = float(np.abs(network(inputs) - action).max())
+    if not difference <= TOLERANCE:
+        raise BundleError(
+            f"export: expected the network and torch to agree to {TOLERANCE:g}, "
+            f"got {difference:.3g}"
+        )
+    return difference
 
 
 def training_command(config: TrainConfig) -> str:

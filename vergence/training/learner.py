@@ -1,6 +1,6 @@
 """The learner of a run: Stable-Baselines3's PPO on the training environments."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,12 +11,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from vergence.controllers.gain_schedule import gain_names_of_head, gains_from_action
-from vergence.controllers.networks.acting import NetworkPrePostProcessor
-from vergence.controllers.networks.environments import decode_velocity_action, training_env
+from vergence.controllers.networks.bundle import GAIN_SCHEDULE
+from vergence.controllers.networks.environments import training_env
 from vergence.controllers.networks.inputs import Inputs
-from vergence.controllers.networks.manifest import GAIN_SCHEDULE
-from vergence.controllers.stateful import continued_state
+from vergence.controllers.networks.learned import NetworkController
 from vergence.errors import ConfigurationError, TrainingDivergedError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head import HeadModel
@@ -25,8 +23,6 @@ from vergence.training.learner_state import restore_learner, restore_running_epi
 from vergence.training.networks import JointwisePolicy
 from vergence.training.run_checkpoints import RUNNING_EPISODES_KEY, RunCheckpoints
 from vergence.training.vec_env import VectorEnvAdapter
-
-Actor = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 CLIP_INPUTS: Final = 10.0
 """Limit of normalised inputs, standard deviations (chosen: outliers against information)."""
@@ -55,7 +51,7 @@ class Learner:
         torch.distributions.Distribution.set_default_validate_args(False)
         self.config = config
         self.head = head
-        self.inputs = Inputs.of(config.inputs, head)
+        self.inputs = Inputs(config.inputs, head)
         self.scenario = load_scenario(config.scenario)
         options = self.scenario.env_options(plant=config.plant, head=head)
         if config.randomise:
@@ -122,60 +118,24 @@ class Learner:
         if name is not None:
             raise TrainingDivergedError(f"{name} became nan or infinite")
 
-    def controller(self) -> "LearnerPolicy":
+    def controller(self) -> NetworkController:
         """The network as a controller; it keeps changing as the learner trains."""
-        return LearnerPolicy(self.config.kind, self.inputs, self._act)
+        return NetworkController(self.inputs, self._act, self.config.kind == GAIN_SCHEDULE)
 
     def _act(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Map (n, size) inputs to (n, actions) in [-1, 1], without exploration."""
+        """Map (..., size) inputs to (..., actions) in [-1, 1], without exploration."""
         policy: Any = self.model.policy
         policy.set_training_mode(False)
-        seen: Any = self.normalisation.normalize_obs(inputs)
+        seen: Any = self.normalisation.normalize_obs(inputs.reshape(-1, self.inputs.size))
         with torch.no_grad():
             action: torch.Tensor = policy._predict(torch.as_tensor(seen), deterministic=True)
         if action.isnan().any():
             raise TrainingDivergedError("the network's actions became nan")
-        return action.clamp(-1.0, 1.0).numpy()
+        return action.clamp(-1.0, 1.0).numpy().reshape(*inputs.shape[:-1], -1)
 
     def close(self) -> None:
         """Release the environments."""
         self.env.close()
-
-
-class LearnerPolicy:
-    """A network in training as a controller, to be evaluated like any other.
-
-    Args:
-        kind: `gain-schedule` or `policy`.
-        inputs: the network's inputs.
-        act: maps (n, size) inputs to (n, actions) in [-1, 1].
-    """
-
-    def __init__(self, kind: str, inputs: Inputs, act: Actor) -> None:
-        self.inputs = inputs
-        self._act = act
-        self._names = gain_names_of_head(inputs.head) if kind == GAIN_SCHEDULE else None
-        self._acting = NetworkPrePostProcessor(inputs, kind == GAIN_SCHEDULE)
-
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[Any] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Choose actions, see `vergence.controllers.Controller`."""
-        observation = np.asarray(observation)
-        shape = observation.shape[:-1]
-        memory = continued_state(self._acting.initial(), shape, state, episode_start)
-        seen = self._acting.network_inputs(observation, memory)
-        action = self._act(seen.reshape(-1, self.inputs.size)).reshape(*shape, -1)
-        if self._names is None:
-            return self._acting.action_from_velocities(
-                seen, decode_velocity_action(action), memory
-            ), (memory,)
-        gains = gains_from_action(action, self._names)
-        return self._acting.ibvs_action_from_gains(observation, gains, memory), (memory,)
 
 
 def load_learner(folder: Path, checkpoint: str = "best") -> Learner:

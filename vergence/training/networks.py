@@ -110,31 +110,6 @@ class JointwisePolicy(ActorCriticPolicy):
             "critic": self._critic,
         }
 
-    def dense_actor(self) -> nn.Sequential:
-        """The actor as ordinary layers, (n, size) inputs to (n, 4) actions not yet limited.
-
-        The shared weights are repeated in one block per joint of larger matrices, with zeros
-        elsewhere: an exchange format without indexing can hold this form.
-        """
-        layers: Any = self.mlp_extractor
-        joints, size = len(self._by_joint), self.features_dim
-        plain: list[nn.Module] = []
-        for module in [*layers.actor, self.action_net.out]:
-            if not isinstance(module, nn.Linear):
-                plain.append(module)
-                continue
-            rows, columns = module.weight.shape
-            wide = nn.Linear(joints * columns if plain else size, joints * rows)
-            with torch.no_grad():
-                wide.weight.zero_()
-                for joint, own in enumerate(self._by_joint):
-                    first = joint * columns
-                    places = range(first, first + columns) if plain else own
-                    wide.weight[joint * rows : (joint + 1) * rows, list(places)] = module.weight
-                wide.bias.copy_(module.bias.repeat(joints))
-            plain.append(wide)
-        return nn.Sequential(*plain)
-
 
 def _layers(size: int, widths: Sequence[int], activation: type[nn.Module]) -> nn.Sequential:
     layers: list[nn.Module] = []

@@ -7,17 +7,18 @@ from tests.controllers.loops import begin
 from tests.grids import some_of
 from tests.naming import named
 from vergence import load_head
-from vergence.controllers.networks.acting import NetworkPrePostProcessor
 from vergence.controllers.networks.inputs import Inputs
+from vergence.controllers.networks.learned import NetworkLoop
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.scenarios import load_scenario
 
 STEPPED = load_scenario("hardware").model()
 """The simulated head with steps of its commands."""
-GAINS = np.full((2, 2), 10.0)
+GAINS = np.full(4, np.sqrt(2.0) - 1.0)
+"""Outputs of a schedule that ask for gains of 10 per second."""
 
 
-def rows(acting: NetworkPrePostProcessor, num: int) -> np.ndarray:
+def rows(acting: NetworkLoop, num: int) -> np.ndarray:
     return np.tile(acting.initial(), (num, 1))
 
 
@@ -34,17 +35,17 @@ def with_outlier(task: GazeTask, eye: int) -> np.ndarray:
 @pytest.mark.slow
 def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
     for head in (load_head("simulated"), STEPPED):
-        for kind in ("error", "history", "predicted", "to_go", "observation"):
+        for kind in ("predicted", "to_go"):
             with named(kind, head):
                 task = begin(GazeTask(20, head=head, plant="kinematic"), 3)
-                acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=True)
+                acting = NetworkLoop(Inputs(kind, head), schedule=True)
                 plain, other = rows(acting, 20), rows(acting, 20)
                 for step in range(20):
                     image = with_outlier(task, eye=step % 2) if step == 15 else task.encoded
                     actions = []
                     for observation, state in ((task.encoded, plain), (image, other)):
-                        acting.network_inputs(observation, state)
-                        actions.append(acting.ibvs_action_from_gains(observation, GAINS, state))
+                        seen = acting.network_inputs(observation, state)
+                        actions.append(acting.action(observation, seen, GAINS, state))
                     # the images before and after show the same, as the eyes rest; 100 px are 0.4
                     # of full speed
                     assert actions[1] == pytest.approx(actions[0], abs=0.02)
@@ -54,29 +55,28 @@ def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
 
 def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees() -> None:
     """No channel of a turn changes by more than noise does: in the finest, by 10 mrad, 0.02 px."""
-    for kind in ["error", "history"]:
-        with named(kind):
-            head = load_head("simulated")
-            task = begin(GazeTask(20, head=head, plant="kinematic"), 3)
-            acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=False)
-            turns = [i for i, name in enumerate(acting.inputs.names) if name.startswith("asked")]
-            assert turns
-            plain, other = rows(acting, 20), rows(acting, 20)
-            for step in range(20):
-                image = with_outlier(task, eye=0) if step == 15 else task.encoded
-                a = acting.network_inputs(task.encoded, plain)
-                b = acting.network_inputs(image, other)
-                assert b[:, turns] == pytest.approx(a[:, turns], abs=0.02)
-                task.step(np.zeros((20, 4)))
+    head = load_head("simulated")
+    task = begin(GazeTask(20, head=head, plant="kinematic"), 3)
+    acting = NetworkLoop(Inputs("predicted", head), schedule=False)
+    turns = [i for i, name in enumerate(acting.inputs.names) if name.startswith("asked")]
+    assert turns
+    plain, other = rows(acting, 20), rows(acting, 20)
+    for step in range(20):
+        image = with_outlier(task, eye=0) if step == 15 else task.encoded
+        a = acting.network_inputs(task.encoded, plain)
+        b = acting.network_inputs(image, other)
+        assert b[:, turns] == pytest.approx(a[:, turns], abs=0.02)
+        task.step(np.zeros((20, 4)))
 
 
 def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
     for share in [0.002, -0.011, 0.3]:
         with named(share):
-            acting = NetworkPrePostProcessor(Inputs.of("observation", STEPPED), schedule=False)
+            acting = NetworkLoop(Inputs("to_go", STEPPED), schedule=False)
             state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
             seen = np.ones((3, acting.inputs.size), dtype=np.float32)
-            sent = np.array([acting.action_from_velocities(seen, asked, state) for _ in range(400)])
+            outputs = np.cbrt(asked)
+            sent = np.array([acting.action(None, seen, outputs, state) for _ in range(400)])
             step = STEPPED.sensor.command_resolution_rad_s / acting.inputs.layout.action_limits
             steps = sent / step
             assert steps == pytest.approx(np.rint(steps), abs=1e-3)
@@ -86,28 +86,26 @@ def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
 
 
 def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
-    acting = NetworkPrePostProcessor(Inputs.of("to_go", load_head("simulated")), schedule=False)
+    acting = NetworkLoop(Inputs("to_go", load_head("simulated")), schedule=False)
     state = rows(acting, 5)
     share = np.random.default_rng(0).uniform(-1, 1, (5, 4)).astype(np.float32)
     seen = np.ones((5, acting.inputs.size), dtype=np.float32)
-    assert np.array_equal(acting.action_from_velocities(seen, share, state), share)
+    assert acting.action(None, seen, np.cbrt(share), state) == pytest.approx(share, rel=1e-6)
     assert np.array_equal(state, rows(acting, 5), equal_nan=True)
 
 
 def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
     """Until an image shows it, whatever the network puts out."""
-    for head, kind in some_of(
-        [load_head("simulated"), STEPPED], ["error", "history", "predicted", "to_go"]
-    ):
+    for head, kind in some_of([load_head("simulated"), STEPPED], ["predicted", "to_go"]):
         with named(kind, head):
             late = {"onset_s": (0.2, 0.2)}
             task = begin(GazeTask(4, head=head, plant="kinematic", variation=late), 3)
-            acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=False)
-            state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
+            acting = NetworkLoop(Inputs(kind, head), schedule=False)
+            state, asked = rows(acting, 4), np.full((4, 4), 0.5, dtype=np.float32)
             turned, visible = [], []
             for _ in range(60):
                 seen = acting.network_inputs(task.encoded, state)
-                action = acting.action_from_velocities(seen, asked, state)
+                action = acting.action(task.encoded, seen, asked, state)
                 turned.append((action != 0.0).any())
                 visible.append(task.reading.visible.any())
                 task.step(np.zeros((4, 4)))
@@ -120,17 +118,16 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
 @pytest.mark.parametrize("schedule", [False, True])
 def test_one_head_is_a_row_of_a_batch(schedule) -> None:
     task = begin(GazeTask(4, head=STEPPED, plant="kinematic"), 3)
-    acting = NetworkPrePostProcessor(Inputs.of("history", STEPPED), schedule)
+    acting = NetworkLoop(Inputs("predicted", STEPPED), schedule)
     many, one = rows(acting, 4), acting.initial()
 
     def act(observation: np.ndarray, state: np.ndarray) -> np.ndarray:
         seen = acting.network_inputs(observation, state)
-        if schedule:
-            return acting.ibvs_action_from_gains(observation, GAINS, state)
-        return acting.action_from_velocities(seen, 0.3 * seen[..., :4], state)
+        outputs = GAINS * np.ones(seen.shape[:-1] + (1,)) if schedule else 0.7 * seen[..., :4]
+        return acting.action(observation, seen, outputs, state)
 
     for _ in range(30):
         action = act(task.encoded, many)
         assert np.array_equal(act(task.encoded[1], one), action[1])
         task.step(action)
-    assert np.array_equal(many[1], one)
+    assert np.array_equal(many[1], one, equal_nan=True)

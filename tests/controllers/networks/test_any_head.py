@@ -9,14 +9,13 @@ from tests.grids import some_of
 from tests.heads import head_of
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.networks.bundle import write_bundle
+from vergence.controllers.networks.bundle import Manifest, write_bundle
 from vergence.controllers.networks.environments import GainScheduleTask, PolicyTask, training_env
 from vergence.controllers.networks.inputs import KINDS, Inputs
-from vergence.controllers.networks.manifest import Manifest
 from vergence.envs.task import GazeTask
 from vergence.errors import BundleError, ConfigurationError
 
-PER_ACTUATOR = {"error": 3, "to_go": 19, "predicted": 22, "history": 67}
+PER_ACTUATOR = {"to_go": 19, "predicted": 22}
 NAMES = {"gain-schedule": "learned-gain", "policy": "learned-policy"}
 HEADS = ["tied", "mis", "panfirst", "common", "vergeonly"]
 
@@ -26,7 +25,7 @@ def test_there_is_a_number_of_each_channel_for_every_actuator() -> None:
         with named(kind, name):
             head = head_of(name)
             task = begin(GazeTask(6, plant="kinematic", head=head), 3)
-            inputs = Inputs.of(kind, head, task.layout)
+            inputs = Inputs(kind, head, task.layout)
             assert inputs.size == PER_ACTUATOR[kind] * head.actuation.count
             for actuator in head.actuation.names:
                 own = [one for one in inputs.names if one.endswith(f"_{actuator}")]
@@ -34,10 +33,9 @@ def test_there_is_a_number_of_each_channel_for_every_actuator() -> None:
             memory = np.tile(inputs.initial(), (6, 1))
             rng = np.random.default_rng(0)
             for _ in range(30):
-                values = inputs.update(task.encoded, memory)
+                values, _now = inputs.update(task.encoded, memory)
                 assert values.shape == (6, inputs.size)
-                assert (values >= inputs.low()).all()
-                assert (values <= inputs.high()).all()
+                assert (np.abs(values) <= 1.0).all()
                 task.step(rng.uniform(-1, 1, (6, head.actuation.count)))
             # the rates of targets at rest are none: two channels
             assert values.any(axis=0).mean() > 0.9 * (1.0 - 2.0 / PER_ACTUATOR[kind])
@@ -47,12 +45,12 @@ def test_there_is_a_number_of_each_channel_for_every_actuator() -> None:
 def test_the_names_of_the_first_heads_inputs_are_those_that_bundles_hold() -> None:
     for kind in sorted(KINDS):
         with named(kind):
-            assert Inputs.of(kind, load_head("physical")).names == KINDS[kind]
+            assert Inputs(kind, load_head("physical")).names == KINDS[kind]
 
 
 def test_a_network_for_each_joint_is_for_heads_that_have_a_motor_for_each() -> None:
-    assert Inputs.of("to_go", head_of("panfirst")).by_joint.shape == (4, 19)
-    assert Inputs.of("to_go", head_of("tied")).by_joint is None
+    assert Inputs("to_go", head_of("panfirst")).by_joint.shape == (4, 19)
+    assert Inputs("to_go", head_of("tied")).by_joint is None
 
 
 def test_a_policy_has_an_action_for_each_actuator_and_a_schedule_four_gains() -> None:
@@ -73,7 +71,7 @@ def test_a_bundle_of_a_head_runs_on_it_and_on_no_other(tmp_path) -> None:
     for kind, name in some_of(sorted(NAMES), HEADS):
         with named(kind, name):
             head = head_of(name)
-            inputs = Inputs.of("to_go", head)
+            inputs = Inputs("to_go", head)
             outputs = 4 if kind == "gain-schedule" else head.actuation.count
             network = perceptron(inputs.size, outputs=outputs)
             path = tmp_path / f"{kind}-{name}.vgp"

@@ -1,8 +1,6 @@
 """Bundles: what is written is read back, and everything else is refused with the reason."""
 
 import dataclasses
-import hashlib
-import io
 import json
 import zipfile
 from pathlib import Path
@@ -11,18 +9,21 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from safetensors.numpy import load_file, save, save_file
 
 from tests.controllers.networks.graphs import KINDS, TRAINING, bundle_of, perceptron
 from tests.naming import named
 from vergence import load_head
 from vergence.controllers.networks.bundle import (
-    MAX_BUNDLE_BYTES,
-    parse_bundle,
+    MAX_FILE_BYTES,
+    Manifest,
+    Perceptron,
+    _digest,
     read_bundle,
+    sensorless_digest,
     write_bundle,
 )
 from vergence.controllers.networks.inputs import Inputs
-from vergence.controllers.networks.manifest import Manifest, sensorless_digest
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError
 from vergence.eval.trials.scenarios import load_scenario
@@ -35,76 +36,54 @@ def path(tmp_path_factory) -> Path:
     return bundle_of(tmp_path_factory.mktemp("bundles"))
 
 
-@pytest.fixture(scope="module")
-def parts(path) -> dict[str, bytes]:
-    with zipfile.ZipFile(path) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
-def packed(
-    entries: list[tuple[str, bytes]], comment: bytes | None = None, method: int = 8
-) -> bytes:
-    """A zip with the comment that belongs to its manifest, or another."""
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", method) as archive:
-        for name, content in entries:
-            archive.writestr(name, content)
-        manifest = dict(entries).get("manifest.json", b"")
-        own = hashlib.sha256(manifest).hexdigest().encode()
-        archive.comment = own if comment is None else comment
-    return file.getvalue()
-
-
-def changed(parts: dict[str, bytes], fields: dict[str, object]) -> bytes:
-    """The bundle with other values in its manifest, and hashes that fit."""
-    content = {**json.loads(parts["manifest.json"]), **fields}
-    return packed([("manifest.json", json.dumps(content).encode()), *list(parts.items())[1:]])
+def manifest_of(path: Path) -> dict:
+    """The manifest as anybody's reader of safetensors finds it."""
+    size = int.from_bytes(path.read_bytes()[:8], "little")
+    return json.loads(json.loads(path.read_bytes()[8 : 8 + size])["__metadata__"]["manifest"])
 
 
 def test_what_is_written_is_read_back(tmp_path):
-    for kind in KINDS:
+    rng = np.random.default_rng(0)
+    normalisation = rng.normal(size=76), rng.uniform(1, 2, 76), 10.0
+    for kind, options in (
+        ("gain-schedule", {"joints": 4}),
+        ("policy", {"activation": "silu", "normalisation": normalisation}),
+    ):
         with named(kind):
-            inputs = Inputs.of(KINDS[kind], load_head("simulated"))
-            network = perceptron(inputs.size)
+            inputs = Inputs(KINDS[kind], load_head("simulated"))
+            network = perceptron(inputs.size, **options)
             manifest = Manifest.of(kind, inputs, network, TRAINING, {"settle_s": 0.25})
             write_bundle(tmp_path / f"{kind}.vgp", manifest, network)
             bundle = read_bundle(tmp_path / f"{kind}.vgp")
             assert bundle.manifest == manifest
-            assert bundle.network.data == network
-            assert bundle.network.input_size == inputs.size
+            x = rng.uniform(-1, 1, (5, inputs.size)).astype("f4")
+            assert np.array_equal(bundle.network(x), network(x))
 
 
-def test_the_manifest_says_all_that_is_needed_to_run_it(parts):
+def test_the_manifest_says_all_that_is_needed_to_run_it(path):
     head = load_head("simulated")
-    content = json.loads(parts["manifest.json"])
-    assert (content["format"], content["version"]) == ("vergence-bundle", 1)
+    content = manifest_of(path)
+    assert (content["format"], content["version"]) == ("vergence-bundle", 2)
     fits = sensorless_digest(load_scenario("hardware").model())
     assert content["head"] == {"name": "simulated", "digest": head.digest, "fits": fits}
     assert content["joints"] == list(JOINTS)
     assert content["period_s"] == head.timing.period_s
     assert content["layout"] == ObservationLayout.of(head).to_dict()
-    assert content["inputs"] == Inputs.of("to_go", head).to_dict()
+    assert content["inputs"] == Inputs("to_go", head).to_dict()
     assert content["actions"] == {
         "names": ["left_tilt", "left_pan", "right_tilt", "right_pan"], "unit": "rad/s",
-        "low": [-6.0] * 4, "high": [6.0] * 4,
+        "limit": [6.0] * 4, "value": "limit y^3",
     }  # fmt: skip
+    assert content["network"] == {"activation": "tanh", "joints": 1, "clip_inputs": None}
     assert content["training"] == TRAINING
-    digest = hashlib.sha256(parts["policy.onnx"]).hexdigest()
-    part = {"sha256": digest, "size": len(parts["policy.onnx"])}
-    assert content["parts"] == {"policy.onnx": part}
 
 
 def test_the_outputs_of_a_gain_schedule_are_gains(tmp_path):
     manifest = read_bundle(bundle_of(tmp_path, "gain-schedule")).manifest
     assert manifest.actions == {
-        "names": ["left_v", "left_u", "right_v", "right_u"], "unit": "1/s", "low": [0.0] * 4,
-        "high": [20.0] * 4,
+        "names": ["left_v", "left_u", "right_v", "right_u"], "unit": "1/s", "limit": [20.0] * 4,
+        "value": "limit ((1 + y) / 2)^2",
     }  # fmt: skip
-
-
-def test_a_stored_bundle_is_read_as_a_deflated_one(path, parts):
-    stored = parse_bundle(packed(list(parts.items()), method=zipfile.ZIP_STORED), "stored")
-    assert stored.manifest == read_bundle(path).manifest
 
 
 def test_a_file_is_replaced_only_when_asked_for(path, tmp_path):
@@ -112,139 +91,161 @@ def test_a_file_is_replaced_only_when_asked_for(path, tmp_path):
     assert bundle_of(tmp_path / "again").read_bytes() == path.read_bytes()
     kept.write_text("mine")
     with pytest.raises(BundleError, match="expected no file of that name"):
-        write_bundle(kept, bundle.manifest, bundle.network.data)
+        write_bundle(kept, bundle.manifest, bundle.network)
     assert kept.read_text() == "mine"
-    write_bundle(kept, bundle.manifest, bundle.network.data, replace=True)
+    write_bundle(kept, bundle.manifest, bundle.network, replace=True)
     assert read_bundle(kept).manifest == bundle.manifest
     assert {p.name for p in tmp_path.iterdir()} == {"again", "kept.vgp"}
 
 
 def test_what_would_be_refused_is_not_written(path, tmp_path):
     bundle = read_bundle(path)
-    with pytest.raises(BundleError, match=r"policy.onnx: expected SHA-256"):
-        write_bundle(tmp_path / "a.vgp", bundle.manifest, perceptron(seed=1))
+    weights, bias = bundle.network.layers[0]
+    endless = Perceptron(layers=((weights * np.inf, bias),), activation="tanh")
+    with pytest.raises(BundleError, match=r"layers.0.weight: expected finite numbers"):
+        write_bundle(tmp_path / "a.vgp", bundle.manifest, endless)
     nan = dataclasses.replace(bundle.manifest, metrics={"settle_s": np.nan})
     with pytest.raises(BundleError, match="plain finite values"):
-        write_bundle(tmp_path / "a.vgp", nan, bundle.network.data)
+        write_bundle(tmp_path / "a.vgp", nan, bundle.network)
     assert not list(tmp_path.iterdir())
 
 
-# The zip.
+# The network.
 
 
-def refused(data: bytes, match: str) -> None:
+def test_each_activation_is_its_function():
+    x = np.concatenate([np.linspace(-12, 12, 4001), [-1e30, 1e30]]).astype("f4")[:, None]
+    eye = (np.ones((1, 1), "f4"), np.full(1, 0.25, "f4"))
+    scale = (np.full((1, 1), 0.05, "f4"), np.zeros(1, "f4"))
+    z = x.astype(np.float64) + 0.25
+    with np.errstate(over="ignore"):
+        functions = {
+            "tanh": np.tanh(z),
+            "relu": np.maximum(z, 0.0),
+            "elu": np.where(z > 0.0, z, np.expm1(z)),
+            "silu": z / (1.0 + np.exp(-z)),
+        }
+    for name, expected in functions.items():
+        with named(name):
+            found = Perceptron(layers=(eye, scale), activation=name)(x)
+            assert found == pytest.approx(np.clip(0.05 * expected, -1, 1), abs=1e-7)
+
+
+def test_a_network_for_each_joint_is_the_dense_one_with_its_weights_in_blocks():
+    network = perceptron(12, joints=4)
+    dense = []
+    for k, (weights, bias) in enumerate(network.layers):
+        rows, columns = weights.shape
+        wide = np.zeros((4 * rows, 4 * columns), "f4")
+        for j in range(4):
+            own = slice(j, None, 4) if k == 0 else slice(j * columns, (j + 1) * columns)
+            wide[j * rows : (j + 1) * rows, own] = weights
+        dense.append((wide, np.tile(bias, 4)))
+    x = np.random.default_rng(1).uniform(-1, 1, (600, 12)).astype("f4")
+    expected = Perceptron(layers=tuple(dense), activation="tanh")(x)
+    assert network(x) == pytest.approx(expected, abs=1e-6)
+    assert network(x[7]) == pytest.approx(expected[7], abs=1e-6)
+
+
+# The file.
+
+
+def refused(path: Path, match: str) -> None:
     with pytest.raises(BundleError, match=match) as caught:
-        parse_bundle(data, "some.vgp")
-    assert str(caught.value).startswith("some.vgp: ")
+        read_bundle(path)
+    assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
 
 
-def test_a_changed_manifest_is_refused_by_its_hash(parts):
-    other = parts["manifest.json"].replace(b'"seed": 3', b'"seed": 4')
-    digest = hashlib.sha256(parts["manifest.json"]).hexdigest()
-    entries = [("manifest.json", other), ("policy.onnx", parts["policy.onnx"])]
-    refused(packed(entries, digest.encode()), "manifest.json .*expected SHA-256")
-    refused(packed(entries, b""), "manifest.json .*expected a SHA-256, got none")
-
-
-def test_a_changed_network_is_refused_by_its_hash(parts):
-    other = perceptron(Inputs.of("to_go", load_head("simulated")).size, seed=1)
-    assert len(other) == len(parts["policy.onnx"])
-    entries = [*list(parts.items())[:1], ("policy.onnx", other)]
-    refused(packed(entries), "policy.onnx: expected SHA-256")
-
-
-def test_a_wrong_size_in_the_manifest_is_refused(parts):
-    stated = json.loads(parts["manifest.json"])["parts"]
-    stated["policy.onnx"]["size"] += 1
-    refused(changed(parts, {"parts": stated}), "policy.onnx: expected .*size")
-
-
-@pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_other_entries_are_refused(parts):
-    items = list(parts.items())
-    refused(packed(items[:1]), "expected the entries manifest.json, policy.onnx, got")
-    refused(packed([*items, ("readme.txt", b"hello")]), "readme.txt")
-    refused(packed([*items, ("../../etc/cron.d/evil", b"")]), "etc/cron.d/evil")
-    refused(packed([*items, items[1]]), r"got \['manifest.json', 'policy.onnx', 'policy.onnx'\]")
-
-
-def test_another_compression_is_refused(parts):
-    refused(packed(list(parts.items()), method=zipfile.ZIP_BZIP2), "stored or deflated")
-
-
-@pytest.mark.slow
-def test_a_bomb_is_refused_whether_its_size_is_announced_or_not(parts):
-    bomb = packed([("manifest.json", parts["manifest.json"]), ("policy.onnx", bytes(2**26))])
-    assert len(bomb) < 2**17
-    refused(bomb, "expected at most 4194304 bytes, got 67108864 announced")
-    lie = bomb.replace((2**26).to_bytes(4, "little"), (1000).to_bytes(4, "little"))
-    refused(lie, "1000 bytes with their checksum|damage")
-
-
-def test_too_large_a_file_is_refused_before_it_is_read(tmp_path):
-    refused(bytes(MAX_BUNDLE_BYTES + 1), "expected at most 4194304 bytes, got 4194305")
-    large = tmp_path / "large.vgp"
-    with large.open("wb") as file:
+def test_what_is_no_bundle_is_refused(tmp_path):
+    for other in (tmp_path, tmp_path / "missing.vgp", "/dev/zero"):
+        refused(other, "expected a file")
+    other = tmp_path / "other.vgp"
+    with other.open("wb") as file:
         file.truncate(2**40)  # takes no room on the disk
-    with pytest.raises(BundleError, match="expected at most 4194304 bytes, got more"):
-        read_bundle(large)
+    refused(other, f"expected at most {MAX_FILE_BYTES} bytes, got 1099511627776")
+    for data in (b"", b"import os", b"\xff" * 100):
+        other.write_bytes(data)
+        refused(other, "expected a safetensors file, got")
+    with zipfile.ZipFile(other, "w") as archive:
+        archive.writestr("policy.onnx", b"")
+    refused(other, "earlier format: `vergence export bundle RUN` writes")
+    save_file({"x": np.zeros(3)}, other)
+    refused(other, "manifest: expected JSON")
 
 
-def test_what_is_no_file_is_refused(tmp_path):
-    for path in (tmp_path, tmp_path / "missing.vgp", "/dev/zero"):
-        with pytest.raises(BundleError, match="expected a file"):
-            read_bundle(path)
-
-
-# Damage: refused, or harmless; never another exception, which would be a BundleError's absence.
+def test_an_edited_file_is_refused(path, tmp_path):
+    tensors, text = load_file(path), json.dumps(manifest_of(path))
+    other = tmp_path / "other.vgp"
+    save_file(tensors, other, {"manifest": text})
+    read_bundle(other)
+    save_file(tensors, other, {"manifest": text.replace('"seed": 3', '"seed": 4')})
+    refused(other, "expected the content that its SHA-256 states, got damage or an edit")
+    save_file(tensors | {"layers.0.bias": tensors["layers.0.bias"] + 1}, other, {"manifest": text})
+    refused(other, "expected the content that its SHA-256 states")
 
 
 @pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
 @given(data=st.data())
-def test_flipped_bytes_are_refused_or_change_nothing(path, data):
+def test_flipped_bytes_are_refused_or_change_nothing(path, data, tmp_path_factory):
     good = path.read_bytes()
     bad = bytearray(good)
     for _ in range(data.draw(st.integers(1, 3))):
         bad[data.draw(st.integers(0, len(bad) - 1))] ^= data.draw(st.integers(1, 255))
+    flipped = tmp_path_factory.mktemp("flipped") / "flipped.vgp"
+    flipped.write_bytes(bad)
     try:
-        bundle = parse_bundle(bytes(bad), "flipped")
+        bundle = read_bundle(flipped)
     except BundleError:
         return
-    assert bundle.manifest == parse_bundle(good, "good").manifest
-    assert bundle.network.data == parse_bundle(good, "good").network.data
+    assert bundle.manifest == read_bundle(path).manifest
+    for name, tensor in read_bundle(path).network.tensors().items():
+        assert np.array_equal(bundle.network.tensors()[name], tensor)
 
 
-def test_a_truncated_file_is_refused(path):
-    data = path.read_bytes()
+def test_a_truncated_file_is_refused(path, tmp_path):
+    data, other = path.read_bytes(), tmp_path / "truncated.vgp"
     for length in [0, 1, *range(40, len(data), 300), len(data) - 1]:
-        with named(length), pytest.raises(BundleError):
-            parse_bundle(data[:length], "truncated")
+        with named(length):
+            other.write_bytes(data[:length])
+            refused(other, "expected a safetensors file, got")
 
 
-# The manifest.
-
-
-def test_another_manifest_is_refused(parts):
+def test_another_manifest_is_refused(path, tmp_path):
+    content, tensors, other = manifest_of(path), load_file(path), tmp_path / "other.vgp"
+    content.pop("sha256")
     for fields, match in [
         ({"format": "other"}, "format: expected 'vergence-bundle', got 'other'"),
-        ({"version": 2}, "version: expected 1, got 2"),
-        ({"run": "rm -rf /"}, r"also \['run'\]"),
+        ({"version": 1}, "version: expected 2, got 1"),
+        ({"run": "rm -rf /"}, "expected the fields .*, run"),
         ({"layout": []}, "layout: expected a table, got"),
         ({"period_s": "soon"}, "period_s: expected a number with a point, got 'soon'"),
-        ({"parts": {}}, "parts: expected policy.onnx alone"),
-        ({"parts": {"policy.onnx": "x", "../evil": {}}}, "parts: expected policy.onnx alone"),
-        ({"metrics": {"settle_s": np.nan}}, "NaN"),
+        ({"network": {}}, "activation"),
+        ({"network": {"activation": "tanh", "joints": 9}}, "joints: expected 1 to 7, got 9"),
+        ({"network": {"activation": "tanh", "joints": 1, "clip_inputs": 1.0}}, "inputs.mean"),
     ]:
         with named(fields, match):
-            refused(changed(parts, fields), match)
+            changed = {**content, **fields}
+            changed["sha256"] = _digest(changed, tensors)
+            save_file(tensors, other, {"manifest": json.dumps(changed)})
+            refused(other, match)
+    for text in ("", "[]", "[" * 100_000):
+        other.write_bytes(save(tensors, {"manifest": text}))
+        refused(other, "manifest: ")
 
 
-def test_what_is_no_manifest_is_refused(parts):
-    for text in (b"", b"[]", b"[" * 100_000, b'{"kind": 1, "kind": 2}', b"\xff", b'{"version": 1}'):
-        with named(text):
-            refused(packed([("manifest.json", text), *list(parts.items())[1:]]), "manifest: ")
+def test_tensors_that_do_not_fit_together_are_refused(path):
+    settings = read_bundle(path).network.settings()
+    tensors = load_file(path)
+    for name, value, match in [
+        ("layers.0.bias", np.zeros(3, "f4"), r"layers.0.bias: expected float32 of shape \(16,\)"),
+        ("layers.1.weight", np.zeros((4, 3), "f4"), r"of shape \(4, 16\), got float32"),
+        ("layers.1.weight", np.zeros((4, 16)), r"expected float32 .*, got float64"),
+        ("more", np.zeros(3, "f4"), "expected the tensors .*, got .*more"),
+    ]:
+        with named(name, match), pytest.raises(BundleError, match=match):
+            Perceptron.of({**tensors, name: value}, settings)
 
 
 # What it was made for.
@@ -281,7 +282,7 @@ def test_what_means_another_thing_is_refused(tmp_path, path):
         ("inputs", {"kind": "nonsense"}, "inputs: expected one of .*'nonsense'"),
         ("inputs", {"names": ["x"]}, "inputs.names: expected"),
         ("actions", {"unit": "furlong"}, "actions.unit: expected 'rad/s' .* got 'furlong'"),
-        ("actions", {"high": [60.0] * 4}, r"actions.high\[0\]: expected 6.0 .* got 60.0"),
+        ("actions", {"limit": [60.0] * 4}, r"actions.limit\[0\]: expected 6.0 .* got 60.0"),
         ("layout", {"extra": 1}, "layout.extra: expected None"),
     ]:
         with named(field, change, match):

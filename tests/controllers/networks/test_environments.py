@@ -15,10 +15,10 @@ from vergence.controllers.networks.environments import (
     GainScheduleEnv,
     PolicyEnv,
     PolicyVectorEnv,
-    decode_velocity_action,
     training_env,
 )
 from vergence.controllers.networks.inputs import KINDS
+from vergence.controllers.networks.learned import decode_velocity_action
 from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.trials.scenarios import load_scenario
@@ -79,7 +79,7 @@ def test_info_has_the_gains_beside_what_the_gaze_tasks_has() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "mode"), [("error", AutoresetMode.NEXT_STEP), ("history", AutoresetMode.SAME_STEP)]
+    ("kind", "mode"), [("predicted", AutoresetMode.NEXT_STEP), ("to_go", AutoresetMode.SAME_STEP)]
 )
 def test_the_vector_has_the_single_environments_numbers(kind, mode) -> None:
     options = {"plant": "kinematic", "inputs": kind, "max_episode_steps": 25}
@@ -99,7 +99,7 @@ def test_the_vector_has_the_single_environments_numbers(kind, mode) -> None:
 
 def test_a_saved_state_goes_on_to_the_last_bit_in_a_robots_loop() -> None:
     """With all that stands between a network and the loop: gates, steps that are carried over."""
-    for kind, learned in (("history", "policy"), ("to_go", "gain-schedule")):
+    for kind, learned in (("predicted", "policy"), ("to_go", "gain-schedule")):
         with named(kind, learned):
             options = load_scenario("hardware").env_options()
             first, second = (

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.controllers.networks.graphs import bundle_of, perceptron
+from tests.controllers.networks.graphs import bundle_of, onnx_file
 from tests.eval.conftest import row_of
 from tests.eval.mappers import Backwards
 from tests.eval.refusals import not_refused
@@ -234,7 +234,7 @@ def test_a_bundle_takes_part_under_its_files_name(tmp_path):
 
 
 def test_a_bare_network_takes_part_and_a_damaged_one_is_refused(tmp_path):
-    (tmp_path / "mine.onnx").write_bytes(perceptron())
+    onnx_file(tmp_path / "mine.onnx")
     config = EvaluateConfig(controllers=(str(tmp_path / "mine.onnx"),), episodes=2)
     assert row_of(evaluate(config), "mine.onnx")["trials"] == 2
     (tmp_path / "bad.onnx").write_bytes(b"no network")

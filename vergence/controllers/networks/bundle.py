@@ -1,54 +1,360 @@
-"""Bundles: a trained network and all data needed to run it, in one file without executable code.
+r"""Bundles: a trained network and all data needed to run it, in one safetensors file.
 
-A `.vgp` file is a zip of two entries, `manifest.json` and `policy.onnx`, stored or deflated. The
-zip's comment is the SHA-256 of `manifest.json` in hexadecimal, and the manifest holds the SHA-256
-of `policy.onnx`. See docs/bundles.md.
+The tensors are the layers of a perceptron, the metadata has one entry, `manifest`, a table in JSON.
+A file holds numbers and text alone: nothing in it can execute. See docs/bundles.md.
 """
 
+import dataclasses
 import hashlib
-import io
+import json
 import os
-import zipfile
-import zlib
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from vergence.controllers.networks.manifest import NETWORK_PART, Manifest, describe_part
-from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
-from vergence.errors import BundleError
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_names_of_head
+from vergence.controllers.networks.inputs import Inputs
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import BundleError, ConfigurationError, OtherHeadError, UnknownNameError
 from vergence.files import write_atomic
+from vergence.kernels import compiled
+from vergence.models.head import HeadModel
+from vergence.models.parts import JOINTS, SensorModel
 
+Floats = NDArray[np.float32]
 SUFFIX: Final = ".vgp"
-MAX_BUNDLE_BYTES: Final = 4 * 2**20
-"""Largest size of a bundle's file, bytes (chosen: safety against room for larger networks)."""
-MANIFEST_PART: Final = "manifest.json"
-MAX_PART_BYTES: Final = {MANIFEST_PART: 2**18, NETWORK_PART: MAX_NETWORK_BYTES}
-"""Largest size of each part once unpacked, bytes."""
+MAX_FILE_BYTES: Final = 8 * 2**20
+"""Largest size of a bundle's or network's file, bytes (chosen: safety against room for larger
+networks)."""
+FORMAT: Final = "vergence-bundle"
+FORMAT_VERSION: Final = 2
+"""Version of the bundle format (numerical)."""
+GAIN_SCHEDULE: Final = "gain-schedule"
+POLICY: Final = "policy"
+_SINGLE_THREADED_PRODUCTS: Final = 2**18
+"""Largest number of multiplications that OpenBLAS leaves to one thread (physical: OpenBLAS)."""
+_PRETRAINED: Final = resources.files("vergence.controllers") / "pretrained"
+_ZIP_START: Final = b"PK"
 
-_PRETRAINED = resources.files("vergence.controllers") / "pretrained"
-_ENCRYPTED_FLAG: Final = 0x1
-"""Flag of an encrypted entry (physical: ZIP format, general purpose bit 0)."""
-_ENTRY_DATE: Final = (1980, 1, 1, 0, 0, 0)
-"""Date of each entry, so that equal content gives equal files (physical: earliest of ZIP)."""
+
+@compiled
+def _tanh(x: Floats, bias: Floats) -> None:
+    """Replace x (n, m) by tanh(x + bias): a continued fraction at half the angle, within 2e-7."""
+    limit = np.float32(9.0)  # beyond it, float32 is 1
+    for i in range(x.shape[0]):
+        for k in range(x.shape[1]):
+            half = np.float32(0.5) * min(max(x[i, k] + bias[k], -limit), limit)
+            s = half * half
+            p = np.float32(378.0) + s
+            p = half * (np.float32(135135.0) + s * (np.float32(17325.0) + s * p))
+            q = np.float32(3150.0) + s * np.float32(28.0)
+            q = np.float32(135135.0) + s * (np.float32(62370.0) + s * q)
+            x[i, k] = np.float32(2.0) * p * q / (q * q + p * p)
+
+
+def _relu(x: Floats, bias: Floats) -> None:
+    np.maximum(np.add(x, bias, out=x), 0.0, out=x)
+
+
+def _elu(x: Floats, bias: Floats) -> None:
+    x += bias
+    np.copyto(x, np.expm1(np.minimum(x, 0.0)), where=x < 0.0)
+
+
+def _silu(x: Floats, bias: Floats) -> None:
+    x += bias
+    with np.errstate(over="ignore"):
+        x /= 1.0 + np.exp(-x)
+
+
+ACTIVATIONS: Final[dict[str, Callable[[Floats, Floats], None]]] = {
+    "tanh": _tanh,
+    "relu": _relu,
+    "elu": _elu,
+    "silu": _silu,
+}
+"""Activations of hidden layers: each replaces x (n, m) by the activation of x plus a bias (m)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Perceptron:
+    """A network: layers h = f(W h + b), the last one without f, limited to [-1, 1].
+
+    One network can serve several joints in turn: entries j, j + joints, j + 2 joints, ... of the
+    inputs are those of joint j, and its single output is that joint's.
+    """
+
+    layers: tuple[tuple[Floats, Floats], ...]
+    """Weights (outputs, inputs) and bias (outputs,) of each layer."""
+    activation: str
+    """One of `ACTIVATIONS`."""
+    joints: int = 1
+    """Number of joints that the network serves in turn."""
+    normalisation: tuple[NDArray[np.float64], NDArray[np.float64], float] | None = None
+    """Mean and standard deviation (size,) of the inputs, and the limit of normalised ones."""
+    _steps: tuple[tuple[Floats, Floats], ...] = field(init=False, repr=False, compare=False)
+    _block: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # matrices that multiply from the right, in their own memory
+        steps = tuple((np.ascontiguousarray(w.T), b) for w, b in self.layers)
+        object.__setattr__(self, "_steps", steps)
+        # rows in a product that runs on one thread: on a busy machine more of them wait for each
+        # other many times longer than they compute
+        block = max(1, _SINGLE_THREADED_PRODUCTS // max(w.size for w, _bias in self.layers))
+        object.__setattr__(self, "_block", block)
+
+    @property
+    def input_size(self) -> int:
+        """Number of inputs."""
+        return int(self.joints * self.layers[0][0].shape[1])
+
+    @property
+    def output_size(self) -> int:
+        """Number of outputs."""
+        return int(self.joints * self.layers[-1][0].shape[0])
+
+    def __call__(self, inputs: Floats) -> Floats:
+        """Run the network.
+
+        Args:
+            inputs: (..., input_size).
+
+        Returns:
+            (..., output_size) in [-1, 1].
+        """
+        x = inputs
+        if self.normalisation is not None:
+            mean, std, limit = self.normalisation
+            x = np.clip((x - mean) / std, -limit, limit).astype(np.float32)
+        channels = self.layers[0][0].shape[1]
+        if self.joints > 1:
+            x = x.reshape(-1, channels, self.joints).swapaxes(1, 2)
+        x = x.reshape(-1, channels)
+        blocks = [self._run(x[k : k + self._block]) for k in range(0, max(len(x), 1), self._block)]
+        out = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+        return out.reshape(*inputs.shape[:-1], self.output_size)
+
+    def _run(self, x: Floats) -> Floats:
+        """Run the layers on rows of inputs (n, channels)."""
+        act = ACTIVATIONS[self.activation]
+        *hidden, (weights, bias) = self._steps
+        for matrix, offset in hidden:
+            x = x @ matrix
+            act(x, offset)
+        x = x @ weights
+        x += bias
+        return np.maximum(np.minimum(x, 1.0, out=x), -1.0, out=x)
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """The numbers of the network by their names in a bundle."""
+        named: dict[str, NDArray[Any]] = {}
+        for k, (weights, bias) in enumerate(self.layers):
+            named[f"layers.{k}.weight"], named[f"layers.{k}.bias"] = weights, bias
+        if self.normalisation is not None:
+            named["inputs.mean"], named["inputs.std"], _limit = self.normalisation
+        return named
+
+    def settings(self) -> dict[str, Any]:
+        """All of the network but its numbers, for a manifest."""
+        limit = None if self.normalisation is None else self.normalisation[2]
+        return {"activation": self.activation, "joints": self.joints, "clip_inputs": limit}
+
+    @classmethod
+    def of(cls, tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, Any]) -> "Perceptron":
+        """Make a network of `tensors` and `settings`.
+
+        Raises:
+            BundleError: they are not those of such a network.
+        """
+        count = sum(bool(re.fullmatch(r"layers\.\d+\.weight", name)) for name in tensors)
+        limit, joints = settings.get("clip_inputs"), settings.get("joints")
+        names = [f"layers.{k}.{part}" for k in range(count) for part in ("weight", "bias")]
+        names += [] if limit is None else ["inputs.mean", "inputs.std"]
+        if not count or sorted(names) != sorted(tensors):
+            raise BundleError(
+                f"network: expected the tensors {', '.join(names)}, got {sorted(tensors)!r:.200}"
+            )
+        if settings.get("activation") not in ACTIVATIONS:
+            raise UnknownNameError("activation", settings.get("activation"), list(ACTIVATIONS))
+        if not isinstance(joints, int) or not 0 < joints <= len(JOINTS):
+            raise BundleError(f"network: joints: expected 1 to {len(JOINTS)}, got {joints!r}")
+        width = tensors["layers.0.weight"].shape[-1] if tensors["layers.0.weight"].ndim == 2 else 0
+        size = joints * width
+        for name in names:
+            tensor = tensors[name]
+            layer, _, part = name.rpartition(".")
+            if layer == "inputs":
+                shape: tuple[int, ...] = (size,)
+            elif part == "weight":
+                shape = (tensor.shape[0] if tensor.ndim else 0, width)
+                width = shape[0]
+            else:
+                shape = (width,)
+            kind = np.float64 if layer == "inputs" else np.float32
+            if tensor.shape != shape or not tensor.size or tensor.dtype != kind:
+                raise BundleError(
+                    f"network: {name}: expected {kind.__name__} of shape {shape}, "
+                    f"got {tensor.dtype} of shape {tensor.shape}"
+                )
+            if not np.isfinite(tensor).all():
+                raise BundleError(f"network: {name}: expected finite numbers, got others")
+        layers = tuple(
+            (tensors[f"layers.{k}.weight"], tensors[f"layers.{k}.bias"]) for k in range(count)
+        )
+        normalisation = None
+        if limit is not None:
+            normalisation = (tensors["inputs.mean"], tensors["inputs.std"], float(limit))
+        return cls(
+            layers=layers,
+            activation=settings["activation"],
+            joints=joints,
+            normalisation=normalisation,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """The manifest of a bundle; every field consists of plain numbers, text, lists and tables."""
+
+    kind: str
+    """`gain-schedule` (the network chooses gains) or `policy` (joint velocities)."""
+    head: Mapping[str, Any]
+    """Name and digest (SHA-256) of the head used in training, and `fits`, the digest of that head
+    without its sensor; the network also fits any head with that digest."""
+    period_s: float
+    """Control period, s."""
+    joints: list[str]
+    """Joint order of the package."""
+    layout: Mapping[str, Any]
+    """Layout of observations, `ObservationLayout.to_dict()`."""
+    inputs: Mapping[str, Any]
+    """Inputs of the network, `Inputs.to_dict()`."""
+    actions: Mapping[str, Any]
+    """`names`, `unit` and `limit` of the actions, and `value`, the equation from an output y."""
+    network: Mapping[str, Any]
+    """`Perceptron.settings()`."""
+    training: Mapping[str, Any]
+    """Record of the training: `command`, `seed`, `scenario`, `steps`, `versions` and more."""
+    metrics: Mapping[str, Any]
+    """Performance measured by the training run."""
+
+    @classmethod
+    def of(
+        cls,
+        kind: str,
+        inputs: Inputs,
+        network: Perceptron,
+        training: Mapping[str, Any],
+        metrics: Mapping[str, Any],
+    ) -> "Manifest":
+        """Make the manifest of a network.
+
+        Args:
+            kind: `gain-schedule` or `policy`.
+            inputs: inputs of the network, which include the head and the layout.
+            network: the network.
+            training: record of the training, plain values.
+            metrics: measured performance, plain values.
+
+        Returns:
+            The manifest.
+
+        Raises:
+            BundleError: there is no such kind.
+        """
+        head, layout = inputs.head, inputs.layout
+        return cls(
+            kind=kind,
+            head={"name": head.name, "digest": head.digest, "fits": sensorless_digest(head)},
+            period_s=layout.period_s,
+            joints=list(JOINTS),
+            layout=layout.to_dict(),
+            inputs=inputs.to_dict(),
+            actions=describe_actions(kind, head, layout),
+            network=network.settings(),
+            training=dict(training),
+            metrics=dict(metrics),
+        )
+
+    @property
+    def fits(self) -> str:
+        """Name of the head that it fits, and the beginning of its digest, for messages."""
+        return f"{self.head.get('name')} ({str(self.head.get('digest'))[:12]})"
+
+    def is_for(self, head: HeadModel) -> bool:
+        """True if a head equals the one of the manifest, except for its sensor."""
+        return self.head.get("digest") == head.digest or self.head.get("fits") == sensorless_digest(
+            head
+        )
+
+    def check_fits(
+        self, head: HeadModel, layout: ObservationLayout, allow_other_head: bool = False
+    ) -> Inputs:
+        """Raise an error for a head or a layout that the network was not trained for.
+
+        Args:
+            head: the model of the head to control.
+            layout: the layout of observations and actions.
+            allow_other_head: True if the head's geometry may differ, as with randomised models; the
+                meaning of the observation may not.
+
+        Returns:
+            The inputs of the network, for this head.
+
+        Raises:
+            BundleError: something differs; the message names the first difference.
+        """
+        expected = {
+            "period_s": layout.period_s,
+            "joints": list(JOINTS),
+            "layout": layout.to_dict(),
+            "actions": describe_actions(self.kind, head, layout),
+        }
+        differences = (
+            _first_difference(value, getattr(self, key), key) for key, value in expected.items()
+        )
+        difference = next((found for found in differences if found is not None), None)
+        detail = "; allow_other_head runs it nevertheless"
+        if difference is not None:
+            path, wanted, got = difference
+            detail = f"{path}: expected {wanted!r} for head {head.name!r}, got {got!r}"
+        if not self.is_for(head) and not allow_other_head:
+            joined = f": {detail}" if difference is not None else detail
+            raise OtherHeadError(
+                f"head: expected a bundle for {head.name} ({head.digest[:12]}), got one for "
+                f"{self.fits} alone{joined}"
+            )
+        if difference is not None:
+            raise OtherHeadError(f"{detail}, made for head {self.fits}")
+        try:
+            return Inputs.from_dict(dict(self.inputs), head, layout)
+        except (ConfigurationError, UnknownNameError) as error:
+            raise BundleError(str(error)) from error
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """A bundle whose hashes, manifest and network have been checked.
+    """A bundle that has been read and checked.
 
     Attributes:
         source: origin of the bytes, for messages.
         manifest: its manifest.
-        network: the checked network.
+        network: its network.
     """
 
     source: str
     manifest: Manifest
-    network: Network
+    network: Perceptron
 
 
 def read_bundle(path: str | os.PathLike[str]) -> Bundle:
@@ -61,40 +367,25 @@ def read_bundle(path: str | os.PathLike[str]) -> Bundle:
         The bundle.
 
     Raises:
-        BundleError: it cannot be read, is too large, damaged, or not allowed.
+        BundleError: it cannot be read, is too large, damaged, or of another format.
     """
-    return parse_bundle(read_limited(path, MAX_BUNDLE_BYTES), str(path))
-
-
-def parse_bundle(data: bytes, source: str) -> Bundle:
-    """Check a bundle's bytes.
-
-    Args:
-        data: the content of a `.vgp` file.
-        source: origin of the bytes, for messages.
-
-    Returns:
-        The bundle.
-
-    Raises:
-        BundleError: it is too large, damaged, or not allowed.
-    """
-    with prefix_bundle_errors(source):
-        parts, comment = _unpack(data)
-        _check_hash("manifest.json (by the zip's comment)", comment, parts[MANIFEST_PART])
-        manifest = Manifest.from_json(parts[MANIFEST_PART])
-        network = parts[NETWORK_PART]
-        stated = manifest.parts.get(NETWORK_PART)
-        if manifest.parts.keys() != {NETWORK_PART} or not isinstance(stated, dict):
+    with prefix_bundle_errors(str(path)):
+        if _start_of(path) == _ZIP_START:
             raise BundleError(
-                f"manifest: parts: expected {NETWORK_PART} alone, got {sorted(manifest.parts)}"
+                "expected a safetensors file, got a zip, an earlier format: `vergence export "
+                "bundle RUN` writes its run's network anew"
             )
-        _check_hash(NETWORK_PART, stated.get("sha256"), network)
-        if stated != describe_part(network):
+        try:
+            with safe_open(path, framework="numpy") as file:
+                metadata = file.metadata() or {}
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        # a damaged header may also name a type that NumPy lacks, or text that is not UTF-8
+        except (SafetensorError, OSError, TypeError, ValueError, AttributeError) as error:
             raise BundleError(
-                f"{NETWORK_PART}: expected {describe_part(network)} in the manifest, got {stated}"
-            )
-        return Bundle(source, manifest, read_network(network))
+                f"expected a safetensors file, got {' '.join(str(error).split()):.120}"
+            ) from error
+        manifest = _parse(metadata.get("manifest", ""), tensors)
+        return Bundle(str(path), manifest, Perceptron.of(tensors, manifest.network))
 
 
 @contextmanager
@@ -102,27 +393,37 @@ def prefix_bundle_errors(source: str) -> Iterator[None]:
     """Prefix the message of a `BundleError` with the origin of the bytes."""
     try:
         yield
-    except BundleError as error:
-        raise type(error)(f"{source}: {error}") from error
+    except (BundleError, UnknownNameError) as error:
+        kind = type(error) if isinstance(error, BundleError) else BundleError
+        raise kind(f"{source}: {error}") from error
 
 
 def write_bundle(
-    path: str | os.PathLike[str], manifest: Manifest, network: bytes, replace: bool = False
+    path: str | os.PathLike[str], manifest: Manifest, network: Perceptron, replace: bool = False
 ) -> None:
     """Write a bundle, as a whole or not at all; equal content gives equal files.
 
     Args:
         path: path of the file.
         manifest: manifest of the bundle.
-        network: bytes of the ONNX file.
+        network: the network.
         replace: True to replace an existing file.
 
     Raises:
         BundleError: the bundle would be refused when read, or the file cannot be written.
     """
     target = Path(path)
-    data = _pack({MANIFEST_PART: manifest.to_json(), NETWORK_PART: network})
-    parse_bundle(data, str(target))
+    tensors = network.tensors()
+    content = {"format": FORMAT, "version": FORMAT_VERSION, **dataclasses.asdict(manifest)}
+    try:
+        content["sha256"] = _digest(content, tensors)
+        text = json.dumps(content, sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"manifest: expected plain finite values, got {error}") from error
+    Perceptron.of(tensors, network.settings())
+    data = save(tensors, {"manifest": text})
+    if len(data) > MAX_FILE_BYTES:
+        raise BundleError(f"{target}: expected at most {MAX_FILE_BYTES} bytes, got {len(data)}")
     if target.exists() and not replace:
         raise BundleError(f"{target}: expected no file of that name, got one")
     try:
@@ -138,91 +439,116 @@ def pretrained_bundles() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob(f"*{SUFFIX}"))}
 
 
-def read_limited(path: str | os.PathLike[str], limit: int) -> bytes:
-    """Read a file that must not exceed a limit.
-
-    Args:
-        path: the file.
-        limit: largest size, bytes.
-
-    Returns:
-        The bytes.
+def check_file(path: str | os.PathLike[str]) -> None:
+    """Raise an error for a network's file that does not exist or is too large.
 
     Raises:
-        BundleError: it cannot be read, or is larger.
+        BundleError: it is no file, or larger than `MAX_FILE_BYTES`.
     """
+    if not Path(path).is_file():  # excludes folders and endless devices
+        raise BundleError("expected a file, got none of that name")
+    size = Path(path).stat().st_size
+    if size > MAX_FILE_BYTES:
+        raise BundleError(f"expected at most {MAX_FILE_BYTES} bytes, got {size}")
+
+
+def _start_of(path: str | os.PathLike[str]) -> bytes:
+    check_file(path)
     try:
-        if not Path(path).is_file():  # excludes folders and endless devices
-            raise BundleError(f"{path}: expected a file, got none of that name")
         with open(path, "rb") as file:
-            data = file.read(limit + 1)
+            return file.read(len(_ZIP_START))
     except OSError as error:
-        raise BundleError(f"{path}: expected a readable file, got {error.strerror}") from error
-    if len(data) > limit:
-        raise BundleError(f"{path}: expected at most {limit} bytes, got more")
-    return data
+        raise BundleError(f"expected a readable file, got {error.strerror}") from error
 
 
-def _pack(parts: dict[str, bytes]) -> bytes:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w") as archive:
-        for name, content in parts.items():
-            entry = zipfile.ZipInfo(name, _ENTRY_DATE)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = 0o644 << 16
-            entry.create_system = 3  # fixed, as the default depends on the platform
-            archive.writestr(entry, content)
-        archive.comment = hashlib.sha256(parts[MANIFEST_PART]).hexdigest().encode()
-    return file.getvalue()
+def _digest(content: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of a manifest without its own `sha256`, and of all tensors."""
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode())
+    for name in sorted(tensors):
+        digest.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
+        digest.update(tensors[name].tobytes())
+    return digest.hexdigest()
 
 
-def _unpack(data: bytes) -> tuple[dict[str, bytes], str]:
-    """Return the parts by name, each within its size limit, and the comment."""
-    if len(data) > MAX_BUNDLE_BYTES:
-        raise BundleError(f"expected at most {MAX_BUNDLE_BYTES} bytes, got {len(data)}")
+_NO_SENSOR: Final = SensorModel(
+    detection_noise_px=0.0,
+    encoder_resolution_rad=0.0,
+    velocity_resolution_rad_s=0.0,
+    dropped_frame_probability=0.0,
+    max_smear_px=0.0,
+)
+_JSON_TYPE_NAMES: Final = {str: "text", float: "number with a point", list: "list", dict: "table"}
+
+
+def sensorless_digest(head: HeadModel) -> str:
+    """Digest of a head without its sensor: heads with the same digest share their networks.
+
+    Quantisation of encoders and commands, noise and backlash are properties of the loop. The
+    inputs, and the stages after a network's output, take them into account for the actual head.
+    """
+    return dataclasses.replace(head, sensor=_NO_SENSOR).digest
+
+
+def describe_actions(kind: str, head: HeadModel, layout: ObservationLayout) -> dict[str, Any]:
+    """Describe the actions that a network's outputs y in [-1, 1] stand for.
+
+    Args:
+        kind: `gain-schedule` (four gains for any head) or `policy` (one velocity per actuator).
+        head: the head that the network controls.
+        layout: the layout of its observations and actions.
+
+    Raises:
+        BundleError: there is no such kind.
+    """
+    if kind == GAIN_SCHEDULE:
+        names = list(gain_names_of_head(head))
+        limit = [GAIN_LIMIT] * len(names)
+        return {"names": names, "unit": "1/s", "limit": limit, "value": "limit ((1 + y) / 2)^2"}
+    if kind == POLICY:
+        limit = layout.action_limits[: layout.count].tolist()
+        names = list(layout.action_names)
+        return {"names": names, "unit": "rad/s", "limit": limit, "value": "limit y^3"}
+    raise BundleError(f"kind: expected {GAIN_SCHEDULE} or {POLICY}, got {kind!r}")
+
+
+def _first_difference(expected: Any, got: Any, path: str) -> tuple[str, Any, Any] | None:
+    """Return dotted path and both values of the first difference of two plain values, or None."""
+    if isinstance(expected, dict) and isinstance(got, dict):
+        pairs = [(f"{path}.{key}", expected.get(key), got.get(key)) for key in {**expected, **got}]
+    elif isinstance(expected, list) and isinstance(got, list) and len(expected) == len(got):
+        both = zip(expected, got, strict=True)
+        pairs = [(f"{path}[{index}]", *pair) for index, pair in enumerate(both)]
+    else:
+        return None if expected == got else (path, expected, got)
+    found = (_first_difference(a, b, place) for place, a, b in pairs)
+    return next((one for one in found if one is not None), None)
+
+
+def _parse(text: str, tensors: Mapping[str, NDArray[Any]]) -> Manifest:
+    """Read a manifest, and check that it and the tensors are those that were written."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            entries = archive.infolist()
-            names = sorted(entry.filename for entry in entries)
-            if names != sorted(MAX_PART_BYTES):
-                raise BundleError(
-                    f"expected the entries {', '.join(sorted(MAX_PART_BYTES))}, got {names[:8]}"
-                )
-            parts = {entry.filename: _read_entry(archive, entry) for entry in entries}
-            return parts, archive.comment.decode("ascii", "replace")
-    except BundleError:
-        raise
-    # zipfile raises many kinds of exceptions on damage, such as struct.error and KeyError
-    except Exception as error:
-        raise BundleError(f"expected a zip, got damage: {error!r:.120}") from error
-
-
-def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
-    limit = MAX_PART_BYTES[entry.filename]
-    if entry.file_size > limit:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BundleError(f"manifest: expected JSON, got {error}") from error
+    if not isinstance(content, dict):
+        raise BundleError(f"manifest: expected a table, got {content!r:.60}")
+    for key, expected in (("format", FORMAT), ("version", FORMAT_VERSION)):
+        if content.get(key) != expected:
+            raise BundleError(f"manifest: {key}: expected {expected!r}, got {content.get(key)!r}")
+    stated = content.pop("sha256", None)
+    if stated != _digest(content, tensors):
+        raise BundleError("expected the content that its SHA-256 states, got damage or an edit")
+    fields = {name: value for name, value in content.items() if name not in ("format", "version")}
+    known = [field.name for field in dataclasses.fields(Manifest)]
+    if sorted(fields) != sorted(known):
         raise BundleError(
-            f"{entry.filename}: expected at most {limit} bytes, got {entry.file_size} announced"
+            f"manifest: expected the fields {', '.join(known)}, got {', '.join(sorted(fields))}"
         )
-    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise BundleError(
-            f"{entry.filename}: expected it stored or deflated, got method {entry.compress_type}"
-        )
-    if entry.flag_bits & _ENCRYPTED_FLAG:
-        raise BundleError(f"{entry.filename}: expected it in the clear, got it encrypted")
-    with archive.open(entry) as file:
-        content = file.read(limit + 1)
-        # the announced size may be false and zipfile stops there, so the checksum decides
-        if len(content) != entry.file_size or zlib.crc32(content) != entry.CRC or file.read(1):
+    kinds: dict[str, type] = {"kind": str, "period_s": float, "joints": list}
+    for key, value in fields.items():
+        kind = kinds.get(key, dict)
+        if type(value) is not kind:
             raise BundleError(
-                f"{entry.filename}: expected {entry.file_size} bytes with their checksum, "
-                f"got {len(content)} others"
+                f"manifest: {key}: expected a {_JSON_TYPE_NAMES[kind]}, got {value!r:.60}"
             )
-    return content
-
-
-def _check_hash(what: str, stated: object, content: bytes) -> None:
-    actual = hashlib.sha256(content).hexdigest()
-    if not stated:
-        raise BundleError(f"{what}: expected a SHA-256, got none")
-    if stated != actual:
-        raise BundleError(f"{what}: expected SHA-256 {stated!s:.64}, got {actual}")
+    return Manifest(**fields)

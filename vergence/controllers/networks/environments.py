@@ -8,20 +8,19 @@ policy environment takes actuator velocities, decoded by
 
 so that the noise of an exploring policy hardly moves a resting eye, and velocities near zero have a
 fine resolution. The stages between action and command are those of the deployed controllers, see
-`vergence.controllers.networks.acting`.
+`vergence.controllers.networks.learned`.
 """
 
-from abc import ABC, abstractmethod
 from typing import Any, ClassVar, Final
 
 import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from vergence.controllers.gain_schedule import gain_names_of_head, gains_from_action
-from vergence.controllers.networks.acting import NetworkPrePostProcessor
+from vergence.controllers.gain_schedule import gains_from_action
 from vergence.controllers.networks.inputs import Inputs
+from vergence.controllers.networks.learned import NetworkLoop
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
@@ -30,31 +29,16 @@ from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
 
-VELOCITY_POWER: Final = 3
-"""Exponent of the policy's action decoding (chosen: resolution near zero against exploration)."""
 DEFAULT_INPUTS: Final = {"gain-schedule": "predicted", "policy": "to_go"}
 """Default kind of inputs of each kind of network."""
 
 
-def decode_velocity_action(action: ArrayLike) -> NDArray[np.float32]:
-    """Decode a policy's action to an action of the gaze task.
-
-    Args:
-        action: (..., m) clipped to [-1, 1].
-
-    Returns:
-        (..., m) actuator velocities as fractions of their limits, `sign(a) |a|^3`.
-    """
-    limited = np.clip(np.asarray(action, dtype=np.float32), -1.0, 1.0)
-    return np.asarray(limited**VELOCITY_POWER, dtype=np.float32)
-
-
-class NetworkTask(GazeTask, ABC):
+class NetworkTask(GazeTask):
     """The gaze task with the inputs of a network as its observation.
 
     Args:
         num: number of heads.
-        inputs: the kind of inputs, see `vergence.controllers.networks.inputs.KINDS`.
+        inputs: the kind of inputs, `predicted` or `to_go`.
         **options: see `GazeTask`.
     """
 
@@ -64,24 +48,24 @@ class NetworkTask(GazeTask, ABC):
     def __init__(self, num: int = 1, *, inputs: str, **options: Any) -> None:
         super().__init__(num, **options)
         try:
-            self.inputs = Inputs.of(inputs, self.head, self.layout)
+            self.inputs = Inputs(inputs, self.head, self.layout)
         except BaseException:
             self.close()
             raise
-        self._acting = NetworkPrePostProcessor(self.inputs, self.outputs_gains)
-        self._memory = np.tile(self._acting.initial(), (num, 1))
+        self._loop = NetworkLoop(self.inputs, self.outputs_gains)
+        self._memory = np.tile(self._loop.initial(), (num, 1))
         self.observation = np.zeros((num, self.inputs.size), dtype=np.float32)
 
     def spaces(self) -> tuple[Box, Box]:
         """See `GazeTask.spaces`."""
         action = Box(-1.0, 1.0, (len(self.action_names),), np.float32)
-        return Box(self.inputs.low(), self.inputs.high()), action
+        return Box(-1.0, 1.0, (self.inputs.size,), np.float32), action
 
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """See `GazeTask.begin`."""
         super().begin(ids, seeds, trials)
-        memory = np.tile(self._acting.initial(), (len(ids), 1))
-        self.observation[ids] = self._acting.network_inputs(self.encoded[ids], memory)
+        memory = np.tile(self._loop.initial(), (len(ids), 1))
+        self.observation[ids] = self._loop.network_inputs(self.encoded[ids], memory)
         self._memory[ids] = memory
 
     def step(self, action: NDArray[Any]) -> None:
@@ -89,16 +73,12 @@ class NetworkTask(GazeTask, ABC):
         if np.isnan(action).any():
             # quantised commands, or a law without a visible target, would hide it
             raise ConfigurationError("action: expected numbers, got nan")
-        super().step(self._decoded(action))
-        self.observation[:] = self._acting.network_inputs(self.encoded, self._memory)
+        super().step(self._loop.action(self.encoded, self.observation, action, self._memory))
+        self.observation[:] = self._loop.network_inputs(self.encoded, self._memory)
 
     def _arrays(self) -> Arrays:
         own: Arrays = {"memory": self._memory, "observation": self.observation}
         return {**super()._arrays(), **join_parts(network=own)}
-
-    @abstractmethod
-    def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        """Decode an action of the network to an action of the gaze task."""
 
 
 class PolicyTask(NetworkTask):
@@ -111,11 +91,6 @@ class PolicyTask(NetworkTask):
     ) -> None:
         super().__init__(num, inputs=inputs, **options)
 
-    def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        return self._acting.action_from_velocities(
-            self.observation, decode_velocity_action(action), self._memory
-        )
-
 
 class GainScheduleTask(NetworkTask):
     """A network that chooses the gains of the article's law."""
@@ -126,22 +101,23 @@ class GainScheduleTask(NetworkTask):
         self, num: int = 1, *, inputs: str = DEFAULT_INPUTS["gain-schedule"], **options: Any
     ) -> None:
         super().__init__(num, inputs=inputs, **options)
-        self._names = gain_names_of_head(self.head)
         self._gains = np.zeros((num, 2, 2))
 
     @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the gains, whatever the actuators."""
-        return self._names
+        assert self._loop.gain_names is not None
+        return self._loop.gain_names
 
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """See `GazeTask.begin`."""
         super().begin(ids, seeds, trials)
         self._gains[ids] = 0.0
 
-    def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        self._gains[:] = gains_from_action(action, self._names)
-        return self._acting.ibvs_action_from_gains(self.encoded, self._gains, self._memory)
+    def step(self, action: NDArray[Any]) -> None:
+        """See `NetworkTask.step`."""
+        super().step(action)
+        self._gains[:] = gains_from_action(action, self.action_names)
 
     def _arrays(self) -> Arrays:
         return {**super()._arrays(), **join_parts(law={"gains": self._gains})}
@@ -170,9 +146,7 @@ class GainScheduleEnv(GazeEnv):
 
     ## Observation space
     `Box` by the argument `inputs`, see `vergence.controllers.networks.inputs`: `predicted`
-    (88 numbers), `error` (12, without memory), `to_go` (76), `history` (268, without prediction)
-    or `observation` (the 27 of `vergence/Gaze-v0`); for m actuators 22 m, 3 m, 19 m, 67 m, and
-    11 + 4 m.
+    (88 numbers) or `to_go` (76); for m actuators 22 m and 19 m.
 
     ## Rewards, starting state, episode end
     As in `vergence/Gaze-v0`, trial by trial: equal seeds give equal trials.

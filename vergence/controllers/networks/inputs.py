@@ -4,113 +4,169 @@ The observation of `vergence/Gaze-v0` has everything a policy needs, but not in 
 network can use. A gaze settles when the present error is below 1 px, and the present error is the
 small difference of large numbers: the error in an old image, and the angles that the joints have
 turned since its exposure. These inputs compute that difference with the head's kinematics, and
-include the loop parameters that the predictor has estimated. There are five kinds, see `KINDS`.
-`error`, `history` and `observation` omit the difference, to show its benefit; `history` has all
-data from which it could be computed.
+include the loop parameters that the predictor has estimated.
 
-All kinds except `observation` are by actuator of the eyes: each channel exists for every one. If
-each of the four eye joints has its own motor, one small network can serve all of them
-(`Inputs.by_joint`). Every channel lies in [-1, 1]; angles and velocities come in several
-resolutions, see `vergence.controllers.networks.resolutions`.
+Each channel exists for every actuator of the eyes. If each of the four eye joints has its own
+motor, one small network can serve all of them (`Inputs.by_joint`). Every channel lies in [-1, 1];
+angles and velocities come in several resolutions. A linear channel saturates; a logarithmic one,
 
-In a robot's loop some detections are outliers. `predicted` and `to_go` rely on the predictor, which
-rejects outliers; images that enter `error`, `history` and `predicted` directly pass the outlier
-gate of the fixed laws first (`vergence.controllers.outlier_gate`). `observation` is raw.
+    sign(x) ln(1 + |x| / x0) / ln(1 + x_max / x0)
+
+resolves every magnitude with the same relative resolution.
+
+In a robot's loop some detections are outliers. The predictor rejects them; the images that enter
+`predicted` directly pass the outlier gate of the fixed laws first (`OutlierGate`).
 
 The channels are part of the contract between a training run and its bundle: `Inputs.to_dict` goes
 into the manifest, and `VERSION` grows with every change of a channel's meaning.
 """
 
-from typing import Any, Final
+from math import log, log1p
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.ibvs import ibvs_velocities
-from vergence.controllers.networks.channels import CHANNELS, error_channels, present_channels
-from vergence.controllers.networks.history import STORED_IMAGES, InputHistory
 from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.joints import actuator_moves_eye
 from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
-from vergence.envs.encoding import FIELDS, check_observation
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, JOINTS, FloatArray
 
 VERSION: Final = 2
 """Version of the channels' meaning (numerical)."""
+COARSE_RAD: Final = 1.5
+"""Angle of a coarse channel's value 1, rad (chosen: range of the joints)."""
+MIDDLE_RAD: Final = 0.1
+"""Angle of a middle channel's value 1, rad (chosen)."""
+FINE_RAD: Final = 0.01
+"""Angle of a fine channel's value 1, rad (chosen)."""
+LOG_RAD: Final = 0.001
+"""x0 of the logarithmic channel of angles, rad (chosen)."""
+LOG_SPEED: Final = 0.005
+"""x0 of the logarithmic channel of velocities, as a fraction of the largest command (chosen)."""
 
-KINDS: Final[dict[str, tuple[str, ...]]] = {
-    "observation": tuple(
-        f"{name}_{i}" for name, part in FIELDS.items() for i in range(part.stop - part.start)
-    ),
-    **{
-        kind: tuple(f"{channel}_{joint}" for channel in channels for joint in JOINTS[EYES])
-        for kind, channels in CHANNELS.items()
-    },
+
+MAX_TO_GO_SHARE: Final = 2.0
+"""Saturation of the ratio `to_go_share` (chosen)."""
+MAX_LATENCY_S: Final = 0.1
+"""Saturation of lags and latencies, s (chosen)."""
+MAX_LATENCY_SD_S: Final = 0.02
+"""Saturation of the latency's standard deviation, s (chosen)."""
+MAX_ACCELERATION_RATIO: Final = 4.0
+"""Saturation of the acceleration ratio, and of its inverse (chosen)."""
+MAX_SPEED_GAIN: Final = 1.5
+"""Saturation of the speed gain, and of its inverse (chosen)."""
+MIN_REQUESTED_RAD: Final = 1e-5
+"""Lower bound of the divisor in `to_go_share`, rad (numerical)."""
+
+
+class _Share(NamedTuple):
+    """Channels that compare the remaining turn with the turn requested by the newest image."""
+
+    asked: float
+    asked_log: float
+    to_go_share: float
+
+
+class _Present(NamedTuple):
+    """Channels of one actuator's present state."""
+
+    to_go: float
+    to_go_log: float
+    to_go_middle: float
+    to_go_fine: float
+    to_rest_log: float
+    to_rest_middle: float
+    to_rest_fine: float
+    velocity: float
+    velocity_log: float
+    command: float
+    lag: float
+    acceleration: float
+    acceleration_sd: float
+    gain: float
+    latency: float
+    latency_sd: float
+    rate: float
+    later_rate: float
+    known: float
+
+
+CHANNELS: Final = {
+    "predicted": (*_Share._fields, *_Present._fields),
+    "to_go": _Present._fields,
 }
-"""Names of all inputs of each kind, in their order, for the article's four eye joints; for any head
-see `all_input_names`. `observation` is the observation of the task."""
+"""Channels of each kind of inputs, for each actuator of the eyes.
+
+| channel | meaning |
+| --- | --- |
+| `asked` | turn requested by the newest image's error / 1.5 rad; `_log` with x0 = 1 mrad |
+| `to_go` | remaining turn from the present angle / 1.5 rad; `_log` with x0 = 1 mrad |
+| `to_go_middle`, `to_go_fine` | remaining turn / 0.1 and 0.01 rad, saturated |
+| `to_go_share` | remaining turn / requested turn / 2, saturated |
+| `to_rest_...` | turn that would remain after coming to rest under zero command |
+| `velocity` | velocity / largest command; `_log` with x0 = 0.005 |
+| `command` | present command / largest command |
+| `lag` | estimated lag / 0.1 s |
+| `acceleration` | log of the ratio of estimated to modelled acceleration limit / ln 4 |
+| `acceleration_sd` | standard deviation of that logarithm |
+| `gain` | log of the estimated ratio of velocity to command / ln 1.5 |
+| `latency` | estimated latency of commands plus readings / 0.1 s |
+| `latency_sd` | its standard deviation / 0.02 s |
+| `rate` | growth rate of the remaining turn while it rests / largest command: a moving target |
+| `later_rate` | this rate when a command given now takes effect |
+| `known` | 1 if the target of an eye that it moves is known, otherwise 0 |
+
+`predicted` is for gain schedules: its angles and velocities are positive in the direction in which
+the law turns the actuator, as the best gain does not depend on that direction.
+"""
 
 
-def all_input_names(kind: str, layout: ObservationLayout) -> tuple[str, ...]:
-    """Return the names of all inputs of a kind, in their order.
-
-    Args:
-        kind: one of `KINDS`.
-        layout: the layout of observations, which includes the actuators.
-
-    Raises:
-        UnknownNameError: there is no such kind.
-    """
-    if kind not in KINDS:
-        raise UnknownNameError("inputs", kind, sorted(KINDS))
-    if kind in CHANNELS:
-        return tuple(f"{one}_{name}" for one in CHANNELS[kind] for name in layout.action_names)
-    fields = layout.fields.items()
-    return tuple(f"{name}_{i}" for name, part in fields for i in range(part.stop - part.start))
+KINDS: Final = {
+    kind: tuple(f"{channel}_{joint}" for channel in channels for joint in JOINTS[EYES])
+    for kind, channels in CHANNELS.items()
+}
+"""Names of all inputs of each kind, in their order, for a head with a motor for each eye joint."""
+_PRESENT_CHANNELS: Final = len(_Present._fields)
+_UNIT_GAINS: Final = np.ones((2, 2))
+_NO_SPEED_LIMITS: Final = np.full(4, 1e9)
 
 
 class Inputs:
     """The inputs of a network for one head.
 
     Args:
-        kind: one of `KINDS`.
+        kind: `predicted` or `to_go`, see `CHANNELS`.
         head: the model of the head.
-        layout: the layout of observations.
+        layout: the layout of observations; None for the head's own.
 
     Raises:
         UnknownNameError: there is no such kind.
     """
 
-    def __init__(self, kind: str, head: HeadModel, layout: ObservationLayout) -> None:
-        self.names = all_input_names(kind, layout)
+    def __init__(self, kind: str, head: HeadModel, layout: ObservationLayout | None = None) -> None:
+        if kind not in CHANNELS:
+            raise UnknownNameError("inputs", kind, sorted(CHANNELS))
         self.kind = kind
         self.head = head
-        self.layout = layout
-        self.predictor = (
-            SmithPredictor(head=head, layout=layout) if kind in _PREDICTED_KINDS else None
+        self.layout = layout = ObservationLayout.of(head) if layout is None else layout
+        self.names = tuple(
+            f"{one}_{name}" for one in CHANNELS[kind] for name in layout.action_names
         )
-        self._gate = OutlierGate(head, layout) if kind in _GATED_KINDS else None
-        actuation = head.actuation
-        self._acceleration = np.array(actuation.acceleration[EYES])
-        self._lag_ratio = np.array(actuation.lag_ratio[EYES])
+        self.predictor = SmithPredictor(head=head, layout=layout)
+        self._gate = OutlierGate(head, layout) if kind == "predicted" else None
+        self._acceleration = np.array(head.actuation.acceleration[EYES])
+        self._lag_ratio = np.array(head.actuation.lag_ratio[EYES])
         self._moved = actuator_moves_eye(head).T
-        moved = np.asarray(self._moved, dtype=np.float64)
-        self._history = InputHistory(head, layout, moved) if kind == "history" else None
         # the predictor's state comes first, as it accepts rows with further entries after it
-        remembering = (self.predictor, self._gate, self._history)
-        rows = [part.initial() for part in remembering if part is not None]
-        self._initial = np.concatenate(rows) if rows else np.zeros(0)
-        first = 0 if self.predictor is None else self.predictor.size
-        self._of_gate = slice(first, first + OutlierGate.size)
-        self._of_history = slice(OutlierGate.size, OutlierGate.size + InputHistory.size)
-
-    @classmethod
-    def of(cls, kind: str, head: HeadModel, layout: ObservationLayout | None = None) -> "Inputs":
-        """Make the inputs of a kind, for a head's own layout unless another one is given."""
-        return cls(kind, head, ObservationLayout.of(head) if layout is None else layout)
+        gate = () if self._gate is None else (self._gate.initial(),)
+        self._initial = np.concatenate([self.predictor.initial(), *gate])
+        self._of_gate = slice(self.predictor.size, self._initial.size)
 
     @property
     def size(self) -> int:
@@ -121,93 +177,60 @@ class Inputs:
     def by_joint(self) -> NDArray[np.int64] | None:
         """(4, channels) indices of each joint's own inputs.
 
-        None for `observation`, and for a head whose eye joints do not each have their own motor.
+        None for a head whose eye joints do not each have their own motor.
         """
-        if self.kind == "observation" or not self.head.actuation.direct:
+        if not self.head.actuation.direct:
             return None
         return np.arange(self.size).reshape(-1, 4).T.copy()
 
     @property
-    def known_indices(self) -> NDArray[np.int64] | None:
-        """(k, m) indices of inputs; a 1 in any of the k means that the actuator has a target.
-
-        None for `observation`.
-        """
-        if self.kind == "observation":
-            return None
-        actuators = self.layout.action_names
-        places = [
-            [self.names.index(f"{c}_{a}") for a in actuators] for c in _KNOWN_CHANNELS[self.kind]
-        ]
-        return np.array(places)
-
-    def low(self) -> NDArray[np.float32]:
-        """(size,) least value of each input."""
-        if self.kind == "observation":
-            return self.layout.low()
-        return np.full(self.size, -1.0, dtype=np.float32)
-
-    def high(self) -> NDArray[np.float32]:
-        """(size,) largest value of each input."""
-        return np.ones(self.size, dtype=np.float32)
+    def known_indices(self) -> slice:
+        """Indices of the inputs (m) in which 1 means that the actuator has a target."""
+        return slice(self.size - self.layout.count, self.size)
 
     def initial(self) -> FloatArray:
         """(state_size,) state at a trial's start."""
         return self._initial.copy()
 
-    def update(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
-        """Compute the network's inputs (..., size), see `inputs_and_prediction`."""
-        return self.inputs_and_prediction(observation, state)[0]
-
-    def inputs_and_prediction(
+    def update(
         self, observation: ArrayLike, state: FloatArray
-    ) -> tuple[NDArray[np.float32], Prediction | None]:
+    ) -> tuple[NDArray[np.float32], Prediction]:
         """Compute the network's inputs, and return the prediction they are based on.
 
         Args:
-            observation: (..., n) observations of the gaze task.
+            observation: (..., n) observations of the gaze task, each passed exactly once.
             state: (..., state_size or more) the state, updated in place; C-contiguous float64.
                 Entries after the state in each row belong to the caller.
 
         Returns:
-            (..., size) inputs in [-1, 1], and the prediction; None for kinds without one.
+            (..., size) inputs in [-1, 1], and the prediction.
         """
-        if self.kind == "observation":
-            numbers = check_observation(observation, self.layout.size)
-            return np.array(numbers, dtype=np.float32), None
         seen = self.layout.decode(observation)
-        limits, shape = self.layout.action_limits, np.empty((len(CHANNELS[self.kind]), 4))
-        at, error, asked = seen.positions_at_exposure, seen.pixel_error, np.zeros(4)
+        asked = np.zeros(4)
         if self._gate is not None:
-            detections = self._gate.update(seen, state[..., self._of_gate])
-            at, error = detections.positions_at_exposure, detections.pixel_error
-            asked = ibvs_velocities(self.head, at, error, _UNIT_GAINS, np.nan, _NO_SPEED_LIMITS)
-            if self._history is not None:
-                memory = state[..., self._of_history]
-                channels = self._history.update(seen, detections, asked, memory, shape)
-                return self._flat(channels), None
-        if self.predictor is None:
-            sees = np.isfinite(error).all(axis=-1)
-            return self._flat(error_channels(asked, sees @ self._moved, shape)), None
+            seen_by_law = self._gate.update(seen, state[..., self._of_gate])
+            asked = ibvs_velocities(
+                self.head, seen_by_law.positions_at_exposure, seen_by_law.pixel_error,
+                _UNIT_GAINS, np.nan, _NO_SPEED_LIMITS,
+            )  # fmt: skip
         now = self.predictor.update(seen, state)
-        response_estimate = (
-            now.acceleration_ratio,
-            now.acceleration_sd,
-            now.response_latency_s,
-            now.response_latency_sd_s,
+        response_estimate = np.stack(
+            [
+                now.acceleration_ratio,
+                now.acceleration_sd,
+                now.response_latency_s,
+                now.response_latency_sd_s,
+            ],
+            axis=-1,
         )
-        out = present_channels(
-            asked, now.angle_error, now.velocities, seen.last_command, limits, self._acceleration,
-            now.lag_s[..., None] * self._lag_ratio, now.goal_rates, now.goal_rates_at_effect,
-            now.speed_gain,
-            np.stack(response_estimate, axis=-1), now.known @ self._moved, shape,
+        channels = present_channels(
+            asked, now.angle_error, now.velocities, seen.last_command, self.layout.action_limits,
+            self._acceleration, now.lag_s[..., None] * self._lag_ratio, now.goal_rates,
+            now.goal_rates_at_effect, now.speed_gain, response_estimate, now.known @ self._moved,
+            np.empty((len(CHANNELS[self.kind]), 4)),
         )  # fmt: skip
-        return self._flat(out), now
-
-    def _flat(self, channels: FloatArray) -> NDArray[np.float32]:
-        """Reshape (..., channels, 4) to (..., size), keeping only actuators that exist."""
         channels = channels[..., : self.layout.count]
-        return channels.reshape(*channels.shape[:-2], self.size).astype(np.float32)
+        return channels.reshape(*channels.shape[:-2], self.size).astype(np.float32), now
 
     def to_dict(self) -> dict[str, Any]:
         """Return the inputs as plain numbers and names, for a manifest."""
@@ -227,7 +250,7 @@ class Inputs:
             raise ConfigurationError(
                 f"inputs.version: expected {VERSION}, got {fields.get('version')!r}"
             )
-        inputs = cls.of(str(fields.get("kind")), head, layout)
+        inputs = cls(str(fields.get("kind")), head, layout)
         if fields.get("names") != list(inputs.names):
             raise ConfigurationError(
                 f"inputs.names: expected the {inputs.size} of {inputs.kind}, "
@@ -236,12 +259,113 @@ class Inputs:
         return inputs
 
 
-_PREDICTED_KINDS = ("predicted", "to_go")
-_GATED_KINDS = ("error", "history", "predicted")
-_KNOWN_CHANNELS = {
-    "error": ("visible",),
-    "history": tuple(f"seen_{k}" for k in range(STORED_IMAGES)),
-    **dict.fromkeys(_PREDICTED_KINDS, ("known",)),
-}
-_UNIT_GAINS = np.ones((2, 2))
-_NO_SPEED_LIMITS = np.full(4, 1e9)
+@inlined
+def clip_to_unit(value: float) -> float:
+    """Clip a scaled value to [-1, 1]: a linear channel, which saturates."""
+    return min(max(value, -1.0), 1.0)
+
+
+@inlined
+def symlog_scaled(value: float, linear_threshold: float, full_scale: float) -> float:
+    """Scale a value to [-1, 1] logarithmically, with its sign."""
+    size = min(log1p(abs(value) / linear_threshold) / log1p(full_scale / linear_threshold), 1.0)
+    return size if value >= 0.0 else -size
+
+
+@inlined
+def _coasting(v: float, lag: float, a: float) -> float:
+    """Signed angle that an actuator turns until it rests under zero command from now on, rad."""
+    speed, least = abs(v), a * lag
+    turn = speed * lag
+    if speed > least:
+        # constant deceleration a until the speed is a * lag, exponential decay afterwards
+        turn = (speed * speed - least * least) / (2.0 * a) + least * lag
+    return turn if v >= 0.0 else -turn
+
+
+@inlined
+def _present(
+    to_go: float, v: float, u: float, limit: float, a: float, lag: float, rate: float,
+    later_rate: float, gain: float, response_estimate: FloatArray, known: bool,
+) -> _Present:  # fmt: skip
+    rest, sees = to_go - _coasting(v, lag, response_estimate[0] * a), 1.0 if known else 0.0
+    return _Present(
+        to_go=clip_to_unit(to_go / COARSE_RAD),
+        to_go_log=symlog_scaled(to_go, LOG_RAD, COARSE_RAD),
+        to_go_middle=clip_to_unit(to_go / MIDDLE_RAD),
+        to_go_fine=clip_to_unit(to_go / FINE_RAD),
+        to_rest_log=symlog_scaled(rest, LOG_RAD, COARSE_RAD),
+        to_rest_middle=clip_to_unit(rest / MIDDLE_RAD),
+        to_rest_fine=clip_to_unit(rest / FINE_RAD),
+        velocity=clip_to_unit(v / limit),
+        velocity_log=symlog_scaled(v / limit, LOG_SPEED, 1.0),
+        command=clip_to_unit(u / limit),
+        lag=min(lag / MAX_LATENCY_S, 1.0),
+        acceleration=clip_to_unit(log(response_estimate[0]) / log(MAX_ACCELERATION_RATIO)),
+        acceleration_sd=min(response_estimate[1], 1.0),
+        gain=clip_to_unit(log(gain) / log(MAX_SPEED_GAIN)),
+        latency=clip_to_unit(response_estimate[2] / MAX_LATENCY_S),
+        latency_sd=min(response_estimate[3] / MAX_LATENCY_SD_S, 1.0),
+        rate=clip_to_unit(rate / limit),
+        later_rate=clip_to_unit(later_rate / limit),
+        known=sees,
+    )
+
+
+@kernel(
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:,:],f8[:,:])"],
+    "(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(c,4)->(c,4)",
+)
+def present_channels(
+    requested_turn: FloatArray, to_go: FloatArray, velocity: FloatArray, command: FloatArray,
+    command_limits: FloatArray, acceleration_limit: FloatArray, lag: FloatArray,
+    goal_rate: FloatArray, goal_rate_at_effect: FloatArray, speed_gain: FloatArray,
+    response_estimate: FloatArray, known: NDArray[np.bool_], shape_only: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Compute the channels of `to_go` or `predicted`, selected by the length of `shape_only`.
+
+    Args:
+        requested_turn: (..., 4) turns requested by the newest image, rad.
+        to_go: (..., 4) remaining turns, rad.
+        velocity: (..., 4) present velocities, rad/s.
+        command: (..., 4) present commands, rad/s.
+        command_limits: (4,) largest commands, rad/s.
+        acceleration_limit: (4,) acceleration limits of the model, rad/s^2.
+        lag: (..., 4) lags, s.
+        goal_rate: (..., 4) velocities of the goals, rad/s.
+        goal_rate_at_effect: (..., 4) velocities of the goals when the command shows, rad/s.
+        speed_gain: (..., 4) ratios of velocity to command.
+        response_estimate: (..., 4) ratio of the accelerations to the model's, standard deviation of
+            its logarithm, latency of commands plus readings, s, and its standard deviation, s.
+        known: (..., 4) True if the target of an eye that the actuator moves is known.
+        shape_only: (channels, 4) array of any values; only its shape counts, which is that of the
+            result.
+        out: (..., channels, 4) result.
+    """
+    # with the channels of `_Share`, signs are relative to the direction of the requested turn
+    first = max(out.shape[0] - _PRESENT_CHANNELS, 0)
+    for j in range(4):
+        if not command_limits[j] > 0.0:  # no such actuator
+            for c in range(out.shape[0]):
+                out[c, j] = 0.0
+            continue
+        side = 1.0
+        if first > 0:
+            side = 1.0 if requested_turn[j] >= 0.0 else -1.0
+            turn, left = side * requested_turn[j], side * to_go[j]
+            share = _Share(
+                asked=clip_to_unit(turn / COARSE_RAD),
+                asked_log=symlog_scaled(turn, LOG_RAD, COARSE_RAD),
+                to_go_share=clip_to_unit(left / max(turn, MIN_REQUESTED_RAD) / MAX_TO_GO_SHARE),
+            )
+            for c in range(min(len(share), first)):
+                out[c, j] = share[c]
+        present = _present(
+            side * to_go[j], side * velocity[j], side * command[j], command_limits[j],
+            acceleration_limit[j],
+            lag[j], side * goal_rate[j], side * goal_rate_at_effect[j], speed_gain[j],
+            response_estimate, known[j],
+        )  # fmt: skip
+        for c in range(min(len(present), out.shape[0])):
+            out[first + c, j] = present[c]

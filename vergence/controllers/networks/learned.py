@@ -1,70 +1,187 @@
-"""Learned controllers: a network from a bundle or an ONNX file, with the interface `predict`.
+"""Learned controllers: a network in the loop of a head, with the interface `predict`.
 
-Nothing here unpickles or evaluates anything: a bundle is a manifest in JSON and a graph of a few
-known operators, checked before it reaches the runtime (`vergence.controllers.networks.bundle`).
+Between output and command stand the same elements as in the fixed laws, see
+`vergence.controllers.image_law`: commands are quantised to the resolution of the actuators, and the
+law of a gain schedule acts on the detections that pass the outlier gate. On a head without
+quantised commands and in a loop without outliers neither changes anything. A policy has no gate
+here: it acts on its inputs, and `Inputs` holds outliers back. An actuator of a policy without a
+target to turn to is held still: a network's output for rest is not exactly zero, and eyes that
+creep while they wait would move away from where the target will appear.
+
+A linear law can override the network. If the eyes have oscillated about their goals too often, or
+the servos' own loop overshoots (no channel shows this), the law of `state-feedback` turns them.
+These commands bypass `CommandQuantiser`: on a resting target they move the motors as they are.
+
+Training environments and deployed controllers run this same code.
 """
 
 import os
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from vergence.controllers.command_steps import CommandQuantiser
 from vergence.controllers.controller import Controller
 from vergence.controllers.fitting import checked_layout
-from vergence.controllers.gain_schedule import (
-    GAIN_LIMIT,
-    TILT_FIRST_GAIN_NAMES,
-    gain_indices_by_axis,
-    gain_names_of_head,
-)
-from vergence.controllers.networks.acting import NetworkPrePostProcessor
+from vergence.controllers.gain_schedule import ScheduledIBVS, gain_names_of_head, gains_from_action
 from vergence.controllers.networks.bundle import (
+    GAIN_SCHEDULE,
+    POLICY,
     SUFFIX,
     Bundle,
+    Floats,
     prefix_bundle_errors,
     pretrained_bundles,
     read_bundle,
-    read_limited,
 )
 from vergence.controllers.networks.inputs import Inputs
-from vergence.controllers.networks.manifest import GAIN_SCHEDULE, POLICY
-from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
-from vergence.controllers.networks.runtime import Runtime
+from vergence.controllers.networks.onnx import OnnxNetwork
+from vergence.controllers.outlier_gate import OutlierGate
+from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
+from vergence.controllers.prediction.predictor import Prediction
+from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
 from vergence.controllers.stateful import continued_state
+from vergence.envs.encoding import check_observation
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
+from vergence.models.parts import SLOTS, FloatArray
 
-Action = NDArray[np.float32]
-"""Arrays of actions, and of a network's inputs and outputs."""
+VELOCITY_POWER: Final = 3
+"""Exponent of a policy's action decoding (chosen: resolution near zero against exploration)."""
 
 
-class _Learned(ABC):
-    """Computes actions from observations with a network whose outputs range from -1 to 1."""
+def decode_velocity_action(action: ArrayLike) -> NDArray[np.float32]:
+    """Decode a policy's action to an action of the gaze task.
 
-    nan_replacement: ClassVar[float]
-    """Output in place of nan, at which the eyes rest: velocity 0, or -1, which is gain 0."""
-    outputs_gains: ClassVar[bool] = False
-    """True if the network chooses gains, False for velocities."""
+    Args:
+        action: (..., m) clipped to [-1, 1].
 
-    def __init__(self, inputs: Inputs, network: Network, source: str) -> None:
-        for what, expected, got in (
-            ("inputs", inputs.size, network.input_size),
-            ("outputs", self._outputs(inputs), network.output_size),
-        ):
-            if expected != got:
-                raise BundleError(f"{source}: network: expected {expected} {what}, got {got}")
+    Returns:
+        (..., m) actuator velocities as fractions of their limits, `sign(a) |a|^3`.
+    """
+    limited = np.clip(np.asarray(action, dtype=np.float32), -1.0, 1.0)
+    return np.asarray(limited**VELOCITY_POWER, dtype=np.float32)
+
+
+class NetworkLoop:
+    """The stages before and after a network, with one packed row of state per head.
+
+    The caller runs the network between `network_inputs` and `action`.
+
+    Args:
+        inputs: inputs of the network, which include the head and the layout.
+        schedule: True if the network chooses gains, False for velocities.
+    """
+
+    def __init__(self, inputs: Inputs, schedule: bool) -> None:
+        self.inputs = inputs
+        self._layout = layout = inputs.layout
+        self.gain_names = gain_names_of_head(inputs.head) if schedule else None
+        self._law = ScheduledIBVS(inputs.head, layout)
+        self._gate = OutlierGate(inputs.head, layout)
+        self._quantiser = CommandQuantiser(inputs.head, layout.action_limits)
+        of_inputs = inputs.initial().size
+        of_gate = self._gate.size if schedule else 0
+        self._of_gate = slice(of_inputs, of_inputs + of_gate)
+        self._of_calm = slice(self._of_gate.stop, self._of_gate.stop + SLOTS)
+        self._of_rounding = slice(self._of_calm.stop, self._of_calm.stop + SLOTS)
+        self._calm_count = self._of_rounding.stop
+        self._initial = np.concatenate(
+            [
+                inputs.initial(),
+                self._gate.initial()[:of_gate],
+                np.full(SLOTS, np.nan),
+                np.zeros(SLOTS + 1),
+            ]
+        )
+
+    def initial(self) -> FloatArray:
+        """(S,) state at a trial's start."""
+        return self._initial.copy()
+
+    def linear_periods(self, state: FloatArray) -> FloatArray:
+        """(...) number of periods in which the linear law has acted in the network's place."""
+        return state[..., self._calm_count]
+
+    def network_inputs(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
+        """Compute the network's inputs, see `Inputs.update`.
+
+        Args:
+            observation: (..., n) observations of the gaze task, each passed exactly once.
+            state: (..., S) updated in place; C-contiguous.
+
+        Returns:
+            (..., size) inputs.
+        """
+        seen, now = self.inputs.update(observation, state)
+        calm = self._calm(now)
+        state[..., self._of_calm] = calm
+        state[..., self._calm_count] += ~np.isnan(calm).all(axis=-1)
+        return seen
+
+    def _calm(self, now: Prediction) -> FloatArray:
+        """(..., 4) commands of the linear law, rad/s; nan where the network turns the eyes."""
+        against = now._replace(velocities=now.velocities - now.goal_rates)
+        command = linear_command(against, self.inputs.predictor.params, DEFAULT_LAW)
+        calm = (now.half_swing_count > OSCILLATING_HALF_SWINGS) | (now.build_up > 0.0)
+        return np.where(
+            calm[..., None], command + now.goal_rates_at_effect / now.speed_gain, np.nan
+        )
+
+    def action(
+        self, observation: ArrayLike, seen: Floats, outputs: ArrayLike, state: FloatArray
+    ) -> NDArray[np.float32]:
+        """Compute the gaze task's action from the network's outputs.
+
+        Args:
+            observation: (..., n) the observations last passed to `network_inputs`.
+            seen: (..., size) what that returned.
+            outputs: (..., m) in [-1, 1], see `decode_velocity_action` and `gains_from_action`.
+            state: (..., S) updated in place.
+
+        Returns:
+            (..., m) the gaze task's action.
+        """
+        if self.gain_names is None:
+            velocities = decode_velocity_action(outputs)
+            velocities = np.where(seen[..., self.inputs.known_indices] > 0.5, velocities, 0.0)
+            command = np.zeros((*velocities.shape[:-1], SLOTS))
+            command[..., : self._layout.count] = velocities
+            command *= self._layout.action_limits
+        else:
+            decoded = self._layout.decode(observation)
+            detections = self._gate.update(decoded, state[..., self._of_gate])
+            guarded = decoded._replace(
+                pixel_error=detections.pixel_error,
+                positions_at_exposure=detections.positions_at_exposure,
+            )
+            command = self._law.command(guarded, gains_from_action(outputs, self.gain_names))
+        if self._quantiser.step_rad_s > 0.0:
+            command = self._quantiser.quantise(command, state[..., self._of_rounding])
+        calm = state[..., self._of_calm]
+        return self._layout.action(np.where(np.isnan(calm), command, calm))
+
+
+class NetworkController:
+    """A controller whose actions a network chooses.
+
+    Args:
+        inputs: inputs of the network, which include the head and the layout.
+        network: maps (..., size) inputs to (..., m) outputs in [-1, 1].
+        schedule: True if the network chooses gains, False for velocities.
+    """
+
+    def __init__(self, inputs: Inputs, network: Callable[[Floats], Floats], schedule: bool) -> None:
         self.head = inputs.head
         self.layout = inputs.layout
         self.inputs = inputs
-        self._acting = NetworkPrePostProcessor(inputs, self.outputs_gains)
-        with prefix_bundle_errors(source):
-            self._runtime = Runtime(network)
+        self._network = network
+        self._loop = NetworkLoop(inputs, schedule)
+        self._at_rest = -1.0 if schedule else 0.0
 
     def predict(
         self,
@@ -73,55 +190,19 @@ class _Learned(ABC):
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Choose actions, see `Controller.predict`; `state` is the pre- and postprocessor's."""
+        """Choose actions, see `Controller.predict`; outputs that are nan leave the eyes at rest."""
         observation = np.asarray(observation)
-        memory = continued_state(
-            self._acting.initial(), observation.shape[:-1], state, episode_start
-        )
-        seen = self._acting.network_inputs(observation, memory)
-        return self._action(observation, seen, self._run(seen), memory), (memory,)
+        memory = continued_state(self._loop.initial(), observation.shape[:-1], state, episode_start)
+        seen = self._loop.network_inputs(observation, memory)
+        outputs = np.nan_to_num(self._network(seen), copy=False, nan=self._at_rest)
+        return self._loop.action(observation, seen, outputs, memory), (memory,)
 
-    def outputs(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[Any] | None = None,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...]]:
-        """Compute the outputs of the network.
-
-        Args:
-            observation: (..., size) observations of the gaze task.
-            state: the state returned by the last call; None at the start.
-            episode_start: (...) True for an episode that has just begun.
-
-        Returns:
-            (..., outputs) in [-1, 1], where -1 and 1 stand for `low` and `high` of the manifest's
-            actions, linear in between, and the state for the next call.
-        """
-        observation = np.asarray(observation)
-        leading = observation.shape[:-1]
-        memory = continued_state(self._acting.initial(), leading, state, episode_start)
-        return self._run(self._acting.network_inputs(observation, memory)), (memory,)
-
-    def _run(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        out = self._runtime(seen)
-        np.clip(out, -1.0, 1.0, out=out)
-        out[np.isnan(out)] = self.nan_replacement
-        return out
-
-    @staticmethod
-    def _outputs(inputs: Inputs) -> int:
-        """Number of outputs of the network: one per actuator."""
-        return inputs.layout.count
-
-    @abstractmethod
-    def _action(
-        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
-    ) -> Action:
-        """Compute the environment's action from the network's outputs; update `memory` in place."""
+    def linear_periods(self, state: tuple[NDArray[Any], ...]) -> FloatArray:
+        """(...) periods so far in which the linear law acted in the network's place."""
+        return self._loop.linear_periods(state[0])
 
 
-class BundledNetwork(_Learned):
+class _BundledNetwork(NetworkController):
     """A network with a manifest, which states what it was trained for.
 
     Args:
@@ -133,7 +214,7 @@ class BundledNetwork(_Learned):
 
     Raises:
         BundleError: the bundle cannot be read or does not fit.
-        ConfigurationError: none is shipped for this head, or onnxruntime is not installed.
+        ConfigurationError: none is shipped for this head.
     """
 
     kind: ClassVar[str]
@@ -148,48 +229,39 @@ class BundledNetwork(_Learned):
         allow_other_head: bool = False,
     ) -> None:
         opened = open_bundle(self.kind, head, bundle)
-        super().__init__(*_fitting(opened, self.kind, head, layout, allow_other_head))
         self.manifest = opened.manifest
+        with prefix_bundle_errors(opened.source):
+            if opened.manifest.kind != self.kind:
+                raise BundleError(f"kind: expected {self.kind}, got {opened.manifest.kind!r}")
+            inputs = opened.manifest.check_fits(head, layout, allow_other_head)
+            outputs = len(opened.manifest.actions["names"])
+            for what, expected, got in (
+                ("inputs", inputs.size, opened.network.input_size),
+                ("outputs", outputs, opened.network.output_size),
+            ):
+                if expected != got:
+                    raise BundleError(f"network: expected {expected} {what}, got {got}")
+        super().__init__(inputs, opened.network, self.kind == GAIN_SCHEDULE)
 
 
-class LearnedPolicy(BundledNetwork):
-    """Actuator velocities from a network; the arguments are those of `BundledNetwork`."""
+class LearnedPolicy(_BundledNetwork):
+    """Actuator velocities from a network; the arguments are those of `_BundledNetwork`."""
 
     kind = POLICY
-    nan_replacement = 0.0
-
-    def _action(
-        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
-    ) -> Action:
-        return self._acting.action_from_velocities(seen, outputs, memory)
 
 
-class LearnedGain(BundledNetwork):
-    """The article's law with gains from a network; the arguments are those of `BundledNetwork`."""
+class LearnedGain(_BundledNetwork):
+    """The article's law with gains from a network; the arguments are those of `_BundledNetwork`."""
 
     kind = GAIN_SCHEDULE
-    nan_replacement = -1.0  # a gain of zero
-    outputs_gains = True
-
-    @staticmethod
-    def _outputs(inputs: Inputs) -> int:
-        return len(TILT_FIRST_GAIN_NAMES)  # by eye and image axis, whatever moves the eyes
-
-    def _action(
-        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
-    ) -> Action:
-        shares = outputs[..., gain_indices_by_axis(gain_names_of_head(self.head))]
-        gains = 0.5 * GAIN_LIMIT * (1.0 + shares)
-        return self._acting.ibvs_action_from_gains(
-            observation, gains.reshape(*gains.shape[:-1], 2, 2), memory
-        )
 
 
-class BareOnnxPolicy(_Learned):
+class BareOnnxPolicy:
     """A bare ONNX file that maps the numbers of an observation to those of an action.
 
     Such a file does not state which head and layout it was trained with: the caller is responsible
-    for that. Outputs are clipped to [-1, 1] and are the action, without any stage in between.
+    for that. Outputs are clipped to [-1, 1] and are the action, without any stage in between; nan
+    is rest.
 
     Args:
         head: the model of the head.
@@ -197,25 +269,27 @@ class BareOnnxPolicy(_Learned):
         path: the file.
 
     Raises:
-        BundleError: it cannot be read, is no such graph, or is not allowed.
+        BundleError: it cannot be read or is no such network.
         ConfigurationError: onnxruntime is not installed.
     """
-
-    nan_replacement = 0.0
 
     def __init__(
         self, *, head: HeadModel, layout: ObservationLayout, path: str | os.PathLike[str]
     ) -> None:
-        data = read_limited(path, MAX_NETWORK_BYTES)
-        with prefix_bundle_errors(str(path)):
-            network = read_network(data)
-        inputs = Inputs.of("observation", head, checked_layout(head, layout))
-        super().__init__(inputs, network, str(path))
+        self.head = head
+        self.layout = checked_layout(head, layout)
+        self._network = OnnxNetwork(path, layout.size, layout.count)
 
-    def _action(
-        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
-    ) -> Action:
-        return outputs
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Choose actions, see `Controller.predict`; the network has no state."""
+        seen = check_observation(observation, self.layout.size).astype(np.float32)
+        return np.clip(np.nan_to_num(self._network(seen), nan=0.0), -1.0, 1.0), state
 
 
 def load_policy(
@@ -236,20 +310,19 @@ def load_policy(
         The controller.
 
     Raises:
-        BundleError: it cannot be read, is damaged, not allowed, or does not fit.
-        ConfigurationError: onnxruntime is not installed, or the layout is another head's.
+        BundleError: it cannot be read, is damaged, or does not fit.
+        ConfigurationError: onnxruntime is not installed for a bare network, or the layout is
+            another head's.
     """
     layout = checked_layout(head, layout)
     if Path(path).suffix == ".onnx":
         return BareOnnxPolicy(head=head, layout=layout, path=path)
     if Path(path).suffix != SUFFIX:
         raise BundleError(f"{path}: expected a file named *{SUFFIX} or *.onnx, got another name")
-    bundle = read_bundle(path)
-    make = {GAIN_SCHEDULE: LearnedGain, POLICY: LearnedPolicy}.get(bundle.manifest.kind)
+    kind = read_bundle(path).manifest.kind
+    make = {GAIN_SCHEDULE: LearnedGain, POLICY: LearnedPolicy}.get(kind)
     if make is None:
-        raise BundleError(
-            f"{path}: kind: expected {GAIN_SCHEDULE} or {POLICY}, got {bundle.manifest.kind!r}"
-        )
+        raise BundleError(f"{path}: kind: expected {GAIN_SCHEDULE} or {POLICY}, got {kind!r}")
     return make(head=head, layout=layout, bundle=path, allow_other_head=allow_other_head)
 
 
@@ -266,14 +339,18 @@ def open_bundle(kind: str, head: HeadModel, bundle: str | os.PathLike[str] | Non
         The bundle.
 
     Raises:
-        BundleError: it cannot be read, is damaged or not allowed.
+        BundleError: it cannot be read or is damaged.
         ConfigurationError: no such bundle is shipped.
     """
-    if bundle is not None and Path(bundle).suffix == SUFFIX:
-        return read_bundle(bundle)
     shipped = pretrained_bundles()
     if bundle is None:
         return _shipped_for(kind, head, shipped)
+    if not isinstance(bundle, str | os.PathLike):
+        raise ConfigurationError(
+            f"bundle: expected a file's path or the name of a shipped bundle, got {bundle!r:.80}"
+        )
+    if Path(bundle).suffix == SUFFIX:
+        return read_bundle(bundle)
     name = os.fspath(bundle)
     if name not in shipped:
         raise ConfigurationError(
@@ -297,13 +374,3 @@ def _shipped_for(kind: str, head: HeadModel, shipped: Mapping[str, Path]) -> Bun
         f"with the package, which fits {fitting}: `vergence train {kind} --head FILE` learns one, "
         f"`vergence export bundle RUN NAME{SUFFIX}` makes it a file for the option `bundle`"
     )
-
-
-def _fitting(
-    bundle: Bundle, kind: str, head: HeadModel, layout: ObservationLayout, allow_other_head: bool
-) -> tuple[Inputs, Network, str]:
-    if bundle.manifest.kind != kind:
-        raise BundleError(f"{bundle.source}: kind: expected {kind}, got {bundle.manifest.kind!r}")
-    with prefix_bundle_errors(bundle.source):
-        inputs = bundle.manifest.check_fits(head, layout, allow_other_head)
-    return inputs, bundle.network, bundle.source
