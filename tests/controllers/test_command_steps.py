@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vergence import load_head
-from vergence.controllers.command_steps import CommandQuantiser
+from vergence.controllers.gate import CommandQuantiser
 
 STEP = 0.024
 LIMITS = np.full(4, 6.0)

@@ -8,9 +8,8 @@ from tests.controllers.loops import begin
 from tests.grids import some_of
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.freshness import is_fresh
-from vergence.controllers.outlier_gate import GATE_STATE, OutlierGate
-from vergence.controllers.prediction.predictor_state import PREDICTOR_STATE, PREDICTOR_STATE_SIZE
+from vergence.controllers.gate import GATE_STATE, OutlierGate, is_fresh
+from vergence.controllers.prediction.state import PREDICTOR_STATE, PREDICTOR_STATE_SIZE
 from vergence.envs.layout import AGE_S
 from vergence.envs.task import GazeTask
 

@@ -9,7 +9,7 @@ from tests.controllers.loops import begin
 from tests.heads import head_of
 from tests.naming import named
 from vergence.controllers import make_controller
-from vergence.controllers.gain_schedule import (
+from vergence.controllers.adaptive import (
     GAIN_LIMIT,
     TILT_FIRST_GAIN_NAMES,
     ScheduledIBVS,

@@ -5,7 +5,7 @@ import pytest
 
 from tests.naming import named
 from vergence import load_head
-from vergence.controllers.outlier_gate import (
+from vergence.controllers.gate import (
     MAX_BRIDGED_S,
     MAX_HELD_DETECTIONS,
     GatedDetections,

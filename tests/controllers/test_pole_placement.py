@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.naming import named
-from vergence.controllers.pole_placement import pole_placement_command
+from vergence.controllers.state_feedback import pole_placement_command
 from vergence.models.motion import follow_held_command, prepare_held_response
 
 LAG_S = 0.03

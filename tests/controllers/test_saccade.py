@@ -9,7 +9,7 @@ from tests.grids import some_of
 from tests.joint_motion import respond
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.prediction.joints import pack_predictor_parameters
+from vergence.controllers.prediction.parameters import pack_predictor_parameters
 from vergence.controllers.saccade import saccade_command
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError

@@ -7,9 +7,8 @@ from tests.controllers.loops import settle_time, true_errors
 from tests.joint_motion import respond
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.pole_placement import pole_placement_command
-from vergence.controllers.prediction.joints import pack_predictor_parameters
-from vergence.controllers.state_feedback import feedback_command
+from vergence.controllers.prediction.parameters import pack_predictor_parameters
+from vergence.controllers.state_feedback import feedback_command, pole_placement_command
 from vergence.controllers.tuned import tuned_or_fallback_options
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.scenarios import load_scenario

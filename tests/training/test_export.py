@@ -17,7 +17,7 @@ from tests.test_cli import call
 from tests.training.runs import Silent
 from vergence import make_controller
 from vergence.commands.train import Train
-from vergence.controllers.gain_schedule import gains_from_action
+from vergence.controllers.adaptive import gains_from_action
 from vergence.controllers.networks.bundle import read_bundle
 from vergence.controllers.networks.environments import decode_velocity_action
 from vergence.controllers.networks.inputs import Inputs

@@ -11,12 +11,12 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from vergence.controllers.gain_schedule import gain_names_of_head, gains_from_action
+from vergence.controllers.adaptive import gain_names_of_head, gains_from_action
+from vergence.controllers.controller import continued_state
 from vergence.controllers.networks.acting import NetworkPrePostProcessor
 from vergence.controllers.networks.environments import decode_velocity_action, training_env
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import GAIN_SCHEDULE
-from vergence.controllers.stateful import continued_state
 from vergence.errors import ConfigurationError, TrainingDivergedError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head import HeadModel

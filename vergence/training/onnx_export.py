@@ -20,7 +20,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_indices_by_axis, gains_from_action
+from vergence.controllers.adaptive import GAIN_LIMIT, gain_indices_by_axis, gains_from_action
 from vergence.controllers.networks.environments import VELOCITY_POWER, decode_velocity_action
 from vergence.controllers.networks.manifest import POLICY
 from vergence.controllers.networks.onnx_graph import Network, read_network

@@ -8,8 +8,11 @@ from tests.controllers.reaching import run
 from tests.heads import CENTRE, IMAGE, LOOP, eyes, head_of, joint
 from tests.naming import named
 from vergence import load_head
-from vergence.controllers.prediction.joints import PREDICTOR_PARAMETERS, pack_predictor_parameters
-from vergence.controllers.prediction.virtual_joints import with_virtual_joints
+from vergence.controllers.prediction.parameters import (
+    PREDICTOR_PARAMETERS,
+    pack_predictor_parameters,
+    with_virtual_joints,
+)
 from vergence.envs.task import GazeTask
 from vergence.models import parse_head
 from vergence.models.fixation import fixate_eye

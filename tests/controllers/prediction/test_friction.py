@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.friction import BAND_PX, SETTLE_S, errors_px
-from vergence.controllers.prediction.friction import error_to_correct
+from vergence.controllers.prediction.oscillation import error_to_correct
 from vergence.hardware.emulator.world import MotorOptions
 
 PERIOD_S = 0.01

@@ -4,13 +4,16 @@ import numpy as np
 
 from tests.naming import named
 from vergence import load_head
-from vergence.controllers.prediction.joints import PREDICTOR_PARAMETERS, pack_predictor_parameters
 from vergence.controllers.prediction.oscillation import (
     OSCILLATING_HALF_SWINGS,
     OscillationState,
     decay_count,
     reset_oscillation,
     update_oscillation,
+)
+from vergence.controllers.prediction.parameters import (
+    PREDICTOR_PARAMETERS,
+    pack_predictor_parameters,
 )
 from vergence.controllers.rows import row_layout
 

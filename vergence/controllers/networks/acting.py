@@ -1,7 +1,7 @@
 """A network in the loop of a head: from observations to its inputs, from its outputs to actions.
 
 Between output and command stand the same elements as in the fixed laws, see
-`vergence.controllers.image_law`: commands are quantised to the resolution of the actuators, and the
+`vergence.controllers.gate`: commands are quantised to the resolution of the actuators, and the
 law of a gain schedule acts on the detections that pass the outlier gate. On a head without
 quantised commands and in a loop without outliers neither changes anything. A policy has no gate
 here: it acts on its inputs, and `Inputs` holds outliers back. An actuator of a policy without a
@@ -19,10 +19,9 @@ Training environments and deployed controllers run this same code.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.command_steps import CommandQuantiser
-from vergence.controllers.gain_schedule import ScheduledIBVS
+from vergence.controllers.adaptive import ScheduledIBVS
+from vergence.controllers.gate import CommandQuantiser, OutlierGate
 from vergence.controllers.networks.inputs import Inputs
-from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command

@@ -19,7 +19,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.gain_schedule import gain_names_of_head, gains_from_action
+from vergence.controllers.adaptive import gain_names_of_head, gains_from_action
 from vergence.controllers.networks.acting import NetworkPrePostProcessor
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs import MAX_EPISODE_STEPS

@@ -17,6 +17,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
+from vergence.controllers.gate import GatedDetections
 from vergence.controllers.networks.resolutions import (
     COARSE_RAD,
     FINE_RAD,
@@ -26,7 +27,6 @@ from vergence.controllers.networks.resolutions import (
     clip_to_unit,
     symlog_scaled,
 )
-from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.encoding import AGE_S
 from vergence.envs.layout import Observation, ObservationLayout

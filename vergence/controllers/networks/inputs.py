@@ -15,7 +15,7 @@ resolutions, see `vergence.controllers.networks.resolutions`.
 
 In a robot's loop some detections are outliers. `predicted` and `to_go` rely on the predictor, which
 rejects outliers; images that enter `error`, `history` and `predicted` directly pass the outlier
-gate of the fixed laws first (`vergence.controllers.outlier_gate`). `observation` is raw.
+gate of the fixed laws first (`vergence.controllers.gate`). `observation` is raw.
 
 The channels are part of the contract between a training run and its bundle: `Inputs.to_dict` goes
 into the manifest, and `VERSION` grows with every change of a channel's meaning.
@@ -26,11 +26,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vergence.controllers.gate import OutlierGate
 from vergence.controllers.ibvs import ibvs_velocities
 from vergence.controllers.networks.channels import CHANNELS, error_channels, present_channels
 from vergence.controllers.networks.history import STORED_IMAGES, InputHistory
-from vergence.controllers.outlier_gate import OutlierGate
-from vergence.controllers.prediction.joints import actuator_moves_eye
+from vergence.controllers.prediction.parameters import actuator_moves_eye
 from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
 from vergence.envs.encoding import FIELDS, check_observation
 from vergence.envs.layout import ObservationLayout

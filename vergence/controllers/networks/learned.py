@@ -13,14 +13,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.controllers.controller import Controller
-from vergence.controllers.fitting import checked_layout
-from vergence.controllers.gain_schedule import (
+from vergence.controllers.adaptive import (
     GAIN_LIMIT,
     TILT_FIRST_GAIN_NAMES,
     gain_indices_by_axis,
     gain_names_of_head,
 )
+from vergence.controllers.controller import Controller, checked_layout, continued_state
 from vergence.controllers.networks.acting import NetworkPrePostProcessor
 from vergence.controllers.networks.bundle import (
     SUFFIX,
@@ -34,7 +33,6 @@ from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import GAIN_SCHEDULE, POLICY
 from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.controllers.networks.runtime import Runtime
-from vergence.controllers.stateful import continued_state
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError
 from vergence.models.head import HeadModel

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_names_of_head
+from vergence.controllers.adaptive import GAIN_LIMIT, gain_names_of_head
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError, UnknownNameError
