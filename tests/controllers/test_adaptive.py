@@ -1,12 +1,22 @@
-"""ViSP's adaptive gain: its curve, and the law with it."""
+"""Gains that vary: ViSP's adaptive gain with its curve, and gains from outside."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.controllers.loops import settle_time, true_errors
+from tests.controllers.loops import begin, settle_time, true_errors
+from tests.heads import head_of
+from tests.naming import named
 from vergence import load_head, make_controller
+from vergence.controllers.adaptive import (
+    GAIN_LIMIT,
+    TILT_FIRST_GAIN_NAMES,
+    ScheduledIBVS,
+    action_from_gains,
+    gain_names_of_head,
+    gains_from_action,
+)
 from vergence.envs.task import GazeTask
 
 HEAD = load_head("simulated")
@@ -45,3 +55,72 @@ def test_it_settles_random_targets_no_later_than_the_articles_law() -> None:
         each = [settle_time(errors[:, i : i + 1], 1 / 120) for i in range(20)]
         times.append(float(np.median(each)))
     assert times[1] < times[0]
+
+
+numbers = st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4)
+
+
+@given(numbers)
+def test_gains_are_never_negative_and_never_above_their_limit(action) -> None:
+    gains = gains_from_action(action)
+    assert gains.shape == (2, 2)
+    assert ((gains >= 0.0) & (gains <= GAIN_LIMIT)).all()
+
+
+@given(st.lists(st.floats(0.0, GAIN_LIMIT), min_size=4, max_size=4))
+def test_every_gain_can_be_asked_for(gains) -> None:
+    wanted = np.reshape(gains, (2, 2))
+    # a float32 action near -1 resolves gains to 5 (1e-7)^2, elsewhere to 20 * 1e-7
+    assert gains_from_action(action_from_gains(wanted)) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_the_order_is_that_of_the_joints_which_answer() -> None:
+    """A tilt moves v and a pan moves u."""
+    assert gains_from_action([-1, 1, -1, -1])[0].tolist() == [20.0, 0.0]
+    assert gains_from_action([-1, -1, 1, -1])[1].tolist() == [0.0, 20.0]
+
+
+def test_eyes_that_pan_first_have_their_gains_in_the_order_of_their_joints() -> None:
+    names = gain_names_of_head(head_of("panfirst"))
+    assert names == ("left_u", "left_v", "right_u", "right_v")
+    assert gains_from_action([1, -1, -1, -1], names)[0].tolist() == [20.0, 0.0]
+    wanted = np.array([[1.0, 2.0], [3.0, 4.0]])
+    found = gains_from_action(action_from_gains(wanted, names), names)
+    assert found == pytest.approx(wanted, abs=1e-5)
+
+
+def test_eyes_that_tilt_first_and_tied_ones_have_their_gains_by_image_axis() -> None:
+    assert gain_names_of_head(load_head("simulated")) == TILT_FIRST_GAIN_NAMES
+    for name in ["tied", "mis", "common", "vergeonly"]:
+        with named(name):
+            assert gain_names_of_head(head_of(name)) == TILT_FIRST_GAIN_NAMES
+
+
+def seen(num: int = 50) -> GazeTask:
+    task = begin(GazeTask(num, plant="kinematic"), 3)
+    for _ in range(9):
+        task.step(np.zeros((num, 4)))
+    return task
+
+
+def test_with_one_gain_it_is_the_articles_law() -> None:
+    task = seen()
+    law = ScheduledIBVS(task.head, task.layout)
+    expected, _state = make_controller("ibvs", task.head, gain=3.0).predict(task.observation)
+    assert np.array_equal(law.action(task.observation, np.full((2, 2), 3.0)), expected)
+    assert not law.action(task.observation, np.zeros((2, 2))).any()
+
+
+def test_whatever_the_gains_the_image_error_shrinks() -> None:
+    """A small turn along the command, with gains drawn for each eye and axis."""
+    task = seen()
+    truth = task.truth()
+    law = ScheduledIBVS(task.head, task.layout)
+    gains = np.random.default_rng(0).uniform(0.1, 20.0, (task.num, 2, 2))
+    command = law.command(task.layout.decode(task.observation), gains)
+    q = truth.positions.copy()
+    q[:, 3:] += 1e-3 * command
+    before = task.head.project(truth.positions, truth.target) - task.head.cameras.principal
+    after = task.head.project(q, truth.target) - task.head.cameras.principal
+    assert (np.abs(after) <= np.abs(before) + 0.1).all()
+    assert (np.linalg.norm(after, axis=-1) < np.linalg.norm(before, axis=-1)).all()

@@ -7,7 +7,7 @@ from tests.controllers.loops import begin
 from tests.heads import head_of
 from tests.naming import named
 from vergence.controllers import CONTROLLERS, make_controller
-from vergence.controllers.coupled import reducible_pixel_error
+from vergence.controllers.ibvs import reducible_pixel_error
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError

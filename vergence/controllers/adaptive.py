@@ -1,6 +1,6 @@
-r"""Image-based visual servoing with ViSP's adaptive gain.
+"""Laws with gains that vary: ViSP's adaptive gain, and gain schedules.
 
-The law of `vergence.controllers.ibvs`, with a gain that grows as the error shrinks. Per eye,
+The adaptive gain of the law of `vergence.controllers.ibvs` grows as the error shrinks. Per eye,
 
     lambda(x) = (lambda_0 - lambda_inf) exp(-lambda'_0 x / |lambda_0 - lambda_inf|) + lambda_inf
 
@@ -9,24 +9,41 @@ with lambda_0 the gain at zero error, lambda_inf the gain far away, and -lambda'
 x is the infinity norm of the eye's error in normalised image coordinates, (u - u_0) / f_u and (v -
 v_0) / f_v: no unit, close to radians near the axis. Only the part of the error that the head's
 actuators can remove counts.
+
+A schedule chooses K of the law `theta_dot = J^-1 K (p* - p)` for each eye and image axis, between 0
+and 20 per second. It can therefore only reshape a law that is well understood: whatever the gains,
+the eyes never turn away from the target's position in the newest image, and they rest where that
+error is zero.
+
+An action of a schedule is four numbers in [-1, 1], whatever moves the head's eyes: for left v, left
+u, right v and right u, in the order of the joints that move these axes (a tilt moves v, a pan u).
+For eyes that pan first, the order is u, v, see `gain_names_of_head`.
+
+    gain = 5 (1 + action)^2 per second
+
+The square gives small gains, which brake, a larger part of the range.
 """
 
+from collections.abc import Sequence
 from math import exp, isfinite
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.coupled import reducible_pixel_error
-from vergence.controllers.ibvs import depth_or_nan, ibvs_velocities, speed_limits
-from vergence.controllers.image_law import GatedImageController
-from vergence.controllers.outlier_gate import GatedDetections
-from vergence.envs.layout import ObservationLayout
+from vergence.controllers.gate import GatedDetections, GatedImageController
+from vergence.controllers.ibvs import (
+    depth_or_nan,
+    ibvs_velocities,
+    reducible_pixel_error,
+    speed_limits,
+)
+from vergence.envs.layout import Observation, ObservationLayout
 from vergence.envs.validation import check_at_least_zero
 from vergence.kernels import kernel
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED, PackedHead, camera_of
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYE_NAMES, FloatArray
 from vergence.operands import as_operand
 
 
@@ -101,3 +118,118 @@ def adaptive_gains(
             x = max(du / camera.focal_u, dv / camera.focal_v)
             gain += fall * exp(-slope * x / abs(fall))
         out[eye, 0] = out[eye, 1] = gain
+
+
+GAIN_LIMIT: Final = 20.0
+"""Largest gain, 1/s; the least is 0 (chosen)."""
+TILT_FIRST_GAIN_NAMES: Final = ("left_v", "left_u", "right_v", "right_u")
+"""Gains of the four numbers of a schedule's action, for eyes that tilt first."""
+_TRIANGULATED: Final = np.nan
+
+
+def gain_names_of_head(head: HeadModel) -> tuple[str, ...]:
+    """Name the four gains of a schedule's action in its order: eye, image axis (`left_v`).
+
+    Args:
+        head: the model of the head.
+
+    Returns:
+        For a head whose four eye joints each have their own motor, the image axis that each joint
+        moves most at rest, in joint order, so that the gains have the order of the actuators; for
+        any other head `TILT_FIRST_GAIN_NAMES`.
+    """
+    if not head.actuation.direct:
+        return TILT_FIRST_GAIN_NAMES
+    moved = np.abs(head.image_jacobian(head.rest(), head.cameras.principal, np.ones(2)))
+    names: list[str] = []
+    for eye, name in enumerate(EYE_NAMES):
+        (u1, u2), (v1, v2) = moved[eye, :, 3 + 2 * eye : 5 + 2 * eye]
+        axes = "uv" if u1 + v2 > v1 + u2 else "vu"
+        names += [f"{name}_{axis}" for axis in axes]
+    return tuple(names)
+
+
+def gain_indices_by_axis(gain_names: Sequence[str] = TILT_FIRST_GAIN_NAMES) -> list[int]:
+    """Return the index in `gain_names_of_head` of the gain of each eye and image axis (u, v)."""
+    return [gain_names.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in "uv"]
+
+
+def gains_from_action(
+    action: ArrayLike, names: Sequence[str] = TILT_FIRST_GAIN_NAMES
+) -> FloatArray:
+    """Compute the gains that a schedule's action asks for.
+
+    Args:
+        action: (..., 4) in the order of `names`; limited to [-1, 1].
+        names: the head's `gain_names_of_head`.
+
+    Returns:
+        (..., 2, 2) gains in 1/s, 0 to 20, by eye and image axis (u, v).
+    """
+    share = 0.5 * (1.0 + np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
+    gains = GAIN_LIMIT * share[..., gain_indices_by_axis(names)] ** 2
+    return np.ascontiguousarray(gains).reshape(*share.shape[:-1], 2, 2)
+
+
+def action_from_gains(
+    gains: ArrayLike, names: Sequence[str] = TILT_FIRST_GAIN_NAMES
+) -> NDArray[np.float32]:
+    """Compute the schedule's action that asks for given gains, the inverse of `gains_from_action`.
+
+    Args:
+        gains: (..., 2, 2) by eye and image axis, 1/s; limited to 0 to 20.
+        names: the head's `gain_names_of_head`.
+
+    Returns:
+        (..., 4) actions.
+    """
+    share = np.sqrt(np.clip(np.asarray(gains, dtype=np.float64), 0.0, GAIN_LIMIT) / GAIN_LIMIT)
+    by_axis = (2.0 * share - 1.0).reshape(*share.shape[:-2], 4)
+    return by_axis[..., np.argsort(gain_indices_by_axis(names))].astype(np.float32)
+
+
+class ScheduledIBVS:
+    """Image-based visual servoing with gains that the caller gives in each period.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+    """
+
+    def __init__(self, head: HeadModel, layout: ObservationLayout) -> None:
+        self.head = head
+        self.layout = layout
+        self.names = gain_names_of_head(head)
+        """Gains of the four numbers of an action."""
+
+    def action(self, observation: ArrayLike, gains: ArrayLike) -> NDArray[np.float32]:
+        """Compute the law's action for the gaze task.
+
+        Args:
+            observation: (..., size) observations of the gaze task.
+            gains: (..., 2, 2) by eye and image axis, 1/s.
+
+        Returns:
+            (..., m) actions, one number per actuator.
+        """
+        return self.layout.action(self.command(self.layout.decode(observation), gains))
+
+    def command(self, seen: Observation, gains: ArrayLike) -> FloatArray:
+        """Compute the law's velocities in physical units.
+
+        Args:
+            seen: a decoded observation.
+            gains: (..., 2, 2) by eye and image axis, 1/s.
+
+        Returns:
+            (..., 4) velocities of the eyes' actuators, rad/s; an eye that does not see its target
+            requests none.
+        """
+        return ibvs_velocities(
+            self.head,
+            seen.positions_at_exposure,
+            seen.pixel_error,
+            np.asarray(gains, dtype=np.float64),
+            _TRIANGULATED,
+            self.layout.action_limits,
+        )

@@ -1,4 +1,4 @@
-r"""Image-based visual servoing with a fixed gain: the article's law, the reference policy.
+"""Image-based visual servoing with a fixed gain: the article's law, the reference policy.
 
 Per eye, with p the undistorted pixel of the target, p* the principal point and J the 2x2 image
 Jacobian with respect to the eye's two joints, tilt and pan in the article (Eqs. 12 and 13),
@@ -7,9 +7,19 @@ Jacobian with respect to the eye's two joints, tilt and pan in the article (Eqs.
 
 so that the pixel error decays as exp(-k t) if the loop has no delay. J belongs to the image: it is
 computed at the joint angles of the exposure, with the complete interaction matrix, since tilt moves
-the optical centre too. Its depth comes from triangulating the two pixels, or is a constant. If
-actuators couple the joints, both eyes share them by least squares in pixels, see
-`vergence.controllers.coupled`.
+the optical centre too. Its depth comes from triangulating the two pixels, or is a constant.
+
+If actuators couple the eyes' joints, or an eye lacks a joint, the image velocities that the law
+requests are distributed to the actuators by least squares in pixels (`vergence.models.fixation`).
+Part of a pixel error may be out of reach: for eyes with a common tilt, only the common part of the
+two vertical errors can be removed. A law that acted on the rest would wind up, or, if its gains
+differ between axes, settle beside the least error. So laws act on the reducible part of the error
+(`vergence.envs.reducible`),
+
+    e_r = J A s,   s = argmin |J A s - e|^2
+
+with J the image Jacobian of both eyes and A the joint angles per actuator angle. At the least error
+e_r is zero, whatever remains of e.
 """
 
 from math import isfinite, nan
@@ -18,16 +28,127 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.coupled import coupled_command
-from vergence.controllers.fitting import checked_layout
+from vergence.controllers.controller import checked_layout
+from vergence.controllers.gate import GatedDetections, GatedImageController
+from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for, shipped_table
 from vergence.envs.layout import ObservationLayout
+from vergence.envs.reducible import image_jacobians, reducible_error_by_jacobian
 from vergence.envs.validation import check_finite_number, real_number_array
-from vergence.errors import ConfigurationError
-from vergence.kernels import inlined, kernel
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.kernels import inlined, kernel, subroutine
+from vergence.models.fixation import actuator_least_squares
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED, PackedHead, camera_of, eye_frames, eye_jacobian
 from vergence.models.parts import FloatArray, LoopTiming
 from vergence.triangulation.rays import depths_on_rays, rays_from_pixel_errors
+
+
+def reducible_pixel_error(
+    head: HeadModel, q: ArrayLike, pixel_error: FloatArray, depth: ArrayLike
+) -> FloatArray:
+    """Compute the part of pixel errors that the head's actuators can remove, to first order.
+
+    Args:
+        head: the model of the head.
+        q: (..., 7) joint angles at the exposure, rad.
+        pixel_error: (..., 2, 2) undistorted pixel minus principal point, px; nan where not visible.
+        depth: (...) depth of the target, m; nan to triangulate it.
+
+    Returns:
+        (..., 2, 2) px, nan for an eye that does not see the target; the errors themselves for a
+        head whose four eye joints each have their own motor.
+    """
+    if head.actuation.direct:
+        return pixel_error
+    return np.asarray(reducible_errors(q, pixel_error, depth, head.packed))
+
+
+@subroutine
+def limited_actuator_velocities(
+    p: PackedHead,
+    q: FloatArray,
+    error: FloatArray,
+    depth_m: float,
+    limit: FloatArray,
+    velocities_in_out: FloatArray,
+) -> float:
+    """Compute actuator velocities that move both images as nearly as possible as wanted.
+
+    Args:
+        p: a packed head.
+        q: (7,) joint angles at the exposure, rad.
+        error: (2, 2) pixel errors by eye and image axis, px; an eye with nan does not see the
+            target and is ignored.
+        depth_m: the target's depth, m; nan to triangulate it.
+        limit: (4,) largest speeds of the actuators, rad/s; a command beyond them is scaled down,
+            keeping its direction.
+        velocities_in_out: (4,) wanted image velocities (u, v) of the left, then the right eye,
+            px/s, replaced by the velocities of the actuators, rad/s.
+
+    Returns:
+        Factor by which the command exceeded the limits; 1 for not at all.
+    """
+    jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
+    left, right = _sees(error, 0), _sees(error, 1)
+    image_jacobians(p, q, error, depth_m, left, right, jacobian)
+    for k in range(4):
+        wanted[k // 2, k % 2] = velocities_in_out[k]
+    actuator_least_squares(p, jacobian, wanted, left, right, velocities_in_out)
+    return _limited(limit, velocities_in_out)
+
+
+@inlined
+def _limited(limit: FloatArray, out: FloatArray) -> float:
+    """Scale velocities down to the limits; return the factor by which they exceeded them."""
+    excess = 1.0
+    for k in range(4):
+        if out[k] != 0.0 and limit[k] > 0.0:
+            excess = max(excess, abs(out[k]) / limit[k])
+    for k in range(4):
+        out[k] = out[k] / excess if isfinite(out[k]) and limit[k] > 0.0 else 0.0
+    return excess
+
+
+@inlined
+def _sees(error: FloatArray, eye: int) -> bool:
+    return isfinite(error[eye, 0]) and isfinite(error[eye, 1])
+
+
+@kernel(["(f8[:],f8[:,:],f8[:],f8[:],f8[:,:])"], f"(7),(2,2),(),({PACKED})->(2,2)")
+def reducible_errors(
+    q: FloatArray, pixel_error: FloatArray, depth_m: FloatArray, p: PackedHead, out: FloatArray
+) -> None:
+    """Compute the reducible part of pixel errors; a `depth_m` of nan is triangulated."""
+    jacobian = np.zeros((2, 2, 2))
+    left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
+    image_jacobians(p, q, pixel_error, depth_m[0], left, right, jacobian)
+    reducible_error_by_jacobian(p, jacobian, pixel_error, left, right, out)
+
+
+@kernel(
+    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])"],
+    f"(7),(2,2),(2,2),(),(4),({PACKED})->(4)",
+)
+def coupled_command(
+    q: FloatArray,
+    pixel_error: FloatArray,
+    gain: FloatArray,
+    depth_m: FloatArray,
+    limit: FloatArray,
+    p: PackedHead,
+    out: FloatArray,
+) -> None:
+    """Compute actuator velocities from pixel errors, see `ibvs_command`."""
+    jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
+    left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
+    image_jacobians(p, q, pixel_error, depth_m[0], left, right, jacobian)
+    reducible_error_by_jacobian(p, jacobian, pixel_error, left, right, wanted)
+    for eye in range(2):
+        for axis in range(2):
+            wanted[eye, axis] *= -gain[eye, axis]
+    actuator_least_squares(p, jacobian, wanted, left, right, out)
+    _limited(limit, out)
+
 
 _ARTICLE_GAIN: Final = 4.0
 """The article's gain, 1/s."""
@@ -263,3 +384,58 @@ def ibvs_command(
         for axis in range(2):
             out[2 * eye + axis] = -gain[eye, axis] * pixel_error[eye, axis]
     limited_joint_velocities(p, q, pixel_error, depth_m[0], limit, out)
+
+
+class TunedIBVS(GatedImageController):
+    """The law of `IBVS` with the best fixed gain of a scenario, as an `GatedImageController`.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        scenario: scenario for which the gain was found.
+        gain: see `IBVS`; None for the gain found for this head in the scenario, or, if there is
+            none, for the scenario's own head.
+        depth: see `IBVS`.
+        speed_limit: see `IBVS`.
+
+    Attributes:
+        tuned: True if the gain was found for this head; False also for a given gain.
+
+    Raises:
+        UnknownNameError: no gain has been found for this scenario.
+        ConfigurationError: an option has an invalid value.
+    """
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        scenario: str = "workspace",
+        gain: ArrayLike | None = None,
+        depth: Literal["triangulated"] | float = "triangulated",
+        speed_limit: float | None = None,
+    ) -> None:
+        super().__init__(head=head, layout=layout)
+        self.scenario = scenario
+        self.tuned = False
+        if gain is None:
+            entry = find_tuned_or_fallback("ibvs-tuned", scenario, head)
+            if entry is None:
+                known = {key.scenario for key in shipped_table() if key.controller == "ibvs"}
+                raise UnknownNameError("scenario", scenario, sorted(known))
+            self.tuned = is_tuned_for(entry, head)
+            gain = entry.options.get("gain", np.nan)
+        self.law = IBVS(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
+
+    @property
+    def gain(self) -> FloatArray:
+        """(2, 2) gains by eye and image axis, 1/s."""
+        return self.law.gain
+
+    def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
+        """Compute the law's velocities, see `IBVS.command`."""
+        return self.law.command(q, pixel_error)
+
+    def _law(self, detections: GatedDetections, own: FloatArray) -> FloatArray:
+        return self.law.command(detections.positions_at_exposure, detections.pixel_error)

@@ -14,10 +14,10 @@ the actuator's lag.
 - Anti-windup by clamping: while a speed limit cuts an eye's command, its integral takes in no error
   that would drive the command farther beyond.
 - An eye that has lost its target is held still and its state is reset; at an episode's start all
-  are. If a detection is missed or held back as an outlier (`vergence.controllers.outlier_gate`),
+  are. If a detection is missed or held back as an outlier (`vergence.controllers.gate`),
   the next rate spans two images.
 - Only the part of the error that the head's actuators can remove counts as e
-  (`vergence.controllers.coupled`): the rest would wind the integral up.
+  (`vergence.controllers.ibvs`): the rest would wind the integral up.
 """
 
 from collections.abc import Callable
@@ -27,10 +27,14 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.controllers.coupled import limited_actuator_velocities, reducible_pixel_error
-from vergence.controllers.ibvs import as_gains, depth_or_nan, limited_joint_velocities
-from vergence.controllers.image_law import GatedImageController
-from vergence.controllers.outlier_gate import GatedDetections
+from vergence.controllers.gate import GatedDetections, GatedImageController
+from vergence.controllers.ibvs import (
+    as_gains,
+    depth_or_nan,
+    limited_actuator_velocities,
+    limited_joint_velocities,
+    reducible_pixel_error,
+)
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.validation import check_at_least_zero

@@ -1,48 +1,234 @@
-r"""Saccade and trim: the eyes turn to the predicted goal in the shortest time and stay there.
+"""Saccade and trim: the eyes turn to the predicted goal in the shortest time and stay there.
 
-In each period every actuator takes the fastest command that still lets it stop at the goal
-(`vergence.controllers.time_optimal`). There is no ballistic phase: the goal of `SmithPredictor` is
-read anew in each period, so an error of the head's model or its joints is corrected as soon as an
-image shows it. Close to the goal, where the time-optimal law would follow the noise of pixels and
-encoders, a soft law takes over, `u = k (goal - q - lag v)`, which approaches the goal without
-overshoot at the rate k.
+In each period every actuator takes the fastest command that still lets it stop at the goal. There
+is no ballistic phase: the goal of `SmithPredictor` is read anew in each period, so an error of the
+head's model or its joints is corrected as soon as an image shows it. Close to the goal, where the
+time-optimal law would follow the noise of pixels and encoders, a soft law takes over, `u = k (goal
+- q - lag v)`, which approaches the goal without overshoot at the rate k.
 
 Late braking requires a well-known motor. A linear law is used for the whole turn if the eyes have
 oscillated about a goal (`vergence.controllers.prediction.oscillation`), or if the target rests and
 the response model does not explain the eyes' motion; its rate falls with each further half swing.
 The linear law is also used if the lag builds up, as in a servo that overshoots
-(`vergence.controllers.pole_placement`).
+(`vergence.controllers.state_feedback`).
 
-The same law follows a moving target (`vergence.controllers.pursuit`): it acts on the joint's motion
-relative to its goal, and the goal's own velocity is fed forward.
+In the time-optimal motion a joint follows its command u, held for a period T, by `dv/dt = clip((u -
+v) / lag, -a, a)`. It is as fast as possible while the joint can still stop at the goal. So the
+command of a period is the largest one under which the joint, with full braking afterwards, stops at
+the goal and not beyond: with (q', v') its exact state at the period's end and `S(v)` its shortest
+stopping distance, u solves
+
+    q'(u) + S(v'(u)) = goal,   |u| <= u_max
+
+The left side increases with u. S counts whole periods of full braking and a last one that ends at
+rest. Near the goal this is a deadbeat law of two periods: with e = exp(-T / lag), `q + lag v` moves
+by exactly u T, and the last period stops a velocity v within `v (lag - T e / (1 - e))`.
+
+Pursuit is the same law for targets that may move freely. The predictor estimates whether each
+target rests or moves and how (`vergence.controllers.prediction.motion_models`), extrapolates it
+over the delay, and predicts its velocity at the time the command shows in the motion. The law then
+turns each actuator in the shortest time to the predicted target angle: a catch-up saccade in the
+frame of a moving goal. Close to the goal its velocity is fed forward, and the soft law corrects the
+rest,
+
+    u = k (goal - q - lag (v - w)) + w'
+
+with w the goal's velocity when the command begins to act and w' its velocity when the command
+shows, a lag later. A target that is taken to rest has w = w' = 0, so the eyes turn to a target that
+rests between jumps as under `saccade`.
 """
 
-from math import exp
-from typing import Final, Literal
+from math import exp, inf
+from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.controllers.least_command import compensate_dead_zone
-from vergence.controllers.pole_placement import pole_placement_command
-from vergence.controllers.prediction.joints import (
-    PREDICTOR_PARAMETERS,
-    PREDICTOR_PARAMETERS_SIZE,
-    PredictorParameters,
-)
 from vergence.controllers.prediction.oscillation import (
     OSCILLATING_HALF_SWINGS,
     oscillation_reduced_rate,
 )
-from vergence.controllers.predictive import PredictiveController
+from vergence.controllers.prediction.parameters import (
+    PREDICTOR_PARAMETERS,
+    PREDICTOR_PARAMETERS_SIZE,
+    PredictorParameters,
+)
 from vergence.controllers.rows import record_view
-from vergence.controllers.time_optimal import joint_timing, time_optimal_command
+from vergence.controllers.state_feedback import (
+    PredictiveController,
+    compensate_dead_zone,
+    pole_placement_command,
+)
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.envs.validation import check_above_zero, check_at_least_zero, check_finite_number
 from vergence.errors import ConfigurationError
-from vergence.kernels import kernel
+from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
+from vergence.models.motion import follow_joint
 from vergence.models.parts import FloatArray
+
+_LEAST_LAG_S: Final = 1e-4
+"""Lower bound of the lag, s (numerical)."""
+_MAX_BRAKING_PERIODS: Final = 1000
+"""Largest number of braking periods that are simulated (numerical)."""
+_MAX_ROOT_ITERATIONS: Final = 20
+"""Iteration limit of the root finder (numerical)."""
+_TOLERANCE_RAD: Final = 1e-6
+"""Convergence tolerance of the stopping angle, rad (numerical)."""
+
+
+class JointTiming(NamedTuple):
+    """Lag, limits and control period of one joint, and its derived stopping properties."""
+
+    lag: float
+    """Time constant, s."""
+    max_command: float
+    """Largest command, rad/s."""
+    max_acceleration: float
+    """Largest acceleration, rad/s^2, inf for none."""
+    period: float
+    """The control period, s."""
+    decay: float
+    """Factor exp(-period / lag) that a period leaves of the difference between command and
+    velocity."""
+    smooth_stop_speed: float
+    """Largest speed that a last period can stop within the acceleration limit, rad/s."""
+    last_stop_speed: float
+    """Largest speed that a last period can stop at all, rad/s."""
+    last_distance_per_speed: float
+    """Distance moved in a last period per unit of its initial speed, up to `smooth_stop_speed`,
+    s."""
+    last_distance: float
+    """Distance moved in a last period from the speed `last_stop_speed`, rad."""
+
+
+@inlined
+def joint_timing(
+    lag: float, max_command: float, max_acceleration: float, period: float
+) -> JointTiming:
+    """Compute the timing of one joint from its lag, its limits and the control period."""
+    lag = max(lag, _LEAST_LAG_S)
+    e = exp(-period / lag)
+    per_speed = lag - period * e / (1.0 - e)
+    smooth_stop_speed = min(
+        max_acceleration * lag * (1.0 - e), max_command * (1.0 - e) / e if e > 0.0 else inf
+    )
+    last_stop_speed, distance = smooth_stop_speed, per_speed * smooth_stop_speed
+    if max_acceleration * lag <= max_command and max_acceleration * period > smooth_stop_speed:
+        last_stop_speed, distance = (
+            max_acceleration * period,
+            0.5 * max_acceleration * period * period,
+        )
+    return JointTiming(
+        lag,
+        max_command,
+        max_acceleration,
+        period,
+        e,
+        smooth_stop_speed,
+        last_stop_speed,
+        per_speed,
+        distance,
+    )
+
+
+@inlined
+def signed_stopping_distance(velocity: float, joint: JointTiming) -> float:
+    """Shortest signed distance that a joint moves until it rests, in the direction of v, rad."""
+    side = 1.0 if velocity >= 0.0 else -1.0
+    velocity = abs(velocity)
+    distance: float = 0.0
+    for _ in range(_MAX_BRAKING_PERIODS):  # a joint that needs longer cannot be stopped
+        if not velocity > joint.last_stop_speed:
+            break
+        dq, velocity = follow_joint(
+            0.0,
+            velocity,
+            -joint.max_command,
+            joint.lag,
+            joint.max_acceleration,
+            joint.period,
+            joint.decay,
+        )
+        distance += dq
+    if velocity <= joint.smooth_stop_speed:
+        distance += joint.last_distance_per_speed * velocity
+    else:
+        smooth_distance = joint.last_distance_per_speed * joint.smooth_stop_speed
+        share = (velocity - joint.smooth_stop_speed) / (
+            joint.last_stop_speed - joint.smooth_stop_speed
+        )
+        distance += smooth_distance + share * (joint.last_distance - smooth_distance)
+    return side * distance
+
+
+@inlined
+def _overrun(u: float, angle_error: float, v: float, a: float, trusted: JointTiming) -> float:
+    """Compute how far beyond the goal the joint stops after a period of command u, rad."""
+    q, after = follow_joint(0.0, v, u, trusted.lag, a, trusted.period, trusted.decay)
+    return q + signed_stopping_distance(after, trusted) - angle_error
+
+
+@inlined
+def time_optimal_command(
+    angle_error: float,
+    velocity: float,
+    present_max_acceleration: float,
+    braking_timing: JointTiming,
+) -> float:
+    """Compute this period's command of the time-optimal motion.
+
+    Args:
+        angle_error: angle to the goal, rad.
+        velocity: velocity, rad/s.
+        present_max_acceleration: acceleration limit in this period, rad/s^2, at least that of
+            `braking_timing`.
+        braking_timing: timing from `joint_timing`, with the acceleration that is trusted for later
+            braking.
+
+    Returns:
+        The command, rad/s.
+    """
+    e, u_max, period = braking_timing.decay, braking_timing.max_command, braking_timing.period
+    u = (angle_error - braking_timing.lag * velocity + velocity * period * e * e / (1.0 - e)) / (
+        period * (1.0 - e)
+    )
+    calm = (
+        abs(u - velocity) <= braking_timing.max_acceleration * braking_timing.lag
+        and abs(u + (velocity - u) * e) <= braking_timing.smooth_stop_speed
+    )
+    if abs(u) <= u_max and calm:
+        return u
+    below = _overrun(-u_max, angle_error, velocity, present_max_acceleration, braking_timing)
+    if below >= 0.0:
+        return -u_max
+    above = _overrun(u_max, angle_error, velocity, present_max_acceleration, braking_timing)
+    if above <= 0.0:
+        return u_max
+    # beyond these the acceleration limit holds all period, and u changes nothing
+    widest = present_max_acceleration * (braking_timing.lag + period)
+    low, high = max(-u_max, velocity - widest), min(u_max, velocity + widest)
+    # regula falsi, Illinois variant
+    kept = 0
+    for _ in range(_MAX_ROOT_ITERATIONS):
+        if not above > below:  # converged to rounding
+            break
+        u = (low * above - high * below) / (above - below)
+        overrun = _overrun(u, angle_error, velocity, present_max_acceleration, braking_timing)
+        if abs(overrun) < _TOLERANCE_RAD:
+            break
+        if overrun > 0.0:
+            high, above = u, overrun
+            if kept == 1:
+                below *= 0.5
+            kept = 1
+        else:
+            low, below = u, overrun
+            if kept == -1:
+                above *= 0.5
+            kept = -1
+    return u
+
 
 _ZONE_ANGLES: Final = 2.0
 """Width of the soft law's zone, in multiples of the uncertain angle of a period at full
@@ -59,7 +245,7 @@ _JOINT_BLUR_FRACTION: Final = 0.6
 two joints)."""
 _MAX_BLIND_SACCADE_S: Final = 0.12
 """Approximate longest time for which a catch-up saccade exceeds that speed, s (chosen)."""
-_LEAST_LAG_S: Final = 0.004
+_LEAST_TRIM_LAG_S: Final = 0.004
 """Lower bound of the lag in the soft law's rate, s (numerical)."""
 MODEL_QUALITY_FIELDS: Final = (
     "acceleration_ratio", "acceleration_sd", "response_latency_sd_s", "noise_rad",
@@ -169,7 +355,7 @@ def saccade_command(
         model_quality: (7,) ratio of the accelerations to the model's; standard deviations of its
             logarithm, of the latency, s, and of a detection, rad; misfit of the response; count of
             half swings; build-up of the lag. See `MODEL_QUALITY_FIELDS`.
-        params_row: a row of `vergence.controllers.prediction.joints.PredictorParameters`.
+        params_row: a row of `vergence.controllers.prediction.parameters.PredictorParameters`.
         law_row: options `braking` and `caution`, the angle of a joint below which the soft law
             acts, rad, and its rate, 1/s.
         out: (4,) result: the commands, rad/s.
@@ -212,7 +398,7 @@ def saccade_command(
                 angle_error[j], v, acceleration[j], linear_rate, lag, model_quality[6]
             )
         elif abs(angle_error[j]) < near and abs(v) * lag < 3.0 * near:
-            u = min(law_row[3], _MAX_RATE_TIMES_LAG / max(lag, _LEAST_LAG_S)) * (
+            u = min(law_row[3], _MAX_RATE_TIMES_LAG / max(lag, _LEAST_TRIM_LAG_S)) * (
                 angle_error[j] - lag * v
             )
         else:
@@ -222,3 +408,12 @@ def saccade_command(
         u = (min(max(u, -speed), speed) + goal_velocity_at_effect[j]) / speed_gain[j]
         resting_error = angle_error[j] - lag * (v + model_quality[6] * lag * acceleration[j])
         out[j] = compensate_dead_zone(u, resting_error, params, speed_gain[j])
+
+
+class Pursuit(Saccade):
+    """Time-optimal turns to the predicted goal of a target that may move, followed by pursuit.
+
+    The options are those of `Saccade`.
+    """
+
+    _targets_move: ClassVar[bool] = True

@@ -1,39 +1,133 @@
-r"""Linear state feedback on the prediction: the simplest law for a known present state.
+"""Linear state feedback on the prediction: the simplest law for a known present state.
 
-With e the angle that an actuator still has to turn when the command begins to act, v its
-velocity at that time and g its ratio of velocity to command, all of them predicted
+With e the angle that an actuator still has to turn when the command begins to act, v its velocity
+at that time and g its ratio of velocity to command, all of them predicted
 (`vergence.controllers.prediction.predictor`),
 
     u = k (e - c lag v) / g
 
 An actuator that follows its command with a lag is a second-order system; the constants k (1/s) and
 c place its two poles. With c = 1 one of them cancels the lag, and the other one is at the rate k. k
-is reduced if the eyes oscillate nevertheless (`vergence.controllers.prediction.oscillation`). An
-actuator whose lag builds up, such as a servo that overshoots, has one more pole, see
-`vergence.controllers.pole_placement`.
+is reduced if the eyes oscillate nevertheless (`vergence.controllers.prediction.oscillation`).
+
+An actuator whose lag builds up, such as a servo that overshoots, has one more pole. It follows its
+command by `m l^2 dw/dt + l w + v = u`, see `vergence.controllers.prediction.response`. The law
+
+    u = k (e - l' v - m l^2 w) - (l' - l) w,   l' = max(l, 2 d sqrt(m) l)
+
+places three poles: one at the rate k, and two at the servo's own natural frequency, with a damping
+ratio of at least d. If k is fast for the servo, it overshoots the goal by up to one or two percent
+of the angle. With m = 0 the law reduces to `u = k (e - l v)`.
+
+`DelayCompensatedIBVS` is the article's law on the predicted error. It needs no outlier gate,
+because the predictor has its own.
 """
 
-from typing import Final, Literal
+from math import sqrt
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.least_command import compensate_dead_zone
-from vergence.controllers.pole_placement import pole_placement_command
-from vergence.controllers.prediction.joints import (
+from vergence.controllers.controller import StatefulController
+from vergence.controllers.gate import CommandQuantiser
+from vergence.controllers.ibvs import IBVS
+from vergence.controllers.prediction.oscillation import (
+    OSCILLATING_HALF_SWINGS,
+    oscillation_reduced_rate,
+)
+from vergence.controllers.prediction.parameters import (
     PREDICTOR_PARAMETERS,
     PREDICTOR_PARAMETERS_SIZE,
     PredictorParameters,
 )
-from vergence.controllers.prediction.oscillation import oscillation_reduced_rate
-from vergence.controllers.prediction.predictor import Prediction
-from vergence.controllers.predictive import PredictiveController
+from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
 from vergence.controllers.rows import record_view
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.envs.validation import check_above_zero, check_at_least_zero
-from vergence.kernels import kernel
+from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
+from vergence.models.parts import EYES, SLOTS, FloatArray
+
+
+class PredictiveController(StatefulController):
+    """A controller whose state is that of a `SmithPredictor`.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        delay: `estimated` on line or `nominal`, see `SmithPredictor`.
+        lag: `estimated` on line or `nominal` response of the actuators, see `SmithPredictor`.
+
+    Raises:
+        ConfigurationError: an option has an invalid value.
+    """
+
+    _targets_move: ClassVar[bool] = False
+    """True if targets may move other than by jumps."""
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        delay: Literal["estimated", "nominal"] = "estimated",
+        lag: Literal["estimated", "nominal"] = "estimated",
+    ) -> None:
+        super().__init__(head=head, layout=layout)
+        self.predictor = SmithPredictor(
+            head=head, layout=layout, delay=delay, lag=lag, targets_move=self._targets_move
+        )
+
+    def _initial(self) -> FloatArray:
+        return self.predictor.initial()
+
+
+_DAMPING: Final = 0.8
+"""d, least damping ratio of the servo's poles (chosen: oscillation against speed)."""
+
+
+@inlined
+def pole_placement_command(
+    angle_error: float, v: float, w: float, pole_rate: float, lag_s: float, build_up: float
+) -> float:
+    """Compute the command of the law, rad/s.
+
+    Args:
+        angle_error: angle to the goal, rad.
+        v: velocity, rad/s.
+        w: acceleration, rad/s^2.
+        pole_rate: rate k of the pole that approaches the goal, 1/s.
+        lag_s: lag l of the actuator, s.
+        build_up: build-up m of the lag; 0 for a first-order lag.
+    """
+    damped = max(lag_s, 2.0 * _DAMPING * sqrt(build_up) * lag_s)
+    return (
+        pole_rate * (angle_error - damped * v - build_up * lag_s * lag_s * w) - (damped - lag_s) * w
+    )
+
+
+@inlined
+def compensate_dead_zone(
+    u: float, error_after_coasting: float, params: PredictorParameters, gain: float
+) -> float:
+    """Replace a command too small to move the motor by the smallest effective pulse, or by zero.
+
+    Args:
+        u: the command, rad/s.
+        error_after_coasting: distance from the goal at which the actuator would come to rest under
+            zero command, rad.
+        params: the head's parameters.
+        gain: ratio of the actuator's velocity to its command.
+    """
+    step = params.command_step
+    if step == 0.0 or abs(u) >= 1.5 * step:
+        return u
+    push = 2.0 * step
+    if abs(u) > 0.3 * step and abs(error_after_coasting) > 0.6 * push * gain * params.period_s:
+        return push if u > 0.0 else -push
+    return 0.0
+
 
 DEFAULT_LAW: Final = (20.0, 1.0)
 """Default options: `gain` k, 1/s, and `damping` c (chosen)."""
@@ -78,7 +172,7 @@ def linear_command(prediction: Prediction, params_row: FloatArray, law: ArrayLik
 
     Args:
         prediction: the prediction.
-        params_row: the head's packed `vergence.controllers.prediction.joints.PredictorParameters`.
+        params_row: a row of `vergence.controllers.prediction.parameters.PredictorParameters`.
         law: (2,) the options `gain` and `damping`.
 
     Returns:
@@ -118,7 +212,7 @@ def feedback_command(
         lag_and_build_up: (2,) lag in the head's timing, s, and its build-up.
         gain: (4,) ratios of velocity to command.
         half_swing_count: () decayed count of half swings of oscillation.
-        params_row: a row of `vergence.controllers.prediction.joints.PredictorParameters`.
+        params_row: a row of `vergence.controllers.prediction.parameters.PredictorParameters`.
         law: the options `gain` and `damping`.
         out: (4,) result: the commands, rad/s.
     """
@@ -138,3 +232,54 @@ def feedback_command(
         u = min(max(u, -limit), limit)
         resting_error = angle_error[j] - lag * (v + lag_and_build_up[1] * lag * w)
         out[j] = compensate_dead_zone(u / gain[j], resting_error, params, gain[j])
+
+
+DEFAULT_GAIN: Final = 10.0
+"""Default gain, 1/s (chosen): only the joints' lag is left in the loop, and it bounds the gain."""
+
+
+class DelayCompensatedIBVS(StatefulController):
+    """Applies the law of `IBVS` to the predicted present pixel errors.
+
+    The state is the predictor's state, followed by the rounding errors of the commands.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        gain: see `IBVS`.
+        depth: see `IBVS`.
+        speed_limit: see `IBVS`.
+        delay: `estimated` on line or `nominal`, for both the images' delay and the actuators'
+            response, see `SmithPredictor`.
+
+    Raises:
+        ConfigurationError: an option has an invalid value.
+    """
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        gain: ArrayLike = DEFAULT_GAIN,
+        depth: Literal["triangulated"] | float = "triangulated",
+        speed_limit: float | None = None,
+        delay: Literal["estimated", "nominal"] = "estimated",
+    ) -> None:
+        super().__init__(head=head, layout=layout)
+        self.law = IBVS(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
+        self.predictor = SmithPredictor(head=head, layout=layout, delay=delay, lag=delay)
+        self._quantiser = CommandQuantiser(head, self.layout.action_limits)
+
+    def _initial(self) -> FloatArray:
+        return np.concatenate([self.predictor.initial(), np.zeros(SLOTS)])
+
+    def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
+        present = self.predictor.update(seen, state)
+        q = seen.positions.copy()
+        q[..., EYES] = present.positions
+        command = self.law.command(q, present.pixel_error)
+        # the law is linear: scaling its command scales its gain
+        excess = np.maximum(present.half_swing_count - OSCILLATING_HALF_SWINGS, 0.0)
+        command = command * np.exp2(-excess)[..., None]
+        return self._quantiser.quantise(command, state[..., -SLOTS:])

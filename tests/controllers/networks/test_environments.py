@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 
 from tests.naming import named
 from vergence.controllers import make_controller
-from vergence.controllers.gain_schedule import action_from_gains
+from vergence.controllers.adaptive import action_from_gains
 from vergence.controllers.networks.environments import (
     GainScheduleEnv,
     PolicyEnv,

@@ -15,7 +15,7 @@ from tests.controllers.networks.graphs import KINDS, bundle_of, forward, onnx_fi
 from tests.grids import some_of
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.gain_schedule import ScheduledIBVS
+from vergence.controllers.adaptive import ScheduledIBVS
 from vergence.controllers.networks import learned
 from vergence.controllers.networks.bundle import pretrained_bundles, read_bundle
 from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy

@@ -1,19 +1,28 @@
-"""The predictor: the error that the eyes will have when the next command acts, from old images."""
+"""The predictor: the error when the next command acts, on any head and at any rate."""
 
 import pickle
 
 import numpy as np
 import pytest
 
-from tests.controllers.loops import begin
+from tests.controllers.loops import begin, settle_time
 from tests.controllers.prediction.observed import predict, predictor_of, record, turns
 from tests.controllers.reaching import run
+from tests.heads import CENTRE, IMAGE, LOOP, eyes, head_of, joint
 from tests.naming import named
 from vergence import load_head
+from vergence.controllers.prediction.parameters import (
+    PREDICTOR_PARAMETERS,
+    pack_predictor_parameters,
+    with_virtual_joints,
+)
 from vergence.controllers.prediction.predictor import MAX_UNSEEN_S, SmithPredictor, _update
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
+from vergence.models import parse_head
+from vergence.models.fixation import fixate_eye
+from vergence.models.kinematics import eye_frames
 
 QUIET = {"detection_noise_px": 0.0}
 
@@ -114,3 +123,111 @@ def test_options_that_cannot_be_are_refused() -> None:
             said = f"{name}: expected 'estimated' or 'nominal'"
             with pytest.raises(ConfigurationError, match=said):
                 SmithPredictor(head=head, layout=ObservationLayout.of(head), **{name: "known"})
+
+
+EXACT = {"detection_noise_px": 0.0, "encoder_resolution_rad": 0.0, "velocity_resolution_rad_s": 0.0}
+
+
+def skewed():
+    """A head whose axes are in no way at right angles; its eyes turn about their centres."""
+    text = 'name = "skewed"\n'
+    for eye, side in (("left", -1), ("right", 1)):
+        text += joint(f"{eye}_one", eye, (side * 0.05, 0, 0), (0.9, 0.3 * side, 0.1))
+        text += joint(f"{eye}_two", eye, CENTRE, (0.35, 0.9, -0.2 * side))
+    return parse_head(text + IMAGE + eyes() + LOOP)
+
+
+def test_axes_at_right_angles_are_told_from_others() -> None:
+    for head, told in ((head_of("panfirst"), 1.0), (load_head("simulated"), 1.0), (skewed(), 0.0)):
+        params = pack_predictor_parameters(head).view(PREDICTOR_PARAMETERS)
+        assert (params["orthogonal_axes"] == told).all()
+
+
+@pytest.mark.parametrize(
+    ("head", "delay"),
+    [(skewed(), 4), (head_of("panfirst"), 13), (head_of("tied"), 13), (head_of("mis"), 4)],
+)
+def test_one_saccade_tells_the_delay_on_any_head(head, delay) -> None:
+    task = GazeTask(8, plant="kinematic", head=head, plant_options={"latency_s": delay / 120.0})
+    trial = run(task, "saccade", 60)
+    found = trial.predicted[-1].image_delay_s
+    assert np.abs(np.median(found) - delay / 120.0) < 0.005
+
+
+@pytest.mark.parametrize("name", ["mis", "panfirst", "vergeonly"])
+def test_without_noise_the_prediction_is_the_error_at_its_angles_on_any_head(name) -> None:
+    head = head_of(name).replace(sensor=EXACT)
+    task = GazeTask(8, head=head, plant="kinematic")
+    trial = run(task, "saccade", 60)
+    target = task.truth().target
+    for now in trial.predicted[12::4]:
+        q = np.concatenate([np.tile(head.rest()[:3], (8, 1)), now.positions], axis=-1)
+        error = head.project(q, target, distorted=False) - head.cameras.principal
+        assert np.linalg.norm(now.pixel_error - error, axis=-1).max() < 0.7
+
+
+def test_joints_made_up_for_an_eye_leave_the_cameras_where_they_are() -> None:
+    for name in ["common", "vergeonly", "pair"]:
+        with named(name):
+            head = head_of(name)
+            q = np.zeros(7)
+            q[3:] = np.where([bool(one) for one in head.joints[3:]], [0.2, -0.1, 0.2, -0.1], 0.0)
+            packed = with_virtual_joints(head)
+            for eye in range(2):
+                angles = q[3 + 2 * eye : 5 + 2 * eye]
+                own = eye_frames(head.packed, eye, *angles).camera
+                assert eye_frames(packed, eye, *angles).camera == pytest.approx(own)
+                assert np.isfinite(fixate_eye(packed, eye, 0.1, 0.15, 0.9)).all()
+
+
+def test_each_actuator_is_followed_by_its_own_lag_and_encoder() -> None:
+    lags = {"lag_s": [0.015, 0.03, 0.06], "encoder_resolution_rad": [0.002, 0.0005, 0.001]}
+    head = head_of("tied").replace(actuators=lags)
+    task = GazeTask(8, plant="kinematic", head=head)
+    trial = run(task, "saccade", 120)
+    lag_s = np.array([p.lag_s for p in trial.predicted])
+    assert np.abs(np.median(lag_s[-1]) - 0.03) < 0.003
+    for place in range(8):
+        assert settle_time(trial.errors[:, place : place + 1], 1 / 120) < 0.4
+
+
+HEAD = load_head("simulated")
+
+
+def last_errors(head, time_s: float, name: str = "saccade", **options) -> np.ndarray:
+    """(12,) the greatest true error of the last tenth of a second, px."""
+    task = GazeTask(12, head=head, plant="kinematic", plant_options=options)
+    steps = round(time_s * head.timing.control_rate_hz)
+    errors = np.linalg.norm(run(task, name, steps).errors, axis=-1).max(axis=-1)
+    return errors[-round(0.1 * head.timing.control_rate_hz) :].max(axis=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "control_hz", "frame_hz"),
+    [("saccade", 50, 15), ("pursuit", 60, 30), ("pursuit", 250, 15), ("saccade", 250, 250)],
+)
+def test_a_saccade_settles_whatever_the_rates_and_the_delay(control_hz, frame_hz, name) -> None:
+    head = HEAD.replace(timing={"control_rate_hz": control_hz, "frame_rate_hz": frame_hz})
+    frame_s = 1.0 / frame_hz
+    away = last_errors(
+        head, 0.6 + 4.0 * frame_s, name, latency_s=0.1, command_latency_s=0.008, frame_phase=0.4
+    )
+    assert away.max() < 1.0
+
+
+@pytest.mark.parametrize(("control_hz", "latency_s"), [(50, 0.0), (120, 0.25), (250, 0.12)])
+def test_nominal_delays_up_to_a_quarter_of_a_second_are_borne(control_hz, latency_s) -> None:
+    head = HEAD.replace(
+        timing={"control_rate_hz": control_hz, "frame_rate_hz": 50, "latency_s": latency_s}
+    )
+    assert last_errors(head, 0.6 + latency_s, latency_s=latency_s + 0.01).max() < 1.0
+
+
+def test_longer_ones_are_refused_in_one_line() -> None:
+    for latency_s in [0.26, 0.5]:
+        with named(latency_s):
+            head = HEAD.replace(timing={"latency_s": latency_s})
+            message = rf"head: expected a latency of at most 0\.25 s, got {latency_s:g} s"
+            with pytest.raises(ConfigurationError, match=message) as caught:
+                SmithPredictor(head=head, layout=ObservationLayout.of(head))
+            assert "\n" not in str(caught.value)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_names_of_head
+from vergence.controllers.adaptive import GAIN_LIMIT, gain_names_of_head
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError, UnknownNameError

@@ -18,7 +18,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from vergence.controllers.gain_schedule import gains_from_action
+from vergence.controllers.adaptive import gains_from_action
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.learned import NetworkLoop
 from vergence.envs import MAX_EPISODE_STEPS

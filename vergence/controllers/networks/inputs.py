@@ -27,9 +27,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vergence.controllers.gate import OutlierGate
 from vergence.controllers.ibvs import ibvs_velocities
-from vergence.controllers.outlier_gate import OutlierGate
-from vergence.controllers.prediction.joints import actuator_moves_eye
+from vergence.controllers.prediction.parameters import actuator_moves_eye
 from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError

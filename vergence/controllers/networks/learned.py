@@ -1,7 +1,7 @@
 """Learned controllers: a network in the loop of a head, with the interface `predict`.
 
 Between output and command stand the same elements as in the fixed laws, see
-`vergence.controllers.image_law`: commands are quantised to the resolution of the actuators, and the
+`vergence.controllers.gate`: commands are quantised to the resolution of the actuators, and the
 law of a gain schedule acts on the detections that pass the outlier gate. On a head without
 quantised commands and in a loop without outliers neither changes anything. A policy has no gate
 here: it acts on its inputs, and `Inputs` holds outliers back. An actuator of a policy without a
@@ -23,10 +23,9 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.command_steps import CommandQuantiser
-from vergence.controllers.controller import Controller
-from vergence.controllers.fitting import checked_layout
-from vergence.controllers.gain_schedule import ScheduledIBVS, gain_names_of_head, gains_from_action
+from vergence.controllers.adaptive import ScheduledIBVS, gain_names_of_head, gains_from_action
+from vergence.controllers.controller import Controller, checked_layout, continued_state
+from vergence.controllers.gate import CommandQuantiser, OutlierGate
 from vergence.controllers.networks.bundle import (
     GAIN_SCHEDULE,
     POLICY,
@@ -39,11 +38,9 @@ from vergence.controllers.networks.bundle import (
 )
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.onnx import OnnxNetwork
-from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
-from vergence.controllers.stateful import continued_state
 from vergence.envs.encoding import check_observation
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError

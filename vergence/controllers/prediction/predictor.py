@@ -12,7 +12,7 @@ actuator follows from the goals of all joints, see `vergence.controllers.predict
 All times are on the clock of the joint readings, so only two combinations of latencies matter: the
 sum of command and reading latency, and the difference of image and reading latency. Both are
 estimated on line, together with lag, acceleration and speed gains, see
-`vergence.controllers.prediction.dating` and `vergence.controllers.prediction.response`. Goals are
+`vergence.controllers.prediction.delay` and `vergence.controllers.prediction.response`. Goals are
 filtered over images, see `vergence.controllers.prediction.goals`.
 """
 
@@ -22,24 +22,24 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.controllers.freshness import is_fresh
-from vergence.controllers.prediction.aim import least_squares_actuators
-from vergence.controllers.prediction.aiming import extrapolate_targets, predict_pixel_error
-from vergence.controllers.prediction.backlash import inflate_variance_at_reversal
-from vergence.controllers.prediction.friction import error_to_correct
+from vergence.controllers.gate import is_fresh
+from vergence.controllers.prediction.aim import (
+    extrapolate_targets,
+    least_squares_actuators,
+    predict_pixel_error,
+)
 from vergence.controllers.prediction.goals import update_with_image
-from vergence.controllers.prediction.joints import (
+from vergence.controllers.prediction.measurement import inflate_variance_at_reversal
+from vergence.controllers.prediction.oscillation import (
+    decay_count,
+    error_to_correct,
+    update_oscillation,
+)
+from vergence.controllers.prediction.parameters import (
     PREDICTOR_PARAMETERS,
     PredictorParameters,
     pack_predictor_parameters,
-)
-from vergence.controllers.prediction.oscillation import decay_count, update_oscillation
-from vergence.controllers.prediction.predictor_state import (
-    PREDICTOR_STATE,
-    PREDICTOR_STATE_SIZE,
-    PredictorState,
-    initial_predictor_row,
-    update_joints,
+    with_virtual_joints,
 )
 from vergence.controllers.prediction.response import (
     command_at,
@@ -47,7 +47,13 @@ from vergence.controllers.prediction.response import (
     selected_model,
     state_at_command_effect,
 )
-from vergence.controllers.prediction.virtual_joints import with_virtual_joints
+from vergence.controllers.prediction.state import (
+    PREDICTOR_STATE,
+    PREDICTOR_STATE_SIZE,
+    PredictorState,
+    initial_predictor_row,
+    update_joints,
+)
 from vergence.controllers.rows import record_view, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
@@ -159,7 +165,7 @@ class SmithPredictor:
         head: the model of the head.
         layout: the layout of observations.
         delay: `nominal` takes the head's own latency of images; `estimated` starts there and
-            estimates it on line, see `vergence.controllers.prediction.dating`.
+            estimates it on line, see `vergence.controllers.prediction.delay`.
         lag: `nominal` or `estimated` response of the actuators to their commands, see
             `vergence.controllers.prediction.response`.
         targets_move: True if targets may move; False, for targets that only jump, gives better

@@ -1,4 +1,4 @@
-r"""Response of the actuators to their commands: latency, lag, acceleration limit and speed gain.
+"""Response of the actuators to their commands: latency, lag, acceleration limit and speed gain.
 
 On the clock of the joint readings, an actuator follows its command u by
 
@@ -8,18 +8,31 @@ L is the latency of commands plus that of readings, l the lag, m its build-up an
 speed gain; a is the acceleration limit, estimated as a ratio to the limit in the head's model. L,
 the ratio, the lag and the build-up are common to the four actuators; each has its own gain.
 
-Two models are fitted side by side, see `vergence.controllers.prediction.fitting`: a
-plain one with a first-order lag, m = 0, and one with a second-order lag, for a servo with an
-underdamped loop. The second one is used once it explains the readings better by more than chance.
+Two models are fitted on line, side by side: a plain one with a first-order lag, m = 0, and one with
+a second-order lag, for a servo with an underdamped loop. The second one is used once it explains
+the readings better by more than chance.
+
+The readings carry evidence on the response while something moves. In each period, one Gauss-Newton
+step fits the motion simulated with the model parameters to the readings of a window of recent
+periods; the posterior of earlier windows is the prior. The fitted readings are the velocities if
+these are known to be prompt (`vergence.controllers.prediction.state`), otherwise mean velocities
+from differences of angles, because a low-pass filter in the velocity feedback would be mistaken for
+lag. The actuators' speed gains are eliminated by a Schur complement. The cost has no slope in a
+latency that exceeds the age of the window's first command. Therefore a few other parameter values
+are tried in each period while the fit is bad, and the fit continues from the best one.
+
+The residuals widen the covariance: a head that does not move as the model says is not well known.
+The model with a build-up has one more parameter and is used only once the residuals of the plain
+model exceed its own by more than chance.
 """
 
-from math import exp, log
+from math import exp, isfinite, log
 from typing import Annotated, Final
 
 import numpy as np
 
-from vergence.controllers.prediction.joints import PredictorParameters
-from vergence.kernels import inlined
+from vergence.controllers.prediction.parameters import PredictorParameters
+from vergence.kernels import inlined, subroutine
 from vergence.models.motion import follow_held_command, prepare_held_response
 from vergence.models.parts import FloatArray
 
@@ -254,3 +267,364 @@ def state_at_command_effect(
         u = gain * command_at(response, tick - whole + i, j)
         q, v, w = follow_held_command(q, v, w, u, held)
     return q, v, w
+
+
+_WINDOW_S: Final = 0.117
+"""Length of the window of readings, s (chosen: noise against adaptation)."""
+_LEAST_WINDOW: Final = 8
+"""Shortest window, in periods (numerical)."""
+_GAIN_SD: Final = 0.08
+"""Prior standard deviation of the logarithm of a speed gain (chosen)."""
+_LAGS_S: Final = (0.004, 0.12)
+"""Bounds of the lag, s (chosen: the range of known servos)."""
+_RATIOS: Final = (0.15, 120.0)
+"""Bounds of the acceleration limit, as a ratio to the model's (chosen)."""
+_BUILD_UPS: Final = (0.03, 8.0)
+"""Bounds of the build-up m (chosen)."""
+_MAX_LOG_GAIN: Final = 0.3
+"""Bound of the absolute logarithm of a speed gain (chosen)."""
+_MOVING_RAD_S: Final = 0.05
+"""Actuator speed above which a window starts, rad/s (chosen)."""
+_EXCITED_RAD_S: Final = 0.3
+"""Change of command, from the speed at the window's start, needed to fit an actuator, rad/s
+(chosen: sufficient excitation)."""
+_SPEED_SD: Final = 0.03
+"""Model error of a velocity, standard deviation: rad/s, plus this fraction of the velocity
+(chosen)."""
+_KNOWN_LATENCY_SD_S: Final = 0.0015
+"""Standard deviation of the latency below which it counts as known, s (chosen)."""
+_KNOWN_RATIO_SD: Final = 0.06
+"""Standard deviation of the log acceleration ratio below which it counts as known (chosen)."""
+_GOOD_FIT_MISFIT: Final = 2.0
+"""Mean squared normalised residual below which a fit needs no other starting values (chosen)."""
+_SPACING_S: Final = 0.004
+"""Spacing of the latencies tried, s (numerical)."""
+_TRIED_LATENCIES: Final = 30
+"""Number of latencies tried (numerical)."""
+_FAST_MOTOR_RATIOS: Final = (3.0, 9.0, 27.0, 81.0)
+"""Acceleration ratios tried too, with the lags `_FAST_MOTOR_LAGS_S`: motors unlike the model
+(chosen)."""
+_FAST_MOTOR_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)
+"""Lags tried with the acceleration ratios `_FAST_MOTOR_RATIOS`, s (chosen)."""
+_MIN_MISFIT_DECREASE: Final = 3.0
+"""Decrease of the misfit needed to restart the fit at other values (chosen: guards against jumps
+between equal fits)."""
+_MIN_PRIOR_SDS: Final = (0.0008, 0.03, 0.05, 0.05)
+"""Least prior standard deviations that a window leaves: of latency in s, log ratio, log lag and
+build-up (chosen: keeps adapting)."""
+_MAX_STEPS: Final = (0.006, 0.25, 0.25, 0.4)
+"""Longest Gauss-Newton steps: of latency in s, log ratio, log lag and build-up (numerical)."""
+_DIFFERENCES: Final = (0.5e-3, 0.02, 0.02, 0.02, 0.02)
+"""Finite differences for the derivatives: of latency in s, log ratio, log lag, build-up and log
+gain (numerical)."""
+_MIN_SECOND_ORDER_EVIDENCE: Final = 15.0
+"""Excess of squared normalised residuals of the plain model, relative to the misfit of the other
+one, above which the model with a build-up is used (chosen)."""
+_INFORMATIVE_S: Final = 0.06
+"""Shortest window that carries evidence on the build-up, s (chosen): while actuators have only just
+begun to move, both models fit."""
+_LEAST_BUILD_UP: Final = 0.25
+"""Least build-up that is used; the critical damping limit, below which nothing overshoots
+(physical: 1/4 of the second-order lag)."""
+_EVIDENCE_DECAY: Final = 0.7
+"""Factor that remains of the evidence of earlier windows (chosen)."""
+
+
+@inlined
+def _mean_step(params: PredictorParameters, j: int) -> float:
+    """Standard deviation that encoder quantisation adds to a mean velocity, rad/s."""
+    return 0.4 * float(params.angle_step[j]) / params.period_s
+
+
+@inlined
+def _last_to_act(params: PredictorParameters) -> int:
+    """Largest number of periods before a command acts."""
+    return int(max_response_latency(params) / params.period_s) + 1
+
+
+@inlined
+def _is_moving(response: ResponseIdentification, params: PredictorParameters, tick: int) -> bool:
+    """True if any actuator moves, or a command that may still act is not zero."""
+    for j in range(4):
+        if abs(speed_at(response, tick, j)) > _MOVING_RAD_S:
+            return True
+        for i in range(_last_to_act(params)):
+            if command_at(response, tick - 1 - i, j) != 0.0:
+                return True
+    return False
+
+
+@inlined
+def _is_excited(
+    response: ResponseIdentification, params: PredictorParameters, first: int, tick: int, j: int
+) -> bool:
+    """True if the commands of an actuator have changed enough to identify its response."""
+    begin, most = speed_at(response, first, j), 0.0
+    for i in range(first - _last_to_act(params), tick):
+        most = max(most, abs(command_at(response, i, j) - begin))
+    return most >= _EXCITED_RAD_S
+
+
+@subroutine
+def _posterior_cost(
+    response: ResponseIdentification,
+    model: ResponseModel,
+    params: PredictorParameters,
+    tick: int,
+    latency: float,
+    ratio: float,
+    log_lag: float,
+) -> float:
+    """Compute -2 log posterior of the window under other parameter values, up to a constant.
+
+    Each squared normalised residual is bounded.
+    """
+    first = int(response.window_begin)
+    deviation = (latency - model.prior[0], ratio - model.prior[1], log_lag - model.prior[2])
+    total = 0.0
+    for i in range(3):
+        total += deviation[i] * deviation[i] * model.information[i]
+    period, whole = params.period_s, int(latency / params.period_s + 1e-9)
+    rest, build_up = latency - whole * period, model.parameters[3]
+    for j in range(4):
+        gain = exp(model.log_gain[j])
+        v, w = speed_at(response, first, j), model.accelerations[j]
+        lag, a = params.lag_ratio[j] * exp(log_lag), params.acceleration_limit[j] * exp(ratio)
+        before, after = (
+            prepare_held_response(lag, build_up, a, rest),
+            prepare_held_response(lag, build_up, a, period - rest),
+        )
+        mean_sd = _mean_step(params, j)
+        for i in range(first, tick):
+            u = gain * command_at(response, i - whole - 1, j)
+            q, v, w = follow_held_command(0.0, v, w, u, before)
+            u = gain * command_at(response, i - whole, j)
+            q, v, w = follow_held_command(q, v, w, u, after)
+            measured, simulated, step_sd = mean_speed_at(response, i + 1, j), q / period, mean_sd
+            if response.prompt_velocities > 0.5:
+                measured, simulated, step_sd = speed_at(response, i + 1, j), v, params.speed_step[j]
+            residual_variance = step_sd * step_sd + 0.05**2 + 0.01 * measured * measured
+            total += min((measured - simulated) ** 2 / residual_variance, 30.0)
+    return total
+
+
+@subroutine
+def _try_others(
+    response: ResponseIdentification, model: ResponseModel, params: PredictorParameters, tick: int
+) -> None:
+    """Restart the fit at other parameter values where these explain the window better."""
+    known, free = model.parameters, model.variance[0] > _KNOWN_LATENCY_SD_S**2
+    best = (
+        _posterior_cost(response, model, params, tick, known[0], known[1], known[2])
+        - _MIN_MISFIT_DECREASE
+    )
+    for i in range(_TRIED_LATENCIES if free else 0):
+        latency = min(_SPACING_S * i, max_response_latency(params))
+        cost = _posterior_cost(response, model, params, tick, latency, known[1], known[2])
+        if cost < best:
+            best, known[0] = cost, latency
+    for m in range(8):  # 8 of 72 combinations per period, all in nine periods
+        i = (8 * tick + m) % 72
+        latency, ratio = 0.008 * (i % 6), log(0.4) + 0.5 * (i // 6 % 3)
+        log_lag = log(0.016) + 0.45 * (i // 18)
+        cost = _posterior_cost(response, model, params, tick, latency, ratio, log_lag)
+        if cost < best:
+            best, known[0], known[1], known[2] = cost, latency, ratio, log_lag
+    for m in range(2):  # 2 of 16 per period, all in eight: motors very unlike the model
+        i = (2 * tick + m) % 16
+        ratio, log_lag = log(_FAST_MOTOR_RATIOS[i % 4]), log(_FAST_MOTOR_LAGS_S[i // 4])
+        cost = _posterior_cost(response, model, params, tick, known[0], ratio, log_lag)
+        if cost < best:
+            best, known[1], known[2] = cost, ratio, log_lag
+
+
+@inlined
+def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
+    """Solve linear equations with a positive definite matrix by Gaussian elimination."""
+    m, y, size = matrix.copy(), right.copy(), right.size
+    for i in range(size):
+        for r in range(i + 1, size):
+            factor = m[r, i] / m[i, i]
+            for c in range(i, size):
+                m[r, c] -= factor * m[i, c]
+            y[r] -= factor * y[i]
+    for i in range(size - 1, -1, -1):
+        rest = y[i]
+        for c in range(i + 1, size):
+            rest -= m[i, c] * out[c]
+        out[i] = rest / m[i, i]
+
+
+@subroutine
+def _fit(
+    response: ResponseIdentification, model: ResponseModel, params: PredictorParameters, tick: int
+) -> None:
+    """Take one Gauss-Newton step on the window."""
+    first, period = int(response.window_begin), params.period_s
+    builds_up = model.parameters[3] > 0.0
+    size = 4 if builds_up else 3
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    mixed, own, own_right = np.zeros((4, size)), np.zeros(4), np.zeros(4)
+    slope, holds, gains = np.zeros(size), np.zeros(6, dtype=np.int64), np.zeros(6)
+    v, w, distances = np.zeros(6), np.zeros(6), np.zeros(6)
+    for i in range(size):
+        normal[i, i] = model.information[i]
+        right[i] = model.information[i] * (model.prior[i] - model.parameters[i])
+    residuals = count = 0.0
+    for j in range(4):
+        own[j] = 1.0 / _GAIN_SD**2
+        own_right[j] = own[j] * (model.log_gain_prior[j] - model.log_gain[j])
+        if not (params.speed_limit[j] > 0.0 and _is_excited(response, params, first, tick, j)):
+            continue
+        responses = [prepare_held_response(1.0, 0.0, 1.0, 0.0)] * 12
+        for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
+            latency = model.parameters[0] + (_DIFFERENCES[0] if m == 2 else 0.0)
+            ratio = model.parameters[1] + (_DIFFERENCES[1] if m == 3 else 0.0)
+            log_lag = model.parameters[2] + (_DIFFERENCES[2] if m == 4 else 0.0)
+            build_up = model.parameters[3] + (_DIFFERENCES[3] if m == 5 else 0.0)
+            gains[m] = exp(model.log_gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
+            holds[m] = int(latency / period + 1e-9)
+            rest, lag = latency - holds[m] * period, params.lag_ratio[j] * exp(log_lag)
+            a = params.acceleration_limit[j] * exp(ratio)
+            responses[2 * m] = prepare_held_response(lag, build_up, a, rest)
+            responses[2 * m + 1] = prepare_held_response(lag, build_up, a, period - rest)
+            v[m], w[m] = speed_at(response, first, j), model.accelerations[j]
+        for i in range(first, tick):
+            for m in range(size + 2):
+                u = gains[m] * command_at(response, i - holds[m] - 1, j)
+                distance, v[m], w[m] = follow_held_command(0.0, v[m], w[m], u, responses[2 * m])
+                u = gains[m] * command_at(response, i - holds[m], j)
+                distance, v[m], w[m] = follow_held_command(
+                    distance, v[m], w[m], u, responses[2 * m + 1]
+                )
+                distances[m] = distance / period
+            measured, step_sd, simulated = (
+                mean_speed_at(response, i + 1, j),
+                _mean_step(params, j),
+                distances,
+            )
+            if response.prompt_velocities > 0.5:
+                measured, step_sd, simulated = speed_at(response, i + 1, j), params.speed_step[j], v
+            residual = measured - simulated[0]
+            residual_variance = step_sd * step_sd + _SPEED_SD**2 * (1.0 + measured * measured)
+            square = residual * residual / residual_variance
+            residuals, count = residuals + min(square, 100.0), count + 1.0
+            # Cauchy weight: outliers count for little
+            weight = 1.0 / residual_variance / (1.0 + square / 9.0)
+            gain_slope = (simulated[1] - simulated[0]) / _DIFFERENCES[4]
+            for m in range(size):
+                slope[m] = (simulated[m + 2] - simulated[0]) / _DIFFERENCES[m]
+            for r in range(size):
+                right[r] += weight * slope[r] * residual
+                mixed[j, r] += weight * slope[r] * gain_slope
+                for c in range(size):
+                    normal[r, c] += weight * slope[r] * slope[c]
+            own[j] += weight * gain_slope * gain_slope
+            own_right[j] += weight * gain_slope * residual
+    for j in range(4):
+        for r in range(size):
+            right[r] -= mixed[j, r] * own_right[j] / own[j]
+            for c in range(size):
+                normal[r, c] -= mixed[j, r] * mixed[j, c] / own[j]
+    step, unit, column = np.zeros(size), np.zeros(size), np.zeros(size)
+    _solve(normal, right, step)
+    if not isfinite(step.sum()):  # no usable slope so far from the optimum
+        return
+    least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]), _BUILD_UPS[0])
+    most = (max_response_latency(params), log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
+    model.squared_residual_sum, model.misfit = residuals, residuals / max(count, 1.0)
+    worse = max(1.0, model.misfit)
+    for i in range(size):
+        updated = model.parameters[i] + min(max(step[i], -_MAX_STEPS[i]), _MAX_STEPS[i])
+        model.parameters[i] = min(max(updated, least[i]), most[i])
+        for r in range(size):
+            unit[r] = 1.0 if r == i else 0.0
+        _solve(normal, unit, column)
+        model.variance[i] = worse * column[i]
+    for j in range(4):
+        change = own_right[j]
+        for r in range(size):
+            change -= mixed[j, r] * step[r]
+        gain = model.log_gain[j] + min(max(change / own[j], -0.1), 0.1)
+        model.log_gain[j] = min(max(gain, -_MAX_LOG_GAIN), _MAX_LOG_GAIN)
+
+
+@inlined
+def _select(response: ResponseIdentification, lasted_s: float, ends: bool) -> None:
+    """Select the model that explains the windows better."""
+    first_order, second_order = response.models[FIRST_ORDER], response.models[SECOND_ORDER]
+    excess = 0.0
+    if lasted_s >= _INFORMATIVE_S:
+        excess = (first_order.squared_residual_sum - second_order.squared_residual_sum) / max(
+            second_order.misfit, 1.0
+        )
+    better = response.second_order_evidence + excess > _MIN_SECOND_ORDER_EVIDENCE
+    overshoots = second_order.parameters[3] > _LEAST_BUILD_UP
+    response.selected = SECOND_ORDER if better and overshoots else FIRST_ORDER
+    if ends:
+        response.second_order_evidence = _EVIDENCE_DECAY * (response.second_order_evidence + excess)
+
+
+@subroutine
+def _replay(
+    response: ResponseIdentification,
+    model: ResponseModel,
+    params: PredictorParameters,
+    tick: int,
+    out: FloatArray,
+) -> None:
+    """(4,) accelerations at the end of the window, simulated with a response model, rad/s^2."""
+    first = int(response.window_begin)
+    for j in range(4):
+        v, out[j] = speed_at(response, first, j), model.accelerations[j]
+        for i in range(first, tick):
+            _q, v, out[j] = simulate_period(response, model, params, i, j, 0.0, v, out[j])
+
+
+@inlined
+def learn_response(
+    response: ResponseIdentification, params: PredictorParameters, tick: int
+) -> None:
+    """Update the response model with the readings of a period.
+
+    Args:
+        response: state of the identification, changed in place.
+        params: the head's parameters.
+        tick: the period that has ended; its commands and velocities are already stored.
+    """
+    moving = _is_moving(response, params, tick)
+    if response.window_begin < 0.0:
+        if not moving:
+            return
+        response.window_begin = tick - 1.0
+        for i in range(RESPONSE_MODELS if response.window_end != response.window_begin else 0):
+            response.models[i].accelerations[:] = 0.0
+    first = int(response.window_begin)
+    window = min(max(int(_WINDOW_S / params.period_s + 0.5), _LEAST_WINDOW), SPEED_RING_LENGTH - 4)
+    ends = tick - first >= window or not moving
+    excited = False
+    for j in range(4):
+        excited = excited or (
+            params.speed_limit[j] > 0.0 and _is_excited(response, params, first, tick, j)
+        )
+    # a well-known response is updated only once a window
+    model = selected_model(response)
+    well_known = model.variance[0] < _KNOWN_LATENCY_SD_S**2 and model.misfit < _GOOD_FIT_MISFIT
+    if excited and (ends or not well_known or model.variance[1] > _KNOWN_RATIO_SD**2):
+        for i in range(RESPONSE_MODELS):
+            if not well_known:
+                _try_others(response, response.models[i], params, tick)
+            _fit(response, response.models[i], params, tick)
+        _select(response, (tick - first) * params.period_s, ends)
+        _replay(response, selected_model(response), params, tick, response.accelerations)
+    if ends:
+        for i in range(RESPONSE_MODELS):
+            model = response.models[i]
+            _replay(response, model, params, tick, model.accelerations)
+            for n in range(4):
+                model.prior[n] = model.parameters[n]
+                variance = max(1.2 * model.variance[n], _MIN_PRIOR_SDS[n] ** 2)
+                model.information[n] = 1.0 / variance
+                model.log_gain_prior[n] = model.log_gain[n]
+        response.window_begin, response.window_end = -1.0, float(tick)
+        response.windows += 1.0

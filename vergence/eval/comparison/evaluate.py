@@ -17,8 +17,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 import pandas as pd
 
 from vergence.controllers.controller import Controller
-from vergence.controllers.ibvs import IBVS
-from vergence.controllers.tuned_ibvs import TunedIBVS
+from vergence.controllers.ibvs import IBVS, TunedIBVS
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UserControllerError
 from vergence.eval.comparison.config import ROBOT, EvaluateConfig

@@ -1,4 +1,4 @@
-r"""Exposure times of images on the clock of the joint readings: a bank of delay hypotheses.
+"""Exposure times of images on the clock of the joint readings: a bank of delay hypotheses.
 
 An image measures the joint angles that put each eye's target on its axis, `g = q(t) + a`: the
 angles at the exposure plus the angles that the eye still had to turn. The joint reading that

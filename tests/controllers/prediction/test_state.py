@@ -7,7 +7,7 @@ import pytest
 
 from tests.controllers.prediction.observed import predictor_of, record, turns
 from vergence import load_head
-from vergence.controllers.prediction.predictor_state import PREDICTOR_STATE
+from vergence.controllers.prediction.state import PREDICTOR_STATE
 from vergence.models.parts import FloatArray
 
 HEAD = load_head("simulated")

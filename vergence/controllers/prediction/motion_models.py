@@ -1,4 +1,4 @@
-r"""Motion of a target: an interacting multiple model (IMM) estimator of rest and several motions.
+"""Motion of a target: an interacting multiple model (IMM) estimator of rest and several motions.
 
 Per eye and joint, the angle that fixates a moving target follows Singer's model, an acceleration
 that decorrelates with the time constant T_a (R. A. Singer, Estimating optimal tracking filter

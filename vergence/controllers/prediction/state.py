@@ -1,0 +1,546 @@
+r"""The predictor's state of one head, and the update of its part on the joints.
+
+Arrays (2, 2) are by eye and joint (first, second); arrays of four by actuator of the eyes. Times
+are on the clock of the joint readings.
+
+A Kalman filter on the measured angles estimates the present angle and velocity of each actuator.
+Between two readings the filter predicts an actuator's motion from its commands
+(`vergence.controllers.prediction.response`); the process noise is a fraction of the acceleration
+that the commands in transit demand. A measured angle is exact except for encoder quantisation: an
+innovation within the resolution counts as zero. The velocity that a servo reports is a soft
+measurement, because servos low-pass filter it and drivers take differences of angles, so that it is
+older than the angle in the same reading. Its delay D is found on line. After a motion has started,
+the angle is ahead of the integrated velocity by D times the velocity,
+
+    q(t) - q(t_0) - \int_{t_0}^{t} w dt' = D (w(t) - w(t_0)),
+
+exactly for a first-order filter with the time constant D, whatever the motion, and for any other
+filter of that mean delay once the acceleration has been constant for a while. The measurement
+variance of a velocity grows with the uncertainty of D and with the acceleration. A head whose
+velocities are differences of angles has a long D; one whose velocities mean nothing has a D that
+does not explain the readings.
+"""
+
+from math import exp, sqrt
+from typing import Annotated, Final
+
+import numpy as np
+
+from vergence.controllers.prediction.delay import (
+    HYPOTHESES,
+    first_hypothesis_delay,
+    prior_delay_costs,
+)
+from vergence.controllers.prediction.motion_models import MODELS, MODES, TargetMotion
+from vergence.controllers.prediction.oscillation import (
+    INITIAL_DECAY_TIME_S,
+    FrictionState,
+    OscillationState,
+    reset_oscillation,
+)
+from vergence.controllers.prediction.parameters import (
+    PREDICTOR_PARAMETERS,
+    RING_LENGTH,
+    PredictorParameters,
+    clip_to_quantisation,
+)
+from vergence.controllers.prediction.response import (
+    COMMAND_RING_LENGTH,
+    SPEED_RING_LENGTH,
+    ResponseIdentification,
+    command_at,
+    initial_response_models,
+    learn_response,
+    max_response_latency,
+    quantise_with_dead_zone,
+    selected_model,
+    simulate_period,
+)
+from vergence.controllers.rows import make_row, row_layout, row_size
+from vergence.envs.encoding import AGE_S
+from vergence.kernels import inlined
+from vergence.models.kinematics import (
+    PackedHead,
+    eye_actuator_angle,
+    eye_actuator_velocity,
+    eye_joint_angle,
+    has_motor_per_joint,
+)
+from vergence.models.motion import lag_decay
+from vergence.models.parts import FloatArray
+from vergence.triangulation.rays import DEFAULT_DEPTH_M
+
+_ACCELERATION_SHARE: Final = 0.1
+"""Relative error of the acceleration predicted by a known response (chosen)."""
+_DISTURBANCE_SD_RAD_S: Final = 0.005
+"""Change of velocity per period without a command, standard deviation, rad/s (chosen)."""
+_ANGLE_SD_STEPS: Final = 0.3
+"""Standard deviation of an angle, as a fraction of the encoder's resolution (chosen: uniform
+quantisation error)."""
+_ANGLE_SD_RAD: Final = 1e-5
+"""Standard deviation of an angle in addition, rad (chosen)."""
+_SPEED_SD_STEPS: Final = 0.3
+"""Standard deviation of a velocity, as a fraction of its resolution (chosen: uniform quantisation
+error)."""
+_SPEED_SD_RAD_S: Final = 0.002
+"""Standard deviation of a velocity in addition, rad/s (chosen)."""
+_RELATIVE_SPEED_SD: Final = 0.01
+"""Standard deviation of a velocity in addition, as a fraction of it (chosen)."""
+_RELATIVE_DELAY_SD: Final = 0.3
+"""Deviation of a velocity filter from first order, as a fraction of its delay (chosen)."""
+_DELAY_SD_S: Final = 0.02
+"""Prior standard deviation of the velocities' delay, s (chosen)."""
+_MAX_PROMPT_DELAY_S: Final = 0.003
+"""Delay below which velocities count as prompt, s (chosen)."""
+_MAX_EXPLAINED_MISFIT: Final = 10.0
+"""Misfit up to which the delay explains the velocities (chosen)."""
+_MAX_VELOCITY_DELAY_S: Final = 0.2
+"""Longest delay of velocities, s (chosen)."""
+_MAX_COMPARISON_S: Final = 0.25
+"""Longest interval over which angles and integrated velocities are compared, s (chosen)."""
+_INFORMATIVE_RAD_S: Final = 0.1
+"""Changes of velocity below this carry no evidence on the delay, rad/s (chosen)."""
+_RELATIVE_TRAVEL_SD: Final = 0.02
+"""Relative error of the integrated velocity (chosen)."""
+_INFORMATION_DECAY: Final = 0.995
+"""Per-reading decay of the information on the delay (chosen: noise against adaptation)."""
+_MAX_SPEED_RATIO: Final = 3.0
+"""Bound of the estimated velocity, as a ratio to the largest command (chosen)."""
+_MISFIT_WEIGHT: Final = 0.1
+"""Weight of a reading in the running mean of the misfit (chosen)."""
+_MAX_SQUARED_RESIDUAL: Final = 100.0
+"""Bound of a single squared normalised residual in that mean (chosen)."""
+
+
+class ActuatorObserver:
+    """State of the filter: covariances of the actuators, and the delay of their velocities."""
+
+    covariance: Annotated[FloatArray, 4, 3]
+    """Covariance of an actuator's angle and velocity: angle variance, cross term, velocity
+    variance."""
+    expected_velocity: Annotated[FloatArray, 4]
+    """Velocity that the servo is expected to report, rad/s."""
+    recent_acceleration: Annotated[FloatArray, 4]
+    """Recent magnitude of the acceleration, rad/s^2."""
+    last_velocity: Annotated[FloatArray, 4]
+    """Last measured velocity, rad/s."""
+    first_angle: Annotated[FloatArray, 4]
+    """Measured angle at the start of the comparison, rad."""
+    first_velocity: Annotated[FloatArray, 4]
+    """Measured velocity at the start of the comparison, rad/s."""
+    integrated_velocity: Annotated[FloatArray, 4]
+    """Integral of the measured velocity since then, rad."""
+    compared_periods: Annotated[FloatArray, 4]
+    """Periods since then."""
+    information: float
+    """Fisher information on the delay of the velocities, 1/s^2."""
+    delay_times_information: float
+    """Information times the delay, 1/s."""
+    delay_s: float
+    """Delay of velocities behind angles, s."""
+    misfit: float
+    """Running mean of the squared normalised residual that the delay leaves."""
+
+
+@inlined
+def begin_delay_comparison(observer: ActuatorObserver, j: int, angle: float, rate: float) -> None:
+    """Start comparing the angles and the velocities of an actuator."""
+    observer.first_angle[j], observer.first_velocity[j] = angle, rate
+    observer.integrated_velocity[j] = observer.compared_periods[j] = 0.0
+    observer.last_velocity[j] = rate
+
+
+@inlined
+def _delay_sd(observer: ActuatorObserver) -> float:
+    return sqrt(1.0 / (observer.information + 1.0 / _DELAY_SD_S**2))
+
+
+@inlined
+def _update_delay(
+    observer: ActuatorObserver, params: PredictorParameters, j: int, angle: float, rate: float
+) -> None:
+    """Update the delay of the velocities with a reading."""
+    period = params.period_s
+    observer.integrated_velocity[j] += 0.5 * period * (rate + observer.last_velocity[j])
+    observer.compared_periods[j] += 1.0
+    observer.last_velocity[j] = rate
+    travel = angle - observer.first_angle[j]
+    change = rate - observer.first_velocity[j]
+    ahead = travel - observer.integrated_velocity[j]
+    steps = 0.4 * params.angle_step[j] + 0.3 * period * params.speed_step[j] * sqrt(
+        observer.compared_periods[j]
+    )
+    share = _RELATIVE_TRAVEL_SD * travel
+    variance = steps * steps + share * share + _ANGLE_SD_RAD * _ANGLE_SD_RAD
+    if abs(change) > _INFORMATIVE_RAD_S:
+        weight = 0.25 / variance  # successive readings have correlated errors
+        observer.information = _INFORMATION_DECAY * observer.information + weight * change * change
+        observer.delay_times_information = (
+            _INFORMATION_DECAY * observer.delay_times_information + weight * change * ahead
+        )
+    if abs(travel) > 4.0 * (steps + _ANGLE_SD_RAD):
+        off = ahead - observer.delay_s * change
+        square = min(off * off / variance, _MAX_SQUARED_RESIDUAL)
+        observer.misfit += _MISFIT_WEIGHT * (square - observer.misfit)
+    delay_s = observer.delay_times_information * _delay_sd(observer) ** 2
+    observer.delay_s = min(max(delay_s, 0.0), _MAX_VELOCITY_DELAY_S)
+    at_rest = rate == 0.0 and abs(travel - observer.integrated_velocity[j]) <= params.angle_step[j]
+    if at_rest or observer.compared_periods[j] * period > _MAX_COMPARISON_S:
+        begin_delay_comparison(observer, j, angle, rate)
+
+
+@inlined
+def no_velocity_delay_found(observer: ActuatorObserver) -> bool:
+    """True if no evidence says that velocities are read with a delay."""
+    return observer.delay_s < _MAX_PROMPT_DELAY_S and observer.misfit < _MAX_EXPLAINED_MISFIT
+
+
+@inlined
+def _relative_acceleration_sd(response: ResponseIdentification, period: float) -> float:
+    """Relative standard deviation of an actuator's predicted acceleration."""
+    model = selected_model(response)
+    v = model.variance
+    square = _ACCELERATION_SHARE * _ACCELERATION_SHARE * max(model.misfit, 1.0)
+    square += max(v[0], 0.0) / (period * period) + max(v[1], 0.0) + max(v[2], 0.0)
+    return min(sqrt(square), 1.0)
+
+
+@inlined
+def update_observer(
+    observer: ActuatorObserver,
+    response: ResponseIdentification,
+    params: PredictorParameters,
+    tick: int,
+    j: int,
+    velocity_before: float,
+    predicted_angle: float,
+    predicted_velocity: float,
+    measured_angle: float,
+    measured_velocity: float,
+) -> tuple[float, float]:
+    """Update the angle and velocity of an actuator with its reading.
+
+    Args:
+        observer: changed in place.
+        response: model of the actuators' response.
+        params: the head's parameters.
+        tick: the period that has ended.
+        j: index of the actuator.
+        velocity_before: its velocity at the start of the period, rad/s.
+        predicted_angle: its angle predicted from the commands, rad.
+        predicted_velocity: its velocity predicted from the commands, rad/s.
+        measured_angle: the measured angle, rad.
+        measured_velocity: the measured velocity, rad/s.
+
+    Returns:
+        The angle, within the resolution about the reading, rad, and the velocity, rad/s.
+    """
+    period, c, model = params.period_s, observer.covariance[j], selected_model(response)
+    lag = params.lag_ratio[j] * exp(model.parameters[2])
+    late_s = model.parameters[0] + 2.0 * sqrt(max(model.variance[0], 0.0))
+    asked, gain = 0.0, exp(model.log_gain[j])
+    for i in range(int(min(late_s, max_response_latency(params)) / period) + 2):
+        asked = max(asked, abs(gain * command_at(response, tick - i, j) - predicted_velocity))
+    most = params.acceleration_limit[j] * exp(
+        model.parameters[1] + sqrt(max(model.variance[1], 0.0))
+    )
+    sd = _relative_acceleration_sd(response, period) * period * min(most, asked / lag)
+    noise = sd * sd + _DISTURBANCE_SD_RAD_S * _DISTURBANCE_SD_RAD_S
+    left = lag_decay(period, lag)
+    c[0] += period * (2.0 * c[1] + period * (c[2] + noise / 3.0))
+    c[1] = left * (c[1] + period * c[2]) + 0.5 * period * noise
+    c[2] = left * left * c[2] + noise
+    step = _ANGLE_SD_STEPS * params.angle_step[j]
+    innovation_variance = c[0] + step * step + _ANGLE_SD_RAD * _ANGLE_SD_RAD
+    innovation = (
+        clip_to_quantisation(predicted_angle, measured_angle, params.angle_step[j])
+        - predicted_angle
+    )
+    k, kv = c[0] / innovation_variance, c[1] / innovation_variance
+    predicted_angle, predicted_velocity = (
+        predicted_angle + k * innovation,
+        predicted_velocity + kv * innovation,
+    )
+    c[2] -= kv * c[1]
+    c[1] *= 1.0 - k
+    c[0] *= 1.0 - k
+    _update_delay(observer, params, j, measured_angle, measured_velocity)
+    # measurement update with the reported velocity
+    delay = observer.delay_s
+    taken = 1.0 - lag_decay(period, delay)
+    expected = observer.expected_velocity[j] + taken * (
+        predicted_velocity - observer.expected_velocity[j]
+    )
+    acceleration = abs(predicted_velocity - velocity_before) / period
+    observer.recent_acceleration[j] = max(0.8 * observer.recent_acceleration[j], acceleration)
+    delay_sd = _delay_sd(observer) + _RELATIVE_DELAY_SD * delay
+    speed_sd = (
+        _SPEED_SD_STEPS * params.speed_step[j]
+        + _SPEED_SD_RAD_S
+        + _RELATIVE_SPEED_SD * abs(predicted_velocity)
+    )
+    speed_sd += observer.recent_acceleration[j] * delay_sd
+    innovation_variance = c[2] + speed_sd * speed_sd * max(observer.misfit, 1.0)
+    innovation = clip_to_quantisation(expected, measured_velocity, params.speed_step[j]) - expected
+    # Cauchy weight: outliers count for little
+    innovation_variance += innovation * innovation / 9.0
+    k, kv = c[1] / innovation_variance, c[2] / innovation_variance
+    predicted_angle, predicted_velocity = (
+        predicted_angle + k * innovation,
+        predicted_velocity + kv * innovation,
+    )
+    c[0] -= k * c[1]
+    c[1] *= 1.0 - kv
+    c[2] *= 1.0 - kv
+    observer.expected_velocity[j] = expected + kv * innovation
+    # bound the effect of a corrupted packet
+    fastest = _MAX_SPEED_RATIO * params.speed_limit[j]
+    return clip_to_quantisation(predicted_angle, measured_angle, params.angle_step[j]), min(
+        max(predicted_velocity, -fastest), fastest
+    )
+
+
+_MAX_REST_SPEED: Final = 0.005
+"""Actuator speed below which no delay in question moves the image by a pixel, rad/s (chosen)."""
+MIN_INITIAL_NOISE_PX: Final = 0.25
+"""Least initial detection noise, standard deviation, px (chosen)."""
+
+
+class PastImage:
+    """An earlier image."""
+
+    arrival_tick: float
+    """Its arrival (its stamp if the camera stamps exposures), in periods; negative for none."""
+    goals: Annotated[FloatArray, 2, 2]
+    """Joint angles that fixate its target, rad; nan for an eye that did not see it."""
+    angles_at_exposure: Annotated[FloatArray, 2, 2]
+    """Joint angles at the exposure, from which the goals were computed, rad."""
+
+
+class PredictorState:
+    """State of the predictor for one head.
+
+    It holds the estimated motion of the actuators, the delay hypotheses, the filtered goals (joint
+    angles that fixate the targets), the targets' motion models, and the goals when the next command
+    acts.
+    """
+
+    periods: float
+    """Periods since the first observation of the trial; -1 before it."""
+    image_age_s: float
+    """Age of the newest image, s; the next period compares it to detect a new image."""
+    response: ResponseIdentification
+    observer: ActuatorObserver
+    oscillation: OscillationState
+    friction: FrictionState
+    actuator_angles: Annotated[FloatArray, 4]
+    """Estimated actuator angles, finer than the encoders' resolution, rad."""
+    velocity: Annotated[FloatArray, 4]
+    """Estimated actuator velocities, rad/s."""
+    still_periods: float
+    """Periods since an actuator last moved."""
+    last_direction: Annotated[FloatArray, 4]
+    """Sign of each actuator's last command to move: 1, -1, or 0 for none yet."""
+    reversal_tick: Annotated[FloatArray, 2, 2]
+    """Period in which an actuator of each joint last reversed its command."""
+    jump_sign: Annotated[FloatArray, 2, 2]
+    """Sign of a goal's last jump after such a reversal: 1, -1, or 0."""
+    backlash_variance: Annotated[FloatArray, 2, 2]
+    """Variance that the backlash found so far adds to a measured goal, rad^2."""
+    angles: Annotated[FloatArray, RING_LENGTH, 2, 2]
+    """Ring buffer of joint angles, one entry every `PredictorParameters.sample_periods` periods,
+    rad; entry k is at index k modulo `RING_LENGTH`."""
+    first_delay_s: float
+    """Delay of hypothesis 0, s."""
+    delay_cost: Annotated[FloatArray, HYPOTHESES]
+    """Accumulated cost of each delay hypothesis, see `vergence.controllers.prediction.delay`."""
+    first_active: float
+    """Index of the first delay hypothesis that is not ruled out."""
+    end_active: float
+    """Index one past the last of them."""
+    delay_s: float
+    """Mean delay: latency of images minus that of joint readings, s."""
+    goals_by_delay: Annotated[FloatArray, HYPOTHESES, 2, 2]
+    """Filtered goals of a resting target under each delay: angles that fixate it, rad."""
+    goals: Annotated[FloatArray, 2, 2]
+    """Mean of these goals over the delays, rad."""
+    goal_variance_over_delays: Annotated[FloatArray, 2, 2]
+    """Variance of these goals over the delays, rad^2."""
+    filter_variance: Annotated[FloatArray, 2, 2]
+    """Variance of the Kalman filter of each goal, common to all delays, rad^2."""
+    detection_variance: float
+    """Detection variance, divided by the squared focal length, rad^2."""
+    known: Annotated[FloatArray, 2]
+    """1 if an eye's target is known, otherwise 0."""
+    confirmations: Annotated[FloatArray, 2]
+    """Number of images that have confirmed it."""
+    displaced_image_count: Annotated[FloatArray, 2]
+    """Number of successive images, up to the last one, that showed the target at one displaced
+    position."""
+    displaced_goals: Annotated[FloatArray, 2, 2]
+    """Joint angles that fixate that displaced position, rad."""
+    motions: Annotated[list[TargetMotion], 2, MODELS]
+    """Target motion models, by eye and model."""
+    mode_switches: float
+    """Switches of the target between rest and motion, counted with decay."""
+    images: Annotated[list[PastImage], 2]
+    """The last image and the one before it."""
+    motion_tick: float
+    """Time to which the motion models were predicted: exposure of the last image, in periods."""
+    mode_probabilities: Annotated[FloatArray, MODES]
+    """Mode probabilities: rest, then each motion model."""
+    goals_at_effect: Annotated[FloatArray, 2, 2]
+    """Joint angles that fixate the targets at the time the next command acts, rad."""
+    goal_rates: Annotated[FloatArray, 2, 2]
+    """Rates of change of `goals_at_effect` at that time, rad/s."""
+    goal_rates_at_effect: Annotated[FloatArray, 2, 2]
+    """Rates of change when that command takes effect, a lag and half a period later,
+    rad/s."""
+    unseen_periods: Annotated[FloatArray, 2]
+    """Periods since an image last showed each eye its target."""
+    depth: Annotated[FloatArray, 2]
+    """Depth at which each eye last saw its target, m."""
+    fixated_depth: Annotated[FloatArray, 2]
+    """Depth of each eye's target once it is on the optical axis, m."""
+
+
+PREDICTOR_STATE: Final = row_layout(PredictorState)
+PREDICTOR_STATE_SIZE: Final = row_size(PREDICTOR_STATE)
+"""Length of the packed state."""
+
+
+def initial_predictor_row(
+    params_row: FloatArray, stamped: bool, learn_delay: bool, learn_response: bool
+) -> FloatArray:
+    """(SIZE,) state before the first observation.
+
+    Args:
+        params_row: packed `PredictorParameters`, see
+            `vergence.controllers.prediction.parameters.pack_predictor_parameters`.
+        stamped: True if the camera stamps exposures.
+        learn_delay: True to estimate the delay of images on line.
+        learn_response: True to identify the actuators' response on line.
+    """
+    params: PredictorParameters = params_row.view(PREDICTOR_PARAMETERS)[0]
+    response = np.zeros(1, dtype=PREDICTOR_STATE["response"])
+    response["window_begin"] = -1.0
+    for name, value in initial_response_models(
+        params.response_latency_s, params.lag_s, learn_response
+    ).items():
+        response["models"][name] = value
+    oscillation = np.zeros(1, dtype=PREDICTOR_STATE["oscillation"])
+    oscillation["decay_time_s"] = INITIAL_DECAY_TIME_S
+    images = np.zeros(2, dtype=PREDICTOR_STATE["images"].base)
+    images["arrival_tick"] = -1e9
+    return make_row(
+        PREDICTOR_STATE,
+        periods=-1.0,
+        reversal_tick=-1e9,
+        image_age_s=AGE_S,
+        response=response,
+        oscillation=oscillation,
+        first_delay_s=first_hypothesis_delay(params.nominal_delay_s),
+        delay_cost=prior_delay_costs(params.nominal_delay_s, stamped, learn_delay),
+        end_active=HYPOTHESES,
+        delay_s=params.nominal_delay_s,
+        detection_variance=(max(params.detection_noise_px, MIN_INITIAL_NOISE_PX) * params.pixel_rad)
+        ** 2,
+        depth=DEFAULT_DEPTH_M,
+        images=images,
+    )
+
+
+@inlined
+def angle_at(
+    state: PredictorState, sample_periods: float, tick: float, eye: int, joint: int
+) -> float:
+    """Interpolate a joint's angle at a time by the cubic through the four stored angles around it.
+
+    Args:
+        state: the predictor's state.
+        sample_periods: see `PredictorParameters.sample_periods`.
+        tick: the time, in periods.
+        eye: index of the eye.
+        joint: index of its joint.
+    """
+    last = np.floor(state.periods / sample_periods)
+    tick = min(max(tick / sample_periods, last - (RING_LENGTH - 4.0)), last)
+    i = min(int(np.floor(tick)), int(last) - 2)
+    s = tick - i
+    a = state.angles[np.uintp((i - 1) & (RING_LENGTH - 1)), eye, joint]
+    b = state.angles[np.uintp(i & (RING_LENGTH - 1)), eye, joint]
+    c = state.angles[np.uintp((i + 1) & (RING_LENGTH - 1)), eye, joint]
+    d = state.angles[np.uintp((i + 2) & (RING_LENGTH - 1)), eye, joint]
+    near = (s + 1.0) * (s - 2.0)
+    angle: float = (s * (s - 1.0) / 6.0) * ((s + 1.0) * d - (s - 2.0) * a)
+    angle += 0.5 * near * ((s - 1.0) * b - s * c)
+    return angle
+
+
+@inlined
+def update_joints(
+    state: PredictorState,
+    params: PredictorParameters,
+    p: PackedHead,
+    positions: FloatArray,
+    velocities: FloatArray,
+    command: FloatArray,
+    learn: bool,
+) -> None:
+    """Update the angles, the velocities and the response with a period's readings.
+
+    Args:
+        state: changed in place.
+        params: the head's parameters.
+        p: a packed head.
+        positions: (7,) measured joint angles, rad.
+        velocities: (7,) measured joint velocities, rad/s.
+        command: (4,) velocity commands that the actuators received, rad/s.
+        learn: True to identify the response.
+    """
+    state.periods += 1.0
+    state.still_periods += 1.0
+    tick, direct, begins = int(state.periods), has_motor_per_joint(p), state.periods == 0.0
+    response = state.response
+    model = selected_model(response)
+    prompt = no_velocity_delay_found(state.observer)
+    response.prompt_velocities = 1.0 if prompt else 0.0
+    before, now = (
+        np.uintp((tick - 1) & (COMMAND_RING_LENGTH - 1)),
+        np.uintp(tick & (SPEED_RING_LENGTH - 1)),
+    )
+    for j in range(4):
+        angle, rate = positions[3 + j], velocities[3 + j]
+        if not direct:
+            angle = eye_actuator_angle(p, j, positions[3:])
+            rate = eye_actuator_velocity(p, j, velocities[3:])
+        if begins:  # at rest
+            state.actuator_angles[j], state.velocity[j] = angle, rate
+            response.angles[j] = angle
+            begin_delay_comparison(state.observer, j, angle, rate)
+            continue
+        response.commands[before, j] = quantise_with_dead_zone(params, command[j])
+        q, v = state.actuator_angles[j], state.velocity[j]
+        w = response.accelerations[j]
+        ahead_q, ahead_v, w = simulate_period(response, model, params, tick - 1, j, q, v, w)
+        response.accelerations[j] = w
+        q, v = update_observer(
+            state.observer, response, params, tick - 1, j, v, ahead_q, ahead_v, angle, rate
+        )
+        state.actuator_angles[j], state.velocity[j] = q, v
+        response.mean_speeds[now, j] = (angle - response.angles[j]) / params.period_s
+        response.angles[j] = angle
+        response.speeds[now, j] = rate if prompt else v
+        if abs(state.velocity[j]) > _MAX_REST_SPEED:
+            state.still_periods = 0.0
+    every = int(params.sample_periods)
+    slot = np.uintp(tick // every & (RING_LENGTH - 1))
+    for j in range(4 if tick % every == 0 else 0):
+        q = state.actuator_angles[j] if direct else eye_joint_angle(p, j, state.actuator_angles)
+        if begins:
+            reset_oscillation(state.oscillation, j // 2, j % 2, q)
+            for place in range(RING_LENGTH):
+                state.angles[place, j // 2, j % 2] = q
+        state.angles[slot, j // 2, j % 2] = q
+    if learn and not begins:
+        learn_response(response, params, tick)
