@@ -49,11 +49,10 @@ from vergence.controllers.pid import (
     pid_velocities,
     update_error_rates,
 )
-from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.validation import check_above_zero, check_finite_number
 from vergence.errors import ConfigurationError
-from vergence.kernels import inlined, kernel
+from vergence.kernels import inlined, kernel, make_row, record_view, row_layout, row_size
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED, PackedHead
 from vergence.models.parts import FloatArray

@@ -53,7 +53,6 @@ from vergence.controllers.prediction.parameters import (
     PREDICTOR_PARAMETERS_SIZE,
     PredictorParameters,
 )
-from vergence.controllers.rows import record_view
 from vergence.controllers.state_feedback import (
     PredictiveController,
     compensate_dead_zone,
@@ -62,7 +61,7 @@ from vergence.controllers.state_feedback import (
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.envs.validation import check_above_zero, check_at_least_zero, check_finite_number
 from vergence.errors import ConfigurationError
-from vergence.kernels import inlined, kernel
+from vergence.kernels import inlined, kernel, record_view
 from vergence.models.head import HeadModel
 from vergence.models.motion import follow_joint
 from vergence.models.parts import FloatArray

@@ -32,6 +32,8 @@ brackets stand the inner names of numba that a trick needs, whose parameters
   return None.
 - One process compiles a name (`compiling_alone`): numba stores a loop and its wrapper in two files,
   and the pair of two writers may not fit, which crashes. Out: one process at a time only.
+- Named numbers of one head are views of a row, and named arrays of a batch are a named tuple; see
+  `vergence.kernels.records`, which says when to use which.
 - Tables of addresses (`make_table`): a call with 75 arrays takes 0.4 us in place of 7 or more
   [populate_array, lower_builtin, type_callable]. Out: pass the tuple itself.
 - Tuple readers (`make_tuple_reader`) [load_item]: 1.0, so only shorter sources. Out: write
@@ -48,7 +50,17 @@ from vergence.kernels.jit import (
     subroutine,
     untyped_tuple,
 )
-from vergence.kernels.tables import make_table, make_tuple_reader, unpack_table
+from vergence.kernels.records import (
+    Layout,
+    make_row,
+    make_table,
+    make_tuple_reader,
+    record_view,
+    row_layout,
+    row_size,
+    unpack_table,
+)
 
-__all__ = ["GufuncKernel", "compiled", "compiled_for_threads", "inlined", "kernel", "make_table",
-           "make_tuple_reader", "subroutine", "unpack_table", "untyped_tuple"]  # fmt: skip
+__all__ = ["GufuncKernel", "Layout", "compiled", "compiled_for_threads", "inlined", "kernel",
+           "make_row", "make_table", "make_tuple_reader", "record_view", "row_layout", "row_size",
+           "subroutine", "unpack_table", "untyped_tuple"]  # fmt: skip

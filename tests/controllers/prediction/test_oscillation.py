@@ -20,8 +20,8 @@ from vergence.controllers.prediction.parameters import (
     PREDICTOR_PARAMETERS,
     pack_predictor_parameters,
 )
-from vergence.controllers.rows import row_layout
 from vergence.hardware.emulator.world import MotorOptions
+from vergence.kernels import row_layout
 
 HEAD = load_head("physical")
 RATE_HZ = HEAD.timing.control_rate_hz

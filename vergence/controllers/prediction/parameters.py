@@ -12,8 +12,7 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.controllers.rows import make_row, row_layout, row_size
-from vergence.kernels import inlined
+from vergence.kernels import inlined, make_row, row_layout, row_size
 from vergence.models.geometry import inverse_pose
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames, pack_constants

@@ -54,10 +54,9 @@ from vergence.controllers.prediction.state import (
     initial_predictor_row,
     update_joints,
 )
-from vergence.controllers.rows import record_view, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
-from vergence.kernels import compiled, inlined
+from vergence.kernels import compiled, inlined, record_view, row_layout, row_size
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PackedHead, eye_joint_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray

@@ -56,9 +56,8 @@ from vergence.controllers.prediction.response import (
     selected_model,
     simulate_period,
 )
-from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.encoding import AGE_S
-from vergence.kernels import inlined
+from vergence.kernels import inlined, make_row, row_layout, row_size
 from vergence.models.kinematics import (
     PackedHead,
     eye_actuator_angle,

@@ -1,11 +1,19 @@
-"""Rows with named fields: one class says where everything lies."""
+"""Records: one class says where the numbers of a row, or the arrays of a group, lie."""
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pytest
 
-from vergence.controllers.rows import make_row, record_view, row_layout, row_size
+from vergence.kernels import (
+    compiled,
+    make_row,
+    make_table,
+    record_view,
+    row_layout,
+    row_size,
+    unpack_table,
+)
 from vergence.models.parts import FloatArray
 
 
@@ -49,3 +57,27 @@ def test_what_is_written_by_name_is_written_to_the_row() -> None:
     head.left.turn[1, 0] = 5.0
     assert row[0] == 3.0
     assert row[14] == 5.0
+
+
+class Inner(NamedTuple):
+    values: FloatArray
+    number: int
+    nothing: None
+
+
+class Group(NamedTuple):
+    total: FloatArray
+    inner: Inner
+
+
+@compiled
+def _add(table: np.ndarray) -> int:
+    own: Group = unpack_table(table)
+    own.total[0] += own.inner.values[1]
+    return own.inner.number if own.inner.nothing is None else 0
+
+
+def test_a_table_gives_a_group_back_with_its_names() -> None:
+    group = Group(np.zeros(2), Inner(np.arange(3.0), 5, None))
+    assert _add(make_table(group)) == 5
+    assert group.total.tolist() == [1.0, 0.0]

@@ -1,12 +1,33 @@
-"""Tables, many arrays as one argument of a compiled function; tuples read from an array at once.
+"""Records: groups of named numbers and arrays, the same for Python and for compiled code.
 
-A table's structured type says how arrays, numbers and tuples are nested, so compiled code is typed
-by it as by the group itself, and its bytes say where the arrays are. Nothing is reference-counted:
-whoever makes a table keeps the group alive, and makes another once an array has been replaced.
+A record is a class with annotated fields. There are two kinds, by what they describe.
+
+A *row* is what belongs to one head, such as a controller's state: a flat array of float64, which
+batches, broadcasts, copies and compares as any array does, and is a record inside kernels. Its
+class is never made, only named:
+
+    class Joint:
+        lag_s: float
+        limits: Annotated[FloatArray, 2]
+        eyes: Annotated[list[Eye], 2]   # a class of the same kind, twice
+
+    JOINT: Final = row_layout(Joint)
+
+after which `joint: Joint = record_view(row, JOINT)` reads and writes `joint.limits[1]`.
+
+A *group* is what belongs to a batch, such as a plant's ring buffers: a named tuple of arrays,
+numbers and further groups. A compiled function takes it as an argument like any other; one that is
+called in each period takes a table of it, made once by `make_table`, as the cost of a call is that
+of its arguments, and `unpack_table` gives the group back with its names. A table's structured type
+says how the group is nested, so compiled code is typed by it as by the group itself, and its bytes
+say where the arrays are. Nothing is reference-counted: whoever makes a table keeps the group alive,
+and makes another once an array has been replaced.
 """
 
+import operator
 from collections.abc import Callable
-from typing import Any, Final
+from importlib import import_module
+from typing import Any, Final, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numba.core import cgutils, types
@@ -15,7 +36,64 @@ from numba.np.arrayobj import load_item, populate_array
 from numba.np.numpy_support import from_dtype
 from numpy.typing import NDArray
 
-__all__ = ["make_table", "make_tuple_reader", "unpack_table"]
+from vergence.kernels.jit import inlined
+
+Layout: TypeAlias = np.dtype[np.void]
+"""Offsets of the fields of a row."""
+
+
+def row_layout(record_class: type) -> Layout:
+    """Build the layout of a row from the annotations of a class.
+
+    Args:
+        record_class: a class whose annotations are `float`, `Annotated[FloatArray, *shape]`,
+            another such class, or `Annotated[list[another], number]`.
+
+    Returns:
+        A dtype of float64 only, in the order of the annotations.
+    """
+    layout: list[tuple[str, Any, tuple[int, ...]]] = []
+    for name, hint in get_type_hints(record_class, include_extras=True).items():
+        shape: tuple[int, ...] = getattr(hint, "__metadata__", ())
+        kind = hint.__origin__ if shape else hint
+        if get_origin(kind) is list:
+            (kind,) = get_args(kind)
+        number = kind is float or get_origin(kind) is np.ndarray
+        layout.append((name, np.float64 if number else row_layout(kind), shape))
+    return np.dtype((np.record, layout))
+
+
+def row_size(layout: Layout) -> int:
+    """Length of a row, in numbers."""
+    return layout.itemsize // 8
+
+
+def make_row(layout: Layout, **values: Any) -> NDArray[np.float64]:
+    """Pack values of fields into a row; fields without a value are zero.
+
+    Args:
+        layout: layout from `row_layout`.
+        **values: numbers and arrays by field; tuples for fields that have fields themselves.
+
+    Returns:
+        (row_size,) float64.
+    """
+    row = np.zeros(1, dtype=layout)
+    for name, value in values.items():
+        row[name] = value
+    return row.view(np.float64)
+
+
+@inlined
+def record_view(row: NDArray[np.float64], layout: Layout) -> Any:
+    """View a row as a record with named fields, without copying.
+
+    Args:
+        row: (row_size,) C-contiguous.
+        layout: layout from `row_layout`.
+    """
+    return row.view(layout)[0]
+
 
 _WORD: Final = 8  # size of an address, a length and a stride, bytes (numerical)
 
@@ -27,7 +105,15 @@ def make_table(group: tuple[Any, ...]) -> NDArray[np.void]:
     handed out as writable ones, so that compiled functions need no variants for them.
     """
     kind, value = _describe(group)
-    return np.array([value], dtype=kind)
+    return np.array([(value,)], dtype=[(_tuple_name("group", group), kind)])
+
+
+def _tuple_name(place: object, group: tuple[Any, ...]) -> str:
+    """Name of a tuple's field, with the class of a named one."""
+    kind = type(group)
+    return f"{place} tuple" + (
+        f" {kind.__module__}:{kind.__qualname__}" if kind is not tuple else ""
+    )
 
 
 def _describe(group: tuple[Any, ...]) -> tuple[np.dtype[Any], tuple[Any, ...]]:
@@ -37,7 +123,7 @@ def _describe(group: tuple[Any, ...]) -> tuple[np.dtype[Any], tuple[Any, ...]]:
         value: Any = 0 if part is None else part
         if isinstance(part, tuple):
             kind, value = _describe(part)
-            fields.append((f"{place} tuple", kind))
+            fields.append((_tuple_name(place, part), kind))
         elif isinstance(part, np.ndarray):
             value = (part.ctypes.data, *part.shape, *part.strides)
             # numpy calls an array of one row contiguous whatever its stride, which would make
@@ -53,13 +139,13 @@ def _describe(group: tuple[Any, ...]) -> tuple[np.dtype[Any], tuple[Any, ...]]:
 
 
 def unpack_table(table: NDArray[np.void]) -> Any:
-    """Rebuild the group of a table, as plain tuples, inside a compiled function."""
+    """Rebuild the group of a table inside a compiled function, with its names."""
     raise NotImplementedError
 
 
 @type_callable(unpack_table)
 def _type_group(context: Any) -> Any:
-    return lambda table: _type_of(table.dtype)
+    return lambda table: _type_of(table.dtype).types[0]
 
 
 @lower_builtin(unpack_table, types.Array)  # type: ignore[untyped-decorator]
@@ -67,15 +153,16 @@ def _load_group(context: Any, builder: Any, signature: Any, arguments: Any) -> A
     (table,) = signature.args
     array = context.make_array(table)(context, builder, arguments[0])
     start = builder.bitcast(array.data, cgutils.voidptr_t)
-    return _load(context, builder, table.dtype, signature.return_type, start)
+    (field,) = table.dtype.fields.values()
+    return _load(context, builder, field.type, signature.return_type, start)
 
 
-def _type_of(record: Any) -> Any:
+def _type_of(record: Any, group: type | None = None) -> Any:
     parts: list[Any] = []
     for name, field in record.fields.items():
         what = name.split()[1:]
-        if what == ["tuple"]:
-            parts.append(_type_of(field.type))
+        if what[0] == "tuple":
+            parts.append(_type_of(field.type, _class_named(what[1]) if what[1:] else None))
         elif what == ["none"]:
             parts.append(types.none)
         elif what == ["number"]:
@@ -84,7 +171,12 @@ def _type_of(record: Any) -> Any:
             layout, element = what
             dimensions = field.type.shape[0] // 2
             parts.append(types.Array(from_dtype(np.dtype(element)), dimensions, layout))
-    return types.BaseTuple.from_types(tuple(parts))
+    return types.BaseTuple.from_types(tuple(parts), group)
+
+
+def _class_named(name: str) -> Any:
+    module, _, qualname = name.partition(":")
+    return operator.attrgetter(qualname)(import_module(module))
 
 
 def _load(context: Any, builder: Any, record: Any, result: Any, start: Any) -> Any:
