@@ -151,7 +151,7 @@ LATENCY = 8
 def predicted_unseen(row: np.ndarray) -> np.ndarray:
     """For how many periods the left eye has not been seen by a predictor, whose row comes first."""
     states = np.ascontiguousarray(row[..., :PREDICTOR_STATE_SIZE]).view(PREDICTOR_STATE)
-    return states["unseen_periods"][..., 0, 0]
+    return states["target"]["unseen_periods"][..., 0, 0]
 
 
 def accepted_since_s(row: np.ndarray) -> np.ndarray:

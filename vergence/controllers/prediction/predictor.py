@@ -42,8 +42,8 @@ from vergence.controllers.prediction.parameters import (
     with_virtual_joints,
 )
 from vergence.controllers.prediction.response import (
+    Rings,
     command_at,
-    max_response_latency,
     selected_model,
     state_at_command_effect,
 )
@@ -52,6 +52,7 @@ from vergence.controllers.prediction.state import (
     PREDICTOR_STATE_SIZE,
     PredictorState,
     initial_predictor_row,
+    rings_in,
     update_joints,
 )
 from vergence.envs.layout import Observation, ObservationLayout
@@ -212,7 +213,7 @@ class SmithPredictor:
     @property
     def size(self) -> int:
         """Length of a head's state."""
-        return PREDICTOR_STATE_SIZE
+        return len(self._initial)
 
     def initial(self) -> FloatArray:
         """(size,) the state before the first observation."""
@@ -265,35 +266,38 @@ def _update_goals(
     fresh = is_fresh(age_s, state.image_age_s, params.period_s)
     state.image_age_s = age_s
     for eye in range(2):
-        state.unseen_periods[eye] += 1.0
+        state.target.unseen_periods[eye] += 1.0
         if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
-            state.unseen_periods[eye] = 0.0
-    if state.unseen_periods[0] == 0.0 or state.unseen_periods[1] == 0.0:
+            state.target.unseen_periods[eye] = 0.0
+    if state.target.unseen_periods[0] == 0.0 or state.target.unseen_periods[1] == 0.0:
         update_with_image(state, params, error, p, learn_delay)
     for eye in range(2):
-        unseen = state.unseen_periods[eye]
+        unseen = state.target.unseen_periods[eye]
         # the other eye shows where a moving target is
-        if params.targets_move > 0.5 and state.mode_probabilities[0] < 0.5:
-            unseen = min(unseen, state.unseen_periods[1 - eye])
+        if params.targets_move > 0.5 and state.motion.probabilities[0] < 0.5:
+            unseen = min(unseen, state.target.unseen_periods[1 - eye])
         if unseen > round(MAX_UNSEEN_S / params.period_s):
-            state.known[eye] = 0.0
+            state.target.known[eye] = 0.0
 
 
 @inlined
 def _hold_against_friction(
-    state: PredictorState, params: PredictorParameters, present: _PredictionRow
+    state: PredictorState,
+    rings: Rings,
+    params: PredictorParameters,
+    present: _PredictionRow,
 ) -> None:
     """Take actuators that friction holds near their goals for at rest on them."""
     response = state.response
     model, tick = selected_model(response), int(state.periods)
     for j in range(4):
         shown_s = model.parameters[0] + 2.0 * params.lag_ratio[j] * exp(model.parameters[2])
-        earlier = min(shown_s, max_response_latency(params)) / params.period_s
-        acting = exp(model.log_gain[j]) * command_at(response, tick - 1 - int(earlier), j)
+        earlier = min(shown_s, params.max_response_latency_s) / params.period_s
+        acting = exp(model.log_gain[j]) * command_at(rings, tick - 1 - int(earlier), j)
         error, moves = present.angle_error[j], present.goal_rates[j] != 0.0
         present.angle_error[j], rests = error_to_correct(
             state.friction, params, state.periods, j, response.angles[j],
-            state.observer.last_velocity[j], acting, error, moves, state.delay_s,
+            state.observer.last_velocity[j], acting, error, moves, state.delays.mean_s,
         )  # fmt: skip
         if rests:
             present.velocities[j] = present.accelerations[j] = 0.0
@@ -301,26 +305,34 @@ def _hold_against_friction(
 
 @inlined
 def _fill_prediction(
-    state: PredictorState, params: PredictorParameters, p: PackedHead, present: _PredictionRow
+    state: PredictorState,
+    rings: Rings,
+    params: PredictorParameters,
+    p: PackedHead,
+    present: _PredictionRow,
 ) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = state.response, has_motor_per_joint(p)
     model = selected_model(response)
     sd = sqrt(max(model.variance[0], 0.0))
-    latency = min(model.parameters[0] + _LATENCY_MARGIN_SIGMAS * sd, max_response_latency(params))
+    latency = min(model.parameters[0] + _LATENCY_MARGIN_SIGMAS * sd, params.max_response_latency_s)
     for j in range(4):
-        q, v = state.actuator_angles[j], state.velocity[j]
-        q, v, w = state_at_command_effect(response, params, int(state.periods), j, q, v, latency)
+        q, v = state.joints.actuator_angles[j], state.joints.velocity[j]
+        q, v, w = state_at_command_effect(
+            response, rings, params, int(state.periods), j, q, v, latency
+        )
         present.actuator_angles[j] = min(max(q, params.lower[j]), params.upper[j])
         present.velocities[j], present.accelerations[j] = v, w
         present.speed_gain[j] = exp(model.log_gain[j])
-    extrapolate_targets(state, params, state.periods + latency / params.period_s)
+    extrapolate_targets(
+        state, params, exp(model.parameters[2]), state.periods + latency / params.period_s
+    )
     for j in range(4):
         present.positions[j] = present.actuator_angles[j]
         if not direct:
             present.positions[j] = eye_joint_angle(p, j, present.actuator_angles)
     for eye in range(2):
-        present.known[eye] = state.known[eye]
+        present.known[eye] = state.target.known[eye]
         first, second = present.positions[2 * eye], present.positions[2 * eye + 1]
         u, v = predict_pixel_error(state, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
@@ -328,20 +340,20 @@ def _fill_prediction(
         present.angle_error[j] = present.goal_rates[j] = present.goal_rates_at_effect[j] = 0.0
         # `_fill_coupled` computes this for coupled joints
         if direct and present.known[j // 2] > 0.5:
-            aim, rate = state.goals_at_effect[j // 2, j % 2], state.goal_rates[j // 2, j % 2]
+            aim, rate = state.effect.goals[j // 2, j % 2], state.effect.rates[j // 2, j % 2]
             goal = min(max(aim, params.lower[j]), params.upper[j])
             present.angle_error[j] = goal - present.actuator_angles[j]
             if goal == aim:
                 present.goal_rates[j] = rate
-                present.goal_rates_at_effect[j] = state.goal_rates_at_effect[j // 2, j % 2]
+                present.goal_rates_at_effect[j] = state.effect.later_rates[j // 2, j % 2]
     if direct:
-        _hold_against_friction(state, params, present)
-    present.image_delay_s, present.lag_s = state.delay_s, exp(model.parameters[2])
+        _hold_against_friction(state, rings, params, present)
+    present.image_delay_s, present.lag_s = state.delays.mean_s, exp(model.parameters[2])
     present.build_up = model.parameters[3]
     present.response_latency_s, present.response_latency_sd_s = model.parameters[0], sd
     present.acceleration_ratio = exp(model.parameters[1])
     present.acceleration_sd = sqrt(max(model.variance[1], 0.0))
-    present.noise_rad = sqrt(state.detection_variance)
+    present.noise_rad = sqrt(state.target.detection_variance)
     present.response_misfit = model.misfit if response.windows > 0.5 else 0.0
     present.half_swing_count = state.oscillation.half_swing_count
 
@@ -363,18 +375,21 @@ def _update(
     params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
     for n in range(rows.shape[0]):
         state: PredictorState = record_view(rows[n][:PREDICTOR_STATE_SIZE], PREDICTOR_STATE)
-        update_joints(state, params, p, positions[n], velocities[n], command[n], learn_response)
+        rings = rings_in(rows[n], params)
+        update_joints(
+            state, rings, params, p, positions[n], velocities[n], command[n], learn_response
+        )
         _update_goals(state, params, age_s[n], error[n], p, learn_delay)
         inflate_variance_at_reversal(state, p, command[n])
         decay_count(state.oscillation, params.period_s)
         for eye in range(2):
-            for joint in range(2 if state.known[eye] > 0.5 else 0):
-                q = eye_joint_angle(p, 2 * eye + joint, state.actuator_angles)
-                aim = state.goals_at_effect[eye, joint]
+            for joint in range(2 if state.target.known[eye] > 0.5 else 0):
+                q = eye_joint_angle(p, 2 * eye + joint, state.joints.actuator_angles)
+                aim = state.effect.goals[eye, joint]
                 update_oscillation(
-                    state.oscillation, params, eye, joint, q, aim, state.detection_variance
+                    state.oscillation, params, eye, joint, q, aim, state.target.detection_variance
                 )
-        _fill_prediction(state, params, p, record_view(present_rows[n], _PREDICTION))
+        _fill_prediction(state, rings, params, p, record_view(present_rows[n], _PREDICTION))
 
 
 @compiled
@@ -391,10 +406,11 @@ def _fill_coupled(
         left, right = present.known[0] > 0.5, present.known[1] > 0.5
         if not (left or right):
             continue
-        depth_l, depth_r = state.fixated_depth[0], state.fixated_depth[1]
+        rings = rings_in(rows[n], params)
+        depth_l, depth_r = state.target.fixated_depth[0], state.target.fixated_depth[1]
         least_squares_actuators(
             p,
-            state.goals_at_effect,
+            state.effect.goals,
             depth_l,
             depth_r,
             left,
@@ -406,19 +422,19 @@ def _fill_coupled(
         moves = False
         for eye in range(2):
             for joint in range(2):
-                moves = moves or state.goal_rates[eye, joint] != 0.0
+                moves = moves or state.effect.rates[eye, joint] != 0.0
         if moves:
             for eye in range(2):
                 for joint in range(2):
-                    turn = _RATE_DIFFERENCE_S * state.goal_rates[eye, joint]
-                    later[eye, joint] = state.goals_at_effect[eye, joint] + turn
+                    turn = _RATE_DIFFERENCE_S * state.effect.rates[eye, joint]
+                    later[eye, joint] = state.effect.goals[eye, joint] + turn
             least_squares_actuators(
                 p, later, depth_l, depth_r, left, right, present.actuator_angles, jacobian, ahead
             )
             for eye in range(2):
                 for joint in range(2):
-                    turn = _RATE_DIFFERENCE_S * state.goal_rates_at_effect[eye, joint]
-                    later[eye, joint] = state.goals_at_effect[eye, joint] + turn
+                    turn = _RATE_DIFFERENCE_S * state.effect.later_rates[eye, joint]
+                    later[eye, joint] = state.effect.goals[eye, joint] + turn
             least_squares_actuators(
                 p, later, depth_l, depth_r, left, right, present.actuator_angles, jacobian, shown
             )
@@ -433,4 +449,4 @@ def _fill_coupled(
                 if moves and goal == goals[j]:
                     present.goal_rates[j] = (ahead[j] - goals[j]) / _RATE_DIFFERENCE_S
                     present.goal_rates_at_effect[j] = (shown[j] - goals[j]) / _RATE_DIFFERENCE_S
-        _hold_against_friction(state, params, present)
+        _hold_against_friction(state, rings, params, present)
