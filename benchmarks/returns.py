@@ -18,8 +18,8 @@ from rich.table import Table
 
 from vergence.controllers.controller import make_controller
 from vergence.envs import MAX_EPISODE_STEPS
-from vergence.envs.policy import Policy
 from vergence.envs.rollout import rollout
+from vergence.envs.task import Policy
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.models.head import HeadModel
 

@@ -11,7 +11,7 @@ from vergence import load_head, make_controller
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.outlier_gate import GATE_STATE, OutlierGate
 from vergence.controllers.prediction.predictor_state import PREDICTOR_STATE, PREDICTOR_STATE_SIZE
-from vergence.envs.layout import AGE_S
+from vergence.envs.observation import AGE_S
 from vergence.envs.task import GazeTask
 
 HEAD = load_head("simulated")

@@ -11,7 +11,7 @@ from vergence.controllers.outlier_gate import (
     GatedDetections,
     OutlierGate,
 )
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 
 HEAD = load_head("simulated")
 LAYOUT = ObservationLayout.of(HEAD)

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.envs.streams import RandomStreams
-from vergence.envs.targets.board import POINT, Board
-from vergence.envs.targets.registry import make_target
+from vergence.envs.targets import make_target
+from vergence.envs.targets.motion import POINT, Board
 from vergence.models import HeadModel
 
 Array = NDArray[np.float64]

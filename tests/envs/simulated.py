@@ -3,8 +3,7 @@
 import gymnasium
 
 import vergence  # noqa: F401  # registers its environments
-from vergence.envs.plant import PLANTS
-from vergence.envs.plants.simulation import is_simulated
+from vergence.envs.plant import PLANTS, is_simulated
 
 SIMULATED_PLANTS = sorted(name for name in PLANTS if is_simulated(name))
 SIMULATED_IDS = sorted(

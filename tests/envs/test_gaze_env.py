@@ -17,7 +17,7 @@ from tests.grids import some_of
 from tests.naming import named
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
-from vergence.envs.plants.variation import Variation
+from vergence.envs.plants.conditions import Variation
 from vergence.errors import ConfigurationError
 from vergence.models.head_file import load_head
 from vergence.models.perturbation import ModelErrors

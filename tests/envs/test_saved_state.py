@@ -6,7 +6,7 @@ from gymnasium.vector import AutoresetMode
 
 from tests.envs.everything import EVERYTHING
 from vergence.controllers.networks.environments import training_env
-from vergence.envs.gaze_vector import GazeVectorEnv
+from vergence.envs.gaze import GazeVectorEnv
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import load_scenario
 

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from tests.envs.simulated import SIMULATED_IDS
 from tests.naming import named
-from vergence.envs.gaze_vector import GazeVectorEnv
+from vergence.envs.gaze import GazeVectorEnv
 from vergence.errors import ConfigurationError
 
 ID = "vergence/Gaze-v0"

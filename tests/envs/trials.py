@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from vergence.envs.plant import Plant
-from vergence.envs.plants.simulation import TrialStart, simulation_of
+from vergence.envs.plant import Plant, TrialStart, simulation_of
 from vergence.envs.reading import Reading
 from vergence.envs.targets.motion import motion_rows
 from vergence.models import HeadModel

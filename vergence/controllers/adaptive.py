@@ -21,8 +21,8 @@ from vergence.controllers.coupled import reducible_pixel_error
 from vergence.controllers.ibvs import depth_or_nan, ibvs_velocities, speed_limits
 from vergence.controllers.image_law import GatedImageController
 from vergence.controllers.outlier_gate import GatedDetections
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.validation import check_at_least_zero
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.reading import check_at_least_zero
 from vergence.kernels import kernel
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED, PackedHead, camera_of

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.fitting import checked_layout
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
 from vergence.models.head import HeadModel
 

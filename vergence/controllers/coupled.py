@@ -4,7 +4,7 @@ The image velocities that the law requests are distributed to the actuators by l
 pixels (`vergence.models.fixation`). Part of a pixel error may be out of reach: for eyes
 with a common tilt, only the common part of the two vertical errors can be removed. A law that acted
 on the rest would wind up, or, if its gains differ between axes, settle beside the least error. So
-laws act on the reducible part of the error (`vergence.envs.reducible`),
+laws act on the reducible part of the error (`vergence.envs.reward`),
 
     e_r = J A s,   s = argmin |J A s - e|^2
 
@@ -17,7 +17,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.envs.reducible import image_jacobians, reducible_error_by_jacobian
+from vergence.envs.reward import image_jacobians, reducible_error_by_jacobian
 from vergence.kernels import inlined, kernel, subroutine
 from vergence.models.fixation import actuator_least_squares
 from vergence.models.head import HeadModel

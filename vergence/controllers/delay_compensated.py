@@ -14,7 +14,7 @@ from vergence.controllers.ibvs import IBVS
 from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import SmithPredictor
 from vergence.controllers.stateful import StatefulController
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, SLOTS, FloatArray
 

@@ -1,6 +1,6 @@
 """Check that the observation layout of a controller belongs to its head."""
 
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from vergence.envs.encoding import AGE_S
+from vergence.envs.observation import AGE_S
 from vergence.kernels import inlined
 
 _PERIOD_TOLERANCE: Final = 0.3

@@ -50,8 +50,8 @@ from vergence.controllers.pid import (
     update_error_rates,
 )
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.validation import check_above_zero, check_finite_number
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.reading import check_above_zero, check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel

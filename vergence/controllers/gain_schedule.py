@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.ibvs import ibvs_velocities
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, FloatArray
 

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.coupled import coupled_command
 from vergence.controllers.fitting import checked_layout
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.validation import check_finite_number, real_number_array
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.reading import check_finite_number, real_number_array
 from vergence.errors import ConfigurationError
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel

@@ -11,7 +11,7 @@ import numpy as np
 from vergence.controllers.command_steps import CommandQuantiser
 from vergence.controllers.outlier_gate import GatedDetections, OutlierGate
 from vergence.controllers.stateful import StatefulController
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 from vergence.models.head import HeadModel
 from vergence.models.parts import SLOTS, FloatArray
 

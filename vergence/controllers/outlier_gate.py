@@ -21,8 +21,7 @@ from typing import Annotated, Final, NamedTuple
 
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
-from vergence.envs.encoding import AGE_S
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import AGE_S, Observation, ObservationLayout
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray

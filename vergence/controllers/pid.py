@@ -32,8 +32,8 @@ from vergence.controllers.ibvs import as_gains, depth_or_nan, limited_joint_velo
 from vergence.controllers.image_law import GatedImageController
 from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.validation import check_at_least_zero
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.reading import check_at_least_zero
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED, PackedHead, has_motor_per_joint

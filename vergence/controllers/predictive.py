@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 from vergence.controllers.prediction.predictor import SmithPredictor
 from vergence.controllers.stateful import StatefulController
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 

@@ -37,8 +37,8 @@ from vergence.controllers.prediction.oscillation import (
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
 from vergence.controllers.time_optimal import joint_timing, time_optimal_command
-from vergence.envs.layout import Observation, ObservationLayout
-from vergence.envs.validation import check_above_zero, check_at_least_zero, check_finite_number
+from vergence.envs.observation import Observation, ObservationLayout
+from vergence.envs.reading import check_above_zero, check_at_least_zero, check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.kernels import kernel
 from vergence.models.head import HeadModel

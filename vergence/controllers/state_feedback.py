@@ -29,8 +29,8 @@ from vergence.controllers.prediction.oscillation import oscillation_reduced_rate
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
-from vergence.envs.layout import Observation, ObservationLayout
-from vergence.envs.validation import check_above_zero, check_at_least_zero
+from vergence.envs.observation import Observation, ObservationLayout
+from vergence.envs.reading import check_above_zero, check_at_least_zero
 from vergence.kernels import kernel
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray

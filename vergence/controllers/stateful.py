@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.fitting import checked_layout
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray

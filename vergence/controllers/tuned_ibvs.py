@@ -9,7 +9,7 @@ from vergence.controllers.ibvs import IBVS
 from vergence.controllers.image_law import GatedImageController
 from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for, shipped_table
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray

@@ -12,7 +12,7 @@ from vergence.controllers.networks.history import (
     STORED_MOMENTS,
 )
 from vergence.controllers.networks.inputs import Inputs
-from vergence.envs.encoding import AGE_S
+from vergence.envs.observation import AGE_S
 from vergence.envs.task import GazeTask
 from vergence.models import HeadModel, load_head
 

@@ -7,7 +7,7 @@ from tests.controllers.reaching import run
 from tests.naming import named
 from vergence import load_head
 from vergence.controllers.prediction.predictor import SmithPredictor
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 

@@ -5,8 +5,7 @@ import pytest
 
 from tests.controllers.loops import begin
 from tests.envs.everything import EVERYTHING
-from vergence.envs.plants.imperfections import IMPERFECTIONS
-from vergence.envs.plants.variation import RANGES
+from vergence.envs.plants.conditions import IMPERFECTIONS, RANGES
 from vergence.envs.task import GazeTask
 
 NUM, STEPS = 24, 150

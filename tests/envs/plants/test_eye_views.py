@@ -5,7 +5,7 @@ import pytest
 
 from tests.envs.trials import begin, start_of
 from vergence.envs.plant import make_plant
-from vergence.envs.plants.eye_views import BoardImageRenderer
+from vergence.envs.plants.cameras import BoardImageRenderer
 from vergence.envs.streams import RandomStreams, StreamPurpose
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError

@@ -6,8 +6,7 @@ import pytest
 from tests.controllers.loops import begin
 from tests.envs.trials import AHEAD, pixels_of, start_of, steps
 from tests.naming import named
-from vergence.envs.plant import make_plant
-from vergence.envs.plants.simulation import simulation_of
+from vergence.envs.plant import make_plant, simulation_of
 from vergence.envs.targets.motion import motion_rows, target_position
 from vergence.envs.task import GazeTask
 

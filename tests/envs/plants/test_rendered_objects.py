@@ -7,8 +7,8 @@ import pytest
 from tests.naming import refused
 from vergence.controllers import make_controller
 from vergence.envs.plants import rendered
-from vergence.envs.plants.eye_views import RoomImageRenderer
-from vergence.envs.targets.registry import separate_look
+from vergence.envs.plants.cameras import RoomImageRenderer
+from vergence.envs.targets import separate_look
 from vergence.envs.task import GazeTask
 from vergence.models.head_file import load_head
 from vergence.vision.detection import Detection

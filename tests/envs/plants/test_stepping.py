@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.envs.plants import threads
+from vergence.envs import plants
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.scenarios import load_scenario
 
@@ -75,8 +75,8 @@ def states_of(heads: int, **options) -> dict[str, np.ndarray]:
 def test_results_do_not_depend_on_the_number_of_threads(heads, options, monkeypatch):
     states = []
     for count in (1, 3):
-        monkeypatch.setattr(threads, "processors", lambda count=count: count)
+        monkeypatch.setattr(plants, "processors", lambda count=count: count)
         states.append(states_of(heads, **options))
-    assert len(threads.bounds(heads, 16)) == 4
+    assert len(plants.bounds(heads, 16)) == 4
     for name, array in states[0].items():
         np.testing.assert_array_equal(array, states[1][name], err_msg=name)

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.envs.targets.motion import motion_rows, target_position
-from vergence.envs.targets.path import point_at
+from vergence.envs.targets.motion import motion_rows, point_at, target_position
 
 EYE = np.array([0.02, -0.1, 0.05])
 SPEED = 0.6

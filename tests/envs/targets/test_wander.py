@@ -9,9 +9,8 @@ from tests.heads import MOVING, text_of
 from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
-from vergence.envs.targets.board import is_detectable_by_both_eyes
-from vergence.envs.targets.motion import MOTION, target_position
-from vergence.envs.targets.wander import WanderTarget
+from vergence.envs.targets.motion import MOTION, is_detectable_by_both_eyes, target_position
+from vergence.envs.targets.pursuit import WanderTarget
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
 

@@ -23,10 +23,8 @@ from vergence.controllers.gain_schedule import gain_names_of_head, gains_from_ac
 from vergence.controllers.networks.acting import NetworkPrePostProcessor
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs import MAX_EPISODE_STEPS
-from vergence.envs.gaze import GazeEnv
-from vergence.envs.gaze_vector import GazeVectorEnv
-from vergence.envs.saved_state import Arrays, join_parts
-from vergence.envs.streams import IntArray
+from vergence.envs.gaze import GazeEnv, GazeVectorEnv
+from vergence.envs.streams import Arrays, IntArray, join_parts
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
 

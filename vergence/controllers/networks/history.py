@@ -28,8 +28,7 @@ from vergence.controllers.networks.resolutions import (
 )
 from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
-from vergence.envs.encoding import AGE_S
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import AGE_S, Observation, ObservationLayout
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (

@@ -32,8 +32,7 @@ from vergence.controllers.networks.history import STORED_IMAGES, InputHistory
 from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.joints import actuator_moves_eye
 from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
-from vergence.envs.encoding import FIELDS, check_observation
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import FIELDS, ObservationLayout, check_observation
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, JOINTS, FloatArray

@@ -35,7 +35,7 @@ from vergence.controllers.networks.manifest import GAIN_SCHEDULE, POLICY
 from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.controllers.networks.runtime import Runtime
 from vergence.controllers.stateful import continued_state
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_names_of_head
 from vergence.controllers.networks.inputs import Inputs
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError, UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.parts import JOINTS, SensorModel

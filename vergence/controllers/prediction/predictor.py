@@ -49,7 +49,7 @@ from vergence.controllers.prediction.response import (
 )
 from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.controllers.rows import record_view, row_layout, row_size
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, inlined
 from vergence.models.head import HeadModel

@@ -42,7 +42,7 @@ from vergence.controllers.prediction.response import (
     simulate_period,
 )
 from vergence.controllers.rows import make_row, row_layout, row_size
-from vergence.envs.encoding import AGE_S
+from vergence.envs.observation import AGE_S
 from vergence.kernels import inlined
 from vergence.models.kinematics import (
     PackedHead,
