@@ -101,7 +101,7 @@ OPEN = {
     name: kernel
     for name, kernel in KERNELS.items()
     if any(map(is_open, kernel.input_core_dimensions.values()))
-    and name != "envs.observation._decode"  # called by one function, which looks at the length before
+    and name != "envs.observation._decode"  # its one caller looks at the length before
 }
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.envs.drawn import draw
-from tests.envs.trials import assert_uniform
+from tests.envs.trials import assert_uniform, draw
 from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.gaze import GazeEnv

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from tests.envs.simulated import SIMULATED_IDS, SIMULATED_PLANTS
+from tests.envs.trials import SIMULATED_IDS, SIMULATED_PLANTS
 from tests.naming import named
 from vergence import load_head
 from vergence.envs.gaze import GazeEnv, GazeVectorEnv

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.envs.everything import EVERYTHING
+from tests.envs.trials import EVERYTHING
 from tests.naming import named
 from vergence import HeadModel, ModelErrors, load_head
 from vergence.envs.plant import make_plant, simulation_of

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from tests.envs.drawn import draw, eccentricity, inside
-from tests.envs.trials import assert_uniform
+from tests.envs.trials import assert_uniform, draw, eccentricity, inside
 from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
