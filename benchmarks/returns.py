@@ -39,7 +39,7 @@ class FullSpeed:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], Any]:
-        """See `vergence.envs.rollout.Policy`."""
+        """See `vergence.envs.task.Policy`."""
         which = np.arange(len(observation)) % len(self._directions)
         return self._directions[which], state
 
@@ -48,7 +48,7 @@ class Still(FullSpeed):
     """Policy that does not move."""
 
     def predict(self, *given: Any, **options: Any) -> tuple[NDArray[Any], Any]:
-        """See `vergence.envs.rollout.Policy`."""
+        """See `vergence.envs.task.Policy`."""
         action, state = super().predict(*given, **options)
         return 0.0 * action, state
 
