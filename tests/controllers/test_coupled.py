@@ -8,7 +8,7 @@ from tests.heads import head_of
 from tests.naming import named
 from vergence.controllers import CONTROLLERS, make_controller
 from vergence.controllers.ibvs import reducible_pixel_error
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.goal import least_reachable_error

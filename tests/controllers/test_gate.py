@@ -21,7 +21,7 @@ from vergence.controllers.gate import (
     is_fresh,
 )
 from vergence.controllers.prediction.state import PREDICTOR_STATE, PREDICTOR_STATE_SIZE
-from vergence.envs.layout import AGE_S, Observation, ObservationLayout
+from vergence.envs.observation import AGE_S, Observation, ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario

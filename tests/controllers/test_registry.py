@@ -7,7 +7,7 @@ from tests.controllers.loops import begin, true_errors
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers import CONTROLLERS, Controller
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 

@@ -58,8 +58,8 @@ from vergence.controllers.state_feedback import (
     compensate_dead_zone,
     pole_placement_command,
 )
-from vergence.envs.layout import Observation, ObservationLayout
-from vergence.envs.validation import check_above_zero, check_at_least_zero, check_finite_number
+from vergence.envs.observation import Observation, ObservationLayout
+from vergence.envs.reading import check_above_zero, check_at_least_zero, check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.kernels import inlined, kernel, record_view
 from vergence.models.head import HeadModel

@@ -42,8 +42,8 @@ from vergence.controllers.prediction.parameters import (
     PredictorParameters,
 )
 from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
-from vergence.envs.layout import Observation, ObservationLayout
-from vergence.envs.validation import check_above_zero, check_at_least_zero
+from vergence.envs.observation import Observation, ObservationLayout
+from vergence.envs.reading import check_above_zero, check_at_least_zero
 from vergence.kernels import inlined, kernel, record_view
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, SLOTS, FloatArray

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tests.joint_motion import respond
 from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
-from vergence.envs.layout import AGE_S, Observation, ObservationLayout
+from vergence.envs.observation import AGE_S, Observation, ObservationLayout
 from vergence.models.head import HeadModel
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from vergence.controllers.prediction.parameters import (
     with_virtual_joints,
 )
 from vergence.controllers.prediction.predictor import MAX_UNSEEN_S, SmithPredictor, _update
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head

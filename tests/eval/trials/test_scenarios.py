@@ -12,8 +12,8 @@ from tests.naming import named
 from vergence.controllers import make_controller
 from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for
 from vergence.envs.streams import RandomStreams
+from vergence.envs.targets import make_target
 from vergence.envs.targets.motion import target_position
-from vergence.envs.targets.registry import make_target
 from vergence.errors import ConfigurationError, UnknownNameError, UnreachableTargetError
 from vergence.eval.article.twin import TwinConfig
 from vergence.eval.trials.run import run_trials

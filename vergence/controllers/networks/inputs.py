@@ -31,7 +31,7 @@ from vergence.controllers.gate import OutlierGate
 from vergence.controllers.ibvs import ibvs_velocities
 from vergence.controllers.prediction.parameters import actuator_moves_eye
 from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel

@@ -41,8 +41,7 @@ from vergence.controllers.networks.onnx import OnnxNetwork
 from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
-from vergence.envs.encoding import check_observation
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout, check_observation
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError
 from vergence.models.head import HeadModel
 from vergence.models.parts import SLOTS, FloatArray

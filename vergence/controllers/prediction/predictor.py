@@ -55,7 +55,7 @@ from vergence.controllers.prediction.state import (
     rings_in,
     update_joints,
 )
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, inlined, record_view, row_layout, row_size
 from vergence.models.head import HeadModel

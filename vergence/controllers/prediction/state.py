@@ -54,7 +54,7 @@ from vergence.controllers.prediction.response import (
     selected_model,
     simulate_period,
 )
-from vergence.envs.encoding import AGE_S
+from vergence.envs.observation import AGE_S
 from vergence.kernels import inlined, row_layout, row_size
 from vergence.models.kinematics import (
     PackedHead,

@@ -18,7 +18,7 @@ import pandas as pd
 
 from vergence.controllers.controller import Controller
 from vergence.controllers.ibvs import IBVS, TunedIBVS
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import ConfigurationError, UserControllerError
 from vergence.eval.comparison.config import ROBOT, EvaluateConfig
 from vergence.eval.comparison.contestants import (

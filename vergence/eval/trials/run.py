@@ -21,12 +21,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.plant import plant_type
-from vergence.envs.plants.simulation import Simulation
-from vergence.envs.policy import Policy
+from vergence.envs.plant import Simulation, plant_type
 from vergence.envs.reading import Reading
 from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, Policy
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_reachable_error
