@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from tests.controllers.loops import begin
 from vergence import make_controller
+from vergence.controllers.prediction.predictor import prediction_fields
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.bound import settle_bound
 
@@ -36,8 +37,9 @@ def run(task: GazeTask, name: str, steps: int, seed: int = 0, **options: Any) ->
     update = controller.predictor.update
 
     def remember(*arguments: Any) -> Any:
-        predicted.append(update(*arguments))
-        return predicted[-1]
+        rows = update(*arguments)
+        predicted.append(prediction_fields(rows.copy()).view(np.recarray))
+        return rows
 
     controller.predictor.update = remember
     truth = task.truth()

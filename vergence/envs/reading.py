@@ -199,11 +199,15 @@ def check_count(name: str, value: object, *, minimum: int = 1) -> int:
 
 def check_finite_number(name: str, value: object) -> float:
     """Check one finite number and return it, see `check_tuple_or_nonnegative`."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise ConfigurationError(f"{name}: expected a number, got {value!r}")
-    one = float(value)
+    odd = isinstance(value, bool | np.timedelta64 | complex)
+    if odd or not isinstance(value, int | float | np.integer | np.floating):
+        raise ConfigurationError(f"{name}: expected a number, got {value!r:.80}")
+    try:
+        one = float(value)
+    except OverflowError:
+        one = np.inf
     if not np.isfinite(one):
-        raise ConfigurationError(f"{name}: expected a finite number, got {value!r}")
+        raise ConfigurationError(f"{name}: expected a finite number, got {value!r:.80}")
     return one
 
 

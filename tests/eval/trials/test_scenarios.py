@@ -47,6 +47,8 @@ def test_the_registry_holds_the_scenarios_by_their_names() -> None:
         assert load_scenario(name).name == name
     with pytest.raises(UnknownNameError, match="hardware, webcam, desk, step, workspace"):
         load_scenario("nowhere")
+    with pytest.raises(UnknownNameError, match=r"got \[\]"):
+        load_scenario([])
 
 
 @pytest.mark.slow

@@ -126,11 +126,7 @@ _LATE_IMAGE_GRACE_S: Final = 0.03
 def extrapolate_targets(
     state: PredictorState, params: PredictorParameters, lag_s: float, tick: float
 ) -> None:
-    """Extrapolate the targets to a time in periods: `goals_at_effect` and `goal_rates`.
-
-    `goal_rates_at_effect` are the rates when the command given now takes effect, a lag and half a
-    period later.
-    """
+    """Extrapolate the targets to a time in periods, see `EffectState`."""
     moves = params.targets_move > 0.5 and state.motion.probabilities[0] < _REST_PROBABILITY
     effect_delay_s = lag_s + 0.5 * params.period_s
     expected_s = (

@@ -17,7 +17,7 @@ filtered over images, see `vergence.controllers.prediction.goals`.
 """
 
 from math import exp, isfinite, sqrt
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,89 +73,68 @@ MAX_UNSEEN_S: Final = 1.0
 """Time for which the goal of an eye that does not see its target is kept, s (chosen)."""
 
 
-class Prediction(NamedTuple):
+class Prediction:
     """State of the eyes, and angles left to turn, at the time a command given now begins to act.
 
-    Angles left to turn are by actuator of the eyes; an actuator is a joint where each of the four
-    eye joints has its own motor.
+    A row of a head. Angles left to turn are by actuator of the eyes; an actuator is a joint where
+    each of the four eye joints has its own motor.
     """
 
-    angle_error: FloatArray
-    """(..., 4) angles that each actuator still has to turn at that time, rad; 0 for one that moves
-    no eye whose target is known."""
-    pixel_error: FloatArray
-    """(..., 2, 2) pixel errors at that time, undistorted, px; nan where not known."""
-    image_delay_s: FloatArray
-    """(...) latency of images minus that of joint readings, s."""
-    known: NDArray[np.bool_]
-    """(..., 2) True if an eye's target is known: visible now or a short while ago."""
-    positions: FloatArray
-    """(..., 4) angles of the eyes' joints at that time, rad."""
-    velocities: FloatArray
-    """(..., 4) velocities of the actuators at that time, rad/s."""
-    accelerations: FloatArray
-    """(..., 4) accelerations of the actuators at that time, rad/s^2."""
-    lag_s: FloatArray
-    """(...) lag of velocities behind commands, s: the lag in the head's timing, to which each
-    actuator has its own ratio."""
-    build_up: FloatArray
-    """(...) build-up of the lag, see `vergence.controllers.prediction.response`; 0 for a
-    first-order lag."""
-    actuator_angles: FloatArray
-    """(..., 4) angles of the actuators at that time, rad."""
-    response_latency_s: FloatArray
-    """(...) latency of commands plus that of joint readings, s."""
-    response_latency_sd_s: FloatArray
-    """(...) standard deviation of `latency_s`, s."""
-    acceleration_ratio: FloatArray
-    """(...) ratio of the acceleration limits to those of the head's model."""
-    acceleration_sd: FloatArray
-    """(...) standard deviation of the logarithm of `acceleration_ratio`."""
-    speed_gain: FloatArray
-    """(..., 4) ratio of steady velocity to command."""
-    goal_rates: FloatArray
-    """(..., 4) rates at which the angles left to turn grow while the actuators rest, rad/s; 0 for
-    resting targets."""
-    goal_rates_at_effect: FloatArray
-    """(..., 4) these rates when a command given now shows in the motion, a lag and half a period
-    later."""
-    noise_rad: FloatArray
-    """(...) detection noise divided by the focal length, standard deviation, rad."""
-    response_misfit: FloatArray
-    """(...) mean squared normalised residual of the response model; 0 before the first window of
-    the fit has ended."""
-    half_swing_count: FloatArray
-    """(...) decayed count of half swings of sustained oscillation about the goals, see
+    angle_error: Annotated[FloatArray, 4]
+    """Angles that each actuator still has to turn at that time, rad; 0 for one that moves no eye
+    whose target is known."""
+    pixel_error: Annotated[FloatArray, 2, 2]
+    """Pixel errors at that time, undistorted, px; nan where not known."""
+    known: Annotated[FloatArray, 2]
+    """1 if an eye's target is known: visible now or a short while ago; otherwise 0."""
+    positions: Annotated[FloatArray, 4]
+    """Angles of the eyes' joints at that time, rad."""
+    velocities: Annotated[FloatArray, 4]
+    """Velocities of the actuators at that time, rad/s."""
+    accelerations: Annotated[FloatArray, 4]
+    """Accelerations of the actuators at that time, rad/s^2."""
+    actuator_angles: Annotated[FloatArray, 4]
+    """Angles of the actuators at that time, rad."""
+    speed_gain: Annotated[FloatArray, 4]
+    """Ratio of steady velocity to command."""
+    goal_rates: Annotated[FloatArray, 4]
+    """Rates at which the angles left to turn grow while the actuators rest, rad/s; 0 for resting
+    targets."""
+    goal_rates_at_effect: Annotated[FloatArray, 4]
+    """These rates when a command given now shows in the motion, a lag and half a period later."""
+    image_delay_s: float
+    """Latency of images minus that of joint readings, s."""
+    lag_s: float
+    """Lag of velocities behind commands, s: the lag in the head's timing, to which each actuator
+    has its own ratio."""
+    build_up: float
+    """Build-up of the lag, see `vergence.controllers.prediction.response`; 0 for a first-order
+    lag."""
+    response_latency_s: float
+    """Latency of commands plus that of joint readings, s."""
+    response_latency_sd_s: float
+    """Its standard deviation, s."""
+    acceleration_ratio: float
+    """Ratio of the acceleration limits to those of the head's model."""
+    acceleration_sd: float
+    """Standard deviation of its logarithm."""
+    noise_rad: float
+    """Detection noise divided by the focal length, standard deviation, rad."""
+    response_misfit: float
+    """Mean squared normalised residual of the response model; 0 before the first window of the fit
+    has ended."""
+    half_swing_count: float
+    """Decayed count of half swings of sustained oscillation about the goals, see
     `vergence.controllers.prediction.oscillation`."""
 
 
-class _PredictionRow:
-    """`Prediction` of one head, packed into a row."""
-
-    angle_error: Annotated[FloatArray, 4]
-    pixel_error: Annotated[FloatArray, 2, 2]
-    known: Annotated[FloatArray, 2]
-    positions: Annotated[FloatArray, 4]
-    velocities: Annotated[FloatArray, 4]
-    accelerations: Annotated[FloatArray, 4]
-    actuator_angles: Annotated[FloatArray, 4]
-    speed_gain: Annotated[FloatArray, 4]
-    goal_rates: Annotated[FloatArray, 4]
-    goal_rates_at_effect: Annotated[FloatArray, 4]
-    image_delay_s: float
-    lag_s: float
-    build_up: float
-    response_latency_s: float
-    response_latency_sd_s: float
-    acceleration_ratio: float
-    acceleration_sd: float
-    noise_rad: float
-    response_misfit: float
-    half_swing_count: float
+PREDICTION: Final = row_layout(Prediction)
+PREDICTION_SIZE: Final = row_size(PREDICTION)
 
 
-_PREDICTION: Final = row_layout(_PredictionRow)
-_PREDICTION_SIZE: Final = row_size(_PREDICTION)
+def prediction_fields(rows: FloatArray) -> NDArray[np.void]:
+    """View predictions (..., PREDICTION_SIZE) by the names of their fields."""
+    return rows.view(PREDICTION)[..., 0]
 
 
 class SmithPredictor:
@@ -219,7 +198,7 @@ class SmithPredictor:
         """(size,) the state before the first observation."""
         return self._initial.copy()
 
-    def update(self, seen: Observation, state: FloatArray) -> Prediction:
+    def update(self, seen: Observation, state: FloatArray) -> FloatArray:
         """Update the prediction with one control period's observation.
 
         Args:
@@ -228,11 +207,12 @@ class SmithPredictor:
                 Entries after the state in each row belong to the caller and are left unchanged.
 
         Returns:
-            The prediction for a command given now.
+            (..., PREDICTION_SIZE) the `Prediction` for a command given now; `prediction_fields`
+            names its numbers.
         """
         leading = state.shape[:-1]
         rows = state.reshape(-1, state.shape[-1])
-        present = np.empty((*leading, _PREDICTION_SIZE))
+        present = np.empty((*leading, PREDICTION_SIZE))
         _update(
             rows,
             np.ascontiguousarray(seen.positions).reshape(-1, 7),
@@ -244,13 +224,11 @@ class SmithPredictor:
             self._packed,
             self._learn_delay,
             self._learn_response,
-            present.reshape(-1, _PREDICTION_SIZE),
+            present.reshape(-1, PREDICTION_SIZE),
         )
         if not self.head.actuation.direct:
-            _fill_coupled(rows, self.params, self._packed, present.reshape(-1, _PREDICTION_SIZE))
-        fields: Any = present.view(_PREDICTION)[..., 0]
-        values: dict[str, Any] = {name: fields[name] for name in Prediction._fields}
-        return Prediction(**{**values, "known": values["known"] > 0.5})
+            _fill_coupled(rows, self.params, self._packed, present.reshape(-1, PREDICTION_SIZE))
+        return present
 
 
 @inlined
@@ -285,7 +263,7 @@ def _hold_against_friction(
     state: PredictorState,
     rings: Rings,
     params: PredictorParameters,
-    present: _PredictionRow,
+    present: Prediction,
 ) -> None:
     """Take actuators that friction holds near their goals for at rest on them."""
     response = state.response
@@ -309,7 +287,7 @@ def _fill_prediction(
     rings: Rings,
     params: PredictorParameters,
     p: PackedHead,
-    present: _PredictionRow,
+    present: Prediction,
 ) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = state.response, has_motor_per_joint(p)
@@ -389,7 +367,7 @@ def _update(
                 update_oscillation(
                     state.oscillation, params, eye, joint, q, aim, state.target.detection_variance
                 )
-        _fill_prediction(state, rings, params, p, record_view(present_rows[n], _PREDICTION))
+        _fill_prediction(state, rings, params, p, record_view(present_rows[n], PREDICTION))
 
 
 @compiled
@@ -402,7 +380,7 @@ def _fill_coupled(
     later, shown = np.zeros((2, 2)), np.zeros(4)
     for n in range(rows.shape[0]):
         state: PredictorState = record_view(rows[n][:PREDICTOR_STATE_SIZE], PREDICTOR_STATE)
-        present: _PredictionRow = record_view(present_rows[n], _PREDICTION)
+        present: Prediction = record_view(present_rows[n], PREDICTION)
         left, right = present.known[0] > 0.5, present.known[1] > 0.5
         if not (left or right):
             continue

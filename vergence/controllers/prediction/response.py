@@ -409,14 +409,17 @@ def _try_others(
         _posterior_cost(response, rings, model, params, tick, known[0], known[1], known[2])
         - _MIN_MISFIT_DECREASE
     )
+    # about the latency in the head's model if that is long, else from none on
+    shortest = max(params.max_response_latency_s - _SPACING_S * _TRIED_LATENCIES, 0.0)
     for i in range(_TRIED_LATENCIES if free else 0):
-        latency = min(_SPACING_S * i, params.max_response_latency_s)
+        latency = min(shortest + _SPACING_S * i, params.max_response_latency_s)
         cost = _posterior_cost(response, rings, model, params, tick, latency, known[1], known[2])
         if cost < best:
             best, known[0] = cost, latency
+    beside = max(params.response_latency_s - 0.016, 0.0)
     for m in range(8):  # 8 of 72 combinations per period, all in nine periods
         i = (8 * tick + m) % 72
-        latency, ratio = 0.008 * (i % 6), log(0.4) + 0.5 * (i // 6 % 3)
+        latency, ratio = beside + 0.008 * (i % 6), log(0.4) + 0.5 * (i // 6 % 3)
         log_lag = log(0.016) + 0.45 * (i // 18)
         cost = _posterior_cost(response, rings, model, params, tick, latency, ratio, log_lag)
         if cost < best:

@@ -352,6 +352,7 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
             **trial_statistics(
                 table, trials.target_moves, trials.duration_s, trials.band_px, self.seed
             ),
+            "linear_law_fraction": trials.linear_law_fraction,
             "predict_us": trials.predict_us,
             "predict_one_us": single_predict_us(controller, trials.observation),
         }

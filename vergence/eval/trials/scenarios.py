@@ -329,6 +329,6 @@ def load_scenario(name: str) -> Scenario:
     Raises:
         UnknownNameError: there is no such scenario.
     """
-    if name not in SCENARIOS:
+    if name not in list(SCENARIOS):  # a list accepts unhashable names, too
         raise UnknownNameError("scenario", name, list(SCENARIOS))
     return SCENARIOS[name]
