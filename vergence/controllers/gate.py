@@ -16,12 +16,11 @@ A missed detection counts as a dropped frame too: a single one always, several f
 After that, or at once if the image moves so fast that motion blur may hide the target, the eye
 counts as not seeing its target: it has to come to rest to see it again.
 
-Commands are quantised for actuators that do not move at one step or less. A slow turn is made of
-pulses of two steps, with pauses. The rounding error of a command is carried over to the next
-period, so that the mean velocity is the requested one (error feedback, the first-order sigma-delta
-modulator). Otherwise a law proportional to the error would stop where its command falls below one
-and a half steps: with a gain of 3 per second and a step of 0.024 rad/s, at 12 mrad, which are seven
-pixels at a focal length of 620 pixels.
+Commands are quantised for actuators that do not move at one step or less: a slow turn is made of
+pulses of two steps, with pauses. The rounding error is carried over to the next period, so that the
+mean velocity is the requested one (first-order sigma-delta modulation). Otherwise a law
+proportional to the error would stop short: with a gain of 3 per second and a step of 0.024 rad/s,
+at 12 mrad, which are seven pixels at a focal length of 620 pixels.
 
 In a loop without these faults neither changes anything.
 """
@@ -46,18 +45,11 @@ age, and jitter of the period shifts the age of an old image by as much)."""
 
 @inlined
 def is_fresh(age_s: float, last_age_s: float, period_s: float) -> bool:
-    """True if an observation has an image that the observation one period before did not have.
+    """True if the newest image, given its present and last age, came within the last period.
 
-    An image that has not been replaced ages by one period per period. An image exposed later is
-    new, whatever its age: images may arrive late, or be exposed between two periods. If a late step
-    skips a period, a new image exposed less than 1.3 periods later may be taken for the old one; an
-    old one never counts as new.
-
-    Args:
-        age_s: age of the newest image, s. From `AGE_S` on the observation gives no age, and the
-            image is not fresh.
-        last_age_s: its age a period ago, s; `AGE_S` at a trial's start.
-        period_s: the control period, s.
+    An old image ages by one period per period; one exposed later is new, whatever its age. If a
+    late step skips a period, an image exposed less than 1.3 periods later may be taken for the old
+    one. From `AGE_S` on the observation gives no age, and nothing is fresh.
     """
     later = period_s - (age_s - last_age_s)
     return age_s < AGE_S and later > _PERIOD_TOLERANCE * period_s
@@ -81,20 +73,15 @@ _MAX_SWERVE_RATIO: Final = 0.5
 (chosen)."""
 _SHARP_BLUR_FRACTION: Final = 0.5
 """Fraction of the largest motion blur below which a target is certainly detected (chosen)."""
-_HELD: Final = 0
-"""Verdict: held back (numerical)."""
-_ACCEPTED: Final = 1
-"""Verdict: accepted (numerical)."""
-_JUMPED: Final = 2
-"""Verdict: accepted as a jump of the target (numerical)."""
+_HELD, _ACCEPTED, _JUMPED = 0, 1, 2
+"""Verdicts; the last one accepts a jump of the target (numerical)."""
 
 
 class GatedDetections(NamedTuple):
     """Detections that a law acts on."""
 
     pixel_error: FloatArray
-    """(..., 2, 2) undistorted pixel of the target minus the principal point, px; nan where not
-    visible."""
+    """(..., 2, 2) undistorted pixel minus principal point, px; nan where not visible."""
     positions_at_exposure: FloatArray
     """(..., 7) joint angles at their exposure, rad."""
     fresh: FloatArray
@@ -132,7 +119,6 @@ class GateState:
 
     eyes: Annotated[list[EyeGateState], 2]
     image_age_s: float
-    """Age of the newest image, s."""
 
 
 class GateLaw:
@@ -153,25 +139,19 @@ GATE_LAW: Final = row_layout(GateLaw)
 
 
 class OutlierGate:
-    """The gate of a head, with its state in one packed row.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations.
-    """
+    """The gate of a head, with its state in one packed row."""
 
     size: Final = _SIZE
     """S, length of the state."""
 
     def __init__(self, head: HeadModel, layout: ObservationLayout) -> None:
         exposure_s = head.timing.exposure_s
+        sharp_px = _SHARP_BLUR_FRACTION * head.sensor.max_smear_px
         self._law = make_row(
             GATE_LAW,
             tolerance_px=TOLERANCE_PX + 6.0 * head.sensor.detection_noise_px,
             focal_px=head.cameras.focal.max(axis=-1),
-            smearing_px_s=_SHARP_BLUR_FRACTION * head.sensor.max_smear_px / exposure_s
-            if exposure_s
-            else inf,
+            smearing_px_s=sharp_px / exposure_s if exposure_s else inf,
             speed_decay=exp(-layout.period_s / (_SPEED_DECAY_S + layout.latency_s)),
             period_s=layout.period_s,
         )
@@ -181,21 +161,12 @@ class OutlierGate:
         return make_row(GATE_STATE, image_age_s=AGE_S)
 
     def update(self, seen: Observation, state: FloatArray) -> GatedDetections:
-        """Update the gate and return the detections to act on.
-
-        Args:
-            seen: the observation.
-            state: (..., S) updated in place.
-        """
-        state[...], error, angles_at_exposure, fresh, jumped = update_gate(
-            state,
-            seen.pixel_error,
-            seen.image_age_s,
-            seen.positions_at_exposure,
-            seen.velocities,
+        """Update the (..., S) state in place and return the detections to act on."""
+        state[...], *detections = update_gate(
+            state, seen.pixel_error, seen.image_age_s, seen.positions_at_exposure, seen.velocities,
             self._law,
-        )
-        return GatedDetections(error, angles_at_exposure, fresh, jumped)
+        )  # fmt: skip
+        return GatedDetections(*detections)
 
 
 @inlined
@@ -230,18 +201,10 @@ def _classify(g: EyeGateState, law: GateLaw, u: float, v: float) -> int:
     f"({_SIZE}),(2,2),(),(7),(7),({row_size(GATE_LAW)})->({_SIZE}),(2,2),(7),(2),(2)",
 )
 def update_gate(
-    state_before: FloatArray,
-    error: FloatArray,
-    age_s: FloatArray,
-    q: FloatArray,
-    velocities: FloatArray,
-    law_row: FloatArray,
-    state_after: FloatArray,
-    accepted: FloatArray,
-    angles_at_exposure: FloatArray,
-    fresh: FloatArray,
-    jumped: FloatArray,
-) -> None:
+    state_before: FloatArray, error: FloatArray, age_s: FloatArray, q: FloatArray,
+    velocities: FloatArray, law_row: FloatArray, state_after: FloatArray, accepted: FloatArray,
+    angles_at_exposure: FloatArray, fresh: FloatArray, jumped: FloatArray,
+) -> None:  # fmt: skip
     """Compute the updated state and the fields of `GatedDetections`."""
     for k in range(_SIZE):
         state_after[k] = state_before[k]
@@ -284,10 +247,8 @@ def update_gate(
         accepted[eye, 0] = accepted[eye, 1] = nan
         if g.sees_target > 0.5:
             accepted[eye, 0], accepted[eye, 1] = g.accepted_error[0], g.accepted_error[1]
-            angles_at_exposure[first], angles_at_exposure[first + 1] = (
-                g.accepted_angles[0],
-                g.accepted_angles[1],
-            )
+            angles_at_exposure[first] = g.accepted_angles[0]
+            angles_at_exposure[first + 1] = g.accepted_angles[1]
 
 
 _ROUNDING: Final = 1e-9
@@ -295,27 +256,17 @@ _ROUNDING: Final = 1e-9
 
 
 class CommandQuantiser:
-    """Quantises a head's commands and carries the rounding errors over.
-
-    Args:
-        head: the model of the head.
-        limits: (4,) largest speeds of the actuators, rad/s.
-    """
+    """Quantises a head's commands within (4,) limits, rad/s, and carries rounding errors over."""
 
     def __init__(self, head: HeadModel, limits: FloatArray) -> None:
         self.step_rad_s = head.sensor.command_resolution_rad_s
         self._limits = np.array(limits)
 
     def quantise(self, command: FloatArray, carried: FloatArray) -> FloatArray:
-        """Compute the commands to send; without quantisation they are the requested ones.
+        """Compute the commands to send, rad/s, and update the errors carried over in place.
 
-        Args:
-            command: (..., 4) requested velocities of the actuators, rad/s. A zero requests rest and
-                discards the error carried over.
-            carried: (..., 4) rounding errors carried over, rad/s, updated in place.
-
-        Returns:
-            (..., 4) rad/s, in whole steps, never a single one.
+        Without a resolution the commands stay as they are. A zero requests rest, and discards the
+        error carried over.
         """
         if not self.step_rad_s > 0.0:
             return command
@@ -325,23 +276,10 @@ class CommandQuantiser:
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"], "(4),(4),(),(4)->(4),(4)")
 def quantise_command(
-    carried_before: FloatArray,
-    command: FloatArray,
-    step: FloatArray,
-    limits: FloatArray,
-    carried_after: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Quantise commands to whole steps, never a single one, and carry the remainders over.
-
-    Args:
-        carried_before: (4,) remainders of the last period, rad/s.
-        command: (4,) commands, rad/s.
-        step: () resolution of the commands, rad/s.
-        limits: (4,) largest commands, rad/s.
-        carried_after: (4,) result: remainders, at most 1.5 steps; 0 where the command is 0.
-        out: (4,) result: quantised commands, rad/s.
-    """
+    carried_before: FloatArray, command: FloatArray, step: FloatArray, limits: FloatArray,
+    carried_after: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Quantise commands to whole steps, never a single one, and carry up to 1.5 steps over."""
     size = step[0]
     for k in range(4):
         carried_after[k] = out[k] = 0.0
@@ -358,15 +296,9 @@ def quantise_command(
 
 
 class GatedImageController(StatefulController):
-    """Base of controllers with a law on pixel errors.
-
-    Detections pass an `OutlierGate` before the law, and its commands a `CommandQuantiser`.
+    """Base of laws on pixel errors between an `OutlierGate` and a `CommandQuantiser`.
 
     The state is that of the gate, then the law's own, then the rounding errors of the commands.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations and actions.
     """
 
     def __init__(self, *, head: HeadModel, layout: ObservationLayout) -> None:

@@ -39,7 +39,7 @@ rests between jumps as under `saccade`.
 """
 
 from math import exp, inf
-from typing import ClassVar, Final, Literal, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,7 @@ from vergence.controllers.prediction.parameters import (
     PredictorParameters,
 )
 from vergence.controllers.state_feedback import (
+    Estimate,
     PredictiveController,
     compensate_dead_zone,
     pole_placement_command,
@@ -77,16 +78,12 @@ _TOLERANCE_RAD: Final = 1e-6
 
 
 class JointTiming(NamedTuple):
-    """Lag, limits and control period of one joint, and its derived stopping properties."""
+    """Lag, s, limits, rad/s and rad/s^2, and control period, s, of one joint, and how it stops."""
 
     lag: float
-    """Time constant, s."""
     max_command: float
-    """Largest command, rad/s."""
     max_acceleration: float
-    """Largest acceleration, rad/s^2, inf for none."""
     period: float
-    """The control period, s."""
     decay: float
     """Factor exp(-period / lag) that a period leaves of the difference between command and
     velocity."""
@@ -95,8 +92,7 @@ class JointTiming(NamedTuple):
     last_stop_speed: float
     """Largest speed that a last period can stop at all, rad/s."""
     last_distance_per_speed: float
-    """Distance moved in a last period per unit of its initial speed, up to `smooth_stop_speed`,
-    s."""
+    """Distance moved in a last period per initial speed, up to `smooth_stop_speed`, s."""
     last_distance: float
     """Distance moved in a last period from the speed `last_stop_speed`, rad."""
 
@@ -114,21 +110,12 @@ def joint_timing(
     )
     last_stop_speed, distance = smooth_stop_speed, per_speed * smooth_stop_speed
     if max_acceleration * lag <= max_command and max_acceleration * period > smooth_stop_speed:
-        last_stop_speed, distance = (
-            max_acceleration * period,
-            0.5 * max_acceleration * period * period,
-        )
+        last_stop_speed = max_acceleration * period
+        distance = 0.5 * max_acceleration * period * period
     return JointTiming(
-        lag,
-        max_command,
-        max_acceleration,
-        period,
-        e,
-        smooth_stop_speed,
-        last_stop_speed,
-        per_speed,
-        distance,
-    )
+        lag, max_command, max_acceleration, period, e,
+        smooth_stop_speed, last_stop_speed, per_speed, distance,
+    )  # fmt: skip
 
 
 @inlined
@@ -141,14 +128,9 @@ def signed_stopping_distance(velocity: float, joint: JointTiming) -> float:
         if not velocity > joint.last_stop_speed:
             break
         dq, velocity = follow_joint(
-            0.0,
-            velocity,
-            -joint.max_command,
-            joint.lag,
-            joint.max_acceleration,
-            joint.period,
-            joint.decay,
-        )
+            0.0, velocity, -joint.max_command,
+            joint.lag, joint.max_acceleration, joint.period, joint.decay,
+        )  # fmt: skip
         distance += dq
     if velocity <= joint.smooth_stop_speed:
         distance += joint.last_distance_per_speed * velocity
@@ -163,30 +145,19 @@ def signed_stopping_distance(velocity: float, joint: JointTiming) -> float:
 
 @inlined
 def _overrun(u: float, angle_error: float, v: float, a: float, trusted: JointTiming) -> float:
-    """Compute how far beyond the goal the joint stops after a period of command u, rad."""
+    """Angle beyond the goal at which the joint stops after a period of command u, rad."""
     q, after = follow_joint(0.0, v, u, trusted.lag, a, trusted.period, trusted.decay)
     return q + signed_stopping_distance(after, trusted) - angle_error
 
 
 @inlined
 def time_optimal_command(
-    angle_error: float,
-    velocity: float,
-    present_max_acceleration: float,
+    angle_error: float, velocity: float, present_max_acceleration: float,
     braking_timing: JointTiming,
-) -> float:
-    """Compute this period's command of the time-optimal motion.
+) -> float:  # fmt: skip
+    """Compute this period's command of the time-optimal motion, rad/s.
 
-    Args:
-        angle_error: angle to the goal, rad.
-        velocity: velocity, rad/s.
-        present_max_acceleration: acceleration limit in this period, rad/s^2, at least that of
-            `braking_timing`.
-        braking_timing: timing from `joint_timing`, with the acceleration that is trusted for later
-            braking.
-
-    Returns:
-        The command, rad/s.
+    `braking_timing` has the acceleration, at most the present one, trusted for later braking.
     """
     e, u_max, period = braking_timing.decay, braking_timing.max_command, braking_timing.period
     u = (angle_error - braking_timing.lag * velocity + velocity * period * e * e / (1.0 - e)) / (
@@ -274,25 +245,17 @@ class Saccade(PredictiveController):
         trim_px: least distance from the goal within which the soft law trims, in pixels at the
             principal point; with noisy detections the distance is four standard deviations.
         trim_gain: rate k of the soft law, 1/s.
-        delay: `estimated` on line or `nominal`, see `SmithPredictor`.
-        lag: `estimated` on line or `nominal` response of the actuators, see `SmithPredictor`.
+        delay, lag: `estimated` on line or `nominal`, see `SmithPredictor`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        braking: float = 0.9,
-        caution: float = 1.0,
-        trim_px: float = 1.0,
-        trim_gain: float = 50.0,
-        delay: Literal["estimated", "nominal"] = "estimated",
-        lag: Literal["estimated", "nominal"] = "estimated",
-    ) -> None:
+        self, *, head: HeadModel, layout: ObservationLayout,
+        braking: float = 0.9, caution: float = 1.0, trim_px: float = 1.0, trim_gain: float = 50.0,
+        delay: Estimate = "estimated", lag: Estimate = "estimated",
+    ) -> None:  # fmt: skip
         super().__init__(head=head, layout=layout, delay=delay, lag=lag)
         if not 0.0 < check_finite_number("braking", braking) <= 1.0:
             raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")
@@ -342,22 +305,8 @@ def saccade_command(
 ) -> None:
     """Compute the actuators' commands of one period, rad/s.
 
-    Args:
-        angle_error: (4,) angles to the goals, rad.
-        velocity: (4,) velocities of the actuators, rad/s.
-        acceleration: (4,) accelerations of the actuators, rad/s^2.
-        goal_velocity: (4,) velocities of the goals, rad/s.
-        goal_velocity_at_effect: (4,) velocities of the goals when the command shows, rad/s.
-        has_goal: (2,) True if an eye has a goal; an actuator that moves no such eye is held still.
-        lag_s: () lag in the head's timing, s.
-        speed_gain: (4,) ratios of velocity to command.
-        model_quality: (7,) ratio of the accelerations to the model's; standard deviations of its
-            logarithm, of the latency, s, and of a detection, rad; misfit of the response; count of
-            half swings; build-up of the lag. See `MODEL_QUALITY_FIELDS`.
-        params_row: a row of `vergence.controllers.prediction.parameters.PredictorParameters`.
-        law_row: options `braking` and `caution`, the angle of a joint below which the soft law
-            acts, rad, and its rate, 1/s.
-        out: (4,) result: the commands, rad/s.
+    `model_quality` holds `MODEL_QUALITY_FIELDS`; `law_row` the options `braking` and `caution`, the
+    angle below which the soft law acts, rad, and its rate, 1/s. An actuator without a goal rests.
     """
     params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
     period = params.period_s
