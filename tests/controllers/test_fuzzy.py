@@ -37,13 +37,10 @@ def test_the_rules_in_words_are_those_that_fire() -> None:
                 assert factor == pytest.approx(1.0 + (FUZZY_SETS.index(word) - 3) / 3.0)
 
 
-def test_coming_in_fast_close_to_the_target_brakes() -> None:
+def test_coming_in_fast_close_to_the_target_brakes_and_far_away_nothing_is_integrated() -> None:
     coming, going = FUZZY.factors(30.0, -600.0), FUZZY.factors(30.0, 600.0)
     assert coming[0] < 1.0 < going[0]
     assert going[2] < 1.0 < coming[2]
-
-
-def test_far_away_nothing_is_integrated() -> None:
     assert FUZZY.factors(90.0, 0.0)[1] == 0.0
     assert FUZZY.factors(0.0, 0.0)[1] == 2.0
 

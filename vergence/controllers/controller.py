@@ -152,8 +152,7 @@ def controller_class(name: str) -> Any:
 
 
 _MAX_LISTED_ARRAYS: Final = 10
-"""Number of arrays from which on a message does not list their shapes (chosen: detail
-against length)."""
+"""Number of arrays from which on a message does not list their shapes (chosen: length)."""
 
 
 class StatefulController(ABC):
@@ -191,11 +190,9 @@ class StatefulController(ABC):
 
 
 def continued_state(
-    initial: FloatArray,
-    leading: tuple[int, ...],
-    state: tuple[NDArray[Any], ...] | None,
+    initial: FloatArray, leading: tuple[int, ...], state: tuple[NDArray[Any], ...] | None,
     episode_start: NDArray[Any] | None,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """Return the rows (..., S) to continue from, a copy, for observations of a leading shape.
 
     Those of episodes that have just begun are `initial`; a state of another shape is refused.

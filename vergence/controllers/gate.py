@@ -39,8 +39,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import SLOTS, FloatArray
 
 _PERIOD_TOLERANCE: Final = 0.3
-"""Fraction of a period up to which two exposure times count as equal (chosen: float32 rounds the
-age, and jitter of the period shifts the age of an old image by as much)."""
+"""Fraction of a period up to which exposure times are equal (chosen: float32 and jitter)."""
 
 
 @inlined
@@ -56,21 +55,17 @@ def is_fresh(age_s: float, last_age_s: float, period_s: float) -> bool:
 
 
 TOLERANCE_PX: Final = 6.0
-"""Largest distance between detections of a resting target, px, in addition to six standard
-deviations of noise (chosen)."""
+"""Largest distance between detections at rest, px, besides six sigma of noise (chosen)."""
 MAX_BRIDGED_S: Final = 0.05
 """Time for which several missed detections count as dropped frames, s (chosen)."""
 MAX_HELD_DETECTIONS: Final = 3
-"""Largest number of detections in a row that are held back (chosen: outliers against reaction
-time)."""
+"""Most detections in a row that are held back (chosen: outliers against reaction time)."""
 _SPEED_MARGIN: Final = 2.0
-"""Ratio of the largest image speed to the known one (chosen): exposure times are nominal, and
-joints accelerate."""
+"""Largest image speed to the known one (chosen: nominal exposure times, acceleration)."""
 _SPEED_DECAY_S: Final = 0.1
 """Time constant of the speed's decay, in addition to the images' latency, s (chosen)."""
 _MAX_SWERVE_RATIO: Final = 0.5
-"""Deviation of a target that has started to move from its straight line, as a fraction of its step
-(chosen)."""
+"""Deviation of a starting target from its straight line, as a fraction of its step (chosen)."""
 _SHARP_BLUR_FRACTION: Final = 0.5
 """Fraction of the largest motion blur below which a target is certainly detected (chosen)."""
 _HELD, _ACCEPTED, _JUMPED = 0, 1, 2
@@ -85,33 +80,26 @@ class GatedDetections(NamedTuple):
     positions_at_exposure: FloatArray
     """(..., 7) joint angles at their exposure, rad."""
     fresh: FloatArray
-    """(..., 2) 1 for an eye with a new detection since the last period, or that has just lost its
-    target; otherwise 0."""
+    """(..., 2) 1 for an eye with a new detection, or that has just lost its target; otherwise 0."""
     jumped: FloatArray
     """(..., 2) 1 for an eye whose fresh detection shows a jump of its target; otherwise 0."""
 
 
 class EyeGateState:
-    """State of the gate for one eye."""
+    """State of the gate for one eye: its last accepted detection, and the last one held back.
 
-    accepted_error: Annotated[FloatArray, 2]
-    """Last accepted detection, px."""
-    accepted_angles: Annotated[FloatArray, 2]
-    """Angles of the eye's joints at its exposure, rad."""
+    Counts are of detections in a row; the speed is the image's largest recent one.
+    """
+
+    accepted_error_px: Annotated[FloatArray, 2]
+    accepted_angles_rad: Annotated[FloatArray, 2]
     accepted_since_s: float
-    """Time since it arrived, s."""
-    held_error: Annotated[FloatArray, 2]
-    """Last detection that was held back, px."""
+    held_error_px: Annotated[FloatArray, 2]
     held_since_s: float
-    """Time since that one arrived, s."""
     held_count: float
-    """Number of detections held back since the last accepted one."""
     missed_count: float
-    """Number of missed detections since the last one that was not missed."""
     speed_px_s: float
-    """Largest recent speed of the image, px/s."""
     sees_target: float
-    """1 if the eye sees its target, otherwise 0."""
 
 
 class GateState:
@@ -174,7 +162,8 @@ def _classify(g: EyeGateState, law: GateLaw, u: float, v: float) -> int:
     """Classify a detection as held back, accepted or a jump; consistent motion raises the speed."""
     if g.sees_target < 0.5:
         return _ACCEPTED
-    off = hypot(u - g.accepted_error[0], v - g.accepted_error[1])
+    u_0, v_0 = g.accepted_error_px[0], g.accepted_error_px[1]
+    off = hypot(u - u_0, v - v_0)
     if off <= law.tolerance_px + _SPEED_MARGIN * g.speed_px_s * g.accepted_since_s:
         if off > 0.5 * law.tolerance_px:
             g.speed_px_s = max(g.speed_px_s, off / g.accepted_since_s)
@@ -184,12 +173,13 @@ def _classify(g: EyeGateState, law: GateLaw, u: float, v: float) -> int:
     if g.held_count > MAX_HELD_DETECTIONS - 0.5:
         return _JUMPED
     room = law.tolerance_px + _SPEED_MARGIN * g.speed_px_s * g.held_since_s
-    beside = hypot(u - g.held_error[0], v - g.held_error[1])
+    u_1, v_1 = g.held_error_px[0], g.held_error_px[1]
+    beside = hypot(u - u_1, v - v_1)
     if beside <= room:
         return _JUMPED
-    du, dv = g.held_error[0] - g.accepted_error[0], g.held_error[1] - g.accepted_error[1]
+    du, dv = u_1 - u_0, v_1 - v_0
     on = g.held_since_s / (g.accepted_since_s - g.held_since_s)
-    swerve = hypot(u - g.held_error[0] - on * du, v - g.held_error[1] - on * dv)
+    swerve = hypot(u - u_1 - on * du, v - v_1 - on * dv)
     if swerve <= room + _MAX_SWERVE_RATIO * hypot(du, dv):
         g.speed_px_s = max(g.speed_px_s, beside / g.held_since_s)
         return _ACCEPTED
@@ -229,13 +219,13 @@ def update_gate(
             g.missed_count = 0.0
             verdict = _classify(g, law, u, v)
             if verdict != _HELD:
-                g.accepted_error[0], g.accepted_error[1] = u, v
-                g.accepted_angles[0], g.accepted_angles[1] = q[first], q[first + 1]
+                g.accepted_error_px[0], g.accepted_error_px[1] = u, v
+                g.accepted_angles_rad[0], g.accepted_angles_rad[1] = q[first], q[first + 1]
                 g.accepted_since_s = g.held_count = 0.0
                 g.sees_target = fresh[eye] = 1.0
                 jumped[eye] = 1.0 if verdict == _JUMPED else 0.0
             else:
-                g.held_error[0], g.held_error[1] = u, v
+                g.held_error_px[0], g.held_error_px[1] = u, v
                 g.held_since_s = 0.0
                 g.held_count += 1.0
         else:
@@ -246,9 +236,9 @@ def update_gate(
                 fresh[eye] = 1.0
         accepted[eye, 0] = accepted[eye, 1] = nan
         if g.sees_target > 0.5:
-            accepted[eye, 0], accepted[eye, 1] = g.accepted_error[0], g.accepted_error[1]
-            angles_at_exposure[first] = g.accepted_angles[0]
-            angles_at_exposure[first + 1] = g.accepted_angles[1]
+            accepted[eye, 0], accepted[eye, 1] = g.accepted_error_px[0], g.accepted_error_px[1]
+            angles_at_exposure[first] = g.accepted_angles_rad[0]
+            angles_at_exposure[first + 1] = g.accepted_angles_rad[1]
 
 
 _ROUNDING: Final = 1e-9

@@ -133,11 +133,7 @@ an integrator behind a dead time is critically damped at 1/e)."""
 
 
 def gain_for_loop(timing: LoopTiming) -> float:
-    """The article's gain, or less in a slower loop, in which it would overshoot, 1/s.
-
-    The delay is that of image, command and readings, the joints' lag, and half of a frame and of a
-    control period. It is 105 ms for the article's heads.
-    """
+    """The article's gain, or less in a slower loop than its 105 ms, which would overshoot, 1/s."""
     delay_s = timing.latency_s + timing.command_latency_s + timing.feedback_latency_s + timing.lag_s
     delay_s += 0.5 * (timing.frame_s + timing.period_s)
     return min(_ARTICLE_GAIN, round(_GAIN_DELAY / delay_s, 2))

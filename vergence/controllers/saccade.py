@@ -1,22 +1,18 @@
 """Saccade and trim: the eyes turn to the predicted goal in the shortest time and stay there.
 
-In each period every actuator takes the fastest command that still lets it stop at the goal. There
-is no ballistic phase: the goal of `SmithPredictor` is read anew in each period, so an error of the
-head's model or its joints is corrected as soon as an image shows it. Close to the goal, where the
-time-optimal law would follow the noise of pixels and encoders, a soft law takes over, `u = k (goal
-- q - lag v)`, which approaches the goal without overshoot at the rate k.
+There is no ballistic phase: the goal of `SmithPredictor` is read anew in each period, so an error
+of the head's model or its joints is corrected as soon as an image shows it. Close to the goal,
+where the time-optimal law would follow the noise of pixels and encoders, a soft law takes over,
+`u = k (goal - q - lag v)`, which approaches the goal without overshoot at the rate k.
 
-Late braking requires a well-known motor. A linear law is used for the whole turn if the eyes have
-oscillated about a goal (`vergence.controllers.prediction.oscillation`), or if the target rests and
-the response model does not explain the eyes' motion; its rate falls with each further half swing.
-The linear law is also used if the lag builds up, as in a servo that overshoots
-(`vergence.controllers.state_feedback`).
+Late braking requires a well-known motor. The linear law of `vergence.controllers.state_feedback` is
+used for the whole turn if the eyes have oscillated about a goal, if the target rests and the
+response model does not explain the eyes' motion, or if the lag builds up.
 
 In the time-optimal motion a joint follows its command u, held for a period T, by `dv/dt = clip((u -
-v) / lag, -a, a)`. It is as fast as possible while the joint can still stop at the goal. So the
-command of a period is the largest one under which the joint, with full braking afterwards, stops at
-the goal and not beyond: with (q', v') its exact state at the period's end and `S(v)` its shortest
-stopping distance, u solves
+v) / lag, -a, a)`. The command is the largest one under which the joint, with full braking
+afterwards, stops at the goal and not beyond: with (q', v') its exact state at the period's end and
+`S(v)` its shortest stopping distance, u solves
 
     q'(u) + S(v'(u)) = goal,   |u| <= u_max
 
@@ -25,17 +21,15 @@ rest. Near the goal this is a deadbeat law of two periods: with e = exp(-T / lag
 by exactly u T, and the last period stops a velocity v within `v (lag - T e / (1 - e))`.
 
 Pursuit is the same law for targets that may move freely. The predictor estimates whether each
-target rests or moves and how (`vergence.controllers.prediction.motion_models`), extrapolates it
-over the delay, and predicts its velocity at the time the command shows in the motion. The law then
-turns each actuator in the shortest time to the predicted target angle: a catch-up saccade in the
-frame of a moving goal. Close to the goal its velocity is fed forward, and the soft law corrects the
-rest,
+target rests or moves and how (`vergence.controllers.prediction.motion_models`), and extrapolates it
+over the delay. The law then turns each actuator in the shortest time to the predicted target angle:
+a catch-up saccade in the frame of a moving goal. Close to it the soft law feeds its velocity
+forward,
 
     u = k (goal - q - lag (v - w)) + w'
 
 with w the goal's velocity when the command begins to act and w' its velocity when the command
-shows, a lag later. A target that is taken to rest has w = w' = 0, so the eyes turn to a target that
-rests between jumps as under `saccade`.
+shows, a lag later. For a target that is taken to rest, w = w' = 0, as under `saccade`.
 """
 
 from math import exp, inf
@@ -85,8 +79,7 @@ class JointTiming(NamedTuple):
     max_acceleration: float
     period: float
     decay: float
-    """Factor exp(-period / lag) that a period leaves of the difference between command and
-    velocity."""
+    """Factor exp(-period / lag) left of a difference between command and velocity."""
     smooth_stop_speed: float
     """Largest speed that a last period can stop within the acceleration limit, rad/s."""
     last_stop_speed: float
@@ -201,18 +194,15 @@ def time_optimal_command(
 
 
 _ZONE_ANGLES: Final = 2.0
-"""Width of the soft law's zone, in multiples of the uncertain angle of a period at full
-acceleration (chosen)."""
+"""Width of the soft law's zone per uncertain angle of a period's acceleration (chosen)."""
 _ZONE_SIGMAS: Final = 4.0
 """Width of that zone, in standard deviations of a detection (chosen: 4 sigma)."""
 _MOVING_TRIM_FACTOR: Final = 2.0
 """Factor by which `trim_px` is wider for a moving target (chosen)."""
 _MAX_RATE_TIMES_LAG: Final = 1.5
-"""Upper bound of the soft law's rate, as a multiple of 1 / lag (chosen: overshoot against
-speed)."""
+"""Upper bound of the soft law's rate, times the lag (chosen: overshoot against speed)."""
 _JOINT_BLUR_FRACTION: Final = 0.6
-"""Fraction of the motion-blur speed limit that each joint of an eye may have (chosen: margin for
-two joints)."""
+"""Each joint's fraction of the motion-blur speed limit (chosen: margin for two joints)."""
 _MAX_BLIND_SACCADE_S: Final = 0.12
 """Approximate longest time for which a catch-up saccade exceeds that speed, s (chosen)."""
 _LEAST_TRIM_LAG_S: Final = 0.004
@@ -225,13 +215,11 @@ MODEL_QUALITY_FIELDS: Final = (
 _MAX_MISFIT: Final = 4.0
 """Misfit of the response above which only the linear law turns the eyes (chosen)."""
 _CALM_RATE: Final = 12.0
-"""Rate of the linear law after oscillation or with that misfit, 1/s; each further half swing halves
-it (chosen)."""
+"""Rate of the linear law with that misfit or after oscillation, which lowers it, 1/s (chosen)."""
 _LINEAR_RATE: Final = 30.0
 """Rate of the linear law if the lag builds up, 1/s (chosen)."""
 _MAX_ZONE_ACCELERATION: Final = 1e3
-"""Upper bound of the acceleration in the width of the soft law's zone, for actuators without a
-limit, rad/s^2 (numerical)."""
+"""Upper bound of the acceleration in the soft law's zone, rad/s^2 (numerical)."""
 
 
 class Saccade(PredictiveController):

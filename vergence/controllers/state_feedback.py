@@ -59,13 +59,9 @@ class PredictiveController(StatefulController):
     """True if targets may move other than by jumps."""
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        delay: Estimate = "estimated",
-        lag: Estimate = "estimated",
-    ) -> None:
+        self, *, head: HeadModel, layout: ObservationLayout,
+        delay: Estimate = "estimated", lag: Estimate = "estimated",
+    ) -> None:  # fmt: skip
         super().__init__(head=head, layout=layout)
         self.predictor = SmithPredictor(
             head=head, layout=layout, delay=delay, lag=lag, targets_move=self._targets_move
@@ -201,8 +197,7 @@ class DelayCompensatedIBVS(StatefulController):
         head: the model of the head.
         layout: the layout of observations and actions.
         gain, depth, speed_limit: see `IBVS`.
-        delay: `estimated` on line or `nominal`, for both the images' delay and the actuators'
-            response, see `SmithPredictor`.
+        delay: `estimated` on line or `nominal`, also for the actuators' response.
 
     Raises:
         ConfigurationError: an option has an invalid value.
