@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from vergence.controllers import Controller
 from vergence.envs.task import GazeTask
+from vergence.eval.trials import metrics
 
 Array = NDArray[np.float64]
 
@@ -30,11 +31,9 @@ def begin(task: GazeTask, seed: int = 0) -> GazeTask:
 
 def pixel_errors(task: GazeTask) -> Array:
     """(num, 2, 2) the present true pixel errors by eye and image axis."""
-    truth = task.truth()
-    return truth.pixel_error.copy()
+    return task.truth().pixel_error.copy()
 
 
-def settle_time(errors: Array, period_s: float, band_px: float = 1.0) -> float:
-    """Time from which both eyes' errors stay within the band, s from time zero."""
-    outside = np.flatnonzero((np.linalg.norm(errors, axis=-1) >= band_px).any(axis=(1, 2)))
-    return float((outside[-1] + 1) * period_s) if outside.size else 0.0
+def settle_time(errors: Array, period_s: float, band_px: float = 1.0) -> Array:
+    """(num,) times from which both eyes' errors stay within the band, s; nan where they do not."""
+    return metrics.settle_time(np.arange(len(errors)) * period_s, errors, band_px)

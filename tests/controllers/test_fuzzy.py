@@ -28,25 +28,19 @@ def test_the_inference_is_the_weighted_average_of_all_49_rules(error, rate) -> N
     assert FUZZY.factors(error, rate) == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_documented_rules_are_those_that_fire() -> None:
-    import vergence.controllers.fuzzy as module
-
+def test_the_rules_in_words_are_those_that_fire() -> None:
     for gain, rows in enumerate(RULES.values()):
         for row, text in zip(("ZO", "PS", "PM", "PB"), rows, strict=True):
-            assert f"{row}       {'  '.join(text.split())}" in (module.__doc__ or "")
             error = 90.0 * (FUZZY_SETS.index(row) - 3) / 3.0
             for column, word in enumerate(text.split()):
                 factor = FUZZY.factors(error, 900.0 * (column - 3) / 3.0)[gain]
                 assert factor == pytest.approx(1.0 + (FUZZY_SETS.index(word) - 3) / 3.0)
 
 
-def test_coming_in_fast_close_to_the_target_brakes() -> None:
+def test_coming_in_fast_close_to_the_target_brakes_and_far_away_nothing_is_integrated() -> None:
     coming, going = FUZZY.factors(30.0, -600.0), FUZZY.factors(30.0, 600.0)
     assert coming[0] < 1.0 < going[0]
     assert going[2] < 1.0 < coming[2]
-
-
-def test_far_away_nothing_is_integrated() -> None:
     assert FUZZY.factors(90.0, 0.0)[1] == 0.0
     assert FUZZY.factors(0.0, 0.0)[1] == 2.0
 

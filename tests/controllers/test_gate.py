@@ -1,5 +1,6 @@
 """Laws in a loop with faults: images used once, detections held back or bridged, whole steps."""
 
+import itertools
 from math import ceil
 
 import numpy as np
@@ -183,17 +184,16 @@ def new(age_s: np.ndarray) -> list[int]:
     return [k for k, (age, last) in pairs if is_fresh.py_func(age, last, PERIOD_S)]
 
 
-def used(name: str, age_s: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
-    """(steps, n) whether a controller takes in an image, for (steps, n) ages and starts."""
+def used(name: str, age_s: np.ndarray) -> np.ndarray:
+    """(steps, n) whether a controller takes in an image, for (steps, n) ages."""
     controller = make_controller(name, head=HEAD)
     fields = controller.layout.fields
     observation = np.zeros((age_s.shape[1], controller.layout.size), dtype=np.float32)
     observation[:, fields["visible"]] = 1.0
     state, taken = None, []
-    for k, age in enumerate(age_s):
+    for age in age_s:
         observation[:, fields["image_age"]] = age[:, None] / AGE_S
-        start = None if starts is None else starts[k]
-        _action, state = controller.predict(observation, state, start)
+        _action, state = controller.predict(observation, state)
         taken.append(USED[name](state[0]))
     return np.array(taken)
 
@@ -215,44 +215,24 @@ def test_every_controller_uses_each_image_once_however_it_is_dated() -> None:
             assert (used(name, np.stack(columns, axis=1)) == expected[:, None]).all()
 
 
-def test_a_frame_that_is_dropped_is_not_made_up_for() -> None:
+def test_images_that_are_dropped_that_stay_or_that_are_there_from_the_start() -> None:
     came = [k for k in range(LATENCY, 80, 4) if k % 3]
     assert new(ages([(k - LATENCY - 0.3, k) for k in came], 80)) == came
-
-
-def test_an_image_that_stays_is_never_new_again() -> None:
     # beyond 0.5 s the observation no longer tells its age
     assert new(ages([(0.3, LATENCY)], 200)) == [LATENCY]
-
-
-def test_an_image_that_is_there_when_a_trial_begins_is_new_and_before_the_first_is_none() -> None:
-    assert new(np.full(50, AGE_S)) == []
     assert new(ages([(-12.4, 0)], 10)) == [0]
+    assert new(np.full(50, AGE_S)) == []
 
 
 def test_images_that_come_at_irregular_times_are_used_once() -> None:
-    for seed in range(2):
-        for interval in [2.0, 4.0]:
-            with named(seed, interval):
-                rng = np.random.default_rng(seed)
-                exposed = 0.37 + interval * np.arange(40)
-                came = [ceil(time) for time in exposed + 6.0 + rng.uniform(0.0, 1.9, 40)]
-                # of two that come within a period the newer one is seen
-                found = new(ages(list(zip(exposed, came, strict=True)), 120))
-                assert found == sorted(k for k in set(came) if k < 120)
-
-
-def test_a_head_whose_trial_begins_anew_forgets_the_last_image() -> None:
-    for name in USED:
-        with named(name):
-            running = ages([(k - LATENCY - 0.3, k) for k in range(0, 40, 4)], 40)
-            # the second head's new trial begins in period 18, just before a picture is repeated
-            ended = np.concatenate([running[:18], running[2:24]])
-            starts = np.zeros((40, 2), dtype=np.bool_)
-            starts[0] = starts[18, 1] = True
-            taken = used(name, np.stack([running, ended], axis=1), starts)
-            assert np.flatnonzero(taken[:, 0]).tolist() == list(range(0, 40, 4))
-            assert np.flatnonzero(taken[:, 1]).tolist() == [0, 4, 8, 12, 16, 18, 20, 24, 28, 32, 36]
+    for seed, interval in itertools.product(range(2), (2.0, 4.0)):
+        with named(seed, interval):
+            rng = np.random.default_rng(seed)
+            exposed = 0.37 + interval * np.arange(40)
+            came = [ceil(time) for time in exposed + 6.0 + rng.uniform(0.0, 1.9, 40)]
+            # of two that come within a period the newer one is seen
+            found = new(ages(list(zip(exposed, came, strict=True)), 120))
+            assert found == sorted(k for k in set(came) if k < 120)
 
 
 def test_on_a_grid_of_time_each_image_of_a_late_head_is_new_once() -> None:
@@ -270,7 +250,7 @@ def test_on_a_grid_of_time_each_image_of_a_late_head_is_new_once() -> None:
 
 STEP = 0.024
 LIMITS = np.full(4, 6.0)
-STEPPED = load_head("simulated").replace(sensor={"command_resolution_rad_s": STEP})
+STEPPED = HEAD.replace(sensor={"command_resolution_rad_s": STEP})
 
 
 def sent(commands: np.ndarray) -> np.ndarray:
@@ -307,7 +287,7 @@ def test_a_command_of_rest_rests_and_forgets() -> None:
 
 
 def test_where_commands_have_no_steps_they_are_sent_as_they_are() -> None:
-    steps, carried = CommandQuantiser(load_head("simulated"), LIMITS), np.zeros(4)
+    steps, carried = CommandQuantiser(HEAD, LIMITS), np.zeros(4)
     command = np.array([0.001, -0.002, 3.0, 0.0])
     assert np.array_equal(steps.quantise(command, carried), command)
     assert not carried.any()

@@ -45,39 +45,32 @@ def test_the_integral_adds_up_the_error_over_time() -> None:
     assert not command[0].any()
 
 
-def test_the_derivative_is_the_errors_rate() -> None:
-    command = feed(make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=0.0), RAMP)
+def derivative(filter_s: float, every: int) -> tuple[np.ndarray, np.ndarray]:
+    """The ramp in images some periods apart, and the commands of the derivative alone."""
+    seen = RAMP[np.arange(30) // every * every]
+    ages = LATENCY_S + PERIOD_S * (np.arange(30) % every)
+    pid = make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=filter_s)
+    return seen, feed(pid, seen, ages)
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_the_derivative_is_the_errors_rate_over_the_time_of_images(every) -> None:
+    seen, command = derivative(0.0, every)
     rate = np.full((2, 2), 2.0 / PERIOD_S)
-    scale = law(RAMP[-1], gain=0.5 * rate / RAMP[-1])
     assert not command[0].any()
-    assert command[-1] == pytest.approx(scale, rel=1e-9)
+    assert np.array_equal(command[every::every], command[2 * every - 1 :: every])
+    assert command[-1] == pytest.approx(law(seen[-1], gain=0.5 * rate / seen[-1]), rel=1e-9)
 
 
 @pytest.mark.parametrize(("every", "left"), [(1, 0.75), (2, 0.6)])
 def test_the_derivatives_filter_is_of_first_order_in_the_time_of_images(every, left) -> None:
     # implicit steps: each image leaves filter / (filter + time since the last one) of what is
     # missing; J changes by 1 % as the image moves
-    seen = RAMP[np.arange(30) // every * every]
-    ages = LATENCY_S + PERIOD_S * (np.arange(30) % every)
     filtered, plain = (
-        feed(
-            make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=filter_s), seen, ages
-        )[every::every, 1]
-        for filter_s in (3.0 * PERIOD_S, 0.0)
+        derivative(filter_s, every)[1][every::every, 1] for filter_s in (3.0 * PERIOD_S, 0.0)
     )
     remaining = 1.0 - filtered[:9] / plain[:9]
     assert remaining == pytest.approx(left ** np.arange(1, 10), rel=1e-6)
-
-
-def test_the_derivative_waits_for_an_image_that_has_come() -> None:
-    # every other image is lost: the same ramp, seen half as often
-    held = RAMP[(np.arange(30) // 2) * 2]
-    ages = LATENCY_S + PERIOD_S * (np.arange(30) % 2)
-    pid = make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=0.0)
-    command = feed(pid, held, ages)
-    assert np.array_equal(command[2::2], command[3::2])
-    rate = np.full((2, 2), 2.0 / PERIOD_S)
-    assert command[-1] == pytest.approx(law(held[-1], gain=0.5 * rate / held[-1]), rel=1e-6)
 
 
 def test_a_jump_of_the_target_is_no_rate() -> None:

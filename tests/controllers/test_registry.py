@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.controllers.loops import begin, true_errors
+from tests.heads import head_of
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers import CONTROLLERS, Controller
@@ -21,16 +22,16 @@ def made(name: str) -> Controller:
     return make_controller(name, head=HEAD)
 
 
-def observations(*shape: int, seed: int = 3) -> np.ndarray:
+def observations(*shape: int, seed: int = 3, layout: ObservationLayout = LAYOUT) -> np.ndarray:
     """Random observations of newest images, all that a layout allows."""
     rng = np.random.default_rng(seed)
-    observation = rng.uniform(LAYOUT.low(), LAYOUT.high(), (*shape, LAYOUT.size))
-    observation[..., LAYOUT.fields["visible"]] = rng.random((*shape, 2)) < 0.8
-    observation[..., LAYOUT.fields["image_age"]] = HEAD.timing.latency_s / 0.5
+    observation = rng.uniform(layout.low(), layout.high(), (*shape, layout.size))
+    observation[..., layout.fields["visible"]] = rng.random((*shape, 2)) < 0.8
+    observation[..., layout.fields["image_age"]] = HEAD.timing.latency_s / 0.5
     # the fine channel says the same as the coarse one
-    coarse = observation[..., LAYOUT.fields["pixel_error"]]
+    coarse = observation[..., layout.fields["pixel_error"]]
     width = HEAD.cameras.size[0, 0]
-    observation[..., LAYOUT.fields["pixel_error_fine"]] = np.clip(coarse * width / 16.0, -1, 1)
+    observation[..., layout.fields["pixel_error_fine"]] = np.clip(coarse * width / 16.0, -1, 1)
     return observation.astype(np.float32)
 
 
@@ -41,16 +42,22 @@ def same(a: object, b: object) -> bool:
     return all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))
 
 
-def test_actions_are_bounded_numbers_in_the_batchs_shape() -> None:
+def test_actions_are_bounded_numbers_of_the_actuators_in_the_batchs_shape() -> None:
+    tied = head_of("tied")
     for name in CONTROLLERS:
-        with named(name):
+        for head, count in ((HEAD, 4), (tied, 3)):
+            if head is tied and name in LEARNED:
+                continue
             for shape in ((), (2, 3)):
-                controller, state = made(name), None
-                for step in range(4):
-                    action, state = controller.predict(observations(*shape, seed=step), state)
-                    assert (action.dtype, action.shape) == (np.float32, (*shape, 4))
-                    assert (np.abs(action) <= 1.0).all()
-                    assert all(part.shape[: len(shape)] == shape for part in state or ())
+                with named(name, head.name, shape):
+                    controller, state = make_controller(name, head), None
+                    layout = ObservationLayout.of(head)
+                    for step in range(4):
+                        seen = observations(*shape, seed=step, layout=layout)
+                        action, state = controller.predict(seen, state)
+                        assert (action.dtype, action.shape) == (np.float32, (*shape, count))
+                        assert (np.abs(action) <= 1.0).all()
+                        assert all(part.shape[: len(shape)] == shape for part in state or ())
 
 
 def test_a_batch_is_the_loop_over_its_rows() -> None:
@@ -101,6 +108,11 @@ def test_neither_the_observation_nor_the_state_that_came_is_changed() -> None:
             again, after_again = controller.predict(now, state, np.array([True, False, False]))
             assert np.array_equal(first, again)
             assert same(after, after_again)
+
+
+def test_a_state_of_another_batch_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="state: expected a tuple of one array of shape"):
+        made("saccade").predict(observations(3), (np.zeros((2, 5)),))
 
 
 def test_a_target_that_was_never_seen_moves_nothing_and_gives_no_nan() -> None:

@@ -61,11 +61,8 @@ def test_each_swing_too_many_halves_the_rate_down_to_one_that_is_slow() -> None:
     assert asked(0.1, 0.0, half_swings=6.0, law=(2.0, 1.0)) == pytest.approx(1.0 * 0.1)
 
 
-def test_a_motor_that_turns_faster_than_it_is_told_is_told_less() -> None:
+def test_the_command_is_for_what_the_motors_make_of_it_and_can_follow() -> None:
     assert asked(0.1, 0.5, gain=1.25) == pytest.approx(asked(0.1, 0.5) / 1.25)
-
-
-def test_the_command_is_one_that_the_motors_can_follow() -> None:
     assert asked(1.0, 0.0, gain=1.0) == pytest.approx(HEAD.actuation.velocity[3:])
 
 
@@ -95,17 +92,9 @@ def test_tuned_it_settles_sooner_than_any_gain_on_the_predicted_error() -> None:
         options = tuned_or_fallback_options(name, "workspace", HEAD)
         task = GazeTask(40, head=HEAD, plant="kinematic")
         errors = true_errors(task, make_controller(name, HEAD, **options), 1.0)
-        times[name] = np.array([settle_time(errors[:, i : i + 1], PERIOD_S) for i in range(40)])
+        times[name] = settle_time(errors, PERIOD_S)
     assert (times["state-feedback"] < 0.4).all()
     assert np.median(times["state-feedback"]) < 0.75 * np.median(times["delay-compensated"])
-
-
-def test_it_is_tuned_for_the_scenarios_of_the_ladder() -> None:
-    for scenario in ["workspace", "robust", "hardware", "webcam"]:
-        with named(scenario):
-            head = load_scenario(scenario).model()
-            options = tuned_or_fallback_options("state-feedback", scenario, head)
-            assert options.keys() == {"gain", "damping"}
 
 
 LAG_S = 0.03
@@ -134,15 +123,7 @@ def test_a_servo_that_overshoots_hardly_passes_its_goal() -> None:
             assert abs(way[-1] - 1.0) < 1e-3
 
 
-def test_a_law_without_a_build_up_is_that_of_two_poles() -> None:
-    found = pole_placement_command(0.1, 0.5, 7.0, 20.0, 0.03, 0.0)
-    assert found == pytest.approx(20.0 * (0.1 - 0.015))
-
-
-TICKED = ("hardware", "webcam")
-
-
-@pytest.mark.parametrize("scenario", TICKED)
+@pytest.mark.parametrize("scenario", ["hardware", "webcam"])
 def test_it_settles_on_heads_whose_speeds_come_in_ticks(scenario: str) -> None:
     loaded = load_scenario(scenario)
     head = loaded.model()

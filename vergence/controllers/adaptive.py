@@ -11,13 +11,11 @@ v_0) / f_v: no unit, close to radians near the axis. Only the part of the error 
 actuators can remove counts.
 
 A schedule chooses K of the law `theta_dot = J^-1 K (p* - p)` for each eye and image axis, between 0
-and 20 per second. It can therefore only reshape a law that is well understood: whatever the gains,
-the eyes never turn away from the target's position in the newest image, and they rest where that
-error is zero.
+and 20 per second. Whatever the gains, the eyes never turn away from the target's position in the
+newest image, and they rest where that error is zero.
 
-An action of a schedule is four numbers in [-1, 1], whatever moves the head's eyes: for left v, left
-u, right v and right u, in the order of the joints that move these axes (a tilt moves v, a pan u).
-For eyes that pan first, the order is u, v, see `gain_names_of_head`.
+An action of a schedule is four numbers in [-1, 1], whatever moves the head's eyes: one per eye and
+image axis, in the order of `gain_names_of_head`.
 
     gain = 5 (1 + action)^2 per second
 
@@ -25,14 +23,15 @@ The square gives small gains, which brake, a larger part of the range.
 """
 
 from collections.abc import Sequence
-from math import exp, isfinite
-from typing import Final, Literal
+from math import exp, isfinite, nan
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.gate import GatedDetections, GatedImageController
 from vergence.controllers.ibvs import (
+    Depth,
     depth_or_nan,
     ibvs_velocities,
     reducible_pixel_error,
@@ -56,24 +55,17 @@ class AdaptiveIBVS(GatedImageController):
         lambda_zero: gain at zero error, 1/s.
         lambda_inf: gain at large errors, 1/s; if it equals `lambda_zero` the gain is fixed.
         slope_zero: lambda'_0, steepness of the gain's fall at zero error, 1/s per unit of x.
-        depth: see `IBVS`.
-        speed_limit: see `IBVS`.
+        depth, speed_limit: see `IBVS`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        lambda_zero: float = 4.2,
-        lambda_inf: float = 4.1,
-        slope_zero: float = 30.0,
-        depth: Literal["triangulated"] | float = "triangulated",
-        speed_limit: float | None = None,
-    ) -> None:
+        self, *, head: HeadModel, layout: ObservationLayout,
+        lambda_zero: float = 4.2, lambda_inf: float = 4.1, slope_zero: float = 30.0,
+        depth: Depth = "triangulated", speed_limit: float | None = None,
+    ) -> None:  # fmt: skip
         values = {"lambda_zero": lambda_zero, "lambda_inf": lambda_inf, "slope_zero": slope_zero}
         for name, value in values.items():
             check_at_least_zero(name, value)
@@ -83,14 +75,7 @@ class AdaptiveIBVS(GatedImageController):
         self._constants = np.array([lambda_zero, lambda_inf, slope_zero])
 
     def gains(self, pixel_error: ArrayLike) -> FloatArray:
-        """Compute the gains for given errors.
-
-        Args:
-            pixel_error: (..., 2, 2) undistorted pixel minus principal point, px.
-
-        Returns:
-            (..., 2, 2) gains by eye and image axis, 1/s; both axes of an eye have the same.
-        """
+        """Compute the (..., 2, 2) gains, 1/s, for (..., 2, 2) errors, px, by eye and image axis."""
         return np.asarray(adaptive_gains(pixel_error, self._constants, self.head.packed))
 
     def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
@@ -124,19 +109,13 @@ GAIN_LIMIT: Final = 20.0
 """Largest gain, 1/s; the least is 0 (chosen)."""
 TILT_FIRST_GAIN_NAMES: Final = ("left_v", "left_u", "right_v", "right_u")
 """Gains of the four numbers of a schedule's action, for eyes that tilt first."""
-_TRIANGULATED: Final = np.nan
 
 
 def gain_names_of_head(head: HeadModel) -> tuple[str, ...]:
     """Name the four gains of a schedule's action in its order: eye, image axis (`left_v`).
 
-    Args:
-        head: the model of the head.
-
-    Returns:
-        For a head whose four eye joints each have their own motor, the image axis that each joint
-        moves most at rest, in joint order, so that the gains have the order of the actuators; for
-        any other head `TILT_FIRST_GAIN_NAMES`.
+    With a motor per joint, the axis is the one that each joint moves most at rest, in joint order;
+    for any other head the names are `TILT_FIRST_GAIN_NAMES`.
     """
     if not head.actuation.direct:
         return TILT_FIRST_GAIN_NAMES
@@ -157,14 +136,9 @@ def gain_indices_by_axis(gain_names: Sequence[str] = TILT_FIRST_GAIN_NAMES) -> l
 def gains_from_action(
     action: ArrayLike, names: Sequence[str] = TILT_FIRST_GAIN_NAMES
 ) -> FloatArray:
-    """Compute the gains that a schedule's action asks for.
+    """Compute the (..., 2, 2) gains, 1/s, of a schedule's (..., 4) action in the order of `names`.
 
-    Args:
-        action: (..., 4) in the order of `names`; limited to [-1, 1].
-        names: the head's `gain_names_of_head`.
-
-    Returns:
-        (..., 2, 2) gains in 1/s, 0 to 20, by eye and image axis (u, v).
+    The action is limited to [-1, 1]; the gains are by eye and image axis (u, v).
     """
     share = 0.5 * (1.0 + np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
     gains = GAIN_LIMIT * share[..., gain_indices_by_axis(names)] ** 2
@@ -174,15 +148,7 @@ def gains_from_action(
 def action_from_gains(
     gains: ArrayLike, names: Sequence[str] = TILT_FIRST_GAIN_NAMES
 ) -> NDArray[np.float32]:
-    """Compute the schedule's action that asks for given gains, the inverse of `gains_from_action`.
-
-    Args:
-        gains: (..., 2, 2) by eye and image axis, 1/s; limited to 0 to 20.
-        names: the head's `gain_names_of_head`.
-
-    Returns:
-        (..., 4) actions.
-    """
+    """Compute the inverse of `gains_from_action`, of gains limited to 0 to `GAIN_LIMIT`."""
     share = np.sqrt(np.clip(np.asarray(gains, dtype=np.float64), 0.0, GAIN_LIMIT) / GAIN_LIMIT)
     by_axis = (2.0 * share - 1.0).reshape(*share.shape[:-2], 4)
     return by_axis[..., np.argsort(gain_indices_by_axis(names))].astype(np.float32)
@@ -203,15 +169,7 @@ class ScheduledIBVS:
         """Gains of the four numbers of an action."""
 
     def action(self, observation: ArrayLike, gains: ArrayLike) -> NDArray[np.float32]:
-        """Compute the law's action for the gaze task.
-
-        Args:
-            observation: (..., size) observations of the gaze task.
-            gains: (..., 2, 2) by eye and image axis, 1/s.
-
-        Returns:
-            (..., m) actions, one number per actuator.
-        """
+        """Compute the (..., m) action for (..., size) observations and gains as in `command`."""
         return self.layout.action(self.command(self.layout.decode(observation), gains))
 
     def command(self, seen: Observation, gains: ArrayLike) -> FloatArray:
@@ -226,10 +184,6 @@ class ScheduledIBVS:
             requests none.
         """
         return ibvs_velocities(
-            self.head,
-            seen.positions_at_exposure,
-            seen.pixel_error,
-            np.asarray(gains, dtype=np.float64),
-            _TRIANGULATED,
-            self.layout.action_limits,
-        )
+            self.head, seen.positions_at_exposure, seen.pixel_error,
+            np.asarray(gains, dtype=np.float64), nan, self.layout.action_limits,
+        )  # fmt: skip

@@ -16,19 +16,7 @@ from vergence.models.parts import FloatArray
 
 
 def checked_layout(head: HeadModel, layout: ObservationLayout | None) -> ObservationLayout:
-    """Return the layout for a controller of a head.
-
-    Args:
-        head: the head to control.
-        layout: the layout of its observations; None for the head's own layout.
-
-    Returns:
-        The layout.
-
-    Raises:
-        ConfigurationError: the layout belongs to another head, so its numbers mean something else,
-            or the head's eyes do not move.
-    """
+    """Return a head's layout; refuse another head's, and a head whose eyes do not move."""
     if not head.actuation.count:
         raise ConfigurationError(
             f"head: expected one whose eyes move, got {head.name!r}, a fixed pair, which leaves a "
@@ -53,12 +41,9 @@ class Controller(Protocol):
     """A policy with the `predict` of Stable-Baselines3, batched."""
 
     def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[Any] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        self, observation: NDArray[Any], state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None, deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:  # fmt: skip
         """Choose actions.
 
         Args:
@@ -101,9 +86,6 @@ def make_controller(
         head: the model of the head to control.
         layout: the layout of observations and actions; None for the head's own layout.
         **options: the controller's own options.
-
-    Returns:
-        The controller.
 
     Raises:
         UnknownNameError: there is no such controller.
@@ -162,11 +144,7 @@ def default_options(name: str) -> dict[str, Any]:
 
 
 def controller_class(name: str) -> Any:
-    """Return the class of a registered controller.
-
-    Raises:
-        UnknownNameError: there is no such controller.
-    """
+    """Return the class of a registered controller; `UnknownNameError` if there is none."""
     if name not in list(CONTROLLERS):  # a list accepts unhashable names, too
         raise UnknownNameError("controller", name, sorted(CONTROLLERS))
     module, _, attribute = CONTROLLERS[name].partition(":")
@@ -174,22 +152,13 @@ def controller_class(name: str) -> Any:
 
 
 _MAX_LISTED_ARRAYS: Final = 10
-"""Number of arrays from which on a message does not list their shapes (chosen: detail
-against length)."""
+"""Number of arrays from which on a message does not list their shapes (chosen: length)."""
 
 
 class StatefulController(ABC):
-    """A controller whose state is one packed row per head.
+    """A controller whose state is one packed row (S,) of float64 per head.
 
-    The state that `predict` returns is a tuple of one array (..., S), rows of float64 with the
-    leading shape of the observations. The caller's arrays are never changed.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations and actions.
-
-    Raises:
-        ConfigurationError: the layout belongs to another head.
+    `predict` returns it as a tuple of one array (..., S), and never changes the caller's arrays.
     """
 
     def __init__(self, *, head: HeadModel, layout: ObservationLayout) -> None:
@@ -210,18 +179,10 @@ class StatefulController(ABC):
         return self._initial()
 
     def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[Any] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Choose actions, see `Controller.predict`.
-
-        Raises:
-            ConfigurationError: these are not valid observations, or the state does not belong to
-                this controller and this number of heads.
-        """
+        self, observation: NDArray[Any], state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None, deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:  # fmt: skip
+        """Choose actions, see `Controller.predict`; also refuses a state of another batch."""
         leading = np.shape(observation)[:-1]
         rows = continued_state(self._start, leading, state, episode_start)
         command = self._command(self.layout.decode(observation), rows)
@@ -229,31 +190,16 @@ class StatefulController(ABC):
 
 
 def continued_state(
-    initial: FloatArray,
-    leading: tuple[int, ...],
-    state: tuple[NDArray[Any], ...] | None,
+    initial: FloatArray, leading: tuple[int, ...], state: tuple[NDArray[Any], ...] | None,
     episode_start: NDArray[Any] | None,
-) -> FloatArray:
-    """Return the state to continue from, in an array of its own.
+) -> FloatArray:  # fmt: skip
+    """Return the rows (..., S) to continue from, a copy, for observations of a leading shape.
 
-    Args:
-        initial: (S,) the state at a trial's start.
-        leading: the leading shape of the observations.
-        state: the state returned by the last call, a tuple of one array (..., S); None at the
-            start.
-        episode_start: (...) True for an episode that has just begun; its state is reset.
-
-    Returns:
-        (..., S) float64.
-
-    Raises:
-        ConfigurationError: the state does not belong to such a controller and this number of heads.
+    Those of episodes that have just begun are `initial`; a state of another shape is refused.
     """
     shape = (*leading, initial.size)
     if state is None:
-        rows = np.empty(shape)
-        rows[...] = initial
-        return rows
+        return np.broadcast_to(initial, shape).copy()
     given: Any = state  # a caller may pass anything, whatever the annotation says
     several = isinstance(given, tuple | list)
     if not several or len(given) != 1 or np.shape(given[0]) != shape:

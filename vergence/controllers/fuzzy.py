@@ -11,34 +11,15 @@ the weighted average of the rules' singletons, NB = -1 to PB = 1 in thirds, give
 for the law of `vergence.controllers.pid`, with its derivative, anti-windup and resets. mu is at
 most 1, so a gain is never negative.
 
-The rules are symmetric, Delta(-e, -de/dt) = Delta(e, de/dt), as left and right are alike. Rows: e
-from ZO to PB; columns: de/dt, from NB (it approaches fast) to PB (it recedes fast).
-
-    Delta kp   NB  NM  NS  ZO  PS  PM  PB
-      ZO       NM  NS  ZO  ZO  ZO  NS  NM    at the target: do not feed noise and swing
-      PS       NB  NM  NS  ZO  PS  PM  PB    close, and coming in fast: brake; else push
-      PM       NM  NS  ZO  PS  PM  PB  PB
-      PB       ZO  PS  PM  PB  PB  PB  PB    far away: go
-
-    Delta ki   NB  NM  NS  ZO  PS  PM  PB
-      ZO       NB  NM  PS  PB  PS  NM  NB    integrate what stays, not what passes
-      PS       NB  NM  NS  PM  PM  PS  ZO
-      PM       NB  NB  NM  NS  NS  NM  NB
-      PB       NB  NB  NB  NB  NB  NB  NB    far away an integral only winds up
-
-    Delta kd   NB  NM  NS  ZO  PS  PM  PB
-      ZO       PB  PM  PS  ZO  PS  PM  PB    swinging through the target: damp
-      PS       PB  PB  PM  PS  ZO  NS  NS    coming in fast: damp more
-      PM       PM  PM  PS  ZO  NS  NM  NM
-      PB       ZO  ZO  NS  NM  NB  NB  NB    far away: do not hold back
+The rules (`RULES`) are symmetric, Delta(-e, -de/dt) = Delta(e, de/dt), as left and right are alike.
 """
 
-from collections.abc import Callable
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vergence.controllers.ibvs import Depth
 from vergence.controllers.pid import (
     PID,
     PID_LAW,
@@ -62,25 +43,26 @@ FUZZY_SETS: Final = ("NB", "NM", "NS", "ZO", "PS", "PM", "PB")
 
 RULES: Final = {
     "kp": (
-        "NM NS ZO ZO ZO NS NM",
-        "NB NM NS ZO PS PM PB",
+        "NM NS ZO ZO ZO NS NM",  # at the target: do not feed noise and swing
+        "NB NM NS ZO PS PM PB",  # close, and coming in fast: brake; else push
         "NM NS ZO PS PM PB PB",
-        "ZO PS PM PB PB PB PB",
+        "ZO PS PM PB PB PB PB",  # far away: go
     ),
     "ki": (
-        "NB NM PS PB PS NM NB",
+        "NB NM PS PB PS NM NB",  # integrate what stays, not what passes
         "NB NM NS PM PM PS ZO",
         "NB NB NM NS NS NM NB",
-        "NB NB NB NB NB NB NB",
+        "NB NB NB NB NB NB NB",  # far away an integral only winds up
     ),
     "kd": (
-        "PB PM PS ZO PS PM PB",
-        "PB PB PM PS ZO NS NS",
+        "PB PM PS ZO PS PM PB",  # swinging through the target: damp
+        "PB PB PM PS ZO NS NS",  # coming in fast: damp more
         "PM PM PS ZO NS NM NM",
-        "ZO ZO NS NM NB NB NB",
+        "ZO ZO NS NM NB NB NB",  # far away: do not hold back
     ),
 }
-"""Changes of gain for errors from ZO to PB by rates from NB to PB; mirrored for negative errors."""
+"""Changes of gain by error and rate: rows from ZO to PB, mirrored for negative errors; columns from
+NB (it approaches fast) to PB (it recedes fast)."""
 
 
 def rule_base() -> FloatArray:
@@ -91,18 +73,16 @@ def rule_base() -> FloatArray:
 
 
 class FuzzyState:
-    """State of the law for one head."""
+    """State of the law for one head, with its present gains."""
 
     pid: PIDState
     gains: Gains
-    """Present gains."""
 
 
 class FuzzyLaw:
-    """Constants of the law."""
+    """Constants of the law; the gains of the PID are kp0, ki0 and kd0."""
 
     pid: PIDLaw
-    """Constants of the PID, with the gains kp0, ki0 and kd0."""
     factors: Annotated[FloatArray, 3, 7, 7]
     """Factors of kp, ki and kd by set of the error and set of its rate."""
     error_px: float
@@ -112,82 +92,6 @@ class FuzzyLaw:
 FUZZY_STATE: Final = row_layout(FuzzyState)
 _SIZE: Final = row_size(FUZZY_STATE)
 FUZZY_LAW: Final = row_layout(FuzzyLaw)
-
-
-class FuzzyPID(PID):
-    """PID with gains from fuzzy rules on the error and its rate.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations and actions.
-        kp: kp0, see `PID`.
-        ki: ki0.
-        kd: kd0.
-        span_p: mu_p, 0 to 1.
-        span_i: mu_i, 0 to 1.
-        span_d: mu_d, 0 to 1.
-        error_px: E, the error at full membership of the sets NB and PB, px.
-        rate_px_s: D, the rate at full membership of the sets NB and PB, px/s.
-        filter_s: see `PID`.
-        depth: see `IBVS`.
-
-    Raises:
-        ConfigurationError: an option has an invalid value.
-    """
-
-    def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        kp: ArrayLike = 7.0,
-        ki: ArrayLike = 0.01,
-        kd: ArrayLike = 0.195,
-        span_p: float = 0.08,
-        span_i: float = 0.5,
-        span_d: float = 0.05,
-        error_px: float = 160.0,
-        rate_px_s: float = 560.0,
-        filter_s: float = 0.011,
-        depth: Literal["triangulated"] | float = "triangulated",
-    ) -> None:
-        super().__init__(
-            head=head, layout=layout, kp=kp, ki=ki, kd=kd, filter_s=filter_s, depth=depth
-        )
-        for name, value in {"span_p": span_p, "span_i": span_i, "span_d": span_d}.items():
-            if not 0.0 <= check_finite_number(name, value) <= 1.0:
-                raise ConfigurationError(f"{name}: expected 0 to 1, got {value!r}")
-        check_above_zero("error_px", error_px)
-        check_above_zero("rate_px_s", rate_px_s)
-        spans = np.array([span_p, span_i, span_d])
-        self.universe = (error_px, rate_px_s)
-        """Error E, px, and rate D, px/s, at full membership of the sets NB and PB."""
-        self._constants = make_row(
-            FUZZY_LAW,
-            pid=self._constants.view(PID_LAW),
-            factors=1.0 + spans[:, None, None] * rule_base(),
-            error_px=error_px,
-            rate_px_s=rate_px_s,
-        )
-
-    @property
-    def _ask(self) -> Callable[..., tuple[FloatArray, FloatArray]]:
-        return fuzzy_command
-
-    def _own_initial(self) -> FloatArray:
-        return make_row(FUZZY_STATE, pid=super()._own_initial().view(PID_STATE))
-
-    def factors(self, error: ArrayLike, rate: ArrayLike) -> FloatArray:
-        """Compute the factors of the gains.
-
-        Args:
-            error: (...) error of one eye along one image axis, px.
-            rate: (...) its rate, px/s.
-
-        Returns:
-            (..., 3) factors of kp, ki and kd.
-        """
-        return np.asarray(fuzzy_gain_factors(error, rate, self._constants, np.zeros(3)))
 
 
 @inlined
@@ -217,15 +121,7 @@ def _infer(error: float, rate: float, law: FuzzyLaw, gain: int) -> float:
 def fuzzy_gain_factors(
     error: FloatArray, rate: FloatArray, law_row: FloatArray, _three: FloatArray, out: FloatArray
 ) -> None:
-    """Compute the factors of kp, ki and kd from the rules.
-
-    Args:
-        error: () error of one eye and axis, px.
-        rate: () its rate, px/s.
-        law_row: a row of `FuzzyLaw`.
-        _three: (3,) any array; it sets the length of the result.
-        out: (3,) result.
-    """
+    """Compute the factors of kp, ki and kd; any `_three` sets the length of the result."""
     law: FuzzyLaw = record_view(law_row, FUZZY_LAW)
     for gain in range(3):
         out[gain] = _infer(error[0], rate[0], law, gain)
@@ -236,18 +132,10 @@ def fuzzy_gain_factors(
     f"({_SIZE}),(2,2),(2,2),(2),(2),(7),({row_size(FUZZY_LAW)}),(4),({PACKED})->({_SIZE}),(4)",
 )
 def fuzzy_command(
-    state_before: FloatArray,
-    error: FloatArray,
-    reducible_error: FloatArray,
-    fresh: FloatArray,
-    jumped: FloatArray,
-    q: FloatArray,
-    law_row: FloatArray,
-    limit: FloatArray,
-    p: PackedHead,
-    state_after: FloatArray,
-    out: FloatArray,
-) -> None:
+    state_before: FloatArray, error: FloatArray, reducible_error: FloatArray, fresh: FloatArray,
+    jumped: FloatArray, q: FloatArray, law_row: FloatArray, limit: FloatArray, p: PackedHead,
+    state_after: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
     """Compute the updated state and the velocities of the eyes' actuators."""
     for k in range(_SIZE):
         state_after[k] = state_before[k]
@@ -262,3 +150,53 @@ def fuzzy_command(
             gains.ki[eye, axis] = basic.ki[eye, axis] * _infer(e, rate, law, 1)
             gains.kd[eye, axis] = basic.kd[eye, axis] * _infer(e, rate, law, 2)
     pid_velocities(s, law.pid, gains, error, q, elapsed, limit, p, out)
+
+
+class FuzzyPID(PID):
+    """PID with gains from fuzzy rules on the error and its rate.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        kp, ki, kd: kp0, ki0 and kd0, see `PID`.
+        span_p, span_i, span_d: mu_p, mu_i and mu_d, 0 to 1.
+        error_px: E, the error at full membership of the sets NB and PB, px.
+        rate_px_s: D, the rate at full membership of the sets NB and PB, px/s.
+        filter_s, depth: see `PID`.
+
+    Raises:
+        ConfigurationError: an option has an invalid value.
+    """
+
+    _kernel: ClassVar[Any] = fuzzy_command
+
+    def __init__(
+        self, *, head: HeadModel, layout: ObservationLayout,
+        kp: ArrayLike = 7.0, ki: ArrayLike = 0.01, kd: ArrayLike = 0.195,
+        span_p: float = 0.08, span_i: float = 0.5, span_d: float = 0.05,
+        error_px: float = 160.0, rate_px_s: float = 560.0, filter_s: float = 0.011,
+        depth: Depth = "triangulated",
+    ) -> None:  # fmt: skip
+        super().__init__(
+            head=head, layout=layout, kp=kp, ki=ki, kd=kd, filter_s=filter_s, depth=depth
+        )
+        for name, value in {"span_p": span_p, "span_i": span_i, "span_d": span_d}.items():
+            if not 0.0 <= check_finite_number(name, value) <= 1.0:
+                raise ConfigurationError(f"{name}: expected 0 to 1, got {value!r}")
+        check_above_zero("error_px", error_px)
+        check_above_zero("rate_px_s", rate_px_s)
+        spans = np.array([span_p, span_i, span_d])
+        self.universe = (error_px, rate_px_s)
+        """Error E, px, and rate D, px/s, at full membership of the sets NB and PB."""
+        factors = 1.0 + spans[:, None, None] * rule_base()
+        self._constants = make_row(
+            FUZZY_LAW, pid=self._constants.view(PID_LAW), factors=factors,
+            error_px=error_px, rate_px_s=rate_px_s,
+        )  # fmt: skip
+
+    def _own_initial(self) -> FloatArray:
+        return make_row(FUZZY_STATE, pid=super()._own_initial().view(PID_STATE))
+
+    def factors(self, error: ArrayLike, rate: ArrayLike) -> FloatArray:
+        """Compute the (..., 3) factors of kp, ki and kd for errors (...), px, and rates, px/s."""
+        return np.asarray(fuzzy_gain_factors(error, rate, self._constants, np.zeros(3)))

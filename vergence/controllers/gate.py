@@ -16,12 +16,11 @@ A missed detection counts as a dropped frame too: a single one always, several f
 After that, or at once if the image moves so fast that motion blur may hide the target, the eye
 counts as not seeing its target: it has to come to rest to see it again.
 
-Commands are quantised for actuators that do not move at one step or less. A slow turn is made of
-pulses of two steps, with pauses. The rounding error of a command is carried over to the next
-period, so that the mean velocity is the requested one (error feedback, the first-order sigma-delta
-modulator). Otherwise a law proportional to the error would stop where its command falls below one
-and a half steps: with a gain of 3 per second and a step of 0.024 rad/s, at 12 mrad, which are seven
-pixels at a focal length of 620 pixels.
+Commands are quantised for actuators that do not move at one step or less: a slow turn is made of
+pulses of two steps, with pauses. The rounding error is carried over to the next period, so that the
+mean velocity is the requested one (first-order sigma-delta modulation). Otherwise a law
+proportional to the error would stop short: with a gain of 3 per second and a step of 0.024 rad/s,
+at 12 mrad, which are seven pixels at a focal length of 620 pixels.
 
 In a loop without these faults neither changes anything.
 """
@@ -39,91 +38,67 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import SLOTS, FloatArray
 
 _PERIOD_TOLERANCE: Final = 0.3
-"""Fraction of a period up to which two exposure times count as equal (chosen: float32 rounds the
-age, and jitter of the period shifts the age of an old image by as much)."""
+"""Fraction of a period up to which exposure times are equal (chosen: float32 and jitter)."""
 
 
 @inlined
 def is_fresh(age_s: float, last_age_s: float, period_s: float) -> bool:
-    """True if an observation has an image that the observation one period before did not have.
+    """True if the newest image, given its present and last age, came within the last period.
 
-    An image that has not been replaced ages by one period per period. An image exposed later is
-    new, whatever its age: images may arrive late, or be exposed between two periods. If a late step
-    skips a period, a new image exposed less than 1.3 periods later may be taken for the old one; an
-    old one never counts as new.
-
-    Args:
-        age_s: age of the newest image, s. From `AGE_S` on the observation gives no age, and the
-            image is not fresh.
-        last_age_s: its age a period ago, s; `AGE_S` at a trial's start.
-        period_s: the control period, s.
+    An old image ages by one period per period; one exposed later is new, whatever its age. If a
+    late step skips a period, an image exposed less than 1.3 periods later may be taken for the old
+    one. From `AGE_S` on the observation gives no age, and nothing is fresh.
     """
     later = period_s - (age_s - last_age_s)
     return age_s < AGE_S and later > _PERIOD_TOLERANCE * period_s
 
 
 TOLERANCE_PX: Final = 6.0
-"""Largest distance between detections of a resting target, px, in addition to six standard
-deviations of noise (chosen)."""
+"""Largest distance between detections at rest, px, besides six sigma of noise (chosen)."""
 MAX_BRIDGED_S: Final = 0.05
 """Time for which several missed detections count as dropped frames, s (chosen)."""
 MAX_HELD_DETECTIONS: Final = 3
-"""Largest number of detections in a row that are held back (chosen: outliers against reaction
-time)."""
+"""Most detections in a row that are held back (chosen: outliers against reaction time)."""
 _SPEED_MARGIN: Final = 2.0
-"""Ratio of the largest image speed to the known one (chosen): exposure times are nominal, and
-joints accelerate."""
+"""Largest image speed to the known one (chosen: nominal exposure times, acceleration)."""
 _SPEED_DECAY_S: Final = 0.1
 """Time constant of the speed's decay, in addition to the images' latency, s (chosen)."""
 _MAX_SWERVE_RATIO: Final = 0.5
-"""Deviation of a target that has started to move from its straight line, as a fraction of its step
-(chosen)."""
+"""Deviation of a starting target from its straight line, as a fraction of its step (chosen)."""
 _SHARP_BLUR_FRACTION: Final = 0.5
 """Fraction of the largest motion blur below which a target is certainly detected (chosen)."""
-_HELD: Final = 0
-"""Verdict: held back (numerical)."""
-_ACCEPTED: Final = 1
-"""Verdict: accepted (numerical)."""
-_JUMPED: Final = 2
-"""Verdict: accepted as a jump of the target (numerical)."""
+_HELD, _ACCEPTED, _JUMPED = 0, 1, 2
+"""Verdicts; the last one accepts a jump of the target (numerical)."""
 
 
 class GatedDetections(NamedTuple):
     """Detections that a law acts on."""
 
     pixel_error: FloatArray
-    """(..., 2, 2) undistorted pixel of the target minus the principal point, px; nan where not
-    visible."""
+    """(..., 2, 2) undistorted pixel minus principal point, px; nan where not visible."""
     positions_at_exposure: FloatArray
     """(..., 7) joint angles at their exposure, rad."""
     fresh: FloatArray
-    """(..., 2) 1 for an eye with a new detection since the last period, or that has just lost its
-    target; otherwise 0."""
+    """(..., 2) 1 for an eye with a new detection, or that has just lost its target; otherwise 0."""
     jumped: FloatArray
     """(..., 2) 1 for an eye whose fresh detection shows a jump of its target; otherwise 0."""
 
 
 class EyeGateState:
-    """State of the gate for one eye."""
+    """State of the gate for one eye: its last accepted detection, and the last one held back.
 
-    accepted_error: Annotated[FloatArray, 2]
-    """Last accepted detection, px."""
-    accepted_angles: Annotated[FloatArray, 2]
-    """Angles of the eye's joints at its exposure, rad."""
+    Counts are of detections in a row; the speed is the image's largest recent one.
+    """
+
+    accepted_error_px: Annotated[FloatArray, 2]
+    accepted_angles_rad: Annotated[FloatArray, 2]
     accepted_since_s: float
-    """Time since it arrived, s."""
-    held_error: Annotated[FloatArray, 2]
-    """Last detection that was held back, px."""
+    held_error_px: Annotated[FloatArray, 2]
     held_since_s: float
-    """Time since that one arrived, s."""
     held_count: float
-    """Number of detections held back since the last accepted one."""
     missed_count: float
-    """Number of missed detections since the last one that was not missed."""
     speed_px_s: float
-    """Largest recent speed of the image, px/s."""
     sees_target: float
-    """1 if the eye sees its target, otherwise 0."""
 
 
 class GateState:
@@ -131,7 +106,6 @@ class GateState:
 
     eyes: Annotated[list[EyeGateState], 2]
     image_age_s: float
-    """Age of the newest image, s."""
 
 
 class GateLaw:
@@ -152,25 +126,19 @@ GATE_LAW: Final = row_layout(GateLaw)
 
 
 class OutlierGate:
-    """The gate of a head, with its state in one packed row.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations.
-    """
+    """The gate of a head, with its state in one packed row."""
 
     size: Final = _SIZE
     """S, length of the state."""
 
     def __init__(self, head: HeadModel, layout: ObservationLayout) -> None:
         exposure_s = head.timing.exposure_s
+        sharp_px = _SHARP_BLUR_FRACTION * head.sensor.max_smear_px
         self._law = make_row(
             GATE_LAW,
             tolerance_px=TOLERANCE_PX + 6.0 * head.sensor.detection_noise_px,
             focal_px=head.cameras.focal.max(axis=-1),
-            smearing_px_s=_SHARP_BLUR_FRACTION * head.sensor.max_smear_px / exposure_s
-            if exposure_s
-            else inf,
+            smearing_px_s=sharp_px / exposure_s if exposure_s else inf,
             speed_decay=exp(-layout.period_s / (_SPEED_DECAY_S + layout.latency_s)),
             period_s=layout.period_s,
         )
@@ -180,21 +148,12 @@ class OutlierGate:
         return make_row(GATE_STATE, image_age_s=AGE_S)
 
     def update(self, seen: Observation, state: FloatArray) -> GatedDetections:
-        """Update the gate and return the detections to act on.
-
-        Args:
-            seen: the observation.
-            state: (..., S) updated in place.
-        """
-        state[...], error, angles_at_exposure, fresh, jumped = update_gate(
-            state,
-            seen.pixel_error,
-            seen.image_age_s,
-            seen.positions_at_exposure,
-            seen.velocities,
+        """Update the (..., S) state in place and return the detections to act on."""
+        state[...], *detections = update_gate(
+            state, seen.pixel_error, seen.image_age_s, seen.positions_at_exposure, seen.velocities,
             self._law,
-        )
-        return GatedDetections(error, angles_at_exposure, fresh, jumped)
+        )  # fmt: skip
+        return GatedDetections(*detections)
 
 
 @inlined
@@ -202,7 +161,8 @@ def _classify(g: EyeGateState, law: GateLaw, u: float, v: float) -> int:
     """Classify a detection as held back, accepted or a jump; consistent motion raises the speed."""
     if g.sees_target < 0.5:
         return _ACCEPTED
-    off = hypot(u - g.accepted_error[0], v - g.accepted_error[1])
+    u_0, v_0 = g.accepted_error_px[0], g.accepted_error_px[1]
+    off = hypot(u - u_0, v - v_0)
     if off <= law.tolerance_px + _SPEED_MARGIN * g.speed_px_s * g.accepted_since_s:
         if off > 0.5 * law.tolerance_px:
             g.speed_px_s = max(g.speed_px_s, off / g.accepted_since_s)
@@ -212,12 +172,13 @@ def _classify(g: EyeGateState, law: GateLaw, u: float, v: float) -> int:
     if g.held_count > MAX_HELD_DETECTIONS - 0.5:
         return _JUMPED
     room = law.tolerance_px + _SPEED_MARGIN * g.speed_px_s * g.held_since_s
-    beside = hypot(u - g.held_error[0], v - g.held_error[1])
+    u_1, v_1 = g.held_error_px[0], g.held_error_px[1]
+    beside = hypot(u - u_1, v - v_1)
     if beside <= room:
         return _JUMPED
-    du, dv = g.held_error[0] - g.accepted_error[0], g.held_error[1] - g.accepted_error[1]
+    du, dv = u_1 - u_0, v_1 - v_0
     on = g.held_since_s / (g.accepted_since_s - g.held_since_s)
-    swerve = hypot(u - g.held_error[0] - on * du, v - g.held_error[1] - on * dv)
+    swerve = hypot(u - u_1 - on * du, v - v_1 - on * dv)
     if swerve <= room + _MAX_SWERVE_RATIO * hypot(du, dv):
         g.speed_px_s = max(g.speed_px_s, beside / g.held_since_s)
         return _ACCEPTED
@@ -229,18 +190,10 @@ def _classify(g: EyeGateState, law: GateLaw, u: float, v: float) -> int:
     f"({_SIZE}),(2,2),(),(7),(7),({row_size(GATE_LAW)})->({_SIZE}),(2,2),(7),(2),(2)",
 )
 def update_gate(
-    state_before: FloatArray,
-    error: FloatArray,
-    age_s: FloatArray,
-    q: FloatArray,
-    velocities: FloatArray,
-    law_row: FloatArray,
-    state_after: FloatArray,
-    accepted: FloatArray,
-    angles_at_exposure: FloatArray,
-    fresh: FloatArray,
-    jumped: FloatArray,
-) -> None:
+    state_before: FloatArray, error: FloatArray, age_s: FloatArray, q: FloatArray,
+    velocities: FloatArray, law_row: FloatArray, state_after: FloatArray, accepted: FloatArray,
+    angles_at_exposure: FloatArray, fresh: FloatArray, jumped: FloatArray,
+) -> None:  # fmt: skip
     """Compute the updated state and the fields of `GatedDetections`."""
     for k in range(_SIZE):
         state_after[k] = state_before[k]
@@ -265,13 +218,13 @@ def update_gate(
             g.missed_count = 0.0
             verdict = _classify(g, law, u, v)
             if verdict != _HELD:
-                g.accepted_error[0], g.accepted_error[1] = u, v
-                g.accepted_angles[0], g.accepted_angles[1] = q[first], q[first + 1]
+                g.accepted_error_px[0], g.accepted_error_px[1] = u, v
+                g.accepted_angles_rad[0], g.accepted_angles_rad[1] = q[first], q[first + 1]
                 g.accepted_since_s = g.held_count = 0.0
                 g.sees_target = fresh[eye] = 1.0
                 jumped[eye] = 1.0 if verdict == _JUMPED else 0.0
             else:
-                g.held_error[0], g.held_error[1] = u, v
+                g.held_error_px[0], g.held_error_px[1] = u, v
                 g.held_since_s = 0.0
                 g.held_count += 1.0
         else:
@@ -282,11 +235,9 @@ def update_gate(
                 fresh[eye] = 1.0
         accepted[eye, 0] = accepted[eye, 1] = nan
         if g.sees_target > 0.5:
-            accepted[eye, 0], accepted[eye, 1] = g.accepted_error[0], g.accepted_error[1]
-            angles_at_exposure[first], angles_at_exposure[first + 1] = (
-                g.accepted_angles[0],
-                g.accepted_angles[1],
-            )
+            accepted[eye, 0], accepted[eye, 1] = g.accepted_error_px[0], g.accepted_error_px[1]
+            angles_at_exposure[first] = g.accepted_angles_rad[0]
+            angles_at_exposure[first + 1] = g.accepted_angles_rad[1]
 
 
 _ROUNDING: Final = 1e-9
@@ -294,27 +245,17 @@ _ROUNDING: Final = 1e-9
 
 
 class CommandQuantiser:
-    """Quantises a head's commands and carries the rounding errors over.
-
-    Args:
-        head: the model of the head.
-        limits: (4,) largest speeds of the actuators, rad/s.
-    """
+    """Quantises a head's commands within (4,) limits, rad/s, and carries rounding errors over."""
 
     def __init__(self, head: HeadModel, limits: FloatArray) -> None:
         self.step_rad_s = head.sensor.command_resolution_rad_s
         self._limits = np.array(limits)
 
     def quantise(self, command: FloatArray, carried: FloatArray) -> FloatArray:
-        """Compute the commands to send; without quantisation they are the requested ones.
+        """Compute the commands to send, rad/s, and update the errors carried over in place.
 
-        Args:
-            command: (..., 4) requested velocities of the actuators, rad/s. A zero requests rest and
-                discards the error carried over.
-            carried: (..., 4) rounding errors carried over, rad/s, updated in place.
-
-        Returns:
-            (..., 4) rad/s, in whole steps, never a single one.
+        Without a resolution the commands stay as they are. A zero requests rest, and discards the
+        error carried over.
         """
         if not self.step_rad_s > 0.0:
             return command
@@ -324,23 +265,10 @@ class CommandQuantiser:
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"], "(4),(4),(),(4)->(4),(4)")
 def quantise_command(
-    carried_before: FloatArray,
-    command: FloatArray,
-    step: FloatArray,
-    limits: FloatArray,
-    carried_after: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Quantise commands to whole steps, never a single one, and carry the remainders over.
-
-    Args:
-        carried_before: (4,) remainders of the last period, rad/s.
-        command: (4,) commands, rad/s.
-        step: () resolution of the commands, rad/s.
-        limits: (4,) largest commands, rad/s.
-        carried_after: (4,) result: remainders, at most 1.5 steps; 0 where the command is 0.
-        out: (4,) result: quantised commands, rad/s.
-    """
+    carried_before: FloatArray, command: FloatArray, step: FloatArray, limits: FloatArray,
+    carried_after: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Quantise commands to whole steps, never a single one, and carry up to 1.5 steps over."""
     size = step[0]
     for k in range(4):
         carried_after[k] = out[k] = 0.0
@@ -357,15 +285,9 @@ def quantise_command(
 
 
 class GatedImageController(StatefulController):
-    """Base of controllers with a law on pixel errors.
-
-    Detections pass an `OutlierGate` before the law, and its commands a `CommandQuantiser`.
+    """Base of laws on pixel errors between an `OutlierGate` and a `CommandQuantiser`.
 
     The state is that of the gate, then the law's own, then the rounding errors of the commands.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations and actions.
     """
 
     def __init__(self, *, head: HeadModel, layout: ObservationLayout) -> None:

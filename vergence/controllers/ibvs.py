@@ -42,21 +42,16 @@ from vergence.models.kinematics import PACKED, PackedHead, camera_of, eye_frames
 from vergence.models.parts import FloatArray, LoopTiming
 from vergence.triangulation.rays import depths_on_rays, rays_from_pixel_errors
 
+Depth = Literal["triangulated"] | float
+"""Option of the laws: the target's depth, `triangulated` or a constant, m."""
+
 
 def reducible_pixel_error(
     head: HeadModel, q: ArrayLike, pixel_error: FloatArray, depth: ArrayLike
 ) -> FloatArray:
-    """Compute the part of pixel errors that the head's actuators can remove, to first order.
+    """Compute the (..., 2, 2) part of pixel errors that the actuators can remove, px.
 
-    Args:
-        head: the model of the head.
-        q: (..., 7) joint angles at the exposure, rad.
-        pixel_error: (..., 2, 2) undistorted pixel minus principal point, px; nan where not visible.
-        depth: (...) depth of the target, m; nan to triangulate it.
-
-    Returns:
-        (..., 2, 2) px, nan for an eye that does not see the target; the errors themselves for a
-        head whose four eye joints each have their own motor.
+    It is nan where an eye does not see the target. With a motor per joint it is the error itself.
     """
     if head.actuation.direct:
         return pixel_error
@@ -65,28 +60,12 @@ def reducible_pixel_error(
 
 @subroutine
 def limited_actuator_velocities(
-    p: PackedHead,
-    q: FloatArray,
-    error: FloatArray,
-    depth_m: float,
-    limit: FloatArray,
+    p: PackedHead, q: FloatArray, error: FloatArray, depth_m: float, limit: FloatArray,
     velocities_in_out: FloatArray,
-) -> float:
-    """Compute actuator velocities that move both images as nearly as possible as wanted.
+) -> float:  # fmt: skip
+    """Replace image velocities (left u, v, right u, v), px/s, by the nearest ones of actuators.
 
-    Args:
-        p: a packed head.
-        q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) pixel errors by eye and image axis, px; an eye with nan does not see the
-            target and is ignored.
-        depth_m: the target's depth, m; nan to triangulate it.
-        limit: (4,) largest speeds of the actuators, rad/s; a command beyond them is scaled down,
-            keeping its direction.
-        velocities_in_out: (4,) wanted image velocities (u, v) of the left, then the right eye,
-            px/s, replaced by the velocities of the actuators, rad/s.
-
-    Returns:
-        Factor by which the command exceeded the limits; 1 for not at all.
+    Returns the factor by which they, in rad/s, exceeded the limits, to which they are scaled down.
     """
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
     left, right = _sees(error, 0), _sees(error, 1)
@@ -125,20 +104,16 @@ def reducible_errors(
     reducible_error_by_jacobian(p, jacobian, pixel_error, left, right, out)
 
 
-@kernel(
-    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(7),(2,2),(2,2),(),(4),({PACKED})->(4)",
-)
+_LAW_TYPES: Final = ("(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])",)
+_LAW_SHAPES: Final = f"(7),(2,2),(2,2),(),(4),({PACKED})->(4)"
+
+
+@kernel(_LAW_TYPES, _LAW_SHAPES)
 def coupled_command(
-    q: FloatArray,
-    pixel_error: FloatArray,
-    gain: FloatArray,
-    depth_m: FloatArray,
-    limit: FloatArray,
-    p: PackedHead,
-    out: FloatArray,
-) -> None:
-    """Compute actuator velocities from pixel errors, see `ibvs_command`."""
+    q: FloatArray, pixel_error: FloatArray, gain: FloatArray, depth_m: FloatArray,
+    limit: FloatArray, p: PackedHead, out: FloatArray,
+) -> None:  # fmt: skip
+    """Compute actuator velocities from pixel errors for heads with coupled joints."""
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
     left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
     image_jacobians(p, q, pixel_error, depth_m[0], left, right, jacobian)
@@ -158,11 +133,7 @@ an integrator behind a dead time is critically damped at 1/e)."""
 
 
 def gain_for_loop(timing: LoopTiming) -> float:
-    """The article's gain, or less in a slower loop, in which it would overshoot, 1/s.
-
-    The delay is that of image, command and readings, the joints' lag, and half of a frame and of a
-    control period. It is 105 ms for the article's heads.
-    """
+    """The article's gain, or less in a slower loop than its 105 ms, which would overshoot, 1/s."""
     delay_s = timing.latency_s + timing.command_latency_s + timing.feedback_latency_s + timing.lag_s
     delay_s += 0.5 * (timing.frame_s + timing.period_s)
     return min(_ARTICLE_GAIN, round(_GAIN_DELAY / delay_s, 2))
@@ -184,14 +155,9 @@ class IBVS:
     """
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        gain: ArrayLike = _ARTICLE_GAIN,
-        depth: Literal["triangulated"] | float = "triangulated",
-        speed_limit: float | None = None,
-    ) -> None:
+        self, *, head: HeadModel, layout: ObservationLayout, gain: ArrayLike = _ARTICLE_GAIN,
+        depth: Depth = "triangulated", speed_limit: float | None = None,
+    ) -> None:  # fmt: skip
         self.head = head
         self.layout = checked_layout(head, layout)
         self.gain = as_gains("gain", gain)
@@ -199,12 +165,9 @@ class IBVS:
         self._limit = speed_limits(layout, speed_limit)
 
     def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[Any] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        self, observation: NDArray[Any], state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None, deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:  # fmt: skip
         """Choose actions, see `Controller.predict`; the law has no state."""
         seen = self.layout.decode(observation)
         command = self.command(seen.positions_at_exposure, seen.pixel_error)
@@ -225,43 +188,16 @@ class IBVS:
 
 
 def ibvs_velocities(
-    head: HeadModel,
-    q: ArrayLike,
-    pixel_error: ArrayLike,
-    gain: ArrayLike,
-    depth: ArrayLike,
+    head: HeadModel, q: ArrayLike, pixel_error: ArrayLike, gain: ArrayLike, depth: ArrayLike,
     limit: ArrayLike,
-) -> FloatArray:
-    """Compute the law's velocities for any head.
-
-    Args:
-        head: the model of the head.
-        q: (..., 7) joint angles at the exposure, rad.
-        pixel_error: (..., 2, 2) undistorted pixel minus principal point, px; nan where not visible.
-        gain: (..., 2, 2) by eye and image axis, 1/s.
-        depth: (...) depth of the target, m; nan to triangulate it.
-        limit: (4,) largest speeds of the actuators, rad/s.
-
-    Returns:
-        (..., 4) velocities of the eyes' actuators, rad/s.
-    """
+) -> FloatArray:  # fmt: skip
+    """Compute the law's (..., 4) actuator velocities, rad/s, with (..., 2, 2) gains, 1/s."""
     law: Any = ibvs_command if head.actuation.direct else coupled_command
     return np.asarray(law(q, pixel_error, gain, depth, limit, head.packed))
 
 
 def as_gains(name: str, gain: ArrayLike) -> FloatArray:
-    """Check gains and expand them by eye and image axis.
-
-    Args:
-        name: name of the option in error messages.
-        gain: a number, (k1, k2) for u and v, or (2, 2) by eye and image axis.
-
-    Returns:
-        (2, 2) gains by eye and image axis.
-
-    Raises:
-        ConfigurationError: the value has another form, is negative or not finite.
-    """
+    """Check gains: a number, (k1, k2) for u and v, or (2, 2) by eye and image axis, as returned."""
     try:
         gains = np.broadcast_to(real_number_array(gain), (2, 2)).copy()
     except (TypeError, ValueError) as error:
@@ -274,11 +210,7 @@ def as_gains(name: str, gain: ArrayLike) -> FloatArray:
 
 
 def depth_or_nan(depth: str | float) -> float:
-    """Return the law's depth in metres; nan for `triangulated`.
-
-    Raises:
-        ConfigurationError: it is neither.
-    """
+    """Check a law's depth, `triangulated` or metres, and return metres or nan."""
     if isinstance(depth, str):
         if depth != "triangulated":
             raise ConfigurationError(f"depth: expected 'triangulated' or metres, got {depth!r}")
@@ -289,18 +221,7 @@ def depth_or_nan(depth: str | float) -> float:
 
 
 def speed_limits(layout: ObservationLayout, speed_limit: float | None) -> FloatArray:
-    """Compute the largest speeds that a law may command.
-
-    Args:
-        layout: the layout whose limits apply.
-        speed_limit: a lower limit for all actuators, rad/s; None for none.
-
-    Returns:
-        (4,) rad/s.
-
-    Raises:
-        ConfigurationError: it is not above zero.
-    """
+    """Return the (4,) largest speeds of a layout's actuators under a law's own limit, rad/s."""
     limit = np.array(layout.action_limits)
     if speed_limit is None:
         return limit
@@ -311,31 +232,10 @@ def speed_limits(layout: ObservationLayout, speed_limit: float | None) -> FloatA
 
 @inlined
 def limited_joint_velocities(
-    p: PackedHead,
-    q: FloatArray,
-    error: FloatArray,
-    depth_m: float,
-    limit: FloatArray,
+    p: PackedHead, q: FloatArray, error: FloatArray, depth_m: float, limit: FloatArray,
     velocities_in_out: FloatArray,
-) -> tuple[float, float]:
-    """Compute joint velocities that move the images as wanted, within the joints' speed limits.
-
-    For a head whose four eye joints each have their own motor; see `limited_actuator_velocities`
-    for other heads.
-
-    Args:
-        p: a packed head.
-        q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) pixel errors by eye and image axis, px; nan where not visible.
-        depth_m: the target's depth, m; nan to triangulate it.
-        limit: (4,) largest joint speeds, rad/s; a command beyond them is scaled down.
-        velocities_in_out: (4,) wanted image velocities (u, v) of the left, then the right eye,
-            px/s, replaced by the velocities of each eye's joints, rad/s; zero for an eye that does
-            not see the target.
-
-    Returns:
-        Factor by which each eye's command exceeded the limits; 1 for not at all.
-    """
+) -> tuple[float, float]:  # fmt: skip
+    """Do what `limited_actuator_velocities` does, by eye, for a head with a motor per joint."""
     left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
     depth_l = depth_r = depth_m
     if not isfinite(depth_m):
@@ -366,19 +266,11 @@ def limited_joint_velocities(
     return excess_l, excess_r
 
 
-@kernel(
-    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(7),(2,2),(2,2),(),(4),({PACKED})->(4)",
-)
+@kernel(_LAW_TYPES, _LAW_SHAPES)
 def ibvs_command(
-    q: FloatArray,
-    pixel_error: FloatArray,
-    gain: FloatArray,
-    depth_m: FloatArray,
-    limit: FloatArray,
-    p: PackedHead,
-    out: FloatArray,
-) -> None:
+    q: FloatArray, pixel_error: FloatArray, gain: FloatArray, depth_m: FloatArray,
+    limit: FloatArray, p: PackedHead, out: FloatArray,
+) -> None:  # fmt: skip
     """Compute joint velocities from pixel errors; a `depth_m` of nan is triangulated."""
     for eye in range(2):
         for axis in range(2):
@@ -387,7 +279,7 @@ def ibvs_command(
 
 
 class TunedIBVS(GatedImageController):
-    """The law of `IBVS` with the best fixed gain of a scenario, as an `GatedImageController`.
+    """The law of `IBVS` with the best fixed gain of a scenario, as a `GatedImageController`.
 
     Args:
         head: the model of the head.
@@ -395,8 +287,7 @@ class TunedIBVS(GatedImageController):
         scenario: scenario for which the gain was found.
         gain: see `IBVS`; None for the gain found for this head in the scenario, or, if there is
             none, for the scenario's own head.
-        depth: see `IBVS`.
-        speed_limit: see `IBVS`.
+        depth, speed_limit: see `IBVS`.
 
     Attributes:
         tuned: True if the gain was found for this head; False also for a given gain.
@@ -407,15 +298,10 @@ class TunedIBVS(GatedImageController):
     """
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        scenario: str = "workspace",
-        gain: ArrayLike | None = None,
-        depth: Literal["triangulated"] | float = "triangulated",
-        speed_limit: float | None = None,
-    ) -> None:
+        self, *, head: HeadModel, layout: ObservationLayout,
+        scenario: str = "workspace", gain: ArrayLike | None = None,
+        depth: Depth = "triangulated", speed_limit: float | None = None,
+    ) -> None:  # fmt: skip
         super().__init__(head=head, layout=layout)
         self.scenario = scenario
         self.tuned = False

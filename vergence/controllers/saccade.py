@@ -1,22 +1,18 @@
 """Saccade and trim: the eyes turn to the predicted goal in the shortest time and stay there.
 
-In each period every actuator takes the fastest command that still lets it stop at the goal. There
-is no ballistic phase: the goal of `SmithPredictor` is read anew in each period, so an error of the
-head's model or its joints is corrected as soon as an image shows it. Close to the goal, where the
-time-optimal law would follow the noise of pixels and encoders, a soft law takes over, `u = k (goal
-- q - lag v)`, which approaches the goal without overshoot at the rate k.
+There is no ballistic phase: the goal of `SmithPredictor` is read anew in each period, so an error
+of the head's model or its joints is corrected as soon as an image shows it. Close to the goal,
+where the time-optimal law would follow the noise of pixels and encoders, a soft law takes over,
+`u = k (goal - q - lag v)`, which approaches the goal without overshoot at the rate k.
 
-Late braking requires a well-known motor. A linear law is used for the whole turn if the eyes have
-oscillated about a goal (`vergence.controllers.prediction.oscillation`), or if the target rests and
-the response model does not explain the eyes' motion; its rate falls with each further half swing.
-The linear law is also used if the lag builds up, as in a servo that overshoots
-(`vergence.controllers.state_feedback`).
+Late braking requires a well-known motor. The linear law of `vergence.controllers.state_feedback` is
+used for the whole turn if the eyes have oscillated about a goal, if the target rests and the
+response model does not explain the eyes' motion, or if the lag builds up.
 
 In the time-optimal motion a joint follows its command u, held for a period T, by `dv/dt = clip((u -
-v) / lag, -a, a)`. It is as fast as possible while the joint can still stop at the goal. So the
-command of a period is the largest one under which the joint, with full braking afterwards, stops at
-the goal and not beyond: with (q', v') its exact state at the period's end and `S(v)` its shortest
-stopping distance, u solves
+v) / lag, -a, a)`. The command is the largest one under which the joint, with full braking
+afterwards, stops at the goal and not beyond: with (q', v') its exact state at the period's end and
+`S(v)` its shortest stopping distance, u solves
 
     q'(u) + S(v'(u)) = goal,   |u| <= u_max
 
@@ -25,21 +21,19 @@ rest. Near the goal this is a deadbeat law of two periods: with e = exp(-T / lag
 by exactly u T, and the last period stops a velocity v within `v (lag - T e / (1 - e))`.
 
 Pursuit is the same law for targets that may move freely. The predictor estimates whether each
-target rests or moves and how (`vergence.controllers.prediction.motion_models`), extrapolates it
-over the delay, and predicts its velocity at the time the command shows in the motion. The law then
-turns each actuator in the shortest time to the predicted target angle: a catch-up saccade in the
-frame of a moving goal. Close to the goal its velocity is fed forward, and the soft law corrects the
-rest,
+target rests or moves and how (`vergence.controllers.prediction.motion_models`), and extrapolates it
+over the delay. The law then turns each actuator in the shortest time to the predicted target angle:
+a catch-up saccade in the frame of a moving goal. Close to it the soft law feeds its velocity
+forward,
 
     u = k (goal - q - lag (v - w)) + w'
 
 with w the goal's velocity when the command begins to act and w' its velocity when the command
-shows, a lag later. A target that is taken to rest has w = w' = 0, so the eyes turn to a target that
-rests between jumps as under `saccade`.
+shows, a lag later. For a target that is taken to rest, w = w' = 0, as under `saccade`.
 """
 
 from math import exp, inf
-from typing import ClassVar, Final, Literal, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -54,6 +48,7 @@ from vergence.controllers.prediction.parameters import (
 )
 from vergence.controllers.prediction.predictor import PREDICTION, PREDICTION_SIZE, Prediction
 from vergence.controllers.state_feedback import (
+    Estimate,
     PredictiveController,
     compensate_dead_zone,
     pole_placement_command,
@@ -77,26 +72,20 @@ _TOLERANCE_RAD: Final = 1e-6
 
 
 class JointTiming(NamedTuple):
-    """Lag, limits and control period of one joint, and its derived stopping properties."""
+    """Lag, s, limits, rad/s and rad/s^2, and control period, s, of one joint, and how it stops."""
 
     lag: float
-    """Time constant, s."""
     max_command: float
-    """Largest command, rad/s."""
     max_acceleration: float
-    """Largest acceleration, rad/s^2, inf for none."""
     period: float
-    """The control period, s."""
     decay: float
-    """Factor exp(-period / lag) that a period leaves of the difference between command and
-    velocity."""
+    """Factor exp(-period / lag) left of a difference between command and velocity."""
     smooth_stop_speed: float
     """Largest speed that a last period can stop within the acceleration limit, rad/s."""
     last_stop_speed: float
     """Largest speed that a last period can stop at all, rad/s."""
     last_distance_per_speed: float
-    """Distance moved in a last period per unit of its initial speed, up to `smooth_stop_speed`,
-    s."""
+    """Distance moved in a last period per initial speed, up to `smooth_stop_speed`, s."""
     last_distance: float
     """Distance moved in a last period from the speed `last_stop_speed`, rad."""
 
@@ -114,21 +103,12 @@ def joint_timing(
     )
     last_stop_speed, distance = smooth_stop_speed, per_speed * smooth_stop_speed
     if max_acceleration * lag <= max_command and max_acceleration * period > smooth_stop_speed:
-        last_stop_speed, distance = (
-            max_acceleration * period,
-            0.5 * max_acceleration * period * period,
-        )
+        last_stop_speed = max_acceleration * period
+        distance = 0.5 * max_acceleration * period * period
     return JointTiming(
-        lag,
-        max_command,
-        max_acceleration,
-        period,
-        e,
-        smooth_stop_speed,
-        last_stop_speed,
-        per_speed,
-        distance,
-    )
+        lag, max_command, max_acceleration, period, e,
+        smooth_stop_speed, last_stop_speed, per_speed, distance,
+    )  # fmt: skip
 
 
 @inlined
@@ -141,14 +121,9 @@ def signed_stopping_distance(velocity: float, joint: JointTiming) -> float:
         if not velocity > joint.last_stop_speed:
             break
         dq, velocity = follow_joint(
-            0.0,
-            velocity,
-            -joint.max_command,
-            joint.lag,
-            joint.max_acceleration,
-            joint.period,
-            joint.decay,
-        )
+            0.0, velocity, -joint.max_command,
+            joint.lag, joint.max_acceleration, joint.period, joint.decay,
+        )  # fmt: skip
         distance += dq
     if velocity <= joint.smooth_stop_speed:
         distance += joint.last_distance_per_speed * velocity
@@ -163,30 +138,19 @@ def signed_stopping_distance(velocity: float, joint: JointTiming) -> float:
 
 @inlined
 def _overrun(u: float, angle_error: float, v: float, a: float, trusted: JointTiming) -> float:
-    """Compute how far beyond the goal the joint stops after a period of command u, rad."""
+    """Angle beyond the goal at which the joint stops after a period of command u, rad."""
     q, after = follow_joint(0.0, v, u, trusted.lag, a, trusted.period, trusted.decay)
     return q + signed_stopping_distance(after, trusted) - angle_error
 
 
 @inlined
 def time_optimal_command(
-    angle_error: float,
-    velocity: float,
-    present_max_acceleration: float,
+    angle_error: float, velocity: float, present_max_acceleration: float,
     braking_timing: JointTiming,
-) -> float:
-    """Compute this period's command of the time-optimal motion.
+) -> float:  # fmt: skip
+    """Compute this period's command of the time-optimal motion, rad/s.
 
-    Args:
-        angle_error: angle to the goal, rad.
-        velocity: velocity, rad/s.
-        present_max_acceleration: acceleration limit in this period, rad/s^2, at least that of
-            `braking_timing`.
-        braking_timing: timing from `joint_timing`, with the acceleration that is trusted for later
-            braking.
-
-    Returns:
-        The command, rad/s.
+    `braking_timing` has the acceleration, at most the present one, trusted for later braking.
     """
     e, u_max, period = braking_timing.decay, braking_timing.max_command, braking_timing.period
     u = (angle_error - braking_timing.lag * velocity + velocity * period * e * e / (1.0 - e)) / (
@@ -230,18 +194,15 @@ def time_optimal_command(
 
 
 _ZONE_ANGLES: Final = 2.0
-"""Width of the soft law's zone, in multiples of the uncertain angle of a period at full
-acceleration (chosen)."""
+"""Width of the soft law's zone per uncertain angle of a period's acceleration (chosen)."""
 _ZONE_SIGMAS: Final = 4.0
 """Width of that zone, in standard deviations of a detection (chosen: 4 sigma)."""
 _MOVING_TRIM_FACTOR: Final = 2.0
 """Factor by which `trim_px` is wider for a moving target (chosen)."""
 _MAX_RATE_TIMES_LAG: Final = 1.5
-"""Upper bound of the soft law's rate, as a multiple of 1 / lag (chosen: overshoot against
-speed)."""
+"""Upper bound of the soft law's rate, times the lag (chosen: overshoot against speed)."""
 _JOINT_BLUR_FRACTION: Final = 0.6
-"""Fraction of the motion-blur speed limit that each joint of an eye may have (chosen: margin for
-two joints)."""
+"""Each joint's fraction of the motion-blur speed limit (chosen: margin for two joints)."""
 _MAX_BLIND_SACCADE_S: Final = 0.12
 """Approximate longest time for which a catch-up saccade exceeds that speed, s (chosen)."""
 _LEAST_TRIM_LAG_S: Final = 0.004
@@ -249,13 +210,11 @@ _LEAST_TRIM_LAG_S: Final = 0.004
 _MAX_MISFIT: Final = 4.0
 """Misfit of the response above which only the linear law turns the eyes (chosen)."""
 _CALM_RATE: Final = 12.0
-"""Rate of the linear law after oscillation or with that misfit, 1/s; each further half swing halves
-it (chosen)."""
+"""Rate of the linear law with that misfit or after oscillation, which lowers it, 1/s (chosen)."""
 _LINEAR_RATE: Final = 30.0
 """Rate of the linear law if the lag builds up, 1/s (chosen)."""
 _MAX_ZONE_ACCELERATION: Final = 1e3
-"""Upper bound of the acceleration in the width of the soft law's zone, for actuators without a
-limit, rad/s^2 (numerical)."""
+"""Upper bound of the acceleration in the soft law's zone, rad/s^2 (numerical)."""
 
 
 class Saccade(PredictiveController):
@@ -269,25 +228,17 @@ class Saccade(PredictiveController):
         trim_px: least distance from the goal within which the soft law trims, in pixels at the
             principal point; with noisy detections the distance is four standard deviations.
         trim_gain: rate k of the soft law, 1/s.
-        delay: `estimated` on line or `nominal`, see `SmithPredictor`.
-        lag: `estimated` on line or `nominal` response of the actuators, see `SmithPredictor`.
+        delay, lag: `estimated` on line or `nominal`, see `SmithPredictor`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        braking: float = 0.9,
-        caution: float = 1.0,
-        trim_px: float = 1.0,
-        trim_gain: float = 50.0,
-        delay: Literal["estimated", "nominal"] = "estimated",
-        lag: Literal["estimated", "nominal"] = "estimated",
-    ) -> None:
+        self, *, head: HeadModel, layout: ObservationLayout,
+        braking: float = 0.9, caution: float = 1.0, trim_px: float = 1.0, trim_gain: float = 50.0,
+        delay: Estimate = "estimated", lag: Estimate = "estimated",
+    ) -> None:  # fmt: skip
         super().__init__(head=head, layout=layout, delay=delay, lag=lag)
         if not 0.0 < check_finite_number("braking", braking) <= 1.0:
             raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 
 from vergence.controllers.controller import StatefulController
 from vergence.controllers.gate import CommandQuantiser
-from vergence.controllers.ibvs import IBVS
+from vergence.controllers.ibvs import IBVS, Depth
 from vergence.controllers.prediction.oscillation import (
     OSCILLATING_HALF_SWINGS,
     oscillation_reduced_rate,
@@ -54,31 +54,20 @@ from vergence.kernels import inlined, kernel, record_view
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, SLOTS, FloatArray
 
+Estimate = Literal["estimated", "nominal"]
+"""Option of the laws: a value estimated on line, or the model's, see `SmithPredictor`."""
+
 
 class PredictiveController(StatefulController):
-    """A controller whose state is that of a `SmithPredictor`.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations and actions.
-        delay: `estimated` on line or `nominal`, see `SmithPredictor`.
-        lag: `estimated` on line or `nominal` response of the actuators, see `SmithPredictor`.
-
-    Raises:
-        ConfigurationError: an option has an invalid value.
-    """
+    """A controller whose state is that of a `SmithPredictor`."""
 
     _targets_move: ClassVar[bool] = False
     """True if targets may move other than by jumps."""
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        delay: Literal["estimated", "nominal"] = "estimated",
-        lag: Literal["estimated", "nominal"] = "estimated",
-    ) -> None:
+        self, *, head: HeadModel, layout: ObservationLayout,
+        delay: Estimate = "estimated", lag: Estimate = "estimated",
+    ) -> None:  # fmt: skip
         super().__init__(head=head, layout=layout)
         self.predictor = SmithPredictor(
             head=head, layout=layout, delay=delay, lag=lag, targets_move=self._targets_move
@@ -96,16 +85,7 @@ _DAMPING: Final = 0.8
 def pole_placement_command(
     angle_error: float, v: float, w: float, pole_rate: float, lag_s: float, build_up: float
 ) -> float:
-    """Compute the command of the law, rad/s.
-
-    Args:
-        angle_error: angle to the goal, rad.
-        v: velocity, rad/s.
-        w: acceleration, rad/s^2.
-        pole_rate: rate k of the pole that approaches the goal, 1/s.
-        lag_s: lag l of the actuator, s.
-        build_up: build-up m of the lag; 0 for a first-order lag.
-    """
+    """Compute the law's command, rad/s, for a rate k, 1/s, lag l and build-up m of the lag."""
     damped = max(lag_s, 2.0 * _DAMPING * sqrt(build_up) * lag_s)
     return (
         pole_rate * (angle_error - damped * v - build_up * lag_s * lag_s * w) - (damped - lag_s) * w
@@ -118,12 +98,8 @@ def compensate_dead_zone(
 ) -> float:
     """Replace a command too small to move the motor by the smallest effective pulse, or by zero.
 
-    Args:
-        u: the command, rad/s.
-        error_after_coasting: distance from the goal at which the actuator would come to rest under
-            zero command, rad.
-        params: the head's parameters.
-        gain: ratio of the actuator's velocity to its command.
+    `error_after_coasting` is the angle to the goal at rest after zero command, rad; `gain` the
+    ratio of velocity to command.
     """
     step = params.command_step
     if step == 0.0 or abs(u) >= 1.5 * step:
@@ -146,23 +122,17 @@ class StateFeedback(PredictiveController):
         layout: the layout of observations and actions.
         gain: k, 1/s.
         damping: c, fraction of the coasting distance lag*v subtracted from the error.
-        delay: `estimated` on line or `nominal`, see `SmithPredictor`.
-        lag: `estimated` on line or `nominal` response of the actuators, see `SmithPredictor`.
+        delay, lag: `estimated` on line or `nominal`, see `SmithPredictor`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        gain: float = DEFAULT_LAW[0],
-        damping: float = DEFAULT_LAW[1],
-        delay: Literal["estimated", "nominal"] = "estimated",
-        lag: Literal["estimated", "nominal"] = "estimated",
-    ) -> None:
+        self, *, head: HeadModel, layout: ObservationLayout,
+        gain: float = DEFAULT_LAW[0], damping: float = DEFAULT_LAW[1],
+        delay: Estimate = "estimated", lag: Estimate = "estimated",
+    ) -> None:  # fmt: skip
         super().__init__(head=head, layout=layout, delay=delay, lag=lag)
         check_above_zero("gain", gain)
         check_at_least_zero("damping", damping)
@@ -226,26 +196,18 @@ class DelayCompensatedIBVS(StatefulController):
     Args:
         head: the model of the head.
         layout: the layout of observations and actions.
-        gain: see `IBVS`.
-        depth: see `IBVS`.
-        speed_limit: see `IBVS`.
-        delay: `estimated` on line or `nominal`, for both the images' delay and the actuators'
-            response, see `SmithPredictor`.
+        gain, depth, speed_limit: see `IBVS`.
+        delay: `estimated` on line or `nominal`, also for the actuators' response.
 
     Raises:
         ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        gain: ArrayLike = DEFAULT_GAIN,
-        depth: Literal["triangulated"] | float = "triangulated",
-        speed_limit: float | None = None,
-        delay: Literal["estimated", "nominal"] = "estimated",
-    ) -> None:
+        self, *, head: HeadModel, layout: ObservationLayout, gain: ArrayLike = DEFAULT_GAIN,
+        depth: Depth = "triangulated", speed_limit: float | None = None,
+        delay: Estimate = "estimated",
+    ) -> None:  # fmt: skip
         super().__init__(head=head, layout=layout)
         self.law = IBVS(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
         self.predictor = SmithPredictor(head=head, layout=layout, delay=delay, lag=delay)

@@ -2,8 +2,7 @@
 
 Two tables are read. The user's own comes first: `tuned.toml` in the user's data folder, or the file
 that the environment variable `VERGENCE_TUNED` names. The other one ships with the package; it
-covers each scenario's own head and the other presets. Each entry names the plant on which its
-options were found. They serve on all plants, since the plants move the same head.
+covers each scenario's own head and the other presets. Options found on one plant serve on all.
 """
 
 import dataclasses
@@ -37,38 +36,34 @@ _HEADER: Final = """\
 
 
 class TunedKey(NamedTuple):
-    """Lookup key of an entry."""
+    """Lookup key of an entry; `digest` is the head's."""
 
     controller: str
     scenario: str
     digest: str
-    """Digest of the head."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TunedEntry:
-    """Options tuned for one controller, scenario and head, with the run that found them."""
+    """Options tuned for a controller, scenario and head (its name and digest).
+
+    The plant, the command and its random seed are those of the run that found them; `provisional`
+    says that no complete run of `vergence tune` has yet.
+    """
 
     controller: str
     scenario: str
     head: str
-    """Name of the head that the options were found for."""
     digest: str
-    """Digest of that head."""
     plant: str = "kinematic"
-    """Plant that moved the head."""
     command: str
-    """Command that found them."""
     seed: int
-    """Its random seed."""
     provisional: bool = False
-    """True if the options do not come from a complete run of `vergence tune` yet."""
     options: dict[str, Any]
-    """Options of the controller."""
 
     @property
     def key(self) -> TunedKey:
-        """Lookup key of this entry."""
+        """Key under which tables hold the entry."""
         return TunedKey(self.controller, self.scenario, self.digest)
 
 
@@ -95,27 +90,15 @@ def user_table_path() -> Path:
 
 
 def load_tuned(path: Path = TUNED_FILE) -> Table:
-    """Load a table of tuned options.
-
-    Args:
-        path: the TOML file.
-
-    Returns:
-        Its entries.
-
-    Raises:
-        ConfigurationError: the file is not such a table.
-    """
+    """Load the table of tuned options in a TOML file; `ConfigurationError` if it is none."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ConfigurationError(
-            f"{path}: expected a table of tuned options: {error.strerror}"
-        ) from error
+        said = f"expected a table of tuned options: {error.strerror}"
+        raise ConfigurationError(f"{path}: {said}") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigurationError(
-            f"{path}: expected a TOML file of tuned options, got {error}"
-        ) from error
+        said = f"expected a TOML file of tuned options, got {error}"
+        raise ConfigurationError(f"{path}: {said}") from error
     entries = content.pop("tuned", [])
     if content or not isinstance(entries, list):
         wrong = next(iter(content), "tuned")
@@ -147,21 +130,13 @@ def shipped_table() -> Table:
 
 
 def user_table() -> Table:
-    """Load the user's table; empty if there is none yet.
-
-    Raises:
-        ConfigurationError: there is a file that is not such a table.
-    """
+    """Load the user's table; empty if there is none yet."""
     path = user_table_path()
     return load_tuned(path) if os.path.lexists(path) else {}
 
 
 def check_table_writable(path: Path) -> None:
-    """Raise an error, before any work is done, for a table that could not be written at the end.
-
-    Raises:
-        ConfigurationError: its folder cannot be created or written.
-    """
+    """Refuse, before any work is done, a table that could not be written at the end."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path):
@@ -171,9 +146,8 @@ def check_table_writable(path: Path) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> ConfigurationError:
-    return ConfigurationError(
-        f"{path}: expected a file that can be written: {error.strerror or error}"
-    )
+    said = f"expected a file that can be written: {error.strerror or error}"
+    return ConfigurationError(f"{path}: {said}")
 
 
 def find_tuned_or_fallback(controller: str, scenario: str, head: HeadModel) -> TunedEntry | None:
@@ -215,18 +189,10 @@ def tuned_or_fallback_options(controller: str, scenario: str, head: HeadModel) -
 
 
 def write_tuned(path: Path, entry: TunedEntry) -> None:
-    """Write one entry to a table; the file is created if missing, and replaced as a whole.
+    """Write one entry to a table, in place of one with the same key; processes may do so at once.
 
-    Several processes may write to one table without losing each other's entries.
-
-    Args:
-        path: the TOML file; missing folders are created.
-        entry: the entry; one with the same key is replaced. Its options are numbers, lists of
-            numbers and words, and `ibvs-tuned` stands for `ibvs`.
-
-    Raises:
-        ConfigurationError: an option has another type, or the file cannot be read or written; the
-            file then stays as it was.
+    Its options are numbers, lists of numbers and words. On a `ConfigurationError` the file stays as
+    it was.
     """
     law = name_in_tuned_table(entry.controller)
     where = f"{law}.{entry.scenario}"
