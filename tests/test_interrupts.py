@@ -17,7 +17,7 @@ from vergence.cli import main
 @pytest.fixture
 def restored(monkeypatch):
     """Restore the handler of Ctrl-C after the test."""
-    monkeypatch.setattr(interrupts, "_started_as_command", False)
+    monkeypatch.setattr(interrupts, "started_as_command", False)
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     yield

@@ -1,17 +1,17 @@
 """Active binocular vision: two camera eyes turn until both look straight at a target.
 
-Importing the package registers its Gymnasium environments, at once or when Gymnasium is imported;
-modules that need NumPy or compiled kernels are loaded at their first use.
+Importing the package registers its Gymnasium environments; modules that need compiled kernels are
+loaded at their first use.
 """
 
 # imported first, so that Ctrl-C during further imports ends the command line without a stack trace
-import vergence.interrupts  # noqa: F401  # isort: skip
+from vergence import interrupts  # isort: skip
 
 import logging
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from vergence.envs import register_environments_with_gymnasium
 from vergence.errors import VergenceError, VergenceWarning
 
 if TYPE_CHECKING:
@@ -45,7 +45,12 @@ __all__ = [
 # modules with the other public names, the quickest to import first
 _HOMES = ("vergence.models", "vergence.triangulation", "vergence.controllers")
 
-register_environments_with_gymnasium()
+
+# a help text is printed before Gymnasium is imported; code of users registers first in any case
+if "gymnasium" in sys.modules or not interrupts.started_as_command:
+    from vergence.entry_points import register_environments
+
+    register_environments()
 # nothing is logged unless the application configures logging
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 

@@ -1,4 +1,4 @@
-"""Load a user's own classes, named `module:class` or `path/to/file.py:class`.
+"""Register the package's environments; load users' classes, `module:class` or `file.py:class`.
 
 An error in such code is reported in one line with its place there, without this package's stack.
 """
@@ -21,6 +21,35 @@ from vergence.errors import ConfigurationError
 
 _PACKAGE: Final = Path(__file__).parent
 _INSTALLED_PATH_PARTS: Final = ("site-packages", "dist-packages", f"python{sys.version_info[0]}.")
+
+
+MAX_EPISODE_STEPS: Final = 240
+"""Steps of an episode of the registered environments: 2 s at 120 Hz (chosen: time to settle
+against time of a simulation)."""
+
+
+def register_environments() -> None:
+    """Register the package's environments with Gymnasium, unless this has been done."""
+    from gymnasium.envs.registration import register, registry
+
+    if "vergence/Gaze-v0" not in registry:
+        register(
+            id="vergence/Gaze-v0",
+            entry_point="vergence.envs.gaze:GazeEnv",
+            vector_entry_point="vergence.envs.gaze:GazeVectorEnv",
+            max_episode_steps=MAX_EPISODE_STEPS,
+        )
+        environments = "vergence.controllers.networks.environments"
+        register(
+            id="vergence/GainSchedule-v0",
+            entry_point=f"{environments}:GainScheduleEnv",
+            vector_entry_point=f"{environments}:GainScheduleVectorEnv",
+            max_episode_steps=MAX_EPISODE_STEPS,
+        )
+        # its episodes last for seconds, whatever the control rate
+        register(
+            id="vergence/GazeHardware-v0", entry_point="vergence.hardware.gaze:GazeHardwareEnv"
+        )
 
 
 def is_entry_point(text: object) -> bool:
@@ -68,6 +97,7 @@ class EntryPoint:
         return [name for name, one in _classes_of(self._import()).items() if hasattr(one, method)]
 
     def _import(self) -> ModuleType:
+        register_environments()  # which the user's code may make
         _append(self.folder)
         importlib.invalidate_caches()
         file = self.folder / self.module

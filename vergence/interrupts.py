@@ -22,18 +22,18 @@ _ENDERS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 
 interrupted = False
 """True if Ctrl-C was pressed, even if a library has converted or ignored it."""
-_started_as_command = False  # True if this process was started as the command line
+started_as_command = False  # True if this process was started as the command line
 
 
 def end_quietly_on_interrupt() -> None:
     """Make Ctrl-C end the command line with one line; called at this module's import, the first."""
-    global _started_as_command
+    global started_as_command
     program = sys.argv[0] if getattr(sys, "argv", None) else ""
     name, suffix = os.path.splitext(os.path.basename(program).lower())
-    _started_as_command = name == "vergence" and suffix in ("", ".exe")
+    started_as_command = name == "vergence" and suffix in ("", ".exe")
     if program == "-m":  # `python -m` imports a module's package under this name
-        _started_as_command = "vergence" in sys.orig_argv or "-mvergence" in sys.orig_argv
-    if _started_as_command and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        started_as_command = "vergence" in sys.orig_argv or "-mvergence" in sys.orig_argv
+    if started_as_command and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         with suppress(ValueError):  # imported by another thread than the main one
             signal.signal(signal.SIGINT, _leave)
 
@@ -47,7 +47,7 @@ def raise_on_interrupt() -> None:
 
 def raise_on_termination() -> None:
     """Make SIGTERM and SIGHUP end the command line like Ctrl-C, so that the robot is stopped."""
-    if _started_as_command:
+    if started_as_command:
         for number in _ENDERS:
             if signal.getsignal(number) is signal.SIG_DFL:  # `nohup` ignores one of them
                 signal.signal(number, _interrupt)

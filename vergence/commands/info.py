@@ -35,6 +35,7 @@ class Info:
                 raise ConfigurationError(f"{option}: expected a head beside it (--head), got none")
         import gymnasium
 
+        from vergence.entry_points import register_environments
         from vergence.envs.plant import PLANTS
         from vergence.envs.targets import TARGETS
         from vergence.eval.article.config import EXPERIMENTS
@@ -63,6 +64,7 @@ class Info:
             )
         columns = ["head", "cameras", "loop", "digest"]
         print_table(columns, rows, title="presets", wrapped=(0, 2))
+        register_environments()
         known = (name for name in gymnasium.registry if name.startswith("vergence/"))
         rows = [
             ["plants", ", ".join(PLANTS)],
