@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.controllers.loops import begin
+from tests.controllers.loops import begin, drive
 from vergence import make_controller
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.bound import settle_bound
@@ -43,10 +43,7 @@ def run(task: GazeTask, name: str, steps: int, seed: int = 0, **options: Any) ->
     truth = task.truth()
     bound = settle_bound(task)
     errors, positions, actions = [truth.pixel_error], [truth.positions], []
-    state = None
-    for _ in range(steps):
-        action, state = controller.predict(task.observation, state)
-        task.step(action)
+    for action in drive(task, controller, steps * task.head.timing.period_s):
         actions.append(action)
         truth = task.truth()
         errors.append(truth.pixel_error)
