@@ -23,7 +23,7 @@ from rich.table import Table
 
 from vergence.controllers.controller import Controller, make_controller
 from vergence.controllers.tuned import find_tuned_or_fallback
-from vergence.envs.plants.variation import Variation
+from vergence.envs.plants.conditions import Variation
 from vergence.eval.trials.results import Trials
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario

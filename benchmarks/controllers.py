@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import VergenceError
 from vergence.eval.comparison.contestants import BASELINE, make_contestants
 from vergence.eval.trials.run import run_trials

@@ -17,8 +17,7 @@ import psutil
 
 from benchmarks.wire import emulated
 from vergence.controllers.controller import make_controller
-from vergence.envs.policy import Policy
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, Policy
 from vergence.errors import HardwareError
 
 GAZE_S = 2.0

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from vergence.controllers.fuzzy import FUZZY_SETS, FuzzyPID
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.models.head_file import load_head
 from vergence.reporting.style import figure_style, new_figure, save_figure
 

@@ -9,7 +9,7 @@ from math import inf
 from typing import Final
 
 from benchmarks.marks import text_above
-from vergence.envs.plants.imperfections import IMPERFECTIONS
+from vergence.envs.plants.conditions import IMPERFECTIONS
 from vergence.eval.margins.run import IMPERFECTION_RANGES
 
 _MARK: Final = re.compile(r"<!-- rows (\w+) -->")

@@ -42,7 +42,7 @@ from tests.vision.objects.scenes import (
 )
 from vergence import load_head
 from vergence.controllers.controller import make_controller
-from vergence.envs.plants.eye_views import RoomImageRenderer
+from vergence.envs.plants.cameras import RoomImageRenderer
 from vergence.envs.task import GazeTask
 from vergence.errors import PointRefusedError
 from vergence.models.camera import Camera

@@ -18,8 +18,8 @@ from rich.table import Table
 
 from vergence.controllers.controller import make_controller
 from vergence.envs import MAX_EPISODE_STEPS
-from vergence.envs.policy import Policy
 from vergence.envs.rollout import rollout
+from vergence.envs.task import Policy
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.models.head import HeadModel
 
@@ -39,7 +39,7 @@ class FullSpeed:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], Any]:
-        """See `vergence.envs.rollout.Policy`."""
+        """See `vergence.envs.task.Policy`."""
         which = np.arange(len(observation)) % len(self._directions)
         return self._directions[which], state
 
@@ -48,7 +48,7 @@ class Still(FullSpeed):
     """Policy that does not move."""
 
     def predict(self, *given: Any, **options: Any) -> tuple[NDArray[Any], Any]:
-        """See `vergence.envs.rollout.Policy`."""
+        """See `vergence.envs.task.Policy`."""
         action, state = super().predict(*given, **options)
         return 0.0 * action, state
 

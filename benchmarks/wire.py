@@ -24,8 +24,7 @@ from rich.progress import track
 from rich.table import Table
 
 from vergence.controllers.controller import make_controller
-from vergence.envs.policy import Policy
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, Policy
 from vergence.eval.trials.metrics import settle_time
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.hardware.emulator.client import WorldClient

@@ -27,7 +27,7 @@ from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene
 from vergence import HeadModel, cli, load_head, make_controller
 from vergence.controllers.controller import CONTROLLERS
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.eval.gaze import run_gaze
 from vergence.eval.gaze_config import GazeConfig

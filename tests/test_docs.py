@@ -17,8 +17,7 @@ from tests.hardware.fakes import FakeClock
 from vergence import load_head, make_controller
 from vergence.commands.parsing import parse_command
 from vergence.controllers.controller import WHICH_LAW
-from vergence.envs.encoding import FIELDS
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import FIELDS, ObservationLayout
 from vergence.envs.plant import make_plant
 from vergence.errors import VergenceError
 from vergence.hardware.config import load_hardware

@@ -15,7 +15,7 @@ from tests.heads import head_of
 from tests.naming import named, refused
 from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.gaze import GazeEnv
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.reading import Reading
 from vergence.envs.targets.motion import target_position
 from vergence.errors import ConfigurationError
@@ -101,7 +101,7 @@ OPEN = {
     name: kernel
     for name, kernel in KERNELS.items()
     if any(map(is_open, kernel.input_core_dimensions.values()))
-    and name != "envs.encoding._decode"  # called by one function, which looks at the length before
+    and name != "envs.observation._decode"  # its one caller looks at the length before
 }
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from tests.controllers.loops import begin, drive
 from vergence import make_controller
+from vergence.controllers.prediction.predictor import prediction_fields
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.bound import settle_bound
 
@@ -18,8 +19,6 @@ class Trial(NamedTuple):
 
     errors: Array
     """(steps + 1, n, 2, 2) true pixel errors."""
-    actions: Array
-    """(steps, n, 4)"""
     positions: Array
     """(steps + 1, n, 7) true joint angles."""
     predicted: list[Any]
@@ -36,16 +35,16 @@ def run(task: GazeTask, name: str, steps: int, seed: int = 0, **options: Any) ->
     update = controller.predictor.update
 
     def remember(*arguments: Any) -> Any:
-        predicted.append(update(*arguments))
-        return predicted[-1]
+        rows = update(*arguments)
+        predicted.append(prediction_fields(rows.copy()).view(np.recarray))
+        return rows
 
     controller.predictor.update = remember
     truth = task.truth()
     bound = settle_bound(task)
-    errors, positions, actions = [truth.pixel_error], [truth.positions], []
-    for action in drive(task, controller, steps * task.head.timing.period_s):
-        actions.append(action)
+    errors, positions = [truth.pixel_error], [truth.positions]
+    for _action in drive(task, controller, steps * task.head.timing.period_s):
         truth = task.truth()
         errors.append(truth.pixel_error)
         positions.append(truth.positions)
-    return Trial(np.array(errors), np.array(actions), np.array(positions), predicted, bound)
+    return Trial(np.array(errors), np.array(positions), predicted, bound)

@@ -11,7 +11,7 @@ from tests.grids import some_of
 from tests.naming import named
 from vergence import HeadModel, load_head, make_controller
 from vergence.controllers.ibvs import gain_for_loop
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import UnknownNameError
 

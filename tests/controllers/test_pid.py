@@ -5,7 +5,7 @@ import pytest
 
 from tests.controllers.loops import true_errors
 from vergence import load_head, make_controller
-from vergence.envs.layout import Observation
+from vergence.envs.observation import Observation
 from vergence.envs.task import GazeTask
 
 HEAD = load_head("simulated")

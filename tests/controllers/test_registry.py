@@ -8,7 +8,7 @@ from tests.heads import head_of
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers import CONTROLLERS, Controller
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 
@@ -168,6 +168,9 @@ def test_options_that_cannot_be_are_refused_by_name() -> None:
         ("state-feedback", "gain", 0.0, "expected"),
         ("state-feedback", "damping", -0.1, "expected"),
         ("state-feedback", "damping", True, "expected"),
+        ("state-feedback", "gain", 10**400, "expected a finite number, got 1000"),
+        ("state-feedback", "gain", np.timedelta64(4, "s"), "expected a number, got np.timedelta"),
+        ("ibvs", "gain", 10**400, "expected a number, .* got 1000"),
     ]:
         said = rf"{option}: {message}"
         with named(name, option, value), pytest.raises(ConfigurationError, match=said):

@@ -10,12 +10,16 @@ from tests.joint_motion import respond
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers.prediction.parameters import pack_predictor_parameters
+from vergence.controllers.prediction.predictor import PREDICTION
 from vergence.controllers.saccade import saccade_command
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.metrics import overshoot_fraction
+from vergence.kernels import make_row
 
 PERIOD_S = 1 / 120
-KNOWN_WELL = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+KNOWN_WELL = {
+    "acceleration_ratio": 1.0, "response_misfit": 1.0, "known": 1.0, "speed_gain": 1.0,
+}  # fmt: skip
 """The acceleration as the model has it, latency and detections without doubt."""
 TRUSTING = [1.0, 0.0, 0.0, 40.0]
 """A law that brakes with all of the acceleration that it knows of, and does not trim."""
@@ -30,9 +34,16 @@ def move(angle_error: float, v: float, periods: int, lag: float = 0.03) -> np.nd
     for _ in range(periods):
         command = np.zeros((1, 7))
         command[:, 3:] = saccade_command(
-            [[angle_error - q[0, 3], 0.0, 0.0, 0.0]], speed[:, 3:], *np.zeros((3, 1, 4)),
-            [[True, True]], [lag], np.ones((1, 4)), KNOWN_WELL, params, TRUSTING,
-        )  # fmt: skip
+            make_row(
+                PREDICTION,
+                angle_error=[angle_error - q[0, 3], 0.0, 0.0, 0.0],
+                velocities=speed[0, 3:],
+                lag_s=lag,
+                **KNOWN_WELL,
+            ),
+            params,
+            TRUSTING,
+        )
         assert np.abs(command).max() <= 6.0
         q, speed = respond(q, speed, command, lag, 120.0, PERIOD_S)
         states.append((angle_error - q[0, 3], speed[0, 3]))

@@ -8,7 +8,8 @@ from tests.joint_motion import respond
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers.prediction.parameters import pack_predictor_parameters
-from vergence.controllers.state_feedback import feedback_command, pole_placement_command
+from vergence.controllers.prediction.predictor import PREDICTION
+from vergence.controllers.state_feedback import linear_command, pole_placement_command
 from vergence.controllers.tuned import (
     find_tuned_or_fallback,
     is_tuned_for,
@@ -17,6 +18,7 @@ from vergence.controllers.tuned import (
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
+from vergence.kernels import make_row
 from vergence.models.motion import follow_held_command, prepare_held_response
 
 HEAD = load_head("simulated")
@@ -28,10 +30,18 @@ def asked(
     law=(20.0, 1.0),
 ):  # fmt: skip
     """(4,) commands to motors with a lag of 30 ms, rad/s."""
-    errors, velocities = np.full(4, angle_error), np.full(4, velocity)
-    motor = [0.03, build_up], np.full(4, gain), half_swings
-    own = pack_predictor_parameters(HEAD), law
-    return feedback_command(errors, velocities, np.zeros(4), known, *motor, *own)
+    now = make_row(
+        PREDICTION,
+        angle_error=angle_error,
+        velocities=velocity,
+        known=known,
+        lag_s=0.03,
+        build_up=build_up,
+        speed_gain=gain,
+        half_swing_count=half_swings,
+    )
+    rate, damping = law
+    return linear_command(now, pack_predictor_parameters(HEAD), np.full(4, rate), damping)
 
 
 def test_the_command_is_its_equation() -> None:
@@ -57,9 +67,7 @@ def test_the_command_is_for_what_the_motors_make_of_it_and_can_follow() -> None:
 
 
 def test_an_eye_without_a_target_is_held() -> None:
-    command = asked(0.1, 0.5, known=(False, True))
-    assert not command[:2].any()
-    assert command[2:].all()
+    assert (asked(0.1, 0.5, known=(False, True)) != 0.0).tolist() == [False, False, True, True]
 
 
 def test_with_full_damping_what_is_left_decays_at_the_rate_of_the_gain() -> None:

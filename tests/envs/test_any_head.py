@@ -10,8 +10,8 @@ from gymnasium.utils.env_checker import check_env
 from tests.envs.any_head import begun, least_squares, uneven
 from tests.heads import MOVING, head_of, text_of
 from tests.naming import named
-from vergence.envs.gaze_vector import GazeVectorEnv
-from vergence.envs.reducible import reducible_error
+from vergence.envs.gaze import GazeVectorEnv
+from vergence.envs.reward import reducible_error
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head

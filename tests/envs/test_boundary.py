@@ -7,8 +7,7 @@ import pytest
 from tests.envs.robot import Robot
 from tests.naming import named
 from vergence import load_head
-from vergence.envs.gaze import GazeEnv
-from vergence.envs.gaze_vector import GazeVectorEnv
+from vergence.envs.gaze import GazeEnv, GazeVectorEnv
 from vergence.envs.plant import make_plant
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, VergenceError

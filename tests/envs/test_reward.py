@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from tests.controllers.loops import begin
 from vergence import load_head, make_controller
-from vergence.envs.judging import JUDGE, TaskArrays, advance_task
 from vergence.envs.reading import Reading
-from vergence.envs.reward import TERMS
+from vergence.envs.reward import JUDGE, TERMS, TaskArrays, advance_task
 from vergence.envs.task import GazeTask
 from vergence.kernels import make_table
 

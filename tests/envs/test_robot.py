@@ -7,13 +7,11 @@ from tests.controllers.loops import begin
 from tests.envs.robot import EARLIER_S, LATENCY
 from tests.naming import named
 from vergence import make_controller
-from vergence.envs.eye_images import given_or_drawn_eye_images
 from vergence.envs.gaze import GazeEnv
-from vergence.envs.plant import PLANTS, make_plant
-from vergence.envs.plants.simulation import is_simulated, simulation_of
+from vergence.envs.plant import PLANTS, is_simulated, make_plant, simulation_of
 from vergence.envs.rollout import rollout
 from vergence.envs.targets.motion import BEFORE
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, given_or_drawn_eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.viewer import marks

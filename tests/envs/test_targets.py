@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from tests.envs.drawn import draw
-from tests.envs.trials import assert_uniform
+from tests.envs.trials import assert_uniform, draw
 from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.gaze import GazeEnv
+from vergence.envs.targets import make_target
 from vergence.envs.targets.motion import SEEN_BEFORE, target_position
-from vergence.envs.targets.registry import make_target
 from vergence.envs.targets.workspace import RandomTarget
 from vergence.errors import ConfigurationError, UnknownNameError
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.hardware.emulated import REAL_TIME, emulated
-from vergence.envs.plants.eye_views import RoomImageRenderer
+from vergence.envs.plants.cameras import RoomImageRenderer
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import WorldClient
 from vergence.recording.clicks import Click, write_click

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from vergence.envs.plants.threads import bounds
+from vergence.envs.plants import bounds
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.reporting import jobs
 from vergence.reporting.jobs import (
@@ -34,7 +34,7 @@ def withheld() -> bool:
 @pytest.fixture(autouse=True)
 def unlimited(monkeypatch):
     """A job that runs in this process leaves it no limit of threads."""
-    monkeypatch.setattr("vergence.envs.plants.threads._most_threads", 0)
+    monkeypatch.setattr("vergence.envs.plants._most_threads", 0)
 
 
 def test_no_jobs_give_no_results():

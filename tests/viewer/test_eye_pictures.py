@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vergence.envs.eye_images import EyeImages
-from vergence.envs.task import GazeTask
+from vergence.envs.task import EyeImages, GazeTask
 from vergence.models.head_file import load_head
 from vergence.viewer.eye_pictures import EYE_COLOURS, draw_eye
 from vergence.viewer.moment import moment_of

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from tests.envs.simulated import SIMULATED_IDS, SIMULATED_PLANTS
+from tests.envs.trials import SIMULATED_IDS, SIMULATED_PLANTS
 from tests.naming import named
 from vergence import load_head
-from vergence.envs.eye_images import given_or_drawn_eye_images
-from vergence.envs.gaze import GazeEnv
-from vergence.envs.gaze_vector import GazeVectorEnv
+from vergence.envs.gaze import GazeEnv, GazeVectorEnv
+from vergence.envs.task import given_or_drawn_eye_images
 from vergence.errors import ConfigurationError, RenderingUnavailableError
 from vergence.viewer.eye_pictures import EYE_WIDTH
 from vergence.viewer.pictures import VIEW_HEIGHT

@@ -36,7 +36,7 @@ class Info:
         import gymnasium
 
         from vergence.envs.plant import PLANTS
-        from vergence.envs.targets.registry import TARGETS
+        from vergence.envs.targets import TARGETS
         from vergence.eval.article.config import EXPERIMENTS
         from vergence.eval.comparison.contestants import controllers_in_table_order
         from vergence.eval.trials.scenarios import SCENARIOS

@@ -37,8 +37,8 @@ from vergence.controllers.ibvs import (
     reducible_pixel_error,
     speed_limits,
 )
-from vergence.envs.layout import Observation, ObservationLayout
-from vergence.envs.validation import check_at_least_zero
+from vergence.envs.observation import Observation, ObservationLayout
+from vergence.envs.reading import check_at_least_zero
 from vergence.kernels import kernel
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED, PackedHead, camera_of

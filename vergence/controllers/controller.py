@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray

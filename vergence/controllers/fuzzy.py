@@ -30,8 +30,8 @@ from vergence.controllers.pid import (
     pid_velocities,
     update_error_rates,
 )
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.validation import check_above_zero, check_finite_number
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.reading import check_above_zero, check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.kernels import inlined, kernel, make_row, record_view, row_layout, row_size
 from vergence.models.head import HeadModel

@@ -32,8 +32,7 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 
 from vergence.controllers.controller import StatefulController
-from vergence.envs.encoding import AGE_S
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import AGE_S, Observation, ObservationLayout
 from vergence.kernels import inlined, kernel, make_row, record_view, row_layout, row_size
 from vergence.models.head import HeadModel
 from vergence.models.parts import SLOTS, FloatArray

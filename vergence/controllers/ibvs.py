@@ -14,7 +14,7 @@ requests are distributed to the actuators by least squares in pixels (`vergence.
 Part of a pixel error may be out of reach: for eyes with a common tilt, only the common part of the
 two vertical errors can be removed. A law that acted on the rest would wind up, or, if its gains
 differ between axes, settle beside the least error. So laws act on the reducible part of the error
-(`vergence.envs.reducible`),
+(`vergence.envs.reward`),
 
     e_r = J A s,   s = argmin |J A s - e|^2
 
@@ -31,9 +31,9 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.controllers.controller import checked_layout
 from vergence.controllers.gate import GatedDetections, GatedImageController
 from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for, shipped_table
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.reducible import image_jacobians, reducible_error_by_jacobian
-from vergence.envs.validation import check_finite_number, real_number_array
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.reading import check_finite_number, real_number_array
+from vergence.envs.reward import image_jacobians, reducible_error_by_jacobian
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.kernels import inlined, kernel, subroutine
 from vergence.models.fixation import actuator_least_squares

@@ -30,8 +30,8 @@ from vergence.controllers.ibvs import (
     limited_joint_velocities,
     reducible_pixel_error,
 )
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.validation import check_at_least_zero
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.reading import check_at_least_zero
 from vergence.kernels import inlined, kernel, make_row, record_view, row_layout, row_size
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED, PackedHead, has_motor_per_joint

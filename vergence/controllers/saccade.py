@@ -36,7 +36,6 @@ from math import exp, inf
 from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vergence.controllers.prediction.oscillation import (
     OSCILLATING_HALF_SWINGS,
@@ -47,14 +46,15 @@ from vergence.controllers.prediction.parameters import (
     PREDICTOR_PARAMETERS_SIZE,
     PredictorParameters,
 )
+from vergence.controllers.prediction.predictor import PREDICTION, PREDICTION_SIZE, Prediction
 from vergence.controllers.state_feedback import (
     Estimate,
     PredictiveController,
     compensate_dead_zone,
     pole_placement_command,
 )
-from vergence.envs.layout import Observation, ObservationLayout
-from vergence.envs.validation import check_above_zero, check_at_least_zero, check_finite_number
+from vergence.envs.observation import Observation, ObservationLayout
+from vergence.envs.reading import check_above_zero, check_at_least_zero, check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.kernels import inlined, kernel, record_view
 from vergence.models.head import HeadModel
@@ -207,11 +207,6 @@ _MAX_BLIND_SACCADE_S: Final = 0.12
 """Approximate longest time for which a catch-up saccade exceeds that speed, s (chosen)."""
 _LEAST_TRIM_LAG_S: Final = 0.004
 """Lower bound of the lag in the soft law's rate, s (numerical)."""
-MODEL_QUALITY_FIELDS: Final = (
-    "acceleration_ratio", "acceleration_sd", "response_latency_sd_s", "noise_rad",
-    "response_misfit", "half_swing_count", "build_up",
-)  # fmt: skip
-"""Fields of a `Prediction` that determine how fast the law may be."""
 _MAX_MISFIT: Final = 4.0
 """Misfit of the response above which only the linear law turns the eyes (chosen)."""
 _CALM_RATE: Final = 12.0
@@ -256,94 +251,76 @@ class Saccade(PredictiveController):
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         now = self.predictor.update(seen, state)
-        trust = np.stack([getattr(now, name) for name in MODEL_QUALITY_FIELDS], axis=-1)
-        command = saccade_command(
-            now.angle_error,
-            now.velocities,
-            now.accelerations,
-            now.goal_rates,
-            now.goal_rates_at_effect,
-            now.known,
-            now.lag_s,
-            now.speed_gain,
-            trust,
-            self.predictor.params,
-            self._law,
-        )
-        return np.asarray(command)
+        return np.asarray(saccade_command(now, self.predictor.params, self._law))
 
 
 @kernel(
-    ["(f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(4),(4),(4),(4),(4),(2),(),(4),({len(MODEL_QUALITY_FIELDS)}),({PREDICTOR_PARAMETERS_SIZE}),(4)->(4)",
+    ["(f8[:],f8[:],f8[:],f8[:])"],
+    f"({PREDICTION_SIZE}),({PREDICTOR_PARAMETERS_SIZE}),(4)->(4)",
 )
 def saccade_command(
-    angle_error: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    goal_velocity: FloatArray,
-    goal_velocity_at_effect: FloatArray,
-    has_goal: NDArray[np.bool_],
-    lag_s: FloatArray,
-    speed_gain: FloatArray,
-    model_quality: FloatArray,
-    params_row: FloatArray,
-    law_row: FloatArray,
-    out: FloatArray,
+    prediction: FloatArray, params_row: FloatArray, law_row: FloatArray, out: FloatArray
 ) -> None:
-    """Compute the actuators' commands of one period, rad/s.
+    """Compute the actuators' commands (4) of one period, rad/s.
 
-    `model_quality` holds `MODEL_QUALITY_FIELDS`; `law_row` the options `braking` and `caution`, the
-    angle below which the soft law acts, rad, and its rate, 1/s. An actuator without a goal rests.
+    An actuator that moves no eye whose target is known is held still.
+
+    Args:
+        prediction: a row of `Prediction`.
+        params_row: a row of `PredictorParameters`.
+        law_row: options `braking` and `caution`, the angle of a joint below which the soft law
+            acts, rad, and its rate, 1/s.
+        out: the commands.
     """
+    now: Prediction = record_view(prediction, PREDICTION)
     params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
     period = params.period_s
-    unsure = min(model_quality[1] + model_quality[2] / period, 1.0)
-    oscillates = model_quality[5] > OSCILLATING_HALF_SWINGS
-    unexplained, builds_up = model_quality[4] > _MAX_MISFIT, model_quality[6] > 0.0
+    unsure = min(now.acceleration_sd + now.response_latency_sd_s / period, 1.0)
+    oscillates = now.half_swing_count > OSCILLATING_HALF_SWINGS
+    unexplained, builds_up = now.response_misfit > _MAX_MISFIT, now.build_up > 0.0
     for j in range(4):
         out[j] = 0.0
         if not (
-            (has_goal[0] and params.moves_eye[j, 0] > 0.5)
-            or (has_goal[1] and params.moves_eye[j, 1] > 0.5)
+            (now.known[0] > 0.5 and params.moves_eye[j, 0] > 0.5)
+            or (now.known[1] > 0.5 and params.moves_eye[j, 1] > 0.5)
         ):
             continue
         # from here on velocities are relative to the goal
-        v, lag = velocity[j] - goal_velocity[j], params.lag_ratio[j] * lag_s[0]
+        v, lag = now.velocities[j] - now.goal_rates[j], params.lag_ratio[j] * now.lag_s
         speed = max(
-            speed_gain[j] * params.speed_limit[j] - abs(goal_velocity[j]),
-            0.1 * speed_gain[j] * params.speed_limit[j],
+            now.speed_gain[j] * params.speed_limit[j] - abs(now.goal_rates[j]),
+            0.1 * now.speed_gain[j] * params.speed_limit[j],
         )
-        if goal_velocity[j] != 0.0:  # lose sight only briefly of a target that may reverse
+        if now.goal_rates[j] != 0.0:  # lose sight only briefly of a target that may reverse
             visible_speed = max(
                 _JOINT_BLUR_FRACTION * params.max_slip_rad_s / params.max_joint_per_actuator[j],
-                abs(angle_error[j]) / _MAX_BLIND_SACCADE_S,
+                abs(now.angle_error[j]) / _MAX_BLIND_SACCADE_S,
             )
             speed = min(speed, visible_speed)
-        a = model_quality[0] * params.acceleration_limit[j]
+        a = now.acceleration_ratio * params.acceleration_limit[j]
         # uncertain part of the angle turned in a period at full acceleration
-        wide = law_row[2] if goal_velocity[j] == 0.0 else _MOVING_TRIM_FACTOR * law_row[2]
-        soft = max(wide, _ZONE_SIGMAS * model_quality[3]) / params.max_joint_per_actuator[j]
+        wide = law_row[2] if now.goal_rates[j] == 0.0 else _MOVING_TRIM_FACTOR * law_row[2]
+        soft = max(wide, _ZONE_SIGMAS * now.noise_rad) / params.max_joint_per_actuator[j]
         near = max(soft, _ZONE_ANGLES * min(a, _MAX_ZONE_ACCELERATION) * period**2 * unsure)
-        calm = oscillates or (unexplained and goal_velocity[j] == 0.0)
+        calm = oscillates or (unexplained and now.goal_rates[j] == 0.0)
         if calm or builds_up:
             linear_rate = (
-                oscillation_reduced_rate(_CALM_RATE, model_quality[5]) if calm else _LINEAR_RATE
+                oscillation_reduced_rate(_CALM_RATE, now.half_swing_count) if calm else _LINEAR_RATE
             )
             u = pole_placement_command(
-                angle_error[j], v, acceleration[j], linear_rate, lag, model_quality[6]
+                now.angle_error[j], v, now.accelerations[j], linear_rate, lag, now.build_up
             )
-        elif abs(angle_error[j]) < near and abs(v) * lag < 3.0 * near:
+        elif abs(now.angle_error[j]) < near and abs(v) * lag < 3.0 * near:
             u = min(law_row[3], _MAX_RATE_TIMES_LAG / max(lag, _LEAST_TRIM_LAG_S)) * (
-                angle_error[j] - lag * v
+                now.angle_error[j] - lag * v
             )
         else:
-            braking = law_row[0] * exp(-min(law_row[1] * model_quality[1], 1.0)) * a
+            braking = law_row[0] * exp(-min(law_row[1] * now.acceleration_sd, 1.0)) * a
             trusted = joint_timing(lag, speed, braking, period)
-            u = time_optimal_command(angle_error[j], v, a, trusted)
-        u = (min(max(u, -speed), speed) + goal_velocity_at_effect[j]) / speed_gain[j]
-        resting_error = angle_error[j] - lag * (v + model_quality[6] * lag * acceleration[j])
-        out[j] = compensate_dead_zone(u, resting_error, params, speed_gain[j])
+            u = time_optimal_command(now.angle_error[j], v, a, trusted)
+        u = (min(max(u, -speed), speed) + now.goal_rates_at_effect[j]) / now.speed_gain[j]
+        resting_error = now.angle_error[j] - lag * (v + now.build_up * lag * now.accelerations[j])
+        out[j] = compensate_dead_zone(u, resting_error, params, now.speed_gain[j])
 
 
 class Pursuit(Saccade):

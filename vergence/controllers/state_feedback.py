@@ -27,7 +27,7 @@ from math import sqrt
 from typing import ClassVar, Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vergence.controllers.controller import StatefulController
 from vergence.controllers.gate import CommandQuantiser
@@ -41,9 +41,15 @@ from vergence.controllers.prediction.parameters import (
     PREDICTOR_PARAMETERS_SIZE,
     PredictorParameters,
 )
-from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
-from vergence.envs.layout import Observation, ObservationLayout
-from vergence.envs.validation import check_above_zero, check_at_least_zero
+from vergence.controllers.prediction.predictor import (
+    PREDICTION,
+    PREDICTION_SIZE,
+    Prediction,
+    SmithPredictor,
+    prediction_fields,
+)
+from vergence.envs.observation import Observation, ObservationLayout
+from vergence.envs.reading import check_above_zero, check_at_least_zero
 from vergence.kernels import inlined, kernel, record_view
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYES, SLOTS, FloatArray
@@ -130,58 +136,52 @@ class StateFeedback(PredictiveController):
         super().__init__(head=head, layout=layout, delay=delay, lag=lag)
         check_above_zero("gain", gain)
         check_at_least_zero("damping", damping)
-        self._law = np.array([gain, damping])
+        self._law = np.full(SLOTS, gain), damping
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        return linear_command(self.predictor.update(seen, state), self.predictor.params, self._law)
-
-
-def linear_command(prediction: Prediction, params_row: FloatArray, law: ArrayLike) -> FloatArray:
-    """Compute the law's (..., 4) commands, rad/s, with the options `gain` and `damping`."""
-    lag_values = np.stack([prediction.lag_s, prediction.build_up], axis=-1)
-    command = feedback_command(
-        prediction.angle_error, prediction.velocities, prediction.accelerations, prediction.known,
-        lag_values, prediction.speed_gain, prediction.half_swing_count, params_row, law,
-    )  # fmt: skip
-    return np.asarray(command)
+        now = self.predictor.update(seen, state)
+        return np.asarray(linear_command(now, self.predictor.params, *self._law))
 
 
 @kernel(
-    ["(f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(4),(4),(4),(2),(2),(4),(),({PREDICTOR_PARAMETERS_SIZE}),(2)->(4)",
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    f"({PREDICTION_SIZE}),({PREDICTOR_PARAMETERS_SIZE}),(4),()->(4)",
 )
-def feedback_command(
-    angle_error: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    known: NDArray[np.bool_],
-    lag_and_build_up: FloatArray,
-    gain: FloatArray,
-    half_swing_count: FloatArray,
+def linear_command(
+    prediction: FloatArray,
     params_row: FloatArray,
-    law: FloatArray,
+    rate: FloatArray,
+    damping: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Compute the commands of one period, rad/s, zero for an actuator that moves no `known` eye.
+    """Compute the actuators' commands (4) of one period, rad/s.
 
-    `gain` is the ratio of velocity to command; `law` holds the options `gain` and `damping`.
+    An actuator that moves no eye whose target is known is held still.
+
+    Args:
+        prediction: a row of `Prediction`.
+        params_row: a row of `PredictorParameters`.
+        rate: (4,) the option `gain`, 1/s.
+        damping: () the option `damping`.
+        out: the commands.
     """
+    now: Prediction = record_view(prediction, PREDICTION)
     params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
-    k = oscillation_reduced_rate(law[0], half_swing_count[0])
     for j in range(4):
         out[j] = 0.0
         if not (
-            (known[0] and params.moves_eye[j, 0] > 0.5)
-            or (known[1] and params.moves_eye[j, 1] > 0.5)
+            (now.known[0] > 0.5 and params.moves_eye[j, 0] > 0.5)
+            or (now.known[1] > 0.5 and params.moves_eye[j, 1] > 0.5)
         ):
             continue
-        v, w, lag = velocity[j], acceleration[j], params.lag_ratio[j] * lag_and_build_up[0]
-        limit = gain[j] * params.speed_limit[j]
-        damping = law[1] if lag_and_build_up[1] == 0.0 else 1.0
-        u = pole_placement_command(angle_error[j], v, w, k, damping * lag, lag_and_build_up[1])
+        k, gain = oscillation_reduced_rate(rate[j], now.half_swing_count), now.speed_gain[j]
+        v, w, lag = now.velocities[j], now.accelerations[j], params.lag_ratio[j] * now.lag_s
+        limit = gain * params.speed_limit[j]
+        damped = damping[0] if now.build_up == 0.0 else 1.0
+        u = pole_placement_command(now.angle_error[j], v, w, k, damped * lag, now.build_up)
         u = min(max(u, -limit), limit)
-        resting_error = angle_error[j] - lag * (v + lag_and_build_up[1] * lag * w)
-        out[j] = compensate_dead_zone(u / gain[j], resting_error, params, gain[j])
+        resting_error = now.angle_error[j] - lag * (v + now.build_up * lag * w)
+        out[j] = compensate_dead_zone(u / gain, resting_error, params, gain)
 
 
 DEFAULT_GAIN: Final = 10.0
@@ -217,11 +217,11 @@ class DelayCompensatedIBVS(StatefulController):
         return np.concatenate([self.predictor.initial(), np.zeros(SLOTS)])
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        present = self.predictor.update(seen, state)
+        present = prediction_fields(self.predictor.update(seen, state))
         q = seen.positions.copy()
-        q[..., EYES] = present.positions
-        command = self.law.command(q, present.pixel_error)
+        q[..., EYES] = present["positions"]
+        command = self.law.command(q, present["pixel_error"])
         # the law is linear: scaling its command scales its gain
-        excess = np.maximum(present.half_swing_count - OSCILLATING_HALF_SWINGS, 0.0)
+        excess = np.maximum(present["half_swing_count"] - OSCILLATING_HALF_SWINGS, 0.0)
         command = command * np.exp2(-excess)[..., None]
         return self._quantiser.quantise(command, state[..., -SLOTS:])

@@ -57,7 +57,7 @@ def _register_environments() -> None:
         register(
             id="vergence/Gaze-v0",
             entry_point="vergence.envs.gaze:GazeEnv",
-            vector_entry_point="vergence.envs.gaze_vector:GazeVectorEnv",
+            vector_entry_point="vergence.envs.gaze:GazeVectorEnv",
             max_episode_steps=MAX_EPISODE_STEPS,
         )
     if "vergence/GainSchedule-v0" not in registry:

@@ -1,24 +1,228 @@
-"""The Gymnasium environment of the gaze task, for one head."""
+"""The Gymnasium environments of the gaze task: for one head, and for many in one batch."""
 
-from typing import Any, ClassVar
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from importlib.util import find_spec
+from inspect import Parameter, signature
+from typing import Any, ClassVar, Final, Protocol
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.reading import Image
-from vergence.envs.streams import as_seed
-from vergence.envs.task import GazeTask
-from vergence.envs.task_env import (
-    TaskEnv,
-    checked_arguments,
-    checked_options,
-    checked_render_mode,
-    control_rate,
-    missing_window_hint,
-    reset_needed,
+from vergence.entry_points import EntryPoint, accepted_arguments
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.plant import plant_type
+from vergence.envs.plants.conditions import Variation
+from vergence.envs.reading import (
+    Image,
+    Reading,
+    Truth,
+    as_action_array,
+    check_above_zero,
+    check_count,
 )
-from vergence.envs.validation import as_action_array, check_above_zero
+from vergence.envs.streams import Arrays, SavedState, as_seed, copy_arrays, restore_arrays
+from vergence.envs.task import GazeTask
+from vergence.errors import (
+    ConfigurationError,
+    RenderingUnavailableError,
+    UnexpectedArgumentError,
+    how_to_install,
+    refuse_unknown,
+)
+from vergence.models.head import HeadModel
+from vergence.models.perturbation import ModelErrors
+
+_PICTURES_ENTRY_POINT: Final = "vergence.viewer.pictures:TaskPictures"
+"""Entry point of the class that draws the pictures of `render`, in a later layer."""
+
+
+def missing_window_hint() -> str | None:
+    """Hint to install pygame, an optional dependency that windows need; None if it is installed."""
+    if find_spec("pygame") is not None:
+        return None
+    return f'render_mode="human": expected pygame, got none: {how_to_install("render")}'
+
+
+def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
+    """Check a render mode, which may be None, and return it.
+
+    Raises:
+        ConfigurationError: the mode is unknown.
+        RenderingUnavailableError: the mode needs a window, and pygame is not installed.
+    """
+    if mode is not None and mode not in known:
+        raise ConfigurationError(
+            f"render_mode: expected None or one of {', '.join(known)}, got {mode!r}"
+        )
+    missing = missing_window_hint() if mode == "human" else None
+    if missing is not None:
+        raise RenderingUnavailableError(missing)
+    return mode
+
+
+def checked_options(options: Mapping[str, Any] | None, known: Sequence[str]) -> dict[str, Any]:
+    """Check the options of a call of `reset`, and return them as a dictionary.
+
+    Raises:
+        ConfigurationError: an option is unknown.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise ConfigurationError(f"reset: options: expected a mapping or None, got {options!r:.80}")
+    refuse_unknown("reset: options", options, known)
+    return dict(options)
+
+
+def checked_arguments(env: "type[TaskEnv]", arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Check that an environment's task takes the arguments, and return them.
+
+    Raises:
+        UnexpectedArgumentError: an argument is unknown.
+    """
+    of_task = accepted_arguments(env.task_type)
+    if of_task is None or arguments.keys() <= of_task - {"num"}:
+        return arguments
+    own = signature(env).parameters.values()
+    known = of_task - {"num"} | {one.name for one in own if one.kind is not Parameter.VAR_KEYWORD}
+    plant = arguments.get("plant", signature(GazeTask).parameters["plant"].default)
+    of_plant = sorted((accepted_arguments(plant_type(plant)) or set()) - {"head", "num"})
+    in_plant = [f"or in plant_options {', '.join(of_plant)}"] if of_plant else []
+    try:
+        refuse_unknown("environment", arguments, [*sorted(known), *in_plant])
+    except ConfigurationError as error:  # in words by which TorchRL goes on without its frameskip
+        name = next(name for name in arguments if name not in known)
+        raise UnexpectedArgumentError(
+            f"got an unexpected keyword argument {name!r}: {error}"
+        ) from error
+    return arguments
+
+
+def control_rate(task: GazeTask) -> int:
+    """Control periods per second, rounded to a whole number as Gymnasium's frames per second."""
+    return max(1, round(task.head.timing.control_rate_hz))
+
+
+def reset_needed(call: str) -> ResetNeeded:
+    """Gymnasium's error for a call before the first `reset`."""
+    return ResetNeeded(f"{call}: expected a call of reset first, got none")
+
+
+class TaskSpec(EnvSpec):
+    """A Gymnasium specification whose errors name the argument that JSON cannot hold."""
+
+    def to_json(self) -> str:
+        """See `EnvSpec.to_json`.
+
+        Raises:
+            ConfigurationError: an argument is an object that JSON cannot hold, such as a head.
+        """
+        kwargs = {name: _json_argument(name, value) for name, value in self.kwargs.items()}
+        return EnvSpec.to_json(dataclasses.replace(self, kwargs=kwargs))
+
+
+def _json_argument(name: str, value: object) -> Any:
+    """Convert an argument to JSON's types, which `GazeTask` accepts as well."""
+
+    def plain(part: object) -> object:
+        if isinstance(part, ModelErrors | Variation):
+            return {field: one for field, one in vars(part).items() if one is not None}
+        if isinstance(part, np.ndarray | np.generic):
+            return part.tolist()
+        if isinstance(part, Enum):
+            return part.value
+        if isinstance(part, set | frozenset):
+            return sorted(part)
+        what = "a preset or a file by name" if isinstance(part, HeadModel) else "names and numbers"
+        raise TypeError(f"expected {what}, got a {type(part).__name__}")
+
+    try:
+        return json.loads(json.dumps(value, default=plain))
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(
+            f"spec.to_json: {name}: {error}, which JSON cannot hold"
+        ) from error
+
+
+class Pictures(Protocol):
+    """Pictures of a task's heads, see `vergence.viewer.pictures.TaskPictures`."""
+
+    def render(self) -> Image | None:
+        """The picture of the first head: returned, or shown in the window."""
+
+    def picture(self, n: int) -> Image:
+        """The picture of one head."""
+
+    def close(self) -> None:
+        """Close the window and the renderer."""
+
+
+class TaskEnv:
+    """Base class of environments around a `GazeTask`; a single head is a batch of one."""
+
+    task_type: ClassVar[type[GazeTask]]
+    task: GazeTask
+    render_mode: str | None
+    metadata: dict[str, Any]
+    _pictures: Pictures | None = None
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Gymnasium's specification, from which the environment can be made again."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            init = [field.name for field in dataclasses.fields(spec) if field.init]
+            spec = TaskSpec(**{name: getattr(spec, name) for name in init})
+        self._spec = spec
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """Meaning of each number of an observation and of an action."""
+        return self.task.layout
+
+    @property
+    def head(self) -> HeadModel:
+        """Head model that controllers know."""
+        return self.task.head
+
+    @property
+    def reading(self) -> Reading:
+        """Present sensor readings, one row per head."""
+        return self.task.reading
+
+    def truth(self) -> Truth | None:
+        """Ground truth of the present, one row per head; None for real heads."""
+        return self.task.truth()
+
+    def _task_pictures(self) -> Pictures | None:
+        """The task's pictures, made at the first call; None without a render mode."""
+        if self._pictures is None and self.render_mode is not None:
+            make = EntryPoint.of(_PICTURES_ENTRY_POINT, "render_mode").load()
+            self._pictures = make(self.task, self.render_mode, self.metadata["render_fps"])
+        return self._pictures
+
+    def _release(self) -> None:
+        """Bring the heads to rest, release the plant, and close the window if there is one."""
+        self.task.close()
+        if self._pictures is not None:
+            self._pictures.close()
+            self._pictures = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_pictures": None}
+
 
 _FIRST = np.zeros(1, dtype=np.int64)
 
@@ -184,3 +388,266 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def close(self) -> None:
         """Bring the head to rest, release the plant, and close the window if there is one."""
         self._release()
+
+
+class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """A vector environment of many heads: the task of `GazeEnv`, as one batch of one plant.
+
+    Environment i of a vector that is reset with seed s runs the trials that `GazeEnv` runs
+    with seed s + i.
+
+    Args:
+        num_envs: number of heads.
+        max_episode_steps: steps after which an episode is truncated; None for never.
+        autoreset_mode: `NextStep`, `SameStep` or `Disabled`, see `gymnasium.vector.AutoresetMode`.
+        render_mode: None or `rgb_array`.
+        **options: see `vergence.envs.task.GazeTask`.
+    """
+
+    metadata: dict[str, Any]
+    task_type: ClassVar[type[GazeTask]] = GazeTask
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        self.num_envs = num_envs = check_count("num_envs", num_envs)
+        self.max_episode_steps = max_episode_steps
+        try:
+            self._autoreset = AutoresetMode(autoreset_mode)
+        except ValueError as error:
+            known = ", ".join(mode.value for mode in AutoresetMode)
+            raise ConfigurationError(
+                f"autoreset_mode: expected one of {known}, got {autoreset_mode!r}"
+            ) from error
+        modes = ["rgb_array"]
+        self.render_mode = checked_render_mode(render_mode, modes)
+        self.task = self.task_type(num_envs, **checked_arguments(type(self), options))
+        self.metadata = {
+            "render_modes": modes,
+            "render_fps": control_rate(self.task),
+            "autoreset_mode": self._autoreset,
+        }
+        self.single_observation_space, self.single_action_space = self.task.spaces()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._seeds = np.zeros(num_envs, dtype=np.uint64)
+        self._trials = np.zeros(num_envs, dtype=np.uint64)
+        self._elapsed = np.zeros(num_envs, dtype=np.int64)
+        self._done = np.zeros(num_envs, dtype=np.bool_)
+        self._begun = self._staggered = False
+
+    def stagger(self) -> None:
+        """Shorten the first episodes of the next `reset`, each environment's by another length.
+
+        The episodes of a vector begin together and, with a step limit, would end together forever.
+        Staggering spreads their ends evenly, as a learner needs.
+        """
+        self._staggered = True
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin trials, of all heads or of some.
+
+        Args:
+            seed: s begins trial 0 of seeds s, s + 1, ...; a sequence gives a seed for each,
+                None for those that go on to their next trial.
+            options: `{"trial": k}` or a sequence begins these trials; `{"reset_mask": mask}`
+                resets only where the mask of shape (num_envs,) is True.
+
+        Returns:
+            The observations of all heads, and the info.
+
+        Raises:
+            ConfigurationError: an option is unknown or invalid, or a seed is not a whole number.
+        """
+        options = checked_options(options, ("trial", "reset_mask"))
+        mask = _reset_mask(options.get("reset_mask"), self.num_envs)
+        trials = _requested_trials(options.get("trial"), self.num_envs)
+        seeds = self._requested_seeds(seed)
+        if not self._begun:
+            first = self.np_random.integers(2**63, size=self.num_envs, dtype=np.uint64)
+            self._seeds[:] = first
+            self._trials[:] = np.uint64(2**64 - 1)  # the next trial is 0
+            mask[:] = True
+            self._begun = True
+        self._trials[mask] += np.uint64(1)
+        for i, given in enumerate(seeds):
+            if given is not None and mask[i]:
+                self._seeds[i], self._trials[i] = given, 0
+        if trials is not None:
+            self._trials[mask] = trials[mask]
+        self._begin(np.flatnonzero(mask))
+        if self._staggered and self.max_episode_steps is not None:
+            self._elapsed[:] = np.arange(self.num_envs) * self.max_episode_steps // self.num_envs
+            self._staggered = False
+        return self.task.observation.copy(), self._info()
+
+    def _info(self, has: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+        """The info in Gymnasium's form; `has` marks the heads with an entry, None for all."""
+        everywhere = np.ones(self.num_envs, dtype=np.bool_)
+        return _with_masks(self.task.info(), everywhere if has is None else has)
+
+    def _requested_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, int | np.integer):
+            first = as_seed(seed)
+            self._np_random, self._np_random_seed = gymnasium.utils.seeding.np_random(first)
+            return [as_seed(first + i) for i in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ConfigurationError(f"seed: expected {self.num_envs} seeds, got {len(seed)}")
+        return [None if one is None else as_seed(one) for one in seed]
+
+    def _begin(self, ids: NDArray[np.int64]) -> None:
+        self.task.begin(ids, self._seeds[ids], self._trials[ids])
+        self._elapsed[ids] = 0
+        self._done[ids] = False
+
+    def _next_trials(self, ids: NDArray[np.int64]) -> None:
+        self._trials[ids] += np.uint64(1)
+        self._begin(ids)
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[
+        NDArray[np.float32], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
+    ]:
+        """Apply actions, limited to [-1, 1], for one control period.
+
+        Returns:
+            Observations, rewards, terminations, truncations, info. In `SameStep` mode, info
+            has the last observations and infos of ended episodes as `final_obs` and
+            `final_info`, and the masks `_final_obs` and `_final_info`.
+
+        Raises:
+            ResetNeeded: nothing has been reset yet.
+            ConfigurationError: an action is nan, or in `Disabled` mode an ended episode has
+                not been reset.
+        """
+        if not self._begun:
+            raise reset_needed("step")
+        task = self.task
+        ended = self._done
+        if self._autoreset is AutoresetMode.DISABLED and ended.any():
+            raise ConfigurationError(
+                f"step: expected ended episodes to be reset first, got {np.flatnonzero(ended)}"
+            )
+        task.step(task.as_action(actions))
+        self._elapsed += 1
+        resets = np.flatnonzero(ended)
+        if resets.size:
+            # in NextStep mode this step resets an ended episode and ignores its action
+            self._next_trials(resets)
+            task.reward[resets] = 0.0
+            task.lost[resets] = False
+        terminated = task.lost.copy()
+        truncated = (
+            np.zeros(self.num_envs, dtype=np.bool_)
+            if self.max_episode_steps is None
+            else self._elapsed >= self.max_episode_steps
+        ) | bool(task.plant.fault)
+        reward = task.reward.copy()
+        done = terminated | truncated
+        if self._autoreset is AutoresetMode.SAME_STEP and done.any():
+            last_info, last_observation = self._info(done), task.observation.copy()
+            self._next_trials(np.flatnonzero(done))
+            info = self._info()
+            info.update(
+                final_obs=_pick(last_observation, done), _final_obs=done,
+                final_info=last_info, _final_info=done,
+            )  # fmt: skip
+        else:
+            info = self._info()
+            self._done = done
+        return task.observation.copy(), reward, terminated, truncated, info
+
+    def state(self) -> SavedState:
+        """Copy the complete state of the running episodes.
+
+        Raises:
+            ConfigurationError: the plant is not a simulation, or its state cannot be saved.
+        """
+        return {"episodes": copy_arrays(self._arrays()), **self.task.state()}
+
+    def restore(self, state: SavedState) -> None:
+        """Restore the episodes from a result of `state`; they then repeat bit by bit.
+
+        Args:
+            state: the state of an environment with the same arguments.
+
+        Raises:
+            ConfigurationError: the state belongs to another environment.
+        """
+        restore_arrays(self._arrays(), state["episodes"])
+        self.task.restore(state)
+        self._begun, self._staggered = True, False
+
+    def _arrays(self) -> Arrays:
+        """State arrays of this class, without those of the task."""
+        return {
+            "seeds": self._seeds,
+            "trials": self._trials,
+            "elapsed": self._elapsed,
+            "done": self._done,
+        }
+
+    def render(self) -> tuple[Image, ...] | None:
+        """The picture of every head, see `GazeEnv.render`."""
+        if not self._begun:
+            raise reset_needed("render")
+        pictures = self._task_pictures()
+        if pictures is None:
+            return None
+        return tuple(pictures.picture(env) for env in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Bring the heads to rest and release the plant."""
+        self._release()
+
+
+def _pick(observations: NDArray[np.float32], done: NDArray[np.bool_]) -> NDArray[np.object_]:
+    """Final observations in Gymnasium's form: an array of objects, None where none ended."""
+    out = np.full(len(done), None, dtype=np.object_)
+    for i in np.flatnonzero(done):
+        out[i] = observations[i]
+    return out
+
+
+def _with_masks(info: dict[str, Any], has: NDArray[np.bool_]) -> dict[str, Any]:
+    """Add Gymnasium's masks to an info: for each key k, `_k` marks the heads that have it."""
+    out: dict[str, Any] = {}
+    for key, value in info.items():
+        out[key] = _with_masks(value, has) if isinstance(value, dict) else value
+        out[f"_{key}"] = has.copy()
+    return out
+
+
+def _requested_trials(trial: object, num: int) -> NDArray[np.uint64] | None:
+    if trial is None:
+        return None
+    many = isinstance(trial, Sequence | np.ndarray) and not isinstance(trial, str)
+    trials: list[Any] = list(trial) if many else [trial] * num  # type: ignore[call-overload]
+    if len(trials) != num:
+        raise ConfigurationError(f"trial: expected one or {num} whole numbers, got {trial!r:.80}")
+    return np.array([as_seed(one, "trial") for one in trials], dtype=np.uint64)
+
+
+def _reset_mask(mask: object, num: int) -> NDArray[np.bool_]:
+    if mask is None:
+        return np.ones(num, dtype=np.bool_)
+    array = np.asarray(mask)
+    if array.shape != (num,) or array.dtype != np.bool_ or not array.any():
+        raise ConfigurationError(
+            f"reset_mask: expected {num} booleans, at least one True, got {mask!r}"
+        )
+    return array.copy()

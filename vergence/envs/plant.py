@@ -1,14 +1,15 @@
-"""Interface of plants, which move heads and report sensor readings, and their registry."""
+"""Interfaces of plants, which move heads and report readings, and of simulated ones; registry."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, NamedTuple
 
 from vergence.entry_points import EntryPoint, accepted_arguments, is_entry_point
+from vergence.envs.plants.conditions import Conditions
 from vergence.envs.reading import Image, Reading, Truth
-from vergence.envs.streams import IntArray
-from vergence.envs.targets.board import POINT, Board
+from vergence.envs.streams import Arrays, IntArray, KeyArray
+from vergence.envs.targets.motion import POINT, Board
 from vergence.errors import ConfigurationError, UnknownNameError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -192,4 +193,109 @@ def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant
             raise ConfigurationError(
                 f"plant {name!r}: expected the attributes head and num, got none called {attribute}"
             )
+    return plant
+
+
+class TrialStart(NamedTuple):
+    """Starts of the trials of some environments of a batch, in a simulation."""
+
+    ids: IntArray
+    """(m,) environment indices."""
+    seeds: KeyArray
+    """(m,) the trials' seeds."""
+    trials: KeyArray
+    """(m,) the trials' numbers."""
+    positions: FloatArray
+    """(m, 7) initial joint angles, rad; the joints are at rest."""
+    motions: FloatArray
+    """(m, MOTION) the targets' motions, see `vergence.envs.targets.motion`."""
+
+
+class Simulation(Plant):
+    """A simulated plant: it draws trials from seeds, and knows their ground truth."""
+
+    @property
+    @abstractmethod
+    def true_head(self) -> HeadModel:
+        """The true heads: one, or a population of shape (num,)."""
+
+    @property
+    @abstractmethod
+    def conditions(self) -> Conditions:
+        """Conditions of the running trials, in arrays that the next trials change."""
+
+    @abstractmethod
+    def begin(self, start: TrialStart) -> Reading:
+        """Begin trials in some environments, see `Plant.reset`; the others continue."""
+
+    @abstractmethod
+    def move_targets(self, ids: IntArray, motions: FloatArray) -> None:
+        """Replace the motions of running trials' targets: exposures from now on see the new ones.
+
+        Args:
+            ids: (m,) environment indices.
+            motions: (m, MOTION or more) motions, see `vergence.envs.targets.motion`; their time
+                counts from the trial's start, plus its onset.
+        """
+
+    @abstractmethod
+    def truth(self) -> Truth:
+        """Ground truth of the present, without delay or noise."""
+
+    @abstractmethod
+    def truth_at_rest(self) -> Truth:
+        """Ground truth of the present, with the targets where they are after their last jump."""
+
+    @abstractmethod
+    def onset_s(self) -> FloatArray:
+        """(n,) times of the targets' last jump, or of the beginning of their motion.
+
+        In seconds since the trials' start.
+        """
+
+    @abstractmethod
+    def first_detection_times(self) -> tuple[FloatArray, FloatArray]:
+        """Reading times of the first images in which an eye finds the target.
+
+        Call it while the trials are at time zero. For a target that was there before, only images
+        after its onset count. The eyes are assumed to rest until then.
+
+        Returns:
+            (n,) seconds since the trial's start, of the first image of the target, and of the
+            first one after its last jump; inf for never.
+        """
+
+    @abstractmethod
+    def state(self) -> Arrays:
+        """Copy the complete state of the running trials."""
+
+    @abstractmethod
+    def restore(self, state: Arrays) -> Reading:
+        """Restore the running trials from a result of `state`, bit by bit.
+
+        Raises:
+            ConfigurationError: the state belongs to another simulation.
+        """
+
+
+def is_simulated(name: str) -> bool:
+    """True if a plant is a simulation, not a robot.
+
+    Args:
+        name: see `vergence.envs.plant.plant_type`.
+
+    Raises:
+        VergenceError: there is no such plant.
+    """
+    return issubclass(plant_type(name), Simulation)
+
+
+def simulation_of(plant: Plant) -> Simulation:
+    """Check that a plant is a simulation, and return it.
+
+    Raises:
+        ConfigurationError: the plant is not a simulation.
+    """
+    if not isinstance(plant, Simulation):
+        raise ConfigurationError(f"plant: expected a simulated one, got {type(plant).__name__}")
     return plant

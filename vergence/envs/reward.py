@@ -1,4 +1,4 @@
-r"""Observation, reward and termination of the gaze task, computed from readings alone.
+"""Reward and termination of the gaze task, computed from readings alone.
 
 Per step, with e the norm of an eye's measured pixel error:
 
@@ -17,23 +17,118 @@ Only the step that ends a lost trial has a negative reward. In any state, contin
 0 and losing the target costs 25, whatever the discount, so losing the target never pays.
 
 If the eye joints are coupled, precision and success use the reducible part of the errors, see
-`vergence.envs.reducible`: a head is not judged by errors that its actuators cannot remove.
+`reducible_error`: a head is not judged by errors that its actuators cannot remove.
+
+With e the errors of both images, J the eyes' image Jacobian and A the joint angles per actuator
+angle, the reducible part is `J A (J A)^+ e`. No motion can reduce the rest of e. For coupled
+joints, the best gaze (`HeadModel.fixate`) has this rest as its residual, and a reducible part of
+zero.
 """
 
-from math import sqrt
+from math import isfinite, nan, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.encoding import encode_observation
+from vergence.envs.observation import ObservationLayout, encode_observation
 from vergence.envs.reading import BoolArray, Reading
-from vergence.envs.reducible import reducible_error
 from vergence.envs.streams import IntArray
-from vergence.kernels import compiled, inlined
+from vergence.kernels import compiled, inlined, subroutine, unpack_table
+from vergence.models.fixation import actuator_least_squares, image_rate
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import PackedHead, pixel_error
-from vergence.models.parts import FloatArray
+from vergence.models.kinematics import PackedHead, camera_of, eye_frames, eye_jacobian, pixel_error
+from vergence.models.parts import SLOTS, FloatArray
+from vergence.triangulation.rays import depths_on_rays, rays_from_pixel_errors
+
+
+@subroutine
+def image_jacobians(
+    p: PackedHead,
+    q: FloatArray,
+    error: FloatArray,
+    depth_m: float,
+    left_visible: bool,
+    right_visible: bool,
+    jacobian: FloatArray,
+) -> None:
+    """Compute the image Jacobians of the eyes that see the target, at its pixels.
+
+    Args:
+        p: a packed head.
+        q: (7,) joint angles at the exposure, rad.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
+        depth_m: the target's depth, m; nan to triangulate it.
+        left_visible: True if the left eye sees the target.
+        right_visible: True if the right eye sees the target.
+        jacobian: (2, 2, 2) result by eye, image axis and joint of this eye, px/rad; unchanged for
+            an eye that does not see the target.
+    """
+    eyes = (eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6]))
+    depth_l = depth_r = depth_m
+    if not isfinite(depth_m):
+        ray_l, ray_r = rays_from_pixel_errors(p, eyes[0].camera, eyes[1].camera, error)
+        depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
+    for eye in range(2):
+        if right_visible if eye else left_visible:
+            camera = camera_of(p, eye)
+            u, v = camera.centre_u + error[eye, 0], camera.centre_v + error[eye, 1]
+            depth = depth_r if eye else depth_l
+            u1, u2, v1, v2 = eye_jacobian(p, eye, eyes[eye], u, v, depth)
+            jacobian[eye, 0, 0], jacobian[eye, 0, 1] = u1, u2
+            jacobian[eye, 1, 0], jacobian[eye, 1, 1] = v1, v2
+
+
+@subroutine
+def reducible_error_by_jacobian(
+    p: PackedHead,
+    jacobian: FloatArray,
+    error: FloatArray,
+    left_visible: bool,
+    right_visible: bool,
+    out: FloatArray,
+) -> None:
+    """Compute the reducible part of pixel errors from given image Jacobians.
+
+    Args:
+        p: a packed head.
+        jacobian: (2, 2, 2) by eye, image axis and joint of this eye, px/rad.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
+        left_visible: True if the left eye sees the target; else its errors are ignored.
+        right_visible: True if the right eye sees the target; else its errors are ignored.
+        out: (2, 2) result, px; nan for an eye that does not see the target.
+    """
+    share = np.zeros(SLOTS)
+    actuator_least_squares(p, jacobian, error, left_visible, right_visible, share)
+    for eye in range(2):
+        seen = right_visible if eye else left_visible
+        for axis in range(2):
+            out[eye, axis] = image_rate(p, jacobian, eye, axis, share) if seen else nan
+
+
+@inlined
+def reducible_error(
+    p: PackedHead,
+    q: FloatArray,
+    error: FloatArray,
+    left_visible: bool,
+    right_visible: bool,
+    out: FloatArray,
+) -> None:
+    """Compute the reducible part of pixel errors at the triangulated depth.
+
+    Args:
+        p: a packed head.
+        q: (7,) joint angles at the exposure, rad.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
+        left_visible: True if the left eye sees the target; else its errors are ignored.
+        right_visible: True if the right eye sees the target; else its errors are ignored.
+        out: (2, 2) result, px; nan for an eye that does not see the target.
+    """
+    jacobian = np.zeros((2, 2, 2))
+    image_jacobians(p, q, error, nan, left_visible, right_visible, jacobian)
+    reducible_error_by_jacobian(p, jacobian, error, left_visible, right_visible, out)
+
 
 TERMS: Final = ("tracking", "precision", "effort", "lost")
 """Names of the reward's terms, in the order of their array."""
@@ -110,7 +205,7 @@ class StepResult(NamedTuple):
     """Result of a step."""
 
     observation: NDArray[np.float32]
-    """(n, size) see `vergence.envs.layout.ObservationLayout`."""
+    """(n, size) see `vergence.envs.observation.ObservationLayout`."""
     error: FloatArray
     """(n, 2, 2) measured pixel errors of the newest images, px; nan if not visible."""
     terms: FloatArray
@@ -157,7 +252,7 @@ def compute_step_result(
     Args:
         ids: (m,) environment indices.
         head: (PACKED,) the head that the controller knows.
-        scaling: (SCALING,) see `vergence.envs.encoding`.
+        scaling: (SCALING,) see `vergence.envs.observation`.
         time_limits: time limits; `untyped_tuple`, as are all named tuples here.
         reading: sensor readings.
         action: (n, m) the actions applied.
@@ -220,3 +315,103 @@ def compute_step_result(
         terms[n, 2] = -_EFFORT_WEIGHT * (tracking + precision) * square / m
         terms[n, 3] = -_LOST_COST if result.lost[n] else 0.0
         result.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
+
+
+LIMIT: Final = 1
+"""Phase of a step, one bit: limit the requested actions, and convert them to commands
+(numerical)."""
+JUDGE: Final = 2
+"""Phase, one bit: compute observations, rewards and ends from the reading (numerical)."""
+
+
+class TaskArrays(NamedTuple):
+    """Actions, commands and results of a batch of gaze tasks, and the rules that they follow."""
+
+    requested: FloatArray
+    """(n, m) actions as requested, for the m actuators."""
+    action: FloatArray
+    """(n, m) actions as applied, limited to [-1, 1]."""
+    command: FloatArray
+    """(n, 7) velocities commanded by them, rad/s; see `vergence.envs.plant.Plant.step`."""
+    action_limits: FloatArray
+    """(4,) velocities of full actions, rad/s; 0 beyond the first m."""
+    head: PackedHead
+    """(PACKED,) the head that the controller knows."""
+    scaling: FloatArray
+    """(SCALING,) see `vergence.envs.observation`."""
+    time_limits: TimeLimits
+    progress: TrialProgress
+    result: StepResult
+    coupled_head: PackedHead | None
+    """The packed head again if its eye joints are coupled, else None; code for coupled joints is
+    then not compiled."""
+
+    @classmethod
+    def empty(cls, head: HeadModel, num: int) -> "TaskArrays":
+        """Arrays for `num` heads, before their trials begin."""
+        layout = ObservationLayout.of(head)
+        return cls(
+            requested=np.zeros((num, layout.count)),
+            action=np.zeros((num, layout.count)),
+            command=np.zeros((num, 7)),
+            action_limits=layout.action_limits,
+            head=head.packed,
+            scaling=layout.scaling,
+            time_limits=TimeLimits.of(head),
+            progress=TrialProgress.empty(num),
+            result=StepResult.empty(num, layout.size),
+            coupled_head=None if head.actuation.direct else head.packed,
+        )
+
+
+@compiled
+def limit_actions(ids: IntArray, task: TaskArrays) -> bool:
+    """Limit requested actions and convert them to commands; the neck's are unchanged.
+
+    Args:
+        ids: (m,) environment indices.
+        task: `untyped_tuple`.
+
+    Returns:
+        False if a requested action of any environment is nan; nothing is changed then.
+    """
+    requested, action, command, limits = task[0], task[1], task[2], task[3]
+    for n in range(requested.shape[0]):
+        for j in range(requested.shape[1]):
+            if requested[n, j] != requested[n, j]:
+                return False
+    for n in ids:
+        for j in range(requested.shape[1]):
+            action[n, j] = a = min(max(requested[n, j], -1.0), 1.0)
+            command[n, 3 + j] = a * limits[j]
+    return True
+
+
+@inlined
+def judge_steps(ids: IntArray, task: TaskArrays, reading: Reading) -> None:
+    """Compute the results of the last steps of some environments, see `compute_step_result`."""
+    own = TaskArrays(*task)
+    compute_step_result(
+        ids, own.head, own.scaling, own.time_limits, reading, own.action, own.progress, own.result,
+        own.coupled_head,
+    )  # fmt: skip
+
+
+@compiled
+def advance_task(table: NDArray[np.void], ids: IntArray, phases: int) -> bool:
+    """Run phases of a step that precede and follow those of a plant which is stepped by itself.
+
+    Args:
+        table: table of `TaskArrays` and the plant's `Reading`.
+        ids: (m,) environment indices.
+        phases: `LIMIT` and `JUDGE`.
+
+    Returns:
+        False if an action is nan.
+    """
+    task, reading = unpack_table(table)
+    if phases & LIMIT and not limit_actions(ids, task):
+        return False
+    if phases & JUDGE:
+        judge_steps(ids, task, reading)
+    return True

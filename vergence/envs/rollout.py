@@ -7,10 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vergence.envs.plants.simulation import Simulation
-from vergence.envs.policy import Policy
+from vergence.envs.plant import Simulation
 from vergence.envs.streams import as_seed
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, Policy
 from vergence.errors import HardwareError
 
 

@@ -1,4 +1,4 @@
-r"""Random streams keyed by (seed, trial), so that a trial is the same wherever it runs.
+"""Random streams keyed by (seed, trial), and states of simulations saved bit by bit.
 
 Philox-4x64-10 (Salmon, Moraes, Dror and Shaw 2011, "Parallel random numbers: as easy as 1, 2,
 3") turns a key of two words and a counter of four into four random words. Here the key is
@@ -8,6 +8,7 @@ can be drawn at any time, in any order, alone or among a thousand others, and is
 code, without a generator's state or memory. (NumPy increments the counter before use.)
 """
 
+from collections.abc import Mapping
 from enum import IntEnum
 from math import factorial, log, pi, sqrt
 from typing import Any, Final, NamedTuple
@@ -197,3 +198,39 @@ def to_normals(first: np.uint64, second: np.uint64) -> tuple[float, float]:
     swap = 1.0 * ((second >> _LOWEST_BIT) & _LOWEST_BIT)
     stay = 1.0 - swap
     return sign * (stay * along + swap * across), sign * (stay * across + swap * along)
+
+
+Arrays = dict[str, NDArray[Any]]
+"""Arrays by name."""
+SavedState = dict[str, Arrays]
+"""Complete state of a simulation: the arrays of each of its parts."""
+
+
+def join_parts(**parts: Mapping[str, NDArray[Any]]) -> Arrays:
+    """Join the arrays of several parts, each named `part.name`."""
+    return {f"{part}.{name}": a for part, arrays in parts.items() for name, a in arrays.items()}
+
+
+def copy_arrays(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
+    """Copy all arrays."""
+    return {name: array.copy() for name, array in arrays.items()}
+
+
+def restore_arrays(arrays: Mapping[str, NDArray[Any]], saved: Mapping[str, NDArray[Any]]) -> None:
+    """Restore the saved values of arrays.
+
+    Args:
+        arrays: updated in place.
+        saved: a result of `copy_arrays`.
+
+    Raises:
+        ConfigurationError: names, shapes or types differ, as for another simulation.
+    """
+    forms = [{name: (a.shape, a.dtype) for name, a in part.items()} for part in (arrays, saved)]
+    if forms[0] != forms[1]:
+        wrong = sorted(name for name, _form in set(forms[0].items()) ^ set(forms[1].items()))
+        raise ConfigurationError(
+            f"state: expected that of {', '.join(wrong)} as this simulation has it, got another"
+        )
+    for name, array in arrays.items():
+        np.copyto(array, saved[name])

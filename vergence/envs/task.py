@@ -1,26 +1,33 @@
 """The gaze task for any number of heads; a single environment is a batch of one."""
 
+import functools
 from collections.abc import Collection, Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.judging import JUDGE, LIMIT, TaskArrays, advance_task
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.plant import make_plant, plant_type
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.plant import Simulation, TrialStart, make_plant, plant_type, simulation_of
+from vergence.envs.plants.cameras import BoardImageRenderer
+from vergence.envs.plants.conditions import Variation, make_variation
 from vergence.envs.plants.simulated import SimulatedPlant
-from vergence.envs.plants.simulation import Simulation, TrialStart, simulation_of
-from vergence.envs.plants.variation import Variation, make_variation
-from vergence.envs.policy import Policy
-from vergence.envs.reading import Reading, Truth
-from vergence.envs.reward import TERMS
-from vergence.envs.saved_state import Arrays, SavedState, copy_arrays, join_parts, restore_arrays
-from vergence.envs.streams import IntArray, KeyArray, RandomStreams, as_seed
-from vergence.envs.targets.registry import make_target, separate_look
-from vergence.envs.targets.target import Target
-from vergence.envs.validation import as_action_array, refuse_immobile_eyes
+from vergence.envs.reading import Image, Reading, Truth, as_action_array, refuse_immobile_eyes
+from vergence.envs.reward import JUDGE, LIMIT, TERMS, TaskArrays, advance_task
+from vergence.envs.streams import (
+    Arrays,
+    IntArray,
+    KeyArray,
+    RandomStreams,
+    SavedState,
+    as_seed,
+    copy_arrays,
+    join_parts,
+    restore_arrays,
+)
+from vergence.envs.targets import make_target, separate_look
+from vergence.envs.targets.motion import Target
 from vergence.errors import ConfigurationError
 from vergence.kernels import make_table
 from vergence.models.head import HeadModel
@@ -28,6 +35,31 @@ from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors, as_model_errors
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
+from vergence.vision.targets import make_planar_target
+
+
+class Policy(Protocol):
+    """Any object with Stable-Baselines3's `predict`: a control law, a network, a user's class."""
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], Any]:
+        """Choose actions.
+
+        Args:
+            observation: (num, size) the observations.
+            state: state returned by the last call; None at the start.
+            episode_start: (num,) True where a trial has just begun.
+            deterministic: True to choose the most likely action.
+
+        Returns:
+            (num, m) actions of m actuators, and the state for the next call.
+        """
+
 
 INFO: Final = ("fixes", "truth")
 """Optional entries of `info`, besides the reward's terms and `is_success`."""
@@ -48,7 +80,7 @@ class GazeTask:
             `ModelErrors`' fields; each head of the batch is a separate draw.
         model_seed: seed of that draw; head i of the batch is drawn with model_seed + i.
         variation: conditions that each trial draws anew, hidden from the controller: delay, lag,
-            noise, dropped frames, model errors; see `vergence.envs.plants.variation.Variation`.
+            noise, dropped frames, model errors; see `vergence.envs.plants.conditions.Variation`.
         info: optional entries of `info`: `truth`, `fixes`.
         plant_options: the plant's own options.
 
@@ -343,3 +375,62 @@ class GazeTask:
     def close(self) -> None:
         """Bring the heads to rest and release what the plant holds; may be called twice."""
         self.plant.close()
+
+
+class EyeImages(NamedTuple):
+    """Images of both eyes: (height, width) grey levels, or (height, width, 3) RGB."""
+
+    left: Image
+    right: Image
+    drawn: bool
+    """True if the plant has no cameras, so that the images are drawn for the present posture."""
+
+    def of(self, eye: int) -> Image:
+        """Image of the left eye, 0, or of the right, 1."""
+        return self.right if eye else self.left
+
+
+def best_known_angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
+    """Best known joint angles and target position of one head.
+
+    Args:
+        task: the task.
+        n: environment index.
+
+    Returns:
+        (7,) joint angles, rad, and (3,) the target in N, m: the ground truth if it is known, else
+        encoder angles and the fix by gaze.
+    """
+    truth = task.truth()
+    if truth is not None:
+        return truth.positions[n], truth.target[n]
+    gaze, _views = task.fixes()
+    return task.reading.positions[n], gaze.point[n]
+
+
+def given_or_drawn_eye_images(task: GazeTask, n: int) -> EyeImages | None:
+    """Present images of one head's eyes.
+
+    Args:
+        task: the task.
+        n: environment index.
+
+    Returns:
+        Copies of the plant's own images, or, for a simulation without images, images drawn
+        noise-free at the present posture; None for a robot without images.
+    """
+    frames = task.plant.frames(n)
+    if frames is not None:
+        # plants give blue, green and red
+        left, right = (image[..., ::-1] if image.ndim == 3 else image for image in frames)
+        return EyeImages(left.copy(), right.copy(), False)
+    if not isinstance(task.plant, Simulation):
+        return None
+    positions, target = best_known_angles_and_target(task, n)
+    left, right = _renderer(task.head).draw(positions, np.zeros(7), target)
+    return EyeImages(left.copy(), right.copy(), True)
+
+
+@functools.lru_cache(maxsize=4)
+def _renderer(head: HeadModel) -> BoardImageRenderer:
+    return BoardImageRenderer(head, make_planar_target("tag"))

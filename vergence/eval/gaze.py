@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 
 from vergence.controllers.controller import default_options, make_controller
 from vergence.controllers.ibvs import gain_for_loop
-from vergence.envs.eye_images import EyeImages, given_or_drawn_eye_images
-from vergence.envs.plants.eye_views import RoomImageRenderer
-from vergence.envs.plants.simulation import is_simulated
-from vergence.envs.policy import Policy
+from vergence.envs.plant import is_simulated
+from vergence.envs.plants.cameras import RoomImageRenderer
+from vergence.envs.reading import refuse_immobile_eyes
 from vergence.envs.rollout import rollout
 from vergence.envs.targets.prescribed import StaticTarget, UnseenTarget
-from vergence.envs.task import GazeTask
-from vergence.envs.validation import refuse_immobile_eyes
+from vergence.envs.task import EyeImages, GazeTask, Policy, given_or_drawn_eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.gaze_trajectory import (

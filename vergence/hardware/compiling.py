@@ -6,7 +6,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from vergence.envs.plants.eye_views import BoardImageRenderer
+from vergence.envs.plants.cameras import BoardImageRenderer
 from vergence.errors import PointRefusedError
 from vergence.hardware.common_time import pixels_at_common_time
 from vergence.models.camera import Camera

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence.envs.plants.imperfections import IMPERFECTIONS, is_valid_range, valid_range_text
+from vergence.envs.plants.conditions import IMPERFECTIONS, is_valid_range, valid_range_text
 from vergence.errors import ConfigurationError, HeadFileError, VergenceError
 from vergence.hardware.config_parts import (
     BusConfig,

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence.envs.plants.variation import Variation, make_variation
+from vergence.envs.plants.conditions import Variation, make_variation
 from vergence.hardware.config import HardwareConfig
 
 _LOOP_OPTIONS: Final = (

@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.envs.plant import Plant
-from vergence.envs.plants.eye_views import BoardImageRenderer
+from vergence.envs.plants.cameras import BoardImageRenderer
 from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.streams import IntArray
-from vergence.envs.targets.board import POINT, Board
-from vergence.envs.targets.motion import motion_rows
+from vergence.envs.targets.motion import POINT, Board, motion_rows
 from vergence.errors import ChecksFailedError, ConfigurationError, HardwareError, VergenceWarning
 from vergence.hardware.checks.cameras import check_local_cameras
 from vergence.hardware.checks.servos import raise_errors

@@ -38,7 +38,7 @@ def replace_fields(part: Any, part_name: str, fields: Mapping[str, Any]) -> Any:
         elif isinstance(now, int | float | np.ndarray):
             try:
                 numbers = np.asarray(value, dtype=np.float64)
-            except (TypeError, ValueError) as error:
+            except (TypeError, ValueError, OverflowError) as error:
                 raise ConfigurationError(f"{name}: expected numbers, got {value!r:.80}") from error
             if np.isnan(numbers).any() or (np.ndim(now) == 0) != (numbers.ndim == 0):
                 what = "a number" if np.ndim(now) == 0 else "an array of numbers"

@@ -18,7 +18,7 @@ from multiprocessing import resource_tracker
 from types import ModuleType
 from typing import Any, Final, TypeVar
 
-from vergence.envs.plants.threads import limit_threads, processors
+from vergence.envs.plants import limit_threads, processors
 from vergence.errors import ConfigurationError, VergenceError, how_to_install
 from vergence.kernels.cache import report_compiling_if_uncached
 from vergence.reporting.runs import package_versions

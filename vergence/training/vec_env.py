@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from vergence.envs.saved_state import SavedState, copy_arrays, restore_arrays
+from vergence.envs.streams import SavedState, copy_arrays, restore_arrays
 from vergence.errors import ConfigurationError, TrainingDivergedError
 
 

@@ -8,7 +8,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from vergence.envs.plants.simulation import Simulation
+from vergence.envs.plant import Simulation
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
 from vergence.eval.gaze import GazeResult

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 import viser
 
-from vergence.envs.eye_images import EyeImages
 from vergence.envs.reading import Truth
+from vergence.envs.task import EyeImages
 from vergence.errors import VergenceError
 from vergence.models.parts import FloatArray
 from vergence.recording.clicks import Click, write_click

@@ -4,13 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vergence.envs.eye_images import (
+from vergence.envs.reading import BoolArray, Reading, Truth
+from vergence.envs.task import (
     EyeImages,
+    GazeTask,
     best_known_angles_and_target,
     given_or_drawn_eye_images,
 )
-from vergence.envs.reading import BoolArray, Reading, Truth
-from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix, triangulate_gaze

@@ -4,9 +4,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from vergence.envs.gaze import missing_window_hint
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
-from vergence.envs.task_env import missing_window_hint
 from vergence.errors import RenderingUnavailableError
 from vergence.viewer.eye_pictures import BACKGROUND_GREY, draw_eye, write_label
 from vergence.viewer.moment import moment_of

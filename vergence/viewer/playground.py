@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from vergence.controllers.controller import CONTROLLERS, default_options
-from vergence.envs.plants.imperfections import IMPERFECTIONS, LOOP_PARTS, Imperfection
+from vergence.envs.plants.conditions import IMPERFECTIONS, LOOP_PARTS, Imperfection
 from vergence.errors import VergenceError
 from vergence.models.head_file import load_head, presets
 from vergence.models.parts import FloatArray

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.envs.eye_images import EyeImages
-from vergence.envs.plants.eye_views import BoardImageRenderer
+from vergence.envs.plants.cameras import BoardImageRenderer
 from vergence.envs.reading import Reading, Truth
+from vergence.envs.task import EyeImages
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.eval.gaze_trajectory import MM
 from vergence.models.head import HeadModel

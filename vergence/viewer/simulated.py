@@ -6,15 +6,12 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from vergence.controllers.controller import make_controller
-from vergence.envs.plant import plant_type
+from vergence.envs.plant import Simulation, plant_type, simulation_of
 from vergence.envs.plants.rendered import RenderedPlant
-from vergence.envs.plants.simulation import Simulation, simulation_of
 from vergence.envs.streams import IntArray, RandomStreams
-from vergence.envs.targets.board import POINT, Board
-from vergence.envs.targets.motion import motion_rows, target_position
+from vergence.envs.targets.motion import POINT, Board, Target, motion_rows, target_position
 from vergence.envs.targets.prescribed import StepTarget
-from vergence.envs.targets.target import Target
-from vergence.envs.targets.wander import WanderTarget
+from vergence.envs.targets.pursuit import WanderTarget
 from vergence.envs.targets.workspace import RandomTarget
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnreachableTargetError, VergenceError
@@ -69,7 +66,7 @@ class Setup:
     """Options of the plant `rendered` on what is looked at: `look`, `scene` and `wall`."""
     loop: dict[str, float] = field(default_factory=dict)
     """Imperfections of the loop that differ from the head's, by the names of
-    `vergence.envs.plants.imperfections`."""
+    `vergence.envs.plants.conditions`."""
 
     @property
     def point_in_room(self) -> bool:

@@ -24,7 +24,7 @@ from vergence.controllers.networks.bundle import (
     write_bundle,
 )
 from vergence.controllers.networks.inputs import Inputs
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import BundleError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import ModelErrors

@@ -20,7 +20,7 @@ from vergence.controllers.networks import learned
 from vergence.controllers.networks.bundle import pretrained_bundles, read_bundle
 from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy
 from vergence.controllers.networks.onnx import bundle_as_onnx
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
 from vergence.eval.margins.run import with_imperfection
 from vergence.eval.trials.run import run_trials

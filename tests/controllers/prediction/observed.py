@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 from math import floor, inf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.joint_motion import respond
-from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
-from vergence.envs.layout import AGE_S, Observation, ObservationLayout
+from vergence.controllers.prediction.predictor import SmithPredictor, prediction_fields
+from vergence.envs.observation import AGE_S, Observation, ObservationLayout
 from vergence.models.head import HeadModel
 
 Array = NDArray[np.float64]
@@ -121,10 +121,15 @@ def record(
     return Recording(observations, np.array(positions))
 
 
-def predict(predictor: SmithPredictor, recording: Recording) -> list[Prediction]:
+def predicted(predictor: SmithPredictor, seen: Observation, state: Array) -> Any:
+    """A prediction, by the names of its fields."""
+    return prediction_fields(predictor.update(seen, state)).view(np.recarray)
+
+
+def predict(predictor: SmithPredictor, recording: Recording) -> list[Any]:
     """Predictions from a recording, one per period."""
     state = predictor.initial()
-    return [predictor.update(seen, state) for seen in recording.observations]
+    return [predicted(predictor, seen, state) for seen in recording.observations]
 
 
 def predictor_of(head: HeadModel, *, moving: bool = False) -> SmithPredictor:

@@ -7,7 +7,7 @@ from tests.controllers.prediction.observed import predict, predictor_of, record,
 from tests.controllers.reaching import run
 from vergence import load_head
 from vergence.controllers.prediction.predictor import SmithPredictor
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.task import GazeTask
 
 HEAD = load_head("simulated")

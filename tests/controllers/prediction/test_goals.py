@@ -7,8 +7,7 @@ import pytest
 
 from tests.controllers.loops import begin
 from vergence import load_head, make_controller
-from vergence.envs.encoding import FINE_PX
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import FINE_PX, ObservationLayout
 from vergence.envs.task import GazeTask
 
 HEAD = load_head("simulated")

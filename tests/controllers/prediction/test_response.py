@@ -7,7 +7,7 @@ from tests.controllers.prediction.observed import predict, predictor_of, record,
 from tests.controllers.reaching import run
 from vergence import load_head
 from vergence.controllers.prediction.predictor import SmithPredictor
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.task import GazeTask
 
 HEAD = load_head("simulated")
@@ -50,6 +50,18 @@ def test_the_latency_is_found_in_seconds_at_any_control_rate(rate_hz) -> None:
     last = predict(predictor_of(head), way)[-1]
     assert last.response_latency_s == pytest.approx(0.017, abs=0.002)
     assert last.acceleration_ratio == pytest.approx(0.6, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "known_s", "true_s"), [(120.0, 0.2, 0.24), (120.0, 0.15, 0.17), (1000.0, 0.2, 0.19)]
+)
+def test_a_long_latency_is_found_about_the_models_own(rate_hz, known_s, true_s) -> None:
+    timing = {"control_rate_hz": rate_hz, "command_latency_s": known_s}
+    head = HEAD.replace(timing=timing)
+    way = record(head, turns(head, round(0.8 * rate_hz)), latency_s=true_s)
+    last = predict(predictor_of(head), way)[-1]
+    assert last.response_latency_s == pytest.approx(true_s, abs=0.002)
+    assert last.lag_s == pytest.approx(head.timing.lag_s, rel=0.1)
 
 
 def test_nothing_is_learned_while_nothing_moves() -> None:

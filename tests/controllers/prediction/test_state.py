@@ -7,7 +7,7 @@ import pytest
 
 from tests.controllers.prediction.observed import predictor_of, record, turns
 from vergence import load_head
-from vergence.controllers.prediction.state import PREDICTOR_STATE
+from vergence.controllers.prediction.state import PREDICTOR_STATE, PREDICTOR_STATE_SIZE
 from vergence.models.parts import FloatArray
 
 HEAD = load_head("simulated")
@@ -27,6 +27,10 @@ def late(speeds: FloatArray) -> FloatArray:
     return np.vstack([np.tile(speeds[0], (3, 1)), speeds[:-3]])
 
 
+def predicted_state(row: np.ndarray) -> np.ndarray:
+    return row[:PREDICTOR_STATE_SIZE].view(PREDICTOR_STATE)[0]
+
+
 READINGS = {
     "prompt": (lambda speeds: speeds, 0.0), "filtered": (filtered, 0.06),
     "late": (late, 3.0 * PERIOD_S), "in other units": (lambda speeds: 60.0 * speeds, None),
@@ -44,8 +48,8 @@ def test_speeds_are_observed_and_their_delay_is_found_however_they_are_read(read
     observed = []
     for seen, reported in zip(way.observations, spoilt(speeds), strict=True):
         predictor.update(seen._replace(velocities=reported), state)
-        estimated = state.view(PREDICTOR_STATE)[0]
-        observed.append(estimated["velocity"].copy())
+        estimated = predicted_state(state)
+        observed.append(estimated["joints"]["velocity"].copy())
     if delay_s is not None:
         assert estimated["observer"]["delay_s"] == pytest.approx(delay_s, abs=0.003)
     off = np.abs(np.array(observed) - speeds[:, 3:])[20:, [1, 3]]
@@ -59,4 +63,4 @@ def test_a_damaged_angle_makes_no_speed_that_no_actuator_has() -> None:
         spoilt = np.where(k == 20, 1e7, seen.positions)
         predictor.update(seen._replace(positions=spoilt), state)
         fastest = 3.0 * HEAD.actuation.velocity[3:]
-        assert (np.abs(state.view(PREDICTOR_STATE)[0]["velocity"]) <= fastest).all()
+        assert (np.abs(predicted_state(state)["joints"]["velocity"]) <= fastest).all()

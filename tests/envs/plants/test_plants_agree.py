@@ -1,16 +1,19 @@
-"""Interchangeable plants: what the kinematic plant says, MuJoCo's dynamics confirm."""
+"""Interchangeable plants, at any rate: what the kinematic one says, MuJoCo's dynamics confirm."""
 
 import numpy as np
 import pytest
 
-from tests.controllers.loops import begin
-from tests.envs.trials import start_of, steps
+from tests.controllers.loops import begin, true_errors
+from tests.envs.any_head import begun, least_squares, uneven
+from tests.envs.plants.trajectory import motion_of, swing
+from tests.envs.trials import EVERYTHING, start_of, steps
 from tests.heads import head_of, text_of
 from tests.naming import named
-from vergence import HeadModel, load_head, make_controller
+from vergence import load_head, make_controller
 from vergence.envs.plant import make_plant
+from vergence.envs.plants.conditions import IMPERFECTIONS, RANGES
 from vergence.envs.task import GazeTask
-from vergence.models import parse_head
+from vergence.models import HeadModel, parse_head
 
 
 def worst_deg(a, b) -> float:
@@ -144,3 +147,120 @@ def test_a_welded_neck_leaves_the_eyes_as_they_are(exact: HeadModel) -> None:
             )
             assert not welded[..., :3].any()
             assert worst_deg(servo, welded) < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("plant", "name"), [("mujoco", "common"), ("rendered", "mis")])
+def test_a_vector_of_any_head_settles(plant, name) -> None:
+    head = head_of(name)
+    task = begun(head, 2, plant=plant)
+    for _ in range(120):
+        task.step(least_squares(task, 5.0))
+    truth = task.truth()
+    left = truth.pixel_error - head.least_error(truth.target)
+    assert np.abs(left).max() < 1.5
+    assert head.reaches(truth.positions).all()
+    task.close()
+
+
+def test_images_of_different_sizes_are_drawn_and_looked_at() -> None:
+    head = uneven("tied")
+    task = begun(head, 1, plant="rendered")
+    left, right = task.plant.frames(0)
+    assert left.shape == (240, 320)
+    assert right.shape == (360, 640)
+    for _ in range(120):
+        task.step(least_squares(task, 5.0))
+    assert np.abs(task.truth().pixel_error).max() < 1.5
+    task.close()
+
+
+def at(head: HeadModel, control_hz: float) -> HeadModel:
+    """The head with another control rate and all else as it is: 60 frames a second, 67 ms late."""
+    return head.replace(timing={"control_rate_hz": control_hz, "frame_rate_hz": 60.0})
+
+
+@pytest.mark.parametrize(
+    ("control_hz", "plant_name", "within_rad"),
+    [(77.0, "kinematic", 1e-9), (50.0, "mujoco", 1e-4), (250.0, "mujoco", 1e-4)],
+)
+def test_joints_follow_as_their_equation_says(exact, control_hz, plant_name, within_rad) -> None:
+    head, count = at(exact, control_hz), int(0.3 * control_hz)
+    commands = swing(count, head.timing.period_s)
+    own = {"neck": "welded"} if plant_name == "mujoco" else {}
+    plant = make_plant(plant_name, head, 1, **own)
+    _r, q, _v = steps(plant, start_of(), count, lambda k: commands[k])
+    motion = motion_of(head, commands)
+    expected = np.array([motion(k * head.timing.period_s)[0] for k in range(count + 1)])
+    assert q[:, 0] == pytest.approx(expected, abs=within_rad)
+
+
+@pytest.mark.parametrize(
+    ("control_hz", "plant_name"), [(50.0, "kinematic"), (77.0, "mujoco"), (250.0, "kinematic")]
+)
+def test_the_articles_law_settles_at_every_rate(exact, control_hz, plant_name) -> None:
+    head = at(exact, control_hz)
+    task = GazeTask(6, head=head, plant=plant_name)
+    errors = true_errors(task, make_controller("ibvs", head, task.layout, gain=3.0), 2.0)
+    assert np.linalg.norm(errors[-1], axis=-1).max() < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("control_hz", "plant_name"), [(77.0, "kinematic"), (50.0, "mujoco"), (250.0, "mujoco")]
+)
+def test_everything_can_be_drawn_at_every_rate(simulated, control_hz, plant_name) -> None:
+    head, num = at(simulated, control_hz), 8
+    task = begin(GazeTask(num, head=head, plant=plant_name, variation=EVERYTHING))
+    seen = np.zeros(num, dtype=int)
+    for step in range(int(1.0 * control_hz)):
+        task.step(np.tile(0.1 * np.sin(7.0 * step / control_hz + np.arange(4.0)), (num, 1)))
+        assert np.isfinite(task.observation).all()
+        seen += task.reading.visible.any(axis=1)
+        late = task.reading.time_s - task.reading.received_s
+        assert (late[np.isfinite(late)] >= -1e-9).all()
+    conditions = task.plant.conditions
+    # so many frames of a second come as the clock gives, less those that are dropped or on the way
+    frames = conditions.frame_rate_hz / (1.0 + conditions.clock_drift)
+    lost = 4 * np.sqrt(frames * 0.21) + 1 + 0.03 * frames
+    expected = frames * (1.0 - conditions.dropped_frame_probability)
+    assert (np.abs(task.reading.frame - expected) < lost).all()
+    assert (seen > 0).all()
+
+
+NUM, STEPS = 24, 150
+
+
+def test_all_that_there_is_to_draw_is_drawn() -> None:
+    assert set(EVERYTHING) == {*IMPERFECTIONS, "model_errors"} == {*RANGES, "model_errors"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["step", "circle"])
+def test_both_plants_agree_with_everything_drawn(target) -> None:
+    tasks = []
+    for plant, own in (("kinematic", {}), ("mujoco", {"neck": "welded"})):
+        options = {"variation": EVERYTHING, "plant_options": own, "target": target}
+        tasks.append(begin(GazeTask(NUM, plant=plant, **options), 4))
+    off, moved, pixels = [], [], []
+    # to and fro by some ten degrees
+    for action in 0.3 * np.sign(np.sin(0.11 * np.arange(STEPS)[:, None] + [0.0, 1.0, 2.0, 3.0])):
+        for task in tasks:
+            task.step(np.tile(action, (NUM, 1)))
+        ours, theirs = (task.truth() for task in tasks)
+        off.append(np.abs(ours.positions - theirs.positions)[:, 3:])
+        moved.append(ours.positions[:, 3:])
+        one, other = (task.reading for task in tasks)
+        # times, faults and noise are functions of the trial alone
+        for name in ("frame", "exposure_s", "received_s", "joints_s", "command"):
+            a, b = getattr(one, name), getattr(other, name)
+            assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+        # but an eye at the smear that blinds it may see or not
+        assert (one.visible == other.visible).mean() > 0.9
+        both = one.visible & other.visible
+        pixels.append(np.abs(one.pixels - other.pixels)[both])
+    assert np.ptp(moved, axis=0).max() > 0.2
+    # torque that falls with speed and play are looked at four times a period: a quarter of a degree
+    assert np.max(off) < 5e-3
+    assert np.median(off) < 5e-4
+    assert np.median(np.concatenate(pixels)) < 0.5

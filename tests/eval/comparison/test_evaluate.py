@@ -24,7 +24,7 @@ from vergence.eval.comparison.evaluate import (
 )
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.statistics import bound_trials, imputed_trial_values
-from vergence.eval.comparison.tables import describe_evaluation, report_tables
+from vergence.eval.comparison.tables import describe_evaluation, report_tables, table_legend
 from vergence.eval.trials.settling import ONE_PX
 from vergence.reporting.report import SECTION_FILE, read_section
 
@@ -231,6 +231,10 @@ def test_a_bundle_takes_part_under_its_files_name(tmp_path):
         row = row_of(evaluation, path.name)
         assert row["trials"] == 2
         assert 0.0 <= row["settled_fraction"] <= 1.0
+    (table,) = report_tables(evaluation)
+    named = {cells[0].split("\n")[0] for cells in table.rows if "linear law" in cells[0]}
+    assert named == {path.name for path in paths}
+    assert "acted in the network's place" in table_legend(evaluation)
 
 
 def test_a_bare_network_takes_part_and_a_damaged_one_is_refused(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from tests.eval.mappers import Backwards
 from tests.eval.refusals import not_refused
 from tests.eval.trials.toys import AFTER, BEFORE, PERIOD_S, KnowsTheWay, ideal_head
-from vergence.envs.plants.imperfections import IMPERFECTIONS
+from vergence.envs.plants.conditions import IMPERFECTIONS
 from vergence.errors import ConfigurationError, UserControllerError
 from vergence.eval.margins.report import report_tables, write_margins
 from vergence.eval.margins.run import (

@@ -9,8 +9,7 @@ import pytest
 
 from tests.eval.trials.toys import PERIOD_S, STEP, InTwoTurns, KnowsTheWay, ideal_head
 from vergence import make_controller
-from vergence.envs.plants.imperfections import IMPERFECTIONS, LOOP_PARTS, is_valid_range
-from vergence.envs.plants.variation import RANGES
+from vergence.envs.plants.conditions import IMPERFECTIONS, LOOP_PARTS, RANGES, is_valid_range
 from vergence.eval.margins.run import (
     BISECTIONS,
     GRID_FRACTIONS,

@@ -5,7 +5,7 @@ import pytest
 
 from tests.naming import named
 from vergence import make_controller
-from vergence.envs.plants.variation import Variation
+from vergence.envs.plants.conditions import Variation
 from vergence.eval.margins.run import MarginMeasurement
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tests.joint_motion import respond
-from vergence.envs.plants.simulation import simulation_of
+from vergence.envs.plant import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
 from vergence.models.motion import follow_torque_limited_joint

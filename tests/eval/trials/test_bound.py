@@ -9,7 +9,7 @@ from tests.eval.trials.oracle import begin
 from tests.heads import MOVING, head_of
 from tests.joint_motion import respond
 from tests.naming import named
-from vergence.envs.plants.simulation import TrialStart
+from vergence.envs.plant import TrialStart
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError

@@ -8,7 +8,7 @@ import pytest
 from tests.eval.trials import oracle
 from tests.eval.trials.oracle import begin
 from vergence import make_controller
-from vergence.envs.plants.simulation import simulation_of
+from vergence.envs.plant import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.metrics import settle_time

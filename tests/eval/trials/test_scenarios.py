@@ -12,8 +12,8 @@ from tests.naming import named
 from vergence.controllers import make_controller
 from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for
 from vergence.envs.streams import RandomStreams
+from vergence.envs.targets import make_target
 from vergence.envs.targets.motion import target_position
-from vergence.envs.targets.registry import make_target
 from vergence.errors import ConfigurationError, UnknownNameError, UnreachableTargetError
 from vergence.eval.article.twin import TwinConfig
 from vergence.eval.trials.run import run_trials
@@ -47,6 +47,8 @@ def test_the_registry_holds_the_scenarios_by_their_names() -> None:
         assert load_scenario(name).name == name
     with pytest.raises(UnknownNameError, match="hardware, webcam, desk, step, workspace"):
         load_scenario("nowhere")
+    with pytest.raises(UnknownNameError, match=r"got \[\]"):
+        load_scenario([])
 
 
 @pytest.mark.slow

@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from vergence.envs.plant import Plant
+from vergence.envs.plant import Plant, TrialStart
+from vergence.envs.plants.conditions import Variation
 from vergence.envs.plants.kinematic import KinematicPlant
-from vergence.envs.plants.simulation import TrialStart
-from vergence.envs.plants.variation import Variation
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.scenarios import Scenario

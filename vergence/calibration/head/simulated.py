@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.adjust import ParametricHead, board_points_and_offsets
 from vergence.calibration.head.recording import HeadFrames
-from vergence.envs.plant import make_plant
-from vergence.envs.plants.simulation import TrialStart, simulation_of
+from vergence.envs.plant import TrialStart, make_plant, simulation_of
 from vergence.envs.reading import Image
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError

@@ -23,7 +23,7 @@ from safetensors.numpy import save
 
 from vergence.controllers.adaptive import GAIN_LIMIT, gain_names_of_head
 from vergence.controllers.networks.inputs import Inputs
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError, UnknownNameError
 from vergence.files import write_atomic
 from vergence.kernels import compiled

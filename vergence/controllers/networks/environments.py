@@ -22,10 +22,8 @@ from vergence.controllers.adaptive import gains_from_action
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.learned import NetworkLoop
 from vergence.envs import MAX_EPISODE_STEPS
-from vergence.envs.gaze import GazeEnv
-from vergence.envs.gaze_vector import GazeVectorEnv
-from vergence.envs.saved_state import Arrays, join_parts
-from vergence.envs.streams import IntArray
+from vergence.envs.gaze import GazeEnv, GazeVectorEnv
+from vergence.envs.streams import Arrays, IntArray, join_parts
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
 

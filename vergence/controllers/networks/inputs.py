@@ -30,8 +30,8 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.controllers.gate import OutlierGate
 from vergence.controllers.ibvs import ibvs_velocities
 from vergence.controllers.prediction.parameters import actuator_moves_eye
-from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
-from vergence.envs.layout import ObservationLayout
+from vergence.controllers.prediction.predictor import SmithPredictor, prediction_fields
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
@@ -133,6 +133,9 @@ KINDS: Final = {
 }
 """Names of all inputs of each kind, in their order, for a head with a motor for each eye joint."""
 _PRESENT_CHANNELS: Final = len(_Present._fields)
+_RESPONSE_FIELDS: Final = (
+    "acceleration_ratio", "acceleration_sd", "response_latency_s", "response_latency_sd_s",
+)  # fmt: skip
 _UNIT_GAINS: Final = np.ones((2, 2))
 _NO_SPEED_LIMITS: Final = np.full(4, 1e9)
 
@@ -194,7 +197,7 @@ class Inputs:
 
     def update(
         self, observation: ArrayLike, state: FloatArray
-    ) -> tuple[NDArray[np.float32], Prediction]:
+    ) -> tuple[NDArray[np.float32], FloatArray]:
         """Compute the network's inputs, and return the prediction they are based on.
 
         Args:
@@ -203,7 +206,7 @@ class Inputs:
                 Entries after the state in each row belong to the caller.
 
         Returns:
-            (..., size) inputs in [-1, 1], and the prediction.
+            (..., size) inputs in [-1, 1], and the predictor's rows, see `Prediction`.
         """
         seen = self.layout.decode(observation)
         asked = np.zeros(4)
@@ -213,24 +216,18 @@ class Inputs:
                 self.head, seen_by_law.positions_at_exposure, seen_by_law.pixel_error,
                 _UNIT_GAINS, np.nan, _NO_SPEED_LIMITS,
             )  # fmt: skip
-        now = self.predictor.update(seen, state)
-        response_estimate = np.stack(
-            [
-                now.acceleration_ratio,
-                now.acceleration_sd,
-                now.response_latency_s,
-                now.response_latency_sd_s,
-            ],
-            axis=-1,
-        )
+        rows = self.predictor.update(seen, state)
+        now = prediction_fields(rows)
+        response_estimate = np.stack([now[name] for name in _RESPONSE_FIELDS], axis=-1)
+        lags = now["lag_s"][..., None] * self._lag_ratio
         channels = present_channels(
-            asked, now.angle_error, now.velocities, seen.last_command, self.layout.action_limits,
-            self._acceleration, now.lag_s[..., None] * self._lag_ratio, now.goal_rates,
-            now.goal_rates_at_effect, now.speed_gain, response_estimate, now.known @ self._moved,
-            np.empty((len(CHANNELS[self.kind]), 4)),
+            asked, now["angle_error"], now["velocities"], seen.last_command,
+            self.layout.action_limits, self._acceleration, lags,
+            now["goal_rates"], now["goal_rates_at_effect"], now["speed_gain"], response_estimate,
+            now["known"] @ self._moved > 0.5, np.empty((len(CHANNELS[self.kind]), 4)),
         )  # fmt: skip
         channels = channels[..., : self.layout.count]
-        return channels.reshape(*channels.shape[:-2], self.size).astype(np.float32), now
+        return channels.reshape(*channels.shape[:-2], self.size).astype(np.float32), rows
 
     def to_dict(self) -> dict[str, Any]:
         """Return the inputs as plain numbers and names, for a manifest."""

@@ -39,10 +39,9 @@ from vergence.controllers.networks.bundle import (
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.onnx import OnnxNetwork
 from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
-from vergence.controllers.prediction.predictor import Prediction
+from vergence.controllers.prediction.predictor import prediction_fields
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
-from vergence.envs.encoding import check_observation
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout, check_observation
 from vergence.errors import BundleError, ConfigurationError, OtherHeadError
 from vergence.models.head import HeadModel
 from vergence.models.parts import SLOTS, FloatArray
@@ -120,14 +119,20 @@ class NetworkLoop:
         state[..., self._calm_count] += ~np.isnan(calm).all(axis=-1)
         return seen
 
-    def _calm(self, now: Prediction) -> FloatArray:
+    def _calm(self, now: FloatArray) -> FloatArray:
         """(..., 4) commands of the linear law, rad/s; nan where the network turns the eyes."""
-        against = now._replace(velocities=now.velocities - now.goal_rates)
-        command = linear_command(against, self.inputs.predictor.params, DEFAULT_LAW)
-        calm = (now.half_swing_count > OSCILLATING_HALF_SWINGS) | (now.build_up > 0.0)
-        return np.where(
-            calm[..., None], command + now.goal_rates_at_effect / now.speed_gain, np.nan
+        fields = prediction_fields(now)
+        calm = (fields["half_swing_count"] > OSCILLATING_HALF_SWINGS) | (fields["build_up"] > 0.0)
+        if not calm.any():
+            return np.full(SLOTS, np.nan)
+        against = now.copy()
+        prediction_fields(against)["velocities"] -= fields["goal_rates"]
+        gain, damping = DEFAULT_LAW
+        command = linear_command(
+            against, self.inputs.predictor.params, np.full(SLOTS, gain), damping
         )
+        command = command + fields["goal_rates_at_effect"] / fields["speed_gain"]
+        return np.where(calm[..., None], command, np.nan)
 
     def action(
         self, observation: ArrayLike, seen: Floats, outputs: ArrayLike, state: FloatArray
@@ -191,7 +196,8 @@ class NetworkController:
         observation = np.asarray(observation)
         memory = continued_state(self._loop.initial(), observation.shape[:-1], state, episode_start)
         seen = self._loop.network_inputs(observation, memory)
-        outputs = np.nan_to_num(self._network(seen), copy=False, nan=self._at_rest)
+        outputs = self._network(seen)
+        outputs[np.isnan(outputs)] = self._at_rest
         return self._loop.action(observation, seen, outputs, memory), (memory,)
 
     def linear_periods(self, state: tuple[NDArray[Any], ...]) -> FloatArray:

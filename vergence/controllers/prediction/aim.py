@@ -7,14 +7,13 @@ starting from the linear solution. Each eye's target is a separate point on that
 the residual is minimal in the images as seen, whatever the errors of the head's model.
 """
 
-from math import exp, nan
+from math import nan
 from typing import Final
 
 import numpy as np
 
 from vergence.controllers.prediction.motion_models import extrapolate_goal, visible_speed_fraction
 from vergence.controllers.prediction.parameters import PredictorParameters
-from vergence.controllers.prediction.response import selected_model
 from vergence.controllers.prediction.state import PredictorState
 from vergence.kernels import inlined
 from vergence.models.fixation import actuator_least_squares
@@ -124,16 +123,14 @@ _LATE_IMAGE_GRACE_S: Final = 0.03
 
 
 @inlined
-def extrapolate_targets(state: PredictorState, params: PredictorParameters, tick: float) -> None:
-    """Extrapolate the targets to a time in periods: `goals_at_effect` and `goal_rates`.
-
-    `goal_rates_at_effect` are the rates when the command given now takes effect, a lag and half a
-    period later.
-    """
-    moves = params.targets_move > 0.5 and state.mode_probabilities[0] < _REST_PROBABILITY
-    effect_delay_s = exp(selected_model(state.response).parameters[2]) + 0.5 * params.period_s
+def extrapolate_targets(
+    state: PredictorState, params: PredictorParameters, lag_s: float, tick: float
+) -> None:
+    """Extrapolate the targets to a time in periods, see `EffectState`."""
+    moves = params.targets_move > 0.5 and state.motion.probabilities[0] < _REST_PROBABILITY
+    effect_delay_s = lag_s + 0.5 * params.period_s
     expected_s = (
-        state.delay_s
+        state.delays.mean_s
         + params.frame_period_s
         + (tick - state.periods) * params.period_s
         + _LATE_IMAGE_GRACE_S
@@ -141,35 +138,35 @@ def extrapolate_targets(state: PredictorState, params: PredictorParameters, tick
     slow = 1.0
     for eye in range(2):
         for joint in range(2):
-            state.goals_at_effect[eye, joint], state.goal_rates[eye, joint] = (
-                state.goals[eye, joint],
+            state.effect.goals[eye, joint], state.effect.rates[eye, joint] = (
+                state.target.goals[eye, joint],
                 0.0,
             )
-            state.goal_rates_at_effect[eye, joint] = 0.0
-            if moves and state.known[eye] > 0.5:
-                time_s = (tick - state.motion_tick) * params.period_s
-                motions, resting = state.motions[eye], state.goals[eye, joint]
+            state.effect.later_rates[eye, joint] = 0.0
+            if moves and state.target.known[eye] > 0.5:
+                time_s = (tick - state.motion.tick) * params.period_s
+                motions, resting = state.motion.models[eye], state.target.goals[eye, joint]
                 if joint == 0:
                     slow = visible_speed_fraction(
                         motions,
-                        state.mode_probabilities,
+                        state.motion.probabilities,
                         _BLUR_SPEED_FRACTION * params.max_slip_rad_s,
                     )
                 angle, rate = extrapolate_goal(
-                    motions, state.mode_probabilities, resting, joint, time_s, expected_s, slow
+                    motions, state.motion.probabilities, resting, joint, time_s, expected_s, slow
                 )
-                state.goals_at_effect[eye, joint], state.goal_rates[eye, joint] = angle, rate
+                state.effect.goals[eye, joint], state.effect.rates[eye, joint] = angle, rate
                 time_s += effect_delay_s
                 _, rate = extrapolate_goal(
                     motions,
-                    state.mode_probabilities,
+                    state.motion.probabilities,
                     resting,
                     joint,
                     time_s,
                     expected_s + effect_delay_s,
                     slow,
                 )
-                state.goal_rates_at_effect[eye, joint] = rate
+                state.effect.later_rates[eye, joint] = rate
 
 
 @inlined
@@ -189,11 +186,11 @@ def predict_pixel_error(
         Undistorted error along u and v, px; nan if the target is not known or lies behind the
         camera.
     """
-    if state.known[eye] < 0.5:
+    if state.target.known[eye] < 0.5:
         return nan, nan
     # the point on the optical axis once the eye has turned to its aim
-    camera = eye_frames(p, eye, state.goals_at_effect[eye, 0], state.goals_at_effect[eye, 1]).camera
-    px, py, pz = point_to_outer(camera, 0.0, 0.0, state.fixated_depth[eye])
+    camera = eye_frames(p, eye, state.effect.goals[eye, 0], state.effect.goals[eye, 1]).camera
+    px, py, pz = point_to_outer(camera, 0.0, 0.0, state.target.fixated_depth[eye])
     x, y, z = point_in_eye(p, eye, first_angle, second_angle, px, py, pz)
     if not z > 0.0:
         return nan, nan

@@ -102,7 +102,7 @@ def predict_goal_variances(
         moving_variance: (2, 2) result: variances of the goals for a moving target, rad^2.
         backlash_variance: (2, 2) result: variances that backlash adds for a resting target, rad^2.
     """
-    at_rest = state.mode_probabilities[0] >= 0.5
+    at_rest = state.motion.probabilities[0] >= 0.5
     predict_to_exposure(state, params, exposure_tick)
     moving_goal_variances(state, params, exposure_tick, variance, delay_variance, moving_variance)
     for eye in range(2):
@@ -146,7 +146,7 @@ def classify_innovations(
         Number of eyes whose goal fits neither rest nor motion.
     """
     targets_move, stays, outliers = params.targets_move > 0.5, False, 0
-    moves = targets_move and state.mode_probabilities[0] < 0.5
+    moves = targets_move and state.motion.probabilities[0] < 0.5
     for eye in range(2):
         if directly_tracked[eye]:
             off = squared_mahalanobis(state, eye, goals, variance, delay_variance)
@@ -157,7 +157,10 @@ def classify_innovations(
             continue
         if targets_move:
             matches = passes_any_gate(
-                state.motions[eye], state.mode_probabilities, goals[eye], moving_variance[eye]
+                state.motion.models[eye],
+                state.motion.probabilities,
+                goals[eye],
+                moving_variance[eye],
             )
             # a resting target displaced in one eye only may be an outlier
             matches_motion[eye] = matches and (
@@ -173,7 +176,7 @@ def likely_model(state: PredictorState) -> int:
     """Index of the motion model with the largest probability."""
     likely = 1
     for m in range(2, MODES):
-        likely = m if state.mode_probabilities[m] > state.mode_probabilities[likely] else likely
+        likely = m if state.motion.probabilities[m] > state.motion.probabilities[likely] else likely
     return likely - 1
 
 
@@ -215,28 +218,30 @@ def update_motion_models(
         Detection variance estimated from the deviation from the likeliest model, summed over both
         joints, rad^2.
     """
-    motions: Motions = state.motions[eye]
+    motions: Motions = state.motion.models[eye]
     costs, own, exact = np.zeros(HYPOTHESES), np.zeros(MODES), np.zeros(2)
     scatter = 0.0
     for joint in range(2):
         step = _REST_SD_STEPS * params.joint_step[eye, joint]
         exact[joint] = _FRICTION_SD_RAD * _FRICTION_SD_RAD + step * step
-        known = state.filter_variance[eye, joint] + variance[eye, joint] + exact[joint]
+        known = state.target.filter_variance[eye, joint] + variance[eye, joint] + exact[joint]
         crossed = known + backlash_variance[eye, joint]
         log_ratio = log(crossed / known)
         own[0] += 0.5 * log(known)
         for i in range(first_active, end_active):
             off = goals[eye, joint] - angles_at_exposure[eye, joint]
             off = off + angles_by_delay[i, eye, joint]
-            square = (off - state.goals_by_delay[i, eye, joint]) ** 2
+            square = (off - state.target.goals_by_delay[i, eye, joint]) ** 2
             add_bounded_delay_cost(costs, min(square / known, square / crossed + log_ratio), i)
         motion: TargetMotion = motions[likely_model_index]
         off = goals[eye, joint] - motion.angle[joint]
         # expectation-maximisation estimate of the detection variance
-        share = state.detection_variance / (motion.covariance[0] + moving_variance[eye, joint])
-        scatter += (share * off) ** 2 + (1.0 - share) * state.detection_variance
+        share = state.target.detection_variance / (
+            motion.covariance[0] + moving_variance[eye, joint]
+        )
+        scatter += (share * off) ** 2 + (1.0 - share) * state.target.detection_variance
     update_models(motions, goals[eye], moving_variance[eye], exact, own)
-    own[0] += marginal_nll(state.delay_cost, first_active, end_active, costs)
+    own[0] += marginal_nll(state.delays.cost, first_active, end_active, costs)
     add_bounded_nll(nll, own)
     return scatter
 
@@ -251,7 +256,7 @@ def mark_directly_tracked_eyes(
     """Set `directly_tracked` (2,): True for an eye with a known target and a goal of its own."""
     for eye in range(2):
         sees = isfinite(goals[eye, 0]) and not inferred[eye]
-        directly_tracked[eye] = sees and state.known[eye] > 0.5
+        directly_tracked[eye] = sees and state.target.known[eye] > 0.5
 
 
 _PROCESS_NOISE_FRACTION: Final = 0.02
@@ -279,25 +284,25 @@ def _average_goals(state: PredictorState, low: int, high: int, weights: FloatArr
     for eye in range(2):
         for joint in range(2):
             mean = square = 0.0
-            first = state.goals_by_delay[low, eye, joint]
+            first = state.target.goals_by_delay[low, eye, joint]
             for i in range(low, high):
-                off = state.goals_by_delay[i, eye, joint] - first
+                off = state.target.goals_by_delay[i, eye, joint] - first
                 mean += weights[i] * off
                 square += weights[i] * off * off
-            state.goals[eye, joint] = first + mean
-            state.goal_variance_over_delays[eye, joint] = max(square - mean * mean, 0.0)
+            state.target.goals[eye, joint] = first + mean
+            state.target.variance_over_delays[eye, joint] = max(square - mean * mean, 0.0)
 
 
 @inlined
 def _readmit_delays(state: PredictorState, low: int, high: int) -> None:
     """Initialise the goals of delays that are considered again with the current mean goals."""
     for i in range(low, high):
-        if state.first_active <= i < state.end_active:
+        if state.delays.first_active <= i < state.delays.end_active:
             continue
         for eye in range(2):
             for joint in range(2):
-                state.goals_by_delay[i, eye, joint] = state.goals[eye, joint]
-    state.first_active, state.end_active = low, high
+                state.target.goals_by_delay[i, eye, joint] = state.target.goals[eye, joint]
+    state.delays.first_active, state.delays.end_active = low, high
 
 
 @inlined
@@ -322,13 +327,13 @@ def update_with_image(
     goals = np.zeros((2, 2))
     inferred = np.zeros(2, dtype=np.bool_)
     arrived = state.periods - (state.image_age_s - params.image_latency_s) / params.period_s
-    low, high = active_delay_range(state.delay_cost)
+    low, high = active_delay_range(state.delays.cost)
     _readmit_delays(state, low, high)
-    delay_posterior(state.delay_cost, low, high, weights)
+    delay_posterior(state.delays.cost, low, high, weights)
     # eyes at rest for longer than the longest delay: every delay gives the present angles
-    still = state.still_periods > (RING_LENGTH - 4.0) * params.sample_periods
+    still = state.joints.still_periods > (RING_LENGTH - 4.0) * params.sample_periods
     if still:
-        exposed = arrived - state.delay_s / params.period_s
+        exposed = arrived - state.delays.mean_s / params.period_s
         for eye in range(2):
             for joint in range(2):
                 angles_at_exposure[eye, joint] = angle_at(
@@ -337,13 +342,13 @@ def update_with_image(
                 for i in range(low, high):
                     angles_by_delay[i, eye, joint] = angles_at_exposure[eye, joint]
     else:
-        state.delay_s = average_over_delays(
+        state.delays.mean_s = average_over_delays(
             state, params, arrived, low, high, weights, angles_by_delay, angles_at_exposure,
             delay_variance,
         )  # fmt: skip
-        exposed = arrived - state.delay_s / params.period_s
-    depth = (state.depth[0], state.depth[1])
-    most = params.max_miss_ratio + 4.0 * sqrt(2.0 * state.detection_variance)
+        exposed = arrived - state.delays.mean_s / params.period_s
+    depth = (state.target.depth[0], state.target.depth[1])
+    most = params.max_miss_ratio + 4.0 * sqrt(2.0 * state.target.detection_variance)
     agree = measure_goals(state, p, angles_at_exposure, error, most, goals) < most
     for eye in range(2):
         inferred[eye] = not isfinite(error[eye, 0] + error[eye, 1])
@@ -368,12 +373,12 @@ def _begin_goals(
     agree: bool,
 ) -> None:
     """Initialise an eye's goals with an image."""
-    state.known[eye], state.confirmations[eye] = 1.0, 1.0 if agree else 0.0
+    state.target.known[eye], state.target.confirmations[eye] = 1.0, 1.0 if agree else 0.0
     for joint in range(2):
-        state.filter_variance[eye, joint] = variance[eye, joint]
+        state.target.filter_variance[eye, joint] = variance[eye, joint]
         for i in range(low, high):
             off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
-            state.goals_by_delay[i, eye, joint] = goals[eye, joint] + off
+            state.target.goals_by_delay[i, eye, joint] = goals[eye, joint] + off
 
 
 @inlined
@@ -381,8 +386,8 @@ def _store_image(
     state: PredictorState, arrived: float, goals: FloatArray, angles_at_exposure: FloatArray
 ) -> None:
     """Store an image as the last one."""
-    state.images[1] = state.images[0]
-    image = state.images[0]
+    state.motion.images[1] = state.motion.images[0]
+    image = state.motion.images[0]
     image.arrival_tick = arrived
     for eye in range(2):
         for joint in range(2):
@@ -396,11 +401,11 @@ def _learn_noise(
 ) -> None:
     """Update the detection variance with an image's squared deviations: their sum and number."""
     least, most = _LEAST_NOISE_PX * params.pixel_rad, _MOST_NOISE_PX * params.pixel_rad
-    found = min(scatter / count, 9.0 * state.detection_variance)
-    noise = state.detection_variance + 0.25 * count * _NOISE_WEIGHT * (
-        found - state.detection_variance
+    found = min(scatter / count, 9.0 * state.target.detection_variance)
+    noise = state.target.detection_variance + 0.25 * count * _NOISE_WEIGHT * (
+        found - state.target.detection_variance
     )
-    state.detection_variance = min(max(noise, least * least), most * most)
+    state.target.detection_variance = min(max(noise, least * least), most * most)
 
 
 @inlined
@@ -423,7 +428,10 @@ def _filter_joint(
     Returns:
         Squared deviation due to detection noise, rad^2; negative if other terms hide it.
     """
-    before = state.filter_variance[eye, joint] + _PROCESS_NOISE_FRACTION * state.detection_variance
+    before = (
+        state.target.filter_variance[eye, joint]
+        + _PROCESS_NOISE_FRACTION * state.target.detection_variance
+    )
     own = variance[eye, joint]
     gain = before / (before + own + delay_variance[eye, joint])
     least, most = inf, -inf
@@ -435,19 +443,19 @@ def _filter_joint(
     informative = not moves and (most - least) ** 2 > bound
     for i in range(low, high):
         off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
-        innovation = goals[eye, joint] + off - state.goals_by_delay[i, eye, joint]
+        innovation = goals[eye, joint] + off - state.target.goals_by_delay[i, eye, joint]
         if informative:
             add_bounded_delay_cost(added, innovation * innovation / expected, i)
-        state.goals_by_delay[i, eye, joint] += gain * innovation
-    state.filter_variance[eye, joint] = (1.0 - gain) * before
+        state.target.goals_by_delay[i, eye, joint] += gain * innovation
+    state.target.filter_variance[eye, joint] = (1.0 - gain) * before
     calm = (
-        delay_variance[eye, joint] < 0.1 * state.detection_variance
-        and own < 1.1 * state.detection_variance
+        delay_variance[eye, joint] < 0.1 * state.target.detection_variance
+        and own < 1.1 * state.target.detection_variance
     )
     if moves or not calm:
         return -1.0
-    off = goals[eye, joint] - state.goals[eye, joint]
-    square: float = off * off / (1.0 + before / state.detection_variance)
+    off = goals[eye, joint] - state.target.goals[eye, joint]
+    square: float = off * off / (1.0 + before / state.target.detection_variance)
     return square
 
 
@@ -472,7 +480,7 @@ def _filter(
     variance, added = np.zeros((2, 2)), np.zeros(HYPOTHESES)
     outliers = 0.0
     targets_move = params.targets_move > 0.5
-    moves = targets_move and state.mode_probabilities[0] < 0.5
+    moves = targets_move and state.motion.probabilities[0] < 0.5
     for eye in range(2):
         if not isfinite(goals[eye, 0]):
             continue
@@ -491,32 +499,32 @@ def _filter(
         matches_motion,
     )  # fmt: skip
     if outliers == 1:  # one of the eyes shows an outlier, so the triangulated depth is wrong too
-        state.depth[0], state.depth[1] = depth[0], depth[1]
+        state.target.depth[0], state.target.depth[1] = depth[0], depth[1]
     scatter, count = 0.0, 0
     nll, likely = np.zeros(MODES), likely_model(state)
-    if targets_move and state.known[0] + state.known[1] == 0.0:
-        begin_modes(state.mode_probabilities)
+    if targets_move and state.target.known[0] + state.target.known[1] == 0.0:
+        begin_modes(state.motion.probabilities)
     # an eye whose goals are inferred from the other one is processed second
     first = 1 if inferred[0] else 0
     for number in range(2):
         eye = number ^ first
         if not isfinite(goals[eye, 0]):
             continue
-        motions: Motions = state.motions[eye]
+        motions: Motions = state.motion.models[eye]
         if inferred[eye]:
-            if moves and state.displaced_image_count[1 - eye] < 0.5:
+            if moves and state.target.displaced_image_count[1 - eye] < 0.5:
                 update_from_other_eye(motions, goals[eye], slip[eye])
             goals[eye, 0] = goals[eye, 1] = nan
             continue
         if is_outlier[eye] and not matches_motion[eye]:
             other = 1 - eye
             alone = direct[other] and not is_outlier[other]
-            jumped = (outliers == 2 and agree) or state.confirmations[eye] < 0.5
+            jumped = (outliers == 2 and agree) or state.target.confirmations[eye] < 0.5
             if not (
                 jumped or has_jumped(state, params, eye, goals, variance, delay_variance, alone)
             ):
                 continue
-        state.displaced_image_count[eye] = 0.0
+        state.target.displaced_image_count[eye] = 0.0
         if matches_motion[eye]:
             own_scatter = update_motion_models(
                 state, params, eye, low, high, angles_at_exposure, angles_by_delay, goals, variance,
@@ -526,14 +534,14 @@ def _filter(
                 scatter, count = scatter + own_scatter, count + 2
         elif targets_move:
             begin_motion(motions, goals[eye], variance[eye, 0])
-        if is_outlier[eye] or state.known[eye] < 0.5:
+        if is_outlier[eye] or state.target.known[eye] < 0.5:
             reduce_count_at_jump(state.oscillation)
             _begin_goals(
                 state, eye, low, high, goals, angles_at_exposure, angles_by_delay, variance, agree
                 or matches_motion[eye],
             )  # fmt: skip
             continue
-        state.confirmations[eye] += 1.0
+        state.target.confirmations[eye] += 1.0
         for joint in range(2):
             square = _filter_joint(
                 state, eye, joint, low, high, angles_at_exposure, angles_by_delay, goals, variance,
@@ -542,19 +550,21 @@ def _filter(
             if square >= 0.0:
                 scatter, count = scatter + square, count + 1
     if targets_move:
-        update_modes(state.mode_probabilities, nll)
+        update_modes(state.motion.probabilities, nll)
     if learn and moves:
         add_moving_target_costs(
             state, params, arrived, low, high, angles_at_exposure, angles_by_delay, goals, variance,
             added,
         )  # fmt: skip
     if learn:
-        decay_and_add_costs(state.delay_cost, low, high, added)
+        decay_and_add_costs(state.delays.cost, low, high, added)
         # if rest and motion alternate, neither explains the images: the delay may be wrong
-        turned = moves != (targets_move and state.mode_probabilities[0] < 0.5)
-        state.mode_switches = _SWITCH_COUNT_DECAY * state.mode_switches + (1.0 if turned else 0.0)
-        if turned and state.mode_switches > _DOUBT_SWITCH_COUNT:
-            forget_delay_evidence(state.delay_cost)
+        turned = moves != (targets_move and state.motion.probabilities[0] < 0.5)
+        state.motion.switches = _SWITCH_COUNT_DECAY * state.motion.switches + (
+            1.0 if turned else 0.0
+        )
+        if turned and state.motion.switches > _DOUBT_SWITCH_COUNT:
+            forget_delay_evidence(state.delays.cost)
     _store_image(state, arrived, goals, angles_at_exposure)
     if count > 0:
         _learn_noise(state, params, scatter, count)

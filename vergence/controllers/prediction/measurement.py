@@ -80,7 +80,7 @@ def average_over_delays(
     """
     delay = 0.0
     for i in range(first_active, end_active):
-        own = state.first_delay_s + SPACING_S * i
+        own = state.delays.first_s + SPACING_S * i
         delay += weights[i] * own
         for eye in range(2):
             for joint in range(2):
@@ -143,21 +143,21 @@ def measure_goals(
         y = ay + depths.left * by - cy - depths.right * dy
         z = az + depths.left * bz - cz - depths.right * dz
         gap = sqrt(x * x + y * y + z * z) / depths.left
-        if gap < max_miss_ratio or state.known[0] + state.known[1] == 0.0:
-            state.depth[0], state.depth[1] = depths.left, depths.right
+        if gap < max_miss_ratio or state.target.known[0] + state.target.known[1] == 0.0:
+            state.target.depth[0], state.target.depth[1] = depths.left, depths.right
     for eye in range(2):
         source = eye
         if not (isfinite(error[eye, 0]) and isfinite(error[eye, 1])):
             source = 1 - eye
-            if state.known[eye] < 0.5 or not isfinite(error[source, 0] + error[source, 1]):
+            if state.target.known[eye] < 0.5 or not isfinite(error[source, 0] + error[source, 1]):
                 goals[eye, 0] = goals[eye, 1] = nan
                 continue
-        z = state.depth[source]
+        z = state.target.depth[source]
         o, d = left if source == 0 else right
         x, y, z = o[0] + z * d[0], o[1] + z * d[1], o[2] + z * d[2]
         q1, q2 = angles_at_exposure[eye, 0], angles_at_exposure[eye, 1]
-        if state.known[eye] > 0.5:  # Newton's method from the last goal needs one step
-            q1, q2 = state.goals[eye, 0], state.goals[eye, 1]
+        if state.target.known[eye] > 0.5:  # Newton's method from the last goal needs one step
+            q1, q2 = state.target.goals[eye, 0], state.target.goals[eye, 1]
         for _ in range(_MAX_NEWTON_STEPS):
             d1, d2 = fixation_newton_step(p, eye, q1, q2, x, y, z)
             q1 += min(max(d1, -0.5), 0.5)
@@ -168,7 +168,7 @@ def measure_goals(
         if source != eye:
             continue
         frames = eye_frames(p, eye, q1, q2)
-        state.fixated_depth[eye] = point_to_local(frames.camera, x, y, z)[2]
+        state.target.fixated_depth[eye] = point_to_local(frames.camera, x, y, z)[2]
     return gap
 
 
@@ -198,7 +198,7 @@ def goal_variance(
         _ENCODER_SD_STEPS * params.joint_step[eye, joint] if abs(speed) > _MOVING_RAD_S else 0.0
     )
     jitter = LATENCY_JITTER_SD_S * speed
-    return state.detection_variance + jitter * jitter + model * model + encoder * encoder
+    return state.target.detection_variance + jitter * jitter + model * model + encoder * encoder
 
 
 _TARGET_ACCELERATION_SD: Final = 4.0
@@ -240,7 +240,7 @@ def add_moving_target_costs(
         variance: (2, 2) variances of the measured goals, rad^2.
         added_costs: (HYPOTHESES,) cost that the image adds to each delay, changed in place.
     """
-    one, two = state.images[0], state.images[1]
+    one, two = state.motion.images[0], state.motion.images[1]
     first, second = arrival_tick - one.arrival_tick, one.arrival_tick - two.arrival_tick
     if not (0.0 < second < 40.0 and 0.0 < first < 40.0):
         return
@@ -259,7 +259,7 @@ def add_moving_target_costs(
             rest += ratio * (two.goals[eye, joint] - two.angles_at_exposure[eye, joint])
             least, most = inf, -inf
             for i in range(first_active, end_active):
-                own = (state.first_delay_s + SPACING_S * i) / params.period_s
+                own = (state.delays.first_s + SPACING_S * i) / params.period_s
                 turn = angles_by_delay[i, eye, joint]
                 before = angle_at(state, params.sample_periods, one.arrival_tick - own, eye, joint)
                 turn -= (1.0 + ratio) * before
@@ -309,8 +309,10 @@ def squared_mahalanobis(
     """
     most = 0.0
     for joint in range(2):
-        off = goals[eye, joint] - state.goals[eye, joint]
-        known = state.filter_variance[eye, joint] + state.goal_variance_over_delays[eye, joint]
+        off = goals[eye, joint] - state.target.goals[eye, joint]
+        known = (
+            state.target.filter_variance[eye, joint] + state.target.variance_over_delays[eye, joint]
+        )
         known += variance[eye, joint] + delay_variance[eye, joint]
         most = max(most, off * off / known)
     return most
@@ -341,22 +343,25 @@ def has_jumped(
         delay_variance: (2, 2) variances that the uncertain delay adds, rad^2.
         other_eye_unmoved: True if the other eye sees its target where it was.
     """
-    again = state.displaced_image_count[eye] > 0.5
+    again = state.target.displaced_image_count[eye] > 0.5
     for joint in range(2):
-        off = goals[eye, joint] - state.displaced_goals[eye, joint]
+        off = goals[eye, joint] - state.target.displaced_goals[eye, joint]
         known = (
             2.0 * (variance[eye, joint] + delay_variance[eye, joint]) + 2.0 * MODEL_ERROR_SD_RAD**2
         )
         again = again and off * off <= DISPLACED_GATE * known
-    state.displaced_image_count[eye] = state.displaced_image_count[eye] + 1.0 if again else 1.0
+    state.target.displaced_image_count[eye] = (
+        state.target.displaced_image_count[eye] + 1.0 if again else 1.0
+    )
     for joint in range(2):
-        state.displaced_goals[eye, joint] = goals[eye, joint]
+        state.target.displaced_goals[eye, joint] = goals[eye, joint]
     most = max(
         round((_OTHER_UNMOVED_S if other_eye_unmoved else _OTHER_UNSURE_S) / params.frame_period_s),
         2,
     )
     return bool(
-        state.displaced_image_count[eye] > min(max(state.confirmations[eye], 2.0), most) - 0.5
+        state.target.displaced_image_count[eye]
+        > min(max(state.target.confirmations[eye], 2.0), most) - 0.5
     )
 
 
@@ -383,14 +388,14 @@ def predict_to_exposure(
         params: the head's parameters.
         exposure_tick: exposure time of the image, in periods.
     """
-    time_s = max(exposure_tick - state.motion_tick, 0.0) * params.period_s
+    time_s = max(exposure_tick - state.motion.tick, 0.0) * params.period_s
     mixed = np.zeros((MODELS, 12))
     for eye in range(2):
-        if state.known[eye] > 0.5:
-            mix_models(state.motions[eye], state.mode_probabilities, mixed)
-            predict_motions(state.motions[eye], time_s)
-    predict_modes(state.mode_probabilities)
-    state.motion_tick = exposure_tick
+        if state.target.known[eye] > 0.5:
+            mix_models(state.motion.models[eye], state.motion.probabilities, mixed)
+            predict_motions(state.motion.models[eye], time_s)
+    predict_modes(state.motion.probabilities)
+    state.motion.tick = exposure_tick
 
 
 @inlined
@@ -420,7 +425,7 @@ def moving_goal_variances(
             after = angle_at(state, params.sample_periods, exposure_tick + 0.5, eye, joint)
             before = angle_at(state, params.sample_periods, exposure_tick - 0.5, eye, joint)
             speed = (after - before) / params.period_s
-            share = speed - mean_rate(state.motions[eye], state.mode_probabilities, joint)
+            share = speed - mean_rate(state.motion.models[eye], state.motion.probabilities, joint)
             share = min((share / max(abs(speed), _MIN_SPEED_RAD_S)) ** 2, 1.0)
             dating = LATENCY_JITTER_SD_S * LATENCY_JITTER_SD_S * speed * speed
             own = variance[eye, joint] - (1.0 - share) * dating
@@ -458,17 +463,17 @@ def inflate_variance_at_reversal(state: PredictorState, p: PackedHead, command: 
         if abs(command[k]) < _MIN_REVERSING_COMMAND:
             continue
         side = 1.0 if command[k] > 0.0 else -1.0
-        if state.last_direction[k] == side:
+        if state.backlash.last_direction[k] == side:
             continue
-        state.last_direction[k] = side
+        state.backlash.last_direction[k] = side
         for j in range(4):
             share = joint_per_actuator(p, j, k)
             if share == 0.0:
                 continue
             eye, joint, backlash = j // 2, j % 2, _CROSSING_SD_RAD * share
-            state.filter_variance[eye, joint] += backlash * backlash
-            state.reversal_tick[eye, joint] = state.periods
-            motions: Motions = state.motions[eye]
+            state.target.filter_variance[eye, joint] += backlash * backlash
+            state.backlash.reversal_tick[eye, joint] = state.periods
+            motions: Motions = state.motion.models[eye]
             for m in range(MODELS):  # half, as the covariance is common to both joints
                 motions[m].covariance[0] += 0.5 * backlash * backlash
 
@@ -497,20 +502,20 @@ def update_backlash_variance(
     Returns:
         The variance, rad^2; 0 if the motor has not reversed recently.
     """
-    state.backlash_variance[eye, joint] *= _VARIANCE_DECAY
-    since_s = (exposure_tick - state.reversal_tick[eye, joint]) * params.period_s
+    state.backlash.variance[eye, joint] *= _VARIANCE_DECAY
+    since_s = (exposure_tick - state.backlash.reversal_tick[eye, joint]) * params.period_s
     if since_s > _RECENT_REVERSAL_S:
         return 0.0
-    off = measured_goal - state.goals[eye, joint]
+    off = measured_goal - state.target.goals[eye, joint]
     clear = off * off > max(
-        _MIN_SQUARED_SHIFT * state.detection_variance, _MIN_BACKLASH_RAD * _MIN_BACKLASH_RAD
+        _MIN_SQUARED_SHIFT * state.target.detection_variance, _MIN_BACKLASH_RAD * _MIN_BACKLASH_RAD
     )
     if at_rest and clear and abs(off) < _MAX_BACKLASH_RAD:
         half = 0.5 * off
-        if state.jump_sign[eye, joint] * off < 0.0:
-            state.backlash_variance[eye, joint] = max(
-                state.backlash_variance[eye, joint], half * half
+        if state.backlash.jump_sign[eye, joint] * off < 0.0:
+            state.backlash.variance[eye, joint] = max(
+                state.backlash.variance[eye, joint], half * half
             )
-        state.jump_sign[eye, joint] = 1.0 if off > 0.0 else -1.0
-    found: float = state.backlash_variance[eye, joint]
+        state.backlash.jump_sign[eye, joint] = 1.0 if off > 0.0 else -1.0
+    found: float = state.backlash.variance[eye, joint]
     return found

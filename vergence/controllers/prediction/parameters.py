@@ -77,6 +77,17 @@ RING_LENGTH: Final = 64
 """Number of past joint angles in the ring buffer, a power of two (numerical)."""
 _MIN_RING_S: Final = 0.45
 """Least time that the ring buffer covers, s (numerical: longer than every delay hypothesis)."""
+_MAX_RESPONSE_LATENCY_S: Final = 0.12
+"""Longest latency of commands plus readings that is considered, s (chosen)."""
+_LATENCY_ROOM_S: Final = 0.06
+"""Least room for it above the latency in the head's model, s (chosen: five prior deviations)."""
+_RESPONSE_WINDOW_S: Final = 0.117
+"""Length of the window of readings to which the response is fitted, s (chosen: noise against
+adaptation)."""
+_RING_MARGIN: Final = 4
+"""Periods by which a ring buffer is longer than what it has to hold (numerical)."""
+_LEAST_WINDOW: Final = 8
+"""Shortest window, in periods (numerical)."""
 
 
 class PredictorParameters:
@@ -95,6 +106,15 @@ class PredictorParameters:
     """Nominal latency from exposure to arrival, s; 0 if the camera stamps exposures."""
     response_latency_s: float
     """Nominal latency of commands plus that of joint readings, s."""
+    max_response_latency_s: float
+    """Longest latency of commands plus readings that is considered, s."""
+    response_window: float
+    """Length of the window to which the response is fitted, in periods."""
+    command_ring: float
+    """Length of the ring buffer of commands, a power of two: those of a window, and of the longest
+    latency before it."""
+    speed_ring: float
+    """Length of the ring buffers of velocities, a power of two."""
     sample_periods: float
     """Number of periods between the joint angles that are stored for later images."""
     lag_s: float
@@ -159,13 +179,20 @@ def pack_predictor_parameters(head: HeadModel, targets_move: bool = True) -> Flo
     packed = with_virtual_joints(head)
     pixel_rad = 1.0 / float(np.mean(head.cameras.focal))
     moves = actuation.velocity[EYES] > 0.0
+    response_latency_s = timing.command_latency_s + timing.feedback_latency_s
+    longest_s = max(_MAX_RESPONSE_LATENCY_S, response_latency_s + _LATENCY_ROOM_S)
+    window = max(int(_RESPONSE_WINDOW_S / timing.period_s + 0.5), _LEAST_WINDOW)
     return make_row(
         PREDICTOR_PARAMETERS,
         period_s=timing.period_s,
         nominal_delay_s=(0.0 if timing.exposure_stamps else timing.latency_s)
         - timing.feedback_latency_s,
         image_latency_s=0.0 if timing.exposure_stamps else timing.latency_s,
-        response_latency_s=timing.command_latency_s + timing.feedback_latency_s,
+        response_latency_s=response_latency_s,
+        max_response_latency_s=longest_s,
+        response_window=window,
+        command_ring=_ring_length(window + longest_s / timing.period_s),
+        speed_ring=_ring_length(window),
         sample_periods=np.ceil(_MIN_RING_S * timing.control_rate_hz / (RING_LENGTH - 4)),
         lag_s=timing.lag_s,
         pixel_rad=pixel_rad,
@@ -192,6 +219,11 @@ def pack_predictor_parameters(head: HeadModel, targets_move: bool = True) -> Flo
         joint_step=joint_resolutions(head).reshape(2, 2),
         orthogonal_axes=[_is_orthogonal(packed, eye) for eye in range(2)],
     )
+
+
+def _ring_length(periods: float) -> int:
+    """Power of two that holds some periods, and the few about them."""
+    return 1 << (int(periods) + _RING_MARGIN).bit_length()
 
 
 def actuator_moves_eye(head: HeadModel) -> NDArray[np.bool_]:

@@ -17,7 +17,7 @@ filtered over images, see `vergence.controllers.prediction.goals`.
 """
 
 from math import exp, isfinite, sqrt
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +42,8 @@ from vergence.controllers.prediction.parameters import (
     with_virtual_joints,
 )
 from vergence.controllers.prediction.response import (
+    Rings,
     command_at,
-    max_response_latency,
     selected_model,
     state_at_command_effect,
 )
@@ -52,9 +52,10 @@ from vergence.controllers.prediction.state import (
     PREDICTOR_STATE_SIZE,
     PredictorState,
     initial_predictor_row,
+    rings_in,
     update_joints,
 )
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, inlined, record_view, row_layout, row_size
 from vergence.models.head import HeadModel
@@ -72,89 +73,68 @@ MAX_UNSEEN_S: Final = 1.0
 """Time for which the goal of an eye that does not see its target is kept, s (chosen)."""
 
 
-class Prediction(NamedTuple):
+class Prediction:
     """State of the eyes, and angles left to turn, at the time a command given now begins to act.
 
-    Angles left to turn are by actuator of the eyes; an actuator is a joint where each of the four
-    eye joints has its own motor.
+    A row of a head. Angles left to turn are by actuator of the eyes; an actuator is a joint where
+    each of the four eye joints has its own motor.
     """
 
-    angle_error: FloatArray
-    """(..., 4) angles that each actuator still has to turn at that time, rad; 0 for one that moves
-    no eye whose target is known."""
-    pixel_error: FloatArray
-    """(..., 2, 2) pixel errors at that time, undistorted, px; nan where not known."""
-    image_delay_s: FloatArray
-    """(...) latency of images minus that of joint readings, s."""
-    known: NDArray[np.bool_]
-    """(..., 2) True if an eye's target is known: visible now or a short while ago."""
-    positions: FloatArray
-    """(..., 4) angles of the eyes' joints at that time, rad."""
-    velocities: FloatArray
-    """(..., 4) velocities of the actuators at that time, rad/s."""
-    accelerations: FloatArray
-    """(..., 4) accelerations of the actuators at that time, rad/s^2."""
-    lag_s: FloatArray
-    """(...) lag of velocities behind commands, s: the lag in the head's timing, to which each
-    actuator has its own ratio."""
-    build_up: FloatArray
-    """(...) build-up of the lag, see `vergence.controllers.prediction.response`; 0 for a
-    first-order lag."""
-    actuator_angles: FloatArray
-    """(..., 4) angles of the actuators at that time, rad."""
-    response_latency_s: FloatArray
-    """(...) latency of commands plus that of joint readings, s."""
-    response_latency_sd_s: FloatArray
-    """(...) standard deviation of `latency_s`, s."""
-    acceleration_ratio: FloatArray
-    """(...) ratio of the acceleration limits to those of the head's model."""
-    acceleration_sd: FloatArray
-    """(...) standard deviation of the logarithm of `acceleration_ratio`."""
-    speed_gain: FloatArray
-    """(..., 4) ratio of steady velocity to command."""
-    goal_rates: FloatArray
-    """(..., 4) rates at which the angles left to turn grow while the actuators rest, rad/s; 0 for
-    resting targets."""
-    goal_rates_at_effect: FloatArray
-    """(..., 4) these rates when a command given now shows in the motion, a lag and half a period
-    later."""
-    noise_rad: FloatArray
-    """(...) detection noise divided by the focal length, standard deviation, rad."""
-    response_misfit: FloatArray
-    """(...) mean squared normalised residual of the response model; 0 before the first window of
-    the fit has ended."""
-    half_swing_count: FloatArray
-    """(...) decayed count of half swings of sustained oscillation about the goals, see
+    angle_error: Annotated[FloatArray, 4]
+    """Angles that each actuator still has to turn at that time, rad; 0 for one that moves no eye
+    whose target is known."""
+    pixel_error: Annotated[FloatArray, 2, 2]
+    """Pixel errors at that time, undistorted, px; nan where not known."""
+    known: Annotated[FloatArray, 2]
+    """1 if an eye's target is known: visible now or a short while ago; otherwise 0."""
+    positions: Annotated[FloatArray, 4]
+    """Angles of the eyes' joints at that time, rad."""
+    velocities: Annotated[FloatArray, 4]
+    """Velocities of the actuators at that time, rad/s."""
+    accelerations: Annotated[FloatArray, 4]
+    """Accelerations of the actuators at that time, rad/s^2."""
+    actuator_angles: Annotated[FloatArray, 4]
+    """Angles of the actuators at that time, rad."""
+    speed_gain: Annotated[FloatArray, 4]
+    """Ratio of steady velocity to command."""
+    goal_rates: Annotated[FloatArray, 4]
+    """Rates at which the angles left to turn grow while the actuators rest, rad/s; 0 for resting
+    targets."""
+    goal_rates_at_effect: Annotated[FloatArray, 4]
+    """These rates when a command given now shows in the motion, a lag and half a period later."""
+    image_delay_s: float
+    """Latency of images minus that of joint readings, s."""
+    lag_s: float
+    """Lag of velocities behind commands, s: the lag in the head's timing, to which each actuator
+    has its own ratio."""
+    build_up: float
+    """Build-up of the lag, see `vergence.controllers.prediction.response`; 0 for a first-order
+    lag."""
+    response_latency_s: float
+    """Latency of commands plus that of joint readings, s."""
+    response_latency_sd_s: float
+    """Its standard deviation, s."""
+    acceleration_ratio: float
+    """Ratio of the acceleration limits to those of the head's model."""
+    acceleration_sd: float
+    """Standard deviation of its logarithm."""
+    noise_rad: float
+    """Detection noise divided by the focal length, standard deviation, rad."""
+    response_misfit: float
+    """Mean squared normalised residual of the response model; 0 before the first window of the fit
+    has ended."""
+    half_swing_count: float
+    """Decayed count of half swings of sustained oscillation about the goals, see
     `vergence.controllers.prediction.oscillation`."""
 
 
-class _PredictionRow:
-    """`Prediction` of one head, packed into a row."""
-
-    angle_error: Annotated[FloatArray, 4]
-    pixel_error: Annotated[FloatArray, 2, 2]
-    known: Annotated[FloatArray, 2]
-    positions: Annotated[FloatArray, 4]
-    velocities: Annotated[FloatArray, 4]
-    accelerations: Annotated[FloatArray, 4]
-    actuator_angles: Annotated[FloatArray, 4]
-    speed_gain: Annotated[FloatArray, 4]
-    goal_rates: Annotated[FloatArray, 4]
-    goal_rates_at_effect: Annotated[FloatArray, 4]
-    image_delay_s: float
-    lag_s: float
-    build_up: float
-    response_latency_s: float
-    response_latency_sd_s: float
-    acceleration_ratio: float
-    acceleration_sd: float
-    noise_rad: float
-    response_misfit: float
-    half_swing_count: float
+PREDICTION: Final = row_layout(Prediction)
+PREDICTION_SIZE: Final = row_size(PREDICTION)
 
 
-_PREDICTION: Final = row_layout(_PredictionRow)
-_PREDICTION_SIZE: Final = row_size(_PREDICTION)
+def prediction_fields(rows: FloatArray) -> NDArray[np.void]:
+    """View predictions (..., PREDICTION_SIZE) by the names of their fields."""
+    return rows.view(PREDICTION)[..., 0]
 
 
 class SmithPredictor:
@@ -212,13 +192,13 @@ class SmithPredictor:
     @property
     def size(self) -> int:
         """Length of a head's state."""
-        return PREDICTOR_STATE_SIZE
+        return len(self._initial)
 
     def initial(self) -> FloatArray:
         """(size,) the state before the first observation."""
         return self._initial.copy()
 
-    def update(self, seen: Observation, state: FloatArray) -> Prediction:
+    def update(self, seen: Observation, state: FloatArray) -> FloatArray:
         """Update the prediction with one control period's observation.
 
         Args:
@@ -227,11 +207,12 @@ class SmithPredictor:
                 Entries after the state in each row belong to the caller and are left unchanged.
 
         Returns:
-            The prediction for a command given now.
+            (..., PREDICTION_SIZE) the `Prediction` for a command given now; `prediction_fields`
+            names its numbers.
         """
         leading = state.shape[:-1]
         rows = state.reshape(-1, state.shape[-1])
-        present = np.empty((*leading, _PREDICTION_SIZE))
+        present = np.empty((*leading, PREDICTION_SIZE))
         _update(
             rows,
             np.ascontiguousarray(seen.positions).reshape(-1, 7),
@@ -243,13 +224,11 @@ class SmithPredictor:
             self._packed,
             self._learn_delay,
             self._learn_response,
-            present.reshape(-1, _PREDICTION_SIZE),
+            present.reshape(-1, PREDICTION_SIZE),
         )
         if not self.head.actuation.direct:
-            _fill_coupled(rows, self.params, self._packed, present.reshape(-1, _PREDICTION_SIZE))
-        fields: Any = present.view(_PREDICTION)[..., 0]
-        values: dict[str, Any] = {name: fields[name] for name in Prediction._fields}
-        return Prediction(**{**values, "known": values["known"] > 0.5})
+            _fill_coupled(rows, self.params, self._packed, present.reshape(-1, PREDICTION_SIZE))
+        return present
 
 
 @inlined
@@ -265,35 +244,38 @@ def _update_goals(
     fresh = is_fresh(age_s, state.image_age_s, params.period_s)
     state.image_age_s = age_s
     for eye in range(2):
-        state.unseen_periods[eye] += 1.0
+        state.target.unseen_periods[eye] += 1.0
         if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
-            state.unseen_periods[eye] = 0.0
-    if state.unseen_periods[0] == 0.0 or state.unseen_periods[1] == 0.0:
+            state.target.unseen_periods[eye] = 0.0
+    if state.target.unseen_periods[0] == 0.0 or state.target.unseen_periods[1] == 0.0:
         update_with_image(state, params, error, p, learn_delay)
     for eye in range(2):
-        unseen = state.unseen_periods[eye]
+        unseen = state.target.unseen_periods[eye]
         # the other eye shows where a moving target is
-        if params.targets_move > 0.5 and state.mode_probabilities[0] < 0.5:
-            unseen = min(unseen, state.unseen_periods[1 - eye])
+        if params.targets_move > 0.5 and state.motion.probabilities[0] < 0.5:
+            unseen = min(unseen, state.target.unseen_periods[1 - eye])
         if unseen > round(MAX_UNSEEN_S / params.period_s):
-            state.known[eye] = 0.0
+            state.target.known[eye] = 0.0
 
 
 @inlined
 def _hold_against_friction(
-    state: PredictorState, params: PredictorParameters, present: _PredictionRow
+    state: PredictorState,
+    rings: Rings,
+    params: PredictorParameters,
+    present: Prediction,
 ) -> None:
     """Take actuators that friction holds near their goals for at rest on them."""
     response = state.response
     model, tick = selected_model(response), int(state.periods)
     for j in range(4):
         shown_s = model.parameters[0] + 2.0 * params.lag_ratio[j] * exp(model.parameters[2])
-        earlier = min(shown_s, max_response_latency(params)) / params.period_s
-        acting = exp(model.log_gain[j]) * command_at(response, tick - 1 - int(earlier), j)
+        earlier = min(shown_s, params.max_response_latency_s) / params.period_s
+        acting = exp(model.log_gain[j]) * command_at(rings, tick - 1 - int(earlier), j)
         error, moves = present.angle_error[j], present.goal_rates[j] != 0.0
         present.angle_error[j], rests = error_to_correct(
             state.friction, params, state.periods, j, response.angles[j],
-            state.observer.last_velocity[j], acting, error, moves, state.delay_s,
+            state.observer.last_velocity[j], acting, error, moves, state.delays.mean_s,
         )  # fmt: skip
         if rests:
             present.velocities[j] = present.accelerations[j] = 0.0
@@ -301,26 +283,34 @@ def _hold_against_friction(
 
 @inlined
 def _fill_prediction(
-    state: PredictorState, params: PredictorParameters, p: PackedHead, present: _PredictionRow
+    state: PredictorState,
+    rings: Rings,
+    params: PredictorParameters,
+    p: PackedHead,
+    present: Prediction,
 ) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = state.response, has_motor_per_joint(p)
     model = selected_model(response)
     sd = sqrt(max(model.variance[0], 0.0))
-    latency = min(model.parameters[0] + _LATENCY_MARGIN_SIGMAS * sd, max_response_latency(params))
+    latency = min(model.parameters[0] + _LATENCY_MARGIN_SIGMAS * sd, params.max_response_latency_s)
     for j in range(4):
-        q, v = state.actuator_angles[j], state.velocity[j]
-        q, v, w = state_at_command_effect(response, params, int(state.periods), j, q, v, latency)
+        q, v = state.joints.actuator_angles[j], state.joints.velocity[j]
+        q, v, w = state_at_command_effect(
+            response, rings, params, int(state.periods), j, q, v, latency
+        )
         present.actuator_angles[j] = min(max(q, params.lower[j]), params.upper[j])
         present.velocities[j], present.accelerations[j] = v, w
         present.speed_gain[j] = exp(model.log_gain[j])
-    extrapolate_targets(state, params, state.periods + latency / params.period_s)
+    extrapolate_targets(
+        state, params, exp(model.parameters[2]), state.periods + latency / params.period_s
+    )
     for j in range(4):
         present.positions[j] = present.actuator_angles[j]
         if not direct:
             present.positions[j] = eye_joint_angle(p, j, present.actuator_angles)
     for eye in range(2):
-        present.known[eye] = state.known[eye]
+        present.known[eye] = state.target.known[eye]
         first, second = present.positions[2 * eye], present.positions[2 * eye + 1]
         u, v = predict_pixel_error(state, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
@@ -328,20 +318,20 @@ def _fill_prediction(
         present.angle_error[j] = present.goal_rates[j] = present.goal_rates_at_effect[j] = 0.0
         # `_fill_coupled` computes this for coupled joints
         if direct and present.known[j // 2] > 0.5:
-            aim, rate = state.goals_at_effect[j // 2, j % 2], state.goal_rates[j // 2, j % 2]
+            aim, rate = state.effect.goals[j // 2, j % 2], state.effect.rates[j // 2, j % 2]
             goal = min(max(aim, params.lower[j]), params.upper[j])
             present.angle_error[j] = goal - present.actuator_angles[j]
             if goal == aim:
                 present.goal_rates[j] = rate
-                present.goal_rates_at_effect[j] = state.goal_rates_at_effect[j // 2, j % 2]
+                present.goal_rates_at_effect[j] = state.effect.later_rates[j // 2, j % 2]
     if direct:
-        _hold_against_friction(state, params, present)
-    present.image_delay_s, present.lag_s = state.delay_s, exp(model.parameters[2])
+        _hold_against_friction(state, rings, params, present)
+    present.image_delay_s, present.lag_s = state.delays.mean_s, exp(model.parameters[2])
     present.build_up = model.parameters[3]
     present.response_latency_s, present.response_latency_sd_s = model.parameters[0], sd
     present.acceleration_ratio = exp(model.parameters[1])
     present.acceleration_sd = sqrt(max(model.variance[1], 0.0))
-    present.noise_rad = sqrt(state.detection_variance)
+    present.noise_rad = sqrt(state.target.detection_variance)
     present.response_misfit = model.misfit if response.windows > 0.5 else 0.0
     present.half_swing_count = state.oscillation.half_swing_count
 
@@ -363,18 +353,21 @@ def _update(
     params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
     for n in range(rows.shape[0]):
         state: PredictorState = record_view(rows[n][:PREDICTOR_STATE_SIZE], PREDICTOR_STATE)
-        update_joints(state, params, p, positions[n], velocities[n], command[n], learn_response)
+        rings = rings_in(rows[n], params)
+        update_joints(
+            state, rings, params, p, positions[n], velocities[n], command[n], learn_response
+        )
         _update_goals(state, params, age_s[n], error[n], p, learn_delay)
         inflate_variance_at_reversal(state, p, command[n])
         decay_count(state.oscillation, params.period_s)
         for eye in range(2):
-            for joint in range(2 if state.known[eye] > 0.5 else 0):
-                q = eye_joint_angle(p, 2 * eye + joint, state.actuator_angles)
-                aim = state.goals_at_effect[eye, joint]
+            for joint in range(2 if state.target.known[eye] > 0.5 else 0):
+                q = eye_joint_angle(p, 2 * eye + joint, state.joints.actuator_angles)
+                aim = state.effect.goals[eye, joint]
                 update_oscillation(
-                    state.oscillation, params, eye, joint, q, aim, state.detection_variance
+                    state.oscillation, params, eye, joint, q, aim, state.target.detection_variance
                 )
-        _fill_prediction(state, params, p, record_view(present_rows[n], _PREDICTION))
+        _fill_prediction(state, rings, params, p, record_view(present_rows[n], PREDICTION))
 
 
 @compiled
@@ -387,14 +380,15 @@ def _fill_coupled(
     later, shown = np.zeros((2, 2)), np.zeros(4)
     for n in range(rows.shape[0]):
         state: PredictorState = record_view(rows[n][:PREDICTOR_STATE_SIZE], PREDICTOR_STATE)
-        present: _PredictionRow = record_view(present_rows[n], _PREDICTION)
+        present: Prediction = record_view(present_rows[n], PREDICTION)
         left, right = present.known[0] > 0.5, present.known[1] > 0.5
         if not (left or right):
             continue
-        depth_l, depth_r = state.fixated_depth[0], state.fixated_depth[1]
+        rings = rings_in(rows[n], params)
+        depth_l, depth_r = state.target.fixated_depth[0], state.target.fixated_depth[1]
         least_squares_actuators(
             p,
-            state.goals_at_effect,
+            state.effect.goals,
             depth_l,
             depth_r,
             left,
@@ -406,19 +400,19 @@ def _fill_coupled(
         moves = False
         for eye in range(2):
             for joint in range(2):
-                moves = moves or state.goal_rates[eye, joint] != 0.0
+                moves = moves or state.effect.rates[eye, joint] != 0.0
         if moves:
             for eye in range(2):
                 for joint in range(2):
-                    turn = _RATE_DIFFERENCE_S * state.goal_rates[eye, joint]
-                    later[eye, joint] = state.goals_at_effect[eye, joint] + turn
+                    turn = _RATE_DIFFERENCE_S * state.effect.rates[eye, joint]
+                    later[eye, joint] = state.effect.goals[eye, joint] + turn
             least_squares_actuators(
                 p, later, depth_l, depth_r, left, right, present.actuator_angles, jacobian, ahead
             )
             for eye in range(2):
                 for joint in range(2):
-                    turn = _RATE_DIFFERENCE_S * state.goal_rates_at_effect[eye, joint]
-                    later[eye, joint] = state.goals_at_effect[eye, joint] + turn
+                    turn = _RATE_DIFFERENCE_S * state.effect.later_rates[eye, joint]
+                    later[eye, joint] = state.effect.goals[eye, joint] + turn
             least_squares_actuators(
                 p, later, depth_l, depth_r, left, right, present.actuator_angles, jacobian, shown
             )
@@ -433,4 +427,4 @@ def _fill_coupled(
                 if moves and goal == goals[j]:
                     present.goal_rates[j] = (ahead[j] - goals[j]) / _RATE_DIFFERENCE_S
                     present.goal_rates_at_effect[j] = (shown[j] - goals[j]) / _RATE_DIFFERENCE_S
-        _hold_against_friction(state, params, present)
+        _hold_against_friction(state, rings, params, present)

@@ -27,7 +27,7 @@ model exceed its own by more than chance.
 """
 
 from math import exp, isfinite, log
-from typing import Annotated, Final
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 
@@ -36,13 +36,6 @@ from vergence.kernels import inlined, subroutine
 from vergence.models.motion import follow_held_command, prepare_held_response
 from vergence.models.parts import FloatArray
 
-COMMAND_RING_LENGTH: Final = 128
-"""Number of past commands in the ring buffer, a power of two (numerical)."""
-SPEED_RING_LENGTH: Final = 32
-"""Number of past velocities in the ring buffer, a power of two (numerical)."""
-MAX_RESPONSE_LATENCY_S: Final = 0.12
-"""Longest latency of commands plus readings, s, unless the head's model has a longer one
-(chosen)."""
 FIRST_ORDER: Final = 0
 """Index of the model without build-up (numerical)."""
 SECOND_ORDER: Final = 1
@@ -107,19 +100,27 @@ class ResponseIdentification:
     """Period at which the present window begins; negative for none."""
     window_end: float
     """Period at which the previous window ended."""
-    commands: Annotated[FloatArray, COMMAND_RING_LENGTH, 4]
-    """Ring buffer of commands, rad/s; period k is at index k modulo its length."""
-    speeds: Annotated[FloatArray, SPEED_RING_LENGTH, 4]
-    """Ring buffer of actuator velocities at the end of each period, rad/s: measured if the readings
-    are prompt, otherwise estimated by the observer."""
     accelerations: Annotated[FloatArray, 4]
     """Present accelerations predicted from the commands, rad/s^2."""
     prompt_velocities: float
     """1 if velocities are read without delay, otherwise 0."""
-    mean_speeds: Annotated[FloatArray, SPEED_RING_LENGTH, 4]
-    """Ring buffer of mean velocities in each period, from differences of measured angles, rad/s."""
     angles: Annotated[FloatArray, 4]
     """Last measured angles, rad."""
+
+
+class Rings(NamedTuple):
+    """Ring buffers of a head, as long as its latency requires.
+
+    Their lengths are powers of two; period k is at index k modulo the length.
+    """
+
+    commands: FloatArray
+    """(C, 4) commands, rad/s."""
+    speeds: FloatArray
+    """(S, 4) actuator velocities at the end of each period, rad/s: measured if the readings are
+    prompt, otherwise estimated by the observer."""
+    mean_speeds: FloatArray
+    """(S, 4) mean velocities in each period, from differences of measured angles, rad/s."""
 
 
 def initial_response_models(
@@ -152,35 +153,23 @@ def selected_model(response: ResponseIdentification) -> ResponseModel:
 
 
 @inlined
-def max_response_latency(params: PredictorParameters) -> float:
-    """Longest latency of commands plus readings that is considered, s.
-
-    The ring buffer holds the commands of a window of readings and of this latency before it.
-    """
-    return min(
-        max(MAX_RESPONSE_LATENCY_S, params.response_latency_s),
-        params.period_s * (COMMAND_RING_LENGTH - SPEED_RING_LENGTH),
-    )
-
-
-@inlined
-def command_at(response: ResponseIdentification, tick: int, j: int) -> float:
+def command_at(rings: Rings, tick: int, j: int) -> float:
     """Return an actuator's command in a period, rad/s."""
-    command: float = response.commands[np.uintp(tick & (COMMAND_RING_LENGTH - 1)), j]
+    command: float = rings.commands[np.uintp(tick & (len(rings.commands) - 1)), j]
     return command
 
 
 @inlined
-def speed_at(response: ResponseIdentification, tick: int, j: int) -> float:
+def speed_at(rings: Rings, tick: int, j: int) -> float:
     """Return an actuator's velocity at the end of a period, rad/s."""
-    speed: float = response.speeds[np.uintp(tick & (SPEED_RING_LENGTH - 1)), j]
+    speed: float = rings.speeds[np.uintp(tick & (len(rings.speeds) - 1)), j]
     return speed
 
 
 @inlined
-def mean_speed_at(response: ResponseIdentification, tick: int, j: int) -> float:
+def mean_speed_at(rings: Rings, tick: int, j: int) -> float:
     """Return an actuator's mean velocity in a period, from measured angles, rad/s."""
-    speed: float = response.mean_speeds[np.uintp(tick & (SPEED_RING_LENGTH - 1)), j]
+    speed: float = rings.mean_speeds[np.uintp(tick & (len(rings.speeds) - 1)), j]
     return speed
 
 
@@ -196,6 +185,7 @@ def quantise_with_dead_zone(params: PredictorParameters, command: float) -> floa
 @inlined
 def simulate_period(
     response: ResponseIdentification,
+    rings: Rings,
     model: ResponseModel,
     params: PredictorParameters,
     tick: int,
@@ -216,7 +206,7 @@ def simulate_period(
     whole = int(latency / params.period_s + 1e-9)
     rest = latency - whole * params.period_s
     if rest > 1e-9:
-        u = gain * command_at(response, tick - whole - 1, actuator)
+        u = gain * command_at(rings, tick - whole - 1, actuator)
         angle, velocity, acceleration = follow_held_command(
             angle,
             velocity,
@@ -224,7 +214,7 @@ def simulate_period(
             u,
             prepare_held_response(lag, model.parameters[3], a, rest),
         )
-    u, time = gain * command_at(response, tick - whole, actuator), params.period_s - rest
+    u, time = gain * command_at(rings, tick - whole, actuator), params.period_s - rest
     return follow_held_command(
         angle, velocity, acceleration, u, prepare_held_response(lag, model.parameters[3], a, time)
     )
@@ -233,6 +223,7 @@ def simulate_period(
 @inlined
 def state_at_command_effect(
     response: ResponseIdentification,
+    rings: Rings,
     params: PredictorParameters,
     tick: int,
     j: int,
@@ -246,6 +237,7 @@ def state_at_command_effect(
 
     Args:
         response: state of the identification.
+        rings: the head's ring buffers.
         params: the head's parameters.
         tick: the period that has ended.
         j: index of the actuator.
@@ -260,19 +252,15 @@ def state_at_command_effect(
     whole = int(latency / params.period_s + 1e-9)
     rest = latency - whole * params.period_s
     if rest > 1e-9:
-        u = gain * command_at(response, tick - whole - 1, j)
+        u = gain * command_at(rings, tick - whole - 1, j)
         q, v, w = follow_held_command(q, v, w, u, prepare_held_response(lag, build_up, a, rest))
     held = prepare_held_response(lag, build_up, a, params.period_s)
     for i in range(whole):
-        u = gain * command_at(response, tick - whole + i, j)
+        u = gain * command_at(rings, tick - whole + i, j)
         q, v, w = follow_held_command(q, v, w, u, held)
     return q, v, w
 
 
-_WINDOW_S: Final = 0.117
-"""Length of the window of readings, s (chosen: noise against adaptation)."""
-_LEAST_WINDOW: Final = 8
-"""Shortest window, in periods (numerical)."""
 _GAIN_SD: Final = 0.08
 """Prior standard deviation of the logarithm of a speed gain (chosen)."""
 _LAGS_S: Final = (0.004, 0.12)
@@ -339,35 +327,34 @@ def _mean_step(params: PredictorParameters, j: int) -> float:
 @inlined
 def _last_to_act(params: PredictorParameters) -> int:
     """Largest number of periods before a command acts."""
-    return int(max_response_latency(params) / params.period_s) + 1
+    return int(params.max_response_latency_s / params.period_s) + 1
 
 
 @inlined
-def _is_moving(response: ResponseIdentification, params: PredictorParameters, tick: int) -> bool:
+def _is_moving(rings: Rings, params: PredictorParameters, tick: int) -> bool:
     """True if any actuator moves, or a command that may still act is not zero."""
     for j in range(4):
-        if abs(speed_at(response, tick, j)) > _MOVING_RAD_S:
+        if abs(speed_at(rings, tick, j)) > _MOVING_RAD_S:
             return True
         for i in range(_last_to_act(params)):
-            if command_at(response, tick - 1 - i, j) != 0.0:
+            if command_at(rings, tick - 1 - i, j) != 0.0:
                 return True
     return False
 
 
 @inlined
-def _is_excited(
-    response: ResponseIdentification, params: PredictorParameters, first: int, tick: int, j: int
-) -> bool:
+def _is_excited(rings: Rings, params: PredictorParameters, first: int, tick: int, j: int) -> bool:
     """True if the commands of an actuator have changed enough to identify its response."""
-    begin, most = speed_at(response, first, j), 0.0
+    begin, most = speed_at(rings, first, j), 0.0
     for i in range(first - _last_to_act(params), tick):
-        most = max(most, abs(command_at(response, i, j) - begin))
+        most = max(most, abs(command_at(rings, i, j) - begin))
     return most >= _EXCITED_RAD_S
 
 
 @subroutine
 def _posterior_cost(
     response: ResponseIdentification,
+    rings: Rings,
     model: ResponseModel,
     params: PredictorParameters,
     tick: int,
@@ -388,7 +375,7 @@ def _posterior_cost(
     rest, build_up = latency - whole * period, model.parameters[3]
     for j in range(4):
         gain = exp(model.log_gain[j])
-        v, w = speed_at(response, first, j), model.accelerations[j]
+        v, w = speed_at(rings, first, j), model.accelerations[j]
         lag, a = params.lag_ratio[j] * exp(log_lag), params.acceleration_limit[j] * exp(ratio)
         before, after = (
             prepare_held_response(lag, build_up, a, rest),
@@ -396,13 +383,13 @@ def _posterior_cost(
         )
         mean_sd = _mean_step(params, j)
         for i in range(first, tick):
-            u = gain * command_at(response, i - whole - 1, j)
+            u = gain * command_at(rings, i - whole - 1, j)
             q, v, w = follow_held_command(0.0, v, w, u, before)
-            u = gain * command_at(response, i - whole, j)
+            u = gain * command_at(rings, i - whole, j)
             q, v, w = follow_held_command(q, v, w, u, after)
-            measured, simulated, step_sd = mean_speed_at(response, i + 1, j), q / period, mean_sd
+            measured, simulated, step_sd = mean_speed_at(rings, i + 1, j), q / period, mean_sd
             if response.prompt_velocities > 0.5:
-                measured, simulated, step_sd = speed_at(response, i + 1, j), v, params.speed_step[j]
+                measured, simulated, step_sd = speed_at(rings, i + 1, j), v, params.speed_step[j]
             residual_variance = step_sd * step_sd + 0.05**2 + 0.01 * measured * measured
             total += min((measured - simulated) ** 2 / residual_variance, 30.0)
     return total
@@ -410,30 +397,37 @@ def _posterior_cost(
 
 @subroutine
 def _try_others(
-    response: ResponseIdentification, model: ResponseModel, params: PredictorParameters, tick: int
+    response: ResponseIdentification,
+    rings: Rings,
+    model: ResponseModel,
+    params: PredictorParameters,
+    tick: int,
 ) -> None:
     """Restart the fit at other parameter values where these explain the window better."""
     known, free = model.parameters, model.variance[0] > _KNOWN_LATENCY_SD_S**2
     best = (
-        _posterior_cost(response, model, params, tick, known[0], known[1], known[2])
+        _posterior_cost(response, rings, model, params, tick, known[0], known[1], known[2])
         - _MIN_MISFIT_DECREASE
     )
+    # about the latency in the head's model if that is long, else from none on
+    shortest = max(params.max_response_latency_s - _SPACING_S * _TRIED_LATENCIES, 0.0)
     for i in range(_TRIED_LATENCIES if free else 0):
-        latency = min(_SPACING_S * i, max_response_latency(params))
-        cost = _posterior_cost(response, model, params, tick, latency, known[1], known[2])
+        latency = min(shortest + _SPACING_S * i, params.max_response_latency_s)
+        cost = _posterior_cost(response, rings, model, params, tick, latency, known[1], known[2])
         if cost < best:
             best, known[0] = cost, latency
+    beside = max(params.response_latency_s - 0.016, 0.0)
     for m in range(8):  # 8 of 72 combinations per period, all in nine periods
         i = (8 * tick + m) % 72
-        latency, ratio = 0.008 * (i % 6), log(0.4) + 0.5 * (i // 6 % 3)
+        latency, ratio = beside + 0.008 * (i % 6), log(0.4) + 0.5 * (i // 6 % 3)
         log_lag = log(0.016) + 0.45 * (i // 18)
-        cost = _posterior_cost(response, model, params, tick, latency, ratio, log_lag)
+        cost = _posterior_cost(response, rings, model, params, tick, latency, ratio, log_lag)
         if cost < best:
             best, known[0], known[1], known[2] = cost, latency, ratio, log_lag
     for m in range(2):  # 2 of 16 per period, all in eight: motors very unlike the model
         i = (2 * tick + m) % 16
         ratio, log_lag = log(_FAST_MOTOR_RATIOS[i % 4]), log(_FAST_MOTOR_LAGS_S[i // 4])
-        cost = _posterior_cost(response, model, params, tick, known[0], ratio, log_lag)
+        cost = _posterior_cost(response, rings, model, params, tick, known[0], ratio, log_lag)
         if cost < best:
             best, known[1], known[2] = cost, ratio, log_lag
 
@@ -457,7 +451,11 @@ def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
 
 @subroutine
 def _fit(
-    response: ResponseIdentification, model: ResponseModel, params: PredictorParameters, tick: int
+    response: ResponseIdentification,
+    rings: Rings,
+    model: ResponseModel,
+    params: PredictorParameters,
+    tick: int,
 ) -> None:
     """Take one Gauss-Newton step on the window."""
     first, period = int(response.window_begin), params.period_s
@@ -474,7 +472,7 @@ def _fit(
     for j in range(4):
         own[j] = 1.0 / _GAIN_SD**2
         own_right[j] = own[j] * (model.log_gain_prior[j] - model.log_gain[j])
-        if not (params.speed_limit[j] > 0.0 and _is_excited(response, params, first, tick, j)):
+        if not (params.speed_limit[j] > 0.0 and _is_excited(rings, params, first, tick, j)):
             continue
         responses = [prepare_held_response(1.0, 0.0, 1.0, 0.0)] * 12
         for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
@@ -488,23 +486,23 @@ def _fit(
             a = params.acceleration_limit[j] * exp(ratio)
             responses[2 * m] = prepare_held_response(lag, build_up, a, rest)
             responses[2 * m + 1] = prepare_held_response(lag, build_up, a, period - rest)
-            v[m], w[m] = speed_at(response, first, j), model.accelerations[j]
+            v[m], w[m] = speed_at(rings, first, j), model.accelerations[j]
         for i in range(first, tick):
             for m in range(size + 2):
-                u = gains[m] * command_at(response, i - holds[m] - 1, j)
+                u = gains[m] * command_at(rings, i - holds[m] - 1, j)
                 distance, v[m], w[m] = follow_held_command(0.0, v[m], w[m], u, responses[2 * m])
-                u = gains[m] * command_at(response, i - holds[m], j)
+                u = gains[m] * command_at(rings, i - holds[m], j)
                 distance, v[m], w[m] = follow_held_command(
                     distance, v[m], w[m], u, responses[2 * m + 1]
                 )
                 distances[m] = distance / period
             measured, step_sd, simulated = (
-                mean_speed_at(response, i + 1, j),
+                mean_speed_at(rings, i + 1, j),
                 _mean_step(params, j),
                 distances,
             )
             if response.prompt_velocities > 0.5:
-                measured, step_sd, simulated = speed_at(response, i + 1, j), params.speed_step[j], v
+                measured, step_sd, simulated = speed_at(rings, i + 1, j), params.speed_step[j], v
             residual = measured - simulated[0]
             residual_variance = step_sd * step_sd + _SPEED_SD**2 * (1.0 + measured * measured)
             square = residual * residual / residual_variance
@@ -531,7 +529,7 @@ def _fit(
     if not isfinite(step.sum()):  # no usable slope so far from the optimum
         return
     least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]), _BUILD_UPS[0])
-    most = (max_response_latency(params), log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
+    most = (params.max_response_latency_s, log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
     model.squared_residual_sum, model.misfit = residuals, residuals / max(count, 1.0)
     worse = max(1.0, model.misfit)
     for i in range(size):
@@ -552,7 +550,10 @@ def _fit(
 @inlined
 def _select(response: ResponseIdentification, lasted_s: float, ends: bool) -> None:
     """Select the model that explains the windows better."""
-    first_order, second_order = response.models[FIRST_ORDER], response.models[SECOND_ORDER]
+    first_order, second_order = (
+        response.models[FIRST_ORDER],
+        response.models[SECOND_ORDER],
+    )
     excess = 0.0
     if lasted_s >= _INFORMATIVE_S:
         excess = (first_order.squared_residual_sum - second_order.squared_residual_sum) / max(
@@ -568,6 +569,7 @@ def _select(response: ResponseIdentification, lasted_s: float, ends: bool) -> No
 @subroutine
 def _replay(
     response: ResponseIdentification,
+    rings: Rings,
     model: ResponseModel,
     params: PredictorParameters,
     tick: int,
@@ -576,23 +578,24 @@ def _replay(
     """(4,) accelerations at the end of the window, simulated with a response model, rad/s^2."""
     first = int(response.window_begin)
     for j in range(4):
-        v, out[j] = speed_at(response, first, j), model.accelerations[j]
+        v, out[j] = speed_at(rings, first, j), model.accelerations[j]
         for i in range(first, tick):
-            _q, v, out[j] = simulate_period(response, model, params, i, j, 0.0, v, out[j])
+            _q, v, out[j] = simulate_period(response, rings, model, params, i, j, 0.0, v, out[j])
 
 
 @inlined
 def learn_response(
-    response: ResponseIdentification, params: PredictorParameters, tick: int
+    response: ResponseIdentification, rings: Rings, params: PredictorParameters, tick: int
 ) -> None:
     """Update the response model with the readings of a period.
 
     Args:
         response: state of the identification, changed in place.
+        rings: the head's ring buffers.
         params: the head's parameters.
         tick: the period that has ended; its commands and velocities are already stored.
     """
-    moving = _is_moving(response, params, tick)
+    moving = _is_moving(rings, params, tick)
     if response.window_begin < 0.0:
         if not moving:
             return
@@ -600,12 +603,11 @@ def learn_response(
         for i in range(RESPONSE_MODELS if response.window_end != response.window_begin else 0):
             response.models[i].accelerations[:] = 0.0
     first = int(response.window_begin)
-    window = min(max(int(_WINDOW_S / params.period_s + 0.5), _LEAST_WINDOW), SPEED_RING_LENGTH - 4)
-    ends = tick - first >= window or not moving
+    ends = tick - first >= int(params.response_window) or not moving
     excited = False
     for j in range(4):
         excited = excited or (
-            params.speed_limit[j] > 0.0 and _is_excited(response, params, first, tick, j)
+            params.speed_limit[j] > 0.0 and _is_excited(rings, params, first, tick, j)
         )
     # a well-known response is updated only once a window
     model = selected_model(response)
@@ -613,14 +615,14 @@ def learn_response(
     if excited and (ends or not well_known or model.variance[1] > _KNOWN_RATIO_SD**2):
         for i in range(RESPONSE_MODELS):
             if not well_known:
-                _try_others(response, response.models[i], params, tick)
-            _fit(response, response.models[i], params, tick)
+                _try_others(response, rings, response.models[i], params, tick)
+            _fit(response, rings, response.models[i], params, tick)
         _select(response, (tick - first) * params.period_s, ends)
-        _replay(response, selected_model(response), params, tick, response.accelerations)
+        _replay(response, rings, selected_model(response), params, tick, response.accelerations)
     if ends:
         for i in range(RESPONSE_MODELS):
             model = response.models[i]
-            _replay(response, model, params, tick, model.accelerations)
+            _replay(response, rings, model, params, tick, model.accelerations)
             for n in range(4):
                 model.prior[n] = model.parameters[n]
                 variance = max(1.2 * model.variance[n], _MIN_PRIOR_SDS[n] ** 2)

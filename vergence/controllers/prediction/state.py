@@ -45,19 +45,17 @@ from vergence.controllers.prediction.parameters import (
     clip_to_quantisation,
 )
 from vergence.controllers.prediction.response import (
-    COMMAND_RING_LENGTH,
-    SPEED_RING_LENGTH,
     ResponseIdentification,
+    Rings,
     command_at,
     initial_response_models,
     learn_response,
-    max_response_latency,
     quantise_with_dead_zone,
     selected_model,
     simulate_period,
 )
-from vergence.envs.encoding import AGE_S
-from vergence.kernels import inlined, make_row, row_layout, row_size
+from vergence.envs.observation import AGE_S
+from vergence.kernels import inlined, row_layout, row_size
 from vergence.models.kinematics import (
     PackedHead,
     eye_actuator_angle,
@@ -208,6 +206,7 @@ def _relative_acceleration_sd(response: ResponseIdentification, period: float) -
 def update_observer(
     observer: ActuatorObserver,
     response: ResponseIdentification,
+    rings: Rings,
     params: PredictorParameters,
     tick: int,
     j: int,
@@ -222,6 +221,7 @@ def update_observer(
     Args:
         observer: changed in place.
         response: model of the actuators' response.
+        rings: the head's ring buffers.
         params: the head's parameters.
         tick: the period that has ended.
         j: index of the actuator.
@@ -238,8 +238,8 @@ def update_observer(
     lag = params.lag_ratio[j] * exp(model.parameters[2])
     late_s = model.parameters[0] + 2.0 * sqrt(max(model.variance[0], 0.0))
     asked, gain = 0.0, exp(model.log_gain[j])
-    for i in range(int(min(late_s, max_response_latency(params)) / period) + 2):
-        asked = max(asked, abs(gain * command_at(response, tick - i, j) - predicted_velocity))
+    for i in range(int(min(late_s, params.max_response_latency_s) / period) + 2):
+        asked = max(asked, abs(gain * command_at(rings, tick - i, j) - predicted_velocity))
     most = params.acceleration_limit[j] * exp(
         model.parameters[1] + sqrt(max(model.variance[1], 0.0))
     )
@@ -316,54 +316,56 @@ class PastImage:
     """Joint angles at the exposure, from which the goals were computed, rad."""
 
 
-class PredictorState:
-    """State of the predictor for one head.
+class JointMotion:
+    """Estimated motion of the actuators, and the past angles of the joints."""
 
-    It holds the estimated motion of the actuators, the delay hypotheses, the filtered goals (joint
-    angles that fixate the targets), the targets' motion models, and the goals when the next command
-    acts.
-    """
-
-    periods: float
-    """Periods since the first observation of the trial; -1 before it."""
-    image_age_s: float
-    """Age of the newest image, s; the next period compares it to detect a new image."""
-    response: ResponseIdentification
-    observer: ActuatorObserver
-    oscillation: OscillationState
-    friction: FrictionState
     actuator_angles: Annotated[FloatArray, 4]
     """Estimated actuator angles, finer than the encoders' resolution, rad."""
     velocity: Annotated[FloatArray, 4]
     """Estimated actuator velocities, rad/s."""
     still_periods: float
     """Periods since an actuator last moved."""
+    angles: Annotated[FloatArray, RING_LENGTH, 2, 2]
+    """Ring buffer of joint angles, one entry every `PredictorParameters.sample_periods` periods,
+    rad; entry k is at index k modulo `RING_LENGTH`."""
+
+
+class BacklashState:
+    """Backlash (play) found so far, see `inflate_variance_at_reversal`."""
+
     last_direction: Annotated[FloatArray, 4]
     """Sign of each actuator's last command to move: 1, -1, or 0 for none yet."""
     reversal_tick: Annotated[FloatArray, 2, 2]
     """Period in which an actuator of each joint last reversed its command."""
     jump_sign: Annotated[FloatArray, 2, 2]
     """Sign of a goal's last jump after such a reversal: 1, -1, or 0."""
-    backlash_variance: Annotated[FloatArray, 2, 2]
-    """Variance that the backlash found so far adds to a measured goal, rad^2."""
-    angles: Annotated[FloatArray, RING_LENGTH, 2, 2]
-    """Ring buffer of joint angles, one entry every `PredictorParameters.sample_periods` periods,
-    rad; entry k is at index k modulo `RING_LENGTH`."""
-    first_delay_s: float
+    variance: Annotated[FloatArray, 2, 2]
+    """Variance that it adds to a measured goal, rad^2."""
+
+
+class DelayState:
+    """Delay of images behind joint readings, see `vergence.controllers.prediction.delay`."""
+
+    first_s: float
     """Delay of hypothesis 0, s."""
-    delay_cost: Annotated[FloatArray, HYPOTHESES]
-    """Accumulated cost of each delay hypothesis, see `vergence.controllers.prediction.delay`."""
+    cost: Annotated[FloatArray, HYPOTHESES]
+    """Accumulated cost of each delay hypothesis."""
     first_active: float
     """Index of the first delay hypothesis that is not ruled out."""
     end_active: float
     """Index one past the last of them."""
-    delay_s: float
+    mean_s: float
     """Mean delay: latency of images minus that of joint readings, s."""
+
+
+class TargetState:
+    """Where the target of each eye is, as the joint angles that fixate it."""
+
     goals_by_delay: Annotated[FloatArray, HYPOTHESES, 2, 2]
     """Filtered goals of a resting target under each delay: angles that fixate it, rad."""
     goals: Annotated[FloatArray, 2, 2]
     """Mean of these goals over the delays, rad."""
-    goal_variance_over_delays: Annotated[FloatArray, 2, 2]
+    variance_over_delays: Annotated[FloatArray, 2, 2]
     """Variance of these goals over the delays, rad^2."""
     filter_variance: Annotated[FloatArray, 2, 2]
     """Variance of the Kalman filter of each goal, common to all delays, rad^2."""
@@ -378,23 +380,6 @@ class PredictorState:
     position."""
     displaced_goals: Annotated[FloatArray, 2, 2]
     """Joint angles that fixate that displaced position, rad."""
-    motions: Annotated[list[TargetMotion], 2, MODELS]
-    """Target motion models, by eye and model."""
-    mode_switches: float
-    """Switches of the target between rest and motion, counted with decay."""
-    images: Annotated[list[PastImage], 2]
-    """The last image and the one before it."""
-    motion_tick: float
-    """Time to which the motion models were predicted: exposure of the last image, in periods."""
-    mode_probabilities: Annotated[FloatArray, MODES]
-    """Mode probabilities: rest, then each motion model."""
-    goals_at_effect: Annotated[FloatArray, 2, 2]
-    """Joint angles that fixate the targets at the time the next command acts, rad."""
-    goal_rates: Annotated[FloatArray, 2, 2]
-    """Rates of change of `goals_at_effect` at that time, rad/s."""
-    goal_rates_at_effect: Annotated[FloatArray, 2, 2]
-    """Rates of change when that command takes effect, a lag and half a period later,
-    rad/s."""
     unseen_periods: Annotated[FloatArray, 2]
     """Periods since an image last showed each eye its target."""
     depth: Annotated[FloatArray, 2]
@@ -403,49 +388,98 @@ class PredictorState:
     """Depth of each eye's target once it is on the optical axis, m."""
 
 
+class MotionState:
+    """How the targets move, see `vergence.controllers.prediction.motion_models`."""
+
+    models: Annotated[list[TargetMotion], 2, MODELS]
+    """Target motion models, by eye and model."""
+    switches: float
+    """Switches of the target between rest and motion, counted with decay."""
+    images: Annotated[list[PastImage], 2]
+    """The last image and the one before it."""
+    tick: float
+    """Time to which the models were predicted: exposure of the last image, in periods."""
+    probabilities: Annotated[FloatArray, MODES]
+    """Mode probabilities: rest, then each motion model."""
+
+
+class EffectState:
+    """Goals when the next command acts: angles (rad) and rates (rad/s) that fixate the targets."""
+
+    goals: Annotated[FloatArray, 2, 2]
+    """At the time the next command begins to act."""
+    rates: Annotated[FloatArray, 2, 2]
+    """Rates of change at that time."""
+    later_rates: Annotated[FloatArray, 2, 2]
+    """Rates of change when that command shows, a lag and half a period later."""
+
+
+class PredictorState:
+    """State of the predictor for one head, by what owns it."""
+
+    periods: float
+    """Periods since the first observation of the trial; -1 before it."""
+    image_age_s: float
+    """Age of the newest image, s; the next period compares it to detect a new image."""
+    response: ResponseIdentification
+    observer: ActuatorObserver
+    oscillation: OscillationState
+    friction: FrictionState
+    joints: JointMotion
+    backlash: BacklashState
+    delays: DelayState
+    target: TargetState
+    motion: MotionState
+    effect: EffectState
+
+
 PREDICTOR_STATE: Final = row_layout(PredictorState)
 PREDICTOR_STATE_SIZE: Final = row_size(PREDICTOR_STATE)
-"""Length of the packed state."""
+"""Length of the packed state, before the ring buffers of `Response`."""
 
 
 def initial_predictor_row(
     params_row: FloatArray, stamped: bool, learn_delay: bool, learn_response: bool
 ) -> FloatArray:
-    """(SIZE,) state before the first observation.
+    """Return a head's state before the first observation: `PREDICTOR_STATE`, then its rings.
 
     Args:
-        params_row: packed `PredictorParameters`, see
-            `vergence.controllers.prediction.parameters.pack_predictor_parameters`.
+        params_row: packed `PredictorParameters`.
         stamped: True if the camera stamps exposures.
         learn_delay: True to estimate the delay of images on line.
         learn_response: True to identify the actuators' response on line.
     """
     params: PredictorParameters = params_row.view(PREDICTOR_PARAMETERS)[0]
-    response = np.zeros(1, dtype=PREDICTOR_STATE["response"])
-    response["window_begin"] = -1.0
-    for name, value in initial_response_models(
-        params.response_latency_s, params.lag_s, learn_response
-    ).items():
-        response["models"][name] = value
-    oscillation = np.zeros(1, dtype=PREDICTOR_STATE["oscillation"])
-    oscillation["decay_time_s"] = INITIAL_DECAY_TIME_S
-    images = np.zeros(2, dtype=PREDICTOR_STATE["images"].base)
-    images["arrival_tick"] = -1e9
-    return make_row(
-        PREDICTOR_STATE,
-        periods=-1.0,
-        reversal_tick=-1e9,
-        image_age_s=AGE_S,
-        response=response,
-        oscillation=oscillation,
-        first_delay_s=first_hypothesis_delay(params.nominal_delay_s),
-        delay_cost=prior_delay_costs(params.nominal_delay_s, stamped, learn_delay),
-        end_active=HYPOTHESES,
-        delay_s=params.nominal_delay_s,
-        detection_variance=(max(params.detection_noise_px, MIN_INITIAL_NOISE_PX) * params.pixel_rad)
-        ** 2,
-        depth=DEFAULT_DEPTH_M,
-        images=images,
+    state = np.zeros(1, dtype=PREDICTOR_STATE)
+    state["periods"] = state["response"]["window_begin"] = -1.0
+    state["image_age_s"] = AGE_S
+    models = initial_response_models(params.response_latency_s, params.lag_s, learn_response)
+    for name, value in models.items():
+        state["response"]["models"][name] = value
+    state["oscillation"]["decay_time_s"] = INITIAL_DECAY_TIME_S
+    state["motion"]["images"]["arrival_tick"] = state["backlash"]["reversal_tick"] = -1e9
+    delays = state["delays"]
+    delays["first_s"] = first_hypothesis_delay(params.nominal_delay_s)
+    delays["cost"] = prior_delay_costs(params.nominal_delay_s, stamped, learn_delay)
+    delays["end_active"] = HYPOTHESES
+    delays["mean_s"] = params.nominal_delay_s
+    noise_px = max(params.detection_noise_px, MIN_INITIAL_NOISE_PX)
+    state["target"]["detection_variance"] = (noise_px * params.pixel_rad) ** 2
+    state["target"]["depth"] = DEFAULT_DEPTH_M
+    rings = np.zeros(4 * int(params.command_ring + 2 * params.speed_ring))
+    return np.concatenate([state.view(np.float64), rings])
+
+
+@inlined
+def rings_in(row: FloatArray, params: PredictorParameters) -> Rings:
+    """Return the ring buffers behind the state in a head's row."""
+    commands, speeds = int(params.command_ring), int(params.speed_ring)
+    first = PREDICTOR_STATE_SIZE + 4 * commands
+    between, last = first + 4 * speeds, first + 8 * speeds
+    return Rings(
+        row[PREDICTOR_STATE_SIZE:first].reshape(commands, 4),
+        row[first:between].reshape(speeds, 4),
+        row[between:last].reshape(speeds, 4),
     )
 
 
@@ -466,10 +500,10 @@ def angle_at(
     tick = min(max(tick / sample_periods, last - (RING_LENGTH - 4.0)), last)
     i = min(int(np.floor(tick)), int(last) - 2)
     s = tick - i
-    a = state.angles[np.uintp((i - 1) & (RING_LENGTH - 1)), eye, joint]
-    b = state.angles[np.uintp(i & (RING_LENGTH - 1)), eye, joint]
-    c = state.angles[np.uintp((i + 1) & (RING_LENGTH - 1)), eye, joint]
-    d = state.angles[np.uintp((i + 2) & (RING_LENGTH - 1)), eye, joint]
+    a = state.joints.angles[np.uintp((i - 1) & (RING_LENGTH - 1)), eye, joint]
+    b = state.joints.angles[np.uintp(i & (RING_LENGTH - 1)), eye, joint]
+    c = state.joints.angles[np.uintp((i + 1) & (RING_LENGTH - 1)), eye, joint]
+    d = state.joints.angles[np.uintp((i + 2) & (RING_LENGTH - 1)), eye, joint]
     near = (s + 1.0) * (s - 2.0)
     angle: float = (s * (s - 1.0) / 6.0) * ((s + 1.0) * d - (s - 2.0) * a)
     angle += 0.5 * near * ((s - 1.0) * b - s * c)
@@ -479,6 +513,7 @@ def angle_at(
 @inlined
 def update_joints(
     state: PredictorState,
+    rings: Rings,
     params: PredictorParameters,
     p: PackedHead,
     positions: FloatArray,
@@ -490,6 +525,7 @@ def update_joints(
 
     Args:
         state: changed in place.
+        rings: the head's ring buffers, changed in place.
         params: the head's parameters.
         p: a packed head.
         positions: (7,) measured joint angles, rad.
@@ -498,15 +534,15 @@ def update_joints(
         learn: True to identify the response.
     """
     state.periods += 1.0
-    state.still_periods += 1.0
+    state.joints.still_periods += 1.0
     tick, direct, begins = int(state.periods), has_motor_per_joint(p), state.periods == 0.0
     response = state.response
     model = selected_model(response)
     prompt = no_velocity_delay_found(state.observer)
     response.prompt_velocities = 1.0 if prompt else 0.0
     before, now = (
-        np.uintp((tick - 1) & (COMMAND_RING_LENGTH - 1)),
-        np.uintp(tick & (SPEED_RING_LENGTH - 1)),
+        np.uintp((tick - 1) & (len(rings.commands) - 1)),
+        np.uintp(tick & (len(rings.speeds) - 1)),
     )
     for j in range(4):
         angle, rate = positions[3 + j], velocities[3 + j]
@@ -514,32 +550,36 @@ def update_joints(
             angle = eye_actuator_angle(p, j, positions[3:])
             rate = eye_actuator_velocity(p, j, velocities[3:])
         if begins:  # at rest
-            state.actuator_angles[j], state.velocity[j] = angle, rate
+            state.joints.actuator_angles[j], state.joints.velocity[j] = angle, rate
             response.angles[j] = angle
             begin_delay_comparison(state.observer, j, angle, rate)
             continue
-        response.commands[before, j] = quantise_with_dead_zone(params, command[j])
-        q, v = state.actuator_angles[j], state.velocity[j]
+        rings.commands[before, j] = quantise_with_dead_zone(params, command[j])
+        q, v = state.joints.actuator_angles[j], state.joints.velocity[j]
         w = response.accelerations[j]
-        ahead_q, ahead_v, w = simulate_period(response, model, params, tick - 1, j, q, v, w)
+        ahead_q, ahead_v, w = simulate_period(response, rings, model, params, tick - 1, j, q, v, w)
         response.accelerations[j] = w
         q, v = update_observer(
-            state.observer, response, params, tick - 1, j, v, ahead_q, ahead_v, angle, rate
+            state.observer, response, rings, params, tick - 1, j, v, ahead_q, ahead_v, angle, rate
         )
-        state.actuator_angles[j], state.velocity[j] = q, v
-        response.mean_speeds[now, j] = (angle - response.angles[j]) / params.period_s
+        state.joints.actuator_angles[j], state.joints.velocity[j] = q, v
+        rings.mean_speeds[now, j] = (angle - response.angles[j]) / params.period_s
         response.angles[j] = angle
-        response.speeds[now, j] = rate if prompt else v
-        if abs(state.velocity[j]) > _MAX_REST_SPEED:
-            state.still_periods = 0.0
+        rings.speeds[now, j] = rate if prompt else v
+        if abs(state.joints.velocity[j]) > _MAX_REST_SPEED:
+            state.joints.still_periods = 0.0
     every = int(params.sample_periods)
     slot = np.uintp(tick // every & (RING_LENGTH - 1))
     for j in range(4 if tick % every == 0 else 0):
-        q = state.actuator_angles[j] if direct else eye_joint_angle(p, j, state.actuator_angles)
+        q = (
+            state.joints.actuator_angles[j]
+            if direct
+            else eye_joint_angle(p, j, state.joints.actuator_angles)
+        )
         if begins:
             reset_oscillation(state.oscillation, j // 2, j % 2, q)
             for place in range(RING_LENGTH):
-                state.angles[place, j // 2, j % 2] = q
-        state.angles[slot, j // 2, j % 2] = q
+                state.joints.angles[place, j // 2, j % 2] = q
+        state.joints.angles[slot, j // 2, j % 2] = q
     if learn and not begins:
-        learn_response(response, params, tick)
+        learn_response(response, rings, params, tick)

@@ -5,27 +5,32 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.plants.commands import CommandBuffers, held_commands
+from vergence.envs.plants import advance_in_threads, bounds
+from vergence.envs.plants.cameras import (
+    TIME_TOLERANCE_S,
+    Exposures,
+    Frames,
+    TrueHeadsAndTargets,
+    exposure_time,
+)
 from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, unpack_conditions
-from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames, exposure_time
 from vergence.envs.plants.motors import (
     ActuatorCoupling,
+    CommandBuffers,
     MotorParams,
     MotorState,
     MotorStates,
     advance_first_order,
     advance_second_order,
+    held_commands,
     joints_from_actuators,
     name_coupling,
     output_angle,
     output_speed,
     stop_motors_at_joint_stops,
 )
-from vergence.envs.plants.scene import TrueHeadsAndTargets
-from vergence.envs.plants.sensing import SensorTiming
 from vergence.envs.plants.simulated import SimulatedPlant
-from vergence.envs.plants.stepping import MOVE, StepArrays, begin_period, end_period
-from vergence.envs.plants.threads import advance_in_threads, bounds
+from vergence.envs.plants.step import MOVE, SensorTiming, StepArrays, begin_period, end_period
 from vergence.envs.streams import IntArray
 from vergence.kernels import compiled, compiled_for_threads, unpack_table
 from vergence.models.motion import lag_decay
@@ -168,7 +173,7 @@ def advance_kinematic(table: NDArray[np.void], ids: IntArray, phases: int) -> bo
     Args:
         table: table of `StepArrays`.
         ids: (m,) environment indices.
-        phases: the phases to run, see `vergence.envs.plants.stepping`.
+        phases: the phases to run, see `vergence.envs.plants.step`.
 
     Returns:
         False if an action or a command is nan.

@@ -7,34 +7,36 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.envs.judging import JUDGE, LIMIT
-from vergence.envs.plants.conditions import PackedConditions, unpack_conditions
-from vergence.envs.plants.eye_views import BoardImageRenderer, RoomImageRenderer
-from vergence.envs.plants.frames import (
+from vergence.envs.plant import TrialStart
+from vergence.envs.plants.cameras import (
     TIME_TOLERANCE_S,
+    BoardImageRenderer,
     Exposures,
     Frames,
+    RoomImageRenderer,
+    TrueHeadsAndTargets,
     draw_frame_faults,
     false_detection_offset,
     frame_arrival_time,
-    outlier_offset,
-)
-from vergence.envs.plants.mujoco import MujocoPlant
-from vergence.envs.plants.scene import (
-    TrueHeadsAndTargets,
     image_displacement,
+    outlier_offset,
     target_position_in_n,
     true_head_row,
 )
-from vergence.envs.plants.simulation import TrialStart
-from vergence.envs.plants.starting import expose_frames_before_start
-from vergence.envs.plants.stepping import EXPOSE, MOVE, REPORT, STORE, WARM_UP
-from vergence.envs.plants.variation import RANGES
+from vergence.envs.plants.conditions import RANGES, PackedConditions, unpack_conditions
+from vergence.envs.plants.mujoco import MujocoPlant
+from vergence.envs.plants.step import (
+    EXPOSE,
+    MOVE,
+    REPORT,
+    STORE,
+    WARM_UP,
+    expose_frames_before_start,
+)
 from vergence.envs.reading import BoolArray, Image, Reading
-from vergence.envs.saved_state import Arrays
-from vergence.envs.streams import IntArray, StreamKey, StreamKeys, StreamPurpose
-from vergence.envs.targets.board import Board, board_axes
-from vergence.envs.targets.motion import is_shown, unpack_motion
+from vergence.envs.reward import JUDGE, LIMIT
+from vergence.envs.streams import Arrays, IntArray, StreamKey, StreamKeys, StreamPurpose
+from vergence.envs.targets.motion import Board, board_axes, is_shown, unpack_motion
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, untyped_tuple
 from vergence.models.camera import Camera

@@ -1,27 +1,101 @@
-r"""Motion of a target, as one row of numbers per trial that compiled kernels can follow.
+"""Targets of the gaze task: their shape, and their motion as a row of numbers for kernels.
 
-    P(t) = before                                                        t < t_jump
+P(t) = before                                                        t < t_jump
     P(t) = anchor + velocity min(t - t_jump, duration)
                   + cosine cos(omega t) + sine sin(omega t)              t >= t_jump
 
 in frame N as it is at the trial's start, in metres and seconds. The time t is counted from the
 moment at which the scene begins to change, and may be negative. At a second jump, another anchor
 replaces the first one, and the rest of the motion goes on. A row with a path is longer, and the
-target follows the path (`vergence.envs.targets.path`) from the jump on. A target cannot be seen
+target follows the path from the jump on. A target cannot be seen
 while it is hidden, nor before the jump if it has no position `before`. Each kind of target in
-`vergence.envs.targets.registry` is a choice of these numbers.
+`vergence.envs.targets.TARGETS` is a choice of these numbers.
+
+A path is a flat array of groups of four. The first group is (speed, x, y, z): the angular speed,
+rad/s, and the viewpoint E, m. Each knot adds a group (t, x, y, z), s and m, the first at time zero.
+From knot A to knot B, a time T later, the line of sight from E turns along a great circle and the
+inverse of the distance changes, both at a constant rate. With u the unit vectors from E to the
+knots, r their distances, and s the time since A,
+
+    u(s) = (sin(speed (T - s)) u_A + sin(speed s) u_B) / sin(speed T)
+    1 / r(s) = (1 - s / T) / r_A + (s / T) / r_B
+
+so the angle between u_A and u_B must be speed T, less than pi. After the last knot the target goes
+back along the path, and from the first knot forth again.
 """
 
-from math import cos, inf, nan, sin
-from typing import Final, NamedTuple
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from math import cos, hypot, inf, nan, sin, sqrt
+from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.targets.path import MIN_PATH_LENGTH, point_at
-from vergence.kernels import inlined, kernel, make_tuple_reader
-from vergence.models.kinematics import Vector
+from vergence.envs.reading import check_tuple_or_nonnegative
+from vergence.envs.streams import IntArray, RandomStreams
+from vergence.errors import ConfigurationError, UnreachableTargetError
+from vergence.kernels import inlined, kernel, make_tuple_reader, subroutine
+from vergence.models.head import HeadModel
+from vergence.models.kinematics import (
+    PackedHead,
+    Vector,
+    camera_of,
+    eye_frames,
+    point_in_eye,
+    point_to_pixel,
+)
 from vergence.models.parts import FloatArray
+
+MIN_PATH_LENGTH: Final = 12
+"""Length of a path of two knots (numerical)."""
+
+
+@inlined
+def point_between_knots(path: FloatArray, knot: int, t: float) -> Vector:
+    """Position between two knots.
+
+    Args:
+        path: (4 + 4 k,) see above.
+        knot: number of the knot before the position, from 1.
+        t: time, between those of this knot and the next, s.
+    """
+    a, b = 4 * knot, 4 * knot + 4
+    x, y, z = path[1], path[2], path[3]
+    ax, ay, az = path[a + 1] - x, path[a + 2] - y, path[a + 3] - z
+    bx, by, bz = path[b + 1] - x, path[b + 2] - y, path[b + 3] - z
+    nearness_a = 1.0 / sqrt(ax * ax + ay * ay + az * az)
+    nearness_b = 1.0 / sqrt(bx * bx + by * by + bz * bz)
+    since, span = t - path[a], path[b] - path[a]
+    share = since / span
+    r = 1.0 / ((1.0 - share) * nearness_a + share * nearness_b)
+    r /= sin(path[0] * span)
+    of_a = r * nearness_a * sin(path[0] * (span - since))
+    of_b = r * nearness_b * sin(path[0] * since)
+    return x + of_a * ax + of_b * bx, y + of_a * ay + of_b * by, z + of_a * az + of_b * bz
+
+
+@subroutine
+def point_at(path: FloatArray, t: float) -> Vector:
+    """Position on a path at a time.
+
+    Args:
+        path: (4 + 4 k,) see above.
+        t: time, not negative, s.
+    """
+    low, high = 1, len(path) // 4 - 1
+    end = path[4 * high]
+    if t > end:
+        t = t % (2.0 * end)
+        t = min(t, 2.0 * end - t)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if path[4 * middle] <= t:
+            low = middle
+        else:
+            high = middle
+    return point_between_knots(path, low, t)
+
 
 # indices of the fields in a motion's row (numerical)
 BEFORE: Final = slice(0, 3)
@@ -73,7 +147,7 @@ def motion_rows(
         second_anchor: (n, 3) position that replaces `anchor` then, m; None for the same.
         hidden_from: (n,) or a scalar, time from which the target is hidden, s.
         hidden_until: (n,) or a scalar, time from which it is visible again, s.
-        path: (n, p) paths that begin at `anchor`, see `vergence.envs.targets.path`; None for
+        path: (n, p) paths that begin at `anchor`, see `vergence.envs.targets.motion`; None for
             targets without a path.
 
     Returns:
@@ -205,3 +279,263 @@ def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:
         (..., 3) in N as it stood at the trial's start, m.
     """
     return np.asarray(_positions(rows, time_s, np.zeros(3)))
+
+
+Axes = tuple[Vector, Vector, Vector]
+
+
+class Board(NamedTuple):
+    """A planar target in the form kernels take, with the conditions for its detection."""
+
+    outline: FloatArray
+    """(k, 2) points round the board's edge in its own frame, m; none for a mere point."""
+    true_size_distance_m: float
+    """Distance at which a board that looks equally large near and far has its own size, m; nan
+    for a board of constant size."""
+    facing_head: bool
+    """True if it is square to the line from N's origin, False if parallel to N's xy plane."""
+    border_px: float
+    """Least distance of the outline from the images' edges, px."""
+    min_outline_segment_px: float
+    """Least length in the image from one point of the outline to the next, px."""
+    max_outline_segment_px: float
+    """Greatest such length, px."""
+
+
+POINT: Final = Board(np.empty((0, 2)), nan, True, 0.0, 0.0, inf)
+"""A target without a board: only its measured point must be visible."""
+
+
+def whole_board_text(board: Board) -> str:
+    """Words that error messages add to "see" for targets with a board."""
+    if not len(board.outline):
+        return ""
+    return (
+        f" with the whole board, {board.border_px:g} px from the images' edges and not too small "
+        "or large for the detector"
+    )
+
+
+@inlined
+def board_axes(point: Vector, facing_head: bool) -> Axes:
+    """The axes of a board's frame in N: right, down, and into the board.
+
+    Args:
+        point: position of its measured point in N, m.
+        facing_head: see `Board`.
+    """
+    if not facing_head:
+        return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    x, y, z = point
+    r = sqrt(x * x + y * y + z * z)
+    cx, cy, cz = x / r, y / r, z / r
+    s = hypot(cx, cz)
+    ax, az = cz / s, -cx / s
+    return (ax, 0.0, az), (cy * az, cz * ax - cx * az, -cy * ax), (cx, cy, cz)
+
+
+@inlined
+def mean_camera_distance(p: PackedHead, angles: FloatArray, point: Vector) -> float:
+    """Mean distance of a point from both cameras, m.
+
+    Args:
+        p: a packed head.
+        angles: (4,) the eyes' angles, rad.
+        point: in N, m.
+    """
+    total = 0.0
+    for eye in range(2):
+        camera = eye_frames(p, eye, angles[2 * eye], angles[2 * eye + 1]).camera
+        x, y, z = point[0] - camera.x, point[1] - camera.y, point[2] - camera.z
+        total += sqrt(x * x + y * y + z * z)
+    return 0.5 * total
+
+
+@inlined
+def is_detectable_by_both_eyes(
+    p: PackedHead, angles: FloatArray, point: Vector, border_px: float, board: Board
+) -> bool:
+    """True if both eyes see a target: its point, and all of its board at a detectable size.
+
+    Args:
+        p: a packed head.
+        angles: (4,) the eyes' angles, rad.
+        point: in N, m.
+        border_px: least distance from the images' edges, px; for the outline of a board, the
+            board's own border is added.
+        board: shape of the target.
+    """
+    k = len(board.outline)
+    size = 1.0
+    if k and board.true_size_distance_m == board.true_size_distance_m:
+        size = mean_camera_distance(p, angles, point) / board.true_size_distance_m
+    right, down, _into = board_axes(point, board.facing_head)
+    for eye in range(2):
+        camera = camera_of(p, eye)
+        border = border_px
+        before_u = before_v = 0.0
+        # the point itself, then once round the outline and back to where it began
+        for i in range(k + 2 if k else 1):
+            x, y, z = point
+            if i:
+                across, along = board.outline[i % k, 0] * size, board.outline[i % k, 1] * size
+                x += across * right[0] + along * down[0]
+                y += across * right[1] + along * down[1]
+                z += across * right[2] + along * down[2]
+                border = border_px + board.border_px
+            x, y, z = point_in_eye(p, eye, angles[2 * eye], angles[2 * eye + 1], x, y, z)
+            u, v = point_to_pixel(p, eye, x, y, z, True)
+            if not (border <= u <= camera.width - 1.0 - border):
+                return False
+            if not (border <= v <= camera.height - 1.0 - border):
+                return False
+            length = hypot(u - before_u, v - before_v)
+            if i > 1 and not board.min_outline_segment_px <= length <= board.max_outline_segment_px:
+                return False
+            before_u, before_v = u, v
+    return True
+
+
+_POSITIVE_FIELDS: Final = ("period", "speed", "turns", "gone_s")
+MAX_LENGTH_M: Final = 100.0
+"""Upper limit of every length of a target, m (chosen: farther than any robot's eyes look, yet low
+enough to catch most values in millimetres)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target(ABC):
+    """A kind of target: draws the motion and the start of each trial from the trial's stream."""
+
+    kind: ClassVar[str]
+    drawn_in_workspace: ClassVar[bool] = False
+    """True if each trial draws a position in a workspace, so that `Plant.workspace_options`
+    apply."""
+    length_fields: ClassVar[tuple[str, ...]] = ()
+    """Names of the fields that are lengths or coordinates."""
+
+    start: Literal["rest", "fixation"] = "rest"
+    """Gaze at time zero: at rest, or fixating the target where it is (or was)."""
+
+    def __post_init__(self) -> None:
+        if self.start not in ("rest", "fixation"):
+            raise ConfigurationError(
+                f"target.start: expected 'rest' or 'fixation', got {self.start!r}"
+            )
+        for name, value in vars(self).items():
+            if name != "start":
+                default = getattr(type(self), name)
+                size = len(default) if isinstance(default, tuple) else 0
+                checked = check_tuple_or_nonnegative(
+                    f"target.{name}", value, size, name in _POSITIVE_FIELDS
+                )
+                if (
+                    name in self.length_fields
+                    and not np.abs(np.array(checked)).max() < MAX_LENGTH_M
+                ):
+                    raise ConfigurationError(
+                        f"target.{name}: expected metres below {MAX_LENGTH_M:g} in size (is it in "
+                        "millimetres? Python takes metres, only the command line takes "
+                        f"millimetres), got {value!r}"
+                    )
+                object.__setattr__(self, name, checked)
+
+    def _refuse_unordered(self, *names: str) -> None:
+        """Refuse fields that are not ranges of numbers above zero."""
+        for name in names:
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high:
+                raise ConfigurationError(
+                    f"target.{name}: expected 0 < least <= greatest, got {(low, high)}"
+                )
+
+    def check(self, head: HeadModel) -> None:
+        """Refuse a target that a head's eyes could not find or reach in any trial.
+
+        Args:
+            head: the model of the head that looks.
+
+        Raises:
+            ConfigurationError: the eyes cannot find or reach it.
+        """
+
+    @abstractmethod
+    def draw(
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
+    ) -> tuple[FloatArray, FloatArray]:
+        """Draw motions and starts for the trials of some environments.
+
+        Args:
+            head: the model of the head, one head.
+            streams: the trials' random streams.
+            ids: (n,) environment indices.
+            board: shape of the target.
+
+        Returns:
+            (n, MOTION or more) motions and (n, 7) joint angles at the start, rad.
+        """
+
+    def _begin(self, head: HeadModel, fixated: FloatArray) -> FloatArray:
+        if self.start == "rest":
+            return np.broadcast_to(head.rest(), (len(fixated), 7)).copy()
+        return fixation_angles(head, "start", fixated)
+
+
+def fixation_angles(head: HeadModel, point_name: str, points: FloatArray) -> FloatArray:
+    """Compute joint angles that put points on both optical axes, or as near as actuators can.
+
+    Args:
+        head: the model of the head.
+        point_name: name of the points for error messages, such as `point`.
+        points: (n, 3) in N, m.
+
+    Returns:
+        (n, 7) rad.
+
+    Raises:
+        ConfigurationError: the limits prevent both eyes from looking at a point.
+    """
+    q = head.fixate(points, head.rest()[:3])
+    within = head.reaches(q)
+    asked = "fixate within their joints' limits"
+    if not head.actuation.direct:
+        # even the best gaze of coupled joints may leave a point outside the images
+        within &= _in_images(head, q, points).all(axis=-1)
+        asked = "look at within their limits, and see then"
+    if not within.all():
+        bad = tuple(points[np.flatnonzero(~within)[0]].tolist())
+        raise UnreachableTargetError(
+            f"target: expected a {point_name} that both eyes can {asked}, got {bad} m"
+        )
+    return q
+
+
+def _in_images(head: HeadModel, q: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
+    """(..., 2) True if a point lies inside the eye's image."""
+    pixels = head.project(q, points)
+    inside = (pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)
+    return np.asarray(inside.all(axis=-1))
+
+
+def require_seen_by_an_eye(
+    head: HeadModel, point_name: str, point: FloatArray, q: FloatArray
+) -> None:
+    """Refuse a point that neither eye sees, as no controller could ever find it.
+
+    Args:
+        head: the model of the head.
+        point_name: name of the point for error messages.
+        point: (3,) in N, m.
+        q: (7,) joint angles at the start, rad.
+
+    Raises:
+        UnreachableTargetError: neither eye sees it.
+    """
+    if _in_images(head, q, point).any():
+        return
+    where = "outside both images"
+    if not np.isfinite(head.project(q, point)).any():
+        where = "behind the head or far outside both images"
+    raise UnreachableTargetError(
+        f"target: expected a {point_name} that an eye sees at the start of the trial, got "
+        f"{tuple(point.tolist())} m, which is {where}"
+    )

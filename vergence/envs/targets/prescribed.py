@@ -7,9 +7,14 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from vergence.envs.streams import IntArray, RandomStreams
-from vergence.envs.targets.board import POINT, Board
-from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.target import Target, fixation_angles, require_seen_by_an_eye
+from vergence.envs.targets.motion import (
+    POINT,
+    Board,
+    Target,
+    fixation_angles,
+    motion_rows,
+    require_seen_by_an_eye,
+)
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 

@@ -1,29 +1,219 @@
-"""A target that appears anywhere in a workspace, drawn for each trial."""
+"""Random points of a workspace that both eyes can fixate, and targets that appear there."""
 
 from dataclasses import dataclass
-from math import hypot
+from math import cos, hypot, pi, sin, tan
 from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence.envs.streams import IntArray, RandomStreams, StreamKeys, StreamPurpose, random_words
-from vergence.envs.targets.board import POINT, Board, is_detectable_by_both_eyes, whole_board_text
-from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.placement import (
-    MAX_CANDIDATES,
-    HeadWithLimits,
-    can_fixate,
-    midpoint_between_eyes,
-    random_point,
+from vergence.envs.streams import (
+    IntArray,
+    RandomStreams,
+    StreamKeys,
+    StreamPurpose,
+    Words,
+    random_words,
+    to_uniform,
 )
-from vergence.envs.targets.target import Target
+from vergence.envs.targets.motion import (
+    POINT,
+    Board,
+    Target,
+    is_detectable_by_both_eyes,
+    motion_rows,
+    whole_board_text,
+)
 from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.kernels import compiled, inlined, subroutine, untyped_tuple
+from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import Vector
-from vergence.models.parts import FloatArray
+from vergence.models.kinematics import (
+    PackedHead,
+    Vector,
+    eye_actuator_angle,
+    eye_frames,
+    inside_image,
+    point_in_eye,
+    point_to_pixel,
+)
+from vergence.models.parts import EYES, SLOTS, FloatArray
+
+MAX_CANDIDATES: Final = 1000
+"""Candidates tried for a trial (numerical)."""
+_ROUNDING_RAD: Final = 1e-9
+"""Rounding tolerance beyond an angle limit that is reached exactly, rad (numerical)."""
+
+
+class HeadWithLimits(NamedTuple):
+    """The head that looks, with the limits of its actuators and joints."""
+
+    head: PackedHead
+    """(PACKED,) see `vergence.models.kinematics`."""
+    rest: FloatArray
+    """(7,) joint angles at rest, rad."""
+    lower: FloatArray
+    """(4,) lower angle limits of the eye actuators, rad."""
+    upper: FloatArray
+    """(4,) upper angle limits of the eye actuators, rad."""
+    speed_limits: FloatArray
+    """(4,) speed limits of the eye actuators, rad/s."""
+    acceleration_limits: FloatArray
+    """(4,) acceleration limits of the eye actuators, rad/s^2."""
+    joint_limits: tuple[FloatArray, FloatArray] | None
+    """(4,) each, lower and upper angle limits of the eye joints, rad; None if each has a motor."""
+
+    @classmethod
+    def of(cls, head: HeadModel) -> "HeadWithLimits":
+        """The `HeadWithLimits` of a head model."""
+        own, limits = head.actuation, head.limits
+        return cls(
+            head.packed,
+            head.rest(),
+            own.lower[EYES],
+            own.upper[EYES],
+            own.velocity[EYES],
+            own.acceleration[EYES],
+            None if own.direct else (limits.lower[EYES], limits.upper[EYES]),
+        )
+
+
+@inlined
+def uniform_between(word: np.uint64, low: float, high: float) -> float:
+    """Uniform number in a range, from a random word."""
+    return low + to_uniform(word) * (high - low)
+
+
+@inlined
+def midpoint_between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
+    """Midpoint between both eyes of a head at rest, in N, m."""
+    left = eye_frames(p, 0, rest[3], rest[4]).camera
+    right = eye_frames(p, 1, rest[5], rest[6]).camera
+    return 0.5 * (left.x + right.x), 0.5 * (left.y + right.y), 0.5 * (left.z + right.z)
+
+
+@inlined
+def random_point(
+    words: Words, viewpoint: Vector, min_z_m: float, max_z_m: float, max_angle_rad: float
+) -> Vector:
+    """Point from three random words: uniform in 1 / depth and in the angle from straight ahead.
+
+    Args:
+        words: at least three.
+        viewpoint: origin of the angle, in N, m.
+        min_z_m: least z, m.
+        max_z_m: greatest z, m.
+        max_angle_rad: greatest angle, rad.
+
+    Returns:
+        x, y and z in N, m.
+    """
+    z = 1.0 / uniform_between(words[0], 1.0 / max_z_m, 1.0 / min_z_m)
+    slope = z * tan(max_angle_rad * to_uniform(words[1]))
+    around = 2.0 * pi * to_uniform(words[2])
+    return viewpoint[0] + slope * cos(around), viewpoint[1] + slope * sin(around), z
+
+
+@inlined
+def can_fixate(gaze: HeadWithLimits, margin_rad: float, point: Vector, angles: FloatArray) -> bool:
+    """True if both eyes can fixate a point with a margin to their limits.
+
+    For coupled joints, the angles are those of the least pixel errors, and both eyes must see the
+    point then.
+
+    Args:
+        gaze: the head that looks.
+        margin_rad: least distance of the actuators from their limits, rad.
+        point: in N, m.
+        angles: (4,) result: angles of the eye joints, rad; complete only if both eyes can.
+    """
+    return _can_fixate(gaze, gaze.joint_limits, margin_rad, point, angles)
+
+
+@inlined
+def _can_fixate(
+    gaze: HeadWithLimits,
+    joint_limits: tuple[FloatArray, FloatArray] | None,
+    margin_rad: float,
+    point: Vector,
+    angles: FloatArray,
+) -> bool:
+    if joint_limits is not None:  # a function of its own, compiled only for coupled joints
+        return _can_fixate_coupled(gaze, joint_limits, margin_rad, point, angles)
+    for eye in range(2):
+        k = 2 * eye
+        angles[k], angles[k + 1] = fixate_eye(gaze.head, eye, point[0], point[1], point[2])
+        for j in range(2):
+            low, high = gaze.lower[k + j] + margin_rad, gaze.upper[k + j] - margin_rad
+            if not low <= angles[k + j] <= high:
+                return False
+    return True
+
+
+@inlined
+def _can_fixate_coupled(
+    gaze: HeadWithLimits,
+    joint_limits: tuple[FloatArray, FloatArray],
+    margin_rad: float,
+    point: Vector,
+    angles: FloatArray,
+) -> bool:
+    if not fixate_coupled(gaze.head, point[0], point[1], point[2], angles):
+        return False
+    for k in range(SLOTS):
+        low, high = gaze.lower[k], gaze.upper[k]
+        keep = margin_rad if high > low else -_ROUNDING_RAD
+        if not low + keep <= eye_actuator_angle(gaze.head, k, angles) <= high - keep:
+            return False
+        low, high = joint_limits[0][k] - _ROUNDING_RAD, joint_limits[1][k] + _ROUNDING_RAD
+        if not low <= angles[k] <= high:
+            return False
+    for eye in range(2):
+        x, y, z = point_in_eye(
+            gaze.head, eye, angles[2 * eye], angles[2 * eye + 1], point[0], point[1], point[2]
+        )
+        u, v = point_to_pixel(gaze.head, eye, x, y, z, True)
+        if not inside_image(gaze.head, eye, u, v):
+            return False
+    return True
+
 
 _TASK: Final = int(StreamPurpose.TASK)
+# lane of the random words (numerical); the first four are used for positions and speeds
+_EVENT_TIME_LANE: Final = 5
+
+
+def draw_event_times(
+    streams: RandomStreams, ids: IntArray, earliest: float, latest: float
+) -> FloatArray:
+    """Draw a moment for each of some trials, uniform in a range.
+
+    Args:
+        streams: the trials' random streams.
+        ids: (n,) environment indices.
+        earliest: the range's beginning, s.
+        latest: its end, s.
+
+    Returns:
+        (n,) s.
+    """
+    moments = np.empty(len(ids))
+    _fill(
+        untyped_tuple(StreamKeys(streams.seeds[ids], streams.trials[ids])),
+        earliest,
+        latest,
+        moments,
+    )
+    return moments
+
+
+@compiled
+def _fill(keys: StreamKeys, earliest: float, latest: float, moments: FloatArray) -> None:
+    keys = StreamKeys(*keys)
+    for n in range(len(moments)):
+        words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _EVENT_TIME_LANE)
+        moments[n] = uniform_between(words[0], earliest, latest)
+
+
 _START_ATTEMPTS: Final = 100
 """Starts tried for a candidate target (numerical)."""
 
@@ -214,4 +404,120 @@ def draw_targets(
             return False
         points[n, 0], points[n, 1], points[n, 2] = point
         start_angles[n, 3:] = begin
+    return True
+
+
+_SECOND_ATTEMPTS: Final = 100
+"""Candidates for the second point per first point (numerical)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoubleStepTarget(RandomTarget):
+    """A target that appears as `RandomTarget` does, and soon jumps to another point.
+
+    The second point meets the conditions of the first: both eyes can fixate it with the margin,
+    and turn to it from the first point by `shift` or more. Both eyes see it (the whole board, if
+    the plant shows one) from their start and while they fixate the first point, and so most likely
+    at all times in between.
+    """
+
+    kind: ClassVar[str] = "double-step"
+    second_after: tuple[float, float] = (0.1, 0.2)
+    """Shortest and longest time from the first jump to the second, s. Longer than the age of most
+    images, so that the eyes have set off, yet shorter than this age plus the turn, so that they
+    have not arrived and must change their goal on the way."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._refuse_unordered("second_after")
+
+    def draw(
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`; candidates are drawn until one is valid."""
+        n = len(ids)
+        first, second, q = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 7))
+        keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
+        gaze, space = HeadWithLimits.of(head), self._workspace()
+        found = draw_double_steps(
+            untyped_tuple(keys),
+            untyped_tuple(gaze),
+            untyped_tuple(space),
+            untyped_tuple(board),
+            first,
+            second,
+            q,
+        )
+        if not found:
+            raise self._unseen("pairs of points", board)
+        after = draw_event_times(streams, ids, *self.second_after)
+        return motion_rows(first, second_jump_time=after, second_anchor=second), q
+
+
+@compiled
+def draw_double_steps(
+    keys: StreamKeys,
+    gaze: HeadWithLimits,
+    workspace: RandomTargetRanges,
+    board: Board,
+    first_points: FloatArray,
+    second_points: FloatArray,
+    start_angles: FloatArray,
+) -> bool:
+    """Draw pairs of points for each trial until one is valid.
+
+    Args:
+        keys: `untyped_tuple`, keys of the n trials' random streams.
+        gaze: `untyped_tuple`, the head that looks.
+        workspace: `untyped_tuple`, the workspace.
+        board: `untyped_tuple`, shape of the target.
+        first_points: (n, 3) result: first position of the target, in N, m.
+        second_points: (n, 3) result: position after the second jump, in N, m.
+        start_angles: (n, 7) result: joint angles at the start, rad.
+
+    Returns:
+        False if some trial has no valid candidate.
+    """
+    keys, gaze, workspace, board = (
+        StreamKeys(*keys),
+        HeadWithLimits(*gaze),
+        RandomTargetRanges(*workspace),
+        Board(*board),
+    )
+    eye = midpoint_between_eyes(gaze.head, gaze.rest)
+    begin, goal, last = np.empty(4), np.empty(4), np.empty(4)
+    for n in range(len(first_points)):
+        seed, trial = keys.seeds[n], keys.trials[n]
+        start_angles[n] = gaze.rest
+        found = False
+        for attempt in range(MAX_CANDIDATES):
+            fit, point = draw_target_and_start(
+                seed, trial, attempt, gaze, workspace, board, eye, goal, begin
+            )
+            if not fit:
+                continue
+            first_points[n, 0], first_points[n, 1], first_points[n, 2] = point
+            for again in range(_SECOND_ATTEMPTS):
+                words = random_words(seed, trial, _TASK, attempt * _SECOND_ATTEMPTS + again, 3)
+                point = random_point(
+                    words, eye, workspace.min_z_m, workspace.max_z_m, workspace.max_angle_rad
+                )
+                found = (
+                    can_fixate(gaze, workspace.margin_rad, point, last)
+                    and larger_eye_turn(goal, last) >= workspace.min_eye_turn_rad
+                    and is_detectable_by_both_eyes(
+                        gaze.head, begin, point, workspace.border_px, board
+                    )
+                    and is_detectable_by_both_eyes(
+                        gaze.head, goal, point, workspace.border_px, board
+                    )
+                )
+                if found:
+                    break
+            if found:
+                second_points[n, 0], second_points[n, 1], second_points[n, 2] = point
+                start_angles[n, 3:] = begin
+                break
+        if not found:
+            return False
     return True

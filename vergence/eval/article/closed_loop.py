@@ -29,11 +29,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from vergence.controllers.ibvs import as_gains, ibvs_command
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.plants.simulation import simulation_of
+from vergence.envs.observation import ObservationLayout
+from vergence.envs.plant import simulation_of
 from vergence.envs.rollout import rollout
 from vergence.envs.streams import IntArray
-from vergence.envs.targets.target import Target
+from vergence.envs.targets.motion import Target
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.models.geometry import DenavitHartenberg
@@ -105,7 +105,7 @@ class ClosedLoop:
     head: HeadModel
     """The model that the controller and the triangulation use."""
     target: Mapping[str, Any] | Target
-    """The target, see `vergence.envs.targets.registry.make_target`."""
+    """The target, see `vergence.envs.targets.make_target`."""
     samples: int
     """Number of samples to record after settling."""
     true_head: HeadModel | None = None

@@ -18,7 +18,7 @@ import pandas as pd
 
 from vergence.controllers.controller import Controller
 from vergence.controllers.ibvs import IBVS, TunedIBVS
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.errors import ConfigurationError, UserControllerError
 from vergence.eval.comparison.config import ROBOT, EvaluateConfig
 from vergence.eval.comparison.contestants import (
@@ -352,6 +352,7 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
             **trial_statistics(
                 table, trials.target_moves, trials.duration_s, trials.band_px, self.seed
             ),
+            "linear_law_fraction": trials.linear_law_fraction,
             "predict_us": trials.predict_us,
             "predict_one_us": single_predict_us(controller, trials.observation),
         }

@@ -143,6 +143,10 @@ _RESIDUAL_LEGEND: Final = (
     " Residual: the least error that the head's actuators can reach, of the worse eye, the median "
     "and below it the 95th percentile; settling and overshoot are counted from there."
 )
+_LINEAR_LEGEND: Final = (
+    " Linear law: the periods of all trials in which it acted in the network's place, as the eyes "
+    "oscillated or the servos' own loop overshoots."
+)
 _UNTUNED_LEGEND: Final = (
     " Untuned for this head: no options have been found for it, and those of another head run, or "
     "the controller's defaults; tuned, it may do better."
@@ -164,6 +168,8 @@ def table_legend(evaluation: Evaluation) -> str:
         text += _RESIDUAL_LEGEND
     if any(one.tuned is False for one in evaluation.outcomes):
         text += _UNTUNED_LEGEND
+    if any(math.isfinite(one.summary["linear_law_fraction"]) for one in evaluation.outcomes):
+        text += _LINEAR_LEGEND
     return text
 
 
@@ -185,6 +191,8 @@ def _describe(row: dict[str, Any]) -> str:
         text = f"{len(shown)} {'tuned ' if row['tuned'] else ''}options"
     marks = [UNTUNED] if row["tuned"] is False else []
     marks += ["given by --options"] if row["given"] else []
+    if math.isfinite(row.get("linear_law_fraction", math.nan)):
+        marks.append(f"linear law {_share(row, 'linear_law_fraction')} %")
     return ", ".join([text or "its defaults", *marks])
 
 

@@ -15,8 +15,7 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 
 from vergence.controllers.controller import Controller
-from vergence.envs.plants.imperfections import IMPERFECTIONS, LOOP_PARTS
-from vergence.envs.plants.variation import Variation
+from vergence.envs.plants.conditions import IMPERFECTIONS, LOOP_PARTS, Variation
 from vergence.errors import ConfigurationError, UnknownNameError, UserControllerError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.evaluate import ContestantJob, ControllerFailure, MadeController

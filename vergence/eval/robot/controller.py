@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from vergence.controllers.controller import Controller
 from vergence.entry_points import EntryPoint
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.eval.comparison.contestants import (
     Contestant,
     GivenOptions,

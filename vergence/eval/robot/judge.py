@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
-from vergence.envs.plants.simulation import TrialStart, simulation_of
+from vergence.envs.plant import TrialStart, simulation_of
 from vergence.envs.reading import BoolArray, Reading, Truth
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.envs.plant import Plant
-from vergence.envs.targets.target import fixation_angles
+from vergence.envs.targets.motion import fixation_angles
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import BaseScenario
 from vergence.hardware.config import HardwareConfig

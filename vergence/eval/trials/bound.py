@@ -31,8 +31,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from vergence.envs.plant import simulation_of
 from vergence.envs.plants.conditions import Conditions
-from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bands import actuator_settling_bands, eye_settling_bands

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
 from vergence.controllers.ibvs import IBVS
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.eval.trials.run import Trials
 from vergence.models.parts import FloatArray
 

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.envs.plants.simulation import Simulation
+from vergence.envs.plant import Simulation
 from vergence.envs.task import GazeTask
 from vergence.kernels import compiled, inlined
 from vergence.models.fixation import actuator_least_squares, fixate_coupled, fixate_eye

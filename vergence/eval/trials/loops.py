@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any, Final
 
-from vergence.envs.plants.variation import Variation
+from vergence.envs.plants.conditions import Variation
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 
 LATEST_ONSET_S: Final = 0.6

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vergence.envs.plants.imperfections import PER_ACTUATOR, PER_TRIAL
-from vergence.envs.plants.simulation import Simulation
+from vergence.envs.plant import Simulation
+from vergence.envs.plants.conditions import PER_ACTUATOR, PER_TRIAL
 from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.results import BAND_PX, Trials

@@ -79,6 +79,9 @@ class Trials:
     """(steps, m, size) observations of the first m trials, m being the requested number."""
     predict_us: float
     """Duration of `predict` per head in the batch, microseconds: the median over steps."""
+    linear_law_fraction: float = np.nan
+    """Fraction of the periods in which a linear law acted in a network's place; nan for controllers
+    without a network."""
 
     @property
     def num(self) -> int:
@@ -291,4 +294,7 @@ def join_trials(parts: Sequence[Trials]) -> Trials:
         },
         observation=np.concatenate([part.observation for part in parts], axis=1),
         predict_us=float(np.median([part.predict_us for part in parts])),
+        linear_law_fraction=float(
+            np.average([part.linear_law_fraction for part in parts], weights=[p.num for p in parts])
+        ),
     )

@@ -21,12 +21,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.plant import plant_type
-from vergence.envs.plants.simulation import Simulation
-from vergence.envs.policy import Policy
+from vergence.controllers.networks.learned import NetworkController
+from vergence.envs.plant import Simulation, plant_type
 from vergence.envs.reading import Reading
 from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, Policy
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_reachable_error
@@ -143,6 +142,7 @@ class InstrumentedController:
         self._observed = observed_trials
         self._clock_ns = clock_ns
         self.spent_ns: list[int] = []
+        self._last_state: Any = None
         self.observations: list[NDArray[np.float32]] = []
 
     def predict(
@@ -159,7 +159,14 @@ class InstrumentedController:
             observation, state=state, episode_start=episode_start, deterministic=deterministic
         )
         self.spent_ns.append(self._clock_ns() - began)
+        self._last_state = answer[1]
         return answer
+
+    def linear_law_fraction(self, steps: int) -> float:
+        """Fraction of a trial's steps in which a linear law acted; nan without a network."""
+        if not isinstance(self._controller, NetworkController):
+            return np.nan
+        return float(self._controller.linear_periods(self._last_state).mean() / steps)
 
 
 def evaluated_and_run_periods(
@@ -240,6 +247,7 @@ def run_trial_batch(
         trials,
         observation=np.stack(controller.observations[asked]),
         predict_us=float(np.median(controller.spent_ns[asked])) / 1e3 / task.num,
+        linear_law_fraction=controller.linear_law_fraction(all_steps),
         **known,
     )
 

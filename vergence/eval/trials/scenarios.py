@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from vergence.entry_points import is_entry_point
-from vergence.envs.plants.simulation import Simulation
-from vergence.envs.plants.variation import Variation
+from vergence.envs.plant import Simulation
+from vergence.envs.plants.conditions import Variation
 from vergence.envs.task import GazeTask
 from vergence.errors import (
     ConfigurationError,
@@ -49,7 +49,7 @@ class BaseScenario:
     description: str
     """Description of a trial, one line."""
     target: Mapping[str, Any]
-    """The target, see `vergence.envs.targets.registry.make_target`. A robot that looks at the world
+    """The target, see `vergence.envs.targets.make_target`. A robot that looks at the world
     ignores it, see `vergence.eval.robot.stage`."""
     duration_s: float
     """Duration of a trial, s."""
@@ -329,6 +329,6 @@ def load_scenario(name: str) -> Scenario:
     Raises:
         UnknownNameError: there is no such scenario.
     """
-    if name not in SCENARIOS:
+    if name not in list(SCENARIOS):  # a list accepts unhashable names, too
         raise UnknownNameError("scenario", name, list(SCENARIOS))
     return SCENARIOS[name]

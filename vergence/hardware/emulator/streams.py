@@ -19,7 +19,7 @@ from urllib.parse import parse_qs
 import cv2
 import numpy as np
 
-from vergence.envs.plants.eye_views import BoardImageRenderer, RoomImageRenderer
+from vergence.envs.plants.cameras import BoardImageRenderer, RoomImageRenderer
 from vergence.envs.reading import Image
 from vergence.errors import HardwareError
 from vergence.hardware.emulator.board import parse_sized_board

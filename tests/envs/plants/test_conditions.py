@@ -9,15 +9,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.envs.everything import EVERYTHING
+from tests.envs.trials import EVERYTHING
 from tests.naming import named
 from vergence import HeadModel, ModelErrors, load_head
-from vergence.envs.plant import make_plant
-from vergence.envs.plants.conditions import Conditions
-from vergence.envs.plants.imperfections import IMPERFECTIONS, PER_ACTUATOR, PER_TRIAL
+from vergence.envs.plant import make_plant, simulation_of
+from vergence.envs.plants.conditions import (
+    IMPERFECTIONS,
+    PER_ACTUATOR,
+    PER_TRIAL,
+    RANGES,
+    Conditions,
+    Variation,
+    make_variation,
+)
 from vergence.envs.plants.kinematic import KinematicPlant
-from vergence.envs.plants.simulation import simulation_of
-from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, VergenceError
 

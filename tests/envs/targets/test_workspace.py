@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from tests.envs.drawn import draw, eccentricity, inside
-from tests.envs.trials import assert_uniform
+from tests.envs.trials import assert_uniform, draw, eccentricity, inside
 from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
-from vergence.envs.targets.board import is_detectable_by_both_eyes
-from vergence.envs.targets.double_step import DoubleStepTarget
-from vergence.envs.targets.motion import last_jump_time, target_position
+from vergence.envs.targets.motion import is_detectable_by_both_eyes, last_jump_time, target_position
+from vergence.envs.targets.workspace import DoubleStepTarget
 from vergence.errors import ConfigurationError
 
 

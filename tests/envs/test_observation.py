@@ -13,8 +13,14 @@ from tests.heads import MOVING, head_of, text_of
 from tests.models.lenses import wide
 from tests.naming import named
 from vergence import load_head
-from vergence.envs.encoding import AGE_S, ANGLE_MARGIN_RAD, FIELDS, FINE_PX, SPEED_MARGIN
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.observation import (
+    AGE_S,
+    ANGLE_MARGIN_RAD,
+    FIELDS,
+    FINE_PX,
+    SPEED_MARGIN,
+    ObservationLayout,
+)
 from vergence.envs.task import GazeTask
 from vergence.models import parse_head
 

@@ -1,4 +1,4 @@
-"""The sensor model: what is seen when, with which errors, and how it is dated."""
+"""The sensor model and the step: what is seen when, how it is dated, one call for many heads."""
 
 import itertools
 
@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from tests.controllers.loops import begin
-from tests.envs.trials import AHEAD, pixels_of, start_of, steps
+from tests.envs.trials import AHEAD, assert_uniform, pixels_of, start_of, steps
 from tests.naming import named
 from vergence import HeadModel, ModelErrors
-from vergence.envs.plant import make_plant
+from vergence.envs import plants
+from vergence.envs.plant import make_plant, simulation_of
 from vergence.envs.reading import Reading
+from vergence.envs.targets.motion import motion_rows, target_position
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
+from vergence.eval.trials.scenarios import load_scenario
 
 T = 1 / 120
 MOVING = [0.0, 0.0, 0.0, 0.5, 0.4, -0.5, 0.3]
@@ -354,3 +357,240 @@ def test_a_jump_during_the_exposure_does_not_smear_the_first_frame_after_it(plan
     assert task.reading.exposure_s[0] == 0.0
     assert task.reading.visible.all()
     assert np.abs(task.pixel_error[0, :, 1]).min() > 40.0
+
+
+NOMINAL_S = 8 * T
+
+
+@pytest.fixture
+def stamped(exact: HeadModel) -> HeadModel:
+    """A head whose cameras tell when a frame was exposed."""
+    return exact.replace(timing={"exposure_stamps": True})
+
+
+def arrivals(readings) -> tuple[np.ndarray, np.ndarray]:
+    """Exposures and receipts of all images of all heads that came, s."""
+    pairs = [
+        np.stack([now.exposure_s, now.received_s])[:, now.frame != last.frame]
+        for last, now in itertools.pairwise(readings)
+    ]
+    return tuple(np.concatenate(pairs, axis=1))
+
+
+def test_lateness_is_uniform_up_to_the_jitter(stamped) -> None:
+    jitter_s = 0.006  # less than from one frame to the next: no image waits for another
+    plant = make_plant("kinematic", stamped, 32, jitter_s=jitter_s)
+    exposed, received = arrivals(steps(plant, start_of(32), 150)[0])
+    late = (received - exposed - NOMINAL_S) / jitter_s
+    assert late.size > 4000
+    assert_uniform(late)
+
+
+def test_an_image_never_overtakes_one_that_was_exposed_earlier(stamped) -> None:
+    jitter_s = 6 * T
+    plant = make_plant("kinematic", stamped, 64, jitter_s=jitter_s)
+    readings, _q, _v = steps(plant, start_of(64), 300)
+    waited = 0
+    for last, now in itertools.pairwise(readings):
+        assert (now.exposure_s >= last.exposure_s).all()
+        assert (now.received_s >= last.received_s).all()
+        assert (now.received_s <= now.time_s + 1e-9).all()
+        new = now.frame != last.frame
+        late = (now.received_s - now.exposure_s - NOMINAL_S)[new]
+        assert (late >= -1e-12).all()
+        assert (late <= jitter_s + 1e-12).all()
+        waited += ((now.frame - last.frame) > 1).sum()
+    assert waited > 100  # those that wait come together
+    # nothing is lost: of 300 frames those have come that were exposed long enough ago
+    due = 300 - 8 - 6 + 8
+    assert (readings[-1].frame >= due).all()
+    assert (readings[-1].frame <= 300 + 6).all()
+
+
+def test_a_stamp_is_the_exposure_or_else_the_receipt_less_the_latency(exact, stamped) -> None:
+    options = {"latency_s": 0.09, "jitter_s": 0.01, "frame_rate_hz": 50.0, "frame_phase": 0.4}
+    turn = [0, 0, 0, 0.4, 0, 0, 0]
+    runs = [
+        steps(make_plant("kinematic", head, 8, **options), start_of(8), 120, turn)
+        for head in (exact, stamped)
+    ]
+    for dated, true in zip(runs[0][0], runs[1][0], strict=True):
+        assert np.array_equal(dated.received_s, true.received_s)
+        assert np.array_equal(dated.pixels, true.pixels, equal_nan=True)
+        assert dated.exposure_s == pytest.approx(dated.received_s - NOMINAL_S, abs=1e-12)
+        frame = true.exposure_s * 50.0 - 0.4
+        assert frame == pytest.approx(np.round(frame), abs=1e-9)
+    off = np.subtract(*[[reading.exposure_s for reading in run[0]] for run in runs])
+    # 90 ms and up to 10 more, where 67 are nominal
+    assert off.min() > 0.09 - NOMINAL_S - 1e-9
+    assert off.max() < 0.1 - NOMINAL_S + 1e-9
+    assert np.ptp(off) > 0.008
+
+
+def test_angles_at_exposure_lie_between_two_readings_of_the_joints(stamped) -> None:
+    head = stamped.replace(timing={"feedback_latency_s": 0.004})
+    plant = make_plant("mujoco", head, 1, frame_rate_hz=47.0, frame_phase=0.3)
+    way = np.array([0, 0, 0, 0.5, 0.4, -0.5, 0.3])
+    readings, _q, _v = steps(plant, start_of(), 90, lambda k: np.sin(0.2 * k) * way)
+    told = np.array([reading.positions[0] for reading in readings])
+    dates = np.array([reading.joints_s[0] for reading in readings])
+    assert dates == pytest.approx(T * np.arange(91) - 0.004, abs=1e-12)
+    between = 0
+    for reading in readings:
+        when = reading.exposure_s[0]
+        expected = [np.interp(when, dates, told[:, j]) for j in range(7)]
+        assert reading.positions_at_exposure[0] == pytest.approx(expected, abs=1e-12)
+        share = (when / T) % 1.0
+        between += 0.1 < share < 0.9
+    assert between > 40
+
+
+ONSETS = np.array([0.0, 23 / 120, 0.1375, 0.4])
+
+
+def test_nothing_is_seen_of_a_target_before_its_onset(exact) -> None:
+    for plant_name in ["kinematic", "mujoco"]:
+        with named(plant_name):
+            plant = make_plant(plant_name, exact, 4, onset_s=ONSETS)
+            readings, _q, _v = steps(plant, start_of(4), 80)
+            for i, onset_s in enumerate(ONSETS):
+                dates = np.array([reading.exposure_s[i] for reading in readings])
+                seen = np.array([reading.visible[i].all() for reading in readings])
+                assert np.array_equal(seen, dates > onset_s - 1e-9)
+                first = np.ceil(onset_s / T - 1e-9) * T  # with cameras at the control rate
+                assert dates[seen].min() == pytest.approx(first, abs=1e-9)
+
+
+def test_a_target_that_jumps_stays_where_it_was_until_the_onset(exact) -> None:
+    for plant_name in ["kinematic", "mujoco"]:
+        with named(plant_name):
+            before, after = (0.05, -0.1, 1.0), AHEAD
+            plant = make_plant(plant_name, exact, 4, onset_s=ONSETS)
+            readings, q, _v = steps(plant, start_of(4, after, before), 80)
+            held, jumped = (exact.project(np.zeros(7), point) for point in (before, after))
+            for reading in readings:
+                assert reading.visible.all()
+                for i, onset_s in enumerate(ONSETS):
+                    expected = jumped if reading.exposure_s[i] > onset_s - 1e-9 else held
+                    assert reading.pixels[i] == pytest.approx(expected, abs=1e-9)
+            assert not q.any()
+            assert np.abs(held - jumped).max() > 10.0
+
+
+def test_the_truth_changes_at_the_onset_itself(exact) -> None:
+    for plant_name in ["kinematic", "mujoco"]:
+        with named(plant_name):
+            before = (0.05, -0.1, 1.0)
+            plant = make_plant(plant_name, exact, 4, onset_s=ONSETS)
+            simulation_of(plant).begin(start_of(4, AHEAD, before))
+            for step in range(60):
+                # 23 periods are not 23 / 120 s to the last bit, but a little less
+                there = step * T > ONSETS - 1e-9
+                expected = np.where(there[:, None], AHEAD, before)
+                assert simulation_of(plant).truth().target == pytest.approx(expected, abs=1e-12)
+                plant.step(np.zeros((4, 7)))
+            assert simulation_of(plant).onset_s() == pytest.approx(ONSETS, abs=1e-12)
+
+
+def test_a_moving_targets_time_begins_at_the_onset(exact) -> None:
+    onset_s = 0.137
+    rows = motion_rows(np.array([AHEAD]), before=np.array([AHEAD]), velocity=(0.2, 0.0, 0.1))
+    start = start_of()._replace(motions=rows)
+    plant = make_plant("kinematic", exact, 1, onset_s=onset_s)
+    readings, q, _v = steps(plant, start, 60)
+    for reading in readings:
+        point = target_position(rows, max(reading.exposure_s[0] - onset_s, 0.0))[0]
+        expected = pixels_of(exact, q[0], q[0], point)
+        assert reading.pixels == pytest.approx(expected, abs=1e-5)
+    expected = target_position(rows, 60 * T - onset_s)
+    assert plant.truth().target == pytest.approx(expected, abs=1e-9)
+
+
+def test_every_kind_of_target_is_the_same_and_later() -> None:
+    for kind in ("random", "static", "step", "circle", "orbit", "double-step"):
+        with named(kind):
+            prompt, late = (
+                begin(GazeTask(6, plant="kinematic", target=kind, plant_options={"onset_s": after}))
+                for after in (0.0, 0.25)
+            )
+            for _ in range(30):
+                late.step(np.zeros((6, 4)))
+            for _ in range(60):
+                assert late.truth().target == pytest.approx(prompt.truth().target, abs=1e-9)
+                for task in (prompt, late):
+                    task.step(np.zeros((6, 4)))
+
+
+STEPS = 20
+RESET_AFTER = 9
+"""Step after which one head begins another trial (chosen: its frames are still on their way)."""
+
+
+def assert_equal_states(tasks):
+    one, other = ({**state["task"], **state["plant"]} for state in (t.state() for t in tasks))
+    assert one.keys() == other.keys()
+    for name, array in one.items():
+        np.testing.assert_array_equal(array, other[name], err_msg=name)
+
+
+def assert_steps_equal(tasks):
+    """Begin trials of both tasks, step them by actions drawn at random, begin one trial anew."""
+    rng, num = np.random.default_rng(0), tasks[0].num
+
+    def begin(ids, trial):
+        for task in tasks:
+            task.begin(ids, np.full(len(ids), 7, np.uint64), np.full(len(ids), trial, np.uint64))
+        assert_equal_states(tasks)
+
+    for n in range(num):
+        begin(np.array([n]), n)
+    start = tasks[0].truth().positions
+    for i in range(STEPS):
+        action = rng.uniform(-1.5, 1.5, (num, tasks[0].layout.count))
+        for task in tasks:
+            task.step(action)
+        assert_equal_states(tasks)
+        if i == RESET_AFTER:
+            assert (tasks[0].truth().positions != start).any(axis=1).all()
+            begin(np.array([num - 1]), num)
+
+
+@pytest.mark.parametrize("head", ["simulated", "turrets"])
+def test_a_simulation_stepped_inside_is_that_of_the_batch_to_the_bit(head):
+    tasks = [GazeTask(1, head=head) for _ in range(2)]
+    assert tasks[1].plant._inside
+    tasks[1].plant._inside, tasks[1].plant._kept_table = False, None
+    assert_steps_equal(tasks)
+
+
+def states_of(heads: int, **options) -> dict[str, np.ndarray]:
+    """All arrays of a batch after some steps, with new trials of a few heads in between."""
+    rng, task = np.random.default_rng(0), GazeTask(heads, **options)
+    seeds = np.arange(heads, dtype=np.uint64)
+    task.begin(np.arange(heads), seeds, np.zeros(heads, np.uint64))
+    for step in range(20):
+        task.step(rng.uniform(-1.0, 1.0, (heads, task.layout.count)))
+        if step == 10:
+            some = np.arange(0, heads, 37)
+            task.begin(some, seeds[some], np.ones(len(some), np.uint64))
+    state = task.state()
+    return {**state["task"], **state["plant"]}
+
+
+@pytest.mark.parametrize(
+    ("heads", "options"),
+    [
+        (80, {"plant": "kinematic"}),
+        (80, load_scenario("hardware").env_options()),
+        (50, {"plant": "mujoco", "head": "icub"}),
+    ],
+    ids=str,
+)
+def test_results_do_not_depend_on_the_number_of_threads(heads, options, monkeypatch):
+    states = []
+    for count in (1, 3):
+        monkeypatch.setattr(plants, "processors", lambda count=count: count)
+        states.append(states_of(heads, **options))
+    assert len(plants.bounds(heads, 16)) == 4
+    for name, array in states[0].items():
+        np.testing.assert_array_equal(array, states[1][name], err_msg=name)
