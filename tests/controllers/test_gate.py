@@ -20,13 +20,8 @@ from vergence.controllers.gate import (
     OutlierGate,
     is_fresh,
 )
-<<<<<<< HEAD
 from vergence.controllers.prediction.state import PREDICTOR_STATE
-from vergence.envs.layout import AGE_S, Observation, ObservationLayout
-=======
-from vergence.controllers.prediction.state import PREDICTOR_STATE, PREDICTOR_STATE_SIZE
 from vergence.envs.observation import AGE_S, Observation, ObservationLayout
->>>>>>> main
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
@@ -153,27 +148,14 @@ def test_an_eye_that_turns_too_fast_to_see_is_not_bridged() -> None:
 LATENCY = 8
 
 
-<<<<<<< HEAD
 def first(row: np.ndarray, layout: np.dtype) -> np.ndarray:
     """The record at the beginning of a controller's state."""
     return np.ascontiguousarray(row[..., : layout.itemsize // 8]).view(layout)[..., 0]
-=======
-def predicted_unseen(row: np.ndarray) -> np.ndarray:
-    """For how many periods the left eye has not been seen by a predictor, whose row comes first."""
-    states = np.ascontiguousarray(row[..., :PREDICTOR_STATE_SIZE]).view(PREDICTOR_STATE)
-    return states["target"]["unseen_periods"][..., 0, 0]
-
-
-def accepted_since_s(row: np.ndarray) -> np.ndarray:
-    """For how long the left eye's gate has held an accepted detection."""
-    gates = np.ascontiguousarray(row[..., : OutlierGate.size]).view(GATE_STATE)
-    return gates["eyes"]["accepted_since_s"][..., 0, 0]
->>>>>>> main
 
 
 USED = {
     "pid": lambda row: first(row, GATE_STATE)["eyes"]["accepted_since_s"][:, 0],
-    "pursuit": lambda row: first(row, PREDICTOR_STATE)["unseen_periods"][:, 0],
+    "pursuit": lambda row: first(row, PREDICTOR_STATE)["target"]["unseen_periods"][:, 0],
 }
 """Time or periods since the left eye's last detection, with a gate and with a predictor."""
 
