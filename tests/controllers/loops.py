@@ -1,5 +1,7 @@
 """The closed loop, and what the eyes truly see in it."""
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,14 +14,26 @@ Array = NDArray[np.float64]
 
 def true_errors(task: GazeTask, controller: Controller, time_s: float, seed: int = 0) -> Array:
     """(steps + 1, num, 2, 2) true pixel errors of a trial of each head, by eye and image axis."""
-    begin(task, seed)
-    errors, state, start = [pixel_errors(task)], None, np.ones(task.num, dtype=np.bool_)
-    for _ in range(round(time_s * task.head.timing.control_rate_hz)):
-        action, state = controller.predict(task.observation, state, start)
+    errors = [pixel_errors(begin(task, seed))]
+    errors += [pixel_errors(task) for _ in drive(task, controller, time_s)]
+    return np.array(errors)
+
+
+def drive(
+    task: GazeTask,
+    controller: Controller,
+    time_s: float,
+    cover: Callable[[Array, int], object] = lambda observation, step: None,
+) -> Iterator[Array]:
+    """Yield the actions after each step of trials that have begun; `cover` hides what was seen."""
+    state, start = None, np.ones(task.num, dtype=np.bool_)
+    for step in range(round(time_s * task.head.timing.control_rate_hz)):
+        observation = task.observation.copy()
+        cover(observation, step)
+        action, state = controller.predict(observation, state, start)
         start = np.zeros_like(start)
         task.step(action)
-        errors.append(pixel_errors(task))
-    return np.array(errors)
+        yield action
 
 
 def begin(task: GazeTask, seed: int = 0) -> GazeTask:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.controllers.loops import begin
+from tests.controllers.loops import begin, drive
 from vergence import make_controller
 from vergence.controllers.prediction.predictor import prediction_fields
 from vergence.envs.task import GazeTask
@@ -19,8 +19,6 @@ class Trial(NamedTuple):
 
     errors: Array
     """(steps + 1, n, 2, 2) true pixel errors."""
-    actions: Array
-    """(steps, n, 4)"""
     positions: Array
     """(steps + 1, n, 7) true joint angles."""
     predicted: list[Any]
@@ -44,13 +42,9 @@ def run(task: GazeTask, name: str, steps: int, seed: int = 0, **options: Any) ->
     controller.predictor.update = remember
     truth = task.truth()
     bound = settle_bound(task)
-    errors, positions, actions = [truth.pixel_error], [truth.positions], []
-    state = None
-    for _ in range(steps):
-        action, state = controller.predict(task.observation, state)
-        task.step(action)
-        actions.append(action)
+    errors, positions = [truth.pixel_error], [truth.positions]
+    for _action in drive(task, controller, steps * task.head.timing.period_s):
         truth = task.truth()
         errors.append(truth.pixel_error)
         positions.append(truth.positions)
-    return Trial(np.array(errors), np.array(actions), np.array(positions), predicted, bound)
+    return Trial(np.array(errors), np.array(positions), predicted, bound)

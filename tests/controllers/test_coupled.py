@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.controllers.loops import begin
+from tests.controllers.loops import begin, drive, pixel_errors
 from tests.heads import head_of
 from tests.naming import named, refused
 from vergence.controllers import CONTROLLERS, make_controller
@@ -34,12 +34,7 @@ def distances(
     for k, (law, time_s) in enumerate(runs):
         own = options if k == len(runs) - 1 else {}
         controller = make_controller(law, head, task.layout, **own)
-        state, start = None, np.ones(num, dtype=np.bool_)
-        for _ in range(round(time_s / head.timing.period_s)):
-            action, state = controller.predict(task.observation, state, start)
-            start[:] = False
-            task.step(action)
-            seen.append(task.truth().pixel_error.copy())
+        seen += [pixel_errors(task) for _ in drive(task, controller, time_s)]
     least = least_reachable_error(task, task.truth().target)
     task.close()
     assert in_view.sum() > 8
@@ -113,17 +108,14 @@ def test_a_head_with_four_motors_keeps_its_errors_as_they_are():
 def test_one_eye_alone_is_brought_to_its_target(law):
     head = head_of("tied")
     task = begin(GazeTask(4, plant="kinematic", head=head), seed=5)
-    controller = make_controller(law, head, task.layout)
-    state, start = None, np.ones(4, dtype=np.bool_)
     right = [task.layout.fields["visible"].start + 1]
     for part in ("pixel_error", "pixel_error_fine"):
         right += range(*task.layout.fields[part].indices(task.layout.size))[2:]
-    for _ in range(180):
-        blind = task.observation.copy()
-        blind[:, right] = 0.0
-        action, state = controller.predict(blind, state, start)
-        start[:] = False
-        task.step(action)
+
+    def cover(observation, _step):
+        observation[:, right] = 0.0
+
+    assert len([*drive(task, make_controller(law, head, task.layout), 1.5, cover)]) == 180
     assert np.linalg.norm(task.truth().pixel_error[:, 0], axis=-1).max() < BAND_PX
     task.close()
 

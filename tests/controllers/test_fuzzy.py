@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.controllers.loops import true_errors
 from vergence import load_head, make_controller
 from vergence.controllers.fuzzy import FUZZY_SETS, RULES, rule_base
+from vergence.envs.task import GazeTask
 
 HEAD = load_head("simulated")
 SPANS = {"span_p": 1.0, "span_i": 1.0, "span_d": 1.0, "error_px": 90.0, "rate_px_s": 900.0}
@@ -49,14 +51,5 @@ def test_without_spans_it_is_the_pid() -> None:
     gains = {"kp": 5.0, "ki": 0.7, "kd": 0.2, "filter_s": 0.01}
     pid = make_controller("pid", head=HEAD, **gains)
     fuzzy = make_controller("fuzzy", head=HEAD, **gains, span_p=0.0, span_i=0.0, span_d=0.0)
-    rng = np.random.default_rng(0)
-    observation = rng.uniform(-0.2, 0.2, (8, pid.layout.size)).astype(np.float32)
-    observation[:, pid.layout.fields["visible"]] = 1.0
-    states = [None, None]
-    for _ in range(5):
-        observation[:, :8] *= 0.98
-        actions = []
-        for i, controller in enumerate((pid, fuzzy)):
-            action, states[i] = controller.predict(observation, states[i])
-            actions.append(action)
-        assert actions[0] == pytest.approx(actions[1], abs=1e-7)
+    task = GazeTask(8, head=HEAD, plant="kinematic")
+    assert true_errors(task, fuzzy, 0.5) == pytest.approx(true_errors(task, pid, 0.5), abs=1e-4)

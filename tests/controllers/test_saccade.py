@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.controllers.loops import begin, settle_time, true_errors
+from tests.controllers.loops import begin, drive, settle_time, true_errors
 from tests.controllers.reaching import run
 from tests.grids import some_of
 from tests.joint_motion import respond
@@ -80,8 +80,7 @@ def test_a_joint_stops_as_soon_as_bang_bang_control_could() -> None:
 
 
 def test_saccades_are_within_a_fifth_of_the_bound() -> None:
-    task = GazeTask(120, plant="kinematic")
-    trial = run(task, "saccade", 72)
+    trial = run(GazeTask(120, plant="kinematic"), "saccade", 72)
     ratio = settle_time(trial.errors, PERIOD_S) / trial.bound_s
     assert np.isfinite(ratio).all()
     assert ratio.min() > 1.0 - 1e-9
@@ -91,8 +90,7 @@ def test_saccades_are_within_a_fifth_of_the_bound() -> None:
 
 
 def test_the_law_on_predicted_errors_bears_more_than_twice_the_articles_gain() -> None:
-    task = GazeTask(60, plant="kinematic")
-    trial = run(task, "delay-compensated", 120)
+    trial = run(GazeTask(60, plant="kinematic"), "delay-compensated", 120)
     time = settle_time(trial.errors, PERIOD_S)
     assert np.isfinite(time).all()
     assert np.median(time) < 0.42
@@ -101,8 +99,7 @@ def test_the_law_on_predicted_errors_bears_more_than_twice_the_articles_gain() -
 
 @pytest.mark.parametrize("name", ["saccade", "delay-compensated"])
 def test_the_physical_head_stays_settled_to_the_trials_end(name) -> None:
-    task = GazeTask(30, head="physical", plant="kinematic")
-    trial = run(task, name, 240)
+    trial = run(GazeTask(30, head="physical", plant="kinematic"), name, 240)
     assert np.isfinite(settle_time(trial.errors, PERIOD_S)).all()
     # 12-bit steps are 0.8 px; a limit cycle over a step would show
     assert np.linalg.norm(trial.errors[-120:], axis=-1).max() < 0.75
@@ -111,11 +108,8 @@ def test_the_physical_head_stays_settled_to_the_trials_end(name) -> None:
 def test_a_saccade_goes_on_while_its_own_speed_blinds_the_eyes() -> None:
     head = load_head("physical")
     task = begin(GazeTask(20, head=head, plant="kinematic"))
-    controller = make_controller("saccade", head=head, layout=task.layout)
-    state, blind = None, np.zeros(20, dtype=int)
-    for _ in range(60):
-        action, state = controller.predict(task.observation, state)
-        task.step(action)
+    blind = np.zeros(20, dtype=int)
+    for _action in drive(task, make_controller("saccade", head), 0.5):
         blind += np.isnan(task.pixel_error).any(axis=(1, 2)) & np.isfinite(task.reading.exposure_s)
     assert (blind > 3).sum() > 5
     assert np.linalg.norm(task.truth().pixel_error, axis=-1).max() < 1.0
@@ -166,12 +160,8 @@ def test_it_does_not_lag_behind_a_steady_target() -> None:
 def joint_speeds(head, target: dict, time_s: float) -> np.ndarray:
     """(steps, 4, 4) rad/s of the eyes' joints, in the mean over each period, from 2 s on."""
     task = begin(GazeTask(4, head=head, plant="kinematic", target=target))
-    pursuit = make_controller("pursuit", head=head)
-    state, angles = None, []
-    for _ in range(round(time_s * head.timing.control_rate_hz)):
-        action, state = pursuit.predict(task.observation, state)
-        task.step(action)
-        angles.append(task.truth().motors[:, 3:].copy())
+    steps = drive(task, make_controller("pursuit", head), time_s)
+    angles = [task.truth().motors[:, 3:].copy() for _ in steps]
     speeds = np.diff(np.array(angles), axis=0) / head.timing.period_s
     return speeds[round(2.0 * head.timing.control_rate_hz) :]
 
@@ -227,29 +217,25 @@ def test_slow_cameras_with_coarse_encoders_settle(name) -> None:
 
 def test_a_target_that_vanishes_is_followed_for_a_while_and_then_given_up() -> None:
     task = begin(GazeTask(1, head=QUIET, plant="kinematic", target={**LINE, "speed": 0.1}))
-    pursuit = make_controller("pursuit", head=QUIET)
-    state, commands = None, []
-    for step in range(260):
-        observation = task.observation.copy()
+
+    def cover(observation, step):
         if step >= 90:
-            observation[:, pursuit.layout.fields["visible"]] = 0.0
-        action, state = pursuit.predict(observation, state)
-        commands.append(np.abs(action).max())
-        task.step(action)
+            observation[:, task.layout.fields["visible"]] = 0.0
+
+    steps = drive(task, make_controller("pursuit", QUIET), 260 * PERIOD_S, cover)
+    commands = [np.abs(action).max() for action in steps]
     assert min(commands[95:105]) > 0.01
     assert not any(commands[-10:])
 
 
 def test_one_eye_that_sees_goes_on_alone() -> None:
     task = begin(GazeTask(1, head=QUIET, plant="kinematic", target={"kind": "step"}))
-    pursuit = make_controller("pursuit", head=QUIET)
-    state = None
-    for _ in range(120):
-        observation = task.observation.copy()
-        observation[:, pursuit.layout.fields["visible"].start] = 0.0
-        action, state = pursuit.predict(observation, state)
+
+    def cover(observation, _step):
+        observation[:, task.layout.fields["visible"].start] = 0.0
+
+    for action in drive(task, make_controller("pursuit", QUIET), 1.0, cover):
         assert not action[:, :2].any()
-        task.step(action)
     # its depth is the default then, which moves the optical centre's share of the turn alone
     assert np.linalg.norm(task.truth().pixel_error[0, 1]) < 1.0
     assert np.linalg.norm(task.truth().pixel_error[0, 0]) > 50.0

@@ -228,7 +228,7 @@ class Saccade(PredictiveController):
         trim_px: least distance from the goal within which the soft law trims, in pixels at the
             principal point; with noisy detections the distance is four standard deviations.
         trim_gain: rate k of the soft law, 1/s.
-        delay, lag: `estimated` on line or `nominal`, see `SmithPredictor`.
+        delay, lag: images' delay and actuators' response, `estimated` on line or `nominal`.
 
     Raises:
         ConfigurationError: an option has an invalid value.

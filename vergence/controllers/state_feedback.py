@@ -122,7 +122,7 @@ class StateFeedback(PredictiveController):
         layout: the layout of observations and actions.
         gain: k, 1/s.
         damping: c, fraction of the coasting distance lag*v subtracted from the error.
-        delay, lag: `estimated` on line or `nominal`, see `SmithPredictor`.
+        delay, lag: images' delay and actuators' response, `estimated` on line or `nominal`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
@@ -197,7 +197,7 @@ class DelayCompensatedIBVS(StatefulController):
         head: the model of the head.
         layout: the layout of observations and actions.
         gain, depth, speed_limit: see `IBVS`.
-        delay: `estimated` on line or `nominal`, also for the actuators' response.
+        delay: images' delay and actuators' response, `estimated` on line or `nominal`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
