@@ -124,14 +124,7 @@ class Perceptron:
         return int(self.joints * self.layers[-1][0].shape[0])
 
     def __call__(self, inputs: Floats) -> Floats:
-        """Run the network.
-
-        Args:
-            inputs: (..., input_size).
-
-        Returns:
-            (..., output_size) in [-1, 1].
-        """
+        """Run the network on inputs (..., input_size); return outputs (..., output_size)."""
         x = inputs
         if self.normalisation is not None:
             mean, std, limit = self.normalisation
@@ -171,11 +164,7 @@ class Perceptron:
 
     @classmethod
     def of(cls, tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, Any]) -> "Perceptron":
-        """Make a network of `tensors` and `settings`.
-
-        Raises:
-            BundleError: they are not those of such a network.
-        """
+        """Make a network of `tensors` and `settings`, or raise a `BundleError`."""
         count = sum(bool(re.fullmatch(r"layers\.\d+\.weight", name)) for name in tensors)
         limit, joints = settings.get("clip_inputs"), settings.get("joints")
         names = [f"layers.{k}.{part}" for k in range(count) for part in ("weight", "bias")]
@@ -257,21 +246,7 @@ class Manifest:
         training: Mapping[str, Any],
         metrics: Mapping[str, Any],
     ) -> "Manifest":
-        """Make the manifest of a network.
-
-        Args:
-            kind: `gain-schedule` or `policy`.
-            inputs: inputs of the network, which include the head and the layout.
-            network: the network.
-            training: record of the training, plain values.
-            metrics: measured performance, plain values.
-
-        Returns:
-            The manifest.
-
-        Raises:
-            BundleError: there is no such kind.
-        """
+        """Make the manifest of a network; `training` and `metrics` hold plain values."""
         head, layout = inputs.head, inputs.layout
         return cls(
             kind=kind,
@@ -344,27 +319,16 @@ class Manifest:
 
 @dataclass(frozen=True)
 class Bundle:
-    """A bundle that has been read and checked.
-
-    Attributes:
-        source: origin of the bytes, for messages.
-        manifest: its manifest.
-        network: its network.
-    """
+    """A bundle that has been read and checked."""
 
     source: str
+    """Its file, for messages."""
     manifest: Manifest
     network: Perceptron
 
 
 def read_bundle(path: str | os.PathLike[str]) -> Bundle:
-    """Read and check a bundle.
-
-    Args:
-        path: a `.vgp` file.
-
-    Returns:
-        The bundle.
+    """Read and check a bundle, a `.vgp` file.
 
     Raises:
         BundleError: it cannot be read, is too large, damaged, or of another format.
@@ -403,12 +367,6 @@ def write_bundle(
 ) -> None:
     """Write a bundle, as a whole or not at all; equal content gives equal files.
 
-    Args:
-        path: path of the file.
-        manifest: manifest of the bundle.
-        network: the network.
-        replace: True to replace an existing file.
-
     Raises:
         BundleError: the bundle would be refused when read, or the file cannot be written.
     """
@@ -440,11 +398,7 @@ def pretrained_bundles() -> dict[str, Path]:
 
 
 def check_file(path: str | os.PathLike[str]) -> None:
-    """Raise an error for a network's file that does not exist or is too large.
-
-    Raises:
-        BundleError: it is no file, or larger than `MAX_FILE_BYTES`.
-    """
+    """Raise a `BundleError` for what is no file, or larger than `MAX_FILE_BYTES`."""
     if not Path(path).is_file():  # excludes folders and endless devices
         raise BundleError("expected a file, got none of that name")
     size = Path(path).stat().st_size
@@ -490,16 +444,7 @@ def sensorless_digest(head: HeadModel) -> str:
 
 
 def describe_actions(kind: str, head: HeadModel, layout: ObservationLayout) -> dict[str, Any]:
-    """Describe the actions that a network's outputs y in [-1, 1] stand for.
-
-    Args:
-        kind: `gain-schedule` (four gains for any head) or `policy` (one velocity per actuator).
-        head: the head that the network controls.
-        layout: the layout of its observations and actions.
-
-    Raises:
-        BundleError: there is no such kind.
-    """
+    """Describe the actions that a network's outputs y in [-1, 1] stand for: gains or velocities."""
     if kind == GAIN_SCHEDULE:
         names = list(gain_names_of_head(head))
         limit = [GAIN_LIMIT] * len(names)

@@ -195,7 +195,7 @@ def training_env(
     max_episode_steps: int = MAX_EPISODE_STEPS,
     **options: Any,
 ) -> GazeVectorEnv:
-    """Make the vector environment in which a network is trained.
+    """Make the vector environment in which a network of a kind is trained.
 
     It resets ended episodes within the step. Its first episodes end at staggered times, so that a
     batch of steps contains all phases of a trial.
@@ -206,9 +206,6 @@ def training_env(
         inputs: the kind of inputs; None for the kind's default.
         max_episode_steps: steps of an episode.
         **options: see `vergence.envs.task.GazeTask`.
-
-    Returns:
-        The environment.
 
     Raises:
         UnknownNameError: there is no such kind.

@@ -320,25 +320,9 @@ def present_channels(
     response_estimate: FloatArray, known: NDArray[np.bool_], shape_only: FloatArray,
     out: FloatArray,
 ) -> None:  # fmt: skip
-    """Compute the channels of `to_go` or `predicted`, selected by the length of `shape_only`.
+    """Compute the channels of `to_go` or `predicted`, by the number of rows of `shape_only`.
 
-    Args:
-        requested_turn: (..., 4) turns requested by the newest image, rad.
-        to_go: (..., 4) remaining turns, rad.
-        velocity: (..., 4) present velocities, rad/s.
-        command: (..., 4) present commands, rad/s.
-        command_limits: (4,) largest commands, rad/s.
-        acceleration_limit: (4,) acceleration limits of the model, rad/s^2.
-        lag: (..., 4) lags, s.
-        goal_rate: (..., 4) velocities of the goals, rad/s.
-        goal_rate_at_effect: (..., 4) velocities of the goals when the command shows, rad/s.
-        speed_gain: (..., 4) ratios of velocity to command.
-        response_estimate: (..., 4) ratio of the accelerations to the model's, standard deviation of
-            its logarithm, latency of commands plus readings, s, and its standard deviation, s.
-        known: (..., 4) True if the target of an eye that the actuator moves is known.
-        shape_only: (channels, 4) array of any values; only its shape counts, which is that of the
-            result.
-        out: (..., channels, 4) result.
+    `response_estimate` holds `_RESPONSE_FIELDS`; angles in rad, times in s, as in `Prediction`.
     """
     # with the channels of `_Share`, signs are relative to the direction of the requested turn
     first = max(out.shape[0] - _PRESENT_CHANNELS, 0)

@@ -51,14 +51,7 @@ VELOCITY_POWER: Final = 3
 
 
 def decode_velocity_action(action: ArrayLike) -> NDArray[np.float32]:
-    """Decode a policy's action to an action of the gaze task.
-
-    Args:
-        action: (..., m) clipped to [-1, 1].
-
-    Returns:
-        (..., m) actuator velocities as fractions of their limits, `sign(a) |a|^3`.
-    """
+    """Decode a policy's action (..., m) to fractions of the velocity limits, `sign(a) |a|^3`."""
     limited = np.clip(np.asarray(action, dtype=np.float32), -1.0, 1.0)
     return np.asarray(limited**VELOCITY_POWER, dtype=np.float32)
 
@@ -104,15 +97,7 @@ class NetworkLoop:
         return state[..., self._calm_count]
 
     def network_inputs(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
-        """Compute the network's inputs, see `Inputs.update`.
-
-        Args:
-            observation: (..., n) observations of the gaze task, each passed exactly once.
-            state: (..., S) updated in place; C-contiguous.
-
-        Returns:
-            (..., size) inputs.
-        """
+        """(..., size) inputs of the network, see `Inputs.update`; updates `state` in place."""
         seen, now = self.inputs.update(observation, state)
         calm = self._calm(now)
         state[..., self._of_calm] = calm
@@ -137,16 +122,10 @@ class NetworkLoop:
     def action(
         self, observation: ArrayLike, seen: Floats, outputs: ArrayLike, state: FloatArray
     ) -> NDArray[np.float32]:
-        """Compute the gaze task's action from the network's outputs.
+        """(..., m) the gaze task's action from the network's outputs (..., m) in [-1, 1].
 
-        Args:
-            observation: (..., n) the observations last passed to `network_inputs`.
-            seen: (..., size) what that returned.
-            outputs: (..., m) in [-1, 1], see `decode_velocity_action` and `gains_from_action`.
-            state: (..., S) updated in place.
-
-        Returns:
-            (..., m) the gaze task's action.
+        `observation` and `seen` are argument and result of the last `network_inputs`; `state` is
+        updated in place. See `decode_velocity_action` and `gains_from_action`.
         """
         if self.gain_names is None:
             velocities = decode_velocity_action(outputs)
@@ -330,16 +309,7 @@ def load_policy(
 
 
 def open_bundle(kind: str, head: HeadModel, bundle: str | os.PathLike[str] | None) -> Bundle:
-    """Open a bundle from a file, a shipped one by name, or the one shipped for a head.
-
-    Args:
-        kind: `gain-schedule` or `policy`.
-        head: the head.
-        bundle: a file's path, a shipped bundle's name, or None for the one shipped for a head of
-            this name or digest.
-
-    Returns:
-        The bundle.
+    """Open a bundle from a file, a shipped one by name, or (None) the one shipped for a head.
 
     Raises:
         BundleError: it cannot be read or is damaged.
