@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from vergence.envs.observation import ObservationLayout, encode_observation
 from vergence.envs.reading import BoolArray, Reading
 from vergence.envs.streams import IntArray
-from vergence.kernels import compiled, inlined, subroutine, unpack_table
+from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.fixation import actuator_least_squares, image_rate
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PackedHead, camera_of, eye_frames, eye_jacobian, pixel_error
@@ -235,88 +235,6 @@ def _norm(u: float, v: float) -> float:
     return sqrt(u * u + v * v)
 
 
-@compiled
-def compute_step_result(
-    ids: IntArray,
-    head: PackedHead,
-    scaling: FloatArray,
-    time_limits: TimeLimits,
-    reading: Reading,
-    action: FloatArray,
-    progress: TrialProgress,
-    result: StepResult,
-    coupled_head: PackedHead | None,
-) -> None:
-    """Compute observations, rewards and terminations of some environments of a batch.
-
-    Args:
-        ids: (m,) environment indices.
-        head: (PACKED,) the head that the controller knows.
-        scaling: (SCALING,) see `vergence.envs.observation`.
-        time_limits: time limits; `untyped_tuple`, as are all named tuples here.
-        reading: sensor readings.
-        action: (n, m) the actions applied.
-        progress: updated in place.
-        result: the result.
-        coupled_head: the packed head again if its eye joints are coupled, else None; code for
-            coupled joints is then not compiled.
-    """
-    time_limits, reading = TimeLimits(*time_limits), Reading(*reading)
-    progress, result = TrialProgress(*progress), StepResult(*result)
-    error, terms = result.error, result.terms
-    m = action.shape[1]
-    for n in ids:
-        left, right = reading.visible[n, 0], reading.visible[n, 1]
-        both = left and right
-        tracking = precision = 0.0
-        settled = both
-        for eye in range(2):
-            if not reading.visible[n, eye]:
-                error[n, eye, 0] = error[n, eye, 1] = np.nan
-                continue
-            u, v = reading.pixels[n, eye, 0], reading.pixels[n, eye, 1]
-            error[n, eye, 0], error[n, eye, 1] = pixel_error(head, eye, u, v)
-        if both:
-            goal = error[n]
-            if coupled_head is not None:
-                q, goal = reading.positions_at_exposure[n], np.empty((2, 2))
-                reducible_error(coupled_head, q, error[n], left, right, goal)
-            for eye in range(2):
-                size = _norm(error[n, eye, 0], error[n, eye, 1])
-                tracking += (
-                    _BRAKING_ERROR_PX / (_BRAKING_ERROR_PX + size)
-                    + _TURNING_ERROR_PX / (_TURNING_ERROR_PX + size)
-                ) / 6.0
-                size = _norm(goal[eye, 0], goal[eye, 1])
-                precision += _RESTING_ERROR_PX / (_RESTING_ERROR_PX + size) / 6.0
-                settled = settled and size < SETTLED_PX
-        encode_observation(
-            result.observation[n], scaling, error[n], reading, n, action[n], coupled_head
-        )
-        square = 0.0
-        for j in range(m):
-            square += action[n, j] * action[n, j]
-        first = (left or right) and not progress.seen[n]
-        progress.seen[n] = progress.seen[n] or first
-        # half a period of tolerance, so that rounding of the times does not matter
-        now_s, later_s = reading.time_s[n], reading.time_s[n] + 0.5 * time_limits.period_s
-        if both:
-            progress.seen_s[n] = now_s
-        elif first:
-            progress.seen_s[n] = now_s - time_limits.period_s
-        if not settled:
-            progress.unsettled_s[n] = now_s
-        if progress.seen[n]:
-            result.lost[n] = later_s - progress.seen_s[n] >= time_limits.lost_after_s
-        else:
-            result.lost[n] = later_s >= time_limits.first_seen_within_s
-        result.success[n] = later_s - progress.unsettled_s[n] >= time_limits.success_after_s
-        terms[n, 0], terms[n, 1] = tracking, precision
-        terms[n, 2] = -_EFFORT_WEIGHT * (tracking + precision) * square / m
-        terms[n, 3] = -_LOST_COST if result.lost[n] else 0.0
-        result.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
-
-
 LIMIT: Final = 1
 """Phase of a step, one bit: limit the requested actions, and convert them to commands
 (numerical)."""
@@ -364,18 +282,12 @@ class TaskArrays(NamedTuple):
         )
 
 
-@compiled
+@subroutine
 def limit_actions(ids: IntArray, task: TaskArrays) -> bool:
-    """Limit requested actions and convert them to commands; the neck's are unchanged.
-
-    Args:
-        ids: (m,) environment indices.
-        task: `untyped_tuple`.
-
-    Returns:
-        False if a requested action of any environment is nan; nothing is changed then.
-    """
-    requested, action, command, limits = task[0], task[1], task[2], task[3]
+    """Limit requested actions and convert them to commands; False, and no change, if any is nan."""
+    requested, action, command, limits = (
+        task.requested, task.action, task.command, task.action_limits,
+    )  # fmt: skip
     for n in range(requested.shape[0]):
         for j in range(requested.shape[1]):
             if requested[n, j] != requested[n, j]:
@@ -387,31 +299,71 @@ def limit_actions(ids: IntArray, task: TaskArrays) -> bool:
     return True
 
 
-@inlined
-def judge_steps(ids: IntArray, task: TaskArrays, reading: Reading) -> None:
-    """Compute the results of the last steps of some environments, see `compute_step_result`."""
-    own = TaskArrays(*task)
-    compute_step_result(
-        ids, own.head, own.scaling, own.time_limits, reading, own.action, own.progress, own.result,
-        own.coupled_head,
-    )  # fmt: skip
+@subroutine
+def judge_steps(
+    ids: IntArray, task: TaskArrays, coupled_head: PackedHead | None, reading: Reading
+) -> None:
+    """Compute observations, rewards and ends; an argument of None has no code compiled."""
+    time_limits, progress, result = task.time_limits, task.progress, task.result
+    action, error, terms = task.action, result.error, result.terms
+    m = action.shape[1]
+    for n in ids:
+        left, right = reading.visible[n, 0], reading.visible[n, 1]
+        both = left and right
+        tracking = precision = 0.0
+        settled = both
+        for eye in range(2):
+            if not reading.visible[n, eye]:
+                error[n, eye, 0] = error[n, eye, 1] = np.nan
+                continue
+            u, v = reading.pixels[n, eye, 0], reading.pixels[n, eye, 1]
+            error[n, eye, 0], error[n, eye, 1] = pixel_error(task.head, eye, u, v)
+        if both:
+            goal = error[n]
+            if coupled_head is not None:
+                q, goal = reading.positions_at_exposure[n], np.empty((2, 2))
+                reducible_error(coupled_head, q, error[n], left, right, goal)
+            for eye in range(2):
+                size = _norm(error[n, eye, 0], error[n, eye, 1])
+                tracking += (
+                    _BRAKING_ERROR_PX / (_BRAKING_ERROR_PX + size)
+                    + _TURNING_ERROR_PX / (_TURNING_ERROR_PX + size)
+                ) / 6.0
+                size = _norm(goal[eye, 0], goal[eye, 1])
+                precision += _RESTING_ERROR_PX / (_RESTING_ERROR_PX + size) / 6.0
+                settled = settled and size < SETTLED_PX
+        encode_observation(
+            result.observation[n], task.scaling, error[n], reading, n, action[n], coupled_head
+        )
+        square = 0.0
+        for j in range(m):
+            square += action[n, j] * action[n, j]
+        first = (left or right) and not progress.seen[n]
+        progress.seen[n] = progress.seen[n] or first
+        # half a period of tolerance, so that rounding of the times does not matter
+        now_s, later_s = reading.time_s[n], reading.time_s[n] + 0.5 * time_limits.period_s
+        if both:
+            progress.seen_s[n] = now_s
+        elif first:
+            progress.seen_s[n] = now_s - time_limits.period_s
+        if not settled:
+            progress.unsettled_s[n] = now_s
+        if progress.seen[n]:
+            result.lost[n] = later_s - progress.seen_s[n] >= time_limits.lost_after_s
+        else:
+            result.lost[n] = later_s >= time_limits.first_seen_within_s
+        result.success[n] = later_s - progress.unsettled_s[n] >= time_limits.success_after_s
+        terms[n, 0], terms[n, 1] = tracking, precision
+        terms[n, 2] = -_EFFORT_WEIGHT * (tracking + precision) * square / m
+        terms[n, 3] = -_LOST_COST if result.lost[n] else 0.0
+        result.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
 
 
 @compiled
-def advance_task(table: NDArray[np.void], ids: IntArray, phases: int) -> bool:
-    """Run phases of a step that precede and follow those of a plant which is stepped by itself.
-
-    Args:
-        table: table of `TaskArrays` and the plant's `Reading`.
-        ids: (m,) environment indices.
-        phases: `LIMIT` and `JUDGE`.
-
-    Returns:
-        False if an action is nan.
-    """
-    task, reading = unpack_table(table)
+def advance_task(ids: IntArray, task: TaskArrays, reading: Reading, phases: int) -> bool:
+    """Run the phases `LIMIT` and `JUDGE` of a step; False if an action is nan."""
     if phases & LIMIT and not limit_actions(ids, task):
         return False
     if phases & JUDGE:
-        judge_steps(ids, task, reading)
+        judge_steps(ids, task, task.coupled_head, reading)
     return True

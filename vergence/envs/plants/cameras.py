@@ -394,16 +394,7 @@ def update_truth(
     scene: TrueHeadsAndTargets,
     truth: Truth,
 ) -> None:
-    """Update the ground truth.
-
-    Args:
-        nominal: (PACKED,) the head that the controller knows.
-        period_s: the control period.
-        target_time_s: (n,) the targets' own times, s.
-        scene: `untyped_tuple`.
-        truth: `untyped_tuple`, the result.
-    """
-    scene, truth = TrueHeadsAndTargets(*scene), Truth(*truth)
+    """Update the ground truth, with the targets at their own times (n,)."""
     for n in range(scene.step.shape[0]):
         truth.time_s[n] = scene.step[n] * period_s
         p, q = true_head_row(scene, n), scene.positions[n]

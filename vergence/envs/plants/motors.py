@@ -42,7 +42,7 @@ from vergence.envs.streams import (
     to_normals,
     to_uniform,
 )
-from vergence.kernels import compiled, inlined, subroutine
+from vergence.kernels import inlined, subroutine
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (
     PackedHead,
@@ -143,7 +143,7 @@ def loop_resumes_at(
     return step + max(int(np.rint(to_uniform(words[2]) * conditions.stall_s / period_s)), 1)
 
 
-@compiled
+@subroutine
 def store_commands(
     ids: IntArray,
     command: FloatArray,
@@ -152,21 +152,10 @@ def store_commands(
     step: IntArray,
     sent: FloatArray,
 ) -> bool:
-    """Limit and quantise the commands of a period, and write them to the ring buffers.
+    """Limit and quantise the commands (n, 7) of a period, and write them to the ring buffers.
 
-    Args:
-        ids: (m,) environment indices.
-        command: (n, 7) velocity commands, rad/s.
-        commands: `untyped_tuple`, updated in place.
-        control_loop_states: (n, LOOP_STATE) states of the control loops: stalls and lost commands.
-        step: (n,) number of the period.
-        sent: (n, 7) result: commands sent to the motors, rad/s; a stalled loop sends nothing and
-            keeps its last value.
-
-    Returns:
-        False if any command is nan.
+    In `sent`, a stalled loop keeps its last value. The result is False if any command is nan.
     """
-    commands = CommandBuffers(*commands)
     given, limits, size = commands.velocities, commands.velocity_limits, commands.quantisation_step
     numbers, mask = True, given.shape[1] - 1
     for n in ids:
@@ -313,12 +302,6 @@ class ActuatorCoupling(NamedTuple):
         return cls(limits.lower[EYES], limits.upper[EYES], head.packed, np.empty((num, SLOTS)))
 
 
-@inlined
-def name_coupling(group: tuple[FloatArray, ...] | None) -> ActuatorCoupling | None:
-    """Restore the names of a coupling from a table; None stays None."""
-    return None if group is None else ActuatorCoupling(*group)
-
-
 class MotorState(NamedTuple):
     """State of one motor."""
 
@@ -421,16 +404,9 @@ def advance_second_order(
     for _ in range(steps):
         output = output_angle(output, q, params.backlash)
         q, v, w = follow_second_order_joint(
-            q,
-            v,
-            w,
-            command,
-            params.lag_s,
-            zeta,
-            params.max_acceleration,
-            params.acceleration_falloff,
-            time_s / steps,
-        )
+            q, v, w, command, params.lag_s, zeta, params.max_acceleration,
+            params.acceleration_falloff, time_s / steps,
+        )  # fmt: skip
         if q < params.lower:
             q, v, w = params.lower, max(v, 0.0), max(w, 0.0)
         elif q > params.upper:
@@ -650,7 +626,7 @@ def ring_interval_by_time(time_periods: float, step: int, ring_length: int) -> R
     return RingInterval(np.uintp(first & mask), np.uintp((first + 1) & mask), share)
 
 
-@compiled
+@subroutine
 def sense_joints(
     ids: IntArray,
     period_s: float,
@@ -666,17 +642,6 @@ def sense_joints(
 
     Servos measure and filter even while the control loop stalls. Readings missed during a stall are
     interpolated linearly between the readings before and after it.
-
-    Args:
-        ids: (m,) environment indices.
-        period_s: the control period, s.
-        packed: conditions of the trials.
-        keys: keys of the trials' random streams.
-        steps: (n,) control periods since the trials' start.
-        motors: the motors.
-        coupling: coupling of the eye joints; None if each has its own motor.
-        feedback: updated in place.
-        reading: result: its positions and velocities.
     """
     measured, reported, loop_states, filtered, angle_step, speed_step, on_output = feedback
     angles, speeds, output, own = motors.angles, motors.speeds, motors.output_angles, packed.own

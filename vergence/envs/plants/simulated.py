@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.plant import Simulation, TrialStart
+from vergence.envs.plant import Plant, Simulation, TrialStart
 from vergence.envs.plants.cameras import (
     TIME_TOLERANCE_S,
     Exposures,
@@ -40,6 +40,7 @@ from vergence.envs.plants.motors import (
 )
 from vergence.envs.plants.step import (
     ALL_PHASES,
+    BEGIN,
     EXPOSE,
     MOVE,
     REPORT,
@@ -47,7 +48,6 @@ from vergence.envs.plants.step import (
     WARM_UP,
     SensorTiming,
     StepArrays,
-    begin_trials,
     first_detection_times,
 )
 from vergence.envs.reading import Reading, Truth, check_count, real_number_array
@@ -63,7 +63,7 @@ from vergence.envs.streams import (
 )
 from vergence.envs.targets.motion import JUMP, last_jump_time, motion_rows
 from vergence.errors import ConfigurationError, refuse_unknown
-from vergence.kernels import make_table, untyped_tuple
+from vergence.kernels import make_table
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED
 from vergence.models.parts import FloatArray
@@ -333,6 +333,12 @@ class SimulatedPlant(Simulation):
     """Fields of a variation that this plant supports."""
     _kept_table: NDArray[np.void] | None = None
 
+    def __init_subclass__(cls) -> None:
+        """Let a subclass with a step of its own be judged like any other plant."""
+        super().__init_subclass__()
+        if "step" in vars(cls):
+            cls.join, cls.act, cls.judge = Plant.join, Plant.act, Plant.judge  # type: ignore[method-assign]
+
     @_named
     def __init__(
         self,
@@ -431,20 +437,20 @@ class SimulatedPlant(Simulation):
         """
 
     def join(self, task: TaskArrays) -> None:
-        """Apply the actions of a task from now on, and judge its steps; see `act`."""
+        """See `Plant.join`; a step is then judged in the call that makes it."""
+        super().join(task)
         self._task, self._kept_table = task, None
 
-    def act(self) -> bool:
-        """Step by the requested actions of the task that has joined, and judge the step.
+    def act(self) -> Reading | None:
+        """See `Plant.act`."""
+        return self.reading if self._advance(self._all, ALL_PHASES) else None
 
-        Returns:
-            False if an action is nan; nothing is changed then.
-        """
-        return self._advance(self._all, ALL_PHASES)
-
-    def judge(self, ids: IntArray) -> None:
-        """Judge the readings of some environments for the task that has joined."""
+    def judge(self, ids: IntArray, reading: Reading) -> Reading:
+        """See `Plant.judge`."""
+        if reading is not self.reading:
+            return super().judge(ids, reading)
         self._advance(ids, JUDGE)
+        return reading
 
     def _motion_arrays(self) -> tuple[Any, ...]:
         """The plant's own arrays for the phase in which it moves the joints."""
@@ -494,16 +500,11 @@ class SimulatedPlant(Simulation):
         if len(self._missing_joints):
             positions = positions.copy()
             positions[:, self._missing_joints] = 0.0
-        self._resize_motions(start.motions.shape[1], all_heads=len(ids) == self.num)
+        self.move_targets(ids, start.motions)
+        self._scene.positions[ids] = positions
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
-        begin_trials(
-            ids, positions, start.motions, untyped_tuple(self._true_heads.packed),
-            untyped_tuple(self._streams.keys), untyped_tuple(self._scene),
-            untyped_tuple(self._motors), self._coupling, untyped_tuple(self._commands),
-            untyped_tuple(self._feedback), untyped_tuple(self._frames),
-            untyped_tuple(self.reading),
-        )  # fmt: skip
+        self._advance(ids, BEGIN)
         self._put_at_rest(ids)
         self._advance(ids, WARM_UP | REPORT)
         self.reading.frame[ids] = 0
@@ -544,13 +545,7 @@ class SimulatedPlant(Simulation):
         """Ground truth of the present, with the targets at given own times."""
         truth = Truth.unknown(self.num)
         period_s = self.head.timing.period_s
-        update_truth(
-            self.head.packed,
-            period_s,
-            target_time_s,
-            untyped_tuple(self._scene),
-            untyped_tuple(truth),
-        )
+        update_truth(self.head.packed, period_s, target_time_s, self._scene, truth)
         truth.motors[:] = self._motors.angles
         return truth
 
@@ -560,13 +555,10 @@ class SimulatedPlant(Simulation):
 
     def first_detection_times(self) -> tuple[FloatArray, FloatArray]:
         """See `Simulation.first_detection_times`."""
-        packed, keys = untyped_tuple(self._true_heads.packed), untyped_tuple(self._streams.keys)
-        scene = untyped_tuple(self._scene)
+        packed, keys, motions = self._true_heads.packed, self._streams.keys, self._scene.motions
         first, last = np.empty((2, self.num))
-        jumps = self._scene.motions[:, JUMP].copy()
-        first_detection_times(packed, keys, scene, jumps, first)
-        jumps = last_jump_time(self._scene.motions)
-        first_detection_times(packed, keys, scene, jumps, last)
+        for jumps, times in ((motions[:, JUMP].copy(), first), (last_jump_time(motions), last)):
+            first_detection_times(packed, keys, self._scene, jumps, times)
         return first, last
 
     def state(self) -> Arrays:

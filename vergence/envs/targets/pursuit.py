@@ -36,7 +36,7 @@ from vergence.envs.targets.workspace import (
     uniform_between,
 )
 from vergence.errors import ConfigurationError, UnreachableTargetError
-from vergence.kernels import compiled, inlined, subroutine, untyped_tuple
+from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import Vector, eye_actuator_angle, has_motor_per_joint
 from vergence.models.parts import SLOTS, FloatArray
@@ -97,11 +97,11 @@ class OrbitTarget(Target):
         )
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         found = draw_orbits(
-            untyped_tuple(keys),
-            untyped_tuple(HeadWithLimits.of(head)),
-            untyped_tuple(ranges),
-            untyped_tuple(board),
-            untyped_tuple(orbits),
+            keys,
+            HeadWithLimits.of(head),
+            ranges,
+            board,
+            orbits,
         )
         if not found:
             raise UnreachableTargetError(
@@ -216,18 +216,8 @@ def draw_orbits(
 ) -> bool:
     """Draw ellipses for each trial until the eyes can follow one.
 
-    Args:
-        keys: `untyped_tuple`, keys of the n trials' random streams.
-        gaze: `untyped_tuple`, the head that looks.
-        ranges: `untyped_tuple`, the target's fields.
-        board: `untyped_tuple`, shape of the target.
-        orbits: `untyped_tuple`, the result.
-
-    Returns:
-        False if some trial has no valid candidate.
+    The result is False if some trial has no valid candidate.
     """
-    keys, gaze = StreamKeys(*keys), HeadWithLimits(*gaze)
-    ranges, board, orbits = OrbitRanges(*ranges), Board(*board), Orbits(*orbits)
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     angles, own = np.empty((_CHECKED_PHASES, 4)), np.empty((_CHECKED_PHASES, SLOTS))
     for n in range(len(orbits.omega)):
@@ -375,10 +365,10 @@ class WanderTarget(Target):
         )
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         if not draw_paths(
-            untyped_tuple(keys),
-            untyped_tuple(HeadWithLimits.of(head)),
-            untyped_tuple(walk),
-            untyped_tuple(board),
+            keys,
+            HeadWithLimits.of(head),
+            walk,
+            board,
             paths,
         ):
             raise UnreachableTargetError(
@@ -502,22 +492,8 @@ def draw_paths(
 ) -> bool:
     """Draw paths for each trial, segment by segment, until the eyes can follow one.
 
-    Args:
-        keys: `untyped_tuple`, keys of the n trials' random streams.
-        gaze: `untyped_tuple`, the head that looks.
-        ranges: `untyped_tuple`, the target's fields.
-        board: `untyped_tuple`, shape of the target.
-        paths: (n, 4 + 4 k) result: paths of k knots, see `vergence.envs.targets.motion`.
-
-    Returns:
-        False if some trial has no valid candidate.
+    The result is False if some trial has no valid candidate.
     """
-    keys, gaze, ranges, board = (
-        StreamKeys(*keys),
-        HeadWithLimits(*gaze),
-        WanderRanges(*ranges),
-        Board(*board),
-    )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     angles, own = np.empty(4), np.empty((_SAMPLES_PER_SEGMENT + 1, SLOTS))
     last = paths.shape[1] // 4 - 1

@@ -24,7 +24,7 @@ from vergence.envs.targets.motion import (
     whole_board_text,
 )
 from vergence.errors import ConfigurationError, UnreachableTargetError
-from vergence.kernels import compiled, inlined, subroutine, untyped_tuple
+from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (
@@ -198,7 +198,7 @@ def draw_event_times(
     """
     moments = np.empty(len(ids))
     _fill(
-        untyped_tuple(StreamKeys(streams.seeds[ids], streams.trials[ids])),
+        StreamKeys(streams.seeds[ids], streams.trials[ids]),
         earliest,
         latest,
         moments,
@@ -208,7 +208,6 @@ def draw_event_times(
 
 @compiled
 def _fill(keys: StreamKeys, earliest: float, latest: float, moments: FloatArray) -> None:
-    keys = StreamKeys(*keys)
     for n in range(len(moments)):
         words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _EVENT_TIME_LANE)
         moments[n] = uniform_between(words[0], earliest, latest)
@@ -258,10 +257,10 @@ class RandomTarget(Target):
         points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         found = draw_targets(
-            untyped_tuple(keys),
-            untyped_tuple(HeadWithLimits.of(head)),
-            untyped_tuple(self._workspace()),
-            untyped_tuple(board),
+            keys,
+            HeadWithLimits.of(head),
+            self._workspace(),
+            board,
             points,
             q,
         )
@@ -372,23 +371,8 @@ def draw_targets(
 ) -> bool:
     """Draw candidates for each trial until one is valid.
 
-    Args:
-        keys: `untyped_tuple`, keys of the n trials' random streams.
-        gaze: `untyped_tuple`, the head that looks.
-        workspace: `untyped_tuple`, the workspace.
-        board: `untyped_tuple`, shape of the target.
-        points: (n, 3) result: positions of the targets, in N, m.
-        start_angles: (n, 7) result: joint angles at the start, rad.
-
-    Returns:
-        False if some trial has no valid candidate.
+    The result is False if some trial has no valid candidate.
     """
-    keys, gaze, space, board = (
-        StreamKeys(*keys),
-        HeadWithLimits(*gaze),
-        RandomTargetRanges(*workspace),
-        Board(*board),
-    )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     goal, begin = np.empty(4), np.empty(4)
     for n in range(len(points)):
@@ -396,7 +380,7 @@ def draw_targets(
         start_angles[n] = gaze.rest
         for attempt in range(MAX_CANDIDATES):
             found, point = draw_target_and_start(
-                seed, trial, attempt, gaze, space, board, eye, goal, begin
+                seed, trial, attempt, gaze, workspace, board, eye, goal, begin
             )
             if found:
                 break
@@ -440,10 +424,10 @@ class DoubleStepTarget(RandomTarget):
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         gaze, space = HeadWithLimits.of(head), self._workspace()
         found = draw_double_steps(
-            untyped_tuple(keys),
-            untyped_tuple(gaze),
-            untyped_tuple(space),
-            untyped_tuple(board),
+            keys,
+            gaze,
+            space,
+            board,
             first,
             second,
             q,
@@ -466,24 +450,8 @@ def draw_double_steps(
 ) -> bool:
     """Draw pairs of points for each trial until one is valid.
 
-    Args:
-        keys: `untyped_tuple`, keys of the n trials' random streams.
-        gaze: `untyped_tuple`, the head that looks.
-        workspace: `untyped_tuple`, the workspace.
-        board: `untyped_tuple`, shape of the target.
-        first_points: (n, 3) result: first position of the target, in N, m.
-        second_points: (n, 3) result: position after the second jump, in N, m.
-        start_angles: (n, 7) result: joint angles at the start, rad.
-
-    Returns:
-        False if some trial has no valid candidate.
+    The result is False if some trial has no valid candidate.
     """
-    keys, gaze, workspace, board = (
-        StreamKeys(*keys),
-        HeadWithLimits(*gaze),
-        RandomTargetRanges(*workspace),
-        Board(*board),
-    )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     begin, goal, last = np.empty(4), np.empty(4), np.empty(4)
     for n in range(len(first_points)):
