@@ -355,8 +355,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self._seed is None:
             raise reset_needed("step")
         task = self.task
-        array = as_action_array(action)
-        task.step(task.as_action(array.reshape(1, -1)))
+        task.step(task.of_all_heads(as_action_array(action).reshape(1, -1)))
         if self.render_mode == "human":
             self.render()
         return (

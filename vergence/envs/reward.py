@@ -299,13 +299,16 @@ def limit_actions(ids: IntArray, task: TaskArrays) -> bool:
     return True
 
 
-@subroutine
+@inlined
 def judge_steps(
     ids: IntArray, task: TaskArrays, coupled_head: PackedHead | None, reading: Reading
 ) -> None:
     """Compute observations, rewards and ends; an argument of None has no code compiled."""
     time_limits, progress, result = task.time_limits, task.progress, task.result
-    action, error, terms = task.action, result.error, result.terms
+    # unpacked once, as numba would count references at each access in the loop
+    head, scaling, action, error, terms = (
+        task.head, task.scaling, task.action, result.error, result.terms,
+    )  # fmt: skip
     m = action.shape[1]
     for n in ids:
         left, right = reading.visible[n, 0], reading.visible[n, 1]
@@ -317,7 +320,7 @@ def judge_steps(
                 error[n, eye, 0] = error[n, eye, 1] = np.nan
                 continue
             u, v = reading.pixels[n, eye, 0], reading.pixels[n, eye, 1]
-            error[n, eye, 0], error[n, eye, 1] = pixel_error(task.head, eye, u, v)
+            error[n, eye, 0], error[n, eye, 1] = pixel_error(head, eye, u, v)
         if both:
             goal = error[n]
             if coupled_head is not None:
@@ -333,7 +336,7 @@ def judge_steps(
                 precision += _RESTING_ERROR_PX / (_RESTING_ERROR_PX + size) / 6.0
                 settled = settled and size < SETTLED_PX
         encode_observation(
-            result.observation[n], task.scaling, error[n], reading, n, action[n], coupled_head
+            result.observation[n], scaling, error[n], reading, n, action[n], coupled_head
         )
         square = 0.0
         for j in range(m):

@@ -265,13 +265,16 @@ class GazeTask:
         Raises:
             ConfigurationError: the shape is wrong.
         """
-        array = as_action_array(action)
-        if array.shape != (self.num, len(self.action_names)):
+        return self.of_all_heads(as_action_array(action))
+
+    def of_all_heads(self, action: NDArray[Any]) -> NDArray[Any]:
+        """Refuse an array of another shape than (num, m), and return it; see `as_action`."""
+        if action.shape != self._action.shape:
             raise ConfigurationError(
-                f"action: expected shape ({self.num}, {len(self.action_names)}), heads by "
-                f"{', '.join(self.action_names)}, got {array.shape}"
+                f"action: expected shape {self._action.shape}, heads by "
+                f"{', '.join(self.action_names)}, got {action.shape}"
             )
-        return array
+        return action
 
     @property
     def pixel_error(self) -> FloatArray:

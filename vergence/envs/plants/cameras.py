@@ -26,7 +26,7 @@ from vergence.envs.streams import (
     to_normals,
     to_uniform,
 )
-from vergence.envs.targets.motion import POINT, Board, Motion, motion_position_at, unpack_motion
+from vergence.envs.targets.motion import POINT, Board, motion_position_at, view_motion
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.camera import Camera
@@ -315,7 +315,7 @@ def true_head_row(scene: TrueHeadsAndTargets, n: EnvIndex) -> PackedHead:
 @inlined
 def target_position_in_n(
     p: PackedHead,
-    motion: Motion,
+    motion: FloatArray,
     neck_at_start: FloatArray,
     neck: FloatArray | Vector,
     target_time_s: float,
@@ -341,7 +341,7 @@ def distorted_eye_pixel(
 @inlined
 def image_displacement(
     p: PackedHead,
-    motion: Motion,
+    motion: FloatArray,
     neck_at_start: FloatArray,
     eye: int,
     q: FloatArray,
@@ -356,7 +356,7 @@ def image_displacement(
 
     Args:
         p: the true head.
-        motion: the target's motion.
+        motion: row of the target's motion.
         neck_at_start: (3,) the neck's angles at the trial's start, rad.
         eye: index of the eye.
         q: (7,) joint angles in the middle of the exposure, rad.
@@ -368,7 +368,8 @@ def image_displacement(
     dt, dp = v[3 + 2 * eye] * half_exposure_s, v[4 + 2 * eye] * half_exposure_s
     yaw, roll, pitch = v[0] * half_exposure_s, v[1] * half_exposure_s, v[2] * half_exposure_s
     begin, end = target_time_s - half_exposure_s, target_time_s + half_exposure_s
-    for jump in (motion.jump_time, motion.second_jump_time):
+    own = view_motion(motion)
+    for jump in (own.jump_time, own.second_jump_time):
         if target_time_s >= jump:
             begin = max(begin, jump)
         elif end >= jump:
@@ -400,8 +401,7 @@ def update_truth(
         p, q = true_head_row(scene, n), scene.positions[n]
         for j in range(7):
             truth.positions[n, j], truth.velocities[n, j] = q[j], scene.velocities[n, j]
-        motion = unpack_motion(scene.motions[n])
-        point = target_position_in_n(p, motion, scene.necks[n], q, target_time_s[n])
+        point = target_position_in_n(p, scene.motions[n], scene.necks[n], q, target_time_s[n])
         truth.target[n, 0], truth.target[n, 1], truth.target[n, 2] = point
         for eye in range(2):
             u, v = distorted_eye_pixel(p, eye, q, point)

@@ -36,7 +36,7 @@ from vergence.envs.plants.step import (
 from vergence.envs.reading import BoolArray, Image, Reading
 from vergence.envs.reward import JUDGE, LIMIT
 from vergence.envs.streams import Arrays, IntArray, StreamKey, StreamKeys, StreamPurpose
-from vergence.envs.targets.motion import Board, board_axes, is_shown, unpack_motion
+from vergence.envs.targets.motion import Board, board_axes, is_shown
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled
 from vergence.models.camera import Camera
@@ -348,7 +348,7 @@ def board_poses_in_cameras(
     p, time_s = true_head_row(scene, env_index), exposures.time_s[env_index, exposure_index]
     q = exposures.positions[env_index, exposure_index]
     v = exposures.velocities[env_index, exposure_index]
-    motion = unpack_motion(scene.motions[env_index])
+    motion = scene.motions[env_index]
     target_time_s = time_s - onset_s + TIME_TOLERANCE_S
     x, y, z = target_position_in_n(p, motion, scene.necks[env_index], q, target_time_s)
     # columns of the board's rotation in N

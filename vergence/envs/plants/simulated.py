@@ -61,7 +61,7 @@ from vergence.envs.streams import (
     join_parts,
     restore_arrays,
 )
-from vergence.envs.targets.motion import JUMP, last_jump_time, motion_rows
+from vergence.envs.targets.motion import last_jump_time, motion_fields, motion_rows
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.kernels import make_table
 from vergence.models.head import HeadModel
@@ -557,8 +557,9 @@ class SimulatedPlant(Simulation):
         """See `Simulation.first_detection_times`."""
         packed, keys, motions = self._true_heads.packed, self._streams.keys, self._scene.motions
         first, last = np.empty((2, self.num))
-        for jumps, times in ((motions[:, JUMP].copy(), first), (last_jump_time(motions), last)):
-            first_detection_times(packed, keys, self._scene, jumps, times)
+        jumps = motion_fields(motions)["jump_time"].copy()
+        for since_s, times in ((jumps, first), (last_jump_time(motions), last)):
+            first_detection_times(packed, keys, self._scene, since_s, times)
         return first, last
 
     def state(self) -> Arrays:

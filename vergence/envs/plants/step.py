@@ -72,7 +72,7 @@ from vergence.envs.streams import (
     random_words,
     to_uniform,
 )
-from vergence.envs.targets.motion import is_shown, unpack_motion
+from vergence.envs.targets.motion import is_shown
 from vergence.kernels import compiled, inlined, subroutine, unpack_table
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_actuator_angle, inside_image
@@ -134,7 +134,7 @@ def simulate_detections(
         if counts[n] == 0:
             continue
         conditions, key = unpack_conditions(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
-        p, motion = heads[n * many], unpack_motion(motions[n])
+        p, motion = heads[n * many], motions[n]
         for i in range(counts[n]):
             (f, first_eye, end_eye), time_s = exposed_eyes(conditions, following[n]), times[n, i]
             following[n] += 1
@@ -369,7 +369,7 @@ def first_detection_times(
     """
     for n in range(len(read_times_s)):
         conditions, key = unpack_conditions(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
-        p, motion = true_head_row(scene, n), unpack_motion(scene.motions[n])
+        p, motion = true_head_row(scene, n), scene.motions[n]
         q, neck = scene.positions[n], scene.necks[n]
         frame, latest_s = first_frame_of_trial(conditions), -np.inf
         read_times_s[n] = np.inf

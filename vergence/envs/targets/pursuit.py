@@ -16,12 +16,11 @@ from vergence.envs.streams import (
     to_uniform,
 )
 from vergence.envs.targets.motion import (
-    HIDDEN_FROM,
-    HIDDEN_UNTIL,
     POINT,
     Board,
     Target,
     is_detectable_by_both_eyes,
+    motion_fields,
     motion_rows,
     point_between_knots,
     whole_board_text,
@@ -290,7 +289,8 @@ class OccludedTarget(OrbitTarget):
         """See `Target.draw`."""
         rows, q = super().draw(head, streams, ids, board)
         gone = draw_event_times(streams, ids, *self.gone_after)
-        rows[:, HIDDEN_FROM], rows[:, HIDDEN_UNTIL] = gone, gone + self.gone_s
+        fields = motion_fields(rows)
+        fields["hidden_from"], fields["hidden_until"] = gone, gone + self.gone_s
         return rows, q
 
 
