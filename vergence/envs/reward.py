@@ -44,26 +44,10 @@ from vergence.triangulation.rays import depths_on_rays, rays_from_pixel_errors
 
 @subroutine
 def image_jacobians(
-    p: PackedHead,
-    q: FloatArray,
-    error: FloatArray,
-    depth_m: float,
-    left_visible: bool,
-    right_visible: bool,
-    jacobian: FloatArray,
-) -> None:
-    """Compute the image Jacobians of the eyes that see the target, at its pixels.
-
-    Args:
-        p: a packed head.
-        q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-        depth_m: the target's depth, m; nan to triangulate it.
-        left_visible: True if the left eye sees the target.
-        right_visible: True if the right eye sees the target.
-        jacobian: (2, 2, 2) result by eye, image axis and joint of this eye, px/rad; unchanged for
-            an eye that does not see the target.
-    """
+    p: PackedHead, q: FloatArray, error: FloatArray, depth_m: float, left_visible: bool,
+    right_visible: bool, jacobian: FloatArray,
+) -> None:  # fmt: skip
+    """Compute the image Jacobians of the eyes that see the target, at its pixels."""
     eyes = (eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6]))
     depth_l = depth_r = depth_m
     if not isfinite(depth_m):
@@ -81,23 +65,10 @@ def image_jacobians(
 
 @subroutine
 def reducible_error_by_jacobian(
-    p: PackedHead,
-    jacobian: FloatArray,
-    error: FloatArray,
-    left_visible: bool,
-    right_visible: bool,
+    p: PackedHead, jacobian: FloatArray, error: FloatArray, left_visible: bool, right_visible: bool,
     out: FloatArray,
-) -> None:
-    """Compute the reducible part of pixel errors from given image Jacobians.
-
-    Args:
-        p: a packed head.
-        jacobian: (2, 2, 2) by eye, image axis and joint of this eye, px/rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-        left_visible: True if the left eye sees the target; else its errors are ignored.
-        right_visible: True if the right eye sees the target; else its errors are ignored.
-        out: (2, 2) result, px; nan for an eye that does not see the target.
-    """
+) -> None:  # fmt: skip
+    """Compute the reducible part of pixel errors from given image Jacobians."""
     share = np.zeros(SLOTS)
     actuator_least_squares(p, jacobian, error, left_visible, right_visible, share)
     for eye in range(2):
@@ -108,23 +79,10 @@ def reducible_error_by_jacobian(
 
 @inlined
 def reducible_error(
-    p: PackedHead,
-    q: FloatArray,
-    error: FloatArray,
-    left_visible: bool,
-    right_visible: bool,
+    p: PackedHead, q: FloatArray, error: FloatArray, left_visible: bool, right_visible: bool,
     out: FloatArray,
-) -> None:
-    """Compute the reducible part of pixel errors at the triangulated depth.
-
-    Args:
-        p: a packed head.
-        q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-        left_visible: True if the left eye sees the target; else its errors are ignored.
-        right_visible: True if the right eye sees the target; else its errors are ignored.
-        out: (2, 2) result, px; nan for an eye that does not see the target.
-    """
+) -> None:  # fmt: skip
+    """Compute the reducible part of pixel errors at the triangulated depth."""
     jacobian = np.zeros((2, 2, 2))
     image_jacobians(p, q, error, nan, left_visible, right_visible, jacobian)
     reducible_error_by_jacobian(p, jacobian, error, left_visible, right_visible, out)
@@ -221,13 +179,10 @@ class StepResult(NamedTuple):
     def empty(cls, num: int, size: int) -> "StepResult":
         """Arrays for `num` heads with observations of this size."""
         return cls(
-            observation=np.zeros((num, size), dtype=np.float32),
-            error=np.full((num, 2, 2), np.nan),
-            terms=np.zeros((num, len(TERMS))),
-            reward=np.zeros(num),
-            success=np.zeros(num, dtype=np.bool_),
-            lost=np.zeros(num, dtype=np.bool_),
-        )
+            observation=np.zeros((num, size), dtype=np.float32), error=np.full((num, 2, 2), np.nan),
+            terms=np.zeros((num, len(TERMS))), reward=np.zeros(num),
+            success=np.zeros(num, dtype=np.bool_), lost=np.zeros(num, dtype=np.bool_),
+        )  # fmt: skip
 
 
 @inlined
@@ -269,17 +224,12 @@ class TaskArrays(NamedTuple):
         """Arrays for `num` heads, before their trials begin."""
         layout = ObservationLayout.of(head)
         return cls(
-            requested=np.zeros((num, layout.count)),
-            action=np.zeros((num, layout.count)),
-            command=np.zeros((num, 7)),
-            action_limits=layout.action_limits,
-            head=head.packed,
-            scaling=layout.scaling,
-            time_limits=TimeLimits.of(head),
-            progress=TrialProgress.empty(num),
-            result=StepResult.empty(num, layout.size),
+            requested=np.zeros((num, layout.count)), action=np.zeros((num, layout.count)),
+            command=np.zeros((num, 7)), action_limits=layout.action_limits, head=head.packed,
+            scaling=layout.scaling, time_limits=TimeLimits.of(head),
+            progress=TrialProgress.empty(num), result=StepResult.empty(num, layout.size),
             coupled_head=None if head.actuation.direct else head.packed,
-        )
+        )  # fmt: skip
 
 
 @subroutine

@@ -40,12 +40,9 @@ class Policy(Protocol):
     """Any object with Stable-Baselines3's `predict`: a control law, a network, a user's class."""
 
     def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[Any], Any]:
+        self, observation: NDArray[np.float32], state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None, deterministic: bool = True,
+    ) -> tuple[NDArray[Any], Any]:  # fmt: skip
         """Choose actions.
 
         Args:
@@ -87,18 +84,12 @@ class GazeTask:
     """
 
     def __init__(
-        self,
-        num: int = 1,
-        *,
-        head: str | HeadModel = "simulated",
-        plant: str = "mujoco",
+        self, num: int = 1, *, head: str | HeadModel = "simulated", plant: str = "mujoco",
         target: str | Mapping[str, Any] | Target = "random",
-        model_errors: Mapping[str, float] | ModelErrors | None = None,
-        model_seed: int = 0,
-        variation: Mapping[str, Any] | Variation | None = None,
-        info: Collection[str] = (),
+        model_errors: Mapping[str, float] | ModelErrors | None = None, model_seed: int = 0,
+        variation: Mapping[str, Any] | Variation | None = None, info: Collection[str] = (),
         plant_options: Mapping[str, Any] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.head = head if isinstance(head, HeadModel) else load_head(head)
         refuse_immobile_eyes(self.head)
         target, look = separate_look(target)
@@ -170,11 +161,9 @@ class GazeTask:
         self.plant.prepare()
         self.plant.judge(self._all, self.reading)
         action, _state = policy.predict(
-            self.observation.copy(),
-            state=None,
-            episode_start=np.ones(self.num, dtype=np.bool_),
+            self.observation.copy(), state=None, episode_start=np.ones(self.num, dtype=np.bool_),
             deterministic=True,
-        )
+        )  # fmt: skip
         self.as_action(action)
         self.fixes()
 
@@ -358,16 +347,7 @@ class EyeImages(NamedTuple):
 
 
 def best_known_angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
-    """Best known joint angles and target position of one head.
-
-    Args:
-        task: the task.
-        n: environment index.
-
-    Returns:
-        (7,) joint angles, rad, and (3,) the target in N, m: the ground truth if it is known, else
-        encoder angles and the fix by gaze.
-    """
+    """(7,) joint angles, rad, and (3,) target in N, m: the truth if known, else as measured."""
     truth = task.truth()
     if truth is not None:
         return truth.positions[n], truth.target[n]
@@ -376,16 +356,7 @@ def best_known_angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, Fl
 
 
 def given_or_drawn_eye_images(task: GazeTask, n: int) -> EyeImages | None:
-    """Present images of one head's eyes.
-
-    Args:
-        task: the task.
-        n: environment index.
-
-    Returns:
-        Copies of the plant's own images, or, for a simulation without images, images drawn
-        noise-free at the present posture; None for a robot without images.
-    """
+    """Copies of the present images of one head's eyes, or drawn ones in a simulation without."""
     frames = task.plant.frames(n)
     if frames is not None:
         # plants give blue, green and red

@@ -54,16 +54,10 @@ class KinematicPlant(SimulatedPlant):
 
 @subroutine
 def move_motors(
-    ids: IntArray,
-    period_s: float,
-    packed: PackedConditions,
-    scene: TrueHeadsAndTargets,
-    motors: MotorStates,
-    coupling: ActuatorCoupling | None,
-    commands: CommandBuffers,
-    frames: Frames,
-    exposures: Exposures,
-) -> None:
+    ids: IntArray, period_s: float, packed: PackedConditions, scene: TrueHeadsAndTargets,
+    motors: MotorStates, coupling: ActuatorCoupling | None, commands: CommandBuffers,
+    frames: Frames, exposures: Exposures,
+) -> None:  # fmt: skip
     """Move all motors through a period, and record the joints at each exposure on the way."""
     # unpacked once, as numba would count references at each access in the loop
     heads, _motions, _necks, steps, positions, velocities = scene

@@ -69,17 +69,10 @@ class SubstepTrajectory(NamedTuple):
 
 @subroutine
 def mean_substep_controls(
-    ids: IntArray,
-    substep: int,
-    substeps: int,
-    period_s: float,
-    packed: PackedConditions,
-    steps: IntArray,
-    commands: CommandBuffers,
-    motors: MotorStates,
-    servo_slots: IntArray,
+    ids: IntArray, substep: int, substeps: int, period_s: float, packed: PackedConditions,
+    steps: IntArray, commands: CommandBuffers, motors: MotorStates, servo_slots: IntArray,
     control: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Compute the servos' controls for a substep of a period: the mean of its commands.
 
     A second-order servo is simulated as a first-order one with another control: the control that
@@ -112,14 +105,9 @@ def mean_substep_controls(
 
 @subroutine
 def read_mujoco_joints(
-    ids: IntArray,
-    substep: int,
-    simulations: "MujocoArrays",
-    packed: PackedConditions,
-    scene: TrueHeadsAndTargets,
-    motors: MotorStates,
-    coupling: ActuatorCoupling | None,
-) -> None:
+    ids: IntArray, substep: int, simulations: "MujocoArrays", packed: PackedConditions,
+    scene: TrueHeadsAndTargets, motors: MotorStates, coupling: ActuatorCoupling | None,
+) -> None:  # fmt: skip
     """Read angles and velocities of motors and joints at the end of a substep.
 
     Semi-implicit integration leaves the angle half a step ahead of the velocity; this is corrected.
@@ -159,14 +147,9 @@ def read_mujoco_joints(
 
 @subroutine
 def expose_on_trajectory(
-    ids: IntArray,
-    period_s: float,
-    packed: PackedConditions,
-    steps: IntArray,
-    frames: Frames,
-    trajectory: SubstepTrajectory,
-    exposures: Exposures,
-) -> None:
+    ids: IntArray, period_s: float, packed: PackedConditions, steps: IntArray, frames: Frames,
+    trajectory: SubstepTrajectory, exposures: Exposures,
+) -> None:  # fmt: skip
     """Expose the frames of a period, with the joints interpolated within its substeps."""
     substeps = trajectory.positions.shape[1] - 1
     length = period_s / substeps
@@ -247,15 +230,9 @@ class MujocoPlant(SimulatedPlant):
     """
 
     def __init__(
-        self,
-        head: HeadModel,
-        num: int = 1,
-        *,
-        neck: Literal["servo", "welded"] = "servo",
-        nthread: int = 0,
-        lag_s: ArrayLike | None = None,
-        **options: Any,
-    ) -> None:
+        self, head: HeadModel, num: int = 1, *, neck: Literal["servo", "welded"] = "servo",
+        nthread: int = 0, lag_s: ArrayLike | None = None, **options: Any,
+    ) -> None:  # fmt: skip
         nthread = check_count("nthread", nthread, minimum=0)
         super().__init__(head, num, lag_s=lag_s, **options)
         variation = self._true_heads.variation
@@ -367,21 +344,14 @@ class MujocoPlant(SimulatedPlant):
 
     def _motion_arrays(self) -> MujocoArrays:
         return MujocoArrays(
-            trajectory=self._track,
-            qpos=self._qpos,
-            qvel=self._qvel,
-            ctrl=self._ctrl,
-            joints=self._joints,
-            slots=self._slots,
-            nominal_head=self.head.packed,
-            half_step_s=self._half_step,
-            steps_per_substep=SUBSTEPS // self._substeps,
+            trajectory=self._track, qpos=self._qpos, qvel=self._qvel, ctrl=self._ctrl,
+            joints=self._joints, slots=self._slots, nominal_head=self.head.packed,
+            half_step_s=self._half_step, steps_per_substep=SUBSTEPS // self._substeps,
             functions=simulation_functions() if self._inside else (0, 0, 0, 0),
             model=self._own_model._address if self._inside else 0,
             data=self._data_addresses if self._inside else np.zeros(self.num, dtype=np.int64),
-            states=self._batch.state.ctypes.data,
-            state_size=self._batch.state.strides[0],
-        )
+            states=self._batch.state.ctypes.data, state_size=self._batch.state.strides[0],
+        )  # fmt: skip
 
     def _advance(self, ids: IntArray, phases: int) -> bool:
         if self.num == 1 and self._inside:  # as below, without its cost

@@ -91,18 +91,11 @@ class RenderedPlant(MujocoPlant):
     _varies: ClassVar[frozenset[str]] = frozenset(RANGES) - {"detection_noise_px", "skew_s"}
 
     def __init__(
-        self,
-        head: HeadModel,
-        num: int = 1,
-        *,
-        board: Literal["tag", "checkerboard"] = "tag",
+        self, head: HeadModel, num: int = 1, *, board: Literal["tag", "checkerboard"] = "tag",
         facing: Literal["head", "forward"] = "head",
-        width_rad: float | Literal["fit"] | None = None,
-        look: str | None = None,
-        scene: str | None = None,
-        wall: str | None = None,
-        **options: Any,
-    ) -> None:
+        width_rad: float | Literal["fit"] | None = None, look: str | None = None,
+        scene: str | None = None, wall: str | None = None, **options: Any,
+    ) -> None:  # fmt: skip
         super().__init__(head, num, **options)
         if self.conditions.skew_s.any():
             raise ConfigurationError(
@@ -257,12 +250,7 @@ class RenderedPlant(MujocoPlant):
 
 
 def scene_of(target: GazeTarget, scene: str | None, wall: str | None) -> Scene | None:
-    """The room in which a target is shown; None for printed ones before plain grey.
-
-    Raises:
-        ConfigurationError: the scene is invalid, shows no face to look at, or the target needs one
-            that is not given.
-    """
+    """The room in which a target is shown; None for printed ones before plain grey."""
     if not isinstance(target, ColourTarget | FaceTarget | PointTarget | OwnTarget):
         if scene is not None or wall is not None:
             raise ConfigurationError(
@@ -288,15 +276,9 @@ def scene_of(target: GazeTarget, scene: str | None, wall: str | None) -> Scene |
 
 @compiled
 def store_detections(
-    ids: IntArray,
-    packed: PackedConditions,
-    keys: StreamKeys,
-    exposures: Exposures,
-    frames: Frames,
-    detections_px: FloatArray,
-    detected: BoolArray,
-    answered: BoolArray,
-) -> None:
+    ids: IntArray, packed: PackedConditions, keys: StreamKeys, exposures: Exposures, frames: Frames,
+    detections_px: FloatArray, detected: BoolArray, answered: BoolArray,
+) -> None:  # fmt: skip
     """Store detections (n, E, 2, 2) in the frames' ring buffers.
 
     An image that is not `answered` (n, E) counts as dropped: nothing is known of it yet.
@@ -331,16 +313,10 @@ def store_detections(
 
 @compiled
 def board_poses_in_cameras(
-    env_index: int,
-    exposure_index: int,
-    half_exposure_s: float,
-    board_faces_head: bool,
-    scene: TrueHeadsAndTargets,
-    exposures: Exposures,
-    onset_s: float,
-    T_C_T: FloatArray,
+    env_index: int, exposure_index: int, half_exposure_s: float, board_faces_head: bool,
+    scene: TrueHeadsAndTargets, exposures: Exposures, onset_s: float, T_C_T: FloatArray,
     smear_px: FloatArray,
-) -> bool:
+) -> bool:  # fmt: skip
     """Compute the board's poses in both cameras, and the motion blur of its images, px.
 
     The result is True if there is a target at this time.

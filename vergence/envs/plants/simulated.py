@@ -83,11 +83,6 @@ class TrueHeadPrefetcher:
 
     The environments of a batch usually go on to their next trials one by one. When one of them
     needs a head that is not made yet, the heads of all environments' next trials are made with it.
-
-    Args:
-        variation: variation that draws the heads' model errors.
-        head: the model.
-        num: number of environments.
     """
 
     def __init__(self, variation: Variation, head: HeadModel, num: int) -> None:
@@ -100,15 +95,7 @@ class TrueHeadPrefetcher:
         self._ready = np.zeros(shape, dtype=np.bool_)
 
     def take(self, streams: RandomStreams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Take the heads of the trials of some environments.
-
-        Args:
-            streams: the trials' random streams.
-            ids: (m,) environment indices.
-
-        Returns:
-            (m, DEVIATES) the deviates, and (m, PACKED) the heads.
-        """
+        """Deviates (m, DEVIATES) and heads (m, PACKED) of the trials of some environments."""
         seeds, trials = streams.seeds[ids], streams.trials[ids]
         own = ids, _place(trials)
         if not self._holds(own, seeds, trials).all():
@@ -143,28 +130,12 @@ class TrueHeadPrefetcher:
 
 
 class TrueHeadsAndConditions:
-    """True heads of a batch, and the conditions of their running trials.
-
-    Args:
-        head: the model that a controller knows.
-        num: number of heads.
-        true_head: see `vergence.envs.plants.simulated.SimulatedPlant`, as for the rest.
-        given: imperfections of the loop, by name.
-        variation: conditions that each trial draws.
-
-    Raises:
-        ConfigurationError: an argument has an invalid shape or value.
-    """
+    """True heads of a batch, and the conditions of their running trials; see `SimulatedPlant`."""
 
     def __init__(
-        self,
-        head: HeadModel,
-        num: int,
-        *,
-        true_head: HeadModel | None,
-        given: Mapping[str, ArrayLike | None],
-        variation: Variation | None,
-    ) -> None:
+        self, head: HeadModel, num: int, *, true_head: HeadModel | None,
+        given: Mapping[str, ArrayLike | None], variation: Variation | None,
+    ) -> None:  # fmt: skip
         self.variation = variation
         self._heads_vary = variation is not None and variation.model_errors is not None
         if self._heads_vary and true_head is not None:
@@ -239,12 +210,7 @@ class TrueHeadsAndConditions:
         return arrays
 
     def draw(self, streams: RandomStreams, ids: IntArray) -> None:
-        """Draw the varying conditions of the trials of some environments.
-
-        Args:
-            streams: the trials' random streams.
-            ids: (m,) environment indices.
-        """
+        """Draw the varying conditions of the trials of some environments."""
         variation, packed = self.variation, self.packed
         if variation is None:
             return
@@ -341,14 +307,9 @@ class SimulatedPlant(Simulation):
 
     @_named
     def __init__(
-        self,
-        head: HeadModel,
-        num: int = 1,
-        *,
-        true_head: HeadModel | None = None,
-        variation: Variation | Mapping[str, Any] | None = None,
-        **loop: ArrayLike | None,
-    ) -> None:
+        self, head: HeadModel, num: int = 1, *, true_head: HeadModel | None = None,
+        variation: Variation | Mapping[str, Any] | None = None, **loop: ArrayLike | None,
+    ) -> None:  # fmt: skip
         refuse_unknown("plant_options", loop, IMPERFECTIONS)
         num = check_count("num", num)
         if head.batch_shape:
@@ -378,12 +339,9 @@ class SimulatedPlant(Simulation):
         self._motors = MotorStates.of(head, heads.given, num)
         self._coupling = ActuatorCoupling.of(head, heads.given, num)
         self._commands = CommandBuffers.empty(
-            num,
-            heads.given.actuation.velocity,
-            head.sensor.command_resolution_rad_s,
-            heads.largest_value("command_latency_s"),
-            period_s,
-        )
+            num, heads.given.actuation.velocity, head.sensor.command_resolution_rad_s,
+            heads.largest_value("command_latency_s"), period_s,
+        )  # fmt: skip
         # the reading of an image looks up joint angles as old as its date
         max_age_s = max(late_s, timing.latency_s) + 1.0 / max_hz + timing.feedback_latency_s
         max_age_s = max(max_age_s, heads.largest_value("speed_span_s"))
@@ -395,13 +353,10 @@ class SimulatedPlant(Simulation):
         )
         self._timing = SensorTiming.of(head)
         self._scene = TrueHeadsAndTargets(
-            heads=heads.packed.heads,
-            motions=motion_rows(np.tile(_INITIAL_TARGET_POINT, (num, 1))),
-            necks=np.zeros((num, 3)),
-            step=np.zeros(num, dtype=np.int64),
-            positions=np.zeros((num, 7)),
-            velocities=np.zeros((num, 7)),
-        )
+            heads=heads.packed.heads, motions=motion_rows(np.tile(_INITIAL_TARGET_POINT, (num, 1))),
+            necks=np.zeros((num, 3)), step=np.zeros(num, dtype=np.int64),
+            positions=np.zeros((num, 7)), velocities=np.zeros((num, 7)),
+        )  # fmt: skip
         self._missing_joints = np.flatnonzero([not name for name in head.joints])
         self._task = TaskArrays.empty(head, num)
 
@@ -416,7 +371,7 @@ class SimulatedPlant(Simulation):
 
     @property
     def true_head(self) -> HeadModel:
-        """The true heads: one, or a population of shape (num,)."""
+        """See `Simulation.true_head`."""
         return self._true_heads.model
 
     @property
@@ -430,11 +385,7 @@ class SimulatedPlant(Simulation):
 
     @abstractmethod
     def _advance(self, ids: IntArray, phases: int) -> bool:
-        """Run phases of a control period, see `vergence.envs.plants.step`.
-
-        Returns:
-            False if an action or a command is nan.
-        """
+        """Run phases of a control period, see `vergence.envs.plants.step`; False for a nan."""
 
     def join(self, task: TaskArrays) -> None:
         """See `Plant.join`; a step is then judged in the call that makes it."""
@@ -461,20 +412,12 @@ class SimulatedPlant(Simulation):
         """Table of the arrays of a step, made again once one of them has been replaced."""
         if self._kept_table is None:
             arrays = StepArrays(
-                timing=self._timing,
-                packed=self._true_heads.packed,
-                keys=self._streams.keys,
-                scene=self._scene,
-                motors=self._motors,
-                coupling=self._coupling,
-                commands=self._commands,
-                feedback=self._feedback,
-                frames=self._frames,
-                exposures=self._exposures,
-                reading=self.reading,
-                task=self._task,
+                timing=self._timing, packed=self._true_heads.packed, keys=self._streams.keys,
+                scene=self._scene, motors=self._motors, coupling=self._coupling,
+                commands=self._commands, feedback=self._feedback, frames=self._frames,
+                exposures=self._exposures, reading=self.reading, task=self._task,
                 motion=self._motion_arrays(),
-            )
+            )  # fmt: skip
             self._kept_table = make_table(arrays)
         return self._kept_table
 
@@ -488,14 +431,7 @@ class SimulatedPlant(Simulation):
         return self.begin(TrialStart(ids, keys.seeds[ids], keys.trials[ids], positions, motions))
 
     def begin(self, start: TrialStart) -> Reading:
-        """Begin trials in some environments; the others continue.
-
-        Args:
-            start: environment indices, and the starts of their trials.
-
-        Returns:
-            The reading at time zero.
-        """
+        """See `Simulation.begin`."""
         ids, positions = start.ids, start.positions
         if len(self._missing_joints):
             positions = positions.copy()

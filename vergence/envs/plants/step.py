@@ -103,25 +103,18 @@ class SensorTiming(NamedTuple):
         """The sensors of a head model."""
         timing = head.timing
         return cls(
-            control_period_s=timing.period_s,
-            nominal_latency_s=timing.latency_s,
+            control_period_s=timing.period_s, nominal_latency_s=timing.latency_s,
             nominal_feedback_latency_s=timing.feedback_latency_s,
-            exposure_stamped=bool(timing.exposure_stamps),
-            exposure_s=timing.exposure_s,
+            exposure_stamped=bool(timing.exposure_stamps), exposure_s=timing.exposure_s,
             max_smear_px=head.sensor.max_smear_px,
-        )
+        )  # fmt: skip
 
 
 @subroutine
 def simulate_detections(
-    ids: IntArray,
-    timing: SensorTiming,
-    packed: PackedConditions,
-    keys: StreamKeys,
-    scene: TrueHeadsAndTargets,
-    exposures: Exposures,
-    frames: Frames,
-) -> None:
+    ids: IntArray, timing: SensorTiming, packed: PackedConditions, keys: StreamKeys,
+    scene: TrueHeadsAndTargets, exposures: Exposures, frames: Frames,
+) -> None:  # fmt: skip
     """Simulate the detections in the last period's frames, and write them to the ring buffers."""
     # unpacked once, as numba would count references at each access in the loop
     heads, motions, necks, _steps, _positions, _velocities = scene
@@ -177,17 +170,10 @@ def simulate_detections(
 
 @subroutine
 def read_sensors(
-    ids: IntArray,
-    timing: SensorTiming,
-    packed: PackedConditions,
-    keys: StreamKeys,
-    steps: IntArray,
-    motors: MotorStates,
-    coupling: ActuatorCoupling | None,
-    feedback: JointFeedbackBuffers,
-    frames: Frames,
-    reading: Reading,
-) -> None:
+    ids: IntArray, timing: SensorTiming, packed: PackedConditions, keys: StreamKeys,
+    steps: IntArray, motors: MotorStates, coupling: ActuatorCoupling | None,
+    feedback: JointFeedbackBuffers, frames: Frames, reading: Reading,
+) -> None:  # fmt: skip
     """Read the newest frames that have arrived, if any, and the joint feedback."""
     period_s, loop_states = timing.control_period_s, feedback.control_loop_states
     for env in ids:
@@ -263,17 +249,10 @@ def first_frame_of_trial(conditions: TrialConditions) -> int:
 
 @subroutine
 def begin_trials(
-    ids: IntArray,
-    packed: PackedConditions,
-    keys: StreamKeys,
-    scene: TrueHeadsAndTargets,
-    motors: MotorStates,
-    coupling: ActuatorCoupling | None,
-    commands: CommandBuffers,
-    feedback: JointFeedbackBuffers,
-    frames: Frames,
-    reading: Reading,
-) -> None:
+    ids: IntArray, packed: PackedConditions, keys: StreamKeys, scene: TrueHeadsAndTargets,
+    motors: MotorStates, coupling: ActuatorCoupling | None, commands: CommandBuffers,
+    feedback: JointFeedbackBuffers, frames: Frames, reading: Reading,
+) -> None:  # fmt: skip
     """Set trials to time zero: joints at rest at the scene's angles, and empty ring buffers."""
     share = np.full(8, 0.5)
     for n in ids:
@@ -331,12 +310,9 @@ def begin_trials(
 
 @compiled
 def expose_frames_before_start(
-    ids: IntArray,
-    packed: PackedConditions,
-    scene: TrueHeadsAndTargets,
-    frames: Frames,
+    ids: IntArray, packed: PackedConditions, scene: TrueHeadsAndTargets, frames: Frames,
     exposures: Exposures,
-) -> bool:
+) -> bool:  # fmt: skip
     """Record as many exposures of resting heads before time zero as fit; False if none is left."""
     some = False
     for n in ids:
@@ -357,12 +333,9 @@ def expose_frames_before_start(
 
 @compiled
 def first_detection_times(
-    packed: PackedConditions,
-    keys: StreamKeys,
-    scene: TrueHeadsAndTargets,
-    since_target_time_s: FloatArray,
-    read_times_s: FloatArray,
-) -> None:
+    packed: PackedConditions, keys: StreamKeys, scene: TrueHeadsAndTargets,
+    since_target_time_s: FloatArray, read_times_s: FloatArray,
+) -> None:  # fmt: skip
     """Find when the first image in which an eye, at rest, finds the target is read, s.
 
     Images count from a moment (n,) in the target's own time on. Never is inf, s since the start.

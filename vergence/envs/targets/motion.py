@@ -53,13 +53,7 @@ MIN_PATH_LENGTH: Final = 12
 
 @inlined
 def point_between_knots(path: FloatArray, knot: int, t: float) -> Vector:
-    """Position between two knots.
-
-    Args:
-        path: (4 + 4 k,) see above.
-        knot: number of the knot before the position, from 1.
-        t: time, between those of this knot and the next, s.
-    """
+    """Position between two knots."""
     a, b = 4 * knot, 4 * knot + 4
     x, y, z = path[1], path[2], path[3]
     ax, ay, az = path[a + 1] - x, path[a + 2] - y, path[a + 3] - z
@@ -77,12 +71,7 @@ def point_between_knots(path: FloatArray, knot: int, t: float) -> Vector:
 
 @subroutine
 def point_at(path: FloatArray, t: float) -> Vector:
-    """Position on a path at a time.
-
-    Args:
-        path: (4 + 4 k,) see above.
-        t: time, not negative, s.
-    """
+    """Position on a path at a time."""
     low, high = 1, len(path) // 4 - 1
     end = path[4 * high]
     if t > end:
@@ -126,21 +115,12 @@ def motion_fields(rows: FloatArray) -> NDArray[Any]:
 
 
 def motion_rows(
-    anchor: ArrayLike,
-    *,
-    before: ArrayLike | None = None,
-    velocity: ArrayLike = 0.0,
-    duration: ArrayLike = inf,
-    cosine: ArrayLike = 0.0,
-    sine: ArrayLike = 0.0,
-    omega: ArrayLike = 0.0,
-    jump_time: ArrayLike = 0.0,
-    second_jump_time: ArrayLike = inf,
-    second_anchor: ArrayLike | None = None,
-    hidden_from: ArrayLike = inf,
-    hidden_until: ArrayLike = inf,
-    path: FloatArray | None = None,
-) -> FloatArray:
+    anchor: ArrayLike, *, before: ArrayLike | None = None, velocity: ArrayLike = 0.0,
+    duration: ArrayLike = inf, cosine: ArrayLike = 0.0, sine: ArrayLike = 0.0,
+    omega: ArrayLike = 0.0, jump_time: ArrayLike = 0.0, second_jump_time: ArrayLike = inf,
+    second_anchor: ArrayLike | None = None, hidden_from: ArrayLike = inf,
+    hidden_until: ArrayLike = inf, path: FloatArray | None = None,
+) -> FloatArray:  # fmt: skip
     """Make rows of motions.
 
     Args:
@@ -293,12 +273,7 @@ def whole_board_text(board: Board) -> str:
 
 @inlined
 def board_axes(point: Vector, facing_head: bool) -> Axes:
-    """The axes of a board's frame in N: right, down, and into the board.
-
-    Args:
-        point: position of its measured point in N, m.
-        facing_head: see `Board`.
-    """
+    """The axes of a board's frame in N: right, down, and into the board."""
     if not facing_head:
         return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     x, y, z = point
@@ -311,13 +286,7 @@ def board_axes(point: Vector, facing_head: bool) -> Axes:
 
 @inlined
 def mean_camera_distance(p: PackedHead, angles: FloatArray, point: Vector) -> float:
-    """Mean distance of a point from both cameras, m.
-
-    Args:
-        p: a packed head.
-        angles: (4,) the eyes' angles, rad.
-        point: in N, m.
-    """
+    """Mean distance of a point from both cameras, m."""
     total = 0.0
     for eye in range(2):
         camera = eye_frames(p, eye, angles[2 * eye], angles[2 * eye + 1]).camera
@@ -330,16 +299,7 @@ def mean_camera_distance(p: PackedHead, angles: FloatArray, point: Vector) -> fl
 def is_detectable_by_both_eyes(
     p: PackedHead, angles: FloatArray, point: Vector, border_px: float, board: Board
 ) -> bool:
-    """True if both eyes see a target: its point, and all of its board at a detectable size.
-
-    Args:
-        p: a packed head.
-        angles: (4,) the eyes' angles, rad.
-        point: in N, m.
-        border_px: least distance from the images' edges, px; for the outline of a board, the
-            board's own border is added.
-        board: shape of the target.
-    """
+    """True if both eyes see a target: its point, and all of its board at a detectable size."""
     k = len(board.outline)
     size = 1.0
     if k and board.true_size_distance_m == board.true_size_distance_m:
@@ -456,19 +416,7 @@ class Target(ABC):
 
 
 def fixation_angles(head: HeadModel, point_name: str, points: FloatArray) -> FloatArray:
-    """Compute joint angles that put points on both optical axes, or as near as actuators can.
-
-    Args:
-        head: the model of the head.
-        point_name: name of the points for error messages, such as `point`.
-        points: (n, 3) in N, m.
-
-    Returns:
-        (n, 7) rad.
-
-    Raises:
-        ConfigurationError: the limits prevent both eyes from looking at a point.
-    """
+    """Compute joint angles that put points on both optical axes, or as near as actuators can."""
     q = head.fixate(points, head.rest()[:3])
     within = head.reaches(q)
     asked = "fixate within their joints' limits"
@@ -494,17 +442,7 @@ def _in_images(head: HeadModel, q: FloatArray, points: FloatArray) -> NDArray[np
 def require_seen_by_an_eye(
     head: HeadModel, point_name: str, point: FloatArray, q: FloatArray
 ) -> None:
-    """Refuse a point that neither eye sees, as no controller could ever find it.
-
-    Args:
-        head: the model of the head.
-        point_name: name of the point for error messages.
-        point: (3,) in N, m.
-        q: (7,) joint angles at the start, rad.
-
-    Raises:
-        UnreachableTargetError: neither eye sees it.
-    """
+    """Refuse a point that neither eye sees, as no controller could ever find it."""
     if _in_images(head, q, point).any():
         return
     where = "outside both images"
