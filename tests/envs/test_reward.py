@@ -10,7 +10,6 @@ from vergence import load_head, make_controller
 from vergence.envs.reading import Reading
 from vergence.envs.reward import JUDGE, TERMS, TaskArrays, advance_task
 from vergence.envs.task import GazeTask
-from vergence.kernels import make_table
 
 STILL = np.zeros((1, 4))
 
@@ -156,7 +155,6 @@ def assessed(script, name="simulated", seed=0):
     rng, task, reading = np.random.default_rng(seed), TaskArrays.empty(head, 1), Reading.empty(1)
     task.progress.begin(np.arange(1), head.timing.period_s)
     reading.positions_at_exposure[:] = reading.positions[:] = head.rest()
-    table = make_table((task, reading))
     width_height = (640.0, 480.0)
     found = []
     for sees in script:
@@ -164,7 +162,7 @@ def assessed(script, name="simulated", seed=0):
         anywhere = rng.uniform(0.0, width_height, (2, 2))
         reading.pixels[0] = np.where(np.reshape(sees, (2, 1)), anywhere, np.nan)
         task.action[:] = rng.uniform(-1.0, 1.0, task.action.shape)
-        advance_task(table, np.arange(1), JUDGE)
+        advance_task(np.arange(1), task, reading, JUDGE)
         found.append((float(task.result.reward[0]), bool(task.result.lost[0])))
         reading.time_s[0] += head.timing.period_s
     return found

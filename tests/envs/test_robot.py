@@ -10,7 +10,7 @@ from vergence import make_controller
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.plant import PLANTS, is_simulated, make_plant, simulation_of
 from vergence.envs.rollout import rollout
-from vergence.envs.targets.motion import BEFORE
+from vergence.envs.targets.motion import motion_fields
 from vergence.envs.task import GazeTask, given_or_drawn_eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
@@ -49,7 +49,7 @@ def test_where_the_world_is_the_target_no_target_is_refused():
 def test_targets_are_placed_before_the_head_where_a_plant_can():
     task = begin(GazeTask(1, plant="tests.envs.robot:Emulated", target="step"))
     assert task.plant.calls == ["show", "reset"]
-    assert task.plant.shown[:, BEFORE].tolist() == [[0.0, -0.1, 1.0]]
+    assert motion_fields(task.plant.shown)["before"].tolist() == [[0.0, -0.1, 1.0]]
 
 
 def test_a_rollout_compiles_and_asks_the_policy_once_before_anything_moves(task):

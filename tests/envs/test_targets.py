@@ -8,7 +8,7 @@ from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.targets import make_target
-from vergence.envs.targets.motion import SEEN_BEFORE, target_position
+from vergence.envs.targets.motion import motion_fields, target_position
 from vergence.envs.targets.workspace import RandomTarget
 from vergence.errors import ConfigurationError, UnknownNameError
 
@@ -17,7 +17,7 @@ def test_a_static_target_rests_and_was_not_there_before(simulated: HeadModel) ->
     rows, q = draw(simulated, {"kind": "static", "point": [0.1, -0.2, 0.8]})
     for t in (0.0, 0.5, 100.0):
         assert target_position(rows[0], t) == pytest.approx([0.1, -0.2, 0.8], abs=1e-15)
-    assert rows[0, SEEN_BEFORE] == 0.0
+    assert motion_fields(rows)["seen_before"][0] == 0.0
     assert np.array_equal(q[0], simulated.rest())
 
 
@@ -26,7 +26,7 @@ def test_a_step_target_jumps_at_time_zero(simulated: HeadModel) -> None:
     rows, q = draw(simulated, {"kind": "step", "before": before, "after": after})
     assert target_position(rows[0], -1e-9) == pytest.approx(before, abs=1e-15)
     assert target_position(rows[0], 0.0) == pytest.approx(after, abs=1e-15)
-    assert rows[0, SEEN_BEFORE] == 1.0
+    assert motion_fields(rows)["seen_before"][0] == 1.0
     # the eyes hold it until then
     error = simulated.project(q[0], before) - simulated.cameras.principal
     assert np.abs(error).max() < 1e-9

@@ -7,6 +7,7 @@ from numba import typeof
 from tests.hardware.fakes import HEAD, TAG
 from tests.hardware.virtual import VirtualRobot
 from vergence.controllers.controller import make_controller
+from vergence.envs import plant
 from vergence.envs import task as gaze_task
 from vergence.hardware.compiling import compile_loop_kernels
 from vergence.vision.tracking import Tracker
@@ -29,13 +30,13 @@ def test_preparing_compiles_what_a_target_that_comes_later_needs(monkeypatch):
 @pytest.mark.slow
 def test_a_robots_trial_calls_the_task_with_types_that_preparing_has_compiled(monkeypatch):
     robot, types = VirtualRobot(monkeypatch), []
-    advance = gaze_task.advance_task
+    advance = plant.advance_task
 
     def watched(*arguments):
         types.append(tuple(map(typeof, arguments)))
         return advance(*arguments)
 
-    monkeypatch.setattr(gaze_task, "advance_task", watched)
+    monkeypatch.setattr(plant, "advance_task", watched)
     monkeypatch.setattr(gaze_task, "make_plant", lambda *_arguments: robot.plant)
     task = gaze_task.GazeTask(1, head=HEAD, plant="hardware")
     task.prepare(make_controller("ibvs", head=HEAD))

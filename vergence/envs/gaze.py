@@ -69,11 +69,7 @@ def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
 
 
 def checked_options(options: Mapping[str, Any] | None, known: Sequence[str]) -> dict[str, Any]:
-    """Check the options of a call of `reset`, and return them as a dictionary.
-
-    Raises:
-        ConfigurationError: an option is unknown.
-    """
+    """Check the options of a call of `reset`, and return them as a dictionary."""
     if options is None:
         return {}
     if not isinstance(options, Mapping):
@@ -83,11 +79,7 @@ def checked_options(options: Mapping[str, Any] | None, known: Sequence[str]) -> 
 
 
 def checked_arguments(env: "type[TaskEnv]", arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Check that an environment's task takes the arguments, and return them.
-
-    Raises:
-        UnexpectedArgumentError: an argument is unknown.
-    """
+    """Check that an environment's task takes the arguments, and return them."""
     of_task = accepted_arguments(env.task_type)
     if of_task is None or arguments.keys() <= of_task - {"num"}:
         return arguments
@@ -284,12 +276,8 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     task_type: ClassVar[type[GazeTask]] = GazeTask
 
     def __init__(
-        self,
-        *,
-        render_mode: str | None = None,
-        duration_s: float | None = None,
-        **options: Any,
-    ) -> None:
+        self, *, render_mode: str | None = None, duration_s: float | None = None, **options: Any,
+    ) -> None:  # fmt: skip
         if duration_s is not None:
             check_above_zero("duration_s", duration_s)
         self._duration_s = np.inf if duration_s is None else duration_s
@@ -355,8 +343,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self._seed is None:
             raise reset_needed("step")
         task = self.task
-        array = as_action_array(action)
-        task.step(task.as_action(array.reshape(1, -1)))
+        task.step(task.of_all_heads(as_action_array(action).reshape(1, -1)))
         if self.render_mode == "human":
             self.render()
         return (
@@ -408,14 +395,10 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
     task_type: ClassVar[type[GazeTask]] = GazeTask
 
     def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        max_episode_steps: int | None = None,
+        self, num_envs: int = 1, *, max_episode_steps: int | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        **options: Any,
-    ) -> None:
+        render_mode: str | None = None, **options: Any,
+    ) -> None:  # fmt: skip
         self.num_envs = num_envs = check_count("num_envs", num_envs)
         self.max_episode_steps = max_episode_steps
         try:
@@ -451,11 +434,9 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._staggered = True
 
     def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
+        self, *, seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:  # fmt: skip
         """Begin trials, of all heads or of some.
 
         Args:

@@ -7,14 +7,22 @@ readings. These were made from the actuators' encoders, so nothing is lost.
 
 from dataclasses import dataclass
 from math import isfinite, nan
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.envs.reading import BoolArray, Reading
 from vergence.errors import ConfigurationError
-from vergence.kernels import inlined, kernel, subroutine
+from vergence.kernels import (
+    inlined,
+    kernel,
+    make_row,
+    record_view,
+    row_layout,
+    row_size,
+    subroutine,
+)
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PackedHead
 from vergence.models.parts import EYES, NECK, SLOTS, FloatArray
@@ -56,37 +64,40 @@ def observation_slices(actuators: int) -> dict[str, slice]:
 FIELDS: Final = observation_slices(SLOTS)
 """The fields of a head whose eyes have four actuators."""
 
-# packed indices of the scaling array of kernels (numerical); groups of four have one number per
-# actuator slot
-WIDTH: Final = 0
-CENTRE: Final = 1
-HALF_RANGE: Final = 5
-SPEED: Final = 9
-LIMIT: Final = 13
-RESTING_NECK: Final = 17
-RIGHT_WIDTH: Final = 20
-DIRECT: Final = 21
-TO_JOINTS: Final = 22
-OFFSET: Final = 38
-TO_ACTUATORS: Final = 42
-SCALING: Final = 58
-"""Length of the scaling array."""
+
+class Scaling:
+    """Row of the scale factors of a head's observations; groups of four are by actuator slot."""
+
+    width: float
+    centre: Annotated[FloatArray, SLOTS]
+    half_range: Annotated[FloatArray, SLOTS]
+    speed: Annotated[FloatArray, SLOTS]
+    limit: Annotated[FloatArray, SLOTS]
+    resting_neck: Annotated[FloatArray, 3]
+    right_width: float
+    direct: float
+    to_joints: Annotated[FloatArray, SLOTS, SLOTS]
+    offset: Annotated[FloatArray, SLOTS]
+    to_actuators: Annotated[FloatArray, SLOTS, SLOTS]
+
+
+_SCALING: Final = row_layout(Scaling)
+SCALING: Final = row_size(_SCALING)
+"""Length of a row of `Scaling`."""
+_UP_TO_RIGHT_WIDTH: Final = 21
+"""Numbers of a row up to `right_width`, included (numerical)."""
 
 
 def packed_observation_scaling(head: HeadModel) -> FloatArray:
     """(SCALING,) packed scale factors of a head's observations, with its neck held at rest."""
-    row = np.zeros(SCALING)
-    own = head.actuation
-    row[WIDTH], row[RIGHT_WIDTH] = head.cameras.size[:, 0]
-    row[CENTRE:HALF_RANGE] = 0.5 * (own.lower + own.upper)[EYES]
-    row[HALF_RANGE:SPEED] = 0.5 * (own.upper - own.lower)[EYES] + ANGLE_MARGIN_RAD
-    row[SPEED:LIMIT] = SPEED_MARGIN * own.velocity[EYES]
-    row[LIMIT:RESTING_NECK] = own.velocity[EYES]
-    row[RESTING_NECK:RIGHT_WIDTH] = head.rest()[NECK]
-    row[DIRECT] = own.direct
-    row[TO_JOINTS:OFFSET] = own.to_joints.ravel()
-    row[OFFSET:TO_ACTUATORS] = own.offset
-    row[TO_ACTUATORS:] = own.to_actuators.ravel()
+    own, (width, right_width) = head.actuation, head.cameras.size[:, 0]
+    row = make_row(
+        _SCALING, width=width, right_width=right_width, resting_neck=head.rest()[NECK],
+        centre=0.5 * (own.lower + own.upper)[EYES],
+        half_range=0.5 * (own.upper - own.lower)[EYES] + ANGLE_MARGIN_RAD,
+        speed=SPEED_MARGIN * own.velocity[EYES], limit=own.velocity[EYES], direct=own.direct,
+        to_joints=own.to_joints, offset=own.offset, to_actuators=own.to_actuators,
+    )  # fmt: skip
     row.flags.writeable = False
     return row
 
@@ -129,42 +140,33 @@ def _clip(value: float) -> float:
 
 
 @inlined
-def _width(scaling: FloatArray, eye: int) -> float:
-    width: float = scaling[WIDTH] if eye == 0 else scaling[RIGHT_WIDTH]
-    return width
+def view_scaling(row: FloatArray) -> Scaling:
+    """The scale factors of a row."""
+    scaling: Scaling = record_view(row, _SCALING)
+    return scaling
+
+
+@inlined
+def _width(scaling: Scaling, eye: int) -> float:
+    return scaling.width if eye == 0 else scaling.right_width
 
 
 @subroutine
-def _actuators(scaling: FloatArray, k: int, joints: FloatArray, offset: float) -> float:
+def _actuators(scaling: Scaling, k: int, joints: FloatArray, offset: float) -> float:
     """Angle (offset 1.0) or velocity (offset 0.0) of actuator k, from that of the joints (7,)."""
     own = 0.0
     for j in range(SLOTS):
-        beyond = joints[3 + j] - offset * scaling[OFFSET + j]
-        own += scaling[TO_ACTUATORS + SLOTS * k + j] * beyond
+        own += scaling.to_actuators[k, j] * (joints[3 + j] - offset * scaling.offset[j])
     return own
 
 
 @inlined
 def encode_observation(
-    out: NDArray[np.float32],
-    scaling: FloatArray,
-    error: FloatArray,
-    reading: Reading,
-    n: int,
-    action: FloatArray,
-    coupled_head: PackedHead | None,
-) -> None:
-    """Write the observation of one environment.
-
-    Args:
-        out: (11 + 4 m,) result.
-        scaling: (SCALING,) see `packed_observation_scaling`.
-        error: (2, 2) measured pixel errors, px.
-        reading: readings of the batch.
-        n: environment index.
-        action: (m,) action of the present period.
-        coupled_head: the packed head if its eye joints are coupled, else None.
-    """
+    out: NDArray[np.float32], scaling_row: FloatArray, error: FloatArray, reading: Reading, n: int,
+    action: FloatArray, coupled_head: PackedHead | None,
+) -> None:  # fmt: skip
+    """Write the observation of one environment."""
+    scaling = view_scaling(scaling_row)
     for eye in range(2):
         seen = reading.visible[n, eye]
         out[VISIBLE + eye] = 1.0 if seen else 0.0
@@ -183,11 +185,11 @@ def encode_observation(
             angle = _actuators(scaling, k, reading.positions[n], 1.0)
             at_exposure = _actuators(scaling, k, reading.positions_at_exposure[n], 1.0)
             rate = _actuators(scaling, k, reading.velocities[n], 0.0)
-        centre, half = scaling[CENTRE + k], scaling[HALF_RANGE + k]
+        centre, half = scaling.centre[k], scaling.half_range[k]
         i = ACTUATORS + k
         out[i] = _clip((angle - centre) / half)
         out[i + m] = _clip((at_exposure - centre) / half)
-        out[i + 2 * m] = _clip(rate / scaling[SPEED + k])
+        out[i + 2 * m] = _clip(rate / scaling.speed[k])
         out[i + 3 * m] = action[k]
 
 
@@ -195,50 +197,21 @@ _DIMENSION_DUMMIES: Final = (np.zeros(2), np.zeros(7), np.zeros(4))
 """Dummy operands: they name dimensions that `_decode` has only in its results (numerical)."""
 
 
-def decode_observation(
-    observation: ArrayLike, size: int, scaling: FloatArray
-) -> tuple[NDArray[Any], ...]:
-    """Decode observations to physical units.
-
-    Args:
-        observation: (..., size).
-        size: length of one observation.
-        scaling: (SCALING,) see `packed_observation_scaling`.
-
-    Returns:
-        The fields of `vergence.envs.observation.Observation`.
-
-    Raises:
-        ConfigurationError: the array does not hold observations.
-    """
-    numbers = check_observation(observation, size).astype(np.float64, copy=False)
-    fields: tuple[NDArray[Any], ...] = _decode(numbers, scaling, *_DIMENSION_DUMMIES)
-    return fields
-
-
 @kernel(
     ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
     f"(o),({SCALING}),(2),(7),(4)->(2,2),(2),(),(7),(7),(7),(4)",
 )
 def _decode(
-    obs: FloatArray,
-    scaling: FloatArray,
-    pair: FloatArray,
-    seven: FloatArray,
-    four: FloatArray,
-    error: FloatArray,
-    visible: BoolArray,
-    age: FloatArray,
-    positions: FloatArray,
-    at_exposure: FloatArray,
-    velocities: FloatArray,
-    command: FloatArray,
-) -> None:
+    obs: FloatArray, scaling_row: FloatArray, pair: FloatArray, seven: FloatArray, four: FloatArray,
+    error: FloatArray, visible: BoolArray, age: FloatArray, positions: FloatArray,
+    at_exposure: FloatArray, velocities: FloatArray, command: FloatArray,
+) -> None:  # fmt: skip
     """Compute the fields of `Observation`.
 
     The three arguments after `scaling` are `_DIMENSION_DUMMIES`, which only set sizes. At
     least `ACTUATORS` numbers are read, so callers must have checked the length.
     """
+    scaling = view_scaling(scaling_row)
     for eye in range(2):
         seen = obs[VISIBLE + eye] > 0.5
         visible[eye] = seen
@@ -249,24 +222,24 @@ def _decode(
             error[eye, axis] = value if seen else nan
     age[0] = obs[AGE] * AGE_S
     for j in range(3):
-        positions[j] = at_exposure[j] = scaling[RESTING_NECK + j]
+        positions[j] = at_exposure[j] = scaling.resting_neck[j]
         velocities[j] = 0.0
-    direct = scaling[DIRECT] > 0.5
+    direct = scaling.direct > 0.5
     for j in range(SLOTS):
-        start = 0.0 if direct else scaling[OFFSET + j]
+        start = 0.0 if direct else scaling.offset[j]
         positions[3 + j] = at_exposure[3 + j] = start
         velocities[3 + j] = command[j] = 0.0
     m = min((len(obs) - ACTUATORS) // 4, SLOTS)
     for k in range(m):
-        i, centre, half = ACTUATORS + k, scaling[CENTRE + k], scaling[HALF_RANGE + k]
+        i, centre, half = ACTUATORS + k, scaling.centre[k], scaling.half_range[k]
         angle, then = centre + half * obs[i], centre + half * obs[i + m]
-        rate = scaling[SPEED + k] * obs[i + 2 * m]
-        command[k] = scaling[LIMIT + k] * obs[i + 3 * m]
+        rate = scaling.speed[k] * obs[i + 2 * m]
+        command[k] = scaling.limit[k] * obs[i + 3 * m]
         if direct:
             positions[3 + k], at_exposure[3 + k], velocities[3 + k] = angle, then, rate
             continue
         for j in range(SLOTS):
-            factor = scaling[TO_JOINTS + SLOTS * j + k]
+            factor = scaling.to_joints[j, k]
             positions[3 + j] += factor * angle
             at_exposure[3 + j] += factor * then
             velocities[3 + j] += factor * rate
@@ -331,11 +304,9 @@ class ObservationLayout:
     def of(cls, head: HeadModel) -> "ObservationLayout":
         """The layout for a head, its neck held at rest."""
         return cls(
-            scaling=packed_observation_scaling(head),
-            action_names=head.actuation.names,
-            latency_s=head.timing.latency_s,
-            period_s=head.timing.period_s,
-        )
+            scaling=packed_observation_scaling(head), action_names=head.actuation.names,
+            latency_s=head.timing.latency_s, period_s=head.timing.period_s,
+        )  # fmt: skip
 
     def __eq__(self, other: object) -> bool:
         """True if observations and actions have the same meaning in both layouts."""
@@ -364,7 +335,7 @@ class ObservationLayout:
     @property
     def action_limits(self) -> FloatArray:
         """(4,) actuator velocities that an action of 1 commands, rad/s; 0 beyond the first m."""
-        return self.scaling[LIMIT:RESTING_NECK]
+        return view_scaling(self.scaling).limit
 
     def low(self) -> NDArray[np.float32]:
         """(size,) the least value of each number of an observation."""
@@ -388,7 +359,8 @@ class ObservationLayout:
         Raises:
             ConfigurationError: the array does not hold observations.
         """
-        return Observation(*decode_observation(observation, self.size, self.scaling))
+        numbers = check_observation(observation, self.size).astype(np.float64, copy=False)
+        return Observation(*_decode(numbers, self.scaling, *_DIMENSION_DUMMIES))
 
     def action(self, velocity: ArrayLike) -> NDArray[np.float32]:
         """Compute the action that commands given actuator velocities, limited to [-1, 1].
@@ -410,19 +382,18 @@ class ObservationLayout:
         Entries that were added later are omitted if they carry no information: the right image's
         width if it equals the left's, and the joint coupling if each joint has its own motor.
         """
-        row = self.scaling
-        one_width = row[WIDTH] == row[RIGHT_WIDTH]
+        own = view_scaling(self.scaling)
+        numbers = _UP_TO_RIGHT_WIDTH - int(own.width == own.right_width)
         coupling = {
-            "joints_per_actuator": row[TO_JOINTS:OFFSET].reshape(SLOTS, SLOTS).tolist(),
-            "joint_offsets": row[OFFSET:TO_ACTUATORS].tolist(),
-        }
+            "joints_per_actuator": own.to_joints.tolist(), "joint_offsets": own.offset.tolist(),
+        }  # fmt: skip
         return {
             "fields": {name: [part.start, part.stop] for name, part in self.fields.items()},
             "actions": list(self.action_names),
-            "scaling": row[: RIGHT_WIDTH if one_width else RIGHT_WIDTH + 1].tolist(),
+            "scaling": self.scaling[:numbers].tolist(),
             "fine_px": FINE_PX,
             "age_s": AGE_S,
             "latency_s": self.latency_s,
             "period_s": self.period_s,
-            **({} if row[DIRECT] else coupling),
+            **({} if own.direct else coupling),
         }

@@ -5,9 +5,12 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, ClassVar, Final, NamedTuple
 
+import numpy as np
+
 from vergence.entry_points import EntryPoint, accepted_arguments, is_entry_point
 from vergence.envs.plants.conditions import Conditions
 from vergence.envs.reading import Image, Reading, Truth
+from vergence.envs.reward import JUDGE, LIMIT, TaskArrays, advance_task
 from vergence.envs.streams import Arrays, IntArray, KeyArray
 from vergence.envs.targets.motion import POINT, Board
 from vergence.errors import ConfigurationError, UnknownNameError, refuse_unknown
@@ -97,6 +100,39 @@ class Plant(ABC):
         Raises:
             ConfigurationError: a command is nan.
         """
+
+    def join(self, task: TaskArrays) -> None:
+        """Serve a task from now on: `act` takes its actions, and `judge` writes its results."""
+        self._joined_task, self._joined_reading = task, Reading.empty(self.num)
+
+    def act(self) -> Reading | None:
+        """Hold the actions that the task requests for one control period, and judge the step.
+
+        Returns:
+            The reading as judged; None if an action is nan, and nothing is changed then.
+        """
+        task, ids = self._joined_task, np.arange(self.num)
+        if not advance_task(ids, task, self._joined_reading, LIMIT):
+            return None
+        return self.judge(ids, self.step(task.command))
+
+    def judge(self, ids: IntArray, reading: Reading) -> Reading:
+        """Compute observations, rewards and ends of some of the task's environments.
+
+        Args:
+            ids: (m,) environment indices.
+            reading: the reading of all heads, as `reset` or `step` has returned it.
+
+        Returns:
+            The reading as judged: itself, or a copy with arrays that kernels can read.
+
+        Raises:
+            ConfigurationError: it is no reading of this many heads.
+        """
+        if reading is not self._joined_reading:  # most plants return the same one each time
+            self._joined_reading = Reading.of(reading, self.num)
+        advance_task(ids, self._joined_task, self._joined_reading, JUDGE)
+        return self._joined_reading
 
     def frames(self, place: int = 0) -> tuple[Image, Image] | None:
         """The newest images of both eyes of a head, in arrays that the plant reuses.

@@ -55,18 +55,12 @@ class Reading(NamedTuple):
     def empty(cls, num: int) -> "Reading":
         """The reading of heads that have seen nothing yet."""
         return cls(
-            time_s=np.zeros(num),
-            frame=np.zeros(num, dtype=np.int64),
-            pixels=np.full((num, 2, 2), np.nan),
-            visible=np.zeros((num, 2), dtype=np.bool_),
-            exposure_s=np.full(num, np.nan),
-            received_s=np.full(num, np.nan),
-            joints_s=np.zeros(num),
-            positions_at_exposure=np.zeros((num, 7)),
-            positions=np.zeros((num, 7)),
-            velocities=np.zeros((num, 7)),
-            command=np.zeros((num, 7)),
-        )
+            time_s=np.zeros(num), frame=np.zeros(num, dtype=np.int64),
+            pixels=np.full((num, 2, 2), np.nan), visible=np.zeros((num, 2), dtype=np.bool_),
+            exposure_s=np.full(num, np.nan), received_s=np.full(num, np.nan),
+            joints_s=np.zeros(num), positions_at_exposure=np.zeros((num, 7)),
+            positions=np.zeros((num, 7)), velocities=np.zeros((num, 7)), command=np.zeros((num, 7)),
+        )  # fmt: skip
 
     @classmethod
     def of(cls, returned: object, num: int) -> "Reading":
@@ -125,15 +119,12 @@ class Truth(NamedTuple):
     def unknown(cls, num: int) -> "Truth":
         """The truth of heads for which it is unknown: nan, and nothing visible."""
         return cls(
-            time_s=np.full(num, np.nan),
-            positions=np.full((num, 7), np.nan),
-            velocities=np.full((num, 7), np.nan),
-            motors=np.full((num, 7), np.nan),
-            target=np.full((num, 3), np.nan),
-            pixels=np.full((num, 2, 2), np.nan),
+            time_s=np.full(num, np.nan), positions=np.full((num, 7), np.nan),
+            velocities=np.full((num, 7), np.nan), motors=np.full((num, 7), np.nan),
+            target=np.full((num, 3), np.nan), pixels=np.full((num, 2, 2), np.nan),
             pixel_error=np.full((num, 2, 2), np.nan),
             image_visible=np.zeros((num, 2), dtype=np.bool_),
-        )
+        )  # fmt: skip
 
 
 def check_tuple_or_nonnegative(
@@ -142,15 +133,6 @@ def check_tuple_or_nonnegative(
     """Check `size` finite numbers and return them as a tuple.
 
     With size 0, check one number of at least 0.
-
-    Args:
-        name: name for error messages.
-        value: the user's value.
-        tuple_length: number of elements; 0 for a single number instead of a tuple.
-        positive: True if the single number must not be zero.
-
-    Raises:
-        ConfigurationError: the value is something else.
     """
     if tuple_length:
         if not isinstance(value, list | tuple | np.ndarray) or len(value) != tuple_length:
@@ -161,15 +143,7 @@ def check_tuple_or_nonnegative(
 
 
 def check_above_zero(name: str, value: object) -> None:
-    """Refuse a value that is not a finite number above zero.
-
-    Args:
-        name: name for error messages.
-        value: the user's value.
-
-    Raises:
-        ConfigurationError: it is not.
-    """
+    """Refuse a value that is not a finite number above zero."""
     if check_finite_number(name, value) <= 0.0:
         raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
 

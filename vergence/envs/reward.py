@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from vergence.envs.observation import ObservationLayout, encode_observation
 from vergence.envs.reading import BoolArray, Reading
 from vergence.envs.streams import IntArray
-from vergence.kernels import compiled, inlined, subroutine, unpack_table
+from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.fixation import actuator_least_squares, image_rate
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PackedHead, camera_of, eye_frames, eye_jacobian, pixel_error
@@ -44,26 +44,10 @@ from vergence.triangulation.rays import depths_on_rays, rays_from_pixel_errors
 
 @subroutine
 def image_jacobians(
-    p: PackedHead,
-    q: FloatArray,
-    error: FloatArray,
-    depth_m: float,
-    left_visible: bool,
-    right_visible: bool,
-    jacobian: FloatArray,
-) -> None:
-    """Compute the image Jacobians of the eyes that see the target, at its pixels.
-
-    Args:
-        p: a packed head.
-        q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-        depth_m: the target's depth, m; nan to triangulate it.
-        left_visible: True if the left eye sees the target.
-        right_visible: True if the right eye sees the target.
-        jacobian: (2, 2, 2) result by eye, image axis and joint of this eye, px/rad; unchanged for
-            an eye that does not see the target.
-    """
+    p: PackedHead, q: FloatArray, error: FloatArray, depth_m: float, left_visible: bool,
+    right_visible: bool, jacobian: FloatArray,
+) -> None:  # fmt: skip
+    """Compute the image Jacobians of the eyes that see the target, at its pixels."""
     eyes = (eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6]))
     depth_l = depth_r = depth_m
     if not isfinite(depth_m):
@@ -81,23 +65,10 @@ def image_jacobians(
 
 @subroutine
 def reducible_error_by_jacobian(
-    p: PackedHead,
-    jacobian: FloatArray,
-    error: FloatArray,
-    left_visible: bool,
-    right_visible: bool,
+    p: PackedHead, jacobian: FloatArray, error: FloatArray, left_visible: bool, right_visible: bool,
     out: FloatArray,
-) -> None:
-    """Compute the reducible part of pixel errors from given image Jacobians.
-
-    Args:
-        p: a packed head.
-        jacobian: (2, 2, 2) by eye, image axis and joint of this eye, px/rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-        left_visible: True if the left eye sees the target; else its errors are ignored.
-        right_visible: True if the right eye sees the target; else its errors are ignored.
-        out: (2, 2) result, px; nan for an eye that does not see the target.
-    """
+) -> None:  # fmt: skip
+    """Compute the reducible part of pixel errors from given image Jacobians."""
     share = np.zeros(SLOTS)
     actuator_least_squares(p, jacobian, error, left_visible, right_visible, share)
     for eye in range(2):
@@ -108,23 +79,10 @@ def reducible_error_by_jacobian(
 
 @inlined
 def reducible_error(
-    p: PackedHead,
-    q: FloatArray,
-    error: FloatArray,
-    left_visible: bool,
-    right_visible: bool,
+    p: PackedHead, q: FloatArray, error: FloatArray, left_visible: bool, right_visible: bool,
     out: FloatArray,
-) -> None:
-    """Compute the reducible part of pixel errors at the triangulated depth.
-
-    Args:
-        p: a packed head.
-        q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-        left_visible: True if the left eye sees the target; else its errors are ignored.
-        right_visible: True if the right eye sees the target; else its errors are ignored.
-        out: (2, 2) result, px; nan for an eye that does not see the target.
-    """
+) -> None:  # fmt: skip
+    """Compute the reducible part of pixel errors at the triangulated depth."""
     jacobian = np.zeros((2, 2, 2))
     image_jacobians(p, q, error, nan, left_visible, right_visible, jacobian)
     reducible_error_by_jacobian(p, jacobian, error, left_visible, right_visible, out)
@@ -221,13 +179,10 @@ class StepResult(NamedTuple):
     def empty(cls, num: int, size: int) -> "StepResult":
         """Arrays for `num` heads with observations of this size."""
         return cls(
-            observation=np.zeros((num, size), dtype=np.float32),
-            error=np.full((num, 2, 2), np.nan),
-            terms=np.zeros((num, len(TERMS))),
-            reward=np.zeros(num),
-            success=np.zeros(num, dtype=np.bool_),
-            lost=np.zeros(num, dtype=np.bool_),
-        )
+            observation=np.zeros((num, size), dtype=np.float32), error=np.full((num, 2, 2), np.nan),
+            terms=np.zeros((num, len(TERMS))), reward=np.zeros(num),
+            success=np.zeros(num, dtype=np.bool_), lost=np.zeros(num, dtype=np.bool_),
+        )  # fmt: skip
 
 
 @inlined
@@ -235,35 +190,75 @@ def _norm(u: float, v: float) -> float:
     return sqrt(u * u + v * v)
 
 
-@compiled
-def compute_step_result(
-    ids: IntArray,
-    head: PackedHead,
-    scaling: FloatArray,
-    time_limits: TimeLimits,
-    reading: Reading,
-    action: FloatArray,
-    progress: TrialProgress,
-    result: StepResult,
-    coupled_head: PackedHead | None,
-) -> None:
-    """Compute observations, rewards and terminations of some environments of a batch.
+LIMIT: Final = 1
+"""Phase of a step, one bit: limit the requested actions, and convert them to commands
+(numerical)."""
+JUDGE: Final = 2
+"""Phase, one bit: compute observations, rewards and ends from the reading (numerical)."""
 
-    Args:
-        ids: (m,) environment indices.
-        head: (PACKED,) the head that the controller knows.
-        scaling: (SCALING,) see `vergence.envs.observation`.
-        time_limits: time limits; `untyped_tuple`, as are all named tuples here.
-        reading: sensor readings.
-        action: (n, m) the actions applied.
-        progress: updated in place.
-        result: the result.
-        coupled_head: the packed head again if its eye joints are coupled, else None; code for
-            coupled joints is then not compiled.
-    """
-    time_limits, reading = TimeLimits(*time_limits), Reading(*reading)
-    progress, result = TrialProgress(*progress), StepResult(*result)
-    error, terms = result.error, result.terms
+
+class TaskArrays(NamedTuple):
+    """Actions, commands and results of a batch of gaze tasks, and the rules that they follow."""
+
+    requested: FloatArray
+    """(n, m) actions as requested, for the m actuators."""
+    action: FloatArray
+    """(n, m) actions as applied, limited to [-1, 1]."""
+    command: FloatArray
+    """(n, 7) velocities commanded by them, rad/s; see `vergence.envs.plant.Plant.step`."""
+    action_limits: FloatArray
+    """(4,) velocities of full actions, rad/s; 0 beyond the first m."""
+    head: PackedHead
+    """(PACKED,) the head that the controller knows."""
+    scaling: FloatArray
+    """(SCALING,) see `vergence.envs.observation`."""
+    time_limits: TimeLimits
+    progress: TrialProgress
+    result: StepResult
+    coupled_head: PackedHead | None
+    """The packed head again if its eye joints are coupled, else None; code for coupled joints is
+    then not compiled."""
+
+    @classmethod
+    def empty(cls, head: HeadModel, num: int) -> "TaskArrays":
+        """Arrays for `num` heads, before their trials begin."""
+        layout = ObservationLayout.of(head)
+        return cls(
+            requested=np.zeros((num, layout.count)), action=np.zeros((num, layout.count)),
+            command=np.zeros((num, 7)), action_limits=layout.action_limits, head=head.packed,
+            scaling=layout.scaling, time_limits=TimeLimits.of(head),
+            progress=TrialProgress.empty(num), result=StepResult.empty(num, layout.size),
+            coupled_head=None if head.actuation.direct else head.packed,
+        )  # fmt: skip
+
+
+@subroutine
+def limit_actions(ids: IntArray, task: TaskArrays) -> bool:
+    """Limit requested actions and convert them to commands; False, and no change, if any is nan."""
+    requested, action, command, limits = (
+        task.requested, task.action, task.command, task.action_limits,
+    )  # fmt: skip
+    for n in range(requested.shape[0]):
+        for j in range(requested.shape[1]):
+            if requested[n, j] != requested[n, j]:
+                return False
+    for n in ids:
+        for j in range(requested.shape[1]):
+            action[n, j] = a = min(max(requested[n, j], -1.0), 1.0)
+            command[n, 3 + j] = a * limits[j]
+    return True
+
+
+@inlined
+def judge_steps(
+    ids: IntArray, task: TaskArrays, coupled_head: PackedHead | None, reading: Reading
+) -> None:
+    """Compute observations, rewards and ends; an argument of None has no code compiled."""
+    time_limits, progress, result = task.time_limits, task.progress, task.result
+    # unpacked once, as numba would count references at each access in the loop
+    head, scaling, action, error, terms = (
+        task.head, task.scaling, task.action, result.error, result.terms,
+    )  # fmt: skip
     m = action.shape[1]
     for n in ids:
         left, right = reading.visible[n, 0], reading.visible[n, 1]
@@ -317,101 +312,11 @@ def compute_step_result(
         result.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
 
 
-LIMIT: Final = 1
-"""Phase of a step, one bit: limit the requested actions, and convert them to commands
-(numerical)."""
-JUDGE: Final = 2
-"""Phase, one bit: compute observations, rewards and ends from the reading (numerical)."""
-
-
-class TaskArrays(NamedTuple):
-    """Actions, commands and results of a batch of gaze tasks, and the rules that they follow."""
-
-    requested: FloatArray
-    """(n, m) actions as requested, for the m actuators."""
-    action: FloatArray
-    """(n, m) actions as applied, limited to [-1, 1]."""
-    command: FloatArray
-    """(n, 7) velocities commanded by them, rad/s; see `vergence.envs.plant.Plant.step`."""
-    action_limits: FloatArray
-    """(4,) velocities of full actions, rad/s; 0 beyond the first m."""
-    head: PackedHead
-    """(PACKED,) the head that the controller knows."""
-    scaling: FloatArray
-    """(SCALING,) see `vergence.envs.observation`."""
-    time_limits: TimeLimits
-    progress: TrialProgress
-    result: StepResult
-    coupled_head: PackedHead | None
-    """The packed head again if its eye joints are coupled, else None; code for coupled joints is
-    then not compiled."""
-
-    @classmethod
-    def empty(cls, head: HeadModel, num: int) -> "TaskArrays":
-        """Arrays for `num` heads, before their trials begin."""
-        layout = ObservationLayout.of(head)
-        return cls(
-            requested=np.zeros((num, layout.count)),
-            action=np.zeros((num, layout.count)),
-            command=np.zeros((num, 7)),
-            action_limits=layout.action_limits,
-            head=head.packed,
-            scaling=layout.scaling,
-            time_limits=TimeLimits.of(head),
-            progress=TrialProgress.empty(num),
-            result=StepResult.empty(num, layout.size),
-            coupled_head=None if head.actuation.direct else head.packed,
-        )
-
-
 @compiled
-def limit_actions(ids: IntArray, task: TaskArrays) -> bool:
-    """Limit requested actions and convert them to commands; the neck's are unchanged.
-
-    Args:
-        ids: (m,) environment indices.
-        task: `untyped_tuple`.
-
-    Returns:
-        False if a requested action of any environment is nan; nothing is changed then.
-    """
-    requested, action, command, limits = task[0], task[1], task[2], task[3]
-    for n in range(requested.shape[0]):
-        for j in range(requested.shape[1]):
-            if requested[n, j] != requested[n, j]:
-                return False
-    for n in ids:
-        for j in range(requested.shape[1]):
-            action[n, j] = a = min(max(requested[n, j], -1.0), 1.0)
-            command[n, 3 + j] = a * limits[j]
-    return True
-
-
-@inlined
-def judge_steps(ids: IntArray, task: TaskArrays, reading: Reading) -> None:
-    """Compute the results of the last steps of some environments, see `compute_step_result`."""
-    own = TaskArrays(*task)
-    compute_step_result(
-        ids, own.head, own.scaling, own.time_limits, reading, own.action, own.progress, own.result,
-        own.coupled_head,
-    )  # fmt: skip
-
-
-@compiled
-def advance_task(table: NDArray[np.void], ids: IntArray, phases: int) -> bool:
-    """Run phases of a step that precede and follow those of a plant which is stepped by itself.
-
-    Args:
-        table: table of `TaskArrays` and the plant's `Reading`.
-        ids: (m,) environment indices.
-        phases: `LIMIT` and `JUDGE`.
-
-    Returns:
-        False if an action is nan.
-    """
-    task, reading = unpack_table(table)
+def advance_task(ids: IntArray, task: TaskArrays, reading: Reading, phases: int) -> bool:
+    """Run the phases `LIMIT` and `JUDGE` of a step; False if an action is nan."""
     if phases & LIMIT and not limit_actions(ids, task):
         return False
     if phases & JUDGE:
-        judge_steps(ids, task, reading)
+        judge_steps(ids, task, task.coupled_head, reading)
     return True

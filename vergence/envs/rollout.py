@@ -14,14 +14,9 @@ from vergence.errors import HardwareError
 
 
 def rollout(
-    task: GazeTask,
-    policy: Policy,
-    steps: int,
-    record: Callable[[int], None],
-    *,
-    seed: int = 0,
+    task: GazeTask, policy: Policy, steps: int, record: Callable[[int], None], *, seed: int = 0,
     first_trial: int = 0,
-) -> None:
+) -> None:  # fmt: skip
     """Run one trial in each environment of a task, and close the task in any case.
 
     Unless the plant is a simulation, all code is compiled before the heads move, see
@@ -36,14 +31,9 @@ def rollout(
 
 
 def run_trial(
-    task: GazeTask,
-    policy: Policy,
-    steps: int,
-    record: Callable[[int], None],
-    *,
-    seed: int = 0,
+    task: GazeTask, policy: Policy, steps: int, record: Callable[[int], None], *, seed: int = 0,
     first_trial: int = 0,
-) -> None:
+) -> None:  # fmt: skip
     """Run one trial in each environment of a task, and leave the task open for the next one.
 
     Args:

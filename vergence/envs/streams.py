@@ -95,13 +95,7 @@ class RandomStreams:
         self._make_generator()
 
     def start(self, ids: IntArray, seeds: KeyArray, trials: KeyArray) -> None:
-        """Set the keys of some environments.
-
-        Args:
-            ids: (n,) environment indices.
-            seeds: (n,) their seeds.
-            trials: (n,) their trials.
-        """
+        """Set the keys of some environments."""
         self.seeds[ids] = seeds
         self.trials[ids] = trials
 
@@ -217,15 +211,7 @@ def copy_arrays(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
 
 
 def restore_arrays(arrays: Mapping[str, NDArray[Any]], saved: Mapping[str, NDArray[Any]]) -> None:
-    """Restore the saved values of arrays.
-
-    Args:
-        arrays: updated in place.
-        saved: a result of `copy_arrays`.
-
-    Raises:
-        ConfigurationError: names, shapes or types differ, as for another simulation.
-    """
+    """Restore the saved values of arrays."""
     forms = [{name: (a.shape, a.dtype) for name, a in part.items()} for part in (arrays, saved)]
     if forms[0] != forms[1]:
         wrong = sorted(name for name, _form in set(forms[0].items()) ^ set(forms[1].items()))

@@ -12,9 +12,8 @@ from vergence.envs.observation import ObservationLayout
 from vergence.envs.plant import Simulation, TrialStart, make_plant, plant_type, simulation_of
 from vergence.envs.plants.cameras import BoardImageRenderer
 from vergence.envs.plants.conditions import Variation, make_variation
-from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.reading import Image, Reading, Truth, as_action_array, refuse_immobile_eyes
-from vergence.envs.reward import JUDGE, LIMIT, TERMS, TaskArrays, advance_task
+from vergence.envs.reward import TERMS, TaskArrays
 from vergence.envs.streams import (
     Arrays,
     IntArray,
@@ -29,7 +28,6 @@ from vergence.envs.streams import (
 from vergence.envs.targets import make_target, separate_look
 from vergence.envs.targets.motion import Target
 from vergence.errors import ConfigurationError
-from vergence.kernels import make_table
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
@@ -42,12 +40,9 @@ class Policy(Protocol):
     """Any object with Stable-Baselines3's `predict`: a control law, a network, a user's class."""
 
     def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[Any], Any]:
+        self, observation: NDArray[np.float32], state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None, deterministic: bool = True,
+    ) -> tuple[NDArray[Any], Any]:  # fmt: skip
         """Choose actions.
 
         Args:
@@ -89,18 +84,12 @@ class GazeTask:
     """
 
     def __init__(
-        self,
-        num: int = 1,
-        *,
-        head: str | HeadModel = "simulated",
-        plant: str = "mujoco",
+        self, num: int = 1, *, head: str | HeadModel = "simulated", plant: str = "mujoco",
         target: str | Mapping[str, Any] | Target = "random",
-        model_errors: Mapping[str, float] | ModelErrors | None = None,
-        model_seed: int = 0,
-        variation: Mapping[str, Any] | Variation | None = None,
-        info: Collection[str] = (),
+        model_errors: Mapping[str, float] | ModelErrors | None = None, model_seed: int = 0,
+        variation: Mapping[str, Any] | Variation | None = None, info: Collection[str] = (),
         plant_options: Mapping[str, Any] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.head = head if isinstance(head, HeadModel) else load_head(head)
         refuse_immobile_eyes(self.head)
         target, look = separate_look(target)
@@ -155,12 +144,7 @@ class GazeTask:
         self.encoded = self.observation = self._outcome.observation
         self.reward, self.success = self._outcome.reward, self._outcome.success
         self.lost = self._outcome.lost
-        self._kept_table: NDArray[np.void] | None = None
-        self._joined: SimulatedPlant | None = None
-        # such a plant judges its steps in the call that makes them, unless its steps are its own
-        if isinstance(self.plant, SimulatedPlant) and type(self.plant).step is SimulatedPlant.step:
-            self._joined = self.plant
-            self.plant.join(arrays)
+        self.plant.join(arrays)
 
     def prepare(self, policy: Policy) -> None:
         """Compile all code that trials call, before anything moves.
@@ -175,13 +159,11 @@ class GazeTask:
             ConfigurationError: the policy's actions have the wrong shape.
         """
         self.plant.prepare()
-        self._assess(self._all)
+        self.plant.judge(self._all, self.reading)
         action, _state = policy.predict(
-            self.observation.copy(),
-            state=None,
-            episode_start=np.ones(self.num, dtype=np.bool_),
+            self.observation.copy(), state=None, episode_start=np.ones(self.num, dtype=np.bool_),
             deterministic=True,
-        )
+        )  # fmt: skip
         self.as_action(action)
         self.fixes()
 
@@ -197,15 +179,15 @@ class GazeTask:
         self._streams.start(ids, seeds, trials)
         motions, positions = self.target.draw(self.head, self._streams, ids, plant.board)
         if isinstance(plant, Simulation):
-            self._take(plant.begin(TrialStart(ids, seeds, trials, positions, motions)))
+            reading = plant.begin(TrialStart(ids, seeds, trials, positions, motions))
         else:
             if plant.places_targets:
                 plant.show(ids, motions)
-            self._take(plant.reset(ids, positions))
+            reading = plant.reset(ids, positions)
         self._progress.begin(ids, self.head.timing.period_s)
         self._command[ids] = 0.0
         self._action[ids] = 0.0
-        self._assess(ids)
+        self.reading = plant.judge(ids, reading)
 
     def step(self, action: NDArray[Any]) -> None:
         """Apply actions, and update observation, reward, success and loss.
@@ -217,40 +199,11 @@ class GazeTask:
             ConfigurationError: an action is nan.
         """
         self._task_arrays.requested[:] = action
-        if self._joined is not None:
-            numbers = self._joined.act()
-        else:
-            numbers = advance_task(self._table, self._all, LIMIT)
-        if not numbers:
+        reading = self.plant.act()
+        if reading is None:
             self.plant.rest("policy: expected numbers for an action, got nan")
             raise ConfigurationError("action: expected numbers, got nan")
-        if self._joined is None:
-            self._take(self.plant.step(self._command))
-            self._assess(self._all)
-
-    def _take(self, reading: Reading) -> None:
-        """Keep a plant's reading; the package's own plants return the same object each time."""
-        if reading is not self.reading:
-            self.reading = Reading.of(reading, self.num)
-            self._kept_table = None
-            if self._joined is not None and self.reading is not self._joined.reading:
-                self._joined = None  # it would judge what it has not returned
-
-    def _assess(self, ids: IntArray) -> None:
-        if self._joined is not None:
-            self._joined.judge(ids)
-        else:
-            advance_task(self._table, ids, JUDGE)
-
-    @property
-    def _table(self) -> NDArray[np.void]:
-        """Table of the arrays of a step for a plant that does not judge its own."""
-        if self._kept_table is None:
-            self._kept_table = make_table((self._task_arrays, self.reading))
-        return self._kept_table
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_kept_table": None}
+        self.reading = reading
 
     def state(self) -> SavedState:
         """Copy the complete state of the running trials.
@@ -273,7 +226,7 @@ class GazeTask:
             ConfigurationError: the state belongs to another task.
         """
         restore_arrays(self._arrays(), state["task"])
-        self._take(simulation_of(self.plant).restore(state["plant"]))
+        self.reading = Reading.of(simulation_of(self.plant).restore(state["plant"]), self.num)
 
     def _arrays(self) -> Arrays:
         """State arrays of the task, without those of the plant."""
@@ -301,13 +254,16 @@ class GazeTask:
         Raises:
             ConfigurationError: the shape is wrong.
         """
-        array = as_action_array(action)
-        if array.shape != (self.num, len(self.action_names)):
+        return self.of_all_heads(as_action_array(action))
+
+    def of_all_heads(self, action: NDArray[Any]) -> NDArray[Any]:
+        """Refuse an array of another shape than (num, m), and return it; see `as_action`."""
+        if action.shape != self._action.shape:
             raise ConfigurationError(
-                f"action: expected shape ({self.num}, {len(self.action_names)}), heads by "
-                f"{', '.join(self.action_names)}, got {array.shape}"
+                f"action: expected shape {self._action.shape}, heads by "
+                f"{', '.join(self.action_names)}, got {action.shape}"
             )
-        return array
+        return action
 
     @property
     def pixel_error(self) -> FloatArray:
@@ -391,16 +347,7 @@ class EyeImages(NamedTuple):
 
 
 def best_known_angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
-    """Best known joint angles and target position of one head.
-
-    Args:
-        task: the task.
-        n: environment index.
-
-    Returns:
-        (7,) joint angles, rad, and (3,) the target in N, m: the ground truth if it is known, else
-        encoder angles and the fix by gaze.
-    """
+    """(7,) joint angles, rad, and (3,) target in N, m: the truth if known, else as measured."""
     truth = task.truth()
     if truth is not None:
         return truth.positions[n], truth.target[n]
@@ -409,16 +356,7 @@ def best_known_angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, Fl
 
 
 def given_or_drawn_eye_images(task: GazeTask, n: int) -> EyeImages | None:
-    """Present images of one head's eyes.
-
-    Args:
-        task: the task.
-        n: environment index.
-
-    Returns:
-        Copies of the plant's own images, or, for a simulation without images, images drawn
-        noise-free at the present posture; None for a robot without images.
-    """
+    """Copies of the present images of one head's eyes, or drawn ones in a simulation without."""
     frames = task.plant.frames(n)
     if frames is not None:
         # plants give blue, green and red

@@ -38,7 +38,6 @@ brackets stand the inner names of numba that a trick needs, whose parameters
   [populate_array, lower_builtin, type_callable]. Out: pass the tuple itself.
 - Tuple readers (`make_tuple_reader`) [load_item]: 1.0, so only shorter sources. Out: write
   ``(row[i], row[i + 1], ...)``.
-- `untyped_tuple`: a call with 36 numbers takes less than half the time. Out: pass the named tuple.
 """
 
 from vergence.kernels.jit import (
@@ -48,7 +47,6 @@ from vergence.kernels.jit import (
     inlined,
     kernel,
     subroutine,
-    untyped_tuple,
 )
 from vergence.kernels.records import (
     Layout,
@@ -63,4 +61,4 @@ from vergence.kernels.records import (
 
 __all__ = ["GufuncKernel", "Layout", "compiled", "compiled_for_threads", "inlined", "kernel",
            "make_row", "make_table", "make_tuple_reader", "record_view", "row_layout", "row_size",
-           "subroutine", "unpack_table", "untyped_tuple"]  # fmt: skip
+           "subroutine", "unpack_table"]  # fmt: skip

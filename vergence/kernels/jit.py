@@ -30,7 +30,6 @@ from vergence.kernels.cache import KernelCache, WrapperCache, compiling_alone
 from vergence.operands import as_operand
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-_Group = TypeVar("_Group", bound=tuple[Any, ...])
 _COMPILE_LOCK: Final = threading.RLock()
 _OPTIMISATION: Final = 1
 """LLVM's level of optimisation, of 0 to 3 (measured: benchmarks.start, benchmarks.throughput)."""
@@ -144,14 +143,6 @@ def inlined(function: _Function) -> _Function:
 def subroutine(function: _Function) -> _Function:
     """Compile a long helper that kernels call, like `inlined` but once: callers stay small."""
     return cast("_Function", _Helper(function, _HELPER_OPTIONS))
-
-
-def untyped_tuple(group: _Group) -> _Group:
-    """Convert a named tuple to a plain one, as an argument of a `compiled` function.
-
-    The function restores the names at no cost: ``joints = Joints(*joints)``.
-    """
-    return cast("_Group", tuple(group))
 
 
 @contextlib.contextmanager

@@ -11,14 +11,13 @@ from vergence.envs.targets.motion import (
     motion_rows,
     point_at,
     target_position,
-    unpack_motion,
 )
 
 FIRST, SECOND, BEFORE = (0.0, -0.1, 1.0), (0.2, 0.0, 0.8), (-0.1, 0.1, 1.2)
 
 
 def shown(row, times: list[float]) -> list[bool]:
-    return [is_shown(unpack_motion(row), t) for t in times]
+    return [is_shown(row, t) for t in times]
 
 
 def test_a_target_jumps_a_second_time_exactly_when_said() -> None:

@@ -40,16 +40,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def bounds(count: int, least: int, most: int = 0) -> tuple[int, ...]:
-    """Divide heads into contiguous parts, one per thread.
-
-    Args:
-        count: number of heads.
-        least: number of heads that are worth a thread.
-        most: largest number of parts; 0 for one per processor.
-
-    Returns:
-        First heads of the parts, and at last `count`.
-    """
+    """First heads of contiguous parts, one per thread that is worth it, and at last `count`."""
     parts = min(most or _most_threads or processors(), count // least)
     if parts < 2:
         return 0, count
@@ -59,18 +50,7 @@ def bounds(count: int, least: int, most: int = 0) -> tuple[int, ...]:
 def advance_in_threads(
     advance: Callable[..., bool], table: Any, ids: IntArray, *arguments: Any, at: tuple[int, ...]
 ) -> bool:
-    """Call a compiled function that releases Python's lock, for parts of a batch in parallel.
-
-    Args:
-        advance: function of a table, environment indices and further arguments.
-        table: its table.
-        ids: (m,) environment indices, each once.
-        *arguments: its further arguments.
-        at: result of `bounds` for m.
-
-    Returns:
-        True if it returned True for each part.
-    """
+    """Call a compiled function without Python's lock for parts of a batch; True if each gave it."""
     if len(at) == 2:
         return advance(table, ids, *arguments)
     submit = partial(_pool().submit, advance, table)

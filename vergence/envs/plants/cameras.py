@@ -26,7 +26,7 @@ from vergence.envs.streams import (
     to_normals,
     to_uniform,
 )
-from vergence.envs.targets.motion import POINT, Board, Motion, motion_position_at, unpack_motion
+from vergence.envs.targets.motion import POINT, Board, motion_position_at, view_motion
 from vergence.errors import ConfigurationError
 from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.camera import Camera
@@ -85,25 +85,14 @@ class Frames(NamedTuple):
 
     @classmethod
     def empty(cls, num: int, max_latency_s: float, max_hz: float) -> "Frames":
-        """Ring buffers without frames.
-
-        Args:
-            num: number of heads.
-            max_latency_s: the longest time from an exposure to the end of the period in which it is
-                read, s.
-            max_hz: the highest frame rate, Hz.
-        """
+        """Ring buffers without frames."""
         size = ring_size(ceil(max_latency_s * max_hz) + 2)
         return cls(
-            pixels=np.zeros((num, size, 2, 2)),
-            visible=np.zeros((num, size, 2), dtype=np.bool_),
-            dropped=np.zeros((num, size), dtype=np.bool_),
-            exposed_s=np.zeros((num, size)),
-            comes_s=np.zeros((num, size)),
-            next=np.zeros(num, dtype=np.int64),
-            pending=np.zeros(num, dtype=np.int64),
-            latest_s=np.zeros(num),
-        )
+            pixels=np.zeros((num, size, 2, 2)), visible=np.zeros((num, size, 2), dtype=np.bool_),
+            dropped=np.zeros((num, size), dtype=np.bool_), exposed_s=np.zeros((num, size)),
+            comes_s=np.zeros((num, size)), next=np.zeros(num, dtype=np.int64),
+            pending=np.zeros(num, dtype=np.int64), latest_s=np.zeros(num),
+        )  # fmt: skip
 
 
 class Exposures(NamedTuple):
@@ -125,11 +114,9 @@ class Exposures(NamedTuple):
         """Arrays for a period at the highest frame rate."""
         size = exposures_per_frame * (ceil(period_s * max_hz) + 1)
         return cls(
-            counts=np.zeros(num, dtype=np.int64),
-            time_s=np.zeros((num, size)),
-            positions=np.zeros((num, size, 7)),
-            velocities=np.zeros((num, size, 7)),
-        )
+            counts=np.zeros(num, dtype=np.int64), time_s=np.zeros((num, size)),
+            positions=np.zeros((num, size, 7)), velocities=np.zeros((num, size, 7)),
+        )  # fmt: skip
 
 
 class FrameFaults(NamedTuple):
@@ -204,11 +191,9 @@ def draw_frame_faults(conditions: TrialConditions, key: StreamKey, frame: int) -
         return FrameFaults(False, 0.0, False, False)
     words = _words(key, frame, 2)
     return FrameFaults(
-        to_uniform(words[0]) < drop,
-        jitter * to_uniform(words[1]),
-        to_uniform(words[2]) < miss,
+        to_uniform(words[0]) < drop, jitter * to_uniform(words[1]), to_uniform(words[2]) < miss,
         to_uniform(words[3]) < miss,
-    )
+    )  # fmt: skip
 
 
 @inlined
@@ -275,14 +260,7 @@ def false_detection_offset(
 def frame_arrival_time(
     conditions: TrialConditions, exposed_s: float, extra_latency_s: float, latest_s: float
 ) -> float:
-    """Time at which a frame becomes readable, never before an earlier frame, s.
-
-    Args:
-        conditions: the trial's conditions.
-        exposed_s: exposure time of its first eye, s.
-        extra_latency_s: delay beyond the latency, s.
-        latest_s: time at which the frame before becomes readable, s.
-    """
+    """Time at which a frame becomes readable, never before an earlier frame, s."""
     return max(
         exposed_s + eye_skew_s(conditions) + conditions.latency_s + extra_latency_s, latest_s
     )
@@ -314,12 +292,9 @@ def true_head_row(scene: TrueHeadsAndTargets, n: EnvIndex) -> PackedHead:
 
 @inlined
 def target_position_in_n(
-    p: PackedHead,
-    motion: Motion,
-    neck_at_start: FloatArray,
-    neck: FloatArray | Vector,
+    p: PackedHead, motion: FloatArray, neck_at_start: FloatArray, neck: FloatArray | Vector,
     target_time_s: float,
-) -> Vector:
+) -> Vector:  # fmt: skip
     """Position of the target at its own time, in frame N as the neck holds it now, m."""
     x, y, z = motion_position_at(motion, target_time_s)
     if neck[0] == neck_at_start[0] and neck[1] == neck_at_start[1] and neck[2] == neck_at_start[2]:
@@ -340,35 +315,20 @@ def distorted_eye_pixel(
 
 @inlined
 def image_displacement(
-    p: PackedHead,
-    motion: Motion,
-    neck_at_start: FloatArray,
-    eye: int,
-    q: FloatArray,
-    v: FloatArray,
-    target_time_s: float,
-    half_exposure_s: float,
-) -> tuple[float, float]:
+    p: PackedHead, motion: FloatArray, neck_at_start: FloatArray, eye: int, q: FloatArray,
+    v: FloatArray, target_time_s: float, half_exposure_s: float,
+) -> tuple[float, float]:  # fmt: skip
     """Displacement of the target's image while the shutter is open, px.
 
     A jump is not motion: a frame shows the target where it is in the middle of the exposure. So the
     first frame at or after a jump shows the target after the jump, without blur.
-
-    Args:
-        p: the true head.
-        motion: the target's motion.
-        neck_at_start: (3,) the neck's angles at the trial's start, rad.
-        eye: index of the eye.
-        q: (7,) joint angles in the middle of the exposure, rad.
-        v: (7,) joint velocities then, rad/s.
-        target_time_s: the middle of the exposure in the target's own time, s.
-        half_exposure_s: half the exposure time, s.
     """
     tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
     dt, dp = v[3 + 2 * eye] * half_exposure_s, v[4 + 2 * eye] * half_exposure_s
     yaw, roll, pitch = v[0] * half_exposure_s, v[1] * half_exposure_s, v[2] * half_exposure_s
     begin, end = target_time_s - half_exposure_s, target_time_s + half_exposure_s
-    for jump in (motion.jump_time, motion.second_jump_time):
+    own = view_motion(motion)
+    for jump in (own.jump_time, own.second_jump_time):
         if target_time_s >= jump:
             begin = max(begin, jump)
         elif end >= jump:
@@ -388,29 +348,16 @@ def image_displacement(
 
 @compiled
 def update_truth(
-    nominal: PackedHead,
-    period_s: float,
-    target_time_s: FloatArray,
-    scene: TrueHeadsAndTargets,
+    nominal: PackedHead, period_s: float, target_time_s: FloatArray, scene: TrueHeadsAndTargets,
     truth: Truth,
-) -> None:
-    """Update the ground truth.
-
-    Args:
-        nominal: (PACKED,) the head that the controller knows.
-        period_s: the control period.
-        target_time_s: (n,) the targets' own times, s.
-        scene: `untyped_tuple`.
-        truth: `untyped_tuple`, the result.
-    """
-    scene, truth = TrueHeadsAndTargets(*scene), Truth(*truth)
+) -> None:  # fmt: skip
+    """Update the ground truth, with the targets at their own times (n,)."""
     for n in range(scene.step.shape[0]):
         truth.time_s[n] = scene.step[n] * period_s
         p, q = true_head_row(scene, n), scene.positions[n]
         for j in range(7):
             truth.positions[n, j], truth.velocities[n, j] = q[j], scene.velocities[n, j]
-        motion = unpack_motion(scene.motions[n])
-        point = target_position_in_n(p, motion, scene.necks[n], q, target_time_s[n])
+        point = target_position_in_n(p, scene.motions[n], scene.necks[n], q, target_time_s[n])
         truth.target[n, 0], truth.target[n, 1], truth.target[n, 2] = point
         for eye in range(2):
             u, v = distorted_eye_pixel(p, eye, q, point)
@@ -465,14 +412,10 @@ class BoardImageRenderer:
     """
 
     def __init__(
-        self,
-        head: HeadModel,
-        target: PlanarTarget,
-        *,
+        self, head: HeadModel, target: PlanarTarget, *,
         width_rad: float | Literal["fit"] | None = None,
-        facing: Literal["head", "forward"] = "head",
-        model: HeadModel | None = None,
-    ) -> None:
+        facing: Literal["head", "forward"] = "head", model: HeadModel | None = None,
+    ) -> None:  # fmt: skip
         if facing not in ("head", "forward"):
             raise ConfigurationError(f"facing: expected 'head' or 'forward', got {facing!r}")
         self._head = head
@@ -514,14 +457,10 @@ class BoardImageRenderer:
         """Take the joint angles, rad, and velocities, rad/s, of the next `draw_poses`."""
 
     def draw(
-        self,
-        q: FloatArray,
-        v: FloatArray,
-        point: ArrayLike,
-        rng: np.random.Generator | None = None,
-        point_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        self, q: FloatArray, v: FloatArray, point: ArrayLike,
+        rng: np.random.Generator | None = None, point_velocity: ArrayLike = (0.0, 0.0, 0.0),
         axes: ArrayLike | None = None,
-    ) -> tuple[Image, Image]:
+    ) -> tuple[Image, Image]:  # fmt: skip
         """Draw both eyes' images for the middle of an exposure.
 
         Args:
@@ -564,11 +503,9 @@ class BoardImageRenderer:
         return np.asarray(np.nan_to_num(end - begin))
 
     def draw_poses(
-        self,
-        T_C_T: FloatArray,
-        rng: np.random.Generator | None = None,
+        self, T_C_T: FloatArray, rng: np.random.Generator | None = None,
         smear_px: ArrayLike = ((0.0, 0.0), (0.0, 0.0)),
-    ) -> tuple[Image, Image]:
+    ) -> tuple[Image, Image]:  # fmt: skip
         """Draw the board at given poses; a board behind a camera leaves plain background.
 
         Args:
@@ -652,11 +589,9 @@ class RoomImageRenderer(BoardImageRenderer):
         return np.asarray(T_room_N[:3, :3].T @ (point - T_room_N[:3, 3]))
 
     def draw_poses(
-        self,
-        T_C_T: FloatArray,
-        rng: np.random.Generator | None = None,
+        self, T_C_T: FloatArray, rng: np.random.Generator | None = None,
         smear_px: ArrayLike = ((0.0, 0.0), (0.0, 0.0)),
-    ) -> tuple[Image, Image]:
+    ) -> tuple[Image, Image]:  # fmt: skip
         """Draw the room, and the object at its poses; one behind a camera is not drawn."""
         smears = np.asarray(smear_px, dtype=np.float64)
         for eye, drawing in enumerate(self._eyes):

@@ -67,14 +67,7 @@ class Imperfection(NamedTuple):
     """Unit for display, empty for a ratio, and the factor from `unit` to it."""
 
     def nominal(self, head: HeadModel) -> float | FloatArray:
-        """Default value for a head.
-
-        Args:
-            head: the model.
-
-        Returns:
-            A number; possibly (7,) if each actuator has its own value.
-        """
+        """Default value for a head."""
         if not self.head_path:
             return self.default
         value: float | FloatArray = attrgetter(self.head_path)(head)
@@ -92,14 +85,9 @@ _PERCENT: Final = ("%", 100.0)
 
 
 def _imperfection_field(
-    part: str,
-    label: str,
-    description: str,
-    unit: str,
-    span: tuple[float, float],
-    search_range: tuple[float, float],
-    **others: Any,
-) -> Any:
+    part: str, label: str, description: str, unit: str, span: tuple[float, float],
+    search_range: tuple[float, float], **others: Any,
+) -> Any:  # fmt: skip
     """Define a field of `Imperfections`."""
     one = Imperfection(part, label, description, unit, *span, search_range, **others)
     return field(default=None, metadata={"imperfection": one})
@@ -393,12 +381,7 @@ class Variation(Imperfections[Range | None]):
             object.__setattr__(self, "model_errors", errors)
 
     def largest_value(self, name: str, given: float) -> float:
-        """Largest value of one of `RANGES` in any trial.
-
-        Args:
-            name: one of `RANGES`.
-            given: the value if it is not drawn.
-        """
+        """Largest value of one of `RANGES` in any trial."""
         span: Range | None = getattr(self, name)
         return given if span is None else span[1]
 
@@ -408,29 +391,13 @@ class Variation(Imperfections[Range | None]):
         return np.array([(np.nan, np.nan) if span is None else span for span in spans])
 
     def draw_head_deviates(self, seeds: KeyArray, trials: KeyArray) -> FloatArray:
-        """Draw the random numbers of the true heads of trials.
-
-        Args:
-            seeds: (m,) the trials' seeds.
-            trials: (m,) their numbers.
-
-        Returns:
-            (m, DEVIATES) standard normal numbers.
-        """
+        """(m, DEVIATES) standard normal numbers of the true heads of trials."""
         numbers = np.empty((len(seeds), DEVIATES))
         _draw_normals(seeds, trials, numbers)
         return numbers
 
     def make_true_heads(self, head: HeadModel, deviates: FloatArray) -> HeadModel:
-        """Make the true heads of trials.
-
-        Args:
-            head: the model that they differ from.
-            deviates: (m, DEVIATES) standard normal numbers.
-
-        Returns:
-            A population of shape (m,).
-        """
+        """Make the true heads of trials, a population of shape (m,), from their deviates."""
         if self.model_errors is None:
             raise ConfigurationError("variation.model_errors: expected some, got None")
         geometry = perturb_by_deviates(head.geometry, self.model_errors, deviates)
@@ -474,25 +441,10 @@ def _range(name: str, value: Any) -> Range:
 
 @compiled
 def draw_conditions(
-    seeds: KeyArray,
-    trials: KeyArray,
-    ids: IntArray,
-    trial_ranges: FloatArray,
-    actuator_ranges: FloatArray,
-    loop: FloatArray,
-    own: FloatArray,
-) -> None:
-    """Draw the conditions of the trials of some environments, except their heads.
-
-    Args:
-        seeds: (n,) the trials' seeds.
-        trials: (n,) their numbers.
-        ids: (m,) environment indices.
-        trial_ranges: (p, 2) the ranges of `PER_TRIAL`; nan where nothing is drawn.
-        actuator_ranges: (k, 2) the ranges of `PER_ACTUATOR`; nan likewise.
-        loop: (n, p + 1) conditions by trial; those that are drawn are replaced.
-        own: (n, k, 7) conditions by actuator, likewise.
-    """
+    seeds: KeyArray, trials: KeyArray, ids: IntArray, trial_ranges: FloatArray,
+    actuator_ranges: FloatArray, loop: FloatArray, own: FloatArray,
+) -> None:  # fmt: skip
+    """Draw the conditions of the trials of some environments, except their heads."""
     count, numbers = trial_ranges.shape[0], actuator_ranges.shape[0] * own.shape[2]
     for m in range(ids.shape[0]):
         n = ids[m]

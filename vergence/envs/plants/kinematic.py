@@ -24,15 +24,14 @@ from vergence.envs.plants.motors import (
     advance_second_order,
     held_commands,
     joints_from_actuators,
-    name_coupling,
     output_angle,
     output_speed,
     stop_motors_at_joint_stops,
 )
 from vergence.envs.plants.simulated import SimulatedPlant
-from vergence.envs.plants.step import MOVE, SensorTiming, StepArrays, begin_period, end_period
+from vergence.envs.plants.step import MOVE, StepArrays, begin_period, end_period
 from vergence.envs.streams import IntArray
-from vergence.kernels import compiled, compiled_for_threads, unpack_table
+from vergence.kernels import compiled_for_threads, subroutine, unpack_table
 from vergence.models.motion import lag_decay
 
 _HEADS_PER_THREAD: Final = 192
@@ -53,37 +52,13 @@ class KinematicPlant(SimulatedPlant):
         return advance_in_threads(advance_kinematic, self._table, ids, phases, at=at)
 
 
-@compiled
+@subroutine
 def move_motors(
-    ids: IntArray,
-    period_s: float,
-    packed: PackedConditions,
-    scene: TrueHeadsAndTargets,
-    motors: MotorStates,
-    coupling: ActuatorCoupling | None,
-    commands: CommandBuffers,
-    frames: Frames,
-    exposures: Exposures,
-) -> None:
-    """Move all motors through a period, and record the joints at each exposure on the way.
-
-    Args:
-        ids: (m,) environment indices.
-        period_s: the control period, s.
-        packed: `untyped_tuple`, as are the following; conditions of the trials.
-        scene: heads at the period's beginning; the joints are updated in place.
-        motors: updated in place.
-        coupling: coupling of the eye joints; None if each has its own motor.
-        commands: ring buffers with the commands of the period.
-        frames: numbers of the next exposures.
-        exposures: the result.
-    """
-    packed, scene, motors = (
-        PackedConditions(*packed),
-        TrueHeadsAndTargets(*scene),
-        MotorStates(*motors),
-    )
-    commands, frames, exposures = CommandBuffers(*commands), Frames(*frames), Exposures(*exposures)
+    ids: IntArray, period_s: float, packed: PackedConditions, scene: TrueHeadsAndTargets,
+    motors: MotorStates, coupling: ActuatorCoupling | None, commands: CommandBuffers,
+    frames: Frames, exposures: Exposures,
+) -> None:  # fmt: skip
+    """Move all motors through a period, and record the joints at each exposure on the way."""
     # unpacked once, as numba would count references at each access in the loop
     heads, _motions, _necks, steps, positions, velocities = scene
     angles, speeds, rates, output, lower, upper, top, acceleration, lag_ratio = motors
@@ -168,23 +143,14 @@ def move_motors(
 
 @compiled_for_threads
 def advance_kinematic(table: NDArray[np.void], ids: IntArray, phases: int) -> bool:
-    """Run phases of a control period.
-
-    Args:
-        table: table of `StepArrays`.
-        ids: (m,) environment indices.
-        phases: the phases to run, see `vergence.envs.plants.step`.
-
-    Returns:
-        False if an action or a command is nan.
-    """
+    """Run phases of a control period, see `vergence.envs.plants.step`; False for a nan."""
     if not begin_period(table, ids, phases):
         return False
     if phases & MOVE:
-        own = StepArrays(*unpack_table(table))
+        own: StepArrays = unpack_table(table)
         move_motors(
-            ids, SensorTiming(*own.timing).control_period_s, own.packed, own.scene, own.motors,
-            name_coupling(own.coupling), own.commands, own.frames, own.exposures,
+            ids, own.timing.control_period_s, own.packed, own.scene, own.motors, own.coupling,
+            own.commands, own.frames, own.exposures,
         )  # fmt: skip
     end_period(table, ids, phases)
     return True

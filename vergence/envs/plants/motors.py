@@ -42,7 +42,7 @@ from vergence.envs.streams import (
     to_normals,
     to_uniform,
 )
-from vergence.kernels import compiled, inlined, subroutine
+from vergence.kernels import inlined, subroutine
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (
     PackedHead,
@@ -78,22 +78,10 @@ class CommandBuffers(NamedTuple):
 
     @classmethod
     def empty(
-        cls,
-        num: int,
-        velocity_limits: FloatArray,
-        quantisation_step: float,
-        max_latency_s: float,
+        cls, num: int, velocity_limits: FloatArray, quantisation_step: float, max_latency_s: float,
         period_s: float,
-    ) -> "CommandBuffers":
-        """Buffers of zero commands, long enough for all commands that have not taken effect yet.
-
-        Args:
-            num: number of heads.
-            velocity_limits: (7,) velocity limits, rad/s.
-            quantisation_step: quantisation step, rad/s.
-            max_latency_s: the largest command latency, s.
-            period_s: the control period.
-        """
+    ) -> "CommandBuffers":  # fmt: skip
+        """Buffers of zero commands, long enough for all commands that have not taken effect yet."""
         size = ring_size(ceil(max_latency_s / period_s) + 2)
         return cls(np.zeros((num, size, 7)), velocity_limits, quantisation_step)
 
@@ -126,13 +114,6 @@ def loop_resumes_at(
 
     A loop that stalls at `step` returns a later period, drawn from the trial's random stream. It
     runs for at least one period between two stalls.
-
-    Args:
-        conditions: the trial's conditions.
-        key: key of the trial's random stream.
-        step: number of the period, one more than in the last call.
-        period_s: the control period, s.
-        last_resume_period: result of the last call.
     """
     chance = conditions.stall_probability
     if chance == 0.0 or step == 0 or step <= last_resume_period:
@@ -143,30 +124,15 @@ def loop_resumes_at(
     return step + max(int(np.rint(to_uniform(words[2]) * conditions.stall_s / period_s)), 1)
 
 
-@compiled
+@subroutine
 def store_commands(
-    ids: IntArray,
-    command: FloatArray,
-    commands: CommandBuffers,
-    control_loop_states: IntArray,
-    step: IntArray,
-    sent: FloatArray,
-) -> bool:
-    """Limit and quantise the commands of a period, and write them to the ring buffers.
+    ids: IntArray, command: FloatArray, commands: CommandBuffers, control_loop_states: IntArray,
+    step: IntArray, sent: FloatArray,
+) -> bool:  # fmt: skip
+    """Limit and quantise the commands (n, 7) of a period, and write them to the ring buffers.
 
-    Args:
-        ids: (m,) environment indices.
-        command: (n, 7) velocity commands, rad/s.
-        commands: `untyped_tuple`, updated in place.
-        control_loop_states: (n, LOOP_STATE) states of the control loops: stalls and lost commands.
-        step: (n,) number of the period.
-        sent: (n, 7) result: commands sent to the motors, rad/s; a stalled loop sends nothing and
-            keeps its last value.
-
-    Returns:
-        False if any command is nan.
+    In `sent`, a stalled loop keeps its last value. The result is False if any command is nan.
     """
-    commands = CommandBuffers(*commands)
     given, limits, size = commands.velocities, commands.velocity_limits, commands.quantisation_step
     numbers, mask = True, given.shape[1] - 1
     for n in ids:
@@ -207,14 +173,7 @@ class HeldCommands(NamedTuple):
 
 @inlined
 def held_commands(latency_s: float, step: int, ring_length: int, period_s: float) -> HeldCommands:
-    """Find the commands that apply within a period.
-
-    Args:
-        latency_s: the command latency, s.
-        step: number of the period.
-        ring_length: C, length of the ring buffers of `CommandBuffers`.
-        period_s: the control period, s.
-    """
+    """Find the commands that apply within a period."""
     mask = ring_length - 1
     if latency_s == 0.0:
         now = np.uintp(step & mask)
@@ -261,26 +220,14 @@ class MotorStates(NamedTuple):
 
     @classmethod
     def of(cls, head: HeadModel, true_head: HeadModel, num: int) -> "MotorStates":
-        """Motors of a batch of heads, at rest.
-
-        Args:
-            head: the model that a controller knows.
-            true_head: the head that sets the motors' limits.
-            num: number of heads.
-        """
+        """Motors of a batch of heads, at rest."""
         own = true_head.actuation
         rest = np.tile(own.actuators_of(head.rest()), (num, 1))
         return cls(
-            angles=rest,
-            speeds=np.zeros((num, 7)),
-            accelerations=np.zeros((num, 7)),
-            output_angles=rest.copy(),
-            lower=own.lower,
-            upper=own.upper,
-            speed_limits=own.velocity,
-            acceleration_limits=own.acceleration,
-            lag_ratios=own.lag_ratio,
-        )
+            angles=rest, speeds=np.zeros((num, 7)), accelerations=np.zeros((num, 7)),
+            output_angles=rest.copy(), lower=own.lower, upper=own.upper, speed_limits=own.velocity,
+            acceleration_limits=own.acceleration, lag_ratios=own.lag_ratio,
+        )  # fmt: skip
 
 
 SAVED_MOTOR_FIELDS: Final = {
@@ -311,12 +258,6 @@ class ActuatorCoupling(NamedTuple):
             return None
         limits = true_head.limits
         return cls(limits.lower[EYES], limits.upper[EYES], head.packed, np.empty((num, SLOTS)))
-
-
-@inlined
-def name_coupling(group: tuple[FloatArray, ...] | None) -> ActuatorCoupling | None:
-    """Restore the names of a coupling from a table; None stays None."""
-    return None if group is None else ActuatorCoupling(*group)
 
 
 class MotorState(NamedTuple):
@@ -359,18 +300,9 @@ def output_speed(motor: MotorState, backlash: float) -> float:
 def advance_first_order(
     motor: MotorState, params: MotorParams, command: float, time_s: float, decay: float
 ) -> MotorState:
-    """Advance a motor with a first-order lag by a time.
+    """Advance a motor with a first-order lag by a time, with `decay` as its `lag_decay`.
 
-    Its output moves only if the motor reverses within it.
-
-    Callers push the output on with `output_angle`.
-
-    Args:
-        motor: its state.
-        params: its parameters.
-        command: velocity command, rad/s, with the speed gain applied.
-        time_s: duration, s.
-        decay: `lag_decay(time_s, params.lag_s)`.
+    Its output moves only if the motor reverses within it. Callers push it on with `output_angle`.
     """
     q, v, output = motor.angle, motor.speed, motor.output
     tau, a = params.lag_s, params.max_acceleration
@@ -396,41 +328,18 @@ def advance_first_order(
 
 @subroutine
 def advance_second_order(
-    motor: MotorState,
-    acceleration: float,
-    params: MotorParams,
-    command: float,
-    time_s: float,
+    motor: MotorState, acceleration: float, params: MotorParams, command: float, time_s: float,
     overshoot: float,
-) -> tuple[MotorState, float]:
-    """Advance a second-order servo by a time, see `advance_first_order`.
-
-    Args:
-        motor: its state.
-        acceleration: its acceleration, rad/s^2.
-        params: its parameters; the lag is above 0.
-        command: velocity command, rad/s, with the speed gain applied.
-        time_s: duration, s.
-        overshoot: fraction by which its speed overshoots a step of the command, above 0.
-
-    Returns:
-        Its state, and its acceleration, rad/s^2.
-    """
+) -> tuple[MotorState, float]:  # fmt: skip
+    """Advance a second-order servo and its acceleration by a time, see `advance_first_order`."""
     q, v, w, output = motor.angle, motor.speed, acceleration, motor.output
     zeta, steps = damping_ratio(overshoot), int(np.ceil(time_s / (_MAX_STEP_RATIO * params.lag_s)))
     for _ in range(steps):
         output = output_angle(output, q, params.backlash)
         q, v, w = follow_second_order_joint(
-            q,
-            v,
-            w,
-            command,
-            params.lag_s,
-            zeta,
-            params.max_acceleration,
-            params.acceleration_falloff,
-            time_s / steps,
-        )
+            q, v, w, command, params.lag_s, zeta, params.max_acceleration,
+            params.acceleration_falloff, time_s / steps,
+        )  # fmt: skip
         if q < params.lower:
             q, v, w = params.lower, max(v, 0.0), max(w, 0.0)
         elif q > params.upper:
@@ -442,14 +351,7 @@ def advance_second_order(
 def stop_motors_at_joint_stops(
     motors: MotorStates, coupling: ActuatorCoupling, p: PackedHead, n: EnvIndex
 ) -> None:
-    """Move one head's motors back where they push a joint beyond its own stop.
-
-    Args:
-        motors: their angles and speeds are updated in place.
-        coupling: coupling of the eye joints, with their limits.
-        p: the true head.
-        n: environment index.
-    """
+    """Move one head's motors back where they push a joint beyond its own stop."""
     own = coupling.scratch[n]
     for _ in range(_JOINT_STOP_PASSES):
         for j in range(SLOTS):
@@ -475,14 +377,7 @@ def stop_motors_at_joint_stops(
 def joints_from_actuators(
     scratch: FloatArray, p: PackedHead, positions: FloatArray, velocities: FloatArray
 ) -> None:
-    """Convert angles and velocities (7,) of actuators to those of joints, in place.
-
-    Args:
-        scratch: (4,) scratch array.
-        p: a packed head.
-        positions: (7,) angles, rad, changed in place.
-        velocities: (7,) velocities, rad/s, changed in place.
-    """
+    """Convert angles and velocities (7,) of actuators to those of joints, in place."""
     for k in range(SLOTS):
         scratch[k] = positions[3 + k]
     for j in range(SLOTS):
@@ -521,24 +416,15 @@ class JointFeedbackBuffers(NamedTuple):
     def of(
         cls, head: HeadModel, num: int, max_latency_s: float, max_age_s: float
     ) -> "JointFeedbackBuffers":
-        """Feedback of a batch of heads, with empty buffers.
-
-        Args:
-            head: head model with the encoders.
-            num: number of heads.
-            max_latency_s: the largest feedback latency, that of speeds included, s.
-            max_age_s: the greatest age of angles that are looked up, s.
-        """
+        """Feedback of a batch of heads, with empty buffers."""
         period_s, own = head.timing.period_s, head.actuation
         return cls(
             measured=np.zeros((num, ring_size(ceil(max_latency_s / period_s) + 2), 2, 7)),
             reported_angles=np.zeros((num, ring_size(ceil(max_age_s / period_s) + 3), 7)),
             control_loop_states=np.zeros((num, LOOP_STATE), dtype=np.int64),
-            speed_filter_states=np.zeros((num, 2, 7)),
-            angle_step=own.angle_step,
-            speed_step=own.speed_step,
-            encoders_on_output=head.sensor.encoder_side == "output",
-        )
+            speed_filter_states=np.zeros((num, 2, 7)), angle_step=own.angle_step,
+            speed_step=own.speed_step, encoders_on_output=head.sensor.encoder_side == "output",
+        )  # fmt: skip
 
 
 SAVED_FEEDBACK_FIELDS: Final = {
@@ -565,14 +451,6 @@ def interpolate_joint(
 
     The angle follows the cubic through both angles and velocities. The velocity is linear: exact
     at both ends, and without the cubic's overshoot.
-
-    Args:
-        q0: the angle at the first time, rad.
-        v0: the velocity then, rad/s.
-        q1: the angle at the second time, rad.
-        v1: the velocity then, rad/s.
-        share: fraction of the interval, from 0 to 1.
-        interval_s: length of the interval, s.
     """
     s, r = share, 1.0 - share
     angle = r * r * ((1.0 + 2.0 * s) * q0 + s * interval_s * v0)
@@ -602,13 +480,7 @@ class RingInterval(NamedTuple):
 
 @inlined
 def ring_interval_by_age(age_periods: float, step: int, ring_length: int) -> RingInterval:
-    """Find the measurements around a time before the newest one; `first` is the later of them.
-
-    Args:
-        age_periods: age in periods.
-        step: step of the newest measurement.
-        ring_length: length of the ring buffer.
-    """
+    """Find the measurements around a time before the newest one; `first` is the later of them."""
     whole, mask = int(age_periods + TIME_TOLERANCE_S), ring_length - 1
     rest = age_periods - whole
     share = rest if rest > TIME_TOLERANCE_S else 0.0
@@ -619,15 +491,7 @@ def ring_interval_by_age(age_periods: float, step: int, ring_length: int) -> Rin
 def low_pass(
     output: float, last_input: float, present_input: float, decay: float, ramp_response: float
 ) -> float:
-    """Advance a first-order low-pass filter by a period in which its input changes linearly.
-
-    Args:
-        output: the filter's output at the period's beginning.
-        last_input: its input at the period's beginning.
-        present_input: its input at the period's end.
-        decay: fraction of the output that remains after the period, exp(-T/tau).
-        ramp_response: its response to a ramp from 0 to 1, 1 - (1 - exp(-T/tau)) tau/T.
-    """
+    """Advance a first-order low-pass filter by a period in which its input changes linearly."""
     return (
         decay * output + (1.0 - decay - ramp_response) * last_input + ramp_response * present_input
     )
@@ -635,13 +499,7 @@ def low_pass(
 
 @inlined
 def ring_interval_by_time(time_periods: float, step: int, ring_length: int) -> RingInterval:
-    """Find the joint readings around a time, which is clamped to those in the ring buffer.
-
-    Args:
-        time_periods: the time in periods, on the clock that dates the readings.
-        step: step of the newest reading.
-        ring_length: length of the ring buffer.
-    """
+    """Find the joint readings around a time, which is clamped to those in the ring buffer."""
     at = min(max(time_periods, step - ring_length + 1.0), float(step))
     first = int(np.floor(at + TIME_TOLERANCE_S))
     share = at - first
@@ -650,33 +508,16 @@ def ring_interval_by_time(time_periods: float, step: int, ring_length: int) -> R
     return RingInterval(np.uintp(first & mask), np.uintp((first + 1) & mask), share)
 
 
-@compiled
+@subroutine
 def sense_joints(
-    ids: IntArray,
-    period_s: float,
-    packed: PackedConditions,
-    keys: StreamKeys,
-    steps: IntArray,
-    motors: MotorStates,
-    coupling: ActuatorCoupling | None,
-    feedback: JointFeedbackBuffers,
+    ids: IntArray, period_s: float, packed: PackedConditions, keys: StreamKeys, steps: IntArray,
+    motors: MotorStates, coupling: ActuatorCoupling | None, feedback: JointFeedbackBuffers,
     reading: Reading,
-) -> None:
+) -> None:  # fmt: skip
     """Measure the joints of some environments, and read the measurement of one latency ago.
 
     Servos measure and filter even while the control loop stalls. Readings missed during a stall are
     interpolated linearly between the readings before and after it.
-
-    Args:
-        ids: (m,) environment indices.
-        period_s: the control period, s.
-        packed: conditions of the trials.
-        keys: keys of the trials' random streams.
-        steps: (n,) control periods since the trials' start.
-        motors: the motors.
-        coupling: coupling of the eye joints; None if each has its own motor.
-        feedback: updated in place.
-        reading: result: its positions and velocities.
     """
     measured, reported, loop_states, filtered, angle_step, speed_step, on_output = feedback
     angles, speeds, output, own = motors.angles, motors.speeds, motors.output_angles, packed.own

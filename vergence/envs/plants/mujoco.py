@@ -29,16 +29,15 @@ from vergence.envs.plants.motors import (
     held_commands,
     interpolate_joint,
     joints_from_actuators,
-    name_coupling,
     output_angle,
     output_speed,
 )
 from vergence.envs.plants.simulated import SimulatedPlant
-from vergence.envs.plants.step import MOVE, SensorTiming, StepArrays, begin_period, end_period
+from vergence.envs.plants.step import MOVE, StepArrays, begin_period, end_period
 from vergence.envs.reading import Reading, check_count
 from vergence.envs.streams import Arrays, IntArray
 from vergence.errors import ConfigurationError
-from vergence.kernels import compiled, compiled_for_threads, unpack_table
+from vergence.kernels import compiled_for_threads, subroutine, unpack_table
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PackedHead, eye_actuator_angle, eye_actuator_velocity
 from vergence.models.motion import damping_ratio, follow_second_order_joint, lag_decay
@@ -68,50 +67,18 @@ class SubstepTrajectory(NamedTuple):
         return cls(*np.zeros((2, num, substeps + 1, 7)))
 
 
-@compiled
-def start_trajectory(
-    ids: IntArray, scene: TrueHeadsAndTargets, trajectory: SubstepTrajectory
-) -> None:
-    """Begin a period's track with the present joint states; both groups are `untyped_tuple`."""
-    scene, trajectory = TrueHeadsAndTargets(*scene), SubstepTrajectory(*trajectory)
-    for n in ids:
-        for j in range(7):
-            trajectory.positions[n, 0, j] = scene.positions[n, j]
-            trajectory.velocities[n, 0, j] = scene.velocities[n, j]
-
-
-@compiled
+@subroutine
 def mean_substep_controls(
-    ids: IntArray,
-    substep: int,
-    substeps: int,
-    period_s: float,
-    packed: PackedConditions,
-    steps: IntArray,
-    commands: CommandBuffers,
-    motors: MotorStates,
-    servo_slots: IntArray,
+    ids: IntArray, substep: int, substeps: int, period_s: float, packed: PackedConditions,
+    steps: IntArray, commands: CommandBuffers, motors: MotorStates, servo_slots: IntArray,
     control: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Compute the servos' controls for a substep of a period: the mean of its commands.
 
     A second-order servo is simulated as a first-order one with another control: the control that
     leads to the speed of the second-order response at the substep's end.
-
-    Args:
-        ids: (m,) environment indices.
-        substep: index of the substep.
-        substeps: number of substeps per period.
-        period_s: the control period, s.
-        packed: `untyped_tuple`, conditions of the trials.
-        steps: (n,) numbers of the periods.
-        commands: `untyped_tuple`, ring buffers with the commands of the period.
-        motors: `untyped_tuple`, their accelerations are updated in place.
-        servo_slots: (nu,) indices of the servos in an array of the neck's joints and the actuators.
-        control: (n, nu) result, rad/s.
     """
-    packed, motors = PackedConditions(*packed), MotorStates(*motors)
-    given, length = CommandBuffers(*commands).velocities, period_s / substeps
+    given, length = commands.velocities, period_s / substeps
     for n in ids:
         conditions = unpack_conditions(packed, n)
         hold = held_commands(conditions.command_latency_s, steps[n], given.shape[1], period_s)
@@ -136,42 +103,19 @@ def mean_substep_controls(
             control[n, i] = v + (then - v) / (1.0 - lag_decay(length, lag_s))
 
 
-@compiled
+@subroutine
 def read_mujoco_joints(
-    ids: IntArray,
-    substep: int,
-    qpos: FloatArray,
-    qvel: FloatArray,
-    half_step: float,
-    addresses: IntArray,
-    nominal_head: PackedHead,
-    packed: PackedConditions,
-    scene: TrueHeadsAndTargets,
-    motors: MotorStates,
-    coupling: ActuatorCoupling | None,
-    trajectory: SubstepTrajectory,
-) -> None:
+    ids: IntArray, substep: int, simulations: "MujocoArrays", packed: PackedConditions,
+    scene: TrueHeadsAndTargets, motors: MotorStates, coupling: ActuatorCoupling | None,
+) -> None:  # fmt: skip
     """Read angles and velocities of motors and joints at the end of a substep.
 
     Semi-implicit integration leaves the angle half a step ahead of the velocity; this is corrected.
-
-    Args:
-        ids: (m,) environment indices.
-        substep: index of the substep that has ended.
-        qpos: (n, nq) MuJoCo's angles.
-        qvel: (n, nv) MuJoCo's velocities.
-        half_step: half a time step of the simulation, s.
-        addresses: (7,) indices of the joints in `qpos` and `qvel`; -1 for a joint that does not
-            move.
-        nominal_head: (PACKED,) the head that the controller knows.
-        packed: `untyped_tuple`, as are the following; conditions of the trials.
-        scene: its joints are updated in place.
-        motors: updated in place, to the motor angles nearest to MuJoCo's joints.
-        coupling: coupling of the eye joints; None if each has its own motor.
-        trajectory: updated in place.
+    The motor angles become those nearest to MuJoCo's joints.
     """
-    packed, scene = PackedConditions(*packed), TrueHeadsAndTargets(*scene)
-    motors, trajectory = MotorStates(*motors), SubstepTrajectory(*trajectory)
+    qpos, qvel, half_step = simulations.qpos, simulations.qvel, simulations.half_step_s
+    addresses, nominal_head = simulations.joints, simulations.nominal_head
+    trajectory = simulations.trajectory
     angles, rates = np.zeros(7), np.zeros(7)
     for n in ids:
         for j in range(7):
@@ -192,40 +136,21 @@ def read_mujoco_joints(
             motors.output_angles[n, k] = scene.positions[n, k] = output
             scene.velocities[n, k] = output_speed(MotorState(q, v, output), backlash)
         if coupling is not None:
+            true = true_head_row(scene, n)
             joints_from_actuators(
-                coupling.scratch[n],
-                true_head_row(scene, n),
-                scene.positions[n],
-                scene.velocities[n],
+                coupling.scratch[n], true, scene.positions[n], scene.velocities[n]
             )
         for j in range(7):
             trajectory.positions[n, substep + 1, j] = scene.positions[n, j]
             trajectory.velocities[n, substep + 1, j] = scene.velocities[n, j]
 
 
-@compiled
+@subroutine
 def expose_on_trajectory(
-    ids: IntArray,
-    period_s: float,
-    packed: PackedConditions,
-    steps: IntArray,
-    frames: Frames,
-    trajectory: SubstepTrajectory,
-    exposures: Exposures,
-) -> None:
-    """Expose the frames of a period, with the joints interpolated within its substeps.
-
-    Args:
-        ids: (m,) environment indices.
-        period_s: the control period, s.
-        packed: `untyped_tuple`, conditions of the trials.
-        steps: (n,) numbers of the periods.
-        frames: `untyped_tuple`, with the numbers of the next exposures.
-        trajectory: `untyped_tuple`, joint states within the period.
-        exposures: `untyped_tuple`, the result.
-    """
-    packed, frames = PackedConditions(*packed), Frames(*frames)
-    trajectory, exposures = SubstepTrajectory(*trajectory), Exposures(*exposures)
+    ids: IntArray, period_s: float, packed: PackedConditions, steps: IntArray, frames: Frames,
+    trajectory: SubstepTrajectory, exposures: Exposures,
+) -> None:  # fmt: skip
+    """Expose the frames of a period, with the joints interpolated within its substeps."""
     substeps = trajectory.positions.shape[1] - 1
     length = period_s / substeps
     for n in ids:
@@ -240,10 +165,8 @@ def expose_on_trajectory(
             exposures.time_s[n, count] = begin_s + due
             for j in range(7):
                 a, b = trajectory.positions[n, substep, j], trajectory.positions[n, substep + 1, j]
-                va, vb = (
-                    trajectory.velocities[n, substep, j],
-                    trajectory.velocities[n, substep + 1, j],
-                )
+                va = trajectory.velocities[n, substep, j]
+                vb = trajectory.velocities[n, substep + 1, j]
                 q, v = interpolate_joint(a, va, b, vb, share, length)
                 exposures.positions[n, count, j] = b if last else q
                 exposures.velocities[n, count, j] = vb if last else v
@@ -267,9 +190,9 @@ class MujocoArrays(NamedTuple):
     ctrl: FloatArray
     """(n, nu) controls, rad/s."""
     joints: IntArray
-    """(7,) indices of the joints in `qpos` and `qvel`, see `read_mujoco_joints`."""
+    """(7,) indices of the joints in `qpos` and `qvel`; -1 for a joint that does not move."""
     slots: IntArray
-    """(nu,) indices of the servos, see `mean_substep_controls`."""
+    """(nu,) indices of the servos in an array of the neck's joints and the actuators."""
     nominal_head: PackedHead
     """(PACKED,) the head that the controller knows."""
     half_step_s: float
@@ -307,15 +230,9 @@ class MujocoPlant(SimulatedPlant):
     """
 
     def __init__(
-        self,
-        head: HeadModel,
-        num: int = 1,
-        *,
-        neck: Literal["servo", "welded"] = "servo",
-        nthread: int = 0,
-        lag_s: ArrayLike | None = None,
-        **options: Any,
-    ) -> None:
+        self, head: HeadModel, num: int = 1, *, neck: Literal["servo", "welded"] = "servo",
+        nthread: int = 0, lag_s: ArrayLike | None = None, **options: Any,
+    ) -> None:  # fmt: skip
         nthread = check_count("nthread", nthread, minimum=0)
         super().__init__(head, num, lag_s=lag_s, **options)
         variation = self._true_heads.variation
@@ -427,21 +344,14 @@ class MujocoPlant(SimulatedPlant):
 
     def _motion_arrays(self) -> MujocoArrays:
         return MujocoArrays(
-            trajectory=self._track,
-            qpos=self._qpos,
-            qvel=self._qvel,
-            ctrl=self._ctrl,
-            joints=self._joints,
-            slots=self._slots,
-            nominal_head=self.head.packed,
-            half_step_s=self._half_step,
-            steps_per_substep=SUBSTEPS // self._substeps,
+            trajectory=self._track, qpos=self._qpos, qvel=self._qvel, ctrl=self._ctrl,
+            joints=self._joints, slots=self._slots, nominal_head=self.head.packed,
+            half_step_s=self._half_step, steps_per_substep=SUBSTEPS // self._substeps,
             functions=simulation_functions() if self._inside else (0, 0, 0, 0),
             model=self._own_model._address if self._inside else 0,
             data=self._data_addresses if self._inside else np.zeros(self.num, dtype=np.int64),
-            states=self._batch.state.ctypes.data,
-            state_size=self._batch.state.strides[0],
-        )
+            states=self._batch.state.ctypes.data, state_size=self._batch.state.strides[0],
+        )  # fmt: skip
 
     def _advance(self, ids: IntArray, phases: int) -> bool:
         if self.num == 1 and self._inside:  # as below, without its cost
@@ -499,34 +409,22 @@ def advance_mujoco(table: NDArray[np.void], ids: IntArray, phases: int, substep:
     """Run phases of a control period, or a part of them.
 
     If the simulations are not stepped inside, this is to be called once before each substep and
-    once after the last one.
-
-    Args:
-        table: table of `StepArrays`, with `MujocoArrays`.
-        ids: (m,) environment indices.
-        phases: the phases to run, see `vergence.envs.plants.step`.
-        substep: index of the substep to begin with.
-
-    Returns:
-        False if an action or a command is nan.
+    once after the last one. False for a nan, see `vergence.envs.plants.step`.
     """
     if substep == 0 and not begin_period(table, ids, phases):
         return False
     if phases & MOVE:
-        own = StepArrays(*unpack_table(table))
-        of, steps = MujocoArrays(*own.motion), TrueHeadsAndTargets(*own.scene).step
-        period_s, substeps = (
-            SensorTiming(*own.timing).control_period_s,
-            of.trajectory[0].shape[1] - 1,
-        )
-        if substep == 0:
-            start_trajectory(ids, own.scene, of.trajectory)
+        own: StepArrays = unpack_table(table)
+        of, steps, period_s = own.motion, own.scene.step, own.timing.control_period_s
+        substeps = of.trajectory.positions.shape[1] - 1
+        if substep == 0:  # the track begins with the present joint states
+            for n in ids:
+                for j in range(7):
+                    of.trajectory.positions[n, 0, j] = own.scene.positions[n, j]
+                    of.trajectory.velocities[n, 0, j] = own.scene.velocities[n, j]
         for k in range(substep, substeps + 1):
             if k > 0:
-                read_mujoco_joints(
-                    ids, k - 1, of.qpos, of.qvel, of.half_step_s, of.joints, of.nominal_head,
-                    own.packed, own.scene, own.motors, name_coupling(own.coupling), of.trajectory,
-                )  # fmt: skip
+                read_mujoco_joints(ids, k - 1, of, own.packed, own.scene, own.motors, own.coupling)
             if k == substeps:
                 break
             mean_substep_controls(

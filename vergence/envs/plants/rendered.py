@@ -36,9 +36,9 @@ from vergence.envs.plants.step import (
 from vergence.envs.reading import BoolArray, Image, Reading
 from vergence.envs.reward import JUDGE, LIMIT
 from vergence.envs.streams import Arrays, IntArray, StreamKey, StreamKeys, StreamPurpose
-from vergence.envs.targets.motion import Board, board_axes, is_shown, unpack_motion
+from vergence.envs.targets.motion import Board, board_axes, is_shown
 from vergence.errors import ConfigurationError
-from vergence.kernels import compiled, untyped_tuple
+from vergence.kernels import compiled
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import direction_to_local, eye_frames, point_to_local
@@ -91,18 +91,11 @@ class RenderedPlant(MujocoPlant):
     _varies: ClassVar[frozenset[str]] = frozenset(RANGES) - {"detection_noise_px", "skew_s"}
 
     def __init__(
-        self,
-        head: HeadModel,
-        num: int = 1,
-        *,
-        board: Literal["tag", "checkerboard"] = "tag",
+        self, head: HeadModel, num: int = 1, *, board: Literal["tag", "checkerboard"] = "tag",
         facing: Literal["head", "forward"] = "head",
-        width_rad: float | Literal["fit"] | None = None,
-        look: str | None = None,
-        scene: str | None = None,
-        wall: str | None = None,
-        **options: Any,
-    ) -> None:
+        width_rad: float | Literal["fit"] | None = None, look: str | None = None,
+        scene: str | None = None, wall: str | None = None, **options: Any,
+    ) -> None:  # fmt: skip
         super().__init__(head, num, **options)
         if self.conditions.skew_s.any():
             raise ConfigurationError(
@@ -164,12 +157,9 @@ class RenderedPlant(MujocoPlant):
         return super().begin(start)
 
     def _advance(self, ids: IntArray, phases: int) -> bool:
+        packed = self._true_heads.packed
         while phases & WARM_UP and expose_frames_before_start(
-            ids,
-            untyped_tuple(self._true_heads.packed),
-            untyped_tuple(self._scene),
-            untyped_tuple(self._frames),
-            untyped_tuple(self._exposures),
+            ids, packed, self._scene, self._frames, self._exposures
         ):
             self._advance(ids, EXPOSE)
         if not phases & EXPOSE:
@@ -182,25 +172,17 @@ class RenderedPlant(MujocoPlant):
             for i in range(count):
                 self._photograph(env, first + i, i)
         store_detections(
-            ids, untyped_tuple(self._true_heads.packed), untyped_tuple(self._streams.keys),
-            untyped_tuple(self._exposures), untyped_tuple(self._frames), self._found, self._seen,
-            self._answered,
+            ids, packed, self._streams.keys, self._exposures, self._frames, self._found,
+            self._seen, self._answered,
         )  # fmt: skip
         return super()._advance(ids, phases & (REPORT | JUDGE))
 
     def _photograph(self, env: int, frame: int, i: int) -> None:
         """Take both eyes' frames of the period's i-th exposure, and keep the detections."""
         there = board_poses_in_cameras(
-            env,
-            i,
-            0.5 * self.head.timing.exposure_s,
-            self._facing_head,
-            untyped_tuple(self._scene),
-            untyped_tuple(self._exposures),
-            float(self.conditions.onset_s[env]),
-            self._T_C_T,
-            self._smear_px,
-        )
+            env, i, 0.5 * self.head.timing.exposure_s, self._facing_head, self._scene,
+            self._exposures, float(self.conditions.onset_s[env]), self._T_C_T, self._smear_px,
+        )  # fmt: skip
         if not there:
             self._T_C_T[:, 2, 3] = -1.0  # behind the cameras, where nothing is visible
         # camera poses by the head model that a controller knows
@@ -268,12 +250,7 @@ class RenderedPlant(MujocoPlant):
 
 
 def scene_of(target: GazeTarget, scene: str | None, wall: str | None) -> Scene | None:
-    """The room in which a target is shown; None for printed ones before plain grey.
-
-    Raises:
-        ConfigurationError: the scene is invalid, shows no face to look at, or the target needs one
-            that is not given.
-    """
+    """The room in which a target is shown; None for printed ones before plain grey."""
     if not isinstance(target, ColourTarget | FaceTarget | PointTarget | OwnTarget):
         if scene is not None or wall is not None:
             raise ConfigurationError(
@@ -299,29 +276,13 @@ def scene_of(target: GazeTarget, scene: str | None, wall: str | None) -> Scene |
 
 @compiled
 def store_detections(
-    ids: IntArray,
-    packed: PackedConditions,
-    keys: StreamKeys,
-    exposures: Exposures,
-    frames: Frames,
-    detections_px: FloatArray,
-    detected: BoolArray,
-    answered: BoolArray,
-) -> None:
-    """Store the detections of some environments in the frames' ring buffers.
+    ids: IntArray, packed: PackedConditions, keys: StreamKeys, exposures: Exposures, frames: Frames,
+    detections_px: FloatArray, detected: BoolArray, answered: BoolArray,
+) -> None:  # fmt: skip
+    """Store detections (n, E, 2, 2) in the frames' ring buffers.
 
-    Args:
-        ids: (m,) environment indices.
-        packed: `untyped_tuple`, as are the following three; conditions of the trials.
-        keys: keys of the trials' random streams.
-        exposures: times of the exposures.
-        frames: ring buffers, updated in place.
-        detections_px: (n, E, 2, 2) detections, px.
-        detected: (n, E, 2) True if the target was detected.
-        answered: (n, E) False for an image of which nothing is known yet, as for a dropped one.
+    An image that is not `answered` (n, E) counts as dropped: nothing is known of it yet.
     """
-    packed, keys = PackedConditions(*packed), StreamKeys(*keys)
-    exposures, frames = Exposures(*exposures), Frames(*frames)
     mask = frames.dropped.shape[1] - 1
     for n in ids:
         conditions, key = unpack_conditions(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
@@ -352,43 +313,19 @@ def store_detections(
 
 @compiled
 def board_poses_in_cameras(
-    env_index: int,
-    exposure_index: int,
-    half_exposure_s: float,
-    board_faces_head: bool,
-    scene: TrueHeadsAndTargets,
-    exposures: Exposures,
-    onset_s: float,
-    T_C_T: FloatArray,
+    env_index: int, exposure_index: int, half_exposure_s: float, board_faces_head: bool,
+    scene: TrueHeadsAndTargets, exposures: Exposures, onset_s: float, T_C_T: FloatArray,
     smear_px: FloatArray,
-) -> bool:
-    """Compute the board's poses in both cameras, and the motion blur of its images.
+) -> bool:  # fmt: skip
+    """Compute the board's poses in both cameras, and the motion blur of its images, px.
 
-    Args:
-        env_index: environment index.
-        exposure_index: index of the exposure within the period.
-        half_exposure_s: half the exposure time, s.
-        board_faces_head: True if the board is square to the line from N's origin, see
-            `vergence.vision.targets.board_pose`.
-        scene: `untyped_tuple`.
-        exposures: `untyped_tuple`.
-        onset_s: start of the target's own time, s.
-        T_C_T: (2, 4, 4) result, the board's poses in the cameras.
-        smear_px: (2, 2) result, displacement of the target's image during the exposure, px.
-
-    Returns:
-        True if there is a target at this time.
+    The result is True if there is a target at this time.
     """
-    scene, exposures = TrueHeadsAndTargets(*scene), Exposures(*exposures)
     p, time_s = true_head_row(scene, env_index), exposures.time_s[env_index, exposure_index]
-    q, v = (
-        exposures.positions[env_index, exposure_index],
-        exposures.velocities[env_index, exposure_index],
-    )
-    motion, target_time_s = (
-        unpack_motion(scene.motions[env_index]),
-        time_s - onset_s + TIME_TOLERANCE_S,
-    )
+    q = exposures.positions[env_index, exposure_index]
+    v = exposures.velocities[env_index, exposure_index]
+    motion = scene.motions[env_index]
+    target_time_s = time_s - onset_s + TIME_TOLERANCE_S
     x, y, z = target_position_in_n(p, motion, scene.necks[env_index], q, target_time_s)
     # columns of the board's rotation in N
     axes = board_axes((x, y, z), board_faces_head)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.plant import Simulation, TrialStart
+from vergence.envs.plant import Plant, Simulation, TrialStart
 from vergence.envs.plants.cameras import (
     TIME_TOLERANCE_S,
     Exposures,
@@ -40,6 +40,7 @@ from vergence.envs.plants.motors import (
 )
 from vergence.envs.plants.step import (
     ALL_PHASES,
+    BEGIN,
     EXPOSE,
     MOVE,
     REPORT,
@@ -47,7 +48,6 @@ from vergence.envs.plants.step import (
     WARM_UP,
     SensorTiming,
     StepArrays,
-    begin_trials,
     first_detection_times,
 )
 from vergence.envs.reading import Reading, Truth, check_count, real_number_array
@@ -61,9 +61,9 @@ from vergence.envs.streams import (
     join_parts,
     restore_arrays,
 )
-from vergence.envs.targets.motion import JUMP, last_jump_time, motion_rows
+from vergence.envs.targets.motion import last_jump_time, motion_fields, motion_rows
 from vergence.errors import ConfigurationError, refuse_unknown
-from vergence.kernels import make_table, untyped_tuple
+from vergence.kernels import make_table
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED
 from vergence.models.parts import FloatArray
@@ -83,11 +83,6 @@ class TrueHeadPrefetcher:
 
     The environments of a batch usually go on to their next trials one by one. When one of them
     needs a head that is not made yet, the heads of all environments' next trials are made with it.
-
-    Args:
-        variation: variation that draws the heads' model errors.
-        head: the model.
-        num: number of environments.
     """
 
     def __init__(self, variation: Variation, head: HeadModel, num: int) -> None:
@@ -100,15 +95,7 @@ class TrueHeadPrefetcher:
         self._ready = np.zeros(shape, dtype=np.bool_)
 
     def take(self, streams: RandomStreams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Take the heads of the trials of some environments.
-
-        Args:
-            streams: the trials' random streams.
-            ids: (m,) environment indices.
-
-        Returns:
-            (m, DEVIATES) the deviates, and (m, PACKED) the heads.
-        """
+        """Deviates (m, DEVIATES) and heads (m, PACKED) of the trials of some environments."""
         seeds, trials = streams.seeds[ids], streams.trials[ids]
         own = ids, _place(trials)
         if not self._holds(own, seeds, trials).all():
@@ -143,28 +130,12 @@ class TrueHeadPrefetcher:
 
 
 class TrueHeadsAndConditions:
-    """True heads of a batch, and the conditions of their running trials.
-
-    Args:
-        head: the model that a controller knows.
-        num: number of heads.
-        true_head: see `vergence.envs.plants.simulated.SimulatedPlant`, as for the rest.
-        given: imperfections of the loop, by name.
-        variation: conditions that each trial draws.
-
-    Raises:
-        ConfigurationError: an argument has an invalid shape or value.
-    """
+    """True heads of a batch, and the conditions of their running trials; see `SimulatedPlant`."""
 
     def __init__(
-        self,
-        head: HeadModel,
-        num: int,
-        *,
-        true_head: HeadModel | None,
-        given: Mapping[str, ArrayLike | None],
-        variation: Variation | None,
-    ) -> None:
+        self, head: HeadModel, num: int, *, true_head: HeadModel | None,
+        given: Mapping[str, ArrayLike | None], variation: Variation | None,
+    ) -> None:  # fmt: skip
         self.variation = variation
         self._heads_vary = variation is not None and variation.model_errors is not None
         if self._heads_vary and true_head is not None:
@@ -239,12 +210,7 @@ class TrueHeadsAndConditions:
         return arrays
 
     def draw(self, streams: RandomStreams, ids: IntArray) -> None:
-        """Draw the varying conditions of the trials of some environments.
-
-        Args:
-            streams: the trials' random streams.
-            ids: (m,) environment indices.
-        """
+        """Draw the varying conditions of the trials of some environments."""
         variation, packed = self.variation, self.packed
         if variation is None:
             return
@@ -333,16 +299,17 @@ class SimulatedPlant(Simulation):
     """Fields of a variation that this plant supports."""
     _kept_table: NDArray[np.void] | None = None
 
+    def __init_subclass__(cls) -> None:
+        """Let a subclass with a step of its own be judged like any other plant."""
+        super().__init_subclass__()
+        if "step" in vars(cls):
+            cls.join, cls.act, cls.judge = Plant.join, Plant.act, Plant.judge  # type: ignore[method-assign]
+
     @_named
     def __init__(
-        self,
-        head: HeadModel,
-        num: int = 1,
-        *,
-        true_head: HeadModel | None = None,
-        variation: Variation | Mapping[str, Any] | None = None,
-        **loop: ArrayLike | None,
-    ) -> None:
+        self, head: HeadModel, num: int = 1, *, true_head: HeadModel | None = None,
+        variation: Variation | Mapping[str, Any] | None = None, **loop: ArrayLike | None,
+    ) -> None:  # fmt: skip
         refuse_unknown("plant_options", loop, IMPERFECTIONS)
         num = check_count("num", num)
         if head.batch_shape:
@@ -372,12 +339,9 @@ class SimulatedPlant(Simulation):
         self._motors = MotorStates.of(head, heads.given, num)
         self._coupling = ActuatorCoupling.of(head, heads.given, num)
         self._commands = CommandBuffers.empty(
-            num,
-            heads.given.actuation.velocity,
-            head.sensor.command_resolution_rad_s,
-            heads.largest_value("command_latency_s"),
-            period_s,
-        )
+            num, heads.given.actuation.velocity, head.sensor.command_resolution_rad_s,
+            heads.largest_value("command_latency_s"), period_s,
+        )  # fmt: skip
         # the reading of an image looks up joint angles as old as its date
         max_age_s = max(late_s, timing.latency_s) + 1.0 / max_hz + timing.feedback_latency_s
         max_age_s = max(max_age_s, heads.largest_value("speed_span_s"))
@@ -389,13 +353,10 @@ class SimulatedPlant(Simulation):
         )
         self._timing = SensorTiming.of(head)
         self._scene = TrueHeadsAndTargets(
-            heads=heads.packed.heads,
-            motions=motion_rows(np.tile(_INITIAL_TARGET_POINT, (num, 1))),
-            necks=np.zeros((num, 3)),
-            step=np.zeros(num, dtype=np.int64),
-            positions=np.zeros((num, 7)),
-            velocities=np.zeros((num, 7)),
-        )
+            heads=heads.packed.heads, motions=motion_rows(np.tile(_INITIAL_TARGET_POINT, (num, 1))),
+            necks=np.zeros((num, 3)), step=np.zeros(num, dtype=np.int64),
+            positions=np.zeros((num, 7)), velocities=np.zeros((num, 7)),
+        )  # fmt: skip
         self._missing_joints = np.flatnonzero([not name for name in head.joints])
         self._task = TaskArrays.empty(head, num)
 
@@ -410,7 +371,7 @@ class SimulatedPlant(Simulation):
 
     @property
     def true_head(self) -> HeadModel:
-        """The true heads: one, or a population of shape (num,)."""
+        """See `Simulation.true_head`."""
         return self._true_heads.model
 
     @property
@@ -424,27 +385,23 @@ class SimulatedPlant(Simulation):
 
     @abstractmethod
     def _advance(self, ids: IntArray, phases: int) -> bool:
-        """Run phases of a control period, see `vergence.envs.plants.step`.
-
-        Returns:
-            False if an action or a command is nan.
-        """
+        """Run phases of a control period, see `vergence.envs.plants.step`; False for a nan."""
 
     def join(self, task: TaskArrays) -> None:
-        """Apply the actions of a task from now on, and judge its steps; see `act`."""
+        """See `Plant.join`; a step is then judged in the call that makes it."""
+        super().join(task)
         self._task, self._kept_table = task, None
 
-    def act(self) -> bool:
-        """Step by the requested actions of the task that has joined, and judge the step.
+    def act(self) -> Reading | None:
+        """See `Plant.act`."""
+        return self.reading if self._advance(self._all, ALL_PHASES) else None
 
-        Returns:
-            False if an action is nan; nothing is changed then.
-        """
-        return self._advance(self._all, ALL_PHASES)
-
-    def judge(self, ids: IntArray) -> None:
-        """Judge the readings of some environments for the task that has joined."""
+    def judge(self, ids: IntArray, reading: Reading) -> Reading:
+        """See `Plant.judge`."""
+        if reading is not self.reading:
+            return super().judge(ids, reading)
         self._advance(ids, JUDGE)
+        return reading
 
     def _motion_arrays(self) -> tuple[Any, ...]:
         """The plant's own arrays for the phase in which it moves the joints."""
@@ -455,20 +412,12 @@ class SimulatedPlant(Simulation):
         """Table of the arrays of a step, made again once one of them has been replaced."""
         if self._kept_table is None:
             arrays = StepArrays(
-                timing=self._timing,
-                packed=self._true_heads.packed,
-                keys=self._streams.keys,
-                scene=self._scene,
-                motors=self._motors,
-                coupling=self._coupling,
-                commands=self._commands,
-                feedback=self._feedback,
-                frames=self._frames,
-                exposures=self._exposures,
-                reading=self.reading,
-                task=self._task,
+                timing=self._timing, packed=self._true_heads.packed, keys=self._streams.keys,
+                scene=self._scene, motors=self._motors, coupling=self._coupling,
+                commands=self._commands, feedback=self._feedback, frames=self._frames,
+                exposures=self._exposures, reading=self.reading, task=self._task,
                 motion=self._motion_arrays(),
-            )
+            )  # fmt: skip
             self._kept_table = make_table(arrays)
         return self._kept_table
 
@@ -482,28 +431,16 @@ class SimulatedPlant(Simulation):
         return self.begin(TrialStart(ids, keys.seeds[ids], keys.trials[ids], positions, motions))
 
     def begin(self, start: TrialStart) -> Reading:
-        """Begin trials in some environments; the others continue.
-
-        Args:
-            start: environment indices, and the starts of their trials.
-
-        Returns:
-            The reading at time zero.
-        """
+        """See `Simulation.begin`."""
         ids, positions = start.ids, start.positions
         if len(self._missing_joints):
             positions = positions.copy()
             positions[:, self._missing_joints] = 0.0
-        self._resize_motions(start.motions.shape[1], all_heads=len(ids) == self.num)
+        self.move_targets(ids, start.motions)
+        self._scene.positions[ids] = positions
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
-        begin_trials(
-            ids, positions, start.motions, untyped_tuple(self._true_heads.packed),
-            untyped_tuple(self._streams.keys), untyped_tuple(self._scene),
-            untyped_tuple(self._motors), self._coupling, untyped_tuple(self._commands),
-            untyped_tuple(self._feedback), untyped_tuple(self._frames),
-            untyped_tuple(self.reading),
-        )  # fmt: skip
+        self._advance(ids, BEGIN)
         self._put_at_rest(ids)
         self._advance(ids, WARM_UP | REPORT)
         self.reading.frame[ids] = 0
@@ -544,13 +481,7 @@ class SimulatedPlant(Simulation):
         """Ground truth of the present, with the targets at given own times."""
         truth = Truth.unknown(self.num)
         period_s = self.head.timing.period_s
-        update_truth(
-            self.head.packed,
-            period_s,
-            target_time_s,
-            untyped_tuple(self._scene),
-            untyped_tuple(truth),
-        )
+        update_truth(self.head.packed, period_s, target_time_s, self._scene, truth)
         truth.motors[:] = self._motors.angles
         return truth
 
@@ -560,13 +491,11 @@ class SimulatedPlant(Simulation):
 
     def first_detection_times(self) -> tuple[FloatArray, FloatArray]:
         """See `Simulation.first_detection_times`."""
-        packed, keys = untyped_tuple(self._true_heads.packed), untyped_tuple(self._streams.keys)
-        scene = untyped_tuple(self._scene)
+        packed, keys, motions = self._true_heads.packed, self._streams.keys, self._scene.motions
         first, last = np.empty((2, self.num))
-        jumps = self._scene.motions[:, JUMP].copy()
-        first_detection_times(packed, keys, scene, jumps, first)
-        jumps = last_jump_time(self._scene.motions)
-        first_detection_times(packed, keys, scene, jumps, last)
+        jumps = motion_fields(motions)["jump_time"].copy()
+        for since_s, times in ((jumps, first), (last_jump_time(motions), last)):
+            first_detection_times(packed, keys, self._scene, since_s, times)
         return first, last
 
     def state(self) -> Arrays:

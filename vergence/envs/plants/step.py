@@ -57,7 +57,6 @@ from vergence.envs.plants.motors import (
     is_command_lost,
     joints_from_actuators,
     loop_resumes_at,
-    name_coupling,
     quantise,
     ring_interval_by_time,
     sense_joints,
@@ -73,7 +72,7 @@ from vergence.envs.streams import (
     random_words,
     to_uniform,
 )
-from vergence.envs.targets.motion import is_shown, unpack_motion
+from vergence.envs.targets.motion import is_shown
 from vergence.kernels import compiled, inlined, subroutine, unpack_table
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_actuator_angle, inside_image
@@ -104,38 +103,19 @@ class SensorTiming(NamedTuple):
         """The sensors of a head model."""
         timing = head.timing
         return cls(
-            control_period_s=timing.period_s,
-            nominal_latency_s=timing.latency_s,
+            control_period_s=timing.period_s, nominal_latency_s=timing.latency_s,
             nominal_feedback_latency_s=timing.feedback_latency_s,
-            exposure_stamped=bool(timing.exposure_stamps),
-            exposure_s=timing.exposure_s,
+            exposure_stamped=bool(timing.exposure_stamps), exposure_s=timing.exposure_s,
             max_smear_px=head.sensor.max_smear_px,
-        )
+        )  # fmt: skip
 
 
-@compiled
+@subroutine
 def simulate_detections(
-    ids: IntArray,
-    timing: SensorTiming,
-    packed: PackedConditions,
-    keys: StreamKeys,
-    scene: TrueHeadsAndTargets,
-    exposures: Exposures,
-    frames: Frames,
-) -> None:
-    """Simulate the detections in the last period's frames, and write them to the ring buffers.
-
-    Args:
-        ids: (m,) environment indices.
-        timing: `untyped_tuple`, as are the following.
-        packed: conditions of the trials.
-        keys: keys of the trials' random streams.
-        scene: the true heads and their targets.
-        exposures: times of the exposures, and the joints at these times.
-        frames: ring buffers, updated in place.
-    """
-    timing, packed, keys = SensorTiming(*timing), PackedConditions(*packed), StreamKeys(*keys)
-    scene, exposures, frames = TrueHeadsAndTargets(*scene), Exposures(*exposures), Frames(*frames)
+    ids: IntArray, timing: SensorTiming, packed: PackedConditions, keys: StreamKeys,
+    scene: TrueHeadsAndTargets, exposures: Exposures, frames: Frames,
+) -> None:  # fmt: skip
+    """Simulate the detections in the last period's frames, and write them to the ring buffers."""
     # unpacked once, as numba would count references at each access in the loop
     heads, motions, necks, _steps, _positions, _velocities = scene
     counts, times, then_q, then_v = exposures
@@ -147,7 +127,7 @@ def simulate_detections(
         if counts[n] == 0:
             continue
         conditions, key = unpack_conditions(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
-        p, motion = heads[n * many], unpack_motion(motions[n])
+        p, motion = heads[n * many], motions[n]
         for i in range(counts[n]):
             (f, first_eye, end_eye), time_s = exposed_eyes(conditions, following[n]), times[n, i]
             following[n] += 1
@@ -188,39 +168,14 @@ def simulate_detections(
                 pixels[n, slot, eye, 1] = v + (noise[3] if eye else noise[1]) + dv + false_v
 
 
-@compiled
+@subroutine
 def read_sensors(
-    ids: IntArray,
-    timing: SensorTiming,
-    packed: PackedConditions,
-    keys: StreamKeys,
-    steps: IntArray,
-    motors: MotorStates,
-    coupling: ActuatorCoupling | None,
-    feedback: JointFeedbackBuffers,
-    frames: Frames,
-    reading: Reading,
-) -> None:
-    """Read the newest available frames and the joint feedback of some environments.
-
-    Args:
-        ids: (m,) environment indices.
-        timing: `untyped_tuple`, as are the following but for `steps` and `coupling`.
-        packed: conditions of the trials.
-        keys: keys of the trials' random streams.
-        steps: (n,) control periods since the trials' start.
-        motors: the motors.
-        coupling: coupling of the eye joints; None if each has its own motor.
-        feedback: the encoders and the states of the control loops, updated in place.
-        frames: ring buffers.
-        reading: the result; its image fields are unchanged if no new frame has arrived.
-    """
-    timing, packed, keys = SensorTiming(*timing), PackedConditions(*packed), StreamKeys(*keys)
-    frames, reading = Frames(*frames), Reading(*reading)
-    period_s, loop_states = (
-        timing.control_period_s,
-        JointFeedbackBuffers(*feedback).control_loop_states,
-    )
+    ids: IntArray, timing: SensorTiming, packed: PackedConditions, keys: StreamKeys,
+    steps: IntArray, motors: MotorStates, coupling: ActuatorCoupling | None,
+    feedback: JointFeedbackBuffers, frames: Frames, reading: Reading,
+) -> None:  # fmt: skip
+    """Read the newest frames that have arrived, if any, and the joint feedback."""
+    period_s, loop_states = timing.control_period_s, feedback.control_loop_states
     for env in ids:
         n = np.uintp(env)
         conditions, step = unpack_conditions(packed, n), steps[n]
@@ -229,20 +184,11 @@ def read_sensors(
             conditions, key, step, period_s, loop_states[n, RESUME_PERIOD]
         )
         loop_states[n, COMMAND_LOST] = is_command_lost(conditions, key, step)
-    sense_joints(
-        ids, period_s, packed, keys, steps, MotorStates(*motors), coupling,
-        JointFeedbackBuffers(*feedback),
-        reading,
-    )  # fmt: skip
-    reported = JointFeedbackBuffers(*feedback).reported_angles
+    sense_joints(ids, period_s, packed, keys, steps, motors, coupling, feedback, reading)
+    reported = feedback.reported_angles
     # unpacked once, as numba would count references at each access in the loop
     pixels, visible, dropped, exposed_s, comes_s, following, pending, _latest_s = frames
-    time_s, frame, read_pixels, read_visible = (
-        reading.time_s,
-        reading.frame,
-        reading.pixels,
-        reading.visible,
-    )
+    time_s, frame, read_pixels = reading.time_s, reading.frame, reading.pixels
     read_exposure_s, received_s, joints_s = reading.exposure_s, reading.received_s, reading.joints_s
     at_exposure = reading.positions_at_exposure
     mask, kept, rate = dropped.shape[1] - 1, reported.shape[1], 1.0 / period_s
@@ -283,7 +229,7 @@ def read_sensors(
                 at_exposure[n, j] = old + at.share * (reported[n, at.second, j] - old)
         for eye in range(2):
             seen = visible[n, slot, eye]
-            read_visible[n, eye] = seen
+            reading.visible[n, eye] = seen
             read_pixels[n, eye, 0] = pixels[n, slot, eye, 0] if seen else nan
             read_pixels[n, eye, 1] = pixels[n, slot, eye, 1] if seen else nan
 
@@ -301,52 +247,16 @@ def first_frame_of_trial(conditions: TrialConditions) -> int:
     return floor(-max_age_s / conditions.frame_s - conditions.frame_phase - TIME_TOLERANCE_S)
 
 
-@compiled
+@subroutine
 def begin_trials(
-    ids: IntArray,
-    positions: FloatArray,
-    motions: FloatArray,
-    packed: PackedConditions,
-    keys: StreamKeys,
-    scene: TrueHeadsAndTargets,
-    motors: MotorStates,
-    coupling: ActuatorCoupling | None,
-    commands: CommandBuffers,
-    feedback: JointFeedbackBuffers,
-    frames: Frames,
-    reading: Reading,
-) -> None:
-    """Set starting trials to time zero, with joints at rest and empty ring buffers.
-
-    The first frame to be exposed is early enough to have arrived by time zero.
-
-    Args:
-        ids: (m,) environment indices of the starting trials.
-        positions: (m, 7) initial joint angles, rad.
-        motions: (m, MOTION) motions of their targets.
-        packed: `untyped_tuple`, as are the following; conditions of the trials.
-        keys: keys of the trials' random streams.
-        scene: result, as are the following.
-        motors: the motors.
-        coupling: coupling of the eye joints; None if each has its own motor.
-        commands: set to none under way.
-        feedback: the encoders.
-        frames: ring buffers.
-        reading: set to the reading of heads that have seen nothing yet.
-    """
-    packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), TrueHeadsAndTargets(*scene)
-    motors, commands, feedback = (
-        MotorStates(*motors),
-        CommandBuffers(*commands),
-        JointFeedbackBuffers(*feedback),
-    )
-    frames, reading = Frames(*frames), Reading(*reading)
+    ids: IntArray, packed: PackedConditions, keys: StreamKeys, scene: TrueHeadsAndTargets,
+    motors: MotorStates, coupling: ActuatorCoupling | None, commands: CommandBuffers,
+    feedback: JointFeedbackBuffers, frames: Frames, reading: Reading,
+) -> None:  # fmt: skip
+    """Set trials to time zero: joints at rest at the scene's angles, and empty ring buffers."""
     share = np.full(8, 0.5)
-    for m in range(ids.shape[0]):
-        n = ids[m]
+    for n in ids:
         conditions = unpack_conditions(packed, n)
-        for i in range(motions.shape[1]):
-            scene.motions[n, i] = motions[m, i]
         scene.step[n] = 0
         for i in range(LOOP_STATE):
             feedback.control_loop_states[n, i] = 0
@@ -355,12 +265,12 @@ def begin_trials(
             for i in range(4):
                 share[4 * lane + i] = to_uniform(words[i])
         for k in range(7):
-            motors.angles[n, k] = positions[m, k]
+            motors.angles[n, k] = scene.positions[n, k]
             motors.speeds[n, k] = motors.accelerations[n, k] = 0.0
         if coupling is not None:
             for k in range(SLOTS):
                 motors.angles[n, 3 + k] = eye_actuator_angle(
-                    coupling.nominal_head, k, positions[m, 3:]
+                    coupling.nominal_head, k, scene.positions[n, 3:]
                 )
         for k in range(7):
             # the output is anywhere within the backlash
@@ -379,18 +289,9 @@ def begin_trials(
             reading.positions[n, k] = quantise(angle, feedback.angle_step[k])
             reading.velocities[n, k] = 0.0
         if coupling is not None:
-            joints_from_actuators(
-                coupling.scratch[n],
-                true_head_row(scene, n),
-                scene.positions[n],
-                scene.velocities[n],
-            )
-            joints_from_actuators(
-                coupling.scratch[n],
-                coupling.nominal_head,
-                reading.positions[n],
-                reading.velocities[n],
-            )
+            scratch, true, own = coupling.scratch[n], true_head_row(scene, n), coupling.nominal_head
+            joints_from_actuators(scratch, true, scene.positions[n], scene.velocities[n])
+            joints_from_actuators(scratch, own, reading.positions[n], reading.velocities[n])
         for k in range(7):
             reading.positions_at_exposure[n, k] = reading.positions[n, k]
             for slot in range(feedback.reported_angles.shape[1]):
@@ -409,28 +310,10 @@ def begin_trials(
 
 @compiled
 def expose_frames_before_start(
-    ids: IntArray,
-    packed: PackedConditions,
-    scene: TrueHeadsAndTargets,
-    frames: Frames,
+    ids: IntArray, packed: PackedConditions, scene: TrueHeadsAndTargets, frames: Frames,
     exposures: Exposures,
-) -> bool:
-    """Record exposures of resting heads before time zero, as many as the arrays hold.
-
-    Call it until it returns False.
-
-    Args:
-        ids: (m,) environment indices of the starting trials.
-        packed: `untyped_tuple`, as are the following.
-        scene: their heads at rest.
-        frames: ring buffers.
-        exposures: the result.
-
-    Returns:
-        True if there are any.
-    """
-    packed, scene = PackedConditions(*packed), TrueHeadsAndTargets(*scene)
-    frames, exposures = Frames(*frames), Exposures(*exposures)
+) -> bool:  # fmt: skip
+    """Record as many exposures of resting heads before time zero as fit; False if none is left."""
     some = False
     for n in ids:
         count, most, conditions = 0, exposures.time_s.shape[1], unpack_conditions(packed, n)
@@ -450,28 +333,16 @@ def expose_frames_before_start(
 
 @compiled
 def first_detection_times(
-    packed: PackedConditions,
-    keys: StreamKeys,
-    scene: TrueHeadsAndTargets,
-    since_target_time_s: FloatArray,
-    read_times_s: FloatArray,
-) -> None:
-    """Find the time at which the first image of the target exposed from some moment on is read.
+    packed: PackedConditions, keys: StreamKeys, scene: TrueHeadsAndTargets,
+    since_target_time_s: FloatArray, read_times_s: FloatArray,
+) -> None:  # fmt: skip
+    """Find when the first image in which an eye, at rest, finds the target is read, s.
 
-    It is the first image in which either eye's detector finds the target, with the random faults of
-    the frames; the eyes are assumed to rest until then.
-
-    Args:
-        packed: `untyped_tuple`, as are the following two; conditions of the trials.
-        keys: keys of the trials' random streams.
-        scene: trials at time zero.
-        since_target_time_s: (n,) the moments, in the targets' own time, s.
-        read_times_s: (n,) result, s since the trial's start; inf for never.
+    Images count from a moment (n,) in the target's own time on. Never is inf, s since the start.
     """
-    packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), TrueHeadsAndTargets(*scene)
     for n in range(len(read_times_s)):
         conditions, key = unpack_conditions(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
-        p, motion = true_head_row(scene, n), unpack_motion(scene.motions[n])
+        p, motion = true_head_row(scene, n), scene.motions[n]
         q, neck = scene.positions[n], scene.necks[n]
         frame, latest_s = first_frame_of_trial(conditions), -np.inf
         read_times_s[n] = np.inf
@@ -513,6 +384,8 @@ REPORT: Final = 32
 """Read the sensors (numerical)."""
 WARM_UP: Final = 64
 """Take the frames of starting trials from before time zero, in place of a period (numerical)."""
+BEGIN: Final = 128
+"""Set trials to their start (numerical)."""
 ALL_PHASES: Final = LIMIT | STORE | MOVE | EXPOSE | REPORT | JUDGE
 
 
@@ -531,46 +404,36 @@ class StepArrays(NamedTuple):
     exposures: Exposures
     reading: Reading
     task: TaskArrays
-    motion: tuple[Any, ...]
+    motion: Any
     """The plant's own arrays, for the phase in which it moves the joints."""
 
 
 @subroutine
 def begin_period(table: NDArray[np.void], ids: IntArray, phases: int) -> bool:
-    """Run the phases before the joints move.
-
-    Args:
-        table: table of `StepArrays`.
-        ids: (m,) environment indices.
-        phases: the phases to run.
-
-    Returns:
-        False if an action or a command is nan.
-    """
-    own = StepArrays(*unpack_table(table))
+    """Run the phases before the joints move; False if an action or a command is nan."""
+    own: StepArrays = unpack_table(table)
+    if phases & BEGIN:
+        begin_trials(
+            ids, own.packed, own.keys, own.scene, own.motors, own.coupling, own.commands,
+            own.feedback, own.frames, own.reading,
+        )  # fmt: skip
     if phases & LIMIT and not limit_actions(ids, own.task):
         return False
     if phases & STORE:
-        feedback, scene = JointFeedbackBuffers(*own.feedback), TrueHeadsAndTargets(*own.scene)
         return store_commands(
-            ids,
-            TaskArrays(*own.task).command,
-            own.commands,
-            feedback.control_loop_states,
-            scene.step,
-            Reading(*own.reading).command,
-        )
+            ids, own.task.command, own.commands, own.feedback.control_loop_states, own.scene.step,
+            own.reading.command,
+        )  # fmt: skip
     return True
 
 
 @subroutine
 def end_period(table: NDArray[np.void], ids: IntArray, phases: int) -> None:
     """Run the phases after the joints have moved; see `begin_period`."""
-    own = StepArrays(*unpack_table(table))
-    steps = TrueHeadsAndTargets(*own.scene).step
+    own: StepArrays = unpack_table(table)
     if phases & MOVE:
         for n in ids:
-            steps[n] += 1
+            own.scene.step[n] += 1
     if phases & EXPOSE:
         simulate_detections(
             ids, own.timing, own.packed, own.keys, own.scene, own.exposures, own.frames
@@ -582,8 +445,8 @@ def end_period(table: NDArray[np.void], ids: IntArray, phases: int) -> None:
             )
     if phases & REPORT:
         read_sensors(
-            ids, own.timing, own.packed, own.keys, steps, own.motors,
-            name_coupling(own.coupling), own.feedback, own.frames, own.reading,
+            ids, own.timing, own.packed, own.keys, own.scene.step, own.motors, own.coupling,
+            own.feedback, own.frames, own.reading,
         )  # fmt: skip
     if phases & JUDGE:
-        judge_steps(ids, own.task, own.reading)
+        judge_steps(ids, own.task, own.task.coupled_head, own.reading)

@@ -27,7 +27,7 @@ back along the path, and from the first knot forth again.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import cos, hypot, inf, nan, sin, sqrt
-from typing import ClassVar, Final, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.envs.reading import check_tuple_or_nonnegative
 from vergence.envs.streams import IntArray, RandomStreams
 from vergence.errors import ConfigurationError, UnreachableTargetError
-from vergence.kernels import inlined, kernel, make_tuple_reader, subroutine
+from vergence.kernels import inlined, kernel, record_view, row_layout, row_size, subroutine
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (
     PackedHead,
@@ -53,13 +53,7 @@ MIN_PATH_LENGTH: Final = 12
 
 @inlined
 def point_between_knots(path: FloatArray, knot: int, t: float) -> Vector:
-    """Position between two knots.
-
-    Args:
-        path: (4 + 4 k,) see above.
-        knot: number of the knot before the position, from 1.
-        t: time, between those of this knot and the next, s.
-    """
+    """Position between two knots."""
     a, b = 4 * knot, 4 * knot + 4
     x, y, z = path[1], path[2], path[3]
     ax, ay, az = path[a + 1] - x, path[a + 2] - y, path[a + 3] - z
@@ -77,12 +71,7 @@ def point_between_knots(path: FloatArray, knot: int, t: float) -> Vector:
 
 @subroutine
 def point_at(path: FloatArray, t: float) -> Vector:
-    """Position on a path at a time.
-
-    Args:
-        path: (4 + 4 k,) see above.
-        t: time, not negative, s.
-    """
+    """Position on a path at a time."""
     low, high = 1, len(path) // 4 - 1
     end = path[4 * high]
     if t > end:
@@ -97,40 +86,41 @@ def point_at(path: FloatArray, t: float) -> Vector:
     return point_between_knots(path, low, t)
 
 
-# indices of the fields in a motion's row (numerical)
-BEFORE: Final = slice(0, 3)
-ANCHOR: Final = slice(3, 6)
-VELOCITY: Final = slice(6, 9)
-COSINE: Final = slice(9, 12)
-SINE: Final = slice(12, 15)
-OMEGA: Final = 15
-JUMP: Final = 16
-DURATION: Final = 17
-SEEN_BEFORE: Final = 18
-SECOND_JUMP: Final = 19
-SECOND_ANCHOR: Final = slice(20, 23)
-HIDDEN_FROM: Final = 23
-HIDDEN_UNTIL: Final = 24
-MOTION: Final = 25
+class Motion:
+    """Row of a target's motion, of which a path is the rest; see `motion_rows`."""
+
+    before: Annotated[FloatArray, 3]
+    anchor: Annotated[FloatArray, 3]
+    velocity: Annotated[FloatArray, 3]
+    cosine: Annotated[FloatArray, 3]
+    sine: Annotated[FloatArray, 3]
+    omega: float
+    jump_time: float
+    duration: float
+    seen_before: float
+    second_jump_time: float
+    second_anchor: Annotated[FloatArray, 3]
+    hidden_from: float
+    hidden_until: float
+
+
+_MOTION: Final = row_layout(Motion)
+MOTION: Final = row_size(_MOTION)
 """Length of a motion's row without a path."""
 
 
+def motion_fields(rows: FloatArray) -> NDArray[Any]:
+    """(...) structured array of `Motion`'s fields: a view of rows (..., MOTION or more)."""
+    return rows[..., :MOTION].view(_MOTION)[..., 0]
+
+
 def motion_rows(
-    anchor: ArrayLike,
-    *,
-    before: ArrayLike | None = None,
-    velocity: ArrayLike = 0.0,
-    duration: ArrayLike = inf,
-    cosine: ArrayLike = 0.0,
-    sine: ArrayLike = 0.0,
-    omega: ArrayLike = 0.0,
-    jump_time: ArrayLike = 0.0,
-    second_jump_time: ArrayLike = inf,
-    second_anchor: ArrayLike | None = None,
-    hidden_from: ArrayLike = inf,
-    hidden_until: ArrayLike = inf,
-    path: FloatArray | None = None,
-) -> FloatArray:
+    anchor: ArrayLike, *, before: ArrayLike | None = None, velocity: ArrayLike = 0.0,
+    duration: ArrayLike = inf, cosine: ArrayLike = 0.0, sine: ArrayLike = 0.0,
+    omega: ArrayLike = 0.0, jump_time: ArrayLike = 0.0, second_jump_time: ArrayLike = inf,
+    second_anchor: ArrayLike | None = None, hidden_from: ArrayLike = inf,
+    hidden_until: ArrayLike = inf, path: FloatArray | None = None,
+) -> FloatArray:  # fmt: skip
     """Make rows of motions.
 
     Args:
@@ -155,19 +145,20 @@ def motion_rows(
     """
     anchor = np.atleast_2d(np.asarray(anchor, dtype=np.float64))
     rows = np.zeros((len(anchor), MOTION + (0 if path is None else path.shape[1])))
-    rows[:, BEFORE] = anchor if before is None else before
-    rows[:, ANCHOR] = anchor
-    rows[:, VELOCITY] = velocity
-    rows[:, COSINE] = cosine
-    rows[:, SINE] = sine
-    rows[:, OMEGA] = omega
-    rows[:, JUMP] = jump_time
-    rows[:, DURATION] = duration
-    rows[:, SEEN_BEFORE] = before is not None
-    rows[:, SECOND_JUMP] = second_jump_time
-    rows[:, SECOND_ANCHOR] = anchor if second_anchor is None else second_anchor
-    rows[:, HIDDEN_FROM] = hidden_from
-    rows[:, HIDDEN_UNTIL] = hidden_until
+    fields = motion_fields(rows)
+    fields["before"] = anchor if before is None else before
+    fields["anchor"] = anchor
+    fields["velocity"] = velocity
+    fields["cosine"] = cosine
+    fields["sine"] = sine
+    fields["omega"] = omega
+    fields["jump_time"] = jump_time
+    fields["duration"] = duration
+    fields["seen_before"] = before is not None
+    fields["second_jump_time"] = second_jump_time
+    fields["second_anchor"] = anchor if second_anchor is None else second_anchor
+    fields["hidden_from"] = hidden_from
+    fields["hidden_until"] = hidden_until
     if path is not None:
         rows[:, MOTION:] = path
     return rows
@@ -182,63 +173,26 @@ def last_jump_time(rows: ArrayLike) -> FloatArray:
     Returns:
         (...) s.
     """
-    rows = np.asarray(rows, dtype=np.float64)
-    again = np.isfinite(rows[..., SECOND_JUMP])
-    return np.where(again, rows[..., SECOND_JUMP], rows[..., JUMP])
-
-
-class Motion(NamedTuple):
-    """The fields of a motion's row, see `motion_rows`."""
-
-    before: Vector
-    anchor: Vector
-    velocity: Vector
-    cosine: Vector
-    sine: Vector
-    omega: float
-    jump_time: float
-    duration: float
-    seen_before: bool
-    second_jump_time: float
-    second_anchor: Vector
-    hidden_from: float
-    hidden_until: float
-    path: FloatArray
-    """(p,) path; (0,) for a target without one."""
-
-
-_read_motion_fields = make_tuple_reader(MOTION)
+    fields = motion_fields(np.ascontiguousarray(rows, dtype=np.float64))
+    second = fields["second_jump_time"]
+    return np.where(np.isfinite(second), second, fields["jump_time"])
 
 
 @inlined
-def unpack_motion(row: FloatArray) -> Motion:
-    """Unpack a motion's row, in the order of the constants above."""
-    m = _read_motion_fields(row, 0)
-    return Motion(
-        (m[0], m[1], m[2]),
-        (m[3], m[4], m[5]),
-        (m[6], m[7], m[8]),
-        (m[9], m[10], m[11]),
-        (m[12], m[13], m[14]),
-        m[OMEGA],
-        m[JUMP],
-        m[DURATION],
-        m[SEEN_BEFORE] != 0.0,
-        m[SECOND_JUMP],
-        (m[20], m[21], m[22]),
-        m[HIDDEN_FROM],
-        m[HIDDEN_UNTIL],
-        row[MOTION:],
-    )
+def view_motion(row: FloatArray) -> Motion:
+    """The fields of a motion's row."""
+    motion: Motion = record_view(row[:MOTION], _MOTION)
+    return motion
 
 
 @inlined
-def motion_position_at(motion: Motion, t: float) -> Vector:
+def motion_position_at(row: FloatArray, t: float) -> Vector:
     """Position of a target at time `t`, in N as it was at the trial's start."""
+    motion = view_motion(row)
     if t < motion.jump_time:
-        return motion.before
-    if len(motion.path):
-        return point_at(motion.path, t)
+        return motion.before[0], motion.before[1], motion.before[2]
+    if len(row) > MOTION:
+        return point_at(row[MOTION:], t)
     moved = min(t - motion.jump_time, motion.duration)
     c = s = 0.0
     if motion.omega != 0.0:
@@ -253,9 +207,10 @@ def motion_position_at(motion: Motion, t: float) -> Vector:
 
 
 @inlined
-def is_shown(motion: Motion, t: float) -> bool:
+def is_shown(row: FloatArray, t: float) -> bool:
     """True if the target exists and is not hidden at time `t`, in view or not."""
-    if t < motion.jump_time and not motion.seen_before:
+    motion = view_motion(row)
+    if t < motion.jump_time and motion.seen_before == 0.0:
         return False
     return not motion.hidden_from <= t < motion.hidden_until
 
@@ -265,7 +220,7 @@ def _positions(row: FloatArray, t: FloatArray, shape_only: FloatArray, out: Floa
     out[0] = out[1] = out[2] = nan
     beyond = len(row) - MOTION
     if beyond == 0 or beyond >= MIN_PATH_LENGTH:
-        out[0], out[1], out[2] = motion_position_at(unpack_motion(row), t[0])
+        out[0], out[1], out[2] = motion_position_at(row, t[0])
 
 
 def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:
@@ -278,7 +233,7 @@ def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:
     Returns:
         (..., 3) in N as it stood at the trial's start, m.
     """
-    return np.asarray(_positions(rows, time_s, np.zeros(3)))
+    return np.asarray(_positions(np.ascontiguousarray(rows), time_s, np.zeros(3)))
 
 
 Axes = tuple[Vector, Vector, Vector]
@@ -318,12 +273,7 @@ def whole_board_text(board: Board) -> str:
 
 @inlined
 def board_axes(point: Vector, facing_head: bool) -> Axes:
-    """The axes of a board's frame in N: right, down, and into the board.
-
-    Args:
-        point: position of its measured point in N, m.
-        facing_head: see `Board`.
-    """
+    """The axes of a board's frame in N: right, down, and into the board."""
     if not facing_head:
         return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     x, y, z = point
@@ -336,13 +286,7 @@ def board_axes(point: Vector, facing_head: bool) -> Axes:
 
 @inlined
 def mean_camera_distance(p: PackedHead, angles: FloatArray, point: Vector) -> float:
-    """Mean distance of a point from both cameras, m.
-
-    Args:
-        p: a packed head.
-        angles: (4,) the eyes' angles, rad.
-        point: in N, m.
-    """
+    """Mean distance of a point from both cameras, m."""
     total = 0.0
     for eye in range(2):
         camera = eye_frames(p, eye, angles[2 * eye], angles[2 * eye + 1]).camera
@@ -355,16 +299,7 @@ def mean_camera_distance(p: PackedHead, angles: FloatArray, point: Vector) -> fl
 def is_detectable_by_both_eyes(
     p: PackedHead, angles: FloatArray, point: Vector, border_px: float, board: Board
 ) -> bool:
-    """True if both eyes see a target: its point, and all of its board at a detectable size.
-
-    Args:
-        p: a packed head.
-        angles: (4,) the eyes' angles, rad.
-        point: in N, m.
-        border_px: least distance from the images' edges, px; for the outline of a board, the
-            board's own border is added.
-        board: shape of the target.
-    """
+    """True if both eyes see a target: its point, and all of its board at a detectable size."""
     k = len(board.outline)
     size = 1.0
     if k and board.true_size_distance_m == board.true_size_distance_m:
@@ -481,19 +416,7 @@ class Target(ABC):
 
 
 def fixation_angles(head: HeadModel, point_name: str, points: FloatArray) -> FloatArray:
-    """Compute joint angles that put points on both optical axes, or as near as actuators can.
-
-    Args:
-        head: the model of the head.
-        point_name: name of the points for error messages, such as `point`.
-        points: (n, 3) in N, m.
-
-    Returns:
-        (n, 7) rad.
-
-    Raises:
-        ConfigurationError: the limits prevent both eyes from looking at a point.
-    """
+    """Compute joint angles that put points on both optical axes, or as near as actuators can."""
     q = head.fixate(points, head.rest()[:3])
     within = head.reaches(q)
     asked = "fixate within their joints' limits"
@@ -519,17 +442,7 @@ def _in_images(head: HeadModel, q: FloatArray, points: FloatArray) -> NDArray[np
 def require_seen_by_an_eye(
     head: HeadModel, point_name: str, point: FloatArray, q: FloatArray
 ) -> None:
-    """Refuse a point that neither eye sees, as no controller could ever find it.
-
-    Args:
-        head: the model of the head.
-        point_name: name of the point for error messages.
-        point: (3,) in N, m.
-        q: (7,) joint angles at the start, rad.
-
-    Raises:
-        UnreachableTargetError: neither eye sees it.
-    """
+    """Refuse a point that neither eye sees, as no controller could ever find it."""
     if _in_images(head, q, point).any():
         return
     where = "outside both images"

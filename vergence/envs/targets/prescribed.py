@@ -131,12 +131,9 @@ class CircleTarget(PrescribedTarget):
     def _motion(self) -> FloatArray:
         cosine, sine = np.array([0.0, self.radius, 0.0]), np.array([self.radius, 0.0, 0.0])
         return motion_rows(
-            self.centre,
-            before=self._fixated_point()[None],
-            cosine=cosine,
-            sine=sine,
+            self.centre, before=self._fixated_point()[None], cosine=cosine, sine=sine,
             omega=2.0 * np.pi / self.period,
-        )
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,12 +16,11 @@ from vergence.envs.streams import (
     to_uniform,
 )
 from vergence.envs.targets.motion import (
-    HIDDEN_FROM,
-    HIDDEN_UNTIL,
     POINT,
     Board,
     Target,
     is_detectable_by_both_eyes,
+    motion_fields,
     motion_rows,
     point_between_knots,
     whole_board_text,
@@ -36,7 +35,7 @@ from vergence.envs.targets.workspace import (
     uniform_between,
 )
 from vergence.errors import ConfigurationError, UnreachableTargetError
-from vergence.kernels import compiled, inlined, subroutine, untyped_tuple
+from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import Vector, eye_actuator_angle, has_motor_per_joint
 from vergence.models.parts import SLOTS, FloatArray
@@ -96,27 +95,13 @@ class OrbitTarget(Target):
             *self.depth, self.eccentricity, *self.radius, *self.speed, self.turns, self.margin
         )
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        found = draw_orbits(
-            untyped_tuple(keys),
-            untyped_tuple(HeadWithLimits.of(head)),
-            untyped_tuple(ranges),
-            untyped_tuple(board),
-            untyped_tuple(orbits),
-        )
-        if not found:
+        if not draw_orbits(keys, HeadWithLimits.of(head), ranges, board, orbits):
             raise UnreachableTargetError(
                 f"target: expected ellipses that this head can follow and "
                 f"see{whole_board_text(board)}, got none of {MAX_CANDIDATES} of {self}"
             )
-        before = orbits.centre + orbits.cosine
-        rows = motion_rows(
-            orbits.centre,
-            before=before,
-            cosine=orbits.cosine,
-            sine=orbits.sine,
-            omega=orbits.omega,
-        )
-        return rows, self._begin(head, before)
+        before = orbits.anchor + orbits.cosine
+        return motion_rows(**orbits._asdict(), before=before), self._begin(head, before)
 
 
 class OrbitRanges(NamedTuple):
@@ -134,9 +119,9 @@ class OrbitRanges(NamedTuple):
 
 
 class Orbits(NamedTuple):
-    """Ellipses `centre + cosine cos(omega t) + sine sin(omega t)`, one per trial."""
+    """Ellipses `anchor + cosine cos(omega t) + sine sin(omega t)`, one per trial."""
 
-    centre: FloatArray
+    anchor: FloatArray
     """(n, 3) in N, m."""
     cosine: FloatArray
     """(n, 3) m."""
@@ -165,16 +150,9 @@ def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> fl
 
 @inlined
 def _can_follow_orbit(
-    gaze: HeadWithLimits,
-    ranges: OrbitRanges,
-    board: Board,
-    centre: Vector,
-    first: Vector,
-    second: Vector,
-    omega: float,
-    angles: FloatArray,
-    own: FloatArray,
-) -> bool:
+    gaze: HeadWithLimits, ranges: OrbitRanges, board: Board, centre: Vector, first: Vector,
+    second: Vector, omega: float, angles: FloatArray, own: FloatArray,
+) -> bool:  # fmt: skip
     """True if both eyes can fixate the whole ellipse, and turn as fast as it needs.
 
     The last two arguments are scratch arrays (_CHECKED_PHASES, 4) for angles of the eye joints and
@@ -216,18 +194,8 @@ def draw_orbits(
 ) -> bool:
     """Draw ellipses for each trial until the eyes can follow one.
 
-    Args:
-        keys: `untyped_tuple`, keys of the n trials' random streams.
-        gaze: `untyped_tuple`, the head that looks.
-        ranges: `untyped_tuple`, the target's fields.
-        board: `untyped_tuple`, shape of the target.
-        orbits: `untyped_tuple`, the result.
-
-    Returns:
-        False if some trial has no valid candidate.
+    The result is False if some trial has no valid candidate.
     """
-    keys, gaze = StreamKeys(*keys), HeadWithLimits(*gaze)
-    ranges, board, orbits = OrbitRanges(*ranges), Board(*board), Orbits(*orbits)
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     angles, own = np.empty((_CHECKED_PHASES, 4)), np.empty((_CHECKED_PHASES, SLOTS))
     for n in range(len(orbits.omega)):
@@ -265,7 +233,7 @@ def draw_orbits(
             phase = 2.0 * pi * to_uniform(random_words(seed, trial, _TASK, attempt, 3)[0])
             c, s = cos(phase), sin(phase)
             for i in range(3):
-                orbits.centre[n, i] = centre[i]
+                orbits.anchor[n, i] = centre[i]
                 orbits.cosine[n, i] = first[i] * c + second[i] * s
                 orbits.sine[n, i] = second[i] * c - first[i] * s
             orbits.omega[n] = omega
@@ -300,7 +268,8 @@ class OccludedTarget(OrbitTarget):
         """See `Target.draw`."""
         rows, q = super().draw(head, streams, ids, board)
         gone = draw_event_times(streams, ids, *self.gone_after)
-        rows[:, HIDDEN_FROM], rows[:, HIDDEN_UNTIL] = gone, gone + self.gone_s
+        fields = motion_fields(rows)
+        fields["hidden_from"], fields["hidden_until"] = gone, gone + self.gone_s
         return rows, q
 
 
@@ -366,21 +335,11 @@ class WanderTarget(Target):
         """See `Target.draw`; segments are drawn until one is valid."""
         paths = np.empty((len(ids), 4 * (_SEGMENTS_PER_PATH + 2)))
         walk = WanderRanges(
-            *self.depth,
-            self.eccentricity,
-            *self.speed,
-            self.approach,
-            *self.turn_after,
+            *self.depth, self.eccentricity, *self.speed, self.approach, *self.turn_after,
             self.margin,
-        )
+        )  # fmt: skip
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        if not draw_paths(
-            untyped_tuple(keys),
-            untyped_tuple(HeadWithLimits.of(head)),
-            untyped_tuple(walk),
-            untyped_tuple(board),
-            paths,
-        ):
+        if not draw_paths(keys, HeadWithLimits.of(head), walk, board, paths):
             raise UnreachableTargetError(
                 f"target: expected paths that this head can follow and "
                 f"see{whole_board_text(board)}, got none of {MAX_CANDIDATES} of {self}"
@@ -405,11 +364,7 @@ class WanderRanges(NamedTuple):
 
 @inlined
 def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: WanderRanges) -> bool:
-    """Draw the next knot of a path.
-
-    Returns:
-        True if it lies at a finite distance.
-    """
+    """Draw the next knot of a path; True if it lies at a finite distance."""
     here, there = 4 * knot, 4 * knot + 4
     ex, ey, ez = path[1], path[2], path[3]
     x, y, z = path[here + 1] - ex, path[here + 2] - ey, path[here + 3] - ez
@@ -440,14 +395,9 @@ def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: WanderRange
 
 @subroutine
 def _can_look(
-    gaze: HeadWithLimits,
-    walk: WanderRanges,
-    board: Board,
-    eye: Vector,
-    point: Vector,
-    angles: FloatArray,
-    own: FloatArray,
-) -> bool:
+    gaze: HeadWithLimits, walk: WanderRanges, board: Board, eye: Vector, point: Vector,
+    angles: FloatArray, own: FloatArray,
+) -> bool:  # fmt: skip
     """True if a point is in the workspace, and both eyes can fixate it.
 
     The last two arguments are results: (4,) angles of the eye joints, and of the actuators.
@@ -470,14 +420,9 @@ def _can_look(
 
 @inlined
 def _can_follow_path(
-    gaze: HeadWithLimits,
-    walk: WanderRanges,
-    board: Board,
-    path: FloatArray,
-    knot: int,
-    angles: FloatArray,
-    own: FloatArray,
-) -> bool:
+    gaze: HeadWithLimits, walk: WanderRanges, board: Board, path: FloatArray, knot: int,
+    angles: FloatArray, own: FloatArray,
+) -> bool:  # fmt: skip
     """True if both eyes can fixate the whole segment after a knot, and turn as fast as it needs.
 
     The last two arguments are scratch arrays: (4,) angles of the eye joints, and
@@ -502,22 +447,8 @@ def draw_paths(
 ) -> bool:
     """Draw paths for each trial, segment by segment, until the eyes can follow one.
 
-    Args:
-        keys: `untyped_tuple`, keys of the n trials' random streams.
-        gaze: `untyped_tuple`, the head that looks.
-        ranges: `untyped_tuple`, the target's fields.
-        board: `untyped_tuple`, shape of the target.
-        paths: (n, 4 + 4 k) result: paths of k knots, see `vergence.envs.targets.motion`.
-
-    Returns:
-        False if some trial has no valid candidate.
+    The result is False if some trial has no valid candidate.
     """
-    keys, gaze, ranges, board = (
-        StreamKeys(*keys),
-        HeadWithLimits(*gaze),
-        WanderRanges(*ranges),
-        Board(*board),
-    )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     angles, own = np.empty(4), np.empty((_SAMPLES_PER_SEGMENT + 1, SLOTS))
     last = paths.shape[1] // 4 - 1

@@ -24,7 +24,7 @@ from vergence.envs.targets.motion import (
     whole_board_text,
 )
 from vergence.errors import ConfigurationError, UnreachableTargetError
-from vergence.kernels import compiled, inlined, subroutine, untyped_tuple
+from vergence.kernels import compiled, inlined, subroutine
 from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import (
@@ -67,14 +67,10 @@ class HeadWithLimits(NamedTuple):
         """The `HeadWithLimits` of a head model."""
         own, limits = head.actuation, head.limits
         return cls(
-            head.packed,
-            head.rest(),
-            own.lower[EYES],
-            own.upper[EYES],
-            own.velocity[EYES],
+            head.packed, head.rest(), own.lower[EYES], own.upper[EYES], own.velocity[EYES],
             own.acceleration[EYES],
             None if own.direct else (limits.lower[EYES], limits.upper[EYES]),
-        )
+        )  # fmt: skip
 
 
 @inlined
@@ -95,18 +91,7 @@ def midpoint_between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
 def random_point(
     words: Words, viewpoint: Vector, min_z_m: float, max_z_m: float, max_angle_rad: float
 ) -> Vector:
-    """Point from three random words: uniform in 1 / depth and in the angle from straight ahead.
-
-    Args:
-        words: at least three.
-        viewpoint: origin of the angle, in N, m.
-        min_z_m: least z, m.
-        max_z_m: greatest z, m.
-        max_angle_rad: greatest angle, rad.
-
-    Returns:
-        x, y and z in N, m.
-    """
+    """Point from three random words: uniform in 1 / depth and in the angle from straight ahead."""
     z = 1.0 / uniform_between(words[0], 1.0 / max_z_m, 1.0 / min_z_m)
     slope = z * tan(max_angle_rad * to_uniform(words[1]))
     around = 2.0 * pi * to_uniform(words[2])
@@ -119,24 +104,15 @@ def can_fixate(gaze: HeadWithLimits, margin_rad: float, point: Vector, angles: F
 
     For coupled joints, the angles are those of the least pixel errors, and both eyes must see the
     point then.
-
-    Args:
-        gaze: the head that looks.
-        margin_rad: least distance of the actuators from their limits, rad.
-        point: in N, m.
-        angles: (4,) result: angles of the eye joints, rad; complete only if both eyes can.
     """
     return _can_fixate(gaze, gaze.joint_limits, margin_rad, point, angles)
 
 
 @inlined
 def _can_fixate(
-    gaze: HeadWithLimits,
-    joint_limits: tuple[FloatArray, FloatArray] | None,
-    margin_rad: float,
-    point: Vector,
-    angles: FloatArray,
-) -> bool:
+    gaze: HeadWithLimits, joint_limits: tuple[FloatArray, FloatArray] | None, margin_rad: float,
+    point: Vector, angles: FloatArray,
+) -> bool:  # fmt: skip
     if joint_limits is not None:  # a function of its own, compiled only for coupled joints
         return _can_fixate_coupled(gaze, joint_limits, margin_rad, point, angles)
     for eye in range(2):
@@ -151,12 +127,9 @@ def _can_fixate(
 
 @inlined
 def _can_fixate_coupled(
-    gaze: HeadWithLimits,
-    joint_limits: tuple[FloatArray, FloatArray],
-    margin_rad: float,
-    point: Vector,
-    angles: FloatArray,
-) -> bool:
+    gaze: HeadWithLimits, joint_limits: tuple[FloatArray, FloatArray], margin_rad: float,
+    point: Vector, angles: FloatArray,
+) -> bool:  # fmt: skip
     if not fixate_coupled(gaze.head, point[0], point[1], point[2], angles):
         return False
     for k in range(SLOTS):
@@ -185,30 +158,14 @@ _EVENT_TIME_LANE: Final = 5
 def draw_event_times(
     streams: RandomStreams, ids: IntArray, earliest: float, latest: float
 ) -> FloatArray:
-    """Draw a moment for each of some trials, uniform in a range.
-
-    Args:
-        streams: the trials' random streams.
-        ids: (n,) environment indices.
-        earliest: the range's beginning, s.
-        latest: its end, s.
-
-    Returns:
-        (n,) s.
-    """
+    """(n,) a moment for each of some trials, uniform in a range, s."""
     moments = np.empty(len(ids))
-    _fill(
-        untyped_tuple(StreamKeys(streams.seeds[ids], streams.trials[ids])),
-        earliest,
-        latest,
-        moments,
-    )
+    _fill(StreamKeys(streams.seeds[ids], streams.trials[ids]), earliest, latest, moments)
     return moments
 
 
 @compiled
 def _fill(keys: StreamKeys, earliest: float, latest: float, moments: FloatArray) -> None:
-    keys = StreamKeys(*keys)
     for n in range(len(moments)):
         words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _EVENT_TIME_LANE)
         moments[n] = uniform_between(words[0], earliest, latest)
@@ -257,26 +214,15 @@ class RandomTarget(Target):
         """See `Target.draw`; candidates are drawn until one is valid."""
         points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        found = draw_targets(
-            untyped_tuple(keys),
-            untyped_tuple(HeadWithLimits.of(head)),
-            untyped_tuple(self._workspace()),
-            untyped_tuple(board),
-            points,
-            q,
-        )
-        if not found:
+        gaze = HeadWithLimits.of(head)
+        if not draw_targets(keys, gaze, self._workspace(), board, points, q):
             raise self._unseen("points", board)
         return motion_rows(points), q
 
     def _workspace(self) -> "RandomTargetRanges":
+        fixating = self.start == "fixation"
         return RandomTargetRanges(
-            *self.depth,
-            self.eccentricity,
-            self.margin,
-            self.shift,
-            self.border,
-            self.start == "fixation",
+            *self.depth, self.eccentricity, self.margin, self.shift, self.border, fixating
         )
 
     def _unseen(self, what: str, board: Board) -> UnreachableTargetError:
@@ -309,32 +255,11 @@ def larger_eye_turn(begin: FloatArray, goal: FloatArray) -> float:
 
 @subroutine
 def draw_target_and_start(
-    seed: np.uint64,
-    trial: np.uint64,
-    attempt: int,
-    gaze: HeadWithLimits,
-    workspace: RandomTargetRanges,
-    board: Board,
-    viewpoint: Vector,
-    target_angles: FloatArray,
+    seed: np.uint64, trial: np.uint64, attempt: int, gaze: HeadWithLimits,
+    workspace: RandomTargetRanges, board: Board, viewpoint: Vector, target_angles: FloatArray,
     start_angles: FloatArray,
-) -> tuple[bool, Vector]:
-    """Draw one candidate for a target, and starts for it until one is valid.
-
-    Args:
-        seed: the trial's seed.
-        trial: its number.
-        attempt: number of the candidate.
-        gaze: the head that looks.
-        workspace: the workspace.
-        board: shape of the target.
-        viewpoint: the point between the eyes, in N, m.
-        target_angles: (4,) result: the eyes' angles that fixate the target, rad.
-        start_angles: (4,) result: their angles at the start, rad.
-
-    Returns:
-        True if target and start are valid, and the target's position in N, m.
-    """
+) -> tuple[bool, Vector]:  # fmt: skip
+    """Draw one candidate for a target, and starts for it until one is valid."""
     words = random_words(seed, trial, _TASK, attempt, 1)
     point = random_point(
         words, viewpoint, workspace.min_z_m, workspace.max_z_m, workspace.max_angle_rad
@@ -363,32 +288,13 @@ def draw_target_and_start(
 
 @compiled
 def draw_targets(
-    keys: StreamKeys,
-    gaze: HeadWithLimits,
-    workspace: RandomTargetRanges,
-    board: Board,
-    points: FloatArray,
-    start_angles: FloatArray,
-) -> bool:
+    keys: StreamKeys, gaze: HeadWithLimits, workspace: RandomTargetRanges, board: Board,
+    points: FloatArray, start_angles: FloatArray,
+) -> bool:  # fmt: skip
     """Draw candidates for each trial until one is valid.
 
-    Args:
-        keys: `untyped_tuple`, keys of the n trials' random streams.
-        gaze: `untyped_tuple`, the head that looks.
-        workspace: `untyped_tuple`, the workspace.
-        board: `untyped_tuple`, shape of the target.
-        points: (n, 3) result: positions of the targets, in N, m.
-        start_angles: (n, 7) result: joint angles at the start, rad.
-
-    Returns:
-        False if some trial has no valid candidate.
+    The result is False if some trial has no valid candidate.
     """
-    keys, gaze, space, board = (
-        StreamKeys(*keys),
-        HeadWithLimits(*gaze),
-        RandomTargetRanges(*workspace),
-        Board(*board),
-    )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     goal, begin = np.empty(4), np.empty(4)
     for n in range(len(points)):
@@ -396,7 +302,7 @@ def draw_targets(
         start_angles[n] = gaze.rest
         for attempt in range(MAX_CANDIDATES):
             found, point = draw_target_and_start(
-                seed, trial, attempt, gaze, space, board, eye, goal, begin
+                seed, trial, attempt, gaze, workspace, board, eye, goal, begin
             )
             if found:
                 break
@@ -440,14 +346,8 @@ class DoubleStepTarget(RandomTarget):
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         gaze, space = HeadWithLimits.of(head), self._workspace()
         found = draw_double_steps(
-            untyped_tuple(keys),
-            untyped_tuple(gaze),
-            untyped_tuple(space),
-            untyped_tuple(board),
-            first,
-            second,
-            q,
-        )
+            keys, gaze, space, board, first, second, q,
+        )  # fmt: skip
         if not found:
             raise self._unseen("pairs of points", board)
         after = draw_event_times(streams, ids, *self.second_after)
@@ -456,34 +356,13 @@ class DoubleStepTarget(RandomTarget):
 
 @compiled
 def draw_double_steps(
-    keys: StreamKeys,
-    gaze: HeadWithLimits,
-    workspace: RandomTargetRanges,
-    board: Board,
-    first_points: FloatArray,
-    second_points: FloatArray,
-    start_angles: FloatArray,
-) -> bool:
+    keys: StreamKeys, gaze: HeadWithLimits, workspace: RandomTargetRanges, board: Board,
+    first_points: FloatArray, second_points: FloatArray, start_angles: FloatArray,
+) -> bool:  # fmt: skip
     """Draw pairs of points for each trial until one is valid.
 
-    Args:
-        keys: `untyped_tuple`, keys of the n trials' random streams.
-        gaze: `untyped_tuple`, the head that looks.
-        workspace: `untyped_tuple`, the workspace.
-        board: `untyped_tuple`, shape of the target.
-        first_points: (n, 3) result: first position of the target, in N, m.
-        second_points: (n, 3) result: position after the second jump, in N, m.
-        start_angles: (n, 7) result: joint angles at the start, rad.
-
-    Returns:
-        False if some trial has no valid candidate.
+    The result is False if some trial has no valid candidate.
     """
-    keys, gaze, workspace, board = (
-        StreamKeys(*keys),
-        HeadWithLimits(*gaze),
-        RandomTargetRanges(*workspace),
-        Board(*board),
-    )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     begin, goal, last = np.empty(4), np.empty(4), np.empty(4)
     for n in range(len(first_points)):

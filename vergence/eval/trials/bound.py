@@ -38,7 +38,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.trials.bands import actuator_settling_bands, eye_settling_bands
 from vergence.eval.trials.entry import least_entry_time
 from vergence.eval.trials.goal import least_reachable_error
-from vergence.kernels import compiled, inlined, untyped_tuple
+from vergence.kernels import compiled, inlined
 from vergence.models.parts import EYES, SLOTS, Actuation, FloatArray
 
 _PERIOD_TOLERANCE: Final = 1e-6
@@ -85,8 +85,8 @@ def settle_bound(
         half_band,
         np.ascontiguousarray(actuation.actuators_of(truth.positions)[:, EYES]),
         np.ascontiguousarray(truth.motors[:, EYES]),
-        untyped_tuple(EyeActuatorLimits.of(actuation)),
-        untyped_tuple(EyeActuatorOverrides.of(conditions)),
+        EyeActuatorLimits.of(actuation),
+        EyeActuatorOverrides.of(conditions),
         period,
         motion_s,
     )
@@ -183,12 +183,11 @@ def _motion_times(
         half_band: (n, 4) largest deviations from the goals, rad.
         start: (n, 4) present angles of the actuators, rad.
         begin: (n, 4) present angles of their motors, within the backlash, rad.
-        motors: `EyeActuatorLimits`, made `untyped_tuple`.
-        overrides: `EyeActuatorOverrides`, made `untyped_tuple`.
+        motors: `EyeActuatorLimits`.
+        overrides: `EyeActuatorOverrides`.
         period: the control period, s.
         times: (n,) result, s.
     """
-    motors, overrides = EyeActuatorLimits(*motors), EyeActuatorOverrides(*overrides)
     for n in range(times.shape[0]):
         times[n] = 0.0
         for k in range(SLOTS):

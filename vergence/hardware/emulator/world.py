@@ -16,7 +16,6 @@ from vergence.envs.targets.motion import (
     is_shown,
     motion_rows,
     target_position,
-    unpack_motion,
 )
 from vergence.errors import ConfigurationError
 from vergence.hardware.config import actuator_slots
@@ -310,6 +309,6 @@ class World:
         T_N_now = T_N_0 @ self._T_0_N
         point = T_N_now[:3, :3] @ (0.5 * (before + after)) + T_N_now[:3, 3]
         velocity = T_N_now[:3, :3] @ ((after - before) / _DIFFERENCE_S)
-        if not is_shown(unpack_motion(self._motion[0]), own_s):
+        if not is_shown(self._motion[0], own_s):
             point = np.full(3, np.nan)
         return point, velocity, None
