@@ -258,9 +258,9 @@ class GazeTask:
 
     def of_all_heads(self, action: NDArray[Any]) -> NDArray[Any]:
         """Refuse an array of another shape than (num, m), and return it; see `as_action`."""
-        if action.shape != self._action.shape:
+        if action.shape != (self.num, len(self.action_names)):
             raise ConfigurationError(
-                f"action: expected shape {self._action.shape}, heads by "
+                f"action: expected shape {(self.num, len(self.action_names))}, heads by "
                 f"{', '.join(self.action_names)}, got {action.shape}"
             )
         return action
