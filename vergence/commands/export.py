@@ -107,11 +107,11 @@ class ExportOnnx:
         if self.out.suffix != ".onnx":
             raise ConfigurationError(f"out: expected a name that ends in .onnx, got {self.out}")
         _check_free(self.out, self.force)
-        from vergence.controllers.networks.bundle import pretrained_bundles, read_bundle
+        from vergence.controllers.networks.bundle import find_bundle
         from vergence.controllers.networks.onnx import bundle_as_onnx
         from vergence.files import write_atomic
 
-        bundle = read_bundle(pretrained_bundles().get(self.bundle, Path(self.bundle)))
+        bundle = find_bundle(self.bundle)
         write_atomic(self.out, bundle_as_onnx(bundle))
         network = bundle.network
         print(

@@ -397,6 +397,28 @@ def pretrained_bundles() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob(f"*{SUFFIX}"))}
 
 
+def find_bundle(name: str | os.PathLike[str]) -> Bundle:
+    """Read a bundle from a file `*.vgp`, or a shipped one by name.
+
+    Raises:
+        BundleError: it cannot be read or is damaged.
+        ConfigurationError: no such bundle is shipped.
+    """
+    if not isinstance(name, str | os.PathLike):
+        raise ConfigurationError(
+            f"bundle: expected a file's path or the name of a shipped bundle, got {name!r:.80}"
+        )
+    if Path(name).suffix == SUFFIX:
+        return read_bundle(name)
+    shipped = pretrained_bundles()
+    if name not in shipped:
+        raise ConfigurationError(
+            f"bundle: expected a file named *{SUFFIX} or one of the shipped "
+            f"{', '.join(shipped) or '(there are none)'}, got {os.fspath(name)!r}"
+        )
+    return read_bundle(shipped[os.fspath(name)])
+
+
 def check_file(path: str | os.PathLike[str]) -> None:
     """Raise a `BundleError` for what is no file, or larger than `MAX_FILE_BYTES`."""
     if not Path(path).is_file():  # excludes folders and endless devices

@@ -32,6 +32,7 @@ from vergence.controllers.networks.bundle import (
     SUFFIX,
     Bundle,
     Floats,
+    find_bundle,
     prefix_bundle_errors,
     pretrained_bundles,
     read_bundle,
@@ -42,7 +43,7 @@ from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import prediction_fields
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
 from vergence.envs.observation import ObservationLayout, check_observation
-from vergence.errors import BundleError, ConfigurationError, OtherHeadError
+from vergence.errors import BundleError, OtherHeadError
 from vergence.models.head import HeadModel
 from vergence.models.parts import SLOTS, FloatArray
 
@@ -315,22 +316,9 @@ def open_bundle(kind: str, head: HeadModel, bundle: str | os.PathLike[str] | Non
         BundleError: it cannot be read or is damaged.
         ConfigurationError: no such bundle is shipped.
     """
-    shipped = pretrained_bundles()
     if bundle is None:
-        return _shipped_for(kind, head, shipped)
-    if not isinstance(bundle, str | os.PathLike):
-        raise ConfigurationError(
-            f"bundle: expected a file's path or the name of a shipped bundle, got {bundle!r:.80}"
-        )
-    if Path(bundle).suffix == SUFFIX:
-        return read_bundle(bundle)
-    name = os.fspath(bundle)
-    if name not in shipped:
-        raise ConfigurationError(
-            f"bundle: expected a file named *{SUFFIX} or one of the shipped "
-            f"{', '.join(shipped) or '(there are none)'}, got {name!r}"
-        )
-    return read_bundle(shipped[name])
+        return _shipped_for(kind, head, pretrained_bundles())
+    return find_bundle(bundle)
 
 
 def _shipped_for(kind: str, head: HeadModel, shipped: Mapping[str, Path]) -> Bundle:
