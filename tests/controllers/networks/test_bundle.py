@@ -224,13 +224,14 @@ def test_another_manifest_is_refused(path, tmp_path):
         ({"network": {}}, "activation"),
         ({"network": {"activation": "tanh", "joints": 9}}, "joints: expected 1 to 7, got 9"),
         ({"network": {"activation": "tanh", "joints": 1, "clip_inputs": 1.0}}, "inputs.mean"),
+        ({"network": {"activation": "tanh", "joints": 1, "clip_inputs": "x"}}, "clip_inputs"),
     ]:
         with named(fields, match):
             changed = {**content, **fields}
             changed["sha256"] = _digest(changed, tensors)
             save_file(tensors, other, {"manifest": json.dumps(changed)})
             refused(other, match)
-    for text in ("", "[]", "[" * 100_000):
+    for text in ("", "[]", "[" * 100_000, '{"kind": NaN}'):
         other.write_bytes(save(tensors, {"manifest": text}))
         refused(other, "manifest: ")
 

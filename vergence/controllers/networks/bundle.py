@@ -169,6 +169,8 @@ class Perceptron:
         limit, joints = settings.get("clip_inputs"), settings.get("joints")
         names = [f"layers.{k}.{part}" for k in range(count) for part in ("weight", "bias")]
         names += [] if limit is None else ["inputs.mean", "inputs.std"]
+        if not isinstance(limit, int | float | None):
+            raise BundleError(f"network: clip_inputs: expected a number or null, got {limit!r:.60}")
         if not count or sorted(names) != sorted(tensors):
             raise BundleError(
                 f"network: expected the tensors {', '.join(names)}, got {sorted(tensors)!r:.200}"
@@ -493,8 +495,12 @@ def _first_difference(expected: Any, got: Any, path: str) -> tuple[str, Any, Any
 
 def _parse(text: str, tensors: Mapping[str, NDArray[Any]]) -> Manifest:
     """Read a manifest, and check that it and the tensors are those that were written."""
+
+    def refuse(word: str) -> Any:
+        raise ValueError(f"{word}, which JSON does not have")
+
     try:
-        content = json.loads(text)
+        content = json.loads(text, parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         raise BundleError(f"manifest: expected JSON, got {error}") from error
     if not isinstance(content, dict):
