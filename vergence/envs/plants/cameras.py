@@ -461,7 +461,7 @@ class BoardImageRenderer:
         rng: np.random.Generator | None = None, point_velocity: ArrayLike = (0.0, 0.0, 0.0),
         axes: ArrayLike | None = None,
     ) -> tuple[Image, Image]:  # fmt: skip
-        """Draw both eyes' images for the middle of an exposure, of a point (3,) in the present N, m.
+        """Draw both eyes' images of a point (3,) in the present N, m, in the middle of an exposure.
 
         Its velocity is in the world, in the axes of the present N, m/s; `axes` (3, 3) are the
         board's, as columns, None for those of `facing`. Without `rng` there is no noise, and
