@@ -21,12 +21,9 @@ AHEAD = (0.0, -0.1, 1.0)
 
 
 def start_of(
-    num: int = 1,
-    point: ArrayLike = AHEAD,
-    before: ArrayLike | None = None,
-    positions: ArrayLike = 0.0,
-    seed: int = 0,
-) -> TrialStart:
+    num: int = 1, point: ArrayLike = AHEAD, before: ArrayLike | None = None,
+    positions: ArrayLike = 0.0, seed: int = 0,
+) -> TrialStart:  # fmt: skip
     """A trial each of some heads: a target at rest at `point`, at `before` until time zero."""
     points = np.broadcast_to(np.asarray(point, dtype=np.float64), (num, 3))
     angles = np.broadcast_to(np.asarray(positions, dtype=np.float64), (num, 7)).copy()
@@ -41,11 +38,9 @@ def begin(plant: Plant, start: TrialStart) -> Reading:
 
 
 def steps(
-    plant: Plant,
-    start: TrialStart,
-    count: int,
+    plant: Plant, start: TrialStart, count: int,
     command: ArrayLike | Callable[[int], ArrayLike] = 0.0,
-) -> tuple[list[Reading], Array, Array]:
+) -> tuple[list[Reading], Array, Array]:  # fmt: skip
     """Readings, angles and velocities (count + 1, num, 7) of trials, from time zero on.
 
     The command is one that broadcasts to (num, 7), or a function of the step, rad/s.
@@ -79,13 +74,9 @@ def pixels_of(head: HeadModel, q: Array, start: Array, point: ArrayLike = AHEAD)
 
 
 def draw(
-    head: HeadModel,
-    target: object,
-    num: int = 1,
-    seed: int = 0,
-    first: int = 0,
+    head: HeadModel, target: object, num: int = 1, seed: int = 0, first: int = 0,
     board: Board = POINT,
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array]:  # fmt: skip
     """Motions and starting angles of trials of a seed, from the `first` on."""
     streams, ids = RandomStreams(num), np.arange(num)
     trials = (first + ids).astype(np.uint64)

@@ -52,12 +52,7 @@ def missing_window_hint() -> str | None:
 
 
 def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
-    """Check a render mode, which may be None, and return it.
-
-    Raises:
-        ConfigurationError: the mode is unknown.
-        RenderingUnavailableError: the mode needs a window, and pygame is not installed.
-    """
+    """Check a render mode, which may be None, and return it."""
     if mode is not None and mode not in known:
         raise ConfigurationError(
             f"render_mode: expected None or one of {', '.join(known)}, got {mode!r}"

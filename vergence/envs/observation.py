@@ -103,19 +103,7 @@ def packed_observation_scaling(head: HeadModel) -> FloatArray:
 
 
 def check_observation(observation: ArrayLike, size: int) -> NDArray[np.floating[Any]]:
-    """Check observations and return them as an array.
-
-    Args:
-        observation: (..., size).
-        size: length of one observation.
-
-    Returns:
-        Array of the observation's numbers.
-
-    Raises:
-        ConfigurationError: the length is wrong, or the numbers are not floating-point or not all
-            finite.
-    """
+    """Check that observations (..., size) are finite floating-point numbers, and return them."""
     try:
         array = np.asarray(observation)
     except ValueError as error:  # rows of different lengths

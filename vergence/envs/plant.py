@@ -169,15 +169,7 @@ PLANTS: Final[dict[str, str]] = {
 
 
 def plant_type(name: str) -> type[Plant]:
-    """The class of a plant.
-
-    Args:
-        name: one of `PLANTS`, or `module:class` of a user's plant.
-
-    Raises:
-        UnknownNameError: there is no such plant.
-        ConfigurationError: the module cannot be imported, or its object is not a plant.
-    """
+    """The class of a plant."""
     if name in list(PLANTS):  # a list takes what has no hash, too
         module, _, attribute = PLANTS[name].partition(":")
         shipped: type[Plant] = getattr(import_module(module), attribute)
@@ -198,21 +190,7 @@ def plant_type(name: str) -> type[Plant]:
 
 
 def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant:
-    """Make a plant by name.
-
-    Args:
-        name: one of `PLANTS`, or `module:class` of a user's plant.
-        head: the model that a controller knows.
-        num: number of heads.
-        **kwargs: the plant's own options.
-
-    Returns:
-        The plant.
-
-    Raises:
-        UnknownNameError: there is no such plant.
-        ConfigurationError: an option is unknown, or a user's class is not a plant.
-    """
+    """Make a plant by name, see `plant_type`, with its own options."""
     make = plant_type(name)
     known = accepted_arguments(make)
     if known is not None:
@@ -315,23 +293,12 @@ class Simulation(Plant):
 
 
 def is_simulated(name: str) -> bool:
-    """True if a plant is a simulation, not a robot.
-
-    Args:
-        name: see `vergence.envs.plant.plant_type`.
-
-    Raises:
-        VergenceError: there is no such plant.
-    """
+    """True if a plant is a simulation, not a robot."""
     return issubclass(plant_type(name), Simulation)
 
 
 def simulation_of(plant: Plant) -> Simulation:
-    """Check that a plant is a simulation, and return it.
-
-    Raises:
-        ConfigurationError: the plant is not a simulation.
-    """
+    """Check that a plant is a simulation, and return it."""
     if not isinstance(plant, Simulation):
         raise ConfigurationError(f"plant: expected a simulated one, got {type(plant).__name__}")
     return plant

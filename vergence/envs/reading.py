@@ -155,16 +155,7 @@ def check_at_least_zero(name: str, value: object) -> None:
 
 
 def check_count(name: str, value: object, *, minimum: int = 1) -> int:
-    """Check a whole number of at least `minimum` and return it.
-
-    Args:
-        name: name for error messages.
-        value: the user's value.
-        minimum: smallest valid value.
-
-    Raises:
-        ConfigurationError: the value is something else.
-    """
+    """Check a whole number of at least `minimum` and return it."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
         what = "above 0" if minimum == 1 else f"of at least {minimum}"
         raise ConfigurationError(f"{name}: expected a whole number {what}, got {value!r}")
@@ -186,18 +177,7 @@ def check_finite_number(name: str, value: object) -> float:
 
 
 def real_number_array(value: ArrayLike) -> FloatArray:
-    """Convert real numbers to an array; unlike NumPy, refuse text and booleans.
-
-    Args:
-        value: a number, or numbers in lists, tuples or an array.
-
-    Returns:
-        (...) float64, which may hold nan and inf.
-
-    Raises:
-        TypeError: something in it is not a number.
-        ValueError: its rows differ in length.
-    """
+    """Convert real numbers to an array of float64; unlike NumPy, refuse text and booleans."""
     array = np.asarray(value)
     mixed = () if isinstance(value, np.ndarray) else np.asarray(value, dtype=object).flat
     if array.dtype.kind not in "iuf" or any(isinstance(one, bool | np.bool_) for one in mixed):
@@ -206,22 +186,14 @@ def real_number_array(value: ArrayLike) -> FloatArray:
 
 
 def as_action_array(action: ArrayLike) -> NDArray[Any]:
-    """Convert an action to an array without changing the type of its numbers.
-
-    Raises:
-        ConfigurationError: an element is not a real number, or its rows differ in length.
-    """
+    """Convert an action to an array without changing the type of its numbers."""
     if isinstance(action, np.ndarray) and action.dtype.kind in "biuf":
         return action
     return as_operand("action", action)
 
 
 def refuse_immobile_eyes(head: HeadModel) -> None:
-    """Refuse a head whose eyes do not move.
-
-    Raises:
-        ConfigurationError: they do not.
-    """
+    """Refuse a head whose eyes do not move."""
     if head.actuation.count:
         return
     what = "which can locate what it sees (triangulate_views) and has nothing to turn"

@@ -34,21 +34,7 @@ def run_trial(
     task: GazeTask, policy: Policy, steps: int, record: Callable[[int], None], *, seed: int = 0,
     first_trial: int = 0,
 ) -> None:  # fmt: skip
-    """Run one trial in each environment of a task, and leave the task open for the next one.
-
-    Args:
-        task: the task to run.
-        policy: the policy that chooses the actions.
-        steps: number of control periods.
-        record: callback, called with 0 when the trials have begun, and with k after step k.
-        seed: seed of all trials.
-        first_trial: trial number of the first environment; the others count up from it.
-
-    Raises:
-        VergenceError: the trials cannot begin, or an action has the wrong shape or is nan.
-        HardwareError: a robot has been stopped by a fault.
-        Exception: whatever the policy or `record` raises.
-    """
+    """Run one trial in each environment of a task, and leave the task open for the next one."""
     ids = np.arange(task.num)
     seeds = np.full(task.num, as_seed(seed), dtype=np.uint64)
     task.begin(ids, seeds, (first_trial + ids).astype(np.uint64))

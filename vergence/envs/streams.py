@@ -100,16 +100,7 @@ class RandomStreams:
         self.trials[ids] = trials
 
     def generator_at(self, n: int, purpose: StreamPurpose, block: int = 0) -> np.random.Generator:
-        """The generator of one environment, purpose and block, valid until the next call.
-
-        Args:
-            n: environment index.
-            purpose: purpose of the numbers.
-            block: index of a block of the purpose's numbers.
-
-        Returns:
-            A generator at the block's first number.
-        """
+        """The generator of one environment, purpose and block, valid until the next call."""
         state = self._state
         inner = state["state"]
         inner["key"][0] = self.seeds[n]
@@ -122,15 +113,7 @@ class RandomStreams:
 
 
 def as_seed(value: object, name: str = "seed") -> int:
-    """Check a seed or a trial number, and return it as an integer from 0 to 2**64 - 1.
-
-    Args:
-        value: the user's value.
-        name: name for error messages.
-
-    Raises:
-        ConfigurationError: the value is not a whole number or out of range.
-    """
+    """Check a seed or a trial number, and return it as an integer from 0 to 2**64 - 1."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise ConfigurationError(f"{name}: expected a whole number, got {value!r}")
     if not 0 <= int(value) < 2**64:

@@ -151,12 +151,6 @@ class GazeTask:
 
         A real head must not wait for a compiler while it moves. So the plant prepares itself, and
         the policy is called once, as at a trial's start; its action is discarded.
-
-        Args:
-            policy: the policy that will choose the actions.
-
-        Raises:
-            ConfigurationError: the policy's actions have the wrong shape.
         """
         self.plant.prepare()
         self.plant.judge(self._all, self.reading)
@@ -217,14 +211,7 @@ class GazeTask:
         }
 
     def restore(self, state: SavedState) -> None:
-        """Restore the running trials from a result of `state`, bit by bit.
-
-        Args:
-            state: the state of a task with the same options.
-
-        Raises:
-            ConfigurationError: the state belongs to another task.
-        """
+        """Restore the running trials from a result of `state`, bit by bit."""
         restore_arrays(self._arrays(), state["task"])
         self.reading = Reading.of(simulation_of(self.plant).restore(state["plant"]), self.num)
 

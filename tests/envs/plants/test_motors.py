@@ -145,11 +145,6 @@ def test_the_neck_of_a_tied_head_moves_too() -> None:
     assert not q[:, 0, 3:].any()
 
 
-def test_a_true_head_with_other_actuators_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"true_head: expected actuators .* \(tilt, ver"):
-        KinematicPlant(head_of("tied"), true_head=head_of("common"))
-
-
 T = 1 / 120
 STEP = 0.024
 """Quantisation of a Dynamixel's goal velocity, 0.229 rev/min, rad/s."""

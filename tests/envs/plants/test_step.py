@@ -7,6 +7,7 @@ import pytest
 
 from tests.controllers.loops import begin
 from tests.envs.trials import AHEAD, assert_uniform, pixels_of, start_of, steps
+from tests.heads import head_of
 from tests.naming import named
 from vergence import HeadModel, ModelErrors
 from vergence.envs import plants
@@ -105,13 +106,6 @@ def test_the_frame_counter_changes_with_each_image_and_with_nothing_else(exact) 
         assert np.array_equal(now.frame - last.frame, is_new(now).astype(np.int64))
     # some 7 of 10 come, those that were exposed before time zero too
     assert 30 < readings[-1].frame.mean() < 54
-
-
-def test_the_command_is_the_one_that_was_applied(exact) -> None:
-    plant = make_plant("kinematic", exact, 1)
-    assert not plant.begin(start_of()).command.any()
-    beyond = 2.0 * exact.limits.velocity
-    assert np.array_equal(plant.step(beyond[None]).command[0], exact.limits.velocity)
 
 
 def test_a_reset_to_other_angles_keeps_the_trials_target_and_noise(simulated) -> None:
@@ -316,14 +310,23 @@ def test_starting_some_trials_leaves_the_others_as_they_were(simulated) -> None:
 
 
 def test_options_that_cannot_be_are_refused_by_name(simulated) -> None:
-    for options, message in [
-        ({"latency_s": -0.01}, "latency_s: expected seconds from 0 to below 1 .*got -0.01"),
-        ({"lag_s": [0.03, np.nan]}, "lag_s: expected seconds"),
-        ({"detection_noise_px": [0.1, 0.1, 0.1]}, "detection_noise_px: expected a number or 2"),
-        ({"dropped_frame_probability": 1.5}, "dropped_frame_probability: expected 0 to 1"),
-    ]:
+    true = simulated.perturbed(np.random.default_rng(0), ModelErrors(joint_offset_rad=0.01), 3)
+    for plant, head, options, message in [
+        ("kinematic", simulated, {"latency_s": -0.01},
+         "latency_s: expected seconds from 0 to below 1 .*got -0.01"),
+        ("kinematic", simulated, {"lag_s": [0.03, np.nan]}, "lag_s: expected seconds"),
+        ("kinematic", simulated, {"detection_noise_px": [0.1, 0.1, 0.1]},
+         "detection_noise_px: expected a number or 2"),
+        ("kinematic", simulated, {"dropped_frame_probability": 1.5},
+         "dropped_frame_probability: expected 0 to 1"),
+        ("mujoco", simulated, {"lag_s": [0.0, 0.03]}, "lag_s: expected seconds above 0"),
+        ("kinematic", simulated, {"true_head": true}, "true_head: expected one head or 2"),
+        ("kinematic", true, {}, "head: expected one head"),
+        ("kinematic", head_of("tied"), {"true_head": head_of("common")},
+         r"true_head: expected actuators .* \(tilt, ver"),
+    ]:  # fmt: skip
         with named(options, message), pytest.raises(ConfigurationError, match=message):
-            make_plant("kinematic", simulated, 2, **options)
+            make_plant(plant, head, 2, **options)
 
 
 def test_an_image_that_comes_between_two_periods_is_read_at_the_next(exact) -> None:
@@ -336,16 +339,6 @@ def test_an_image_that_comes_between_two_periods_is_read_at_the_next(exact) -> N
         assert reading.exposure_s == pytest.approx([(step - 9) * T], abs=1e-12)
         exposed = pixels_of(head, positions[step - 9], positions[0])
         assert reading.pixels == pytest.approx(exposed, abs=1e-9)
-
-
-def test_dynamics_without_a_lag_and_true_heads_of_another_number_are_refused(simulated) -> None:
-    with pytest.raises(ConfigurationError, match="lag_s: expected seconds above 0"):
-        make_plant("mujoco", simulated, 2, lag_s=[0.0, 0.03])
-    true = simulated.perturbed(np.random.default_rng(0), ModelErrors(joint_offset_rad=0.01), 3)
-    with pytest.raises(ConfigurationError, match="true_head: expected one head or 2"):
-        make_plant("kinematic", simulated, 2, true_head=true)
-    with pytest.raises(ConfigurationError, match="head: expected one head"):
-        make_plant("kinematic", true, 3)
 
 
 @pytest.mark.parametrize("plant", ["kinematic", "rendered"])

@@ -20,16 +20,9 @@ Motion = Callable[[float], tuple[Array, Array]]
 
 
 def motion_of(
-    head: HeadModel,
-    commands: ArrayLike,
-    *,
-    start: ArrayLike = 0.0,
-    lag_s: float | None = None,
-    late_s: float = 0.0,
-    gain: ArrayLike = 1.0,
-    ratio: float = 1.0,
-    falloff: float = 0.0,
-) -> Motion:
+    head: HeadModel, commands: ArrayLike, *, start: ArrayLike = 0.0, lag_s: float | None = None,
+    late_s: float = 0.0, gain: ArrayLike = 1.0, ratio: float = 1.0, falloff: float = 0.0,
+) -> Motion:  # fmt: skip
     """The motion of a head whose actuators are its joints.
 
     Args:

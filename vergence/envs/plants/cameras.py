@@ -461,18 +461,11 @@ class BoardImageRenderer:
         rng: np.random.Generator | None = None, point_velocity: ArrayLike = (0.0, 0.0, 0.0),
         axes: ArrayLike | None = None,
     ) -> tuple[Image, Image]:  # fmt: skip
-        """Draw both eyes' images for the middle of an exposure.
+        """Draw both eyes' images of a point (3,) in the present N, m, in the middle of an exposure.
 
-        Args:
-            q: (7,) joint angles, rad.
-            v: (7,) joint velocities, rad/s.
-            point: (3,) the board's measured point in the present N, m; nan for no board.
-            rng: generator of the noise; None for noise-free images.
-            point_velocity: (3,) its velocity in the world, in the axes of the present N, m/s.
-            axes: (3, 3) the board's axes in the present N, as columns; None for those of `facing`.
-
-        Returns:
-            Left and right image, see `frames`.
+        Its velocity is in the world, in the axes of the present N, m/s; `axes` (3, 3) are the
+        board's, as columns, None for those of `facing`. Without `rng` there is no noise, and
+        without a point (nan) no board.
         """
         point = np.asarray(point, dtype=np.float64)
         self.room(q, v)
@@ -506,17 +499,7 @@ class BoardImageRenderer:
         self, T_C_T: FloatArray, rng: np.random.Generator | None = None,
         smear_px: ArrayLike = ((0.0, 0.0), (0.0, 0.0)),
     ) -> tuple[Image, Image]:  # fmt: skip
-        """Draw the board at given poses; a board behind a camera leaves plain background.
-
-        Args:
-            T_C_T: (2, 4, 4) the board's poses in the cameras, with its measured point at its true
-                position.
-            rng: generator of the noise; None for noise-free images.
-            smear_px: (2, 2) displacement of the board's images during the exposure, px.
-
-        Returns:
-            Left and right image, see `frames`.
-        """
+        """Draw the board at poses (2, 4, 4) in the cameras; one behind a camera is not drawn."""
         if self._natural_m is not None:
             # a board scaled by s looks like the original one at 1/s of the distance
             away = np.linalg.norm(T_C_T[:, :3, 3], axis=-1).mean()
@@ -575,13 +558,7 @@ class RoomImageRenderer(BoardImageRenderer):
             self._room_smears_px[eye] = self._smear_px(q, v, wall)[eye]
 
     def surface(self, q: FloatArray, eye: int, pixel: ArrayLike) -> FloatArray:
-        """(3,) point of a wall, in the present N, m, that an eye sees at a pixel (u, v).
-
-        Args:
-            q: (7,) joint angles, rad.
-            eye: 0 for left, 1 for right.
-            pixel: (2,) raw pixel.
-        """
+        """(3,) point of a wall, in the present N, m, that an eye sees at a pixel (u, v)."""
         T_room_N = self._T_room_0 @ self._head.base_pose(q)
         T_room_C = (T_room_N @ self._head.camera_poses(q))[eye]
         ray = line_of_sight(Camera.of(self._head, eye), T_room_C, np.asarray(pixel, float))

@@ -405,14 +405,7 @@ class Variation(Imperfections[Range | None]):
 
 
 def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation | None:
-    """Make a variation from its fields.
-
-    Args:
-        variation: fields, as `{"latency_s": (0.03, 0.13)}`; `model_errors` may be a mapping too.
-
-    Raises:
-        ConfigurationError: a field is unknown or has an invalid value.
-    """
+    """Make a variation from its fields."""
     if variation is None or isinstance(variation, Variation):
         return variation
     if not isinstance(variation, Mapping):

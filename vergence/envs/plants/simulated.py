@@ -120,13 +120,11 @@ class TrueHeadPrefetcher:
         self._keep((rows, _place(trials[missing])), seeds[missing], trials[missing])
 
     def _keep(self, places: Any, seeds: KeyArray, trials: KeyArray) -> None:
-        self._deviates[places], self._packed[places] = self._make(seeds, trials)
+        deviates = self._variation.draw_head_deviates(seeds, trials)
+        self._deviates[places] = deviates
+        self._packed[places] = self._variation.make_true_heads(self._head, deviates).packed
         self._seeds[places], self._trials[places] = seeds, trials
         self._ready[places] = True
-
-    def _make(self, seeds: KeyArray, trials: KeyArray) -> tuple[FloatArray, FloatArray]:
-        deviates = self._variation.draw_head_deviates(seeds, trials)
-        return deviates, self._variation.make_true_heads(self._head, deviates).packed
 
 
 class TrueHeadsAndConditions:
@@ -218,7 +216,8 @@ class TrueHeadsAndConditions:
         draw_conditions(*keys, ids, *self._ranges, packed.loop, packed.own)
         self._derive()
         if variation.backlash_rad is not None:
-            _only_eyes(self.conditions.backlash_rad, self._head)
+            backlash_rad = self.conditions.backlash_rad  # only of the eyes: the neck is held
+            backlash_rad[:, :3] = backlash_rad[:, 3 + self._head.actuation.count :] = 0.0
         if self._head_cache is not None:
             self._deviates[ids], self.conditions.heads[ids] = self._head_cache.take(streams, ids)
 
@@ -228,12 +227,6 @@ def _by_name(packed: PackedConditions) -> Conditions:
     views = {name: packed.loop[:, i] for i, name in enumerate(PER_TRIAL)}
     views |= {name: packed.own[:, i] for i, name in enumerate(PER_ACTUATOR)}
     return Conditions(**views, heads=packed.heads)
-
-
-def _only_eyes(backlash: FloatArray, head: HeadModel) -> None:
-    """Set the backlash to zero in unused slots and in the neck, which is held."""
-    backlash[:, :3] = 0.0
-    backlash[:, 3 + head.actuation.count :] = 0.0
 
 
 def _values(num: int, name: str, given: ArrayLike | None, head: HeadModel) -> FloatArray:
@@ -302,7 +295,7 @@ class SimulatedPlant(Simulation):
     def __init_subclass__(cls) -> None:
         """Let a subclass with a step of its own be judged like any other plant."""
         super().__init_subclass__()
-        if "step" in vars(cls):
+        if cls.step is not SimulatedPlant.step:
             cls.join, cls.act, cls.judge = Plant.join, Plant.act, Plant.judge  # type: ignore[method-assign]
 
     @_named
@@ -327,7 +320,7 @@ class SimulatedPlant(Simulation):
         self.reading = Reading.empty(num)
         self._all = np.arange(num)
         self._streams = RandomStreams(num)
-        timing, period_s = head.timing, head.timing.period_s
+        timing, period_s, sensor = head.timing, head.timing.period_s, head.sensor
         max_hz = heads.largest_value("frame_rate_hz") / (1.0 + IMPERFECTIONS["clock_drift"].least)
         skew_s = heads.largest_value("skew_s")
         late_s = heads.largest_value("latency_s") + heads.largest_value("jitter_s") + skew_s
@@ -339,7 +332,7 @@ class SimulatedPlant(Simulation):
         self._motors = MotorStates.of(head, heads.given, num)
         self._coupling = ActuatorCoupling.of(head, heads.given, num)
         self._commands = CommandBuffers.empty(
-            num, heads.given.actuation.velocity, head.sensor.command_resolution_rad_s,
+            num, heads.given.actuation.velocity, sensor.command_resolution_rad_s,
             heads.largest_value("command_latency_s"), period_s,
         )  # fmt: skip
         # the reading of an image looks up joint angles as old as its date

@@ -35,18 +35,7 @@ TARGETS: Final[dict[str, type[Target]]] = {
 
 
 def make_target(target: "str | Mapping[str, Any] | Target") -> Target:
-    """Make a target from its name, or from a mapping of its fields with its `kind`.
-
-    Args:
-        target: `"random"`, `{"kind": "static", "point": [0, -0.1, 1]}`, or a target.
-
-    Returns:
-        The target.
-
-    Raises:
-        UnknownNameError: there is no such kind.
-        ConfigurationError: a field is unknown or has an invalid value.
-    """
+    """Make a target from its name, or `{"kind": "static", "point": [0, -0.1, 1]}`; or keep it."""
     if isinstance(target, Target):
         return target
     fields = dict(target) if isinstance(target, Mapping) else {"kind": target}
@@ -61,15 +50,10 @@ def make_target(target: "str | Mapping[str, Any] | Target") -> Target:
 def separate_look(
     target: "str | Mapping[str, Any] | Target",
 ) -> "tuple[str | Mapping[str, Any] | Target, str | None]":
-    """Separate a target's motion from what it is.
+    """Separate a target's motion from what is looked at; None for the plant's own.
 
-    Args:
-        target: a motion, see `make_target`, whose mapping may name what moves as `look`; or only
-            the text of what is looked at, see `parse_gaze_target`, such as `colour:#ff8000`, which
-            then appears anywhere in the workspace.
-
-    Returns:
-        The motion, and what is looked at; None for the plant's own.
+    A mapping may name what moves as `look`. What `parse_gaze_target` takes, such as
+    `colour:#ff8000`, appears anywhere in the workspace if it stands alone.
     """
     if isinstance(target, str) and target not in TARGETS and (":" in target or target == "point"):
         if target.startswith("place:"):

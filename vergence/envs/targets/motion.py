@@ -165,14 +165,7 @@ def motion_rows(
 
 
 def last_jump_time(rows: ArrayLike) -> FloatArray:
-    """Times of the targets' last jumps, s: of the second jump, or of the only one.
-
-    Args:
-        rows: (..., MOTION or more) motions.
-
-    Returns:
-        (...) s.
-    """
+    """Times of the targets' last jumps, s: of the second jump, or of the only one."""
     fields = motion_fields(np.ascontiguousarray(rows, dtype=np.float64))
     second = fields["second_jump_time"]
     return np.where(np.isfinite(second), second, fields["jump_time"])
@@ -224,15 +217,7 @@ def _positions(row: FloatArray, t: FloatArray, shape_only: FloatArray, out: Floa
 
 
 def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:
-    """Positions of targets.
-
-    Args:
-        rows: (..., MOTION or more) motions; a row of invalid length gives nan.
-        time_s: (...) seconds since the scene begins to change.
-
-    Returns:
-        (..., 3) in N as it stood at the trial's start, m.
-    """
+    """Positions of targets."""
     return np.asarray(_positions(np.ascontiguousarray(rows), time_s, np.zeros(3)))
 
 
@@ -397,17 +382,7 @@ class Target(ABC):
     def draw(
         self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
-        """Draw motions and starts for the trials of some environments.
-
-        Args:
-            head: the model of the head, one head.
-            streams: the trials' random streams.
-            ids: (n,) environment indices.
-            board: shape of the target.
-
-        Returns:
-            (n, MOTION or more) motions and (n, 7) joint angles at the start, rad.
-        """
+        """Motions (n, MOTION or more) of some trials, and joint angles (n, 7) at the start, rad."""
 
     def _begin(self, head: HeadModel, fixated: FloatArray) -> FloatArray:
         if self.start == "rest":
