@@ -150,11 +150,10 @@ def _actuators(scaling: Scaling, k: int, joints: FloatArray, offset: float) -> f
 
 @inlined
 def encode_observation(
-    out: NDArray[np.float32], scaling_row: FloatArray, error: FloatArray, reading: Reading, n: int,
+    out: NDArray[np.float32], scaling: Scaling, error: FloatArray, reading: Reading, n: int,
     action: FloatArray, coupled_head: PackedHead | None,
 ) -> None:  # fmt: skip
     """Write the observation of one environment."""
-    scaling = view_scaling(scaling_row)
     for eye in range(2):
         seen = reading.visible[n, eye]
         out[VISIBLE + eye] = 1.0 if seen else 0.0

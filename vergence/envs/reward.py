@@ -31,7 +31,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.observation import ObservationLayout, encode_observation
+from vergence.envs.observation import ObservationLayout, encode_observation, view_scaling
 from vergence.envs.reading import BoolArray, Reading
 from vergence.envs.streams import IntArray
 from vergence.kernels import compiled, inlined, subroutine
@@ -256,9 +256,8 @@ def judge_steps(
     """Compute observations, rewards and ends; an argument of None has no code compiled."""
     time_limits, progress, result = task.time_limits, task.progress, task.result
     # unpacked once, as numba would count references at each access in the loop
-    head, scaling, action, error, terms = (
-        task.head, task.scaling, task.action, result.error, result.terms,
-    )  # fmt: skip
+    head, scaling, action = task.head, view_scaling(task.scaling), task.action
+    error, terms = result.error, result.terms
     m = action.shape[1]
     for n in ids:
         left, right = reading.visible[n, 0], reading.visible[n, 1]
