@@ -39,7 +39,10 @@ def inputs_of(bundle: Bundle) -> NDArray[np.float32]:
     rows: list[NDArray[np.float32]] = []
     law = make_controller("saccade", task.head, task.layout)
     rollout(
-        task, law, PERIODS - 1, lambda _step: rows.append(inputs.update(task.encoded, memory)[0])
+        task,
+        law,
+        PERIODS - 1,
+        lambda _step: rows.append(inputs.update(task.layout.decode(task.encoded), memory)[0]),
     )
     return np.concatenate(rows)
 

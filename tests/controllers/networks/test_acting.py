@@ -22,6 +22,14 @@ def rows(acting: NetworkLoop, num: int) -> np.ndarray:
     return np.tile(acting.initial(), (num, 1))
 
 
+def act(loop: NetworkLoop, encoded: np.ndarray, state: np.ndarray, outputs) -> np.ndarray:
+    """The action of a network whose outputs are given, or made from its inputs."""
+    seen = loop.inputs.layout.decode(encoded)
+    inputs = loop.network_inputs(seen, state)
+    outputs = outputs(inputs) if callable(outputs) else outputs
+    return loop.inputs.layout.action(loop.command(seen, inputs, outputs, state))
+
+
 def with_outlier(task: GazeTask, eye: int) -> np.ndarray:
     """The newest observations, one eye's detections 100 px aside."""
     seen = task.encoded.copy()
@@ -44,8 +52,7 @@ def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
                     image = with_outlier(task, eye=step % 2) if step == 15 else task.encoded
                     actions = []
                     for observation, state in ((task.encoded, plain), (image, other)):
-                        seen = acting.network_inputs(observation, state)
-                        actions.append(acting.action(observation, seen, GAINS, state))
+                        actions.append(act(acting, observation, state, GAINS))
                     # the images before and after show the same, as the eyes rest; 100 px are 0.4
                     # of full speed
                     assert actions[1] == pytest.approx(actions[0], abs=0.02)
@@ -63,8 +70,8 @@ def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees() -> None:
     plain, other = rows(acting, 20), rows(acting, 20)
     for step in range(20):
         image = with_outlier(task, eye=0) if step == 15 else task.encoded
-        a = acting.network_inputs(task.encoded, plain)
-        b = acting.network_inputs(image, other)
+        a = acting.network_inputs(task.layout.decode(task.encoded), plain)
+        b = acting.network_inputs(task.layout.decode(image), other)
         assert b[:, turns] == pytest.approx(a[:, turns], abs=0.02)
         task.step(np.zeros((20, 4)))
 
@@ -76,7 +83,8 @@ def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
             state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
             seen = np.ones((3, acting.inputs.size), dtype=np.float32)
             outputs = np.cbrt(asked)
-            sent = np.array([acting.action(None, seen, outputs, state) for _ in range(400)])
+            sent = np.array([acting.command(None, seen, outputs, state) for _ in range(400)])
+            sent /= acting.inputs.layout.action_limits
             step = STEPPED.sensor.command_resolution_rad_s / acting.inputs.layout.action_limits
             steps = sent / step
             assert steps == pytest.approx(np.rint(steps), abs=1e-3)
@@ -90,7 +98,8 @@ def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
     state = rows(acting, 5)
     share = np.random.default_rng(0).uniform(-1, 1, (5, 4)).astype(np.float32)
     seen = np.ones((5, acting.inputs.size), dtype=np.float32)
-    assert acting.action(None, seen, np.cbrt(share), state) == pytest.approx(share, rel=1e-6)
+    command = acting.command(None, seen, np.cbrt(share), state)
+    assert acting.inputs.layout.action(command) == pytest.approx(share, rel=1e-6)
     assert np.array_equal(state, rows(acting, 5), equal_nan=True)
 
 
@@ -104,9 +113,7 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
             state, asked = rows(acting, 4), np.full((4, 4), 0.5, dtype=np.float32)
             turned, visible = [], []
             for _ in range(60):
-                seen = acting.network_inputs(task.encoded, state)
-                action = acting.action(task.encoded, seen, asked, state)
-                turned.append((action != 0.0).any())
+                turned.append(act(acting, task.encoded, state, asked).any())
                 visible.append(task.reading.visible.any())
                 task.step(np.zeros((4, 4)))
             first = visible.index(True)
@@ -121,13 +128,13 @@ def test_one_head_is_a_row_of_a_batch(schedule) -> None:
     acting = NetworkLoop(Inputs("predicted", STEPPED), schedule)
     many, one = rows(acting, 4), acting.initial()
 
-    def act(observation: np.ndarray, state: np.ndarray) -> np.ndarray:
-        seen = acting.network_inputs(observation, state)
-        outputs = GAINS * np.ones(seen.shape[:-1] + (1,)) if schedule else 0.7 * seen[..., :4]
-        return acting.action(observation, seen, outputs, state)
+    def outputs(inputs: np.ndarray) -> np.ndarray:
+        return (
+            np.broadcast_to(GAINS, (*inputs.shape[:-1], 4)) if schedule else 0.7 * inputs[..., :4]
+        )
 
     for _ in range(30):
-        action = act(task.encoded, many)
-        assert np.array_equal(act(task.encoded[1], one), action[1])
+        action = act(acting, task.encoded, many, outputs)
+        assert np.array_equal(act(acting, task.encoded[1], one, outputs), action[1])
         task.step(action)
     assert np.array_equal(many[1], one, equal_nan=True)

@@ -33,7 +33,7 @@ def test_there_is_a_number_of_each_channel_for_every_actuator() -> None:
             memory = np.tile(inputs.initial(), (6, 1))
             rng = np.random.default_rng(0)
             for _ in range(30):
-                values, _now = inputs.update(task.encoded, memory)
+                values, _now = inputs.update(task.layout.decode(task.encoded), memory)
                 assert values.shape == (6, inputs.size)
                 assert (np.abs(values) <= 1.0).all()
                 task.step(rng.uniform(-1, 1, (6, head.actuation.count)))

@@ -29,7 +29,7 @@ def test_inputs_stay_in_their_range_under_any_actions() -> None:
             memory = np.tile(inputs.initial(), (20, 1))
             rng = np.random.default_rng(0)
             for _ in range(80):
-                values = inputs.update(task.encoded, memory)[0]
+                values = inputs.update(task.layout.decode(task.encoded), memory)[0]
                 assert values.shape == (20, inputs.size)
                 assert values.dtype == np.float32
                 assert (np.abs(values) <= 1.0).all()
@@ -43,8 +43,10 @@ def test_one_head_sees_what_it_sees_within_a_batch() -> None:
             inputs = Inputs(kind, task.head)
             many, one = np.tile(inputs.initial(), (5, 1)), inputs.initial()
             for step in range(30):
-                batch = inputs.update(task.encoded, many)[0]
-                assert np.array_equal(inputs.update(task.encoded[2], one)[0], batch[2])
+                batch = inputs.update(task.layout.decode(task.encoded), many)[0]
+                assert np.array_equal(
+                    inputs.update(task.layout.decode(task.encoded[2]), one)[0], batch[2]
+                )
                 task.step(np.full((5, 4), 0.3 * np.sin(0.3 * step)))
             assert np.array_equal(many[2], one)
 
@@ -54,10 +56,10 @@ def test_what_is_left_to_turn_is_zero_at_fixation_while_the_image_still_shows_th
     task = begun(30)
     inputs = Inputs("predicted", task.head)
     memory = np.tile(inputs.initial(), (30, 1))
-    inputs.update(task.encoded, memory)[0]
+    inputs.update(task.layout.decode(task.encoded), memory)[0]
     for _ in range(9):
         task.step(np.zeros((30, 4)))
-        inputs.update(task.encoded, memory)[0]
+        inputs.update(task.layout.decode(task.encoded), memory)[0]
     truth = task.truth()
     goal = task.head.fixate(truth.target)[:, 3:]
     limits = task.layout.action_limits
@@ -67,7 +69,7 @@ def test_what_is_left_to_turn_is_zero_at_fixation_while_the_image_still_shows_th
         truth = task.truth()
         speed = (goal - truth.positions[:, 3:]) * 60.0 - truth.velocities[:, 3:]
         task.step(np.clip(speed / limits, -1, 1))
-        values = inputs.update(task.encoded, memory)[0]
+        values = inputs.update(task.layout.decode(task.encoded), memory)[0]
         truth = task.truth()
         left.append(np.abs(goal - truth.positions[:, 3:]))
         shown.append(np.abs(1.5 * channel(inputs, values, "to_go")))
@@ -88,11 +90,11 @@ def test_the_inputs_tell_what_the_predictor_has_found_of_the_loop() -> None:
     task = begun(20, variation=variation)
     inputs = Inputs("to_go", task.head)
     memory = np.tile(inputs.initial(), (20, 1))
-    first = inputs.update(task.encoded, memory)[0]
+    first = inputs.update(task.layout.decode(task.encoded), memory)[0]
     for step in range(120):
         # there and back, each way long enough to come to full speed
         task.step(np.full((20, 4), 0.4 if step // 20 % 2 else -0.4))
-        last = inputs.update(task.encoded, memory)[0]
+        last = inputs.update(task.layout.decode(task.encoded), memory)[0]
     for name in ("acceleration", "gain"):
         assert (channel(inputs, first, name) == 0.0).all()
     # the estimator's own tests say how well it finds them
@@ -111,7 +113,7 @@ def test_the_rate_of_a_target_that_moves_is_seen_and_that_of_one_at_rest_is_none
         memory = np.tile(inputs.initial(), (20, 1))
         for _ in range(60):
             task.step(np.zeros((20, 4)))
-            values = inputs.update(task.encoded, memory)[0]
+            values = inputs.update(task.layout.decode(task.encoded), memory)[0]
         rates = np.abs(channel(inputs, values, "rate")).max(axis=-1)
         assert ((rates > 0.0).mean() > 0.8) == moves
         assert moves or not rates.any()
@@ -122,7 +124,7 @@ def test_before_the_first_image_nothing_is_known() -> None:
     inputs = Inputs("to_go", task.head)
     memory = np.tile(inputs.initial(), (4, 1))
     for step in range(12):
-        known = channel(inputs, inputs.update(task.encoded, memory)[0], "known")
+        known = channel(inputs, inputs.update(task.layout.decode(task.encoded), memory)[0], "known")
         assert (known == (step >= 8)).all()  # images are 8 periods old
         task.step(np.zeros((4, 4)))
 
@@ -133,13 +135,13 @@ def test_a_joint_left_to_itself_comes_to_rest_where_the_inputs_say() -> None:
     inputs = Inputs("to_go", task.head)
     memory = np.tile(inputs.initial(), (40, 1))
     for step in range(14):
-        inputs.update(task.encoded, memory)[0]
+        inputs.update(task.layout.decode(task.encoded), memory)[0]
         # begins once the target is known, so that no image is dated wrong
         task.step(np.full((40, 4), 0.0 if step < 10 else 0.2))
-    moving = inputs.update(task.encoded, memory)[0]
+    moving = inputs.update(task.layout.decode(task.encoded), memory)[0]
     for _ in range(40):
         task.step(np.zeros((40, 4)))
-        resting = inputs.update(task.encoded, memory)[0]
+        resting = inputs.update(task.layout.decode(task.encoded), memory)[0]
     assert (np.abs(channel(inputs, moving, "velocity")) > 0.1).all()
     expected = 0.1 * channel(inputs, resting, "to_go_middle")
     inside = np.abs(expected) < 0.09

@@ -51,7 +51,9 @@ def test_a_policy_puts_out_the_action(bundles):
     assert isinstance(controller, LearnedPolicy)
     seen = observations((40,))
     action, _state = controller.predict(seen)
-    inputs, _now = controller.inputs.update(seen, np.tile(controller.inputs.initial(), (40, 1)))
+    inputs, _now = controller.inputs.update(
+        controller.layout.decode(seen), np.tile(controller.inputs.initial(), (40, 1))
+    )
     assert action.dtype == np.float32
     assert action == pytest.approx(forward(inputs) ** 3, abs=1e-6)
 
@@ -60,7 +62,9 @@ def test_a_gain_schedule_puts_out_the_gains_of_the_law(bundles):
     controller = make_controller("learned-gain", HEAD, bundle=bundles["gain-schedule"])
     assert isinstance(controller, LearnedGain)
     seen = observations((40,))
-    inputs, _now = controller.inputs.update(seen, np.tile(controller.inputs.initial(), (40, 1)))
+    inputs, _now = controller.inputs.update(
+        controller.layout.decode(seen), np.tile(controller.inputs.initial(), (40, 1))
+    )
     names, outputs = controller.manifest.actions["names"], 5.0 * (1.0 + forward(inputs).T) ** 2
     by_name = dict(zip(names, outputs, strict=True))
     gains = np.array([[by_name[f"{eye}_{axis}"] for axis in "uv"] for eye in ("left", "right")])

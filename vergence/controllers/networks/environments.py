@@ -63,7 +63,8 @@ class NetworkTask(GazeTask):
         """See `GazeTask.begin`."""
         super().begin(ids, seeds, trials)
         memory = np.tile(self._loop.initial(), (len(ids), 1))
-        self.observation[ids] = self._loop.network_inputs(self.encoded[ids], memory)
+        seen = self.layout.decode(self.encoded[ids])
+        self.observation[ids] = self._loop.network_inputs(seen, memory)
         self._memory[ids] = memory
 
     def step(self, action: NDArray[Any]) -> None:
@@ -71,8 +72,11 @@ class NetworkTask(GazeTask):
         if np.isnan(action).any():
             # quantised commands, or a law without a visible target, would hide it
             raise ConfigurationError("action: expected numbers, got nan")
-        super().step(self._loop.action(self.encoded, self.observation, action, self._memory))
-        self.observation[:] = self._loop.network_inputs(self.encoded, self._memory)
+        seen = self.layout.decode(self.encoded) if self.outputs_gains else None
+        command = self._loop.command(seen, self.observation, action, self._memory)
+        super().step(self.layout.action(command))
+        seen = self.layout.decode(self.encoded)
+        self.observation[:] = self._loop.network_inputs(seen, self._memory)
 
     def _arrays(self) -> Arrays:
         own: Arrays = {"memory": self._memory, "observation": self.observation}

@@ -25,13 +25,13 @@ from math import log, log1p
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from vergence.controllers.gate import OutlierGate
 from vergence.controllers.ibvs import ibvs_velocities
 from vergence.controllers.prediction.parameters import actuator_moves_eye
 from vergence.controllers.prediction.predictor import SmithPredictor, prediction_fields
-from vergence.envs.observation import ObservationLayout
+from vergence.envs.observation import Observation, ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.kernels import inlined, kernel
 from vergence.models.head import HeadModel
@@ -196,19 +196,18 @@ class Inputs:
         return self._initial.copy()
 
     def update(
-        self, observation: ArrayLike, state: FloatArray
+        self, seen: Observation, state: FloatArray
     ) -> tuple[NDArray[np.float32], FloatArray]:
         """Compute the network's inputs, and return the prediction they are based on.
 
         Args:
-            observation: (..., n) observations of the gaze task, each passed exactly once.
+            seen: observations of the gaze task, each passed exactly once.
             state: (..., state_size or more) the state, updated in place; C-contiguous float64.
                 Entries after the state in each row belong to the caller.
 
         Returns:
             (..., size) inputs in [-1, 1], and the predictor's rows, see `Prediction`.
         """
-        seen = self.layout.decode(observation)
         asked = np.zeros(4)
         if self._gate is not None:
             seen_by_law = self._gate.update(seen, state[..., self._of_gate])

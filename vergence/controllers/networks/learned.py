@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.adaptive import ScheduledIBVS, gain_names_of_head, gains_from_action
-from vergence.controllers.controller import Controller, checked_layout, continued_state
+from vergence.controllers.controller import Controller, StatefulController, checked_layout
 from vergence.controllers.gate import CommandQuantiser, OutlierGate
 from vergence.controllers.networks.bundle import (
     GAIN_SCHEDULE,
@@ -42,7 +42,7 @@ from vergence.controllers.networks.onnx import OnnxNetwork
 from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import prediction_fields
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
-from vergence.envs.observation import ObservationLayout, check_observation
+from vergence.envs.observation import Observation, ObservationLayout, check_observation
 from vergence.errors import BundleError, OtherHeadError
 from vergence.models.head import HeadModel
 from vergence.models.parts import SLOTS, FloatArray
@@ -97,13 +97,13 @@ class NetworkLoop:
         """(...) number of periods in which the linear law has acted in the network's place."""
         return state[..., self._calm_count]
 
-    def network_inputs(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
+    def network_inputs(self, seen: Observation, state: FloatArray) -> Floats:
         """(..., size) inputs of the network, see `Inputs.update`; updates `state` in place."""
-        seen, now = self.inputs.update(observation, state)
+        inputs, now = self.inputs.update(seen, state)
         calm = self._calm(now)
         state[..., self._of_calm] = calm
         state[..., self._calm_count] += ~np.isnan(calm).all(axis=-1)
-        return seen
+        return inputs
 
     def _calm(self, now: FloatArray) -> FloatArray:
         """(..., 4) commands of the linear law, rad/s; nan where the network turns the eyes."""
@@ -120,24 +120,24 @@ class NetworkLoop:
         command = command + fields["goal_rates_at_effect"] / fields["speed_gain"]
         return np.where(calm[..., None], command, np.nan)
 
-    def action(
-        self, observation: ArrayLike, seen: Floats, outputs: ArrayLike, state: FloatArray
-    ) -> NDArray[np.float32]:
-        """(..., m) the gaze task's action from the network's outputs (..., m) in [-1, 1].
+    def command(
+        self, seen: Observation | None, inputs: Floats, outputs: ArrayLike, state: FloatArray
+    ) -> FloatArray:
+        """(..., 4) velocities, rad/s, from the network's outputs (..., m) in [-1, 1].
 
-        `observation` and `seen` are argument and result of the last `network_inputs`; `state` is
-        updated in place. See `decode_velocity_action` and `gains_from_action`.
+        `seen` and `inputs` are argument and result of the last `network_inputs` (a policy needs no
+        `seen`); `state` is updated in place. See `decode_velocity_action`, `gains_from_action`.
         """
         if self.gain_names is None:
             velocities = decode_velocity_action(outputs)
-            velocities = np.where(seen[..., self.inputs.known_indices] > 0.5, velocities, 0.0)
+            velocities = np.where(inputs[..., self.inputs.known_indices] > 0.5, velocities, 0.0)
             command = np.zeros((*velocities.shape[:-1], SLOTS))
             command[..., : self._layout.count] = velocities
             command *= self._layout.action_limits
         else:
-            decoded = self._layout.decode(observation)
-            detections = self._gate.update(decoded, state[..., self._of_gate])
-            guarded = decoded._replace(
+            assert seen is not None
+            detections = self._gate.update(seen, state[..., self._of_gate])
+            guarded = seen._replace(
                 pixel_error=detections.pixel_error,
                 positions_at_exposure=detections.positions_at_exposure,
             )
@@ -145,40 +145,33 @@ class NetworkLoop:
         if self._quantiser.step_rad_s > 0.0:
             command = self._quantiser.quantise(command, state[..., self._of_rounding])
         calm = state[..., self._of_calm]
-        return self._layout.action(np.where(np.isnan(calm), command, calm))
+        return np.where(np.isnan(calm), command, calm)
 
 
-class NetworkController:
+class NetworkController(StatefulController):
     """A controller whose actions a network chooses.
 
     Args:
         inputs: inputs of the network, which include the head and the layout.
-        network: maps (..., size) inputs to (..., m) outputs in [-1, 1].
+        network: maps (..., size) inputs to (..., m) outputs in [-1, 1]; nan is rest.
         schedule: True if the network chooses gains, False for velocities.
     """
 
     def __init__(self, inputs: Inputs, network: Callable[[Floats], Floats], schedule: bool) -> None:
-        self.head = inputs.head
-        self.layout = inputs.layout
+        super().__init__(head=inputs.head, layout=inputs.layout)
         self.inputs = inputs
         self._network = network
         self._loop = NetworkLoop(inputs, schedule)
         self._at_rest = -1.0 if schedule else 0.0
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[Any] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Choose actions, see `Controller.predict`; outputs that are nan leave the eyes at rest."""
-        observation = np.asarray(observation)
-        memory = continued_state(self._loop.initial(), observation.shape[:-1], state, episode_start)
-        seen = self._loop.network_inputs(observation, memory)
-        outputs = self._network(seen)
+    def _initial(self) -> FloatArray:
+        return self._loop.initial()
+
+    def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
+        inputs = self._loop.network_inputs(seen, state)
+        outputs = self._network(inputs)
         outputs[np.isnan(outputs)] = self._at_rest
-        return self._loop.action(observation, seen, outputs, memory), (memory,)
+        return self._loop.command(seen, inputs, outputs, state)
 
     def linear_periods(self, state: tuple[NDArray[Any], ...]) -> FloatArray:
         """(...) periods so far in which the linear law acted in the network's place."""
