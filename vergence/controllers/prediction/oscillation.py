@@ -27,8 +27,7 @@ from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
 
 _MIN_HALF_SWING_RAD: Final = 0.003
-"""Least length of a half swing, rad, to which quantisation and detection noise are added
-(chosen)."""
+"""Least length of a half swing before quantisation and detection noise are added, rad (chosen)."""
 _HALF_SWING_STEPS: Final = 2.0
 """Encoder resolutions added to that length (chosen)."""
 _HALF_SWING_SIGMAS: Final = 4.0
@@ -36,13 +35,11 @@ _HALF_SWING_SIGMAS: Final = 4.0
 _MAX_HALF_SWING_S: Final = 0.6
 """Duration above which a half swing does not count, s (chosen)."""
 _MIN_SWING_SPEED: Final = 0.2
-"""Peak-to-peak speed of the equivalent sinusoid below which a half swing does not count, rad/s
-(chosen)."""
+"""Least peak-to-peak speed of the sinusoid like a half swing that counts, rad/s (chosen)."""
 _MIN_GOAL_RATIO: Final = 2.0
 """Least ratio of a half swing to the goal's motion in that time (chosen)."""
 _DYING_RATIO: Final = 0.3
-"""Ratio of a half swing to the one before up to which an oscillation dies away: it counts 0
-(chosen)."""
+"""Ratio of a half swing to the one before up to which it counts 0, as it dies away (chosen)."""
 _SUSTAINED_RATIO: Final = 0.7
 """Ratio from which it is sustained: it counts 1, and proportionally in between (chosen)."""
 _COUNT_KEPT_AT_JUMP: Final = 0.5
@@ -69,8 +66,7 @@ class OscillationState:
     goal_at_reversal: Annotated[FloatArray, 2, 2]
     """Its goal when that reversal was detected, rad."""
     goal_moved: Annotated[FloatArray, 2, 2, 2]
-    """Largest distance of the goal from `goal_at_reversal` since then, and in the half swing
-    before, rad."""
+    """Largest distance of the goal from it since then, and in the half swing before, rad."""
     last_half_swing: Annotated[FloatArray, 2, 2]
     """Length of the previous half swing, rad; 0 for none."""
     periods_since_reversal: Annotated[FloatArray, 2, 2]
@@ -78,16 +74,14 @@ class OscillationState:
     half_swing_count: float
     """Decayed count of half swings, at most `MAX_HALF_SWINGS`."""
     decay_time_s: float
-    """Time constant with which the count decays, s; it doubles each time the count passes
-    `OSCILLATING_HALF_SWINGS`."""
+    """Time constant of the count's decay, s; doubles at each new start of an oscillation."""
 
 
 @inlined
 def oscillation_reduced_rate(rate: float, half_swings: float) -> float:
     """Rate of a linear law, 1/s, halved for each half swing beyond `OSCILLATING_HALF_SWINGS`."""
-    return max(
-        rate * exp2(-max(half_swings - OSCILLATING_HALF_SWINGS, 0.0)), min(rate, _MIN_REDUCED_RATE)
-    )
+    reduced = rate * exp2(-max(half_swings - OSCILLATING_HALF_SWINGS, 0.0))
+    return max(reduced, min(rate, _MIN_REDUCED_RATE))
 
 
 @inlined
@@ -99,9 +93,8 @@ def reduce_count_at_jump(oscillation: OscillationState) -> None:
 @inlined
 def decay_count(oscillation: OscillationState, period_s: float) -> None:
     """Let the count decay over a period."""
-    oscillation.half_swing_count -= oscillation.half_swing_count * min(
-        period_s / oscillation.decay_time_s, 1.0
-    )
+    share = min(period_s / oscillation.decay_time_s, 1.0)
+    oscillation.half_swing_count -= oscillation.half_swing_count * share
 
 
 @inlined
@@ -112,57 +105,34 @@ def reset_oscillation(oscillation: OscillationState, eye: int, joint: int, angle
 
 @inlined
 def update_oscillation(
-    oscillation: OscillationState,
-    params: PredictorParameters,
-    eye: int,
-    joint: int,
-    angle: float,
-    goal: float,
-    detection_variance: float,
-) -> None:
-    """Update the detection of oscillation with one eye joint's angle and goal.
-
-    Args:
-        oscillation: changed in place.
-        params: the head's parameters.
-        eye: index of the eye.
-        joint: index of its joint.
-        angle: its present angle, rad.
-        goal: its goal, rad.
-        detection_variance: detection variance, rad^2.
-    """
-    least = (
-        _MIN_HALF_SWING_RAD
-        + _HALF_SWING_STEPS * params.joint_step[eye, joint]
-        + _HALF_SWING_SIGMAS * sqrt(detection_variance)
-    )
-    side, farthest = oscillation.direction[eye, joint], oscillation.extreme_angle[eye, joint]
-    oscillation.periods_since_reversal[eye, joint] += 1.0
-    goal_moved = abs(goal - oscillation.goal_at_reversal[eye, joint])
-    oscillation.goal_moved[eye, joint, 0] = max(oscillation.goal_moved[eye, joint, 0], goal_moved)
-    if oscillation.periods_since_reversal[eye, joint] * params.period_s > _MAX_HALF_SWING_S:
-        oscillation.last_half_swing[eye, joint] = 0.0
+    oscillation: OscillationState, params: PredictorParameters, eye: int, joint: int,
+    angle: float, goal: float, detection_variance: float,
+) -> None:  # fmt: skip
+    """Update the detection of oscillation with one eye joint's angle and goal, rad."""
+    at, moved = (eye, joint), oscillation.goal_moved[eye, joint]
+    least = _MIN_HALF_SWING_RAD + _HALF_SWING_STEPS * params.joint_step[at]
+    least += _HALF_SWING_SIGMAS * sqrt(detection_variance)
+    side, farthest = oscillation.direction[at], oscillation.extreme_angle[at]
+    oscillation.periods_since_reversal[at] += 1.0
+    time_s = oscillation.periods_since_reversal[at] * params.period_s
+    moved[0] = max(moved[0], abs(goal - oscillation.goal_at_reversal[at]))
+    if time_s > _MAX_HALF_SWING_S:
+        oscillation.last_half_swing[at] = 0.0
     if side == 0.0:
-        off = angle - oscillation.reversal_angle[eye, joint]
+        off = angle - oscillation.reversal_angle[at]
         if abs(off) > least:
-            oscillation.direction[eye, joint] = 1.0 if off > 0.0 else -1.0
-            oscillation.extreme_angle[eye, joint] = angle
-            (
-                oscillation.periods_since_reversal[eye, joint],
-                oscillation.goal_at_reversal[eye, joint],
-            ) = 0.0, goal
+            oscillation.direction[at] = 1.0 if off > 0.0 else -1.0
+            oscillation.extreme_angle[at], oscillation.goal_at_reversal[at] = angle, goal
+            oscillation.periods_since_reversal[at] = 0.0
         return
     if side * (angle - farthest) >= 0.0:
-        oscillation.extreme_angle[eye, joint] = angle
+        oscillation.extreme_angle[at] = angle
         return
     if side * (farthest - angle) < least:
         return
-    half = abs(farthest - oscillation.reversal_angle[eye, joint])
-    goal_moved = max(oscillation.goal_moved[eye, joint, 0], oscillation.goal_moved[eye, joint, 1])
-    oscillation.goal_moved[eye, joint, 1] = oscillation.goal_moved[eye, joint, 0]
-    oscillation.goal_moved[eye, joint, 0] = 0.0
-    before = oscillation.last_half_swing[eye, joint]
-    time_s = (oscillation.periods_since_reversal[eye, joint]) * params.period_s
+    half, before = abs(farthest - oscillation.reversal_angle[at]), oscillation.last_half_swing[at]
+    goal_moved = max(moved[0], moved[1])
+    moved[1], moved[0] = moved[0], 0.0
     fast = pi * half > _MIN_SWING_SPEED * time_s
     if before > 0.0 and fast and half > _MIN_GOAL_RATIO * goal_moved:
         share = (half / before - _DYING_RATIO) / (_SUSTAINED_RATIO - _DYING_RATIO)
@@ -170,9 +140,9 @@ def update_oscillation(
         if oscillation.half_swing_count <= OSCILLATING_HALF_SWINGS < count:
             oscillation.decay_time_s *= 2.0
         oscillation.half_swing_count = count
-    oscillation.last_half_swing[eye, joint], oscillation.goal_at_reversal[eye, joint] = half, goal
-    oscillation.direction[eye, joint], oscillation.periods_since_reversal[eye, joint] = -side, 0.0
-    oscillation.reversal_angle[eye, joint], oscillation.extreme_angle[eye, joint] = farthest, angle
+    oscillation.last_half_swing[at], oscillation.goal_at_reversal[at] = half, goal
+    oscillation.direction[at], oscillation.periods_since_reversal[at] = -side, 0.0
+    oscillation.reversal_angle[at], oscillation.extreme_angle[at] = farthest, angle
 
 
 _MIN_MOTION_RAD: Final = 2e-4
@@ -182,8 +152,7 @@ _MIN_SPEED_RAD_S: Final = 0.005
 _MAX_CREEP_RAD_S: Final = 0.1
 """Fastest command that may show friction, rad/s (chosen: late motors are no evidence)."""
 _MIN_STUCK_RAD: Final = 1e-3
-"""Commanded motion, beyond the encoder's resolution, that holds actuators by its absence, rad
-(chosen)."""
+"""Commanded motion beyond the resolution that holds actuators by its absence, rad (chosen)."""
 _MIN_FRICTION_RAD: Final = 7.5e-3
 """Such motion whose absence shows friction, rad (chosen: backlash hides less)."""
 _HOLD_PX: Final = 0.6
@@ -191,13 +160,11 @@ _HOLD_PX: Final = 0.6
 _FAR_PX: Final = 3.0
 """Error above which an actuator is not stopped by its motion, px (chosen)."""
 _LOOK_S: Final = 0.15
-"""Time after a motion, beyond the delay of images, until the next step, s (chosen: four images of
-30 a second)."""
+"""Time from a motion, beyond the delay of images, to a step, s (chosen: four images at 30 Hz)."""
 _REACHED_RATIO: Final = 0.5
 """Ratio to that error below which a step is no longer due (chosen)."""
 _PUSH_RATIO: Final = 2.0
-"""Ratio of the error that a law sees in a step to the true one (chosen: to turn the integral round
-sooner; the same backwards brakes)."""
+"""Ratio of the error that a law sees in a step to the true one (chosen: turns integrals sooner)."""
 _BRAKE_S: Final = 0.05
 """Longest time for which a step is braked, s (chosen)."""
 
@@ -215,7 +182,7 @@ class FrictionState:
     """State of the hold; arrays of four are by actuator."""
 
     absent_rad: float
-    """Largest commanded motion, beyond the encoders' resolution, that a joint has not made, rad."""
+    """Largest commanded motion beyond the encoders' resolution that a joint has not made, rad."""
     angle: Annotated[FloatArray, 4]
     """Measured angle after the last motion, rad."""
     motion_tick: Annotated[FloatArray, 4]
@@ -232,34 +199,14 @@ class FrictionState:
 
 @inlined
 def error_to_correct(
-    friction: FrictionState,
-    params: PredictorParameters,
-    tick: float,
-    j: int,
-    measured_angle: float,
-    measured_velocity: float,
-    acting_velocity: float,
-    angle_error: float,
-    goal_moves: bool,
-    image_delay_s: float,
-) -> tuple[float, bool]:
-    """Update an actuator with a period's reading; return its error, and whether it is at rest.
+    friction: FrictionState, params: PredictorParameters, tick: float, j: int,
+    measured_angle: float, measured_velocity: float, acting_velocity: float,
+    angle_error: float, goal_moves: bool, image_delay_s: float,
+) -> tuple[float, bool]:  # fmt: skip
+    """Update an actuator with a period's reading; return its error to correct, and if it rests.
 
-    Args:
-        friction: changed in place.
-        params: the head's parameters.
-        tick: the period that has ended.
-        j: index of the actuator.
-        measured_angle: its measured angle, rad.
-        measured_velocity: its measured velocity, rad/s.
-        acting_velocity: velocity that the commands whose motion shows by now ask for, rad/s.
-        angle_error: angle to its goal, rad.
-        goal_moves: True if the goal moves.
-        image_delay_s: delay of images behind readings, s.
-
-    Returns:
-        The angle that a law is to correct, rad: none of an actuator that is held, and backwards of
-        one that brakes. True if the law is to take its velocity for zero.
+    `acting_velocity` is what the commands whose motion shows by now ask for, rad/s. The error is 0
+    while the actuator is held, and backwards while it brakes.
     """
     step, period = params.angle_step[j], params.period_s
     moved = abs(measured_angle - friction.angle[j]) > max(0.5 * step, _MIN_MOTION_RAD)
