@@ -31,8 +31,7 @@ from vergence.models.kinematics import (
 )
 from vergence.models.parts import FloatArray
 
-_MAX_ITERATIONS: Final = 12
-"""Iteration limit of Gauss-Newton (numerical)."""
+_MAX_ITERATIONS: Final = 12  # iteration limit of Gauss-Newton (numerical)
 _MAX_STEP_RAD: Final = 0.5
 """Largest step of one iteration, rad; longer steps are scaled down (numerical)."""
 _CONVERGED_STEP_RAD: Final = 1e-6

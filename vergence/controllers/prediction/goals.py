@@ -2,21 +2,16 @@
 
 The goals of an image are the joint angles that put its target on the optical axes; the target is
 triangulated from the pixels and the joint angles at the exposure. A scalar Kalman filter tracks
-each joint's goal under each delay hypothesis that is not ruled out
-(`vergence.controllers.prediction.delay`). The variance of a measurement is the sum of several
-terms: detection noise, estimated from the scatter about the goals; encoder quantisation and frame
-jitter while the joint moves; model error, a fraction of the angle to turn; and the variance across
-the likely delays. So a resting eye averages noise, and an image exposed during motion counts for
-little until its delay is known.
+each joint's goal under each delay hypothesis that is not ruled out. A measurement's variance has
+several terms: detection noise, estimated from the scatter about the goals; encoder quantisation and
+frame jitter while the joint moves; model error, a fraction of the angle to turn; and the variance
+across the likely delays. So a resting eye averages noise, and an image exposed during motion counts
+for little until its delay is known.
 
 An innovation far outside its variance means an outlier of the detector or a jump of the target. If
-both eyes see the target at one place in space, far from the old one, it has jumped. Any other
-displaced detection has to stay at its place for some time, see
-`vergence.controllers.prediction.measurement.has_jumped`.
-
-From the measured goals of an image it is decided whether each eye's target rests or moves. The
-likelihood of rest comes from the filtered goals, marginalised over the delay hypotheses; the
-likelihood of motion comes from the motion models.
+both eyes see the target at one place in space, far from the old one, it has jumped; any other
+displaced detection has to stay at its place for some time. Whether a target rests or moves follows
+from the likelihoods of the filtered goals, marginalised over the delays, and of the motion models.
 """
 
 from math import inf, isfinite, log, nan, sqrt
@@ -34,36 +29,32 @@ from vergence.controllers.prediction.delay import (
     marginal_nll,
 )
 from vergence.controllers.prediction.measurement import (
-    DISPLACED_GATE,
     INFORMATIVE_RATIO,
     MODEL_ERROR_SD_RAD,
-    UNMOVED_GATE,
     NewImage,
     add_moving_target_costs,
     average_over_delays,
+    classify_innovations,
     find_exposure,
     goal_variances,
     has_jumped,
     measure_goals,
-    moving_goal_variances,
     new_image,
-    predict_to_exposure,
-    squared_mahalanobis,
-    update_backlash_variance,
+    predict_motion,
 )
 from vergence.controllers.prediction.motion_models import (
+    MAX_EYE_LOG_RATIO,
+    MODELS,
     MODES,
+    PRIOR_REST_PROBABILITY,
     Motions,
     TargetMotion,
-    add_bounded_nll,
-    begin_modes,
     begin_motion,
-    passes_any_gate,
     update_from_other_eye,
     update_models,
     update_modes,
 )
-from vergence.controllers.prediction.oscillation import reduce_count_at_jump
+from vergence.controllers.prediction.oscillation import COUNT_KEPT_AT_JUMP
 from vergence.controllers.prediction.parameters import RING_LENGTH, PredictorParameters
 from vergence.controllers.prediction.state import PredictorState, angle_at
 from vergence.kernels import inlined
@@ -74,49 +65,6 @@ _FRICTION_SD_RAD: Final = 0.0004
 """Deviation that backlash and friction add to a resting target's goal, rad (chosen)."""
 _REST_SD_STEPS: Final = 0.5
 """Deviation that encoder quantisation adds to it, as a fraction of the resolution (chosen)."""
-
-
-@inlined
-def _predict_motion(
-    state: PredictorState, params: PredictorParameters, exposure_tick: float, image: NewImage,
-    at_rest: bool,
-) -> None:  # fmt: skip
-    """Predict the motion models to an image, and compute the variances that motion adds."""
-    predict_to_exposure(state, params, exposure_tick)
-    moving_goal_variances(state, params, exposure_tick, image)
-    for eye in range(2):
-        for joint in range(2 if image.tracked[eye] else 0):
-            image.backlash_variance[eye, joint] = update_backlash_variance(
-                state, params, exposure_tick, eye, joint, image.goals[eye, joint], at_rest
-            )
-
-
-@inlined
-def _classify_innovations(
-    state: PredictorState, image: NewImage, targets_move: bool, moves: bool, eyes_agree: bool
-) -> int:
-    """Test goals for displacement from rest and for motion; return how many eyes fit neither."""
-    stays, outliers = False, 0
-    for eye in range(2):
-        if image.tracked[eye]:
-            off = squared_mahalanobis(state, eye, image)
-            image.displaced[eye] = off > DISPLACED_GATE
-            stays = stays or off < UNMOVED_GATE
-    for eye in range(2):
-        if not image.tracked[eye]:
-            continue
-        if targets_move:
-            matches = passes_any_gate(
-                state.motion.models[eye], state.motion.probabilities, image.goals[eye],
-                image.moving_variance[eye],
-            )  # fmt: skip
-            # a resting target displaced in one eye only may be an outlier
-            image.matches_motion[eye] = matches and (
-                not image.displaced[eye] or moves or (eyes_agree and not stays)
-            )
-        if image.displaced[eye] and not image.matches_motion[eye]:
-            outliers += 1
-    return outliers
 
 
 @inlined
@@ -148,7 +96,8 @@ def _update_motion_models(
         scatter += (share * (goal - motion.angle[joint])) ** 2 + (1.0 - share) * noise
     update_models(motions, image.goals[eye], image.moving_variance[eye], exact, own)
     own[0] += marginal_nll(state.delays.cost, image.low, image.high, costs)
-    add_bounded_nll(nll, own)
+    for m in range(MODES):  # bounded so that no outlier rules out a mode
+        nll[m] += min(own[m] - own.min(), MAX_EYE_LOG_RATIO)
     return scatter
 
 
@@ -156,14 +105,11 @@ _PROCESS_NOISE_FRACTION: Final = 0.02
 """Process noise of a goal in an image per detection variance (chosen: noise against tracking)."""
 _MIN_INFORMATIVE_RAD: Final = 0.012
 """Least eye motion that tells of the delay, rad (chosen: catching up a creeping target is less)."""
-_SWITCH_COUNT_DECAY: Final = 0.98
-"""Per-image decay of the rest/motion switch counter (chosen)."""
-_DOUBT_SWITCH_COUNT: Final = 2.5
-"""Value of that counter above which the delay is doubted (chosen)."""
+_SWITCH_COUNT_DECAY: Final = 0.98  # per-image decay of the rest/motion switch counter (chosen)
+_DOUBT_SWITCH_COUNT: Final = 2.5  # value of that counter above which the delay is doubted (chosen)
 _NOISE_WEIGHT: Final = 0.08
 """Weight of a new image in the detection variance (chosen: noise against adaptation)."""
-_NOISE_PX: Final = (0.02, 3.0)
-"""Bounds of the estimated detection noise, px (chosen)."""
+_NOISE_PX: Final = (0.02, 3.0)  # bounds of the estimated detection noise, px (chosen)
 
 
 @inlined
@@ -214,15 +160,6 @@ def _begin_goals(state: PredictorState, eye: int, image: NewImage, confirmed: bo
         for i in range(image.low, image.high):
             off = image.angles_by_delay[i, eye, joint] - image.angles[eye, joint]
             state.target.goals_by_delay[i, eye, joint] = image.goals[eye, joint] + off
-
-
-@inlined
-def _store_image(state: PredictorState, image: NewImage) -> None:
-    """Store an image as the last one."""
-    state.motion.images[1] = state.motion.images[0]
-    last = state.motion.images[0]
-    last.arrival_tick = image.arrival_tick
-    last.goals[:], last.angles_at_exposure[:] = image.goals, image.angles
 
 
 @inlined
@@ -285,8 +222,8 @@ def _filter(
         sees = isfinite(image.goals[eye, 0]) and not image.inferred[eye]
         image.tracked[eye] = sees and target.known[eye] > 0.5
     if targets_move:
-        _predict_motion(state, params, exposed, image, not moves)
-    outliers = _classify_innovations(
+        predict_motion(state, params, exposed, image, not moves)
+    outliers = classify_innovations(
         state, image, targets_move, targets_move and motion.probabilities[0] < 0.5, agree
     )
     if outliers == 1:  # one of the eyes shows an outlier, so the triangulated depth is wrong too
@@ -294,7 +231,8 @@ def _filter(
     scatter, count = 0.0, 0
     likely_model = int(np.argmax(motion.probabilities[1:]))
     if targets_move and target.known[0] + target.known[1] == 0.0:
-        begin_modes(motion.probabilities)
+        motion.probabilities[0] = PRIOR_REST_PROBABILITY
+        motion.probabilities[1:] = (1.0 - PRIOR_REST_PROBABILITY) / MODELS
     # an eye whose goals are inferred from the other one is processed second
     first = 1 if image.inferred[0] else 0
     for number in range(2):
@@ -321,7 +259,7 @@ def _filter(
         elif targets_move:
             begin_motion(motions, image.goals[eye], image.variance[eye, 0])
         if image.displaced[eye] or target.known[eye] < 0.5:
-            reduce_count_at_jump(state.oscillation)
+            state.oscillation.half_swing_count *= COUNT_KEPT_AT_JUMP
             _begin_goals(state, eye, image, agree or image.matches_motion[eye])
             continue
         target.confirmations[eye] += 1.0
@@ -341,6 +279,9 @@ def _filter(
         if turned and motion.switches > _DOUBT_SWITCH_COUNT:
             for i in range(HYPOTHESES):
                 state.delays.cost[i] *= DOUBTED_COST_FACTOR
-    _store_image(state, image)
+    motion.images[1] = motion.images[0]
+    last = motion.images[0]
+    last.arrival_tick = image.arrival_tick
+    last.goals[:], last.angles_at_exposure[:] = image.goals, image.angles
     if count > 0:
         _learn_noise(state, params, scatter, count)

@@ -1,16 +1,13 @@
 """Measurements of one image: its exposure time, goals and their variances, evidence on the delay.
 
-A resting target shows the delay by the goals of the hypotheses, see
-`vergence.controllers.prediction.delay`. The goals of a moving target change by themselves, so only
-abrupt motion of the eye carries evidence on the delay. If the eye has accelerated more than targets
-do, the second difference of the goals of three successive images is small under the true delay
-only.
+The goals of a moving target change by themselves, so only abrupt motion of the eye carries evidence
+on the delay. If the eye has accelerated more than targets do, the second difference of the goals of
+three successive images is small under the true delay only.
 
-Backlash between motors and eyes shifts the goals. An encoder on the motor's side does not show
-which end of the backlash (play) the eye is at. When a motor reverses and has crossed its backlash,
-the motor angles that fixate a resting target differ by the backlash. An eye that turns to each new
-goal lags by the images' delay every time and never comes to rest. Therefore goals get a larger
-variance when a motor reverses. Goals that jump to and fro as their motors reverse reveal the
+An encoder on the motor's side does not show which end of the backlash (play) the eye is at: when a
+motor has crossed it, the angles that fixate a resting target have shifted. An eye that turns to
+each new goal lags by the images' delay every time and never comes to rest. Therefore goals get a
+larger variance when a motor reverses. Goals that jump to and fro as their motors reverse reveal the
 backlash; a mean of both lies within it, and there the eye keeps its direction.
 """
 
@@ -23,10 +20,12 @@ from numpy.typing import NDArray
 from vergence.controllers.prediction.delay import HYPOTHESES, MAX_IMAGE_COST, SPACING_S
 from vergence.controllers.prediction.motion_models import (
     MODELS,
+    MODES,
+    SWITCH_PROBABILITY,
     Motions,
     mean_rate,
     mix_models,
-    predict_modes,
+    passes_any_gate,
     predict_motions,
 )
 from vergence.controllers.prediction.parameters import PredictorParameters
@@ -41,45 +40,29 @@ _RELATIVE_MODEL_SD: Final = 0.004
 """Model error of the head, standard deviation as a fraction of the angle to turn (chosen)."""
 _ENCODER_SD_STEPS: Final = 0.3
 """Quantisation error of a moving joint, standard deviation per resolution (chosen: one angle)."""
-_LATENCY_JITTER_SD_S: Final = 0.006
-"""Jitter of the frames' latency, standard deviation, s (chosen)."""
+_LATENCY_JITTER_SD_S: Final = 0.006  # jitter of the frames' latency, standard deviation, s (chosen)
 _MOVING_RAD_S: Final = 0.05
 """Joint speed above which encoder quantisation is added to the variance, rad/s (chosen)."""
-_MAX_NEWTON_STEPS: Final = 10
-"""Iteration limit of Newton's method (numerical)."""
+_MAX_NEWTON_STEPS: Final = 10  # iteration limit of Newton's method (numerical)
 
 
 class NewImage(NamedTuple):
-    """A new image and what it measures; arrays (2, 2) are by eye and joint, arrays (2,) by eye."""
+    """A new image and what it measures by eye (2,), or eye and joint (2, 2); variances in rad^2."""
 
-    arrival_tick: float
-    """Its arrival (its stamp if the camera stamps exposures), in periods."""
-    low: int
-    """Index of the first delay hypothesis that is not ruled out."""
-    high: int
-    """Index one past the last of them."""
-    angles_by_delay: FloatArray
-    """(HYPOTHESES, 2, 2) joint angles at the exposure under each delay, rad."""
-    angles: FloatArray
-    """(2, 2) their weighted means, from which the goals are computed, rad."""
-    goals: FloatArray
-    """(2, 2) joint angles that fixate the target, rad; nan for none."""
-    variance: FloatArray
-    """(2, 2) variances of the goals for a known delay, rad^2."""
-    delay_variance: FloatArray
-    """(2, 2) variances that the uncertain delay adds for a resting target, rad^2."""
-    moving_variance: FloatArray
-    """(2, 2) variances of the goals of a moving target, rad^2."""
-    backlash_variance: FloatArray
-    """(2, 2) variances that backlash adds for a resting target, rad^2."""
-    inferred: NDArray[np.bool_]
-    """(2,) True for an eye whose goals are those of the point that the other eye sees."""
-    tracked: NDArray[np.bool_]
-    """(2,) True for an eye that sees its target, which was known before."""
-    displaced: NDArray[np.bool_]
-    """(2,) True if the goal is displaced from that of rest, an outlier of that model."""
-    matches_motion: NDArray[np.bool_]
-    """(2,) True if the goal passes the gate of a motion model."""
+    arrival_tick: float  # its arrival (its stamp if the camera stamps exposures), in periods
+    low: int  # index of the first delay hypothesis that is not ruled out
+    high: int  # index one past the last of them
+    angles_by_delay: FloatArray  # (HYPOTHESES, 2, 2) joint angles at the exposure by delay, rad
+    angles: FloatArray  # (2, 2) their weighted means, from which the goals are computed, rad
+    goals: FloatArray  # (2, 2) joint angles that fixate the target, rad; nan for none
+    variance: FloatArray  # (2, 2) variances of the goals for a known delay
+    delay_variance: FloatArray  # (2, 2) that the uncertain delay adds for a resting target
+    moving_variance: FloatArray  # (2, 2) of the goals of a moving target
+    backlash_variance: FloatArray  # (2, 2) that backlash adds for a resting target
+    inferred: NDArray[np.bool_]  # (2,) an eye has the goals of the point that the other one sees
+    tracked: NDArray[np.bool_]  # (2,) an eye sees its target, which was known before
+    displaced: NDArray[np.bool_]  # (2,) the goal is displaced from that of rest
+    matches_motion: NDArray[np.bool_]  # (2,) the goal passes the gate of a motion model
 
 
 @inlined
@@ -211,13 +194,11 @@ def goal_variances(
 
 
 _TARGET_ACCELERATION_SD: Final = 4.0
-"""Angular acceleration of a target, standard deviation, rad/s^2 (chosen: larger values make
-evidence on the delay rarer, smaller ones take target motion for a delay error)."""
+"""Angular acceleration of a target, rad/s^2 (chosen: rare evidence against errors of the delay)."""
 MODEL_ERROR_SD_RAD: Final = 0.0004
 """Standard deviation of a wholly known innovation, rad (chosen: model errors without a term)."""
 INFORMATIVE_RATIO: Final = 16.0
-"""Squared eye motion between the extreme delays per variance of a goal that tells of the delay
-(chosen: 4 sigma)."""
+"""Squared motion between extreme delays per variance that tells of the delay (chosen: 4 sigma)."""
 
 
 @subroutine
@@ -254,27 +235,47 @@ def add_moving_target_costs(
                     added[i] += min((rest + turns[i]) ** 2 / expected, MAX_IMAGE_COST)
 
 
-DISPLACED_GATE: Final = 36.0
+_DISPLACED_GATE: Final = 36.0
 """Squared Mahalanobis distance above which a goal is displaced (chosen: 6 sigma)."""
-UNMOVED_GATE: Final = 9.0
+_UNMOVED_GATE: Final = 9.0
 """Squared Mahalanobis distance up to which a goal is where it was (chosen: 3 sigma)."""
-_OTHER_UNMOVED_S: Final = 0.25
-"""Time for which one eye has to see its target displaced while the other sees it unmoved, s
+_DISPLACED_S: Final = (0.1, 0.25)
+"""Time for which an eye sees its target displaced, s; the second if the other eye sees it unmoved
 (chosen: false detections against reaction time)."""
-_OTHER_UNSURE_S: Final = 0.1
-"""This time if the other eye does not see its target, or sees it at a third place, s (chosen)."""
 
 
 @inlined
-def squared_mahalanobis(state: PredictorState, eye: int, image: NewImage) -> float:
-    """Squared Mahalanobis distance of an eye's goals from the filtered ones: that of the worse."""
-    target, most = state.target, 0.0
-    for joint in range(2):
-        off = image.goals[eye, joint] - target.goals[eye, joint]
-        known = target.filter_variance[eye, joint] + target.variance_over_delays[eye, joint]
-        known += image.variance[eye, joint] + image.delay_variance[eye, joint]
-        most = max(most, off * off / known)
-    return most
+def classify_innovations(
+    state: PredictorState, image: NewImage, targets_move: bool, moves: bool, eyes_agree: bool
+) -> int:
+    """Test goals for displacement from rest and for motion; return how many eyes fit neither."""
+    target, stays, outliers = state.target, False, 0
+    for eye in range(2):
+        if not image.tracked[eye]:
+            continue
+        square = 0.0
+        for joint in range(2):  # squared Mahalanobis distance of the worse joint
+            off = image.goals[eye, joint] - target.goals[eye, joint]
+            known = target.filter_variance[eye, joint] + target.variance_over_delays[eye, joint]
+            known += image.variance[eye, joint] + image.delay_variance[eye, joint]
+            square = max(square, off * off / known)
+        image.displaced[eye] = square > _DISPLACED_GATE
+        stays = stays or square < _UNMOVED_GATE
+    for eye in range(2):
+        if not image.tracked[eye]:
+            continue
+        if targets_move:
+            matches = passes_any_gate(
+                state.motion.models[eye], state.motion.probabilities, image.goals[eye],
+                image.moving_variance[eye],
+            )  # fmt: skip
+            # a resting target displaced in one eye only may be an outlier
+            image.matches_motion[eye] = matches and (
+                not image.displaced[eye] or moves or (eyes_agree and not stays)
+            )
+        if image.displaced[eye] and not image.matches_motion[eye]:
+            outliers += 1
+    return outliers
 
 
 @inlined
@@ -285,8 +286,7 @@ def has_jumped(
     """True if the displaced detection of one eye has stayed long enough to be its target.
 
     A lamp or a reflection may be taken for the target in several images. So a displaced target has
-    to be confirmed in as many images as the old one was, or for `_OTHER_UNSURE_S`, or for
-    `_OTHER_UNMOVED_S` if the other eye sees its target unmoved.
+    to be confirmed in as many images as the old one was, or for a time of `_DISPLACED_S`.
     """
     target = state.target
     again = target.displaced_image_count[eye] > 0.5
@@ -294,11 +294,11 @@ def has_jumped(
         off = image.goals[eye, joint] - target.displaced_goals[eye, joint]
         known = image.variance[eye, joint] + image.delay_variance[eye, joint]
         known = 2.0 * known + 2.0 * MODEL_ERROR_SD_RAD**2
-        again = again and off * off <= DISPLACED_GATE * known
+        again = again and off * off <= _DISPLACED_GATE * known
         target.displaced_goals[eye, joint] = image.goals[eye, joint]
     count = target.displaced_image_count[eye] + 1.0 if again else 1.0
     target.displaced_image_count[eye] = count
-    enough_s = _OTHER_UNMOVED_S if other_eye_unmoved else _OTHER_UNSURE_S
+    enough_s = _DISPLACED_S[1] if other_eye_unmoved else _DISPLACED_S[0]
     most = max(round(enough_s / params.frame_period_s), 2)
     return bool(count > min(max(target.confirmations[eye], 2.0), most) - 0.5)
 
@@ -306,57 +306,16 @@ def has_jumped(
 _MIN_SPEED_RAD_S: Final = 0.02
 """Least joint speed by which the slip of the eye on the target is normalised, rad/s (chosen)."""
 _MOVING_ENCODER_SD_STEPS: Final = 0.6
-"""Error of a moving target's angle, standard deviation per resolution of the encoder (chosen: twice
-that of one rounded angle, as many images in a row share a rounding while an eye creeps)."""
-
-
-@inlined
-def predict_to_exposure(
-    state: PredictorState, params: PredictorParameters, exposure_tick: float
-) -> None:
-    """Predict the target motion models to an image's exposure (IMM mixing and time update)."""
-    motion = state.motion
-    time_s = max(exposure_tick - motion.tick, 0.0) * params.period_s
-    for eye in range(2):
-        if state.target.known[eye] > 0.5:
-            mix_models(motion.models[eye], motion.probabilities)
-            predict_motions(motion.models[eye], time_s)
-    predict_modes(motion.probabilities)
-    motion.tick = exposure_tick
-
-
-@inlined
-def moving_goal_variances(
-    state: PredictorState, params: PredictorParameters, exposure_tick: float, image: NewImage
-) -> None:
-    """Compute the variances of measured angles of moving targets.
-
-    An error of the exposure time moves a measured angle with the eye, but the target has moved too;
-    only the velocity of the eye relative to the target (slip) remains.
-    """
-    motion = state.motion
-    for eye in range(2):
-        for joint in range(2):
-            speed = _joint_speed(state, params, exposure_tick, eye, joint)
-            share = speed - mean_rate(motion.models[eye], motion.probabilities, joint)
-            share = min((share / max(abs(speed), _MIN_SPEED_RAD_S)) ** 2, 1.0)
-            dating = _LATENCY_JITTER_SD_S * _LATENCY_JITTER_SD_S * speed * speed
-            own = image.variance[eye, joint] - (1.0 - share) * dating
-            step = _MOVING_ENCODER_SD_STEPS * params.joint_step[eye, joint]
-            late = share * image.delay_variance[eye, joint]
-            image.moving_variance[eye, joint] = own + step * step + late
+"""Error of a moving target's angle per resolution (chosen: images in a row share a rounding)."""
 
 
 _CROSSING_SD_RAD: Final = 0.0006
 """Shift of a goal while a motor crosses its backlash, standard deviation, rad (chosen)."""
-_MAX_BACKLASH_RAD: Final = 0.012
-"""Largest shift that is taken for backlash, rad (chosen)."""
-_MIN_BACKLASH_RAD: Final = 0.0012
-"""Smallest shift that is taken for backlash, rad (chosen)."""
+_BACKLASH_RAD: Final = (0.0012, 0.012)
+"""Smallest and largest shift that is taken for backlash, rad (chosen)."""
 _MIN_SQUARED_SHIFT: Final = 16.0
 """Squared shift of a goal per detection variance above which it is no noise (chosen: 4 sigma)."""
-_MIN_REVERSING_COMMAND: Final = 0.01
-"""Command below which a motor does not reverse, rad/s (chosen)."""
+_MIN_REVERSING_COMMAND: Final = 0.01  # command below which a motor does not reverse, rad/s (chosen)
 _RECENT_REVERSAL_S: Final = 0.25
 """Time after a reversal for which an eye may be at either end of the backlash, s (chosen)."""
 _VARIANCE_DECAY: Final = 0.98
@@ -384,7 +343,7 @@ def inflate_variance_at_reversal(state: PredictorState, p: PackedHead, command: 
 
 
 @inlined
-def update_backlash_variance(
+def _update_backlash_variance(
     state: PredictorState, params: PredictorParameters, exposure_tick: float, eye: int, joint: int,
     goal: float, at_rest: bool,
 ) -> float:  # fmt: skip
@@ -393,12 +352,49 @@ def update_backlash_variance(
     backlash.variance[at] *= _VARIANCE_DECAY
     if (exposure_tick - backlash.reversal_tick[at]) * params.period_s > _RECENT_REVERSAL_S:
         return 0.0
-    off, least = goal - state.target.goals[at], _MIN_BACKLASH_RAD * _MIN_BACKLASH_RAD
+    off, least = goal - state.target.goals[at], _BACKLASH_RAD[0] * _BACKLASH_RAD[0]
     clear = off * off > max(_MIN_SQUARED_SHIFT * state.target.detection_variance, least)
-    if at_rest and clear and abs(off) < _MAX_BACKLASH_RAD:
+    if at_rest and clear and abs(off) < _BACKLASH_RAD[1]:
         half = 0.5 * off
         if backlash.jump_sign[at] * off < 0.0:
             backlash.variance[at] = max(backlash.variance[at], half * half)
         backlash.jump_sign[at] = 1.0 if off > 0.0 else -1.0
     found: float = backlash.variance[at]
     return found
+
+
+@inlined
+def predict_motion(
+    state: PredictorState, params: PredictorParameters, exposure_tick: float, image: NewImage,
+    at_rest: bool,
+) -> None:  # fmt: skip
+    """Predict the motion models to an image, and compute the variances of goals of moving targets.
+
+    An error of the exposure time moves a measured angle with the eye, but the target has moved too;
+    only the velocity of the eye relative to the target (slip) remains.
+    """
+    motion = state.motion
+    time_s = max(exposure_tick - motion.tick, 0.0) * params.period_s
+    for eye in range(2):
+        if state.target.known[eye] > 0.5:
+            mix_models(motion.models[eye], motion.probabilities)
+            predict_motions(motion.models[eye], time_s)
+    other = SWITCH_PROBABILITY / MODELS  # Markov transition matrix
+    for m in range(MODES):
+        stays = (1.0 - SWITCH_PROBABILITY - other) * motion.probabilities[m]
+        motion.probabilities[m] = stays + other
+    motion.tick = exposure_tick
+    for eye in range(2):
+        for joint in range(2):
+            speed = _joint_speed(state, params, exposure_tick, eye, joint)
+            share = speed - mean_rate(motion.models[eye], motion.probabilities, joint)
+            share = min((share / max(abs(speed), _MIN_SPEED_RAD_S)) ** 2, 1.0)
+            dating = _LATENCY_JITTER_SD_S * _LATENCY_JITTER_SD_S * speed * speed
+            own = image.variance[eye, joint] - (1.0 - share) * dating
+            step = _MOVING_ENCODER_SD_STEPS * params.joint_step[eye, joint]
+            late = share * image.delay_variance[eye, joint]
+            image.moving_variance[eye, joint] = own + step * step + late
+            if image.tracked[eye]:
+                image.backlash_variance[eye, joint] = _update_backlash_variance(
+                    state, params, exposure_tick, eye, joint, image.goals[eye, joint], at_rest
+                )

@@ -34,27 +34,20 @@ ERRATIC: Final = MODELS - 1
 """Index of the model of a target that changes direction at random (numerical)."""
 _ACCELERATION_SD: Final = (0.05, 4.0, 5.0)
 """sigma_a of each motion model, rad/s^2 (chosen: with 0.15 the first one's rate follows noise)."""
-_ACCELERATION_TIME_S: Final = (1.0, 1.0, 0.05)
-"""T_a of each motion model, s (chosen)."""
-_PRIOR_RATE_SD: Final = 0.5
-"""Prior standard deviation of a new target's rate, rad/s (chosen)."""
-_MAX_TARGET_RATE: Final = 2.5
-"""Largest target rate, rad/s; estimates are clipped to it (chosen)."""
-_SWITCH_PROBABILITY: Final = 0.02
+_ACCELERATION_TIME_S: Final = (1.0, 1.0, 0.05)  # T_a of each motion model, s (chosen)
+_PRIOR_RATE_SD: Final = 0.5  # prior standard deviation of a new target's rate, rad/s (chosen)
+_MAX_TARGET_RATE: Final = 2.5  # largest target rate, rad/s; estimates are clipped to it (chosen)
+SWITCH_PROBABILITY: Final = 0.02
 """Probability that a target switches to another model between two images (chosen)."""
-_PRIOR_REST_PROBABILITY: Final = 0.98
+PRIOR_REST_PROBABILITY: Final = 0.98
 """Prior probability that a new target rests (chosen)."""
-_REST_BONUS_AT_REST: Final = 0.7
-"""Log-likelihood added in favour of rest at each image while the target probably rests (chosen)."""
-_REST_BONUS_IN_MOTION: Final = 0.2
-"""The same while it probably moves (chosen: with 0.7, creeping targets alternate with rest)."""
-_GATE: Final = 36.0
-"""Gate on the squared Mahalanobis distance of an innovation (chosen: 6 sigma)."""
-_UNLIKELY_MODEL_GATE: Final = 9.0
-"""Gate for a model whose probability is below `_WIDE_GATE_PROBABILITY` (chosen: 3 sigma)."""
+_REST_BONUSES: Final = (0.7, 0.2)
+"""Log-likelihood in favour of rest, at rest and in motion (chosen: 0.7 disturbs slow motion)."""
+_GATES: Final = (9.0, 36.0)
+"""Gates on squared Mahalanobis distances for unlikely and other models (chosen: 3 and 6 sigma)."""
 _MAX_SQUARED_INNOVATION: Final = 25.0
 """Bound of the squared normalised innovation in a log-likelihood (chosen)."""
-_MAX_EYE_LOG_RATIO: Final = 2.5
+MAX_EYE_LOG_RATIO: Final = 2.5
 """Largest log-likelihood ratio of one eye in one image (chosen: robust to outliers)."""
 _INFERRED_SD_RAD: Final = 0.006
 """Standard deviation of a target angle inferred from the other eye, rad (chosen)."""
@@ -64,8 +57,7 @@ _MAX_EXTRAPOLATION_S: Final = 0.4
 """Time after an image for which motion is extrapolated, s (chosen); then the aim returns."""
 _ERRATIC_TIME_S: Final = 0.3
 """Mean time between changes of direction in the erratic model, s (chosen)."""
-_MIN_SPEED_FRACTION: Final = 0.1
-"""Lower bound of the fraction `visible_speed_fraction` (chosen)."""
+_MIN_SPEED_FRACTION: Final = 0.1  # lower bound of the fraction `visible_speed_fraction` (chosen)
 _RETURN_TIME_S: Final = 0.15
 """Time constant of the return to where the target was last seen, s (chosen)."""
 
@@ -73,25 +65,14 @@ _RETURN_TIME_S: Final = 0.15
 class TargetMotion:
     """State of one motion model for one eye's target; arrays are by joint."""
 
-    angle: Annotated[FloatArray, 2]
-    """theta, rad."""
-    rate: Annotated[FloatArray, 2]
-    """w, rad/s."""
-    acceleration: Annotated[FloatArray, 2]
-    """a, rad/s^2."""
-    covariance: Annotated[FloatArray, 6]
-    """Covariance of (theta, w, a), common to both joints: upper triangle by rows."""
+    angle: Annotated[FloatArray, 2]  # theta, rad
+    rate: Annotated[FloatArray, 2]  # w, rad/s
+    acceleration: Annotated[FloatArray, 2]  # a, rad/s^2
+    covariance: Annotated[FloatArray, 6]  # of (theta, w, a), common to both joints: upper triangle
 
 
 Motions: TypeAlias = Any
 """`TargetMotion` by model; by eye and model where stated."""
-
-
-@inlined
-def begin_modes(probabilities: FloatArray) -> None:
-    """Initialise the mode probabilities of a new target."""
-    probabilities[:] = (1.0 - _PRIOR_REST_PROBABILITY) / MODELS
-    probabilities[0] = _PRIOR_REST_PROBABILITY
 
 
 @inlined
@@ -107,22 +88,13 @@ def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
 
 
 @inlined
-def predict_modes(probabilities: FloatArray) -> None:
-    """Predict the mode probabilities to the next image with the Markov transition matrix."""
-    other = _SWITCH_PROBABILITY / MODELS
-    for m in range(MODES):
-        probabilities[m] = (1.0 - _SWITCH_PROBABILITY - other) * probabilities[m] + other
-
-
-@inlined
 def mix_models(motions: Motions, probabilities: FloatArray) -> None:
     """Start each model of an eye from the mixture of those that may have switched to it."""
-    mixed, share = np.zeros((MODELS, 12)), np.zeros(MODELS)
-    other = _SWITCH_PROBABILITY / MODELS
+    mixed, share, other = np.zeros((MODELS, 12)), np.zeros(MODELS), SWITCH_PROBABILITY / MODELS
     for m in range(MODELS):
         total = 1e-12
         for n in range(MODELS):
-            share[n] = ((1.0 - _SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1]
+            share[n] = ((1.0 - SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1]
             total += share[n]
         for n in range(MODELS):
             share[n] /= total
@@ -189,7 +161,7 @@ def passes_any_gate(
     """True if measured angles (2,) of given variances pass the gate of a model."""
     for m in range(MODELS):
         motion: TargetMotion = motions[m]
-        gate = _GATE if probabilities[m + 1] > _WIDE_GATE_PROBABILITY else _UNLIKELY_MODEL_GATE
+        gate = _GATES[1] if probabilities[m + 1] > _WIDE_GATE_PROBABILITY else _GATES[0]
         inside = True
         for joint in range(2):
             innovation, known = goals[joint] - motion.angle[joint], motion.covariance[0]
@@ -244,17 +216,9 @@ def update_from_other_eye(motions: Motions, goals: FloatArray, variance: FloatAr
 
 
 @inlined
-def add_bounded_nll(nll: FloatArray, eye_nll: FloatArray) -> None:
-    """Add one eye's negative log-likelihoods, bounded so that no outlier rules out a mode."""
-    least = eye_nll.min()
-    for m in range(MODES):
-        nll[m] += min(eye_nll[m] - least, _MAX_EYE_LOG_RATIO)
-
-
-@inlined
 def update_modes(probabilities: FloatArray, nll: FloatArray) -> None:
     """Update the mode probabilities with the negative log-likelihoods of an image."""
-    rest = _REST_BONUS_AT_REST if probabilities[0] > 0.5 else _REST_BONUS_IN_MOTION
+    rest = _REST_BONUSES[0] if probabilities[0] > 0.5 else _REST_BONUSES[1]
     least, total = min(nll[0] - rest, nll[1:].min()), 0.0
     for m in range(MODES):
         more = nll[m] - (rest if m == 0 else 0.0) - least

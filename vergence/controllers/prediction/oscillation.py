@@ -1,10 +1,9 @@
 """Eyes that do not come to rest about their goals: sustained oscillation, and static friction.
 
 In a loop with unmodelled properties (a servo unlike the model, a wrong delay, lost commands) any
-fast law can oscillate for ever. Reversals of each eye joint are observed; a half swing is the
-motion from one reversal to the next. A half swing is counted if it is about as long as the half
-swing before and much longer than the goal's motion in that time. The first reversal towards a new
-goal does not count.
+fast law can oscillate for ever. A half swing is the motion of an eye joint from one reversal to the
+next; it counts if it is about as long as the one before and much longer than the goal's motion in
+that time. The first reversal towards a new goal does not count.
 
 With static friction, a servo's inner loop integrates a command too small to move its joint, until
 static friction breaks and the joint jumps, often past the goal: a law that corrects every small
@@ -28,28 +27,23 @@ from vergence.models.parts import FloatArray
 
 _MIN_HALF_SWING_RAD: Final = 0.003
 """Least length of a half swing before quantisation and detection noise are added, rad (chosen)."""
-_HALF_SWING_STEPS: Final = 2.0
-"""Encoder resolutions added to that length (chosen)."""
+_HALF_SWING_STEPS: Final = 2.0  # encoder resolutions added to that length (chosen)
 _HALF_SWING_SIGMAS: Final = 4.0
 """Standard deviations of a detection added to that length (chosen: 4 sigma)."""
-_MAX_HALF_SWING_S: Final = 0.6
-"""Duration above which a half swing does not count, s (chosen)."""
+_MAX_HALF_SWING_S: Final = 0.6  # duration above which a half swing does not count, s (chosen)
 _MIN_SWING_SPEED: Final = 0.2
 """Least peak-to-peak speed of the sinusoid like a half swing that counts, rad/s (chosen)."""
 _MIN_GOAL_RATIO: Final = 2.0
 """Least ratio of a half swing to the goal's motion in that time (chosen)."""
-_DYING_RATIO: Final = 0.3
-"""Ratio of a half swing to the one before up to which it counts 0, as it dies away (chosen)."""
-_SUSTAINED_RATIO: Final = 0.7
-"""Ratio from which it is sustained: it counts 1, and proportionally in between (chosen)."""
-_COUNT_KEPT_AT_JUMP: Final = 0.5
+_SUSTAINED_RATIOS: Final = (0.3, 0.7)
+"""Ratios of a half swing to the one before between which it counts from 0 to 1 (chosen)."""
+COUNT_KEPT_AT_JUMP: Final = 0.5
 """Factor that remains of the count after a jump of the target (chosen)."""
 OSCILLATING_HALF_SWINGS: Final = 2.0
 """Count of half swings above which a law has to be calm (chosen)."""
 MAX_HALF_SWINGS: Final = 6.0
 """Upper bound of the count (chosen)."""
-_MIN_REDUCED_RATE: Final = 1.0
-"""Lower bound of a calmed law's rate, 1/s (chosen)."""
+_MIN_REDUCED_RATE: Final = 1.0  # lower bound of a calmed law's rate, 1/s (chosen)
 INITIAL_DECAY_TIME_S: Final = 1.0
 """Initial time constant with which the count decays, s (chosen)."""
 
@@ -57,24 +51,15 @@ INITIAL_DECAY_TIME_S: Final = 1.0
 class OscillationState:
     """State of the detection of oscillation; arrays (2, 2) are by eye and joint."""
 
-    direction: Annotated[FloatArray, 2, 2]
-    """Direction of its present motion: 1, -1, or 0 before it has moved."""
-    reversal_angle: Annotated[FloatArray, 2, 2]
-    """Its angle at the last reversal, rad."""
-    extreme_angle: Annotated[FloatArray, 2, 2]
-    """Farthest angle in the present direction since then, rad."""
-    goal_at_reversal: Annotated[FloatArray, 2, 2]
-    """Its goal when that reversal was detected, rad."""
-    goal_moved: Annotated[FloatArray, 2, 2, 2]
-    """Largest distance of the goal from it since then, and in the half swing before, rad."""
-    last_half_swing: Annotated[FloatArray, 2, 2]
-    """Length of the previous half swing, rad; 0 for none."""
-    periods_since_reversal: Annotated[FloatArray, 2, 2]
-    """Periods since that reversal was detected."""
-    half_swing_count: float
-    """Decayed count of half swings, at most `MAX_HALF_SWINGS`."""
-    decay_time_s: float
-    """Time constant of the count's decay, s; doubles at each new start of an oscillation."""
+    direction: Annotated[FloatArray, 2, 2]  # of its present motion: 1, -1, or 0 before any
+    reversal_angle: Annotated[FloatArray, 2, 2]  # angle at the last reversal, rad
+    extreme_angle: Annotated[FloatArray, 2, 2]  # farthest angle in that direction since then, rad
+    goal_at_reversal: Annotated[FloatArray, 2, 2]  # goal when the reversal was detected, rad
+    goal_moved: Annotated[FloatArray, 2, 2, 2]  # the goal's way since then and before, rad
+    last_half_swing: Annotated[FloatArray, 2, 2]  # length of the half swing before, rad; 0 for none
+    periods_since_reversal: Annotated[FloatArray, 2, 2]  # periods since that reversal was detected
+    half_swing_count: float  # decayed count of half swings, at most `MAX_HALF_SWINGS`
+    decay_time_s: float  # time constant of the count's decay, doubled by each new oscillation
 
 
 @inlined
@@ -82,12 +67,6 @@ def oscillation_reduced_rate(rate: float, half_swings: float) -> float:
     """Rate of a linear law, 1/s, halved for each half swing beyond `OSCILLATING_HALF_SWINGS`."""
     reduced = rate * exp2(-max(half_swings - OSCILLATING_HALF_SWINGS, 0.0))
     return max(reduced, min(rate, _MIN_REDUCED_RATE))
-
-
-@inlined
-def reduce_count_at_jump(oscillation: OscillationState) -> None:
-    """Reduce the count, because the target has jumped."""
-    oscillation.half_swing_count *= _COUNT_KEPT_AT_JUMP
 
 
 @inlined
@@ -135,7 +114,9 @@ def update_oscillation(
     moved[1], moved[0] = moved[0], 0.0
     fast = pi * half > _MIN_SWING_SPEED * time_s
     if before > 0.0 and fast and half > _MIN_GOAL_RATIO * goal_moved:
-        share = (half / before - _DYING_RATIO) / (_SUSTAINED_RATIO - _DYING_RATIO)
+        share = (half / before - _SUSTAINED_RATIOS[0]) / (
+            _SUSTAINED_RATIOS[1] - _SUSTAINED_RATIOS[0]
+        )
         count = min(oscillation.half_swing_count + min(max(share, 0.0), 1.0), MAX_HALF_SWINGS)
         if oscillation.half_swing_count <= OSCILLATING_HALF_SWINGS < count:
             oscillation.decay_time_s *= 2.0
@@ -157,44 +138,30 @@ _MIN_FRICTION_RAD: Final = 7.5e-3
 """Such motion whose absence shows friction, rad (chosen: backlash hides less)."""
 _HOLD_PX: Final = 0.6
 """Error up to which a held actuator stays held, px (chosen: two joints of an eye within 1 px)."""
-_FAR_PX: Final = 3.0
-"""Error above which an actuator is not stopped by its motion, px (chosen)."""
+_FAR_PX: Final = 3.0  # error above which an actuator is not stopped by its motion, px (chosen)
 _LOOK_S: Final = 0.15
 """Time from a motion, beyond the delay of images, to a step, s (chosen: four images at 30 Hz)."""
-_REACHED_RATIO: Final = 0.5
-"""Ratio to that error below which a step is no longer due (chosen)."""
+_REACHED_RATIO: Final = 0.5  # ratio to that error below which a step is no longer due (chosen)
 _PUSH_RATIO: Final = 2.0
 """Ratio of the error that a law sees in a step to the true one (chosen: turns integrals sooner)."""
-_BRAKE_S: Final = 0.05
-"""Longest time for which a step is braked, s (chosen)."""
+_BRAKE_S: Final = 0.05  # longest time for which a step is braked, s (chosen)
 
-_HELD: Final = 0.0
-"""Mode of an actuator held near its goal (numerical)."""
-_BRAKES: Final = 1.0
-"""Mode of an actuator whose step is braked (numerical)."""
-_STEPS: Final = 2.0
-"""Mode of an actuator that makes a step (numerical)."""
-_TURNS: Final = 3.0
-"""Mode of an actuator that the law turns freely (numerical)."""
+_HELD: Final = 0.0  # mode of an actuator held near its goal (numerical)
+_BRAKES: Final = 1.0  # mode of an actuator whose step is braked (numerical)
+_STEPS: Final = 2.0  # mode of an actuator that makes a step (numerical)
+_TURNS: Final = 3.0  # mode of an actuator that the law turns freely (numerical)
 
 
 class FrictionState:
     """State of the hold; arrays of four are by actuator."""
 
-    absent_rad: float
-    """Largest commanded motion beyond the encoders' resolution that a joint has not made, rad."""
-    angle: Annotated[FloatArray, 4]
-    """Measured angle after the last motion, rad."""
-    motion_tick: Annotated[FloatArray, 4]
-    """Period of the last motion."""
-    push: Annotated[FloatArray, 4]
-    """Commanded motion since then, rad."""
-    mode: Annotated[FloatArray, 4]
-    """Present mode: held, braking after a step, making a step, or turning freely."""
-    step_tick: Annotated[FloatArray, 4]
-    """Period in which the last step was seen."""
-    step_error: Annotated[FloatArray, 4]
-    """Angle to the goal before that step, rad."""
+    absent_rad: float  # largest commanded motion beyond the resolution that a joint has not made
+    angle: Annotated[FloatArray, 4]  # measured angle after the last motion, rad
+    motion_tick: Annotated[FloatArray, 4]  # period of the last motion
+    push: Annotated[FloatArray, 4]  # commanded motion since then, rad
+    mode: Annotated[FloatArray, 4]  # held, braking after a step, making a step, or turning freely
+    step_tick: Annotated[FloatArray, 4]  # period in which the last step was seen
+    step_error: Annotated[FloatArray, 4]  # angle to the goal before that step, rad
 
 
 @inlined

@@ -1,9 +1,7 @@
 """Parameters of the head that the predictor and its control laws use, as one packed row.
 
-Its joints include virtual ones for eyes with fewer than two. The predictor describes a target by
-the two joint angles that would put it on the eye's optical axis. An eye that cannot look in every
-direction, such as one that only pans, gets virtual joints for this; they never move, as no actuator
-turns them.
+The predictor describes a target by the two joint angles that would put it on the eye's optical
+axis. An eye with fewer joints, such as one that only pans, gets virtual ones, which never move.
 """
 
 from typing import Annotated, Final
@@ -73,8 +71,7 @@ _RESPONSE_WINDOW_S: Final = 0.117
 """Window of readings to which the response is fitted, s (chosen: noise against adaptation)."""
 _RING_MARGIN: Final = 4
 """Periods by which a ring buffer is longer than what it has to hold (numerical)."""
-_LEAST_WINDOW: Final = 8
-"""Shortest window, in periods (numerical)."""
+_LEAST_WINDOW: Final = 8  # shortest window, in periods (numerical)
 
 
 class PredictorParameters:

@@ -10,10 +10,8 @@ commands still in transit. Where actuators couple the eyes' joints, the angle le
 actuator follows from the goals of all joints, see `vergence.controllers.prediction.aim`.
 
 All times are on the clock of the joint readings, so only two combinations of latencies matter: the
-sum of command and reading latency, and the difference of image and reading latency. Both are
-estimated on line, together with lag, acceleration and speed gains, see
-`vergence.controllers.prediction.delay` and `vergence.controllers.prediction.response`. Goals are
-filtered over images, see `vergence.controllers.prediction.goals`.
+sum of command and reading latency (`vergence.controllers.prediction.response`), and the difference
+of image and reading latency (`vergence.controllers.prediction.delay`), both estimated on line.
 """
 
 from math import exp, isfinite, sqrt
@@ -80,7 +78,7 @@ class Prediction:
     """
 
     angle_error: Annotated[FloatArray, 4]
-    """Angles that actuators still have to turn at that time, rad; 0 for one without a target."""
+    """Angles that actuators have yet to turn then, rad; 0 if they move no eye of known target."""
     pixel_error: Annotated[FloatArray, 2, 2]
     """Pixel errors at that time, undistorted, px; nan where not known."""
     known: Annotated[FloatArray, 2]
@@ -96,7 +94,7 @@ class Prediction:
     speed_gain: Annotated[FloatArray, 4]
     """Ratio of steady velocity to command."""
     goal_rates: Annotated[FloatArray, 4]
-    """Rates at which these angles grow while the actuators rest, rad/s; 0 for resting targets."""
+    """Rates at which `angle_error` grows at rest of the actuators, rad/s; 0 for resting targets."""
     goal_rates_at_effect: Annotated[FloatArray, 4]
     """These rates when a command given now shows in the motion, a lag and half a period later."""
     image_delay_s: float

@@ -10,18 +10,15 @@ the ratio, the lag and the build-up are common to the four actuators; each has i
 
 Two models are fitted on line, side by side: a plain one with a first-order lag, m = 0, and one with
 a second-order lag, for a servo with an underdamped loop. The second one is used once it explains
-the readings better by more than chance.
-
-The readings carry evidence on the response while something moves. In each period, one Gauss-Newton
+the readings better by more than chance. In each period in which something moves, one Gauss-Newton
 step fits the motion simulated with the model parameters to the readings of a window of recent
 periods; the posterior of earlier windows is the prior. The fitted readings are the velocities if
 these are known to be prompt (`vergence.controllers.prediction.state`), otherwise mean velocities
 from differences of angles, because a low-pass filter in the velocity feedback would be mistaken for
 lag. The actuators' speed gains are eliminated by a Schur complement. The cost has no slope in a
 latency that exceeds the age of the window's first command. Therefore a few other parameter values
-are tried in each period while the fit is bad, and the fit continues from the best one.
-
-The residuals widen the covariance: a head that does not move as the model says is not well known.
+are tried in each period while the fit is bad, and the fit continues from the best one. The
+residuals widen the covariance: a head that does not move as the model says is not well known.
 """
 
 from math import exp, isfinite, log
@@ -40,20 +37,13 @@ SECOND_ORDER: Final = 1
 """Index of the model with build-up (numerical)."""
 RESPONSE_MODELS: Final = 2
 """Number of response models (numerical)."""
-_LATENCY_SD_S: Final = 0.012
-"""Prior standard deviation of the latency about its nominal value, s (chosen)."""
+_PRIOR_SDS: Final = (0.012, 0.35, 0.45, 0.7)
+"""Prior standard deviations of the parameters of a `ResponseModel` (chosen)."""
 _FALLBACK_LATENCY_S: Final = 0.01
 """Prior mean of the latency if the head's model has none, s (chosen)."""
-_LOG_ACCELERATION_SD: Final = 0.35
-"""Prior standard deviation of the log acceleration ratio (chosen)."""
-_LOG_LAG_SD: Final = 0.45
-"""Prior standard deviation of the log lag (chosen)."""
 _PRIOR_BUILD_UP: Final = 0.8
 """Prior mean of the build-up in the model that has one: a servo with 12 % overshoot (chosen)."""
-_BUILD_UP_SD: Final = 0.7
-"""Prior standard deviation of the build-up (chosen)."""
-_MIN_PRIOR_LAG_S: Final = 0.004
-"""Lower bound of the prior lag, s (chosen)."""
+_MIN_PRIOR_LAG_S: Final = 0.004  # lower bound of the prior lag, s (chosen)
 
 
 class ResponseModel:
@@ -63,46 +53,29 @@ class ResponseModel:
     and build-up. Gains and accelerations are by actuator.
     """
 
-    parameters: Annotated[FloatArray, 4]
-    """Estimated parameters."""
-    variance: Annotated[FloatArray, 4]
-    """Their variances."""
-    prior: Annotated[FloatArray, 4]
-    """Parameters before the present window."""
-    information: Annotated[FloatArray, 4]
-    """Inverse variances of `prior`."""
-    log_gain: Annotated[FloatArray, 4]
-    """Logarithms of the actuators' speed gains."""
-    log_gain_prior: Annotated[FloatArray, 4]
-    """These logarithms before the present window."""
-    accelerations: Annotated[FloatArray, 4]
-    """Actuator accelerations at the start of the window, rad/s^2."""
-    misfit: float
-    """Mean squared normalised residual of the last fit."""
-    squared_residual_sum: float
-    """Sum of the squared normalised residuals of the last fit."""
+    parameters: Annotated[FloatArray, 4]  # estimated parameters
+    variance: Annotated[FloatArray, 4]  # their variances
+    prior: Annotated[FloatArray, 4]  # parameters before the present window
+    information: Annotated[FloatArray, 4]  # inverse variances of `prior`
+    log_gain: Annotated[FloatArray, 4]  # logarithms of the actuators' speed gains
+    log_gain_prior: Annotated[FloatArray, 4]  # these logarithms before the present window
+    accelerations: Annotated[FloatArray, 4]  # at the start of the window, rad/s^2
+    misfit: float  # mean squared normalised residual of the last fit
+    squared_residual_sum: float  # sum of the squared normalised residuals of the last fit
 
 
 class ResponseIdentification:
     """State of the on-line identification of the actuators' response."""
 
     models: Annotated[list[ResponseModel], RESPONSE_MODELS]
-    selected: float
-    """Index of the model in use."""
-    second_order_evidence: float
-    """Decayed excess, in earlier windows, of the plain model's squared normalised residuals."""
-    windows: float
-    """Number of windows that have ended."""
-    window_begin: float
-    """Period at which the present window begins; negative for none."""
-    window_end: float
-    """Period at which the previous window ended."""
-    accelerations: Annotated[FloatArray, 4]
-    """Present accelerations predicted from the commands, rad/s^2."""
-    prompt_velocities: float
-    """1 if velocities are read without delay, otherwise 0."""
-    angles: Annotated[FloatArray, 4]
-    """Last measured angles, rad."""
+    selected: float  # index of the model in use
+    second_order_evidence: float  # decayed excess of the plain model's residuals in old windows
+    windows: float  # number of windows that have ended
+    window_begin: float  # period at which the present window begins; negative for none
+    window_end: float  # period at which the previous window ended
+    accelerations: Annotated[FloatArray, 4]  # present ones by the commands, rad/s^2
+    prompt_velocities: float  # 1 if velocities are read without delay, otherwise 0
+    angles: Annotated[FloatArray, 4]  # last measured angles, rad
 
 
 class Rings(NamedTuple):
@@ -111,12 +84,9 @@ class Rings(NamedTuple):
     Their lengths are powers of two; period k is at index k modulo the length.
     """
 
-    commands: FloatArray
-    """(C, 4) commands, rad/s."""
-    speeds: FloatArray
-    """(S, 4) actuator velocities at the ends of periods, rad/s: estimated unless read promptly."""
-    mean_speeds: FloatArray
-    """(S, 4) mean velocities in each period, from differences of measured angles, rad/s."""
+    commands: FloatArray  # (C, 4) commands, rad/s
+    speeds: FloatArray  # (S, 4) velocities at the ends of periods, rad/s: estimated unless prompt
+    mean_speeds: FloatArray  # (S, 4) mean velocities in periods, from measured angles, rad/s
 
 
 def initial_response_models(
@@ -126,14 +96,11 @@ def initial_response_models(
     latency = response_latency_s if response_latency_s > 0.0 or not learn else _FALLBACK_LATENCY_S
     plain = (latency, 0.0, log(max(lag_s, _MIN_PRIOR_LAG_S)), 0.0)
     known = [plain, (*plain[:3], _PRIOR_BUILD_UP)]
-    sds = np.array([_LATENCY_SD_S, _LOG_ACCELERATION_SD, _LOG_LAG_SD, _BUILD_UP_SD])
+    variance = np.array(_PRIOR_SDS) ** 2
     return {
-        "parameters": known,
-        "prior": known,
-        "variance": sds**2 if learn else np.zeros(4),
-        "information": 1.0 / sds**2,
-        "misfit": 1.0,
-    }
+        "parameters": known, "prior": known, "variance": variance if learn else np.zeros(4),
+        "information": 1.0 / variance, "misfit": 1.0,
+    }  # fmt: skip
 
 
 @inlined
@@ -161,15 +128,11 @@ def quantise_with_dead_zone(params: PredictorParameters, command: float) -> floa
 class _Simulation(NamedTuple):
     """An actuator over a period, in which the command that acts changes once."""
 
-    gain: float
-    """Ratio of steady velocity to command."""
-    whole: int
-    """Whole periods of the latency; the rest of it, s, is until the next command acts."""
-    rest_s: float
-    before: HeldResponse
-    """Response to the command before, for the rest."""
-    after: HeldResponse
-    """Response to the command after it, until the end of the period."""
+    gain: float  # ratio of steady velocity to command
+    whole: int  # whole periods of the latency
+    rest_s: float  # rest of the latency, until the next command acts, s
+    before: HeldResponse  # response to the command before, for the rest
+    after: HeldResponse  # response to the command after it, until the end of the period
 
 
 @inlined
@@ -239,36 +202,26 @@ def state_at_command_effect(
     return q, v, w
 
 
-_GAIN_SD: Final = 0.08
-"""Prior standard deviation of the logarithm of a speed gain (chosen)."""
-_LAGS_S: Final = (0.004, 0.12)
-"""Bounds of the lag, s (chosen: the range of known servos)."""
+_GAIN_SD: Final = 0.08  # prior standard deviation of the logarithm of a speed gain (chosen)
+_LAGS_S: Final = (0.004, 0.12)  # bounds of the lag, s (chosen: the range of known servos)
 _RATIOS: Final = (0.15, 120.0)
 """Bounds of the acceleration limit, as a ratio to the model's (chosen)."""
-_BUILD_UPS: Final = (0.03, 8.0)
-"""Bounds of the build-up m (chosen)."""
-_MAX_LOG_GAIN: Final = 0.3
-"""Bound of the absolute logarithm of a speed gain (chosen)."""
-_MOVING_RAD_S: Final = 0.05
-"""Actuator speed above which a window starts, rad/s (chosen)."""
+_BUILD_UPS: Final = (0.03, 8.0)  # bounds of the build-up m (chosen)
+_MAX_LOG_GAIN: Final = 0.3  # bound of the absolute logarithm of a speed gain (chosen)
+_MOVING_RAD_S: Final = 0.05  # actuator speed above which a window starts, rad/s (chosen)
 _EXCITED_RAD_S: Final = 0.3
 """Change of command from the speed at a window's start that excites an actuator, rad/s (chosen)."""
 _SPEED_SD: Final = 0.03
 """Model error of a velocity, standard deviation, rad/s, and per rad/s of the velocity (chosen)."""
-_KNOWN_LATENCY_SD_S: Final = 0.0015
-"""Standard deviation of the latency below which it counts as known, s (chosen)."""
-_KNOWN_RATIO_SD: Final = 0.06
-"""Standard deviation of the log acceleration ratio below which it counts as known (chosen)."""
+_KNOWN_SDS: Final = (0.0015, 0.06)
+"""Deviations of latency, s, and log ratio below which these count as known (chosen)."""
 _GOOD_FIT_MISFIT: Final = 2.0
 """Mean squared normalised residual below which a fit needs no other starting values (chosen)."""
-_SPACING_S: Final = 0.004
-"""Spacing of the latencies tried, s (numerical)."""
-_TRIED_LATENCIES: Final = 30
-"""Number of latencies tried (numerical)."""
+_SPACING_S: Final = 0.004  # spacing of the latencies tried, s (numerical)
+_TRIED_LATENCIES: Final = 30  # number of latencies tried (numerical)
 _FAST_MOTOR_RATIOS: Final = (3.0, 9.0, 27.0, 81.0)
 """Acceleration ratios tried for motors unlike the model (chosen)."""
-_FAST_MOTOR_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)
-"""Lags tried with these ratios, s (chosen)."""
+_FAST_MOTOR_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)  # lags tried with these ratios, s (chosen)
 _MIN_COST_DECREASE: Final = 3.0
 """Decrease of the cost that restarts the fit elsewhere (chosen: no jumps between equal fits)."""
 _MIN_PRIOR_SDS: Final = (0.0008, 0.03, 0.05, 0.05)
@@ -283,8 +236,7 @@ _INFORMATIVE_S: Final = 0.06
 """Shortest window with evidence on the build-up, s (chosen: at first both models fit)."""
 _LEAST_BUILD_UP: Final = 0.25
 """Least build-up that is used (physical: critical damping; below it, nothing overshoots)."""
-_EVIDENCE_DECAY: Final = 0.7
-"""Factor that remains of the evidence of earlier windows (chosen)."""
+_EVIDENCE_DECAY: Final = 0.7  # factor that remains of the evidence of earlier windows (chosen)
 
 
 @inlined
@@ -353,7 +305,7 @@ def _try_others(
     params: PredictorParameters, tick: int,
 ) -> None:  # fmt: skip
     """Restart the fit at other parameter values where these explain the window better."""
-    known, free = model.parameters, model.variance[0] > _KNOWN_LATENCY_SD_S**2
+    known, free = model.parameters, model.variance[0] > _KNOWN_SDS[0] ** 2
     best = _posterior_cost(response, rings, model, params, tick, known[0], known[1], known[2])
     best -= _MIN_COST_DECREASE
     # about the latency in the head's model if that is long, else from none on
@@ -523,8 +475,8 @@ def learn_response(
         excited = excited or _is_excited(rings, params, first, tick, j)
     # a well-known response is updated only once a window
     model = selected_model(response)
-    well_known = model.variance[0] < _KNOWN_LATENCY_SD_S**2 and model.misfit < _GOOD_FIT_MISFIT
-    if excited and (ends or not well_known or model.variance[1] > _KNOWN_RATIO_SD**2):
+    well_known = model.variance[0] < _KNOWN_SDS[0] ** 2 and model.misfit < _GOOD_FIT_MISFIT
+    if excited and (ends or not well_known or model.variance[1] > _KNOWN_SDS[1] ** 2):
         for i in range(RESPONSE_MODELS):
             if not well_known:
                 _try_others(response, rings, response.models[i], params, tick)
