@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.controllers.reaching import Trial, run
 from tests.joint_motion import respond
 from vergence.controllers.prediction.predictor import SmithPredictor, prediction_fields
 from vergence.envs.observation import AGE_S, Observation, ObservationLayout
+from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
 
 Array = NDArray[np.float64]
@@ -32,46 +34,25 @@ def resting(_time_s: float) -> Array:
 
 
 def record(
-    head: HeadModel,
-    commands: Array,
-    *,
-    target: Callable[[float], Array] = resting,
-    latency_s: float = 0.0,
-    lag_s: float | None = None,
-    build_up: float = 0.0,
-    ratio: float = 1.0,
-    gain: float = 1.0,
-    image_delay_s: float | None = None,
-    noise_px: float = 0.0,
+    head: HeadModel, commands: Array, *, target: Callable[[float], Array] = resting,
+    latency_s: float = 0.0, lag_s: float | None = None, build_up: float = 0.0, ratio: float = 1.0,
+    gain: float = 1.0, image_delay_s: float | None = None, noise_px: float = 0.0,
     spoil: Callable[[float, Array], Array] | None = None,
-    seed: int = 0,
-) -> Recording:
-    """Let a head with four motors follow commands.
+) -> Recording:  # fmt: skip
+    """Let a head with four motors follow commands (steps, 4), rad/s; times and lags are in s.
 
-    Args:
-        head: the head.
-        commands: (steps, 4) rad/s.
-        target: position of the target in N as a function of time, m.
-        latency_s: time from a command to the joints' response.
-        lag_s: time constant of the joints; the head's by default.
-        build_up: b in b lag^2 v'' + lag v' + v = u; 0 for a first-order lag.
-        ratio: acceleration limits relative to the head's.
-        gain: ratio of speed to command.
-        image_delay_s: time from exposure to reading; the head's by default.
-        noise_px: standard deviation of the detections.
-        spoil: function from exposure time and pixel errors (2, 2) to the detected errors.
-        seed: seed of the noise.
+    `target` gives its position in N, m, at a time, and `spoil` the detected errors (2, 2) of an
+    exposure. The build-up is b in b lag^2 v'' + lag v' + v = u, and `ratio` that of acceleration
+    limits to the head's. Lag and delay of images are the head's unless given.
     """
-    timing, rng = head.timing, np.random.default_rng(seed)
+    timing, rng = head.timing, np.random.default_rng(0)
     lag = timing.lag_s if lag_s is None else lag_s
     delay = timing.latency_s if image_delay_s is None else image_delay_s
     period = timing.period_s
     q, v, w = head.rest()[3:], np.zeros(4), np.zeros(4)
     a = ratio * head.actuation.acceleration[3:]
-    angles = [q]
-    speeds = [v]
-    moves = commands.any()
-    for i in range(round(len(commands) * period / _STEP_S) if moves else 1):
+    angles, speeds = [q], [v]
+    for i in range(round(len(commands) * period / _STEP_S) if commands.any() else 1):
         k = floor((i * _STEP_S - latency_s + 1e-9) / period)
         u = gain * commands[k] if k >= 0 else np.zeros(4)
         if build_up > 0.0:
@@ -95,8 +76,7 @@ def record(
         return error if spoil is None else spoil(exposed, error)
 
     images: dict[int, Array] = {}
-    observations, positions = [], []
-    before = np.zeros(4)
+    observations, positions, before = [], [], np.zeros(4)
     for k, command in enumerate(commands):
         now = k * period
         newest = floor((now - delay) * timing.frame_rate_hz + 1e-6)
@@ -135,6 +115,12 @@ def predict(predictor: SmithPredictor, recording: Recording) -> list[Any]:
 def predictor_of(head: HeadModel, *, moving: bool = False) -> SmithPredictor:
     """A predictor that learns all it can."""
     return SmithPredictor(head=head, layout=ObservationLayout.of(head), targets_move=moving)
+
+
+def saccades(head: HeadModel, steps: int, name: str = "saccade", num: int = 12, **options) -> Trial:
+    """Trials of a law on a kinematic plant with some options."""
+    task = GazeTask(num, head=head, plant="kinematic", plant_options=options)
+    return run(task, name, steps)
 
 
 def turns(head: HeadModel, steps: int, *, speed: float = inf, time_s: float = 0.06) -> Array:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.controllers.prediction.observed import PLACE, predict, predictor_of, record
+from tests.controllers.prediction.observed import PLACE, predict, predictor_of, record, resting
 from tests.naming import named
 from vergence import load_head
 
@@ -52,15 +52,11 @@ def test_a_target_that_accelerates_is_predicted_too() -> None:
 
 
 def test_a_target_at_rest_has_no_rate_whatever_the_noise() -> None:
-    for noise_px in [0.02, 0.3, 0.5]:
+    # noise far beyond what the head says has to be known first
+    for noise_px, known in [(0.02, 0), (0.3, 0), (0.5, 0), (1.0, 60)]:
         with named(noise_px):
-            _, rates, _ = seen(lambda _time: np.array(PLACE), noise_px=noise_px)
-            assert not rates.any()
-
-
-def test_noise_far_beyond_what_the_head_says_is_no_motion_once_it_is_known() -> None:
-    _, rates, _ = seen(lambda _time: np.array(PLACE), noise_px=1.0)
-    assert not rates[60:].any()
+            _, rates, _ = seen(resting, noise_px=noise_px)
+            assert not rates[known:].any()
 
 
 def test_a_target_that_stops_is_noticed() -> None:

@@ -5,8 +5,15 @@ import pickle
 import numpy as np
 import pytest
 
-from tests.controllers.loops import begin, settle_time
-from tests.controllers.prediction.observed import predict, predicted, predictor_of, record, turns
+from tests.controllers.loops import settle_time
+from tests.controllers.prediction.observed import (
+    predict,
+    predicted,
+    predictor_of,
+    record,
+    saccades,
+    turns,
+)
 from tests.controllers.reaching import run
 from tests.heads import CENTRE, IMAGE, LOOP, eyes, head_of, joint
 from tests.naming import named
@@ -24,15 +31,12 @@ from vergence.models import parse_head
 from vergence.models.fixation import fixate_eye
 from vergence.models.kinematics import eye_frames
 
-QUIET = {"detection_noise_px": 0.0}
-
-
-def quiet_head(name="simulated"):
-    return load_head(name).replace(sensor=QUIET)
+HEAD = load_head("simulated")
+QUIET = HEAD.replace(sensor={"detection_noise_px": 0.0})
 
 
 def test_the_prediction_is_the_truth_when_the_command_begins_to_act() -> None:
-    head = quiet_head().replace(timing={"command_latency_s": 2 / 120})
+    head = QUIET.replace(timing={"command_latency_s": 2 / 120})
     commands = np.concatenate([turns(head, 60), turns(head, 60)])
     way = record(head, commands, latency_s=2 / 120)
     every = predict(predictor_of(head), way)
@@ -47,7 +51,7 @@ def test_the_prediction_is_the_truth_when_the_command_begins_to_act() -> None:
 
 
 def test_a_copy_for_another_process_compiles_nothing_anew() -> None:
-    predictor = predictor_of(quiet_head())
+    predictor = predictor_of(QUIET)
     seen = predictor.layout.decode(np.zeros((1, predictor.layout.size), np.float32))
     compiled = []
     for one in (predictor, pickle.loads(pickle.dumps(predictor))):
@@ -59,7 +63,7 @@ def test_a_copy_for_another_process_compiles_nothing_anew() -> None:
 def test_what_is_left_to_turn_ends_where_both_eyes_fixate() -> None:
     for name in ["saccade", "delay-compensated"]:
         with named(name):
-            task = GazeTask(20, head=quiet_head(), plant="kinematic")
+            task = GazeTask(20, head=QUIET, plant="kinematic")
             trial = run(task, name, 40)
             truth = task.truth()
             goal = task.head.fixate(truth.target, task.head.rest()[:3])[:, 3:]
@@ -74,8 +78,7 @@ def test_what_is_left_to_turn_ends_where_both_eyes_fixate() -> None:
 
 def test_angles_between_the_steps_of_the_encoders_are_followed() -> None:
     head = load_head("physical")
-    task = GazeTask(30, head=head, plant="kinematic")
-    trial = run(task, "saccade", 60)
+    trial = saccades(head, 60, num=30)
     tracked = np.array([p.positions for p in trial.predicted])[-6:]
     moving = trial.positions[-7:-1, :, 3:]
     # once the eyes rest, no farther than half a step
@@ -83,19 +86,13 @@ def test_angles_between_the_steps_of_the_encoders_are_followed() -> None:
 
 
 def test_a_target_that_is_lost_is_held_for_a_while_then_forgotten() -> None:
-    head = quiet_head()
-    layout = ObservationLayout.of(head)
-    predictor = SmithPredictor(head=head, layout=layout, targets_move=False)
-    task = begin(GazeTask(1, head=head, plant="kinematic"))
-    state = np.tile(predictor.initial(), (1, 1))
-    for _ in range(12):
-        seen = predicted(predictor, layout.decode(task.observation), state)
-        task.step(np.zeros((1, 4)))
+    predictor = predictor_of(QUIET)
+    state, still = predictor.initial(), record(QUIET, np.zeros((12, 4))).observations
+    for observation in still:
+        seen = predicted(predictor, observation, state)
     assert seen.known.all()
-    blind = layout.decode(task.observation)
-    blind = blind._replace(pixel_error=np.full((1, 2, 2), np.nan))
-    hold = round(MAX_UNSEEN_S * 120)
-    for _ in range(hold):
+    blind = observation._replace(pixel_error=np.full((2, 2), np.nan))
+    for _ in range(round(MAX_UNSEEN_S * 120)):
         held = predicted(predictor, blind, state)
     np.testing.assert_allclose(held.angle_error, seen.angle_error)
     lost = predicted(predictor, blind, state)
@@ -105,24 +102,25 @@ def test_a_target_that_is_lost_is_held_for_a_while_then_forgotten() -> None:
 
 
 def test_a_state_may_have_rows_of_the_callers_behind_it() -> None:
-    head = quiet_head()
-    predictor = predictor_of(head)
+    predictor = predictor_of(QUIET)
     longer = np.append(predictor.initial(), [7.0, 8.0])
     own = predictor.initial()
-    for seen in record(head, turns(head, 30)).observations:
+    for seen in record(QUIET, turns(QUIET, 30)).observations:
         alone, behind = predictor.update(seen, own), predictor.update(seen, longer)
         assert np.array_equal(alone, behind, equal_nan=True)
     assert longer[-2:].tolist() == [7.0, 8.0]
     assert len(own) == predictor.size
 
 
-def test_options_that_cannot_be_are_refused() -> None:
-    for name in ["delay", "lag"]:
-        with named(name):
-            head = load_head("simulated")
-            said = f"{name}: expected 'estimated' or 'nominal'"
-            with pytest.raises(ConfigurationError, match=said):
-                SmithPredictor(head=head, layout=ObservationLayout.of(head), **{name: "known"})
+def test_options_and_latencies_that_cannot_be_are_refused() -> None:
+    late = HEAD.replace(timing={"latency_s": 0.26})
+    for head, options, said in (
+        (HEAD, {"delay": "known"}, "delay: expected 'estimated' or 'nominal', got 'known'"),
+        (HEAD, {"lag": "known"}, "lag: expected 'estimated' or 'nominal', got 'known'"),
+        (late, {}, r"head: expected a latency of at most 0\.25 s, got 0\.26 s"),
+    ):
+        with pytest.raises(ConfigurationError, match=f"^{said}$"):
+            SmithPredictor(head=head, layout=ObservationLayout.of(head), **options)
 
 
 EXACT = {"detection_noise_px": 0.0, "encoder_resolution_rad": 0.0, "velocity_resolution_rad_s": 0.0}
@@ -148,9 +146,7 @@ def test_axes_at_right_angles_are_told_from_others() -> None:
     [(skewed(), 4), (head_of("panfirst"), 13), (head_of("tied"), 13), (head_of("mis"), 4)],
 )
 def test_one_saccade_tells_the_delay_on_any_head(head, delay) -> None:
-    task = GazeTask(8, plant="kinematic", head=head, plant_options={"latency_s": delay / 120.0})
-    trial = run(task, "saccade", 60)
-    found = trial.predicted[-1].image_delay_s
+    found = saccades(head, 60, num=8, latency_s=delay / 120.0).predicted[-1].image_delay_s
     assert np.abs(np.median(found) - delay / 120.0) < 0.005
 
 
@@ -183,51 +179,27 @@ def test_joints_made_up_for_an_eye_leave_the_cameras_where_they_are() -> None:
 def test_each_actuator_is_followed_by_its_own_lag_and_encoder() -> None:
     lags = {"lag_s": [0.015, 0.03, 0.06], "encoder_resolution_rad": [0.002, 0.0005, 0.001]}
     head = head_of("tied").replace(actuators=lags)
-    task = GazeTask(8, plant="kinematic", head=head)
-    trial = run(task, "saccade", 120)
+    trial = saccades(head, 120, num=8)
     lag_s = np.array([p.lag_s for p in trial.predicted])
     assert np.abs(np.median(lag_s[-1]) - 0.03) < 0.003
     for place in range(8):
         assert settle_time(trial.errors[:, place : place + 1], 1 / 120) < 0.4
 
 
-HEAD = load_head("simulated")
-
-
-def last_errors(head, time_s: float, name: str = "saccade", **options) -> np.ndarray:
-    """(12,) the greatest true error of the last tenth of a second, px."""
-    task = GazeTask(12, head=head, plant="kinematic", plant_options=options)
-    steps = round(time_s * head.timing.control_rate_hz)
-    errors = np.linalg.norm(run(task, name, steps).errors, axis=-1).max(axis=-1)
-    return errors[-round(0.1 * head.timing.control_rate_hz) :].max(axis=0)
-
-
 @pytest.mark.parametrize(
-    ("name", "control_hz", "frame_hz"),
-    [("saccade", 50, 15), ("pursuit", 60, 30), ("pursuit", 250, 15), ("saccade", 250, 250)],
-)
-def test_a_saccade_settles_whatever_the_rates_and_the_delay(control_hz, frame_hz, name) -> None:
-    head = HEAD.replace(timing={"control_rate_hz": control_hz, "frame_rate_hz": frame_hz})
-    frame_s = 1.0 / frame_hz
-    away = last_errors(
-        head, 0.6 + 4.0 * frame_s, name, latency_s=0.1, command_latency_s=0.008, frame_phase=0.4
-    )
-    assert away.max() < 1.0
-
-
-@pytest.mark.parametrize(("control_hz", "latency_s"), [(50, 0.0), (120, 0.25), (250, 0.12)])
-def test_nominal_delays_up_to_a_quarter_of_a_second_are_borne(control_hz, latency_s) -> None:
-    head = HEAD.replace(
-        timing={"control_rate_hz": control_hz, "frame_rate_hz": 50, "latency_s": latency_s}
-    )
-    assert last_errors(head, 0.6 + latency_s, latency_s=latency_s + 0.01).max() < 1.0
-
-
-def test_longer_ones_are_refused_in_one_line() -> None:
-    for latency_s in [0.26, 0.5]:
-        with named(latency_s):
-            head = HEAD.replace(timing={"latency_s": latency_s})
-            message = rf"head: expected a latency of at most 0\.25 s, got {latency_s:g} s"
-            with pytest.raises(ConfigurationError, match=message) as caught:
-                SmithPredictor(head=head, layout=ObservationLayout.of(head))
-            assert "\n" not in str(caught.value)
+    ("name", "control_hz", "frame_hz", "known_s", "true_s"),
+    [
+        ("saccade", 50, 15, 1 / 15, 0.1), ("pursuit", 60, 30, 1 / 15, 0.1),
+        ("pursuit", 250, 15, 1 / 15, 0.1), ("saccade", 250, 250, 1 / 15, 0.1),
+        ("saccade", 50, 50, 0.0, 0.01), ("saccade", 120, 50, 0.25, 0.26),
+        ("saccade", 250, 50, 0.12, 0.13),
+    ],
+)  # fmt: skip
+def test_a_saccade_settles_whatever_the_rates_and_the_delay(
+    name, control_hz, frame_hz, known_s, true_s
+) -> None:
+    timing = {"control_rate_hz": control_hz, "frame_rate_hz": frame_hz, "latency_s": known_s}
+    options = {"latency_s": true_s, "command_latency_s": 0.008, "frame_phase": 0.4}
+    steps = round((0.6 + known_s + 4.0 / frame_hz) * control_hz)
+    errors = saccades(HEAD.replace(timing=timing), steps, name, **options).errors
+    assert np.linalg.norm(errors, axis=-1)[-round(0.1 * control_hz) :].max() < 1.0

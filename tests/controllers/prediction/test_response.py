@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.controllers.prediction.observed import predict, predictor_of, record, turns
-from tests.controllers.reaching import run
+from tests.controllers.prediction.observed import predict, predictor_of, record, saccades, turns
 from vergence import load_head
 from vergence.controllers.prediction.predictor import SmithPredictor
 from vergence.envs.observation import ObservationLayout
-from vergence.envs.task import GazeTask
 
 HEAD = load_head("simulated")
 
@@ -64,15 +62,6 @@ def test_a_long_latency_is_found_about_the_models_own(rate_hz, known_s, true_s) 
     assert last.lag_s == pytest.approx(head.timing.lag_s, rel=0.1)
 
 
-def test_nothing_is_learned_while_nothing_moves() -> None:
-    every = predict(predictor_of(HEAD), record(HEAD, np.zeros((60, 4)), noise_px=0.3))
-    for name in (
-        "response_latency_s", "lag_s", "acceleration_ratio", "response_latency_sd_s",
-        "acceleration_sd",
-    ):  # fmt: skip
-        assert len({float(getattr(one, name)) for one in every}) == 1
-
-
 def test_what_is_known_is_less_sure_before_the_first_turn() -> None:
     every = predict(predictor_of(HEAD), record(HEAD, turns(HEAD, 60), ratio=0.5))
     assert every[0].acceleration_sd > 5.0 * every[-1].acceleration_sd
@@ -91,8 +80,7 @@ def test_a_nominal_response_is_that_of_the_heads_model() -> None:
 @pytest.mark.parametrize("latency_s", [0.0, 0.033])
 def test_a_saccade_tells_command_and_feedback_latency_together(latency_s) -> None:
     options = {"command_latency_s": 0.6 * latency_s, "feedback_latency_s": 0.4 * latency_s}
-    task = GazeTask(12, head=HEAD, plant="kinematic", plant_options=options)
-    last = run(task, "saccade", 70).predicted[-1]
+    last = saccades(HEAD, 70, **options).predicted[-1]
     # a build-up that hardly overshoots may stand for some of it
     assert np.abs(last.response_latency_s - latency_s).max() < 0.008
     assert np.abs(np.median(last.response_latency_s) - latency_s) < 0.0025
@@ -100,7 +88,6 @@ def test_a_saccade_tells_command_and_feedback_latency_together(latency_s) -> Non
 
 def test_each_actuator_has_a_gain_of_its_own() -> None:
     gains = np.tile([0.85, 1.15, 0.95, 1.05], (12, 1))
-    task = GazeTask(12, plant="kinematic", plant_options={"speed_gain": gains})
-    found = run(task, "saccade", 70).predicted[-1].speed_gain
+    found = saccades(HEAD, 70, speed_gain=gains).predicted[-1].speed_gain
     # tilts turn less than pans do, and tell less
     assert np.abs(np.median(found, axis=0) - gains[0])[[1, 3]].max() < 0.06

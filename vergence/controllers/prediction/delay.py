@@ -30,44 +30,31 @@ SPACING_S: Final = 0.008
 _MAX_EARLIER_HYPOTHESES: Final = 12
 """Largest number of hypotheses below the head's nominal delay (numerical)."""
 _MIN_DELAY_S: Final = -0.03
-"""Shortest delay considered, s (chosen); negative, as a stamped image has less latency than the
-joint readings."""
+"""Shortest delay considered, s (chosen: stamped images may be newer than the joint readings)."""
 _PRIOR_SD_S: Final = 0.035
-"""Prior standard deviation of the delay about its nominal value, s (chosen: trust in data sheets
-against the time to find a wrong one)."""
+"""Prior standard deviation of the delay, s (chosen: trust in data sheets against reaction time)."""
 _STAMPED_PRIOR_SD_S: Final = 0.012
 """The prior standard deviation if the camera stamps exposures, s (chosen)."""
-_MAX_IMAGE_COST: Final = 16.0
-"""Upper bound of the cost of one joint in one image (chosen): an image that fits no hypothesis is
-no evidence."""
+MAX_IMAGE_COST: Final = 16.0
+"""Bound of one joint's cost in an image (chosen: what fits no hypothesis is no evidence)."""
 _RULED_OUT_COST: Final = 150.0
-"""Excess of a cost over the least one above which a delay is ruled out (chosen: its weight is
-below exp(-75))."""
+"""Excess over the least cost that rules out a delay (chosen: a weight below exp(-75))."""
 _LARGEST_COST: Final = 2000.0
 """Upper bound of a cost, so that a ruled-out delay can return (chosen)."""
 _COST_DECAY: Final = 0.97
-"""Factor that remains of old costs after a fully informative image (chosen: noise against
-tracking of a delay that changes)."""
-_DOUBTED_COST_FACTOR: Final = 0.5
+"""Factor left of costs after a fully informative image (chosen: noise against a changing delay)."""
+DOUBTED_COST_FACTOR: Final = 0.5
 """Factor that remains of the costs once no hypothesis explains the images (chosen)."""
 
 
 def first_hypothesis_delay(nominal_delay_s: float) -> float:
     """Delay of hypothesis 0, s, for a nominal delay; the nominal delay is one of the hypotheses."""
-    earlier = min(
-        _MAX_EARLIER_HYPOTHESES, max(floor((nominal_delay_s - _MIN_DELAY_S) / SPACING_S), 0)
-    )
-    return nominal_delay_s - earlier * SPACING_S
+    earlier = max(floor((nominal_delay_s - _MIN_DELAY_S) / SPACING_S), 0)
+    return nominal_delay_s - min(_MAX_EARLIER_HYPOTHESES, earlier) * SPACING_S
 
 
 def prior_delay_costs(nominal_delay_s: float, stamped: bool, learn: bool) -> FloatArray:
-    """(HYPOTHESES,) costs of the delays before the first image: the Gaussian prior.
-
-    Args:
-        nominal_delay_s: the head's nominal delay, s.
-        stamped: True if the camera stamps exposures.
-        learn: True to estimate the delay on line; False rules out all but the nominal one.
-    """
+    """(HYPOTHESES,) costs before the first image: a Gaussian prior, sharp if nothing is learned."""
     delays = first_hypothesis_delay(nominal_delay_s) + SPACING_S * np.arange(HYPOTHESES)
     sd = _STAMPED_PRIOR_SD_S if stamped else _PRIOR_SD_S
     return np.asarray(((delays - nominal_delay_s) / (sd if learn else 1e-6)) ** 2)
@@ -76,10 +63,7 @@ def prior_delay_costs(nominal_delay_s: float, stamped: bool, learn: bool) -> Flo
 @inlined
 def active_delay_range(cost: FloatArray) -> tuple[int, int]:
     """Index of the first delay that is not ruled out, and one past the last."""
-    least = cost[0]
-    for i in range(HYPOTHESES):
-        least = min(least, cost[i])
-    low, high = 0, HYPOTHESES
+    least, low, high = cost.min(), 0, HYPOTHESES
     while cost[low] - least > _RULED_OUT_COST:
         low += 1
     while cost[high - 1] - least > _RULED_OUT_COST:
@@ -88,64 +72,35 @@ def active_delay_range(cost: FloatArray) -> tuple[int, int]:
 
 
 @inlined
-def delay_posterior(
-    cost: FloatArray, first_active: int, end_active: int, weights: FloatArray
-) -> None:
-    """Compute the normalised weights of the delays from `first_active` to below `end_active`."""
-    least = cost[first_active]
-    for i in range(first_active, end_active):
-        least = min(least, cost[i])
-    total = 0.0
-    for i in range(first_active, end_active):
+def delay_posterior(cost: FloatArray, low: int, high: int, weights: FloatArray) -> None:
+    """Compute the normalised weights of the delays from `low` to below `high`."""
+    least, total = cost[low:high].min(), 0.0
+    for i in range(low, high):
         weights[i] = exp(-0.5 * (cost[i] - least))
         total += weights[i]
-    for i in range(first_active, end_active):
+    for i in range(low, high):
         weights[i] /= total
 
 
 @inlined
-def add_bounded_delay_cost(added_costs: FloatArray, squared_innovation: float, i: int) -> None:
-    """Add a bounded squared normalised innovation to the cost that an image adds to delay `i`."""
-    added_costs[i] += min(squared_innovation, _MAX_IMAGE_COST)
-
-
-@inlined
-def marginal_nll(
-    cost: FloatArray, first_active: int, end_active: int, added_costs: FloatArray
-) -> float:
-    """Negative log-likelihood of an image over all delays, from the costs that it adds."""
-    least, first = cost[first_active], added_costs[first_active]
-    for i in range(first_active, end_active):
-        least, first = min(least, cost[i]), min(first, added_costs[i])
+def marginal_nll(cost: FloatArray, low: int, high: int, added: FloatArray) -> float:
+    """Negative log-likelihood of an image over the delays, from the costs that it adds."""
+    least, first = cost[low:high].min(), added[low:high].min()
     total = likely = 0.0
-    for i in range(first_active, end_active):
+    for i in range(low, high):
         weight = exp(-0.5 * (cost[i] - least))
-        total, likely = total + weight, likely + weight * exp(-0.5 * (added_costs[i] - first))
+        total, likely = total + weight, likely + weight * exp(-0.5 * (added[i] - first))
     nll: float = 0.5 * first - log(max(likely / total, 1e-30))
     return nll
 
 
 @inlined
-def decay_and_add_costs(
-    cost: FloatArray, first_active: int, end_active: int, added_costs: FloatArray
-) -> None:
-    """Add an image's costs to the accumulated ones; old ones decay as informative images come.
-
-    The costs of ruled-out delays decay too, until these are considered again.
-    """
-    least = most = added_costs[first_active]
-    for i in range(first_active, end_active):
-        least, most = min(least, added_costs[i]), max(most, added_costs[i])
+def decay_and_add_costs(cost: FloatArray, low: int, high: int, added: FloatArray) -> None:
+    """Add an image's costs; all old ones decay the more, the more the image tells of the delay."""
+    least, most = added[low:high].min(), added[low:high].max()
     forget = 1.0 - (1.0 - _COST_DECAY) * min(most - least, 1.0)
     for i in range(HYPOTHESES):
         cost[i] *= forget
-        if first_active <= i < end_active:
-            cost[i] += added_costs[i] - least
+        if low <= i < high:
+            cost[i] += added[i] - least
         cost[i] = min(cost[i], _LARGEST_COST)
-
-
-@inlined
-def forget_delay_evidence(cost: FloatArray) -> None:
-    """Forget part of the evidence on the delay."""
-    for i in range(HYPOTHESES):
-        cost[i] *= _DOUBTED_COST_FACTOR

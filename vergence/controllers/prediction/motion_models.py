@@ -15,13 +15,13 @@ coefficients, 1988). The predicted target angle is the mean over the models, wei
 probabilities.
 
 The states are valid at the exposure of the newest image, on the clock of the joint readings; an
-exposure may lie anywhere between two periods. An error of the exposure time moves a measured angle
-with the eye, and the target has moved too in that time. Only the slip, the eye's velocity relative
-to the target, remains; eyes that follow their target are not disturbed.
+exposure may lie anywhere between two periods.
 """
 
 from math import exp, hypot, log
 from typing import Annotated, Any, Final, TypeAlias
+
+import numpy as np
 
 from vergence.kernels import inlined
 from vergence.models.parts import FloatArray
@@ -33,59 +33,42 @@ MODES: Final = MODELS + 1
 ERRATIC: Final = MODELS - 1
 """Index of the model of a target that changes direction at random (numerical)."""
 _ACCELERATION_SD: Final = (0.05, 4.0, 5.0)
-"""sigma_a of each motion model, rad/s^2 (chosen). The first one is for creeping targets: with 0.15
-its rate follows noise."""
-_ACCELERATION_TIME_S: Final = (1.0, 1.0, 0.05)
-"""T_a of each motion model, s (chosen)."""
-_PRIOR_RATE_SD: Final = 0.5
-"""Prior standard deviation of a new target's rate, rad/s (chosen)."""
-_MAX_TARGET_RATE: Final = 2.5
-"""Largest target rate, rad/s; estimates are clipped to it (chosen)."""
-_SWITCH_PROBABILITY: Final = 0.02
+"""sigma_a of each motion model, rad/s^2 (chosen: with 0.15 the first one's rate follows noise)."""
+_ACCELERATION_TIME_S: Final = (1.0, 1.0, 0.05)  # T_a of each motion model, s (chosen)
+_PRIOR_RATE_SD: Final = 0.5  # prior standard deviation of a new target's rate, rad/s (chosen)
+_MAX_TARGET_RATE: Final = 2.5  # largest target rate, rad/s; estimates are clipped to it (chosen)
+SWITCH_PROBABILITY: Final = 0.02
 """Probability that a target switches to another model between two images (chosen)."""
-_PRIOR_REST_PROBABILITY: Final = 0.98
+PRIOR_REST_PROBABILITY: Final = 0.98
 """Prior probability that a new target rests (chosen)."""
-_REST_BONUS_AT_REST: Final = 0.7
-"""Log-likelihood added in favour of rest at each image while the target probably rests (chosen)."""
-_REST_BONUS_IN_MOTION: Final = 0.2
-"""Log-likelihood added in favour of rest while it probably moves; a lower value keeps a creeping
-target from switching between rest and motion (measured on scenario `simulated`: with 0.7 speeds
-vary half as much again, with -0.3 a quarter)."""
-_GATE: Final = 36.0
-"""Gate on the squared Mahalanobis distance of an innovation (chosen: 6 sigma)."""
-_UNLIKELY_MODEL_GATE: Final = 9.0
-"""Gate for a model whose probability is below `_WIDE_GATE_PROBABILITY` (chosen: 3 sigma)."""
+_REST_BONUSES: Final = (0.7, 0.2)
+"""Log-likelihood in favour of rest, at rest and in motion (chosen: 0.7 disturbs slow motion)."""
+_GATES: Final = (9.0, 36.0)
+"""Gates on squared Mahalanobis distances for unlikely and other models (chosen: 3 and 6 sigma)."""
 _MAX_SQUARED_INNOVATION: Final = 25.0
 """Bound of the squared normalised innovation in a log-likelihood (chosen)."""
-_MAX_EYE_LOG_RATIO: Final = 2.5
-"""Largest log-likelihood ratio that one eye contributes in one image (chosen: robust to
-outliers)."""
+MAX_EYE_LOG_RATIO: Final = 2.5
+"""Largest log-likelihood ratio of one eye in one image (chosen: robust to outliers)."""
 _INFERRED_SD_RAD: Final = 0.006
 """Standard deviation of a target angle inferred from the other eye, rad (chosen)."""
 _WIDE_GATE_PROBABILITY: Final = 0.1
 """Mode probability above which a model has the wide gate (chosen)."""
 _MAX_EXTRAPOLATION_S: Final = 0.4
-"""Time after an image for which motion is extrapolated, s (chosen); then the aim returns to where
-the target was last seen."""
+"""Time after an image for which motion is extrapolated, s (chosen); then the aim returns."""
 _ERRATIC_TIME_S: Final = 0.3
 """Mean time between changes of direction in the erratic model, s (chosen)."""
-_MIN_SPEED_FRACTION: Final = 0.1
-"""Lower bound of the fraction `visible_speed_fraction` (chosen)."""
+_MIN_SPEED_FRACTION: Final = 0.1  # lower bound of the fraction `visible_speed_fraction` (chosen)
 _RETURN_TIME_S: Final = 0.15
-"""Time constant of that return, s (chosen)."""
+"""Time constant of the return to where the target was last seen, s (chosen)."""
 
 
 class TargetMotion:
     """State of one motion model for one eye's target; arrays are by joint."""
 
-    angle: Annotated[FloatArray, 2]
-    """theta, rad."""
-    rate: Annotated[FloatArray, 2]
-    """w, rad/s."""
-    acceleration: Annotated[FloatArray, 2]
-    """a, rad/s^2."""
-    covariance: Annotated[FloatArray, 6]
-    """Covariance of (theta, w, a), common to both joints: upper triangle by rows."""
+    angle: Annotated[FloatArray, 2]  # theta, rad
+    rate: Annotated[FloatArray, 2]  # w, rad/s
+    acceleration: Annotated[FloatArray, 2]  # a, rad/s^2
+    covariance: Annotated[FloatArray, 6]  # of (theta, w, a), common to both joints: upper triangle
 
 
 Motions: TypeAlias = Any
@@ -93,73 +76,43 @@ Motions: TypeAlias = Any
 
 
 @inlined
-def begin_modes(probabilities: FloatArray) -> None:
-    """Initialise the mode probabilities of a new target."""
-    for m in range(MODES):
-        probabilities[m] = (
-            _PRIOR_REST_PROBABILITY if m == 0 else (1.0 - _PRIOR_REST_PROBABILITY) / MODELS
-        )
-
-
-@inlined
 def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
     """Initialise an eye's target at rest, at angles (2,) of one variance, rad^2."""
     for m in range(MODELS):
         motion: TargetMotion = motions[m]
-        for joint in range(2):
-            motion.angle[joint] = goals[joint]
-            motion.rate[joint] = motion.acceleration[joint] = 0.0
+        motion.angle[:] = goals
+        motion.rate[:] = motion.acceleration[:] = 0.0
         c = motion.covariance
         c[0], c[3], c[5] = variance, _PRIOR_RATE_SD**2, _ACCELERATION_SD[m] * _ACCELERATION_SD[m]
         c[1] = c[2] = c[4] = 0.0
 
 
 @inlined
-def predict_modes(probabilities: FloatArray) -> None:
-    """Predict the mode probabilities to the next image with the Markov transition matrix."""
-    other = _SWITCH_PROBABILITY / MODELS
-    for m in range(MODES):
-        probabilities[m] = (1.0 - _SWITCH_PROBABILITY - other) * probabilities[m] + other
-
-
-@inlined
-def mix_models(motions: Motions, probabilities: FloatArray, mixed: FloatArray) -> None:
-    """Start each model from the mixture of the models that may have switched to it.
-
-    Args:
-        motions: motion models of one eye, changed in place.
-        probabilities: (MODES,) mode probabilities after the last image.
-        mixed: (MODELS, 12) work space.
-    """
-    other = _SWITCH_PROBABILITY / MODELS
+def mix_models(motions: Motions, probabilities: FloatArray) -> None:
+    """Start each model of an eye from the mixture of those that may have switched to it."""
+    mixed, share, other = np.zeros((MODELS, 12)), np.zeros(MODELS), SWITCH_PROBABILITY / MODELS
     for m in range(MODELS):
         total = 1e-12
         for n in range(MODELS):
-            total += ((1.0 - _SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1]
-        for i in range(12):
-            mixed[m, i] = 0.0
+            share[n] = ((1.0 - SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1]
+            total += share[n]
         for n in range(MODELS):
-            share = (
-                ((1.0 - _SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1] / total
-            )
+            share[n] /= total
             motion: TargetMotion = motions[n]
             for joint in range(2):
-                mixed[m, joint] += share * motion.angle[joint]
-                mixed[m, 2 + joint] += share * motion.rate[joint]
-                mixed[m, 4 + joint] += share * motion.acceleration[joint]
+                mixed[m, joint] += share[n] * motion.angle[joint]
+                mixed[m, 2 + joint] += share[n] * motion.rate[joint]
+                mixed[m, 4 + joint] += share[n] * motion.acceleration[joint]
         for n in range(MODELS):
-            share = (
-                ((1.0 - _SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1] / total
-            )
             motion = motions[n]
             for i in range(6):
-                mixed[m, 6 + i] += share * motion.covariance[i]
+                mixed[m, 6 + i] += share[n] * motion.covariance[i]
             for joint in range(2):
                 q = motion.angle[joint] - mixed[m, joint]
                 w = motion.rate[joint] - mixed[m, 2 + joint]
                 a = motion.acceleration[joint] - mixed[m, 4 + joint]
                 # the covariance is common to both joints: average their spreads of the means
-                half = 0.5 * share
+                half = 0.5 * share[n]
                 mixed[m, 6] += half * q * q
                 mixed[m, 7] += half * q * w
                 mixed[m, 8] += half * q * a
@@ -168,12 +121,8 @@ def mix_models(motions: Motions, probabilities: FloatArray, mixed: FloatArray) -
                 mixed[m, 11] += half * a * a
     for m in range(MODELS):
         motion = motions[m]
-        for joint in range(2):
-            motion.angle[joint] = mixed[m, joint]
-            motion.rate[joint] = mixed[m, 2 + joint]
-            motion.acceleration[joint] = mixed[m, 4 + joint]
-        for i in range(6):
-            motion.covariance[i] = mixed[m, 6 + i]
+        motion.angle[:], motion.rate[:] = mixed[m, :2], mixed[m, 2:4]
+        motion.acceleration[:], motion.covariance[:] = mixed[m, 4:6], mixed[m, 6:]
 
 
 @inlined
@@ -212,15 +161,11 @@ def passes_any_gate(
     """True if measured angles (2,) of given variances pass the gate of a model."""
     for m in range(MODELS):
         motion: TargetMotion = motions[m]
-        inside, gate = (
-            True,
-            _GATE if probabilities[m + 1] > _WIDE_GATE_PROBABILITY else _UNLIKELY_MODEL_GATE,
-        )
+        gate = _GATES[1] if probabilities[m + 1] > _WIDE_GATE_PROBABILITY else _GATES[0]
+        inside = True
         for joint in range(2):
-            innovation = goals[joint] - motion.angle[joint]
-            inside = inside and innovation * innovation < gate * (
-                motion.covariance[0] + variance[joint]
-            )
+            innovation, known = goals[joint] - motion.angle[joint], motion.covariance[0]
+            inside = inside and innovation * innovation < gate * (known + variance[joint])
         if inside:
             return True
     return False
@@ -247,28 +192,18 @@ def kalman_update(motion: TargetMotion, goals: FloatArray, variance: float) -> N
 
 @inlined
 def update_models(
-    motions: Motions,
-    goals: FloatArray,
-    variance: FloatArray,
-    model_error_variance: FloatArray,
-    nll: FloatArray,
-) -> None:
-    """Update all models with measured angles, and add their negative log-likelihoods.
-
-    Args:
-        motions: motion models of one eye, changed in place.
-        goals: (2,) measured angles, rad.
-        variance: (2,) their variances, rad^2.
-        model_error_variance: (2,) variances added to every prediction, rad^2.
-        nll: (MODES,) negative log-likelihoods, added to in place.
-    """
+    motions: Motions, goals: FloatArray, variance: FloatArray,
+    model_error_variance: FloatArray, nll: FloatArray,
+) -> None:  # fmt: skip
+    """Update an eye's models with measured angles (2,); add their negative log-likelihoods."""
     own = 0.5 * (variance[0] + variance[1])
     for m in range(MODELS):
         motion: TargetMotion = motions[m]
         for joint in range(2):
             innovation = goals[joint] - motion.angle[joint]
             known = motion.covariance[0] + variance[joint] + model_error_variance[joint]
-            nll[m + 1] += innovation_nll(innovation, known)
+            square = min(innovation * innovation / known, _MAX_SQUARED_INNOVATION)
+            nll[m + 1] += 0.5 * (square + log(known))
         kalman_update(motion, goals, own)
 
 
@@ -281,32 +216,10 @@ def update_from_other_eye(motions: Motions, goals: FloatArray, variance: FloatAr
 
 
 @inlined
-def innovation_nll(innovation: float, variance: float) -> float:
-    """Negative log-likelihood of an innovation of a given variance, with a bounded square."""
-    return 0.5 * (min(innovation * innovation / variance, _MAX_SQUARED_INNOVATION) + log(variance))
-
-
-@inlined
-def add_bounded_nll(nll: FloatArray, eye_nll: FloatArray) -> None:
-    """Add the negative log-likelihoods of one eye (MODES,), bounded relative to the best mode.
-
-    The bound keeps an outlier of one eye from ruling out a mode with one image.
-    """
-    least = eye_nll[0]
-    for m in range(1, MODES):
-        least = min(least, eye_nll[m])
-    for m in range(MODES):
-        nll[m] += min(eye_nll[m] - least, _MAX_EYE_LOG_RATIO)
-
-
-@inlined
 def update_modes(probabilities: FloatArray, nll: FloatArray) -> None:
     """Update the mode probabilities with the negative log-likelihoods of an image."""
-    rest = _REST_BONUS_AT_REST if probabilities[0] > 0.5 else _REST_BONUS_IN_MOTION
-    least = nll[0] - rest
-    for m in range(MODELS):
-        least = min(least, nll[m + 1])
-    total = 0.0
+    rest = _REST_BONUSES[0] if probabilities[0] > 0.5 else _REST_BONUSES[1]
+    least, total = min(nll[0] - rest, nll[1:].min()), 0.0
     for m in range(MODES):
         more = nll[m] - (rest if m == 0 else 0.0) - least
         probabilities[m] = max(probabilities[m] * exp(-min(more, 50.0)), 1e-12)
@@ -336,25 +249,12 @@ def visible_speed_fraction(
 
 @inlined
 def extrapolate_goal(
-    motions: Motions,
-    probabilities: FloatArray,
-    resting_goal: float,
-    joint: int,
-    time_s: float,
-    next_image_due_s: float,
-    visible_speed_fraction: float,
-) -> tuple[float, float]:
-    """Extrapolate a target angle and its rate: the mean over all models.
+    motions: Motions, probabilities: FloatArray, resting_goal: float, joint: int,
+    time_s: float, next_image_due_s: float, visible_speed_fraction: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Mean target angle and rate over all models, a time after the exposure of the newest image.
 
-    Args:
-        motions: motion models of one eye.
-        probabilities: (MODES,) mode probabilities.
-        resting_goal: filtered goal of the target if it rests, rad.
-        joint: index of the joint.
-        time_s: time since the exposure of the newest image, s.
-        next_image_due_s: time by which another image should have shown the target, s.
-        visible_speed_fraction: fraction of its speed at which it is followed after that time, from
-            the function of this name.
+    After the next image is due, only `visible_speed_fraction` of the speed is followed.
     """
     left = exp(-max(time_s - _MAX_EXTRAPOLATION_S, 0.0) / _RETURN_TIME_S)
     slow = visible_speed_fraction * max(min(time_s, _MAX_EXTRAPOLATION_S) - next_image_due_s, 0.0)
@@ -371,8 +271,7 @@ def extrapolate_goal(
         if m == ERRATIC:  # it may have changed direction by then
             share, lasts = visible_speed_fraction, exp(-time_s / _ERRATIC_TIME_S)
             now, turn = lasts * now, turn * _ERRATIC_TIME_S * (1.0 - lasts) / max(time_s, 1e-9)
-        offset += probabilities[m + 1] * (
-            motion.angle[joint] - resting_goal + share * (turn + slow * now)
-        )
+        off = motion.angle[joint] - resting_goal + share * (turn + slow * now)
+        offset += probabilities[m + 1] * off
         rate += probabilities[m + 1] * share * slower * now
     return resting_goal + left * offset, rate

@@ -1,12 +1,9 @@
 """Parameters of the head that the predictor and its control laws use, as one packed row.
 
-Its joints include virtual ones for eyes with fewer than two. The predictor describes a target by
-the two joint angles that would put it on the eye's optical axis. An eye that cannot look in every
-direction, such as one that only pans, gets virtual joints for this; they never move, as no actuator
-turns them.
+The predictor describes a target by the two joint angles that would put it on the eye's optical
+axis. An eye with fewer joints, such as one that only pans, gets virtual ones, which never move.
 """
 
-from collections.abc import Sequence
 from typing import Annotated, Final
 
 import numpy as np
@@ -19,20 +16,11 @@ from vergence.models.kinematics import eye_frames, pack_constants
 from vergence.models.parts import EYES, FloatArray
 
 _MAX_PARALLEL_SQUARED_SINE: Final = 1e-3
-"""Squared sine below which the first joint's axis counts as parallel to the optical axis
-(numerical)."""
+"""Squared sine up to which a first axis is parallel to the optical axis (numerical)."""
 
 
 def with_virtual_joints(head: HeadModel) -> FloatArray:
-    """Pack a head with two joints in each eye.
-
-    Args:
-        head: the model of the head.
-
-    Returns:
-        (PACKED,) the head's own packed row if it has all four joints. Otherwise the cameras have
-        the poses of the head itself at all its joint angles, with the virtual joints at zero.
-    """
+    """(PACKED,) row of a head with two joints in each eye; virtual ones at zero change no pose."""
     lacks = [not name for name in head.joints[EYES]]
     if not any(lacks):
         return head.packed
@@ -48,18 +36,17 @@ def with_virtual_joints(head: HeadModel) -> FloatArray:
         elif second:
             camera = between @ after
             axis = np.cross([0.0, 0.0, 1.0], camera[:3, 2])
-            across = _about(
-                camera, axis if axis @ axis > _MAX_PARALLEL_SQUARED_SINE else camera[:3, 0]
-            )
+            parallel = not axis @ axis > _MAX_PARALLEL_SQUARED_SINE
+            across = _about(camera, camera[:3, 0] if parallel else axis)
             between, after = across, inverse_pose(across) @ camera
         poses[4 + 3 * eye : 7 + 3 * eye] = before, between, after
     return pack_constants(poses, head.cameras.rows, head.actuation)
 
 
-def _about(camera: FloatArray, axis: Sequence[float] | FloatArray) -> FloatArray:
+def _about(camera: FloatArray, axis: FloatArray) -> FloatArray:
     """(4, 4) frame at a camera's origin with its z axis along `axis`, across the optical axis."""
     pose = np.eye(4)
-    z = np.asarray(axis) / np.linalg.norm(axis)
+    z = axis / np.linalg.norm(axis)
     x = camera[:3, 2] - (camera[:3, 2] @ z) * z
     x /= np.linalg.norm(x)
     pose[:3, 0], pose[:3, 1], pose[:3, 2] = x, np.cross(z, x), z
@@ -68,8 +55,7 @@ def _about(camera: FloatArray, axis: Sequence[float] | FloatArray) -> FloatArray
 
 
 _MODEL_MISS_RATIO: Final = 0.008
-"""Miss distance of both eyes' rays to one target, divided by its distance, that model errors cause
-(chosen)."""
+"""Miss distance of two rays to one target per distance that model errors cause (chosen)."""
 _NO_ACCELERATION_LIMIT: Final = 1e6
 """Acceleration limit used for an actuator that has none, rad/s^2 (numerical)."""
 
@@ -82,12 +68,10 @@ _MAX_RESPONSE_LATENCY_S: Final = 0.12
 _LATENCY_ROOM_S: Final = 0.06
 """Least room for it above the latency in the head's model, s (chosen: five prior deviations)."""
 _RESPONSE_WINDOW_S: Final = 0.117
-"""Length of the window of readings to which the response is fitted, s (chosen: noise against
-adaptation)."""
+"""Window of readings to which the response is fitted, s (chosen: noise against adaptation)."""
 _RING_MARGIN: Final = 4
 """Periods by which a ring buffer is longer than what it has to hold (numerical)."""
-_LEAST_WINDOW: Final = 8
-"""Shortest window, in periods (numerical)."""
+_LEAST_WINDOW: Final = 8  # shortest window, in periods (numerical)
 
 
 class PredictorParameters:
@@ -100,8 +84,7 @@ class PredictorParameters:
     period_s: float
     """Control period, s."""
     nominal_delay_s: float
-    """Nominal latency of images (0 if the camera stamps exposures) minus that of joint readings,
-    s."""
+    """Nominal latency of images (0 for stamped exposures) minus that of joint readings, s."""
     image_latency_s: float
     """Nominal latency from exposure to arrival, s; 0 if the camera stamps exposures."""
     response_latency_s: float
@@ -111,8 +94,7 @@ class PredictorParameters:
     response_window: float
     """Length of the window to which the response is fitted, in periods."""
     command_ring: float
-    """Length of the ring buffer of commands, a power of two: those of a window, and of the longest
-    latency before it."""
+    """Length of the ring buffer of commands, a power of two: a window and the latency before."""
     speed_ring: float
     """Length of the ring buffers of velocities, a power of two."""
     sample_periods: float
@@ -154,8 +136,7 @@ class PredictorParameters:
     joint_step: Annotated[FloatArray, 2, 2]
     """Resolution of each eye's joint angles, from that of the encoders, rad."""
     orthogonal_axes: Annotated[FloatArray, 2]
-    """1 for each eye whose two joint axes and optical axis are at right angles at zero, otherwise
-    0."""
+    """1 for an eye whose joint axes and optical axis are at right angles at zero, otherwise 0."""
 
 
 PREDICTOR_PARAMETERS: Final = row_layout(PredictorParameters)
@@ -165,60 +146,40 @@ _MAX_ORTHOGONAL_COSINE: Final = 0.1
 
 
 def pack_predictor_parameters(head: HeadModel, targets_move: bool = True) -> FloatArray:
-    """Pack the `PredictorParameters` of a head into a row.
-
-    Args:
-        head: the model of the head.
-        targets_move: True if targets may move.
-
-    Returns:
-        A row of the layout `PREDICTOR_PARAMETERS`.
-    """
+    """Pack the `PredictorParameters` of a head into a row; `targets_move` if they may move."""
     timing, sensor, actuation = head.timing, head.sensor, head.actuation
     leverage = np.abs(actuation.to_joints).max(axis=0)
     packed = with_virtual_joints(head)
     pixel_rad = 1.0 / float(np.mean(head.cameras.focal))
-    moves = actuation.velocity[EYES] > 0.0
+    # a finite number instead of infinity, which is slow; also where there is no actuator
+    acceleration = np.minimum(actuation.acceleration[EYES], _NO_ACCELERATION_LIMIT)
+    acceleration[~(actuation.velocity[EYES] > 0.0)] = _NO_ACCELERATION_LIMIT
+    image_latency_s = 0.0 if timing.exposure_stamps else timing.latency_s
     response_latency_s = timing.command_latency_s + timing.feedback_latency_s
     longest_s = max(_MAX_RESPONSE_LATENCY_S, response_latency_s + _LATENCY_ROOM_S)
     window = max(int(_RESPONSE_WINDOW_S / timing.period_s + 0.5), _LEAST_WINDOW)
     return make_row(
         PREDICTOR_PARAMETERS,
-        period_s=timing.period_s,
-        nominal_delay_s=(0.0 if timing.exposure_stamps else timing.latency_s)
-        - timing.feedback_latency_s,
-        image_latency_s=0.0 if timing.exposure_stamps else timing.latency_s,
-        response_latency_s=response_latency_s,
-        max_response_latency_s=longest_s,
-        response_window=window,
+        period_s=timing.period_s, frame_period_s=1.0 / timing.frame_rate_hz, lag_s=timing.lag_s,
+        nominal_delay_s=image_latency_s - timing.feedback_latency_s,
+        image_latency_s=image_latency_s,
+        response_latency_s=response_latency_s, max_response_latency_s=longest_s,
+        response_window=window, speed_ring=_ring_length(window),
         command_ring=_ring_length(window + longest_s / timing.period_s),
-        speed_ring=_ring_length(window),
         sample_periods=np.ceil(_MIN_RING_S * timing.control_rate_hz / (RING_LENGTH - 4)),
-        lag_s=timing.lag_s,
-        pixel_rad=pixel_rad,
-        detection_noise_px=sensor.detection_noise_px,
+        pixel_rad=pixel_rad, detection_noise_px=sensor.detection_noise_px,
         command_step=sensor.command_resolution_rad_s,
-        frame_period_s=1.0 / timing.frame_rate_hz,
         max_slip_rad_s=min(sensor.max_smear_px * pixel_rad / max(timing.exposure_s, 1e-6), 1e6),
-        targets_move=targets_move,
-        max_miss_ratio=_MODEL_MISS_RATIO,
-        lag_ratio=actuation.lag_ratio[EYES],
-        angle_step=actuation.angle_step[EYES],
-        speed_step=actuation.speed_step[EYES],
-        speed_limit=actuation.velocity[EYES],
-        # a finite number instead of infinity, which is slow; also where there is no actuator
-        acceleration_limit=np.where(
-            moves,
-            np.minimum(actuation.acceleration[EYES], _NO_ACCELERATION_LIMIT),
-            _NO_ACCELERATION_LIMIT,
-        ),
-        lower=actuation.lower[EYES],
-        upper=actuation.upper[EYES],
+        targets_move=targets_move, max_miss_ratio=_MODEL_MISS_RATIO,
+        lag_ratio=actuation.lag_ratio[EYES], angle_step=actuation.angle_step[EYES],
+        speed_step=actuation.speed_step[EYES], speed_limit=actuation.velocity[EYES],
+        acceleration_limit=acceleration,
+        lower=actuation.lower[EYES], upper=actuation.upper[EYES],
         max_joint_per_actuator=np.where(leverage > 0.0, leverage, 1.0),
         moves_eye=actuator_moves_eye(head),
-        joint_step=joint_resolutions(head).reshape(2, 2),
+        joint_step=(np.abs(actuation.to_joints) * actuation.angle_step[EYES]).sum(1).reshape(2, 2),
         orthogonal_axes=[_is_orthogonal(packed, eye) for eye in range(2)],
-    )
+    )  # fmt: skip
 
 
 def _ring_length(periods: float) -> int:
@@ -230,12 +191,6 @@ def actuator_moves_eye(head: HeadModel) -> NDArray[np.bool_]:
     """(4, 2) True where an actuator turns an eye."""
     turns = head.actuation.to_joints != 0.0
     return np.asarray(turns.reshape(2, 2, 4).any(axis=1).T)
-
-
-def joint_resolutions(head: HeadModel) -> FloatArray:
-    """(4,) resolution of the eyes' joint angles, from that of the encoders, rad."""
-    steps: FloatArray = (np.abs(head.actuation.to_joints) * head.actuation.angle_step[EYES]).sum(1)
-    return steps
 
 
 def _is_orthogonal(packed: FloatArray, eye: int) -> bool:

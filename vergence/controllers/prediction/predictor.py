@@ -10,10 +10,8 @@ commands still in transit. Where actuators couple the eyes' joints, the angle le
 actuator follows from the goals of all joints, see `vergence.controllers.prediction.aim`.
 
 All times are on the clock of the joint readings, so only two combinations of latencies matter: the
-sum of command and reading latency, and the difference of image and reading latency. Both are
-estimated on line, together with lag, acceleration and speed gains, see
-`vergence.controllers.prediction.delay` and `vergence.controllers.prediction.response`. Goals are
-filtered over images, see `vergence.controllers.prediction.goals`.
+sum of command and reading latency (`vergence.controllers.prediction.response`), and the difference
+of image and reading latency (`vergence.controllers.prediction.delay`), both estimated on line.
 """
 
 from math import exp, isfinite, sqrt
@@ -43,7 +41,7 @@ from vergence.controllers.prediction.parameters import (
 )
 from vergence.controllers.prediction.response import (
     Rings,
-    command_at,
+    ring_at,
     selected_model,
     state_at_command_effect,
 )
@@ -63,8 +61,7 @@ from vergence.models.kinematics import PackedHead, eye_joint_angle, has_motor_pe
 from vergence.models.parts import FloatArray
 
 MAX_IMAGE_LATENCY_S: Final = 0.25
-"""Longest nominal latency of images that is accepted, s (numerical: limited by the ring buffer of
-angles)."""
+"""Longest nominal latency of images that is accepted, s (numerical: the ring buffer of angles)."""
 _RATE_DIFFERENCE_S: Final = 0.01
 """Interval of the finite difference for rates of coupled actuators, s (numerical)."""
 _LATENCY_MARGIN_SIGMAS: Final = 0.5
@@ -81,8 +78,7 @@ class Prediction:
     """
 
     angle_error: Annotated[FloatArray, 4]
-    """Angles that each actuator still has to turn at that time, rad; 0 for one that moves no eye
-    whose target is known."""
+    """Angles that actuators have yet to turn then, rad; 0 if they move no eye of known target."""
     pixel_error: Annotated[FloatArray, 2, 2]
     """Pixel errors at that time, undistorted, px; nan where not known."""
     known: Annotated[FloatArray, 2]
@@ -98,18 +94,15 @@ class Prediction:
     speed_gain: Annotated[FloatArray, 4]
     """Ratio of steady velocity to command."""
     goal_rates: Annotated[FloatArray, 4]
-    """Rates at which the angles left to turn grow while the actuators rest, rad/s; 0 for resting
-    targets."""
+    """Rates at which `angle_error` grows at rest of the actuators, rad/s; 0 for resting targets."""
     goal_rates_at_effect: Annotated[FloatArray, 4]
     """These rates when a command given now shows in the motion, a lag and half a period later."""
     image_delay_s: float
     """Latency of images minus that of joint readings, s."""
     lag_s: float
-    """Lag of velocities behind commands, s: the lag in the head's timing, to which each actuator
-    has its own ratio."""
+    """Lag of velocities behind commands, s, to which each actuator has its own ratio."""
     build_up: float
-    """Build-up of the lag, see `vergence.controllers.prediction.response`; 0 for a first-order
-    lag."""
+    """Build-up of the lag, see `vergence.controllers.prediction.response`; 0 if first-order."""
     response_latency_s: float
     """Latency of commands plus that of joint readings, s."""
     response_latency_sd_s: float
@@ -121,11 +114,9 @@ class Prediction:
     noise_rad: float
     """Detection noise divided by the focal length, standard deviation, rad."""
     response_misfit: float
-    """Mean squared normalised residual of the response model; 0 before the first window of the fit
-    has ended."""
+    """Mean squared normalised residual of the response model; 0 before the first window's end."""
     half_swing_count: float
-    """Decayed count of half swings of sustained oscillation about the goals, see
-    `vergence.controllers.prediction.oscillation`."""
+    """Decayed count of half swings, see `vergence.controllers.prediction.oscillation`."""
 
 
 PREDICTION: Final = row_layout(Prediction)
@@ -156,30 +147,24 @@ class SmithPredictor:
     """
 
     def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
+        self, *, head: HeadModel, layout: ObservationLayout,
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
         targets_move: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         for name, value in (("delay", delay), ("lag", lag)):
             if value not in ("estimated", "nominal"):
-                raise ConfigurationError(
-                    f"{name}: expected 'estimated' or 'nominal', got {value!r}"
-                )
+                expected = f"{name}: expected 'estimated' or 'nominal'"
+                raise ConfigurationError(f"{expected}, got {value!r}")
         if head.timing.latency_s > MAX_IMAGE_LATENCY_S + 1e-9:
             raise ConfigurationError(
                 f"head: expected a latency of at most {MAX_IMAGE_LATENCY_S:g} s, "
                 f"got {head.timing.latency_s:g} s"
             )
-        self.head = head
-        self.layout = layout
+        self.head, self.layout = head, layout
         self._packed = with_virtual_joints(head)
         self.params = pack_predictor_parameters(head, targets_move)
-        self._learn_delay = delay == "estimated"
-        self._learn_response = lag == "estimated"
+        self._learn_delay, self._learn_response = delay == "estimated", lag == "estimated"
         self._initial = initial_predictor_row(
             self.params, head.timing.exposure_stamps, self._learn_delay, self._learn_response
         )
@@ -210,9 +195,9 @@ class SmithPredictor:
             (..., PREDICTION_SIZE) the `Prediction` for a command given now; `prediction_fields`
             names its numbers.
         """
-        leading = state.shape[:-1]
         rows = state.reshape(-1, state.shape[-1])
-        present = np.empty((*leading, PREDICTION_SIZE))
+        present = np.empty((*state.shape[:-1], PREDICTION_SIZE))
+        present_rows = present.reshape(-1, PREDICTION_SIZE)
         _update(
             rows,
             np.ascontiguousarray(seen.positions).reshape(-1, 7),
@@ -220,50 +205,40 @@ class SmithPredictor:
             np.ascontiguousarray(seen.last_command).reshape(-1, 4),
             np.ascontiguousarray(seen.image_age_s).reshape(-1),
             np.ascontiguousarray(seen.pixel_error).reshape(-1, 2, 2),
-            self.params,
-            self._packed,
-            self._learn_delay,
-            self._learn_response,
-            present.reshape(-1, PREDICTION_SIZE),
-        )
+            self.params, self._packed, self._learn_delay, self._learn_response, present_rows,
+        )  # fmt: skip
         if not self.head.actuation.direct:
-            _fill_coupled(rows, self.params, self._packed, present.reshape(-1, PREDICTION_SIZE))
+            _fill_coupled(rows, self.params, self._packed, present_rows)
         return present
 
 
 @inlined
 def _update_goals(
-    state: PredictorState,
-    params: PredictorParameters,
-    age_s: float,
-    error: FloatArray,
-    p: PackedHead,
-    learn_delay: bool,
-) -> None:
+    state: PredictorState, params: PredictorParameters, age_s: float, error: FloatArray,
+    p: PackedHead, learn_delay: bool,
+) -> None:  # fmt: skip
     """Update with the newest image if it is new; drop goals unseen for `MAX_UNSEEN_S`."""
+    target = state.target
     fresh = is_fresh(age_s, state.image_age_s, params.period_s)
     state.image_age_s = age_s
     for eye in range(2):
-        state.target.unseen_periods[eye] += 1.0
+        target.unseen_periods[eye] += 1.0
         if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
-            state.target.unseen_periods[eye] = 0.0
-    if state.target.unseen_periods[0] == 0.0 or state.target.unseen_periods[1] == 0.0:
+            target.unseen_periods[eye] = 0.0
+    if target.unseen_periods[0] == 0.0 or target.unseen_periods[1] == 0.0:
         update_with_image(state, params, error, p, learn_delay)
     for eye in range(2):
-        unseen = state.target.unseen_periods[eye]
+        unseen = target.unseen_periods[eye]
         # the other eye shows where a moving target is
         if params.targets_move > 0.5 and state.motion.probabilities[0] < 0.5:
-            unseen = min(unseen, state.target.unseen_periods[1 - eye])
+            unseen = min(unseen, target.unseen_periods[1 - eye])
         if unseen > round(MAX_UNSEEN_S / params.period_s):
-            state.target.known[eye] = 0.0
+            target.known[eye] = 0.0
 
 
 @inlined
 def _hold_against_friction(
-    state: PredictorState,
-    rings: Rings,
-    params: PredictorParameters,
-    present: Prediction,
+    state: PredictorState, rings: Rings, params: PredictorParameters, present: Prediction
 ) -> None:
     """Take actuators that friction holds near their goals for at rest on them."""
     response = state.response
@@ -271,7 +246,7 @@ def _hold_against_friction(
     for j in range(4):
         shown_s = model.parameters[0] + 2.0 * params.lag_ratio[j] * exp(model.parameters[2])
         earlier = min(shown_s, params.max_response_latency_s) / params.period_s
-        acting = exp(model.log_gain[j]) * command_at(rings, tick - 1 - int(earlier), j)
+        acting = exp(model.log_gain[j]) * ring_at(rings.commands, tick - 1 - int(earlier), j)
         error, moves = present.angle_error[j], present.goal_rates[j] != 0.0
         present.angle_error[j], rests = error_to_correct(
             state.friction, params, state.periods, j, response.angles[j],
@@ -283,34 +258,28 @@ def _hold_against_friction(
 
 @inlined
 def _fill_prediction(
-    state: PredictorState,
-    rings: Rings,
-    params: PredictorParameters,
-    p: PackedHead,
+    state: PredictorState, rings: Rings, params: PredictorParameters, p: PackedHead,
     present: Prediction,
-) -> None:
+) -> None:  # fmt: skip
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = state.response, has_motor_per_joint(p)
     model = selected_model(response)
     sd = sqrt(max(model.variance[0], 0.0))
     latency = min(model.parameters[0] + _LATENCY_MARGIN_SIGMAS * sd, params.max_response_latency_s)
     for j in range(4):
-        q, v = state.joints.actuator_angles[j], state.joints.velocity[j]
         q, v, w = state_at_command_effect(
-            response, rings, params, int(state.periods), j, q, v, latency
-        )
+            response, rings, params, int(state.periods), j, state.joints.actuator_angles[j],
+            state.joints.velocity[j], latency,
+        )  # fmt: skip
         present.actuator_angles[j] = min(max(q, params.lower[j]), params.upper[j])
         present.velocities[j], present.accelerations[j] = v, w
         present.speed_gain[j] = exp(model.log_gain[j])
-    extrapolate_targets(
-        state, params, exp(model.parameters[2]), state.periods + latency / params.period_s
-    )
-    for j in range(4):
-        present.positions[j] = present.actuator_angles[j]
-        if not direct:
-            present.positions[j] = eye_joint_angle(p, j, present.actuator_angles)
+    lag_s, effect = exp(model.parameters[2]), state.effect
+    extrapolate_targets(state, params, lag_s, state.periods + latency / params.period_s)
+    present.positions[:], present.known[:] = present.actuator_angles, state.target.known
+    for j in range(0 if direct else 4):
+        present.positions[j] = eye_joint_angle(p, j, present.actuator_angles)
     for eye in range(2):
-        present.known[eye] = state.target.known[eye]
         first, second = present.positions[2 * eye], present.positions[2 * eye + 1]
         u, v = predict_pixel_error(state, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
@@ -318,15 +287,15 @@ def _fill_prediction(
         present.angle_error[j] = present.goal_rates[j] = present.goal_rates_at_effect[j] = 0.0
         # `_fill_coupled` computes this for coupled joints
         if direct and present.known[j // 2] > 0.5:
-            aim, rate = state.effect.goals[j // 2, j % 2], state.effect.rates[j // 2, j % 2]
+            aim = effect.goals[j // 2, j % 2]
             goal = min(max(aim, params.lower[j]), params.upper[j])
             present.angle_error[j] = goal - present.actuator_angles[j]
             if goal == aim:
-                present.goal_rates[j] = rate
-                present.goal_rates_at_effect[j] = state.effect.later_rates[j // 2, j % 2]
+                present.goal_rates[j] = effect.rates[j // 2, j % 2]
+                present.goal_rates_at_effect[j] = effect.later_rates[j // 2, j % 2]
     if direct:
         _hold_against_friction(state, rings, params, present)
-    present.image_delay_s, present.lag_s = state.delays.mean_s, exp(model.parameters[2])
+    present.image_delay_s, present.lag_s = state.delays.mean_s, lag_s
     present.build_up = model.parameters[3]
     present.response_latency_s, present.response_latency_sd_s = model.parameters[0], sd
     present.acceleration_ratio = exp(model.parameters[1])
@@ -338,18 +307,10 @@ def _fill_prediction(
 
 @compiled
 def _update(
-    rows: FloatArray,
-    positions: FloatArray,
-    velocities: FloatArray,
-    command: FloatArray,
-    age_s: FloatArray,
-    error: FloatArray,
-    params_row: FloatArray,
-    p: PackedHead,
-    learn_delay: bool,
-    learn_response: bool,
-    present_rows: FloatArray,
-) -> None:
+    rows: FloatArray, positions: FloatArray, velocities: FloatArray, command: FloatArray,
+    age_s: FloatArray, error: FloatArray, params_row: FloatArray, p: PackedHead,
+    learn_delay: bool, learn_response: bool, present_rows: FloatArray,
+) -> None:  # fmt: skip
     params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
     for n in range(rows.shape[0]):
         state: PredictorState = record_view(rows[n][:PREDICTOR_STATE_SIZE], PREDICTOR_STATE)
@@ -376,55 +337,26 @@ def _fill_coupled(
 ) -> None:
     """Compute the angles left to turn where actuators couple the eyes' joints."""
     params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
-    goals, ahead, jacobian = np.zeros(4), np.zeros(4), np.zeros((2, 2, 2))
-    later, shown = np.zeros((2, 2)), np.zeros(4)
+    goals, ahead, shown = np.zeros(4), np.zeros(4), np.zeros(4)
     for n in range(rows.shape[0]):
         state: PredictorState = record_view(rows[n][:PREDICTOR_STATE_SIZE], PREDICTOR_STATE)
         present: Prediction = record_view(present_rows[n], PREDICTION)
-        left, right = present.known[0] > 0.5, present.known[1] > 0.5
-        if not (left or right):
+        effect, depth, known = state.effect, state.target.fixated_depth, present.known
+        if known[0] < 0.5 and known[1] < 0.5:
             continue
-        rings = rings_in(rows[n], params)
-        depth_l, depth_r = state.target.fixated_depth[0], state.target.fixated_depth[1]
-        least_squares_actuators(
-            p,
-            state.effect.goals,
-            depth_l,
-            depth_r,
-            left,
-            right,
-            present.actuator_angles,
-            jacobian,
-            goals,
-        )
-        moves = False
-        for eye in range(2):
-            for joint in range(2):
-                moves = moves or state.effect.rates[eye, joint] != 0.0
+        angles = present.actuator_angles
+        least_squares_actuators(p, effect.goals, depth, known, angles, goals)
+        moves = effect.rates.any()
         if moves:
-            for eye in range(2):
-                for joint in range(2):
-                    turn = _RATE_DIFFERENCE_S * state.effect.rates[eye, joint]
-                    later[eye, joint] = state.effect.goals[eye, joint] + turn
-            least_squares_actuators(
-                p, later, depth_l, depth_r, left, right, present.actuator_angles, jacobian, ahead
-            )
-            for eye in range(2):
-                for joint in range(2):
-                    turn = _RATE_DIFFERENCE_S * state.effect.later_rates[eye, joint]
-                    later[eye, joint] = state.effect.goals[eye, joint] + turn
-            least_squares_actuators(
-                p, later, depth_l, depth_r, left, right, present.actuator_angles, jacobian, shown
-            )
+            later = effect.goals + _RATE_DIFFERENCE_S * effect.rates
+            least_squares_actuators(p, later, depth, known, angles, ahead)
+            later = effect.goals + _RATE_DIFFERENCE_S * effect.later_rates
+            least_squares_actuators(p, later, depth, known, angles, shown)
         for j in range(4):
-            if (
-                params.moves_eye[j, 0] * present.known[0]
-                + params.moves_eye[j, 1] * present.known[1]
-                > 0.0
-            ):
+            if params.moves_eye[j, 0] * known[0] + params.moves_eye[j, 1] * known[1] > 0.0:
                 goal = min(max(goals[j], params.lower[j]), params.upper[j])
-                present.angle_error[j] = goal - present.actuator_angles[j]
+                present.angle_error[j] = goal - angles[j]
                 if moves and goal == goals[j]:
                     present.goal_rates[j] = (ahead[j] - goals[j]) / _RATE_DIFFERENCE_S
                     present.goal_rates_at_effect[j] = (shown[j] - goals[j]) / _RATE_DIFFERENCE_S
-        _hold_against_friction(state, rings, params, present)
+        _hold_against_friction(state, rings_in(rows[n], params), params, present)

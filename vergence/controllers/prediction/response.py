@@ -10,20 +10,15 @@ the ratio, the lag and the build-up are common to the four actuators; each has i
 
 Two models are fitted on line, side by side: a plain one with a first-order lag, m = 0, and one with
 a second-order lag, for a servo with an underdamped loop. The second one is used once it explains
-the readings better by more than chance.
-
-The readings carry evidence on the response while something moves. In each period, one Gauss-Newton
+the readings better by more than chance. In each period in which something moves, one Gauss-Newton
 step fits the motion simulated with the model parameters to the readings of a window of recent
 periods; the posterior of earlier windows is the prior. The fitted readings are the velocities if
 these are known to be prompt (`vergence.controllers.prediction.state`), otherwise mean velocities
 from differences of angles, because a low-pass filter in the velocity feedback would be mistaken for
 lag. The actuators' speed gains are eliminated by a Schur complement. The cost has no slope in a
 latency that exceeds the age of the window's first command. Therefore a few other parameter values
-are tried in each period while the fit is bad, and the fit continues from the best one.
-
-The residuals widen the covariance: a head that does not move as the model says is not well known.
-The model with a build-up has one more parameter and is used only once the residuals of the plain
-model exceed its own by more than chance.
+are tried in each period while the fit is bad, and the fit continues from the best one. The
+residuals widen the covariance: a head that does not move as the model says is not well known.
 """
 
 from math import exp, isfinite, log
@@ -33,7 +28,7 @@ import numpy as np
 
 from vergence.controllers.prediction.parameters import PredictorParameters
 from vergence.kernels import inlined, subroutine
-from vergence.models.motion import follow_held_command, prepare_held_response
+from vergence.models.motion import HeldResponse, follow_held_command, prepare_held_response
 from vergence.models.parts import FloatArray
 
 FIRST_ORDER: Final = 0
@@ -42,20 +37,13 @@ SECOND_ORDER: Final = 1
 """Index of the model with build-up (numerical)."""
 RESPONSE_MODELS: Final = 2
 """Number of response models (numerical)."""
-_LATENCY_SD_S: Final = 0.012
-"""Prior standard deviation of the latency about its nominal value, s (chosen)."""
+_PRIOR_SDS: Final = (0.012, 0.35, 0.45, 0.7)
+"""Prior standard deviations of the parameters of a `ResponseModel` (chosen)."""
 _FALLBACK_LATENCY_S: Final = 0.01
 """Prior mean of the latency if the head's model has none, s (chosen)."""
-_LOG_ACCELERATION_SD: Final = 0.35
-"""Prior standard deviation of the log acceleration ratio (chosen)."""
-_LOG_LAG_SD: Final = 0.45
-"""Prior standard deviation of the log lag (chosen)."""
 _PRIOR_BUILD_UP: Final = 0.8
 """Prior mean of the build-up in the model that has one: a servo with 12 % overshoot (chosen)."""
-_BUILD_UP_SD: Final = 0.7
-"""Prior standard deviation of the build-up (chosen)."""
-_MIN_PRIOR_LAG_S: Final = 0.004
-"""Lower bound of the prior lag, s (chosen)."""
+_MIN_PRIOR_LAG_S: Final = 0.004  # lower bound of the prior lag, s (chosen)
 
 
 class ResponseModel:
@@ -65,47 +53,29 @@ class ResponseModel:
     and build-up. Gains and accelerations are by actuator.
     """
 
-    parameters: Annotated[FloatArray, 4]
-    """Estimated parameters."""
-    variance: Annotated[FloatArray, 4]
-    """Their variances."""
-    prior: Annotated[FloatArray, 4]
-    """Parameters before the present window."""
-    information: Annotated[FloatArray, 4]
-    """Inverse variances of `prior`."""
-    log_gain: Annotated[FloatArray, 4]
-    """Logarithms of the actuators' speed gains."""
-    log_gain_prior: Annotated[FloatArray, 4]
-    """These logarithms before the present window."""
-    accelerations: Annotated[FloatArray, 4]
-    """Actuator accelerations at the start of the window, rad/s^2."""
-    misfit: float
-    """Mean squared normalised residual of the last fit."""
-    squared_residual_sum: float
-    """Sum of the squared normalised residuals of the last fit."""
+    parameters: Annotated[FloatArray, 4]  # estimated parameters
+    variance: Annotated[FloatArray, 4]  # their variances
+    prior: Annotated[FloatArray, 4]  # parameters before the present window
+    information: Annotated[FloatArray, 4]  # inverse variances of `prior`
+    log_gain: Annotated[FloatArray, 4]  # logarithms of the actuators' speed gains
+    log_gain_prior: Annotated[FloatArray, 4]  # these logarithms before the present window
+    accelerations: Annotated[FloatArray, 4]  # at the start of the window, rad/s^2
+    misfit: float  # mean squared normalised residual of the last fit
+    squared_residual_sum: float  # sum of the squared normalised residuals of the last fit
 
 
 class ResponseIdentification:
     """State of the on-line identification of the actuators' response."""
 
     models: Annotated[list[ResponseModel], RESPONSE_MODELS]
-    selected: float
-    """Index of the model in use."""
-    second_order_evidence: float
-    """Decayed excess, over earlier windows, of the plain model's squared normalised residuals over
-    those of the model with build-up."""
-    windows: float
-    """Number of windows that have ended."""
-    window_begin: float
-    """Period at which the present window begins; negative for none."""
-    window_end: float
-    """Period at which the previous window ended."""
-    accelerations: Annotated[FloatArray, 4]
-    """Present accelerations predicted from the commands, rad/s^2."""
-    prompt_velocities: float
-    """1 if velocities are read without delay, otherwise 0."""
-    angles: Annotated[FloatArray, 4]
-    """Last measured angles, rad."""
+    selected: float  # index of the model in use
+    second_order_evidence: float  # decayed excess of the plain model's residuals in old windows
+    windows: float  # number of windows that have ended
+    window_begin: float  # period at which the present window begins; negative for none
+    window_end: float  # period at which the previous window ended
+    accelerations: Annotated[FloatArray, 4]  # present ones by the commands, rad/s^2
+    prompt_velocities: float  # 1 if velocities are read without delay, otherwise 0
+    angles: Annotated[FloatArray, 4]  # last measured angles, rad
 
 
 class Rings(NamedTuple):
@@ -114,36 +84,23 @@ class Rings(NamedTuple):
     Their lengths are powers of two; period k is at index k modulo the length.
     """
 
-    commands: FloatArray
-    """(C, 4) commands, rad/s."""
-    speeds: FloatArray
-    """(S, 4) actuator velocities at the end of each period, rad/s: measured if the readings are
-    prompt, otherwise estimated by the observer."""
-    mean_speeds: FloatArray
-    """(S, 4) mean velocities in each period, from differences of measured angles, rad/s."""
+    commands: FloatArray  # (C, 4) commands, rad/s
+    speeds: FloatArray  # (S, 4) velocities at the ends of periods, rad/s: estimated unless prompt
+    mean_speeds: FloatArray  # (S, 4) mean velocities in periods, from measured angles, rad/s
 
 
 def initial_response_models(
     response_latency_s: float, lag_s: float, learn: bool
 ) -> dict[str, object]:
-    """Initial fields of the `RESPONSE_MODELS`, before the head has moved.
-
-    Args:
-        response_latency_s: nominal latency of commands plus readings, s.
-        lag_s: nominal lag, s.
-        learn: True to identify the response; False gives the nominal values zero variance.
-    """
+    """Fields of the models before the head has moved; without variance if nothing is learned."""
     latency = response_latency_s if response_latency_s > 0.0 or not learn else _FALLBACK_LATENCY_S
     plain = (latency, 0.0, log(max(lag_s, _MIN_PRIOR_LAG_S)), 0.0)
     known = [plain, (*plain[:3], _PRIOR_BUILD_UP)]
-    sds = np.array([_LATENCY_SD_S, _LOG_ACCELERATION_SD, _LOG_LAG_SD, _BUILD_UP_SD])
+    variance = np.array(_PRIOR_SDS) ** 2
     return {
-        "parameters": known,
-        "prior": known,
-        "variance": sds**2 if learn else np.zeros(4),
-        "information": 1.0 / sds**2,
-        "misfit": 1.0,
-    }
+        "parameters": known, "prior": known, "variance": variance if learn else np.zeros(4),
+        "information": 1.0 / variance, "misfit": 1.0,
+    }  # fmt: skip
 
 
 @inlined
@@ -153,24 +110,10 @@ def selected_model(response: ResponseIdentification) -> ResponseModel:
 
 
 @inlined
-def command_at(rings: Rings, tick: int, j: int) -> float:
-    """Return an actuator's command in a period, rad/s."""
-    command: float = rings.commands[np.uintp(tick & (len(rings.commands) - 1)), j]
-    return command
-
-
-@inlined
-def speed_at(rings: Rings, tick: int, j: int) -> float:
-    """Return an actuator's velocity at the end of a period, rad/s."""
-    speed: float = rings.speeds[np.uintp(tick & (len(rings.speeds) - 1)), j]
-    return speed
-
-
-@inlined
-def mean_speed_at(rings: Rings, tick: int, j: int) -> float:
-    """Return an actuator's mean velocity in a period, from measured angles, rad/s."""
-    speed: float = rings.mean_speeds[np.uintp(tick & (len(rings.speeds) - 1)), j]
-    return speed
+def ring_at(ring: FloatArray, tick: int, j: int) -> float:
+    """Return an actuator's value of a period."""
+    value: float = ring[np.uintp(tick & (len(ring) - 1)), j]
+    return value
 
 
 @inlined
@@ -182,146 +125,118 @@ def quantise_with_dead_zone(params: PredictorParameters, command: float) -> floa
     return params.command_step * count if abs(count) > 1.0 else 0.0
 
 
-@inlined
-def simulate_period(
-    response: ResponseIdentification,
-    rings: Rings,
-    model: ResponseModel,
-    params: PredictorParameters,
-    tick: int,
-    actuator: int,
-    angle: float,
-    velocity: float,
-    acceleration: float,
-) -> tuple[float, float, float]:
-    """Simulate one actuator with a response model over one period, from the end of period `tick`.
+class _Simulation(NamedTuple):
+    """An actuator over a period, in which the command that acts changes once."""
 
-    Return its angle, velocity and acceleration at the end.
-    """
-    latency, lag = model.parameters[0], params.lag_ratio[actuator] * exp(model.parameters[2])
-    a, gain = (
-        params.acceleration_limit[actuator] * exp(model.parameters[1]),
-        exp(model.log_gain[actuator]),
-    )
+    gain: float  # ratio of steady velocity to command
+    whole: int  # whole periods of the latency
+    rest_s: float  # rest of the latency, until the next command acts, s
+    before: HeldResponse  # response to the command before, for the rest
+    after: HeldResponse  # response to the command after it, until the end of the period
+
+
+@inlined
+def _prepare(
+    params: PredictorParameters, j: int,
+    latency: float, log_ratio: float, log_lag: float, build_up: float, log_gain: float,
+) -> _Simulation:  # fmt: skip
+    """Prepare the simulation of an actuator with parameter values of a `ResponseModel`."""
+    lag, a = params.lag_ratio[j] * exp(log_lag), params.acceleration_limit[j] * exp(log_ratio)
     whole = int(latency / params.period_s + 1e-9)
     rest = latency - whole * params.period_s
-    if rest > 1e-9:
-        u = gain * command_at(rings, tick - whole - 1, actuator)
-        angle, velocity, acceleration = follow_held_command(
-            angle,
-            velocity,
-            acceleration,
-            u,
-            prepare_held_response(lag, model.parameters[3], a, rest),
-        )
-    u, time = gain * command_at(rings, tick - whole, actuator), params.period_s - rest
-    return follow_held_command(
-        angle, velocity, acceleration, u, prepare_held_response(lag, model.parameters[3], a, time)
-    )
+    return _Simulation(
+        exp(log_gain), whole, rest, prepare_held_response(lag, build_up, a, rest),
+        prepare_held_response(lag, build_up, a, params.period_s - rest),
+    )  # fmt: skip
+
+
+@inlined
+def _prepare_model(
+    params: PredictorParameters, model: ResponseModel, j: int, latency: float
+) -> _Simulation:
+    """Prepare the simulation of an actuator with a model, but another latency, s."""
+    known = model.parameters
+    return _prepare(params, j, latency, known[1], known[2], known[3], model.log_gain[j])
+
+
+@inlined
+def _advance(
+    simulation: _Simulation, commands: FloatArray, tick: int, j: int, q: float, v: float, w: float
+) -> tuple[float, float, float]:
+    """Angle, velocity and acceleration of an actuator a period after the end of period `tick`."""
+    u = simulation.gain * ring_at(commands, tick - simulation.whole - 1, j)
+    q, v, w = follow_held_command(q, v, w, u, simulation.before)
+    u = simulation.gain * ring_at(commands, tick - simulation.whole, j)
+    return follow_held_command(q, v, w, u, simulation.after)
+
+
+@inlined
+def simulate_period(
+    rings: Rings, model: ResponseModel, params: PredictorParameters, tick: int, j: int,
+    q: float, v: float, w: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Angle, velocity and acceleration of an actuator a period after the end of period `tick`."""
+    simulation = _prepare_model(params, model, j, model.parameters[0])
+    if simulation.rest_s > 1e-9:
+        return _advance(simulation, rings.commands, tick, j, q, v, w)
+    u = simulation.gain * ring_at(rings.commands, tick - simulation.whole, j)
+    return follow_held_command(q, v, w, u, simulation.after)
 
 
 @inlined
 def state_at_command_effect(
-    response: ResponseIdentification,
-    rings: Rings,
-    params: PredictorParameters,
-    tick: int,
-    j: int,
-    q: float,
-    v: float,
-    latency: float,
-) -> tuple[float, float, float]:
-    """Predict an actuator's state at the time the next command begins to act.
-
-    Returns angle, velocity and acceleration on the clock of the readings.
-
-    Args:
-        response: state of the identification.
-        rings: the head's ring buffers.
-        params: the head's parameters.
-        tick: the period that has ended.
-        j: index of the actuator.
-        q: its present angle, rad.
-        v: its present velocity, rad/s.
-        latency: time until the command acts, s.
-    """
+    response: ResponseIdentification, rings: Rings, params: PredictorParameters, tick: int, j: int,
+    q: float, v: float, latency: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """State of an actuator when the next command acts, a latency, s, after period `tick`."""
     model = selected_model(response)
-    lag, build_up = params.lag_ratio[j] * exp(model.parameters[2]), model.parameters[3]
-    a, gain = params.acceleration_limit[j] * exp(model.parameters[1]), exp(model.log_gain[j])
-    w = response.accelerations[j]
-    whole = int(latency / params.period_s + 1e-9)
-    rest = latency - whole * params.period_s
-    if rest > 1e-9:
-        u = gain * command_at(rings, tick - whole - 1, j)
-        q, v, w = follow_held_command(q, v, w, u, prepare_held_response(lag, build_up, a, rest))
-    held = prepare_held_response(lag, build_up, a, params.period_s)
+    simulation, w = _prepare_model(params, model, j, latency), response.accelerations[j]
+    whole, lag, a = simulation.whole, simulation.before.lag_s, simulation.before.max_acceleration
+    if simulation.rest_s > 1e-9:
+        u = simulation.gain * ring_at(rings.commands, tick - whole - 1, j)
+        q, v, w = follow_held_command(q, v, w, u, simulation.before)
+    held = prepare_held_response(lag, model.parameters[3], a, params.period_s)
     for i in range(whole):
-        u = gain * command_at(rings, tick - whole + i, j)
+        u = simulation.gain * ring_at(rings.commands, tick - whole + i, j)
         q, v, w = follow_held_command(q, v, w, u, held)
     return q, v, w
 
 
-_GAIN_SD: Final = 0.08
-"""Prior standard deviation of the logarithm of a speed gain (chosen)."""
-_LAGS_S: Final = (0.004, 0.12)
-"""Bounds of the lag, s (chosen: the range of known servos)."""
+_GAIN_SD: Final = 0.08  # prior standard deviation of the logarithm of a speed gain (chosen)
+_LAGS_S: Final = (0.004, 0.12)  # bounds of the lag, s (chosen: the range of known servos)
 _RATIOS: Final = (0.15, 120.0)
 """Bounds of the acceleration limit, as a ratio to the model's (chosen)."""
-_BUILD_UPS: Final = (0.03, 8.0)
-"""Bounds of the build-up m (chosen)."""
-_MAX_LOG_GAIN: Final = 0.3
-"""Bound of the absolute logarithm of a speed gain (chosen)."""
-_MOVING_RAD_S: Final = 0.05
-"""Actuator speed above which a window starts, rad/s (chosen)."""
+_BUILD_UPS: Final = (0.03, 8.0)  # bounds of the build-up m (chosen)
+_MAX_LOG_GAIN: Final = 0.3  # bound of the absolute logarithm of a speed gain (chosen)
+_MOVING_RAD_S: Final = 0.05  # actuator speed above which a window starts, rad/s (chosen)
 _EXCITED_RAD_S: Final = 0.3
-"""Change of command, from the speed at the window's start, needed to fit an actuator, rad/s
-(chosen: sufficient excitation)."""
+"""Change of command from the speed at a window's start that excites an actuator, rad/s (chosen)."""
 _SPEED_SD: Final = 0.03
-"""Model error of a velocity, standard deviation: rad/s, plus this fraction of the velocity
-(chosen)."""
-_KNOWN_LATENCY_SD_S: Final = 0.0015
-"""Standard deviation of the latency below which it counts as known, s (chosen)."""
-_KNOWN_RATIO_SD: Final = 0.06
-"""Standard deviation of the log acceleration ratio below which it counts as known (chosen)."""
+"""Model error of a velocity, standard deviation, rad/s, and per rad/s of the velocity (chosen)."""
+_KNOWN_SDS: Final = (0.0015, 0.06)
+"""Deviations of latency, s, and log ratio below which these count as known (chosen)."""
 _GOOD_FIT_MISFIT: Final = 2.0
 """Mean squared normalised residual below which a fit needs no other starting values (chosen)."""
-_SPACING_S: Final = 0.004
-"""Spacing of the latencies tried, s (numerical)."""
-_TRIED_LATENCIES: Final = 30
-"""Number of latencies tried (numerical)."""
+_SPACING_S: Final = 0.004  # spacing of the latencies tried, s (numerical)
+_TRIED_LATENCIES: Final = 30  # number of latencies tried (numerical)
 _FAST_MOTOR_RATIOS: Final = (3.0, 9.0, 27.0, 81.0)
-"""Acceleration ratios tried too, with the lags `_FAST_MOTOR_LAGS_S`: motors unlike the model
-(chosen)."""
-_FAST_MOTOR_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)
-"""Lags tried with the acceleration ratios `_FAST_MOTOR_RATIOS`, s (chosen)."""
-_MIN_MISFIT_DECREASE: Final = 3.0
-"""Decrease of the misfit needed to restart the fit at other values (chosen: guards against jumps
-between equal fits)."""
+"""Acceleration ratios tried for motors unlike the model (chosen)."""
+_FAST_MOTOR_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)  # lags tried with these ratios, s (chosen)
+_MIN_COST_DECREASE: Final = 3.0
+"""Decrease of the cost that restarts the fit elsewhere (chosen: no jumps between equal fits)."""
 _MIN_PRIOR_SDS: Final = (0.0008, 0.03, 0.05, 0.05)
-"""Least prior standard deviations that a window leaves: of latency in s, log ratio, log lag and
-build-up (chosen: keeps adapting)."""
+"""Least standard deviations of the parameters that a window leaves (chosen: keeps adapting)."""
 _MAX_STEPS: Final = (0.006, 0.25, 0.25, 0.4)
-"""Longest Gauss-Newton steps: of latency in s, log ratio, log lag and build-up (numerical)."""
+"""Longest Gauss-Newton steps of the parameters (numerical)."""
 _DIFFERENCES: Final = (0.5e-3, 0.02, 0.02, 0.02, 0.02)
-"""Finite differences for the derivatives: of latency in s, log ratio, log lag, build-up and log
-gain (numerical)."""
+"""Finite differences of the parameters and of the log gain for derivatives (numerical)."""
 _MIN_SECOND_ORDER_EVIDENCE: Final = 15.0
-"""Excess of squared normalised residuals of the plain model, relative to the misfit of the other
-one, above which the model with a build-up is used (chosen)."""
+"""Excess of the plain model's squared residuals that the build-up has to explain (chosen)."""
 _INFORMATIVE_S: Final = 0.06
-"""Shortest window that carries evidence on the build-up, s (chosen): while actuators have only just
-begun to move, both models fit."""
+"""Shortest window with evidence on the build-up, s (chosen: at first both models fit)."""
 _LEAST_BUILD_UP: Final = 0.25
-"""Least build-up that is used; the critical damping limit, below which nothing overshoots
-(physical: 1/4 of the second-order lag)."""
-_EVIDENCE_DECAY: Final = 0.7
-"""Factor that remains of the evidence of earlier windows (chosen)."""
-
-
-@inlined
-def _mean_step(params: PredictorParameters, j: int) -> float:
-    """Standard deviation that encoder quantisation adds to a mean velocity, rad/s."""
-    return 0.4 * float(params.angle_step[j]) / params.period_s
+"""Least build-up that is used (physical: critical damping; below it, nothing overshoots)."""
+_EVIDENCE_DECAY: Final = 0.7  # factor that remains of the evidence of earlier windows (chosen)
 
 
 @inlined
@@ -334,10 +249,10 @@ def _last_to_act(params: PredictorParameters) -> int:
 def _is_moving(rings: Rings, params: PredictorParameters, tick: int) -> bool:
     """True if any actuator moves, or a command that may still act is not zero."""
     for j in range(4):
-        if abs(speed_at(rings, tick, j)) > _MOVING_RAD_S:
+        if abs(ring_at(rings.speeds, tick, j)) > _MOVING_RAD_S:
             return True
         for i in range(_last_to_act(params)):
-            if command_at(rings, tick - 1 - i, j) != 0.0:
+            if ring_at(rings.commands, tick - 1 - i, j) != 0.0:
                 return True
     return False
 
@@ -345,51 +260,40 @@ def _is_moving(rings: Rings, params: PredictorParameters, tick: int) -> bool:
 @inlined
 def _is_excited(rings: Rings, params: PredictorParameters, first: int, tick: int, j: int) -> bool:
     """True if the commands of an actuator have changed enough to identify its response."""
-    begin, most = speed_at(rings, first, j), 0.0
+    begin, most = ring_at(rings.speeds, first, j), 0.0
     for i in range(first - _last_to_act(params), tick):
-        most = max(most, abs(command_at(rings, i, j) - begin))
-    return most >= _EXCITED_RAD_S
+        most = max(most, abs(ring_at(rings.commands, i, j) - begin))
+    return params.speed_limit[j] > 0.0 and most >= _EXCITED_RAD_S
+
+
+@inlined
+def _reading(
+    response: ResponseIdentification, rings: Rings, params: PredictorParameters, tick: int, j: int
+) -> tuple[float, float]:
+    """Velocity of a period that models are fitted to, and its quantisation error, rad/s."""
+    if response.prompt_velocities > 0.5:
+        return ring_at(rings.speeds, tick, j), params.speed_step[j]
+    return ring_at(rings.mean_speeds, tick, j), 0.4 * float(params.angle_step[j]) / params.period_s
 
 
 @subroutine
 def _posterior_cost(
-    response: ResponseIdentification,
-    rings: Rings,
-    model: ResponseModel,
-    params: PredictorParameters,
-    tick: int,
-    latency: float,
-    ratio: float,
-    log_lag: float,
-) -> float:
-    """Compute -2 log posterior of the window under other parameter values, up to a constant.
-
-    Each squared normalised residual is bounded.
-    """
-    first = int(response.window_begin)
+    response: ResponseIdentification, rings: Rings, model: ResponseModel,
+    params: PredictorParameters, tick: int, latency: float, ratio: float, log_lag: float,
+) -> float:  # fmt: skip
+    """-2 log posterior of the window under other values, plus a constant; bounded residuals."""
+    first, build_up = int(response.window_begin), model.parameters[3]
     deviation = (latency - model.prior[0], ratio - model.prior[1], log_lag - model.prior[2])
     total = 0.0
     for i in range(3):
         total += deviation[i] * deviation[i] * model.information[i]
-    period, whole = params.period_s, int(latency / params.period_s + 1e-9)
-    rest, build_up = latency - whole * period, model.parameters[3]
     for j in range(4):
-        gain = exp(model.log_gain[j])
-        v, w = speed_at(rings, first, j), model.accelerations[j]
-        lag, a = params.lag_ratio[j] * exp(log_lag), params.acceleration_limit[j] * exp(ratio)
-        before, after = (
-            prepare_held_response(lag, build_up, a, rest),
-            prepare_held_response(lag, build_up, a, period - rest),
-        )
-        mean_sd = _mean_step(params, j)
+        simulation = _prepare(params, j, latency, ratio, log_lag, build_up, model.log_gain[j])
+        v, w = ring_at(rings.speeds, first, j), model.accelerations[j]
         for i in range(first, tick):
-            u = gain * command_at(rings, i - whole - 1, j)
-            q, v, w = follow_held_command(0.0, v, w, u, before)
-            u = gain * command_at(rings, i - whole, j)
-            q, v, w = follow_held_command(q, v, w, u, after)
-            measured, simulated, step_sd = mean_speed_at(rings, i + 1, j), q / period, mean_sd
-            if response.prompt_velocities > 0.5:
-                measured, simulated, step_sd = speed_at(rings, i + 1, j), v, params.speed_step[j]
+            q, v, w = _advance(simulation, rings.commands, i, j, 0.0, v, w)
+            measured, step_sd = _reading(response, rings, params, i + 1, j)
+            simulated = v if response.prompt_velocities > 0.5 else q / params.period_s
             residual_variance = step_sd * step_sd + 0.05**2 + 0.01 * measured * measured
             total += min((measured - simulated) ** 2 / residual_variance, 30.0)
     return total
@@ -397,18 +301,13 @@ def _posterior_cost(
 
 @subroutine
 def _try_others(
-    response: ResponseIdentification,
-    rings: Rings,
-    model: ResponseModel,
-    params: PredictorParameters,
-    tick: int,
-) -> None:
+    response: ResponseIdentification, rings: Rings, model: ResponseModel,
+    params: PredictorParameters, tick: int,
+) -> None:  # fmt: skip
     """Restart the fit at other parameter values where these explain the window better."""
-    known, free = model.parameters, model.variance[0] > _KNOWN_LATENCY_SD_S**2
-    best = (
-        _posterior_cost(response, rings, model, params, tick, known[0], known[1], known[2])
-        - _MIN_MISFIT_DECREASE
-    )
+    known, free = model.parameters, model.variance[0] > _KNOWN_SDS[0] ** 2
+    best = _posterior_cost(response, rings, model, params, tick, known[0], known[1], known[2])
+    best -= _MIN_COST_DECREASE
     # about the latency in the head's model if that is long, else from none on
     shortest = max(params.max_response_latency_s - _SPACING_S * _TRIED_LATENCIES, 0.0)
     for i in range(_TRIED_LATENCIES if free else 0):
@@ -451,58 +350,41 @@ def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
 
 @subroutine
 def _fit(
-    response: ResponseIdentification,
-    rings: Rings,
-    model: ResponseModel,
-    params: PredictorParameters,
-    tick: int,
-) -> None:
+    response: ResponseIdentification, rings: Rings, model: ResponseModel,
+    params: PredictorParameters, tick: int,
+) -> None:  # fmt: skip
     """Take one Gauss-Newton step on the window."""
-    first, period = int(response.window_begin), params.period_s
-    builds_up = model.parameters[3] > 0.0
-    size = 4 if builds_up else 3
+    first, known = int(response.window_begin), model.parameters
+    size = 4 if known[3] > 0.0 else 3
     normal, right = np.zeros((size, size)), np.zeros(size)
     mixed, own, own_right = np.zeros((4, size)), np.zeros(4), np.zeros(4)
-    slope, holds, gains = np.zeros(size), np.zeros(6, dtype=np.int64), np.zeros(6)
-    v, w, distances = np.zeros(6), np.zeros(6), np.zeros(6)
+    slope, v, w, mean_v = np.zeros(size), np.zeros(6), np.zeros(6), np.zeros(6)
     for i in range(size):
         normal[i, i] = model.information[i]
-        right[i] = model.information[i] * (model.prior[i] - model.parameters[i])
+        right[i] = model.information[i] * (model.prior[i] - known[i])
     residuals = count = 0.0
     for j in range(4):
         own[j] = 1.0 / _GAIN_SD**2
         own_right[j] = own[j] * (model.log_gain_prior[j] - model.log_gain[j])
-        if not (params.speed_limit[j] > 0.0 and _is_excited(rings, params, first, tick, j)):
+        if not _is_excited(rings, params, first, tick, j):
             continue
-        responses = [prepare_held_response(1.0, 0.0, 1.0, 0.0)] * 12
+        simulations = [_prepare_model(params, model, j, known[0])] * 6
         for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
-            latency = model.parameters[0] + (_DIFFERENCES[0] if m == 2 else 0.0)
-            ratio = model.parameters[1] + (_DIFFERENCES[1] if m == 3 else 0.0)
-            log_lag = model.parameters[2] + (_DIFFERENCES[2] if m == 4 else 0.0)
-            build_up = model.parameters[3] + (_DIFFERENCES[3] if m == 5 else 0.0)
-            gains[m] = exp(model.log_gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
-            holds[m] = int(latency / period + 1e-9)
-            rest, lag = latency - holds[m] * period, params.lag_ratio[j] * exp(log_lag)
-            a = params.acceleration_limit[j] * exp(ratio)
-            responses[2 * m] = prepare_held_response(lag, build_up, a, rest)
-            responses[2 * m + 1] = prepare_held_response(lag, build_up, a, period - rest)
-            v[m], w[m] = speed_at(rings, first, j), model.accelerations[j]
+            simulations[m] = _prepare(
+                params, j,
+                known[0] + (_DIFFERENCES[0] if m == 2 else 0.0),
+                known[1] + (_DIFFERENCES[1] if m == 3 else 0.0),
+                known[2] + (_DIFFERENCES[2] if m == 4 else 0.0),
+                known[3] + (_DIFFERENCES[3] if m == 5 else 0.0),
+                model.log_gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0),
+            )  # fmt: skip
+            v[m], w[m] = ring_at(rings.speeds, first, j), model.accelerations[j]
         for i in range(first, tick):
             for m in range(size + 2):
-                u = gains[m] * command_at(rings, i - holds[m] - 1, j)
-                distance, v[m], w[m] = follow_held_command(0.0, v[m], w[m], u, responses[2 * m])
-                u = gains[m] * command_at(rings, i - holds[m], j)
-                distance, v[m], w[m] = follow_held_command(
-                    distance, v[m], w[m], u, responses[2 * m + 1]
-                )
-                distances[m] = distance / period
-            measured, step_sd, simulated = (
-                mean_speed_at(rings, i + 1, j),
-                _mean_step(params, j),
-                distances,
-            )
-            if response.prompt_velocities > 0.5:
-                measured, step_sd, simulated = speed_at(rings, i + 1, j), params.speed_step[j], v
+                q, v[m], w[m] = _advance(simulations[m], rings.commands, i, j, 0.0, v[m], w[m])
+                mean_v[m] = q / params.period_s
+            measured, step_sd = _reading(response, rings, params, i + 1, j)
+            simulated = v if response.prompt_velocities > 0.5 else mean_v
             residual = measured - simulated[0]
             residual_variance = step_sd * step_sd + _SPEED_SD**2 * (1.0 + measured * measured)
             square = residual * residual / residual_variance
@@ -533,8 +415,8 @@ def _fit(
     model.squared_residual_sum, model.misfit = residuals, residuals / max(count, 1.0)
     worse = max(1.0, model.misfit)
     for i in range(size):
-        updated = model.parameters[i] + min(max(step[i], -_MAX_STEPS[i]), _MAX_STEPS[i])
-        model.parameters[i] = min(max(updated, least[i]), most[i])
+        updated = known[i] + min(max(step[i], -_MAX_STEPS[i]), _MAX_STEPS[i])
+        known[i] = min(max(updated, least[i]), most[i])
         for r in range(size):
             unit[r] = 1.0 if r == i else 0.0
         _solve(normal, unit, column)
@@ -550,17 +432,12 @@ def _fit(
 @inlined
 def _select(response: ResponseIdentification, lasted_s: float, ends: bool) -> None:
     """Select the model that explains the windows better."""
-    first_order, second_order = (
-        response.models[FIRST_ORDER],
-        response.models[SECOND_ORDER],
-    )
-    excess = 0.0
+    plain, second, excess = response.models[FIRST_ORDER], response.models[SECOND_ORDER], 0.0
     if lasted_s >= _INFORMATIVE_S:
-        excess = (first_order.squared_residual_sum - second_order.squared_residual_sum) / max(
-            second_order.misfit, 1.0
-        )
+        excess = plain.squared_residual_sum - second.squared_residual_sum
+        excess /= max(second.misfit, 1.0)
     better = response.second_order_evidence + excess > _MIN_SECOND_ORDER_EVIDENCE
-    overshoots = second_order.parameters[3] > _LEAST_BUILD_UP
+    overshoots = second.parameters[3] > _LEAST_BUILD_UP
     response.selected = SECOND_ORDER if better and overshoots else FIRST_ORDER
     if ends:
         response.second_order_evidence = _EVIDENCE_DECAY * (response.second_order_evidence + excess)
@@ -568,33 +445,22 @@ def _select(response: ResponseIdentification, lasted_s: float, ends: bool) -> No
 
 @subroutine
 def _replay(
-    response: ResponseIdentification,
-    rings: Rings,
-    model: ResponseModel,
-    params: PredictorParameters,
-    tick: int,
-    out: FloatArray,
-) -> None:
+    response: ResponseIdentification, rings: Rings, model: ResponseModel,
+    params: PredictorParameters, tick: int, out: FloatArray,
+) -> None:  # fmt: skip
     """(4,) accelerations at the end of the window, simulated with a response model, rad/s^2."""
     first = int(response.window_begin)
     for j in range(4):
-        v, out[j] = speed_at(rings, first, j), model.accelerations[j]
+        v, out[j] = ring_at(rings.speeds, first, j), model.accelerations[j]
         for i in range(first, tick):
-            _q, v, out[j] = simulate_period(response, rings, model, params, i, j, 0.0, v, out[j])
+            _q, v, out[j] = simulate_period(rings, model, params, i, j, 0.0, v, out[j])
 
 
 @inlined
 def learn_response(
     response: ResponseIdentification, rings: Rings, params: PredictorParameters, tick: int
 ) -> None:
-    """Update the response model with the readings of a period.
-
-    Args:
-        response: state of the identification, changed in place.
-        rings: the head's ring buffers.
-        params: the head's parameters.
-        tick: the period that has ended; its commands and velocities are already stored.
-    """
+    """Update the response model with the readings of the period that has ended."""
     moving = _is_moving(rings, params, tick)
     if response.window_begin < 0.0:
         if not moving:
@@ -606,13 +472,11 @@ def learn_response(
     ends = tick - first >= int(params.response_window) or not moving
     excited = False
     for j in range(4):
-        excited = excited or (
-            params.speed_limit[j] > 0.0 and _is_excited(rings, params, first, tick, j)
-        )
+        excited = excited or _is_excited(rings, params, first, tick, j)
     # a well-known response is updated only once a window
     model = selected_model(response)
-    well_known = model.variance[0] < _KNOWN_LATENCY_SD_S**2 and model.misfit < _GOOD_FIT_MISFIT
-    if excited and (ends or not well_known or model.variance[1] > _KNOWN_RATIO_SD**2):
+    well_known = model.variance[0] < _KNOWN_SDS[0] ** 2 and model.misfit < _GOOD_FIT_MISFIT
+    if excited and (ends or not well_known or model.variance[1] > _KNOWN_SDS[1] ** 2):
         for i in range(RESPONSE_MODELS):
             if not well_known:
                 _try_others(response, rings, response.models[i], params, tick)
@@ -623,10 +487,8 @@ def learn_response(
         for i in range(RESPONSE_MODELS):
             model = response.models[i]
             _replay(response, rings, model, params, tick, model.accelerations)
+            model.prior[:], model.log_gain_prior[:] = model.parameters, model.log_gain
             for n in range(4):
-                model.prior[n] = model.parameters[n]
-                variance = max(1.2 * model.variance[n], _MIN_PRIOR_SDS[n] ** 2)
-                model.information[n] = 1.0 / variance
-                model.log_gain_prior[n] = model.log_gain[n]
+                model.information[n] = 1.0 / max(1.2 * model.variance[n], _MIN_PRIOR_SDS[n] ** 2)
         response.window_begin, response.window_end = -1.0, float(tick)
         response.windows += 1.0

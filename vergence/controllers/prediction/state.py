@@ -47,10 +47,10 @@ from vergence.controllers.prediction.parameters import (
 from vergence.controllers.prediction.response import (
     ResponseIdentification,
     Rings,
-    command_at,
     initial_response_models,
     learn_response,
     quantise_with_dead_zone,
+    ring_at,
     selected_model,
     simulate_period,
 )
@@ -71,76 +71,51 @@ _ACCELERATION_SHARE: Final = 0.1
 """Relative error of the acceleration predicted by a known response (chosen)."""
 _DISTURBANCE_SD_RAD_S: Final = 0.005
 """Change of velocity per period without a command, standard deviation, rad/s (chosen)."""
-_ANGLE_SD_STEPS: Final = 0.3
-"""Standard deviation of an angle, as a fraction of the encoder's resolution (chosen: uniform
-quantisation error)."""
-_ANGLE_SD_RAD: Final = 1e-5
-"""Standard deviation of an angle in addition, rad (chosen)."""
-_SPEED_SD_STEPS: Final = 0.3
-"""Standard deviation of a velocity, as a fraction of its resolution (chosen: uniform quantisation
-error)."""
-_SPEED_SD_RAD_S: Final = 0.002
-"""Standard deviation of a velocity in addition, rad/s (chosen)."""
+_QUANTISATION_SD: Final = 0.3
+"""Standard deviation of a reading per resolution (chosen: uniform quantisation error)."""
+_ANGLE_SD_RAD: Final = 1e-5  # standard deviation of an angle in addition, rad (chosen)
+_SPEED_SD_RAD_S: Final = 0.002  # standard deviation of a velocity in addition, rad/s (chosen)
 _RELATIVE_SPEED_SD: Final = 0.01
 """Standard deviation of a velocity in addition, as a fraction of it (chosen)."""
 _RELATIVE_DELAY_SD: Final = 0.3
 """Deviation of a velocity filter from first order, as a fraction of its delay (chosen)."""
-_DELAY_SD_S: Final = 0.02
-"""Prior standard deviation of the velocities' delay, s (chosen)."""
-_MAX_PROMPT_DELAY_S: Final = 0.003
-"""Delay below which velocities count as prompt, s (chosen)."""
-_MAX_EXPLAINED_MISFIT: Final = 10.0
-"""Misfit up to which the delay explains the velocities (chosen)."""
-_MAX_VELOCITY_DELAY_S: Final = 0.2
-"""Longest delay of velocities, s (chosen)."""
+_DELAY_SD_S: Final = 0.02  # prior standard deviation of the velocities' delay, s (chosen)
+_MAX_PROMPT_DELAY_S: Final = 0.003  # delay below which velocities count as prompt, s (chosen)
+_MAX_EXPLAINED_MISFIT: Final = 10.0  # misfit up to which the delay explains the velocities (chosen)
+_MAX_VELOCITY_DELAY_S: Final = 0.2  # longest delay of velocities, s (chosen)
 _MAX_COMPARISON_S: Final = 0.25
 """Longest interval over which angles and integrated velocities are compared, s (chosen)."""
 _INFORMATIVE_RAD_S: Final = 0.1
 """Changes of velocity below this carry no evidence on the delay, rad/s (chosen)."""
-_RELATIVE_TRAVEL_SD: Final = 0.02
-"""Relative error of the integrated velocity (chosen)."""
+_RELATIVE_TRAVEL_SD: Final = 0.02  # relative error of the integrated velocity (chosen)
 _INFORMATION_DECAY: Final = 0.995
 """Per-reading decay of the information on the delay (chosen: noise against adaptation)."""
 _MAX_SPEED_RATIO: Final = 3.0
 """Bound of the estimated velocity, as a ratio to the largest command (chosen)."""
-_MISFIT_WEIGHT: Final = 0.1
-"""Weight of a reading in the running mean of the misfit (chosen)."""
+_MISFIT_WEIGHT: Final = 0.1  # weight of a reading in the running mean of the misfit (chosen)
 _MAX_SQUARED_RESIDUAL: Final = 100.0
 """Bound of a single squared normalised residual in that mean (chosen)."""
 
 
 class ActuatorObserver:
-    """State of the filter: covariances of the actuators, and the delay of their velocities."""
+    """Filter of the actuators' angles and velocities (rad, rad/s), and the velocities' delay."""
 
-    covariance: Annotated[FloatArray, 4, 3]
-    """Covariance of an actuator's angle and velocity: angle variance, cross term, velocity
-    variance."""
-    expected_velocity: Annotated[FloatArray, 4]
-    """Velocity that the servo is expected to report, rad/s."""
-    recent_acceleration: Annotated[FloatArray, 4]
-    """Recent magnitude of the acceleration, rad/s^2."""
-    last_velocity: Annotated[FloatArray, 4]
-    """Last measured velocity, rad/s."""
-    first_angle: Annotated[FloatArray, 4]
-    """Measured angle at the start of the comparison, rad."""
-    first_velocity: Annotated[FloatArray, 4]
-    """Measured velocity at the start of the comparison, rad/s."""
-    integrated_velocity: Annotated[FloatArray, 4]
-    """Integral of the measured velocity since then, rad."""
-    compared_periods: Annotated[FloatArray, 4]
-    """Periods since then."""
-    information: float
-    """Fisher information on the delay of the velocities, 1/s^2."""
-    delay_times_information: float
-    """Information times the delay, 1/s."""
-    delay_s: float
-    """Delay of velocities behind angles, s."""
-    misfit: float
-    """Running mean of the squared normalised residual that the delay leaves."""
+    covariance: Annotated[FloatArray, 4, 3]  # angle variance, cross term, velocity variance
+    expected_velocity: Annotated[FloatArray, 4]  # that the servo is expected to report, rad/s
+    recent_acceleration: Annotated[FloatArray, 4]  # recent magnitude of the acceleration, rad/s^2
+    last_velocity: Annotated[FloatArray, 4]  # last measured velocity, rad/s
+    first_angle: Annotated[FloatArray, 4]  # measured at the start of the comparison, rad
+    first_velocity: Annotated[FloatArray, 4]  # measured at the start of the comparison, rad/s
+    integrated_velocity: Annotated[FloatArray, 4]  # integral of measured velocity since then, rad
+    compared_periods: Annotated[FloatArray, 4]  # periods since then
+    information: float  # Fisher information on the delay of the velocities, 1/s^2
+    delay_times_information: float  # information times the delay, 1/s
+    delay_s: float  # delay of velocities behind angles, s
+    misfit: float  # running mean of the squared normalised residual that the delay leaves
 
 
 @inlined
-def begin_delay_comparison(observer: ActuatorObserver, j: int, angle: float, rate: float) -> None:
+def _begin_delay_comparison(observer: ActuatorObserver, j: int, angle: float, rate: float) -> None:
     """Start comparing the angles and the velocities of an actuator."""
     observer.first_angle[j], observer.first_velocity[j] = angle, rate
     observer.integrated_velocity[j] = observer.compared_periods[j] = 0.0
@@ -164,17 +139,15 @@ def _update_delay(
     travel = angle - observer.first_angle[j]
     change = rate - observer.first_velocity[j]
     ahead = travel - observer.integrated_velocity[j]
-    steps = 0.4 * params.angle_step[j] + 0.3 * period * params.speed_step[j] * sqrt(
-        observer.compared_periods[j]
-    )
-    share = _RELATIVE_TRAVEL_SD * travel
+    periods, share = observer.compared_periods[j], _RELATIVE_TRAVEL_SD * travel
+    steps = 0.4 * params.angle_step[j] + 0.3 * period * params.speed_step[j] * sqrt(periods)
     variance = steps * steps + share * share + _ANGLE_SD_RAD * _ANGLE_SD_RAD
     if abs(change) > _INFORMATIVE_RAD_S:
         weight = 0.25 / variance  # successive readings have correlated errors
-        observer.information = _INFORMATION_DECAY * observer.information + weight * change * change
-        observer.delay_times_information = (
-            _INFORMATION_DECAY * observer.delay_times_information + weight * change * ahead
-        )
+        observer.information *= _INFORMATION_DECAY
+        observer.information += weight * change * change
+        observer.delay_times_information *= _INFORMATION_DECAY
+        observer.delay_times_information += weight * change * ahead
     if abs(travel) > 4.0 * (steps + _ANGLE_SD_RAD):
         off = ahead - observer.delay_s * change
         square = min(off * off / variance, _MAX_SQUARED_RESIDUAL)
@@ -183,13 +156,7 @@ def _update_delay(
     observer.delay_s = min(max(delay_s, 0.0), _MAX_VELOCITY_DELAY_S)
     at_rest = rate == 0.0 and abs(travel - observer.integrated_velocity[j]) <= params.angle_step[j]
     if at_rest or observer.compared_periods[j] * period > _MAX_COMPARISON_S:
-        begin_delay_comparison(observer, j, angle, rate)
-
-
-@inlined
-def no_velocity_delay_found(observer: ActuatorObserver) -> bool:
-    """True if no evidence says that velocities are read with a delay."""
-    return observer.delay_s < _MAX_PROMPT_DELAY_S and observer.misfit < _MAX_EXPLAINED_MISFIT
+        _begin_delay_comparison(observer, j, angle, rate)
 
 
 @inlined
@@ -203,224 +170,155 @@ def _relative_acceleration_sd(response: ResponseIdentification, period: float) -
 
 
 @inlined
-def update_observer(
-    observer: ActuatorObserver,
-    response: ResponseIdentification,
-    rings: Rings,
-    params: PredictorParameters,
-    tick: int,
-    j: int,
-    velocity_before: float,
-    predicted_angle: float,
-    predicted_velocity: float,
-    measured_angle: float,
-    measured_velocity: float,
-) -> tuple[float, float]:
-    """Update the angle and velocity of an actuator with its reading.
+def _update_covariance(c: FloatArray, i: int, innovation_variance: float) -> tuple[float, float]:
+    """Update a covariance with a measured angle (i = 0) or velocity (i = 2).
 
-    Args:
-        observer: changed in place.
-        response: model of the actuators' response.
-        rings: the head's ring buffers.
-        params: the head's parameters.
-        tick: the period that has ended.
-        j: index of the actuator.
-        velocity_before: its velocity at the start of the period, rad/s.
-        predicted_angle: its angle predicted from the commands, rad.
-        predicted_velocity: its velocity predicted from the commands, rad/s.
-        measured_angle: the measured angle, rad.
-        measured_velocity: the measured velocity, rad/s.
+    Return the gains of what is measured and of the other one.
+    """
+    gain, other = c[i] / innovation_variance, c[1] / innovation_variance
+    c[2 - i] -= other * c[1]
+    c[1] *= 1.0 - gain
+    c[i] *= 1.0 - gain
+    return gain, other
 
-    Returns:
-        The angle, within the resolution about the reading, rad, and the velocity, rad/s.
+
+@inlined
+def _update_observer(
+    observer: ActuatorObserver, response: ResponseIdentification, rings: Rings,
+    params: PredictorParameters, tick: int, j: int, velocity_before: float,
+    angle: float, velocity: float, measured_angle: float, measured_velocity: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Correct an actuator's predicted angle and velocity at the end of period `tick`, rad, rad/s.
+
+    The angle returned lies within the resolution about its reading.
     """
     period, c, model = params.period_s, observer.covariance[j], selected_model(response)
+    angle_step, speed_step = params.angle_step[j], params.speed_step[j]
     lag = params.lag_ratio[j] * exp(model.parameters[2])
     late_s = model.parameters[0] + 2.0 * sqrt(max(model.variance[0], 0.0))
     asked, gain = 0.0, exp(model.log_gain[j])
     for i in range(int(min(late_s, params.max_response_latency_s) / period) + 2):
-        asked = max(asked, abs(gain * command_at(rings, tick - i, j) - predicted_velocity))
-    most = params.acceleration_limit[j] * exp(
-        model.parameters[1] + sqrt(max(model.variance[1], 0.0))
-    )
+        asked = max(asked, abs(gain * ring_at(rings.commands, tick - i, j) - velocity))
+    most = exp(model.parameters[1] + sqrt(max(model.variance[1], 0.0)))
+    most *= params.acceleration_limit[j]
     sd = _relative_acceleration_sd(response, period) * period * min(most, asked / lag)
     noise = sd * sd + _DISTURBANCE_SD_RAD_S * _DISTURBANCE_SD_RAD_S
     left = lag_decay(period, lag)
     c[0] += period * (2.0 * c[1] + period * (c[2] + noise / 3.0))
     c[1] = left * (c[1] + period * c[2]) + 0.5 * period * noise
     c[2] = left * left * c[2] + noise
-    step = _ANGLE_SD_STEPS * params.angle_step[j]
+    step = _QUANTISATION_SD * angle_step
     innovation_variance = c[0] + step * step + _ANGLE_SD_RAD * _ANGLE_SD_RAD
-    innovation = (
-        clip_to_quantisation(predicted_angle, measured_angle, params.angle_step[j])
-        - predicted_angle
-    )
-    k, kv = c[0] / innovation_variance, c[1] / innovation_variance
-    predicted_angle, predicted_velocity = (
-        predicted_angle + k * innovation,
-        predicted_velocity + kv * innovation,
-    )
-    c[2] -= kv * c[1]
-    c[1] *= 1.0 - k
-    c[0] *= 1.0 - k
+    innovation = clip_to_quantisation(angle, measured_angle, angle_step) - angle
+    gain, other = _update_covariance(c, 0, innovation_variance)
+    angle, velocity = angle + gain * innovation, velocity + other * innovation
     _update_delay(observer, params, j, measured_angle, measured_velocity)
     # measurement update with the reported velocity
-    delay = observer.delay_s
-    taken = 1.0 - lag_decay(period, delay)
-    expected = observer.expected_velocity[j] + taken * (
-        predicted_velocity - observer.expected_velocity[j]
-    )
-    acceleration = abs(predicted_velocity - velocity_before) / period
+    expected = observer.expected_velocity[j]
+    expected += (1.0 - lag_decay(period, observer.delay_s)) * (velocity - expected)
+    acceleration = abs(velocity - velocity_before) / period
     observer.recent_acceleration[j] = max(0.8 * observer.recent_acceleration[j], acceleration)
-    delay_sd = _delay_sd(observer) + _RELATIVE_DELAY_SD * delay
-    speed_sd = (
-        _SPEED_SD_STEPS * params.speed_step[j]
-        + _SPEED_SD_RAD_S
-        + _RELATIVE_SPEED_SD * abs(predicted_velocity)
-    )
+    delay_sd = _delay_sd(observer) + _RELATIVE_DELAY_SD * observer.delay_s
+    speed_sd = _QUANTISATION_SD * speed_step + _SPEED_SD_RAD_S + _RELATIVE_SPEED_SD * abs(velocity)
     speed_sd += observer.recent_acceleration[j] * delay_sd
     innovation_variance = c[2] + speed_sd * speed_sd * max(observer.misfit, 1.0)
-    innovation = clip_to_quantisation(expected, measured_velocity, params.speed_step[j]) - expected
+    innovation = clip_to_quantisation(expected, measured_velocity, speed_step) - expected
     # Cauchy weight: outliers count for little
     innovation_variance += innovation * innovation / 9.0
-    k, kv = c[1] / innovation_variance, c[2] / innovation_variance
-    predicted_angle, predicted_velocity = (
-        predicted_angle + k * innovation,
-        predicted_velocity + kv * innovation,
-    )
-    c[0] -= k * c[1]
-    c[1] *= 1.0 - kv
-    c[2] *= 1.0 - kv
-    observer.expected_velocity[j] = expected + kv * innovation
+    gain, other = _update_covariance(c, 2, innovation_variance)
+    angle, velocity = angle + other * innovation, velocity + gain * innovation
+    observer.expected_velocity[j] = expected + gain * innovation
     # bound the effect of a corrupted packet
     fastest = _MAX_SPEED_RATIO * params.speed_limit[j]
-    return clip_to_quantisation(predicted_angle, measured_angle, params.angle_step[j]), min(
-        max(predicted_velocity, -fastest), fastest
-    )
+    angle = clip_to_quantisation(angle, measured_angle, angle_step)
+    return angle, min(max(velocity, -fastest), fastest)
 
 
 _MAX_REST_SPEED: Final = 0.005
 """Actuator speed below which no delay in question moves the image by a pixel, rad/s (chosen)."""
-MIN_INITIAL_NOISE_PX: Final = 0.25
+_MIN_INITIAL_NOISE_PX: Final = 0.25
 """Least initial detection noise, standard deviation, px (chosen)."""
 
 
 class PastImage:
     """An earlier image."""
 
-    arrival_tick: float
-    """Its arrival (its stamp if the camera stamps exposures), in periods; negative for none."""
-    goals: Annotated[FloatArray, 2, 2]
-    """Joint angles that fixate its target, rad; nan for an eye that did not see it."""
-    angles_at_exposure: Annotated[FloatArray, 2, 2]
-    """Joint angles at the exposure, from which the goals were computed, rad."""
+    arrival_tick: float  # or its stamp if the camera stamps exposures, periods; negative for none
+    goals: Annotated[FloatArray, 2, 2]  # that fixate its target, rad; nan where not seen
+    angles_at_exposure: Annotated[FloatArray, 2, 2]  # from which the goals were computed, rad
 
 
 class JointMotion:
-    """Estimated motion of the actuators, and the past angles of the joints."""
+    """Estimated motion of the actuators, and the past angles of the joints.
 
-    actuator_angles: Annotated[FloatArray, 4]
-    """Estimated actuator angles, finer than the encoders' resolution, rad."""
-    velocity: Annotated[FloatArray, 4]
-    """Estimated actuator velocities, rad/s."""
-    still_periods: float
-    """Periods since an actuator last moved."""
-    angles: Annotated[FloatArray, RING_LENGTH, 2, 2]
-    """Ring buffer of joint angles, one entry every `PredictorParameters.sample_periods` periods,
-    rad; entry k is at index k modulo `RING_LENGTH`."""
+    The ring takes the angles every `sample_periods` periods: entry k at index k modulo its length.
+    """
+
+    actuator_angles: Annotated[FloatArray, 4]  # finer than the encoders' resolution, rad
+    velocity: Annotated[FloatArray, 4]  # estimated actuator velocities, rad/s
+    still_periods: float  # periods since an actuator last moved
+    angles: Annotated[FloatArray, RING_LENGTH, 2, 2]  # ring of joint angles, rad
 
 
 class BacklashState:
     """Backlash (play) found so far, see `inflate_variance_at_reversal`."""
 
-    last_direction: Annotated[FloatArray, 4]
-    """Sign of each actuator's last command to move: 1, -1, or 0 for none yet."""
-    reversal_tick: Annotated[FloatArray, 2, 2]
-    """Period in which an actuator of each joint last reversed its command."""
-    jump_sign: Annotated[FloatArray, 2, 2]
-    """Sign of a goal's last jump after such a reversal: 1, -1, or 0."""
-    variance: Annotated[FloatArray, 2, 2]
-    """Variance that it adds to a measured goal, rad^2."""
+    last_direction: Annotated[FloatArray, 4]  # sign of the last command to move, or 0
+    reversal_tick: Annotated[FloatArray, 2, 2]  # period in which its actuator last reversed
+    jump_sign: Annotated[FloatArray, 2, 2]  # sign of a goal's last jump after that, or 0
+    variance: Annotated[FloatArray, 2, 2]  # variance that it adds to a measured goal, rad^2
 
 
 class DelayState:
     """Delay of images behind joint readings, see `vergence.controllers.prediction.delay`."""
 
-    first_s: float
-    """Delay of hypothesis 0, s."""
-    cost: Annotated[FloatArray, HYPOTHESES]
-    """Accumulated cost of each delay hypothesis."""
-    first_active: float
-    """Index of the first delay hypothesis that is not ruled out."""
-    end_active: float
-    """Index one past the last of them."""
-    mean_s: float
-    """Mean delay: latency of images minus that of joint readings, s."""
+    first_s: float  # delay of hypothesis 0, s
+    cost: Annotated[FloatArray, HYPOTHESES]  # accumulated cost of each delay hypothesis
+    first_active: float  # index of the first delay hypothesis that is not ruled out
+    end_active: float  # index one past the last of them
+    mean_s: float  # mean delay: latency of images minus that of joint readings, s
 
 
 class TargetState:
     """Where the target of each eye is, as the joint angles that fixate it."""
 
-    goals_by_delay: Annotated[FloatArray, HYPOTHESES, 2, 2]
-    """Filtered goals of a resting target under each delay: angles that fixate it, rad."""
-    goals: Annotated[FloatArray, 2, 2]
-    """Mean of these goals over the delays, rad."""
-    variance_over_delays: Annotated[FloatArray, 2, 2]
-    """Variance of these goals over the delays, rad^2."""
-    filter_variance: Annotated[FloatArray, 2, 2]
-    """Variance of the Kalman filter of each goal, common to all delays, rad^2."""
-    detection_variance: float
-    """Detection variance, divided by the squared focal length, rad^2."""
-    known: Annotated[FloatArray, 2]
-    """1 if an eye's target is known, otherwise 0."""
-    confirmations: Annotated[FloatArray, 2]
-    """Number of images that have confirmed it."""
-    displaced_image_count: Annotated[FloatArray, 2]
-    """Number of successive images, up to the last one, that showed the target at one displaced
-    position."""
-    displaced_goals: Annotated[FloatArray, 2, 2]
-    """Joint angles that fixate that displaced position, rad."""
-    unseen_periods: Annotated[FloatArray, 2]
-    """Periods since an image last showed each eye its target."""
-    depth: Annotated[FloatArray, 2]
-    """Depth at which each eye last saw its target, m."""
-    fixated_depth: Annotated[FloatArray, 2]
-    """Depth of each eye's target once it is on the optical axis, m."""
+    goals_by_delay: Annotated[FloatArray, HYPOTHESES, 2, 2]  # goals at rest by delay, rad
+    goals: Annotated[FloatArray, 2, 2]  # their mean over the delays, rad
+    variance_over_delays: Annotated[FloatArray, 2, 2]  # their variance over the delays, rad^2
+    filter_variance: Annotated[FloatArray, 2, 2]  # Kalman filter's, common to all delays, rad^2
+    detection_variance: float  # detection variance, divided by the squared focal length, rad^2
+    known: Annotated[FloatArray, 2]  # 1 if an eye's target is known, otherwise 0
+    confirmations: Annotated[FloatArray, 2]  # number of images that have confirmed it
+    displaced_image_count: Annotated[FloatArray, 2]  # last images that showed it at one other place
+    displaced_goals: Annotated[FloatArray, 2, 2]  # goals of that displaced place, rad
+    unseen_periods: Annotated[FloatArray, 2]  # since an image last showed an eye its target
+    depth: Annotated[FloatArray, 2]  # depth at which each eye last saw its target, m
+    fixated_depth: Annotated[FloatArray, 2]  # its depth once it is on the optical axis, m
 
 
 class MotionState:
     """How the targets move, see `vergence.controllers.prediction.motion_models`."""
 
-    models: Annotated[list[TargetMotion], 2, MODELS]
-    """Target motion models, by eye and model."""
-    switches: float
-    """Switches of the target between rest and motion, counted with decay."""
-    images: Annotated[list[PastImage], 2]
-    """The last image and the one before it."""
-    tick: float
-    """Time to which the models were predicted: exposure of the last image, in periods."""
-    probabilities: Annotated[FloatArray, MODES]
-    """Mode probabilities: rest, then each motion model."""
+    models: Annotated[list[TargetMotion], 2, MODELS]  # target motion models, by eye and model
+    switches: float  # switches of the target between rest and motion, counted with decay
+    images: Annotated[list[PastImage], 2]  # the last image and the one before it
+    tick: float  # time to which the models were predicted: exposure of the last image, in periods
+    probabilities: Annotated[FloatArray, MODES]  # mode probabilities: rest, then each motion model
 
 
 class EffectState:
     """Goals when the next command acts: angles (rad) and rates (rad/s) that fixate the targets."""
 
-    goals: Annotated[FloatArray, 2, 2]
-    """At the time the next command begins to act."""
-    rates: Annotated[FloatArray, 2, 2]
-    """Rates of change at that time."""
-    later_rates: Annotated[FloatArray, 2, 2]
-    """Rates of change when that command shows, a lag and half a period later."""
+    goals: Annotated[FloatArray, 2, 2]  # at the time the next command begins to act
+    rates: Annotated[FloatArray, 2, 2]  # rates of change at that time
+    later_rates: Annotated[FloatArray, 2, 2]  # when it shows, a lag and half a period later
 
 
 class PredictorState:
     """State of the predictor for one head, by what owns it."""
 
-    periods: float
-    """Periods since the first observation of the trial; -1 before it."""
-    image_age_s: float
-    """Age of the newest image, s; the next period compares it to detect a new image."""
+    periods: float  # periods since the first observation of the trial; -1 before it
+    image_age_s: float  # age of the newest image, s, by which the next one is told
     response: ResponseIdentification
     observer: ActuatorObserver
     oscillation: OscillationState
@@ -435,20 +333,13 @@ class PredictorState:
 
 PREDICTOR_STATE: Final = row_layout(PredictorState)
 PREDICTOR_STATE_SIZE: Final = row_size(PREDICTOR_STATE)
-"""Length of the packed state, before the ring buffers of `Response`."""
+"""Length of the packed state, before the `Rings`."""
 
 
 def initial_predictor_row(
     params_row: FloatArray, stamped: bool, learn_delay: bool, learn_response: bool
 ) -> FloatArray:
-    """Return a head's state before the first observation: `PREDICTOR_STATE`, then its rings.
-
-    Args:
-        params_row: packed `PredictorParameters`.
-        stamped: True if the camera stamps exposures.
-        learn_delay: True to estimate the delay of images on line.
-        learn_response: True to identify the actuators' response on line.
-    """
+    """A head's state before the first observation: `PREDICTOR_STATE`, then its rings."""
     params: PredictorParameters = params_row.view(PREDICTOR_PARAMETERS)[0]
     state = np.zeros(1, dtype=PREDICTOR_STATE)
     state["periods"] = state["response"]["window_begin"] = -1.0
@@ -463,7 +354,7 @@ def initial_predictor_row(
     delays["cost"] = prior_delay_costs(params.nominal_delay_s, stamped, learn_delay)
     delays["end_active"] = HYPOTHESES
     delays["mean_s"] = params.nominal_delay_s
-    noise_px = max(params.detection_noise_px, MIN_INITIAL_NOISE_PX)
+    noise_px = max(params.detection_noise_px, _MIN_INITIAL_NOISE_PX)
     state["target"]["detection_variance"] = (noise_px * params.pixel_rad) ** 2
     state["target"]["depth"] = DEFAULT_DEPTH_M
     rings = np.zeros(4 * int(params.command_ring + 2 * params.speed_ring))
@@ -485,25 +376,17 @@ def rings_in(row: FloatArray, params: PredictorParameters) -> Rings:
 
 @inlined
 def angle_at(
-    state: PredictorState, sample_periods: float, tick: float, eye: int, joint: int
+    state: PredictorState, params: PredictorParameters, tick: float, eye: int, joint: int
 ) -> float:
-    """Interpolate a joint's angle at a time by the cubic through the four stored angles around it.
-
-    Args:
-        state: the predictor's state.
-        sample_periods: see `PredictorParameters.sample_periods`.
-        tick: the time, in periods.
-        eye: index of the eye.
-        joint: index of its joint.
-    """
-    last = np.floor(state.periods / sample_periods)
-    tick = min(max(tick / sample_periods, last - (RING_LENGTH - 4.0)), last)
+    """A joint's angle at a time in periods, by the cubic through the four stored ones about it."""
+    angles, last = state.joints.angles, np.floor(state.periods / params.sample_periods)
+    tick = min(max(tick / params.sample_periods, last - (RING_LENGTH - 4.0)), last)
     i = min(int(np.floor(tick)), int(last) - 2)
     s = tick - i
-    a = state.joints.angles[np.uintp((i - 1) & (RING_LENGTH - 1)), eye, joint]
-    b = state.joints.angles[np.uintp(i & (RING_LENGTH - 1)), eye, joint]
-    c = state.joints.angles[np.uintp((i + 1) & (RING_LENGTH - 1)), eye, joint]
-    d = state.joints.angles[np.uintp((i + 2) & (RING_LENGTH - 1)), eye, joint]
+    a = angles[np.uintp((i - 1) & (RING_LENGTH - 1)), eye, joint]
+    b = angles[np.uintp(i & (RING_LENGTH - 1)), eye, joint]
+    c = angles[np.uintp((i + 1) & (RING_LENGTH - 1)), eye, joint]
+    d = angles[np.uintp((i + 2) & (RING_LENGTH - 1)), eye, joint]
     near = (s + 1.0) * (s - 2.0)
     angle: float = (s * (s - 1.0) / 6.0) * ((s + 1.0) * d - (s - 2.0) * a)
     angle += 0.5 * near * ((s - 1.0) * b - s * c)
@@ -512,74 +395,54 @@ def angle_at(
 
 @inlined
 def update_joints(
-    state: PredictorState,
-    rings: Rings,
-    params: PredictorParameters,
-    p: PackedHead,
-    positions: FloatArray,
-    velocities: FloatArray,
-    command: FloatArray,
-    learn: bool,
-) -> None:
-    """Update the angles, the velocities and the response with a period's readings.
+    state: PredictorState, rings: Rings, params: PredictorParameters, p: PackedHead,
+    positions: FloatArray, velocities: FloatArray, command: FloatArray, learn: bool,
+) -> None:  # fmt: skip
+    """Update the angles and the velocities with a period's readings, and the response if `learn`.
 
-    Args:
-        state: changed in place.
-        rings: the head's ring buffers, changed in place.
-        params: the head's parameters.
-        p: a packed head.
-        positions: (7,) measured joint angles, rad.
-        velocities: (7,) measured joint velocities, rad/s.
-        command: (4,) velocity commands that the actuators received, rad/s.
-        learn: True to identify the response.
+    Readings (7,) are by joint, rad and rad/s; commands (4,) what the actuators received, rad/s.
     """
+    joints, response = state.joints, state.response
     state.periods += 1.0
-    state.joints.still_periods += 1.0
+    joints.still_periods += 1.0
     tick, direct, begins = int(state.periods), has_motor_per_joint(p), state.periods == 0.0
-    response = state.response
-    model = selected_model(response)
-    prompt = no_velocity_delay_found(state.observer)
+    model, observer = selected_model(response), state.observer
+    prompt = observer.delay_s < _MAX_PROMPT_DELAY_S and observer.misfit < _MAX_EXPLAINED_MISFIT
     response.prompt_velocities = 1.0 if prompt else 0.0
-    before, now = (
-        np.uintp((tick - 1) & (len(rings.commands) - 1)),
-        np.uintp(tick & (len(rings.speeds) - 1)),
-    )
+    before = np.uintp((tick - 1) & (len(rings.commands) - 1))
+    now = np.uintp(tick & (len(rings.speeds) - 1))
     for j in range(4):
         angle, rate = positions[3 + j], velocities[3 + j]
         if not direct:
             angle = eye_actuator_angle(p, j, positions[3:])
             rate = eye_actuator_velocity(p, j, velocities[3:])
         if begins:  # at rest
-            state.joints.actuator_angles[j], state.joints.velocity[j] = angle, rate
+            joints.actuator_angles[j], joints.velocity[j] = angle, rate
             response.angles[j] = angle
-            begin_delay_comparison(state.observer, j, angle, rate)
+            _begin_delay_comparison(observer, j, angle, rate)
             continue
         rings.commands[before, j] = quantise_with_dead_zone(params, command[j])
-        q, v = state.joints.actuator_angles[j], state.joints.velocity[j]
-        w = response.accelerations[j]
-        ahead_q, ahead_v, w = simulate_period(response, rings, model, params, tick - 1, j, q, v, w)
+        q, v, w = joints.actuator_angles[j], joints.velocity[j], response.accelerations[j]
+        ahead_q, ahead_v, w = simulate_period(rings, model, params, tick - 1, j, q, v, w)
         response.accelerations[j] = w
-        q, v = update_observer(
-            state.observer, response, rings, params, tick - 1, j, v, ahead_q, ahead_v, angle, rate
+        q, v = _update_observer(
+            observer, response, rings, params, tick - 1, j, v, ahead_q, ahead_v, angle, rate
         )
-        state.joints.actuator_angles[j], state.joints.velocity[j] = q, v
+        joints.actuator_angles[j], joints.velocity[j] = q, v
         rings.mean_speeds[now, j] = (angle - response.angles[j]) / params.period_s
-        response.angles[j] = angle
         rings.speeds[now, j] = rate if prompt else v
-        if abs(state.joints.velocity[j]) > _MAX_REST_SPEED:
-            state.joints.still_periods = 0.0
+        response.angles[j] = angle
+        if abs(v) > _MAX_REST_SPEED:
+            joints.still_periods = 0.0
     every = int(params.sample_periods)
     slot = np.uintp(tick // every & (RING_LENGTH - 1))
     for j in range(4 if tick % every == 0 else 0):
-        q = (
-            state.joints.actuator_angles[j]
-            if direct
-            else eye_joint_angle(p, j, state.joints.actuator_angles)
-        )
+        q = joints.actuator_angles[j]
+        if not direct:
+            q = eye_joint_angle(p, j, joints.actuator_angles)
         if begins:
             reset_oscillation(state.oscillation, j // 2, j % 2, q)
-            for place in range(RING_LENGTH):
-                state.joints.angles[place, j // 2, j % 2] = q
-        state.joints.angles[slot, j // 2, j % 2] = q
+            joints.angles[:, j // 2, j % 2] = q
+        joints.angles[slot, j // 2, j % 2] = q
     if learn and not begins:
         learn_response(response, rings, params, tick)
