@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.controllers.prediction.observed import predict, predictor_of, record, saccades, turns
+from tests.controllers.prediction.observed import predict, predictor_of, record, saccades
 from vergence import load_head
-from vergence.controllers.prediction.predictor import SmithPredictor
-from vergence.envs.observation import ObservationLayout
 
 HEAD = load_head("simulated")
 NOMINAL_S = HEAD.timing.latency_s
@@ -35,12 +33,6 @@ def test_one_saccade_tells_a_delay_that_is_off_by_forty_milliseconds(off_s) -> N
 def test_the_delay_is_that_of_the_mean_frame_less_that_of_readings(head, options, expected_s):
     found = saccades(head, 70, **options).predicted[-1].image_delay_s
     assert np.abs(np.median(found) - expected_s) < 0.004
-
-
-def test_a_nominal_delay_is_never_doubted() -> None:
-    predictor = SmithPredictor(head=HEAD, layout=ObservationLayout.of(HEAD), delay="nominal")
-    found = predict(predictor, record(HEAD, turns(HEAD, 60), image_delay_s=0.1))
-    assert np.allclose([one.image_delay_s for one in found], NOMINAL_S, atol=1e-6)
 
 
 def test_nothing_is_learned_at_rest() -> None:

@@ -59,26 +59,22 @@ def test_a_target_at_rest_has_no_rate_whatever_the_noise() -> None:
             assert not rates[known:].any()
 
 
-def test_a_target_that_stops_is_noticed() -> None:
+def test_a_target_that_stops_or_sets_out_is_noticed() -> None:
+    seen_s = 0.5 + HEAD.timing.latency_s
+
     def stops(time_s):
-        return moving(min(time_s, 0.6))
+        return moving(min(time_s, 0.5))
 
-    predicted, rates, times = seen(stops, 150)
-    seen_s = 0.6 + HEAD.timing.latency_s
-    late = times > seen_s + 0.15
-    assert np.abs(rates[late]).max() < 0.02
-    assert np.abs(predicted - goals(times, stops))[late].max() < 0.002
-
-
-def test_a_target_that_sets_out_is_noticed() -> None:
     def sets_out(time_s):
         return moving(max(time_s, 0.5))
 
-    predicted, rates, times = seen(sets_out, 120)
-    begun = times < 0.5 + HEAD.timing.latency_s
-    assert not rates[begun].any()
-    late = times > 0.5 + HEAD.timing.latency_s + 0.15
-    assert np.abs(predicted - goals(times, sets_out))[late].max() < 0.003
+    for target in (stops, sets_out):
+        with named(target.__name__):
+            predicted, rates, times = seen(target, 130)
+            expected = goals(times, target)
+            assert np.abs(predicted - expected)[times > seen_s + 0.15].max() < 0.003
+            at_rest = times > seen_s + 0.15 if target is stops else times < seen_s
+            assert np.abs(rates[at_rest]).max() <= (0.02 if target is stops else 0.0)
 
 
 def test_a_jump_is_no_motion() -> None:

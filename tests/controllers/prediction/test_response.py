@@ -41,24 +41,20 @@ def test_two_turns_tell_a_servo_whose_own_loop_swings(build_up, lag_s) -> None:
     assert last.response_latency_s == pytest.approx(0.017, abs=0.003)
 
 
-@pytest.mark.parametrize("rate_hz", [50.0, 250.0])
-def test_the_latency_is_found_in_seconds_at_any_control_rate(rate_hz) -> None:
-    head = HEAD.replace(timing={"control_rate_hz": rate_hz, "frame_rate_hz": 50.0})
-    way = record(head, turns(head, round(0.5 * rate_hz)), latency_s=0.017, ratio=0.6)
-    last = predict(predictor_of(head), way)[-1]
-    assert last.response_latency_s == pytest.approx(0.017, abs=0.002)
-    assert last.acceleration_ratio == pytest.approx(0.6, rel=0.1)
-
-
 @pytest.mark.parametrize(
-    ("rate_hz", "known_s", "true_s"), [(120.0, 0.2, 0.24), (120.0, 0.15, 0.17), (1000.0, 0.2, 0.19)]
-)
-def test_a_long_latency_is_found_about_the_models_own(rate_hz, known_s, true_s) -> None:
-    timing = {"control_rate_hz": rate_hz, "command_latency_s": known_s}
+    ("rate_hz", "known_s", "true_s"),
+    [
+        (50.0, 0.0, 0.017), (250.0, 0.0, 0.017), (120.0, 0.2, 0.24), (120.0, 0.15, 0.17),
+        (1000.0, 0.2, 0.19),
+    ],
+)  # fmt: skip
+def test_the_latency_is_found_about_the_models_own_at_any_rate(rate_hz, known_s, true_s) -> None:
+    timing = {"control_rate_hz": rate_hz, "frame_rate_hz": 50.0, "command_latency_s": known_s}
     head = HEAD.replace(timing=timing)
-    way = record(head, turns(head, round(0.8 * rate_hz)), latency_s=true_s)
+    way = record(head, turns(head, round(0.8 * rate_hz)), latency_s=true_s, ratio=0.6)
     last = predict(predictor_of(head), way)[-1]
     assert last.response_latency_s == pytest.approx(true_s, abs=0.002)
+    assert last.acceleration_ratio == pytest.approx(0.6, rel=0.1)
     assert last.lag_s == pytest.approx(head.timing.lag_s, rel=0.1)
 
 
@@ -68,10 +64,14 @@ def test_what_is_known_is_less_sure_before_the_first_turn() -> None:
     assert every[0].response_latency_sd_s > 5.0 * every[-1].response_latency_sd_s
 
 
-def test_a_nominal_response_is_that_of_the_heads_model() -> None:
+def test_what_is_nominal_is_never_doubted() -> None:
     head = HEAD.replace(timing={"command_latency_s": 0.012})
-    predictor = SmithPredictor(head=head, layout=ObservationLayout.of(head), lag="nominal")
-    last = predict(predictor, record(head, turns(head, 60), latency_s=0.03, ratio=0.5))[-1]
+    predictor = SmithPredictor(
+        head=head, layout=ObservationLayout.of(head), delay="nominal", lag="nominal"
+    )
+    way = record(head, turns(head, 60), latency_s=0.03, ratio=0.5, image_delay_s=0.1)
+    last = predict(predictor, way)[-1]
+    assert last.image_delay_s == pytest.approx(head.timing.latency_s, abs=1e-6)
     assert last.response_latency_s == 0.012
     assert last.lag_s == pytest.approx(head.timing.lag_s)
     assert last.acceleration_ratio == 1.0

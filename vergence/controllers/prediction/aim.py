@@ -108,7 +108,10 @@ def extrapolate_targets(
 ) -> None:
     """Extrapolate the targets to a time in periods, see `EffectState`."""
     target, motion, effect = state.target, state.motion, state.effect
-    effect.goals[:], effect.rates[:], effect.later_rates[:] = target.goals, 0.0, 0.0
+    for eye in range(2):
+        for joint in range(2):
+            effect.goals[eye, joint] = target.goals[eye, joint]
+            effect.rates[eye, joint] = effect.later_rates[eye, joint] = 0.0
     if not (params.targets_move > 0.5 and motion.probabilities[0] < _REST_PROBABILITY):
         return
     time_s, effect_delay_s = (tick - motion.tick) * params.period_s, lag_s + 0.5 * params.period_s
@@ -137,10 +140,7 @@ def extrapolate_targets(
 def predict_pixel_error(
     state: PredictorState, p: PackedHead, eye: int, first_angle: float, second_angle: float
 ) -> tuple[float, float]:
-    """Undistorted error of an eye at given joint angles along u and v, px.
-
-    nan if its target is not known or lies behind the camera.
-    """
+    """Undistorted error (u, v) of an eye at joint angles, px; nan if unknown or behind it."""
     if state.target.known[eye] < 0.5:
         return nan, nan
     # the point on the optical axis once the eye has turned to its aim

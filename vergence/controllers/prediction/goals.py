@@ -96,8 +96,9 @@ def _update_motion_models(
         scatter += (share * (goal - motion.angle[joint])) ** 2 + (1.0 - share) * noise
     update_models(motions, image.goals[eye], image.moving_variance[eye], exact, own)
     own[0] += marginal_nll(state.delays.cost, image.low, image.high, costs)
+    least = own.min()
     for m in range(MODES):  # bounded so that no outlier rules out a mode
-        nll[m] += min(own[m] - own.min(), MAX_EYE_LOG_RATIO)
+        nll[m] += min(own[m] - least, MAX_EYE_LOG_RATIO)
     return scatter
 
 
@@ -160,18 +161,6 @@ def _begin_goals(state: PredictorState, eye: int, image: NewImage, confirmed: bo
         for i in range(image.low, image.high):
             off = image.angles_by_delay[i, eye, joint] - image.angles[eye, joint]
             state.target.goals_by_delay[i, eye, joint] = image.goals[eye, joint] + off
-
-
-@inlined
-def _learn_noise(
-    state: PredictorState, params: PredictorParameters, scatter: float, count: int
-) -> None:
-    """Update the detection variance with an image's squared deviations: their sum and number."""
-    least, most = _NOISE_PX[0] * params.pixel_rad, _NOISE_PX[1] * params.pixel_rad
-    before = state.target.detection_variance
-    found = min(scatter / count, 9.0 * before)
-    noise = before + 0.25 * count * _NOISE_WEIGHT * (found - before)
-    state.target.detection_variance = min(max(noise, least * least), most * most)
 
 
 @inlined
@@ -283,5 +272,9 @@ def _filter(
     last = motion.images[0]
     last.arrival_tick = image.arrival_tick
     last.goals[:], last.angles_at_exposure[:] = image.goals, image.angles
-    if count > 0:
-        _learn_noise(state, params, scatter, count)
+    if count > 0:  # the detection variance follows the mean squared deviation
+        least, most = _NOISE_PX[0] * params.pixel_rad, _NOISE_PX[1] * params.pixel_rad
+        before = target.detection_variance
+        found = min(scatter / count, 9.0 * before)
+        noise = before + 0.25 * count * _NOISE_WEIGHT * (found - before)
+        target.detection_variance = min(max(noise, least * least), most * most)

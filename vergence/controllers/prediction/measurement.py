@@ -240,8 +240,7 @@ _DISPLACED_GATE: Final = 36.0
 _UNMOVED_GATE: Final = 9.0
 """Squared Mahalanobis distance up to which a goal is where it was (chosen: 3 sigma)."""
 _DISPLACED_S: Final = (0.1, 0.25)
-"""Time for which an eye sees its target displaced, s; the second if the other eye sees it unmoved
-(chosen: false detections against reaction time)."""
+"""Times of a displaced target alone and beside an unmoved one, s (chosen: errors against delay)."""
 
 
 @inlined

@@ -121,8 +121,11 @@ def mix_models(motions: Motions, probabilities: FloatArray) -> None:
                 mixed[m, 11] += half * a * a
     for m in range(MODELS):
         motion = motions[m]
-        motion.angle[:], motion.rate[:] = mixed[m, :2], mixed[m, 2:4]
-        motion.acceleration[:], motion.covariance[:] = mixed[m, 4:6], mixed[m, 6:]
+        for joint in range(2):
+            motion.angle[joint], motion.rate[joint] = mixed[m, joint], mixed[m, 2 + joint]
+            motion.acceleration[joint] = mixed[m, 4 + joint]
+        for i in range(6):
+            motion.covariance[i] = mixed[m, 6 + i]
 
 
 @inlined

@@ -114,9 +114,8 @@ def update_oscillation(
     moved[1], moved[0] = moved[0], 0.0
     fast = pi * half > _MIN_SWING_SPEED * time_s
     if before > 0.0 and fast and half > _MIN_GOAL_RATIO * goal_moved:
-        share = (half / before - _SUSTAINED_RATIOS[0]) / (
-            _SUSTAINED_RATIOS[1] - _SUSTAINED_RATIOS[0]
-        )
+        low, high = _SUSTAINED_RATIOS
+        share = (half / before - low) / (high - low)
         count = min(oscillation.half_swing_count + min(max(share, 0.0), 1.0), MAX_HALF_SWINGS)
         if oscillation.half_swing_count <= OSCILLATING_HALF_SWINGS < count:
             oscillation.decay_time_s *= 2.0

@@ -276,10 +276,12 @@ def _fill_prediction(
         present.speed_gain[j] = exp(model.log_gain[j])
     lag_s, effect = exp(model.parameters[2]), state.effect
     extrapolate_targets(state, params, lag_s, state.periods + latency / params.period_s)
-    present.positions[:], present.known[:] = present.actuator_angles, state.target.known
-    for j in range(0 if direct else 4):
-        present.positions[j] = eye_joint_angle(p, j, present.actuator_angles)
+    for j in range(4):
+        present.positions[j] = present.actuator_angles[j]
+        if not direct:
+            present.positions[j] = eye_joint_angle(p, j, present.actuator_angles)
     for eye in range(2):
+        present.known[eye] = state.target.known[eye]
         first, second = present.positions[2 * eye], present.positions[2 * eye + 1]
         u, v = predict_pixel_error(state, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v

@@ -79,10 +79,7 @@ class ResponseIdentification:
 
 
 class Rings(NamedTuple):
-    """Ring buffers of a head, as long as its latency requires.
-
-    Their lengths are powers of two; period k is at index k modulo the length.
-    """
+    """Ring buffers of a head: powers of two long; period k is at index k modulo the length."""
 
     commands: FloatArray  # (C, 4) commands, rad/s
     speeds: FloatArray  # (S, 4) velocities at the ends of periods, rad/s: estimated unless prompt

@@ -16,9 +16,8 @@ the angle is ahead of the integrated velocity by D times the velocity,
 
 exactly for a first-order filter with the time constant D, whatever the motion, and for any other
 filter of that mean delay once the acceleration has been constant for a while. The measurement
-variance of a velocity grows with the uncertainty of D and with the acceleration. A head whose
-velocities are differences of angles has a long D; one whose velocities mean nothing has a D that
-does not explain the readings.
+variance of a velocity grows with the uncertainty of D and with the acceleration. Velocities that
+mean nothing have a D that does not explain the readings.
 """
 
 from math import exp, sqrt
@@ -163,18 +162,14 @@ def _update_delay(
 def _relative_acceleration_sd(response: ResponseIdentification, period: float) -> float:
     """Relative standard deviation of an actuator's predicted acceleration."""
     model = selected_model(response)
-    v = model.variance
-    square = _ACCELERATION_SHARE * _ACCELERATION_SHARE * max(model.misfit, 1.0)
+    v, square = model.variance, _ACCELERATION_SHARE * _ACCELERATION_SHARE * max(model.misfit, 1.0)
     square += max(v[0], 0.0) / (period * period) + max(v[1], 0.0) + max(v[2], 0.0)
     return min(sqrt(square), 1.0)
 
 
 @inlined
 def _update_covariance(c: FloatArray, i: int, innovation_variance: float) -> tuple[float, float]:
-    """Update a covariance with a measured angle (i = 0) or velocity (i = 2).
-
-    Return the gains of what is measured and of the other one.
-    """
+    """Update with a measured angle (i = 0) or velocity (i = 2); return its gain and the other's."""
     gain, other = c[i] / innovation_variance, c[1] / innovation_variance
     c[2 - i] -= other * c[1]
     c[1] *= 1.0 - gain
