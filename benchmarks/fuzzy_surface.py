@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from vergence.controllers.fuzzy import FUZZY_SETS, FuzzyPID
+from vergence.controllers.pid import FUZZY_SETS, FuzzyPID
 from vergence.envs.observation import ObservationLayout
 from vergence.models.head_file import load_head
 from vergence.reporting.style import figure_style, new_figure, save_figure

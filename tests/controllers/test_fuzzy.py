@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.controllers.loops import true_errors
 from vergence import load_head, make_controller
-from vergence.controllers.fuzzy import FUZZY_SETS, RULES, rule_base
+from vergence.controllers.pid import FUZZY_SETS, RULES, rule_base
 from vergence.envs.task import GazeTask
 
 HEAD = load_head("simulated")

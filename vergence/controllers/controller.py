@@ -68,7 +68,7 @@ CONTROLLERS: Final[dict[str, str]] = {
     "ibvs-tuned": "vergence.controllers.ibvs:TunedIBVS",
     "adaptive": "vergence.controllers.adaptive:AdaptiveIBVS",
     "pid": "vergence.controllers.pid:PID",
-    "fuzzy": "vergence.controllers.fuzzy:FuzzyPID",
+    "fuzzy": "vergence.controllers.pid:FuzzyPID",
     "pursuit": "vergence.controllers.saccade:Pursuit",
     "learned-gain": "vergence.controllers.networks.learned:LearnedGain",
     "learned-policy": "vergence.controllers.networks.learned:LearnedPolicy",
