@@ -23,11 +23,11 @@ The square gives small gains, which brake, a larger part of the range.
 """
 
 from collections.abc import Sequence
-from math import exp, isfinite, nan
+from math import exp, isfinite
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vergence.controllers.gate import GatedDetections, GatedImageController
 from vergence.controllers.ibvs import (
@@ -37,7 +37,7 @@ from vergence.controllers.ibvs import (
     reducible_pixel_error,
     speed_limits,
 )
-from vergence.envs.observation import Observation, ObservationLayout
+from vergence.envs.observation import ObservationLayout
 from vergence.envs.reading import check_at_least_zero
 from vergence.kernels import kernel
 from vergence.models.head import HeadModel
@@ -143,47 +143,3 @@ def gains_from_action(
     share = 0.5 * (1.0 + np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
     gains = GAIN_LIMIT * share[..., gain_indices_by_axis(names)] ** 2
     return np.ascontiguousarray(gains).reshape(*share.shape[:-1], 2, 2)
-
-
-def action_from_gains(
-    gains: ArrayLike, names: Sequence[str] = TILT_FIRST_GAIN_NAMES
-) -> NDArray[np.float32]:
-    """Compute the inverse of `gains_from_action`, of gains limited to 0 to `GAIN_LIMIT`."""
-    share = np.sqrt(np.clip(np.asarray(gains, dtype=np.float64), 0.0, GAIN_LIMIT) / GAIN_LIMIT)
-    by_axis = (2.0 * share - 1.0).reshape(*share.shape[:-2], 4)
-    return by_axis[..., np.argsort(gain_indices_by_axis(names))].astype(np.float32)
-
-
-class ScheduledIBVS:
-    """Image-based visual servoing with gains that the caller gives in each period.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations and actions.
-    """
-
-    def __init__(self, head: HeadModel, layout: ObservationLayout) -> None:
-        self.head = head
-        self.layout = layout
-        self.names = gain_names_of_head(head)
-        """Gains of the four numbers of an action."""
-
-    def action(self, observation: ArrayLike, gains: ArrayLike) -> NDArray[np.float32]:
-        """Compute the (..., m) action for (..., size) observations and gains as in `command`."""
-        return self.layout.action(self.command(self.layout.decode(observation), gains))
-
-    def command(self, seen: Observation, gains: ArrayLike) -> FloatArray:
-        """Compute the law's velocities in physical units.
-
-        Args:
-            seen: a decoded observation.
-            gains: (..., 2, 2) by eye and image axis, 1/s.
-
-        Returns:
-            (..., 4) velocities of the eyes' actuators, rad/s; an eye that does not see its target
-            requests none.
-        """
-        return ibvs_velocities(
-            self.head, seen.positions_at_exposure, seen.pixel_error,
-            np.asarray(gains, dtype=np.float64), nan, self.layout.action_limits,
-        )  # fmt: skip

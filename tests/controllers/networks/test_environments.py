@@ -10,7 +10,6 @@ from gymnasium.vector import AutoresetMode
 
 from tests.naming import named
 from vergence.controllers import make_controller
-from vergence.controllers.adaptive import action_from_gains
 from vergence.controllers.networks.environments import (
     GainScheduleEnv,
     PolicyEnv,
@@ -45,7 +44,7 @@ def test_a_constant_schedule_runs_the_trial_of_the_fixed_gain() -> None:
     for _ in range(60):
         action, _state = law.predict(observation)
         observation, reward, *_rest = gaze.step(action)
-        _inputs, same, _te, _tr, info = schedule.step(action_from_gains(np.full((2, 2), 4.0)))
+        _inputs, same, _te, _tr, info = schedule.step(np.full(4, np.sqrt(0.8) - 1.0, "f4"))
         # gains go through a float32 action
         assert same == pytest.approx(reward, abs=1e-5)
         assert info["gains"] == pytest.approx(4.0, abs=1e-5)

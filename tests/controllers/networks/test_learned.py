@@ -15,7 +15,7 @@ from tests.controllers.networks.graphs import KINDS, bundle_of, forward, onnx_fi
 from tests.grids import some_of
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.adaptive import ScheduledIBVS
+from vergence.controllers.ibvs import ibvs_velocities
 from vergence.controllers.networks import learned
 from vergence.controllers.networks.bundle import pretrained_bundles, read_bundle
 from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy
@@ -68,8 +68,12 @@ def test_a_gain_schedule_puts_out_the_gains_of_the_law(bundles):
     names, outputs = controller.manifest.actions["names"], 5.0 * (1.0 + forward(inputs).T) ** 2
     by_name = dict(zip(names, outputs, strict=True))
     gains = np.array([[by_name[f"{eye}_{axis}"] for axis in "uv"] for eye in ("left", "right")])
-    law = ScheduledIBVS(HEAD, controller.layout)
-    expected = law.action(seen, np.moveaxis(gains, -1, 0))
+    now, layout = controller.layout.decode(seen), controller.layout
+    command = ibvs_velocities(
+        HEAD, now.positions_at_exposure, now.pixel_error, np.moveaxis(gains, -1, 0), np.nan,
+        layout.action_limits,
+    )  # fmt: skip
+    expected = layout.action(command)
     assert controller.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
 
 

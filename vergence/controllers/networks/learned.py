@@ -23,9 +23,10 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.adaptive import ScheduledIBVS, gain_names_of_head, gains_from_action
+from vergence.controllers.adaptive import gain_names_of_head, gains_from_action
 from vergence.controllers.controller import Controller, StatefulController, checked_layout
 from vergence.controllers.gate import CommandQuantiser, OutlierGate
+from vergence.controllers.ibvs import ibvs_velocities
 from vergence.controllers.networks.bundle import (
     GAIN_SCHEDULE,
     POLICY,
@@ -71,7 +72,6 @@ class NetworkLoop:
         self.inputs = inputs
         self._layout = layout = inputs.layout
         self.gain_names = gain_names_of_head(inputs.head) if schedule else None
-        self._law = ScheduledIBVS(inputs.head, layout)
         self._gate = OutlierGate(inputs.head, layout)
         self._quantiser = CommandQuantiser(inputs.head, layout.action_limits)
         of_inputs = inputs.initial().size
@@ -137,11 +137,10 @@ class NetworkLoop:
         else:
             assert seen is not None
             detections = self._gate.update(seen, state[..., self._of_gate])
-            guarded = seen._replace(
-                pixel_error=detections.pixel_error,
-                positions_at_exposure=detections.positions_at_exposure,
-            )
-            command = self._law.command(guarded, gains_from_action(outputs, self.gain_names))
+            command = ibvs_velocities(
+                self.inputs.head, detections.positions_at_exposure, detections.pixel_error,
+                gains_from_action(outputs, self.gain_names), np.nan, self._layout.action_limits,
+            )  # fmt: skip
         if self._quantiser.step_rad_s > 0.0:
             command = self._quantiser.quantise(command, state[..., self._of_rounding])
         calm = state[..., self._of_calm]
