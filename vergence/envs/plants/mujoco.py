@@ -56,10 +56,8 @@ from vergence.models.parts import FloatArray
 class SubstepTrajectory(NamedTuple):
     """Joint states within a period: at its beginning and at the end of each substep."""
 
-    positions: FloatArray
-    """(n, substeps + 1, 7) rad."""
-    velocities: FloatArray
-    """(n, substeps + 1, 7) rad/s."""
+    positions: FloatArray  # (n, substeps + 1, 7) rad
+    velocities: FloatArray  # (n, substeps + 1, 7) rad/s
 
     @classmethod
     def empty(cls, num: int, substeps: int) -> "SubstepTrajectory":
@@ -81,14 +79,13 @@ def mean_substep_controls(
     given, length = commands.velocities, period_s / substeps
     for n in ids:
         conditions = unpack_conditions(packed, n)
-        hold = held_commands(conditions.command_latency_s, steps[n], given.shape[1], period_s)
-        before = min(max(hold.change_s - substep * length, 0.0), length) / length
+        first, second, change_s = held_commands(
+            conditions.command_latency_s, steps[n], given.shape[1], period_s
+        )
+        before = min(max(change_s - substep * length, 0.0), length) / length
         for i in range(servo_slots.shape[0]):
             k = servo_slots[i]
-            u = (
-                before * given[n, hold.position_before, k]
-                + (1.0 - before) * given[n, hold.position_after, k]
-            )
+            u = before * given[n, first, k] + (1.0 - before) * given[n, second, k]
             control[n, i] = u = packed.own[n, GAIN, k] * u
             if conditions.overshoot == 0.0:
                 continue
@@ -183,32 +180,23 @@ class MujocoArrays(NamedTuple):
     """The simulations of a batch, and all else that moves its joints in a control period."""
 
     trajectory: SubstepTrajectory
-    qpos: FloatArray
-    """(n, nq) angles, rad."""
-    qvel: FloatArray
-    """(n, nv) velocities, rad/s."""
-    ctrl: FloatArray
-    """(n, nu) controls, rad/s."""
+    qpos: FloatArray  # (n, nq) angles, rad
+    qvel: FloatArray  # (n, nv) velocities, rad/s
+    ctrl: FloatArray  # (n, nu) controls, rad/s
     joints: IntArray
     """(7,) indices of the joints in `qpos` and `qvel`; -1 for a joint that does not move."""
     slots: IntArray
     """(nu,) indices of the servos in an array of the neck's joints and the actuators."""
-    nominal_head: PackedHead
-    """(PACKED,) the head that the controller knows."""
-    half_step_s: float
-    """Half a time step of the simulation, s."""
-    steps_per_substep: int
-    """Time steps of the simulation per substep."""
+    nominal_head: PackedHead  # (PACKED,) the head that the controller knows
+    half_step_s: float  # half a time step of the simulation, s
+    steps_per_substep: int  # time steps of the simulation per substep
     functions: tuple[int, int, int, int]
     """Result of `simulation_functions`, or zeros if the simulations are stepped by the batch."""
-    model: int
-    """Address of the simulation's model."""
+    model: int  # address of the simulation's model
     data: IntArray
     """(n,) address of a working space for each simulation; those of a thread share one."""
-    states: int
-    """Address of the simulations' states."""
-    state_size: int
-    """Distance between two states, bytes."""
+    states: int  # address of the simulations' states
+    state_size: int  # distance between two states, bytes
 
 
 class MujocoPlant(SimulatedPlant):
