@@ -69,7 +69,7 @@ def test_arguments_of_a_wrong_kind_are_refused() -> None:
         {"plant_options": [3]}, {"plant_options": {"true_head": "physical"}}, {"plant": 3},
         {"plant": "kinematik"}, {"head": 3}, {"head": None}, {"variation": [0.1]}, {"target": 3},
     ):  # fmt: skip
-        refused("expected", GazeTask, 1, **options)
+        refused("expected", GazeTask, 1, error=VergenceError, **options)
 
 
 MINE = '''

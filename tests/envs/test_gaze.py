@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from tests.envs.trials import SIMULATED_IDS
@@ -67,15 +67,6 @@ def first_sight(env: gym.Env, **reset: object) -> np.ndarray:
     for _ in range(10):
         observation = env.step(np.zeros(4, np.float32))[0]
     return observation
-
-
-@pytest.mark.slow
-def test_gymnasiums_checker_has_no_complaint() -> None:
-    env = gym.make("vergence/Gaze-v0", plant="mujoco").unwrapped
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env)
-    env.close()
 
 
 @pytest.mark.nightly
@@ -416,21 +407,6 @@ def test_what_a_reset_and_a_step_returned_does_not_change_with_the_next() -> Non
     for _ in range(20):
         envs.step(np.ones((2, 4)))
     assert all(np.array_equal(a, b) for a, b in zip(kept, arrays, strict=True))
-
-
-def test_gymnasiums_wrappers_take_its_infos() -> None:
-    envs = gym.make_vec(ID, num_envs=2, plant="kinematic", max_episode_steps=10)
-    envs = gym.wrappers.vector.RecordEpisodeStatistics(envs)
-    envs = gym.wrappers.vector.DictInfoToList(envs)
-    envs.reset(seed=0)
-    total = np.zeros(2)
-    for _ in range(10):
-        _o, reward, _te, _tr, infos = envs.step(np.zeros((2, 4), np.float32))
-        total += reward
-    assert [info["episode"]["l"] for info in infos] == [10, 10]
-    assert [info["episode"]["r"] for info in infos] == pytest.approx(total, rel=1e-6)
-    assert [info["is_success"] for info in infos] == [False, False]
-    assert set(infos[0]["reward_terms"]) == {"tracking", "precision", "effort", "lost"}
 
 
 def test_every_place_of_a_vector_has_the_true_head_of_a_single_environment():

@@ -66,11 +66,6 @@ def test_a_line_without_length_is_a_point_at_rest(simulated: HeadModel) -> None:
     assert target_position(rows[0], [0.0, 3.0]) == pytest.approx(np.array([point, point]))
 
 
-@pytest.fixture(params=["simulated", "physical"])
-def head(request: pytest.FixtureRequest) -> HeadModel:
-    return request.getfixturevalue(request.param)
-
-
 def test_random_targets_keep_their_promises(head: HeadModel) -> None:
     for start in ["fixation", "rest"]:
         with named(start):

@@ -8,6 +8,7 @@ from vergence import ModelErrors, load_head
 from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.envs.reading import Reading
 from vergence.envs.task import GazeTask
+from vergence.errors import VergenceError
 
 
 def test_model_errors_give_every_head_its_own_and_the_controller_none() -> None:
@@ -80,4 +81,4 @@ def test_arguments_that_cannot_be_are_refused_by_name() -> None:
         ({"model_errors": {"join_rad": 0.1}}, r"model_errors\.join_rad: expected one of link_m"),
         (both, "either model_errors or true_head"),
     ]:
-        refused(message, GazeTask, 1, **options)
+        refused(message, GazeTask, 1, error=VergenceError, **options)

@@ -75,15 +75,6 @@ def test_each_true_head_draws_its_own_images(physical: HeadModel) -> None:
     assert np.abs(readings[12].pixels - physical.project(q[4], AHEAD)).min(axis=0).max() > 2.0
 
 
-def test_the_grey_levels_noise_is_that_of_the_seed(simulated: HeadModel) -> None:
-    runs = [
-        steps(make_plant("rendered", simulated, 1), start_of(seed=seed), 9, SLOW)[0]
-        for seed in (1, 1, 2)
-    ]
-    assert np.array_equal(runs[0][9].pixels, runs[1][9].pixels)
-    assert not np.array_equal(runs[0][9].pixels, runs[2][9].pixels)
-
-
 @pytest.mark.slow
 def test_a_saccade_smears_the_image_and_does_not_mislead(physical: HeadModel) -> None:
     start = start_of(positions=[0, 0, 0, 0, -0.4, 0, 0])

@@ -53,18 +53,6 @@ from vergence.models.mujoco.model import (
 from vergence.models.parts import FloatArray
 
 
-class SubstepTrajectory(NamedTuple):
-    """Joint states within a period: at its beginning and at the end of each substep."""
-
-    positions: FloatArray  # (n, substeps + 1, 7) rad
-    velocities: FloatArray  # (n, substeps + 1, 7) rad/s
-
-    @classmethod
-    def empty(cls, num: int, substeps: int) -> "SubstepTrajectory":
-        """Arrays for `num` heads."""
-        return cls(*np.zeros((2, num, substeps + 1, 7)))
-
-
 @subroutine
 def mean_substep_controls(
     ids: IntArray, substep: int, substeps: int, period_s: float, packed: PackedConditions,
@@ -138,17 +126,17 @@ def read_mujoco_joints(
                 coupling.scratch[n], true, scene.positions[n], scene.velocities[n]
             )
         for j in range(7):
-            trajectory.positions[n, substep + 1, j] = scene.positions[n, j]
-            trajectory.velocities[n, substep + 1, j] = scene.velocities[n, j]
+            trajectory[n, substep + 1, 0, j] = scene.positions[n, j]
+            trajectory[n, substep + 1, 1, j] = scene.velocities[n, j]
 
 
 @subroutine
 def expose_on_trajectory(
     ids: IntArray, period_s: float, packed: PackedConditions, steps: IntArray, frames: Frames,
-    trajectory: SubstepTrajectory, exposures: Exposures,
+    trajectory: FloatArray, exposures: Exposures,
 ) -> None:  # fmt: skip
     """Expose the frames of a period, with the joints interpolated within its substeps."""
-    substeps = trajectory.positions.shape[1] - 1
+    substeps = trajectory.shape[1] - 1
     length = period_s / substeps
     for n in ids:
         begin_s, count, conditions = steps[n] * period_s, 0, unpack_conditions(packed, n)
@@ -161,9 +149,8 @@ def expose_on_trajectory(
             last = share > 1.0 - TIME_TOLERANCE_S
             exposures.time_s[n, count] = begin_s + due
             for j in range(7):
-                a, b = trajectory.positions[n, substep, j], trajectory.positions[n, substep + 1, j]
-                va = trajectory.velocities[n, substep, j]
-                vb = trajectory.velocities[n, substep + 1, j]
+                a, b = trajectory[n, substep, 0, j], trajectory[n, substep + 1, 0, j]
+                va, vb = trajectory[n, substep, 1, j], trajectory[n, substep + 1, 1, j]
                 q, v = interpolate_joint(a, va, b, vb, share, length)
                 exposures.positions[n, count, j] = b if last else q
                 exposures.velocities[n, count, j] = vb if last else v
@@ -179,7 +166,9 @@ head)."""
 class MujocoArrays(NamedTuple):
     """The simulations of a batch, and all else that moves its joints in a control period."""
 
-    trajectory: SubstepTrajectory
+    trajectory: FloatArray
+    """(n, substeps + 1, 2, 7) angles, rad, and velocities, rad/s, of the joints at the beginning of
+    the period and at the end of each substep."""
     qpos: FloatArray  # (n, nq) angles, rad
     qvel: FloatArray  # (n, nv) velocities, rad/s
     ctrl: FloatArray  # (n, nu) controls, rad/s
@@ -265,7 +254,7 @@ class MujocoPlant(SimulatedPlant):
             or rate < 0.5
         )
         self._substeps = SUBSTEPS if within else 1
-        self._track = SubstepTrajectory.empty(num, self._substeps)
+        self._track = np.zeros((num, self._substeps + 1, 2, 7))
         self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
         self._half_step = 0.5 * self._model.opt.timestep
         self._start_batch()
@@ -404,12 +393,12 @@ def advance_mujoco(table: NDArray[np.void], ids: IntArray, phases: int, substep:
     if phases & MOVE:
         own: StepArrays = unpack_table(table)
         of, steps, period_s = own.motion, own.scene.step, own.timing.control_period_s
-        substeps = of.trajectory.positions.shape[1] - 1
+        substeps = of.trajectory.shape[1] - 1
         if substep == 0:  # the track begins with the present joint states
             for n in ids:
                 for j in range(7):
-                    of.trajectory.positions[n, 0, j] = own.scene.positions[n, j]
-                    of.trajectory.velocities[n, 0, j] = own.scene.velocities[n, j]
+                    of.trajectory[n, 0, 0, j] = own.scene.positions[n, j]
+                    of.trajectory[n, 0, 1, j] = own.scene.velocities[n, j]
         for k in range(substep, substeps + 1):
             if k > 0:
                 read_mujoco_joints(ids, k - 1, of, own.packed, own.scene, own.motors, own.coupling)
