@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from tests.hardware.virtual import VirtualRobot, WatchedWorld, virtual_config
 from vergence import load_head
 from vergence.controllers.controller import make_controller
-from vergence.envs.rollout import run_trial
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, run_trial
 from vergence.hardware.emulator.world import MotorOptions
 
 LAWS: Final = ("state-feedback", "saccade")

@@ -21,8 +21,7 @@ from vergence.controllers import make_controller
 from vergence.controllers.networks.bundle import POLICY, Bundle, pretrained_bundles, read_bundle
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.onnx import bundle_as_onnx
-from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, rollout
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head_file import load_head
 

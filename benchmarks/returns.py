@@ -18,8 +18,7 @@ from rich.table import Table
 
 from vergence.controllers.controller import make_controller
 from vergence.envs import MAX_EPISODE_STEPS
-from vergence.envs.rollout import rollout
-from vergence.envs.task import Policy
+from vergence.envs.task import Policy, rollout
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.models.head import HeadModel
 

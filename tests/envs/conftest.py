@@ -15,6 +15,16 @@ def physical() -> HeadModel:
     return load_head("physical")
 
 
+@pytest.fixture(params=["simulated", "physical"])
+def head(request: pytest.FixtureRequest) -> HeadModel:
+    return load_head(request.param)
+
+
+@pytest.fixture(params=["kinematic", "mujoco"])
+def plant_name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
 @pytest.fixture
 def exact(simulated: HeadModel) -> HeadModel:
     """The simulated head with a detector that makes no errors."""

@@ -9,8 +9,7 @@ from gymnasium.utils.env_checker import check_env
 
 from tests.envs.any_head import begun, least_squares, uneven
 from tests.heads import MOVING, head_of, text_of
-from tests.naming import named
-from vergence.envs.gaze import GazeVectorEnv
+from tests.naming import named, refused
 from vergence.envs.reward import reducible_error
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -109,16 +108,14 @@ def test_an_action_of_another_length_is_refused_by_the_actuators_names() -> None
     env = gymnasium.make("vergence/Gaze-v0", head=head_of("tied"), plant="kinematic").unwrapped
     env.reset(seed=0)
     said = r"\(1, 3\), heads by tilt, version, vergence, got"
-    with pytest.raises(ConfigurationError, match=said):
-        env.step(np.zeros(4))
+    refused(said, env.step, np.zeros(4))
 
 
 def test_a_fixed_pair_has_nothing_to_turn() -> None:
     for make in (gymnasium.make, gymnasium.make_vec):
         for plant in ("kinematic", "mujoco"):
             said = r"^.*a fixed pair.*triangulate_views.*$"
-            with named(make, plant), pytest.raises(ConfigurationError, match=said):
-                make("vergence/Gaze-v0", head=head_of("pair"), plant=plant)
+            refused(said, make, "vergence/Gaze-v0", head=head_of("pair"), plant=plant)
 
 
 def test_a_fixed_pair_on_a_neck_is_told_how_its_neck_becomes_what_turns_the_eyes() -> None:
@@ -133,8 +130,7 @@ def test_a_head_that_can_look_nowhere_in_the_workspace_is_told_so() -> None:
     head = head_of("common")
     limits = head.limits
     narrow = head.replace(limits={"lower": 0.01 * limits.lower, "upper": 0.01 * limits.upper})
-    with pytest.raises(ConfigurationError, match="expected a workspace that this head can look at"):
-        begun(narrow, 1)
+    refused("expected a workspace that this head can look at", begun, narrow, 1)
 
 
 def test_a_point_that_tied_eyes_cannot_look_at_is_refused() -> None:
@@ -145,23 +141,7 @@ def test_a_point_that_tied_eyes_cannot_look_at_is_refused() -> None:
     ]:
         with named(name, point, said):
             target = {"kind": "static", "point": point, "start": "fixation"}
-            with pytest.raises(ConfigurationError, match=said):
-                GazeTask(head=head_of(name), plant="kinematic", target=target)
-
-
-def test_a_tied_head_goes_on_from_a_saved_state_to_the_last_bit() -> None:
-    def run(env: GazeVectorEnv, steps: int, seed: int) -> list[np.ndarray]:
-        rng, shape = np.random.default_rng(seed), env.action_space.shape
-        return [env.step(rng.uniform(-1.0, 1.0, shape).astype("f4"))[0] for _ in range(steps)]
-
-    for plant in ("kinematic", "mujoco"):
-        with named(plant):
-            head = head_of("tied")
-            saved, fresh = (GazeVectorEnv(3, head=head, plant=plant) for _ in range(2))
-            saved.reset(seed=1)
-            run(saved, 10, 0)
-            state = saved.state()
-            assert np.array_equal(run(saved, 10, 1), (fresh.restore(state), run(fresh, 10, 1))[1])
+            refused(said, GazeTask, head=head_of(name), plant="kinematic", target=target)
 
 
 def test_eyes_with_images_of_different_sizes_settle_and_are_pictured() -> None:

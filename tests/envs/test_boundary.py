@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.envs.robot import Robot
-from tests.naming import named
+from tests.naming import named, refused
 from vergence import load_head
 from vergence.envs.gaze import GazeEnv, GazeVectorEnv
 from vergence.envs.plant import make_plant
@@ -27,25 +27,32 @@ def envs():
     return envs
 
 
-def test_reset_refuses_options_that_cannot_be(env, envs) -> None:
-    said = r"trial: expected|reset: options.*expected"
-    for options in ({"trial": 1.5}, {"trial": "3"}, {"trial": -1}, {"trial": True}, [3]):
-        for each in (env, envs):
-            with named(options, each), pytest.raises(ConfigurationError, match=said):
-                each.reset(options=options)
+def test_a_reset_that_cannot_be_is_refused(env, envs) -> None:
+    masks, seeds = (np.zeros(2, bool), np.ones(3, bool), np.ones(2, int)), ([1, 2, 3], [-1, 0])
+    for each, name, values, said in (
+        (env, "trial", (1.5, "3", -1, True), "trial: expected"),
+        (envs, "trial", (1.5, "3", -1, True, [1, 2, 3], [1, 2.5], np.ones(2)), "trial: expected"),
+        (env, "trail", (3,), r"options\.trail: expected one of trial, got"),
+        (envs, "trail", (3,), "expected one of trial, reset_mask, got"),
+        (envs, "reset_mask", masks, "reset_mask: expected 2 bool"),
+    ):
+        for value in values:
+            refused(said, each.reset, options={name: value})
+    for each in (env, envs):
+        refused("reset: options.*expected", each.reset, options=[3])
+    for seed in (*seeds, 2**64 - 1):
+        refused("seed: expected", envs.reset, seed=seed)
 
 
-def test_an_unknown_option_is_answered_with_the_known_ones(env, envs) -> None:
-    with pytest.raises(ConfigurationError, match=r"options.trail: expected one of trial, got"):
-        env.reset(options={"trail": 3})
-    with pytest.raises(ConfigurationError, match="expected one of trial, reset_mask, got"):
-        envs.reset(options={"trail": 3})
-
-
-def test_a_vector_refuses_trials_of_another_number_or_kind(envs) -> None:
-    for trial in ([1, 2, 3], [1, 2.5], np.array([1.0, 2.0])):
-        with named(trial), pytest.raises(ConfigurationError, match="trial: expected"):
-            envs.reset(options={"trial": trial})
+def test_an_environment_that_cannot_be_is_refused(env) -> None:
+    for num in (0, 1.5, "two", True):
+        refused("expected a whole number above 0", GazeVectorEnv, num, plant="kinematic")
+    for wrong in (0.0, -1.0, np.nan, "long"):
+        refused("duration_s: expected", GazeEnv, plant="kinematic", duration_s=wrong)
+    said = r"autoreset_mode: expected one of.*'Sometimes'"
+    refused(said, GazeVectorEnv, 2, plant="kinematic", autoreset_mode="Sometimes")
+    for action in (np.zeros(3), np.zeros(7), 0.0):
+        refused(r"action: expected shape \(1, 4\)", env.step, action)
 
 
 def test_a_refused_reset_leaves_the_trials_where_they_were() -> None:
@@ -62,14 +69,7 @@ def test_arguments_of_a_wrong_kind_are_refused() -> None:
         {"plant_options": [3]}, {"plant_options": {"true_head": "physical"}}, {"plant": 3},
         {"plant": "kinematik"}, {"head": 3}, {"head": None}, {"variation": [0.1]}, {"target": 3},
     ):  # fmt: skip
-        with named(options), pytest.raises(VergenceError, match="expected"):
-            GazeTask(1, **options)
-
-
-def test_a_number_of_heads_that_cannot_be_is_refused() -> None:
-    for num in [0, 1.5, "two", True]:
-        with named(num), pytest.raises(ConfigurationError, match="expected a whole number above 0"):
-            GazeVectorEnv(num, plant="kinematic")
+        refused("expected", GazeTask, 1, error=VergenceError, **options)
 
 
 MINE = '''

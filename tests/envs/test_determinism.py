@@ -82,14 +82,3 @@ def test_a_neighbour_with_a_longer_delay_changes_nothing() -> None:
         task.begin(np.arange(2), *keys(2, 0))
         runs.append(record(task, 0, 40))
     assert identical(*runs)
-
-
-def test_another_seed_and_another_trial_are_other_trials() -> None:
-    task = GazeTask(3, head=NOISY, plant="kinematic")
-    seeds, trials = np.array([[1, 1, 2], [0, 1, 0]], dtype=np.uint64)
-    task.begin(np.arange(3), seeds, trials)
-    targets = task.truth().target
-    for action in actions(20):
-        task.step(np.broadcast_to(action, (3, 4)).copy())
-    assert len(np.unique(targets[:, 2])) == 3
-    assert len(np.unique(task.reading.pixels[:, 0, 0])) == 3

@@ -5,13 +5,12 @@ import pytest
 
 from tests.controllers.loops import begin
 from tests.envs.robot import EARLIER_S, LATENCY
-from tests.naming import named
+from tests.naming import named, refused
 from vergence import make_controller
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.plant import PLANTS, is_simulated, make_plant, simulation_of
-from vergence.envs.rollout import rollout
 from vergence.envs.targets.motion import motion_fields
-from vergence.envs.task import GazeTask, given_or_drawn_eye_images
+from vergence.envs.task import GazeTask, given_or_drawn_eye_images, rollout
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.viewer import marks
@@ -42,8 +41,7 @@ def test_a_trial_begins_where_the_target_says_as_in_a_simulation(task):
 def test_where_the_world_is_the_target_no_target_is_refused():
     beside = {"kind": "static", "point": (2.0, 0.0, 0.5)}
     begin(GazeTask(1, plant="robot", target=beside))
-    with pytest.raises(ConfigurationError, match="target"):
-        GazeTask(1, plant="tests.envs.robot:Emulated", target=beside)
+    refused("target", GazeTask, 1, plant="tests.envs.robot:Emulated", target=beside)
 
 
 def test_targets_are_placed_before_the_head_where_a_plant_can():
@@ -128,10 +126,8 @@ def test_its_picture_has_the_fix_but_no_board_for_a_target_that_nobody_knows(mon
 
 def test_what_needs_a_simulation_says_so(task):
     assert not is_simulated("robot")
-    with pytest.raises(ConfigurationError, match="expected a simulated one, got Robot"):
-        simulation_of(task.plant)
-    with pytest.raises(ConfigurationError, match="expected a simulated one"):
-        settle_bound(task)
+    refused("expected a simulated one, got Robot", simulation_of, task.plant)
+    refused("expected a simulated one", settle_bound, task)
 
 
 def test_every_simulated_plant_is_a_simulation(simulated):
@@ -145,5 +141,4 @@ def test_every_simulated_plant_is_a_simulation(simulated):
 
 def test_an_action_that_is_nan_never_reaches_the_plant(task, monkeypatch):
     monkeypatch.setattr(task.plant, "step", None)  # a call would fail otherwise
-    with pytest.raises(ConfigurationError, match="action: expected numbers, got nan"):
-        task.step(np.full((1, 4), np.nan))
+    refused("action: expected numbers, got nan", task.step, np.full((1, 4), np.nan))

@@ -5,8 +5,7 @@ import pytest
 
 from tests.naming import named
 from vergence.envs.plant import make_plant
-from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, rollout
 from vergence.errors import ConfigurationError
 
 TURN = np.array([0.0, 0.0, 0.0, 1.0, -1.0, 0.5, 0.5])
@@ -67,29 +66,23 @@ def test_the_heads_are_at_rest_afterwards(task):
     assert at_rest(task)
 
 
-def test_a_policy_that_raises_leaves_the_heads_at_rest(task):
-    with pytest.raises(KeyboardInterrupt):
-        rollout(task, Turns(KeyboardInterrupt()), 20, lambda _step: None)
-    assert at_rest(task)
-
-
-def test_a_callback_that_raises_leaves_the_heads_at_rest(task):
-    def record(step: int) -> None:
+def test_whatever_raises_the_plant_is_closed_and_the_heads_are_at_rest(task, monkeypatch):
+    def full(step: int) -> None:
         if step == 6:
             assert not at_rest(task)
             raise OSError("no space left")
 
-    with pytest.raises(OSError, match="no space left"):
-        rollout(task, Turns(), 20, record)
-    assert at_rest(task)
-
-
-def test_trials_that_cannot_begin_close_the_plant(task, monkeypatch):
-    closed = []
-    monkeypatch.setattr(task.plant, "close", lambda: closed.append(True))
-    with pytest.raises(ConfigurationError, match="seed"):
-        rollout(task, Turns(), 1, lambda _step: None, seed=-1)
-    assert closed == [True]
+    closed, close = [], task.plant.close
+    monkeypatch.setattr(task.plant, "close", lambda: (closed.append(True), close()))
+    for policy, record, seed, error in (
+        (Turns(KeyboardInterrupt()), lambda _step: None, 0, KeyboardInterrupt),
+        (Turns(), full, 0, OSError),
+        (Turns(), lambda _step: None, -1, ConfigurationError),
+    ):
+        with named(error), pytest.raises(error):
+            rollout(task, policy, 20, record, seed=seed)
+        assert closed.pop()
+        assert at_rest(task)
 
 
 def test_closing_brings_moving_joints_to_rest_where_they_are(simulated):

@@ -1,10 +1,9 @@
 """Arguments of a task, and the information that it returns."""
 
 import numpy as np
-import pytest
 
 from tests.controllers.loops import begin
-from tests.naming import named
+from tests.naming import refused
 from vergence import ModelErrors, load_head
 from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.envs.reading import Reading
@@ -82,5 +81,4 @@ def test_arguments_that_cannot_be_are_refused_by_name() -> None:
         ({"model_errors": {"join_rad": 0.1}}, r"model_errors\.join_rad: expected one of link_m"),
         (both, "either model_errors or true_head"),
     ]:
-        with named(options, message), pytest.raises(VergenceError, match=message):
-            GazeTask(1, **options)
+        refused(message, GazeTask, 1, error=VergenceError, **options)

@@ -5,6 +5,7 @@ from typing import Final
 
 import gymnasium
 import numpy as np
+import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
@@ -65,6 +66,17 @@ def assert_uniform(sample: ArrayLike) -> None:
     """Fail if numbers that should be uniform in 0 to 1 hardly are."""
     # far below what chance gives once in a thousand, and far above a wrong distribution's
     assert stats.kstest(sample, "uniform").pvalue > 1e-3
+
+
+def assert_white_normal(noise: Array, sigma: float) -> None:
+    """Fail if noise (steps, num, 4) hardly is white and normal, of this standard deviation."""
+    # each within four standard deviations of its estimate
+    assert noise.std() == pytest.approx(sigma, rel=4 / np.sqrt(2 * noise.size))
+    assert abs(noise.mean()) < 4 * sigma / np.sqrt(noise.size)
+    assert (noise**4).mean() / sigma**4 == pytest.approx(3.0, abs=4 * np.sqrt(96 / noise.size))
+    pairs = np.corrcoef(noise.reshape(-1, 4).T) - np.eye(4)
+    assert np.abs(pairs).max() < 4 / np.sqrt(noise.size / 4)
+    assert abs((noise[1:] * noise[:-1]).mean()) < 4 * sigma**2 / np.sqrt(noise.size)
 
 
 def pixels_of(head: HeadModel, q: Array, start: Array, point: ArrayLike = AHEAD) -> Array:

@@ -10,8 +10,7 @@ from tests.heads import text_of
 from vergence.commands.gaze import _print_gaze
 from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
-from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, rollout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.gaze import GazeConfig, gaze_result, run_gaze
 from vergence.eval.gaze_figure import compose_gaze, draw_gaze

@@ -4,8 +4,7 @@ import numpy as np
 
 from vergence.controllers.controller import make_controller
 from vergence.envs.reading import Truth
-from vergence.envs.rollout import run_trial
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, run_trial
 from vergence.models.head_file import load_head
 from vergence.recording import Recorder
 from vergence.recording.schema import LoggedCommand

@@ -6,8 +6,7 @@ import pytest
 from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
 from vergence.envs.reading import Reading, Truth
-from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, rollout
 from vergence.recording import Recorder
 
 STEPS = 20

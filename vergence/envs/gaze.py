@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from enum import Enum
 from importlib.util import find_spec
 from inspect import Parameter, signature
-from typing import Any, ClassVar, Final, Protocol
+from typing import Any, ClassVar, Final
 
 import gymnasium
 import numpy as np
@@ -52,7 +52,7 @@ def missing_window_hint() -> str | None:
 
 
 def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
-    """Check a render mode, which may be None, and return it."""
+    """Check a render mode and return it."""
     if mode is not None and mode not in known:
         raise ConfigurationError(
             f"render_mode: expected None or one of {', '.join(known)}, got {mode!r}"
@@ -139,19 +139,6 @@ def _json_argument(name: str, value: object) -> Any:
         ) from error
 
 
-class Pictures(Protocol):
-    """Pictures of a task's heads, see `vergence.viewer.pictures.TaskPictures`."""
-
-    def render(self) -> Image | None:
-        """The picture of the first head: returned, or shown in the window."""
-
-    def picture(self, n: int) -> Image:
-        """The picture of one head."""
-
-    def close(self) -> None:
-        """Close the window and the renderer."""
-
-
 class TaskEnv:
     """Base class of environments around a `GazeTask`; a single head is a batch of one."""
 
@@ -159,7 +146,7 @@ class TaskEnv:
     task: GazeTask
     render_mode: str | None
     metadata: dict[str, Any]
-    _pictures: Pictures | None = None
+    _pictures: Any = None
     _spec: EnvSpec | None = None
 
     @property
@@ -193,8 +180,8 @@ class TaskEnv:
         """Ground truth of the present, one row per head; None for real heads."""
         return self.task.truth()
 
-    def _task_pictures(self) -> Pictures | None:
-        """The task's pictures, made at the first call; None without a render mode."""
+    def _task_pictures(self) -> Any:
+        """The task's `TaskPictures`, made at the first call; None without a render mode."""
         if self._pictures is None and self.render_mode is not None:
             make = EntryPoint.of(_PICTURES_ENTRY_POINT, "render_mode").load()
             self._pictures = make(self.task, self.render_mode, self.metadata["render_fps"])
@@ -209,9 +196,6 @@ class TaskEnv:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_pictures": None}
-
-
-_FIRST = np.zeros(1, dtype=np.int64)
 
 
 class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -317,11 +301,8 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._trial += 1
         if trial is not None:
             self._trial = trial
-        self.task.begin(
-            _FIRST,
-            np.array([self._seed], dtype=np.uint64),
-            np.array([self._trial], dtype=np.uint64),
-        )
+        seeds, trials = np.array([[self._seed], [self._trial]], dtype=np.uint64)
+        self.task.begin(np.zeros(1, dtype=np.int64), seeds, trials)
         if self.render_mode == "human":
             self.render()
         return self.task.observation[0].copy(), self.task.single_info()
@@ -341,17 +322,13 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         task.step(task.of_all_heads(as_action_array(action).reshape(1, -1)))
         if self.render_mode == "human":
             self.render()
+        # half a period of tolerance for rounding of the time
+        time_s = task.reading.time_s.item() + 0.5 * task.head.timing.period_s
+        truncated = bool(task.plant.fault) or time_s >= self._duration_s
         return (
-            task.observation[0].copy(),
-            task.reward.item(),
-            task.lost.item(),
-            # half a period of tolerance for rounding of the time
-            bool(
-                task.plant.fault
-                or task.reading.time_s.item() + 0.5 * task.head.timing.period_s >= self._duration_s
-            ),
+            task.observation[0].copy(), task.reward.item(), task.lost.item(), truncated,
             task.single_info(),
-        )
+        )  # fmt: skip
 
     def render(self) -> Image | None:
         """Both eyes' images side by side and a view of the head.
@@ -407,15 +384,13 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.render_mode = checked_render_mode(render_mode, modes)
         self.task = self.task_type(num_envs, **checked_arguments(type(self), options))
         self.metadata = {
-            "render_modes": modes,
-            "render_fps": control_rate(self.task),
+            "render_modes": modes, "render_fps": control_rate(self.task),
             "autoreset_mode": self._autoreset,
-        }
+        }  # fmt: skip
         self.single_observation_space, self.single_action_space = self.task.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._seeds = np.zeros(num_envs, dtype=np.uint64)
-        self._trials = np.zeros(num_envs, dtype=np.uint64)
+        self._seeds, self._trials = np.zeros((2, num_envs), dtype=np.uint64)
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._done = np.zeros(num_envs, dtype=np.bool_)
         self._begun = self._staggered = False
@@ -451,8 +426,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         trials = _requested_trials(options.get("trial"), self.num_envs)
         seeds = self._requested_seeds(seed)
         if not self._begun:
-            first = self.np_random.integers(2**63, size=self.num_envs, dtype=np.uint64)
-            self._seeds[:] = first
+            self._seeds[:] = self.np_random.integers(2**63, size=self.num_envs, dtype=np.uint64)
             self._trials[:] = np.uint64(2**64 - 1)  # the next trial is 0
             mask[:] = True
             self._begun = True
@@ -527,39 +501,32 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
             task.reward[resets] = 0.0
             task.lost[resets] = False
         terminated = task.lost.copy()
-        truncated = (
-            np.zeros(self.num_envs, dtype=np.bool_)
-            if self.max_episode_steps is None
-            else self._elapsed >= self.max_episode_steps
-        ) | bool(task.plant.fault)
+        most = np.inf if self.max_episode_steps is None else self.max_episode_steps
+        truncated = (self._elapsed >= most) | bool(task.plant.fault)
         reward = task.reward.copy()
         done = terminated | truncated
         if self._autoreset is AutoresetMode.SAME_STEP and done.any():
             last_info, last_observation = self._info(done), task.observation.copy()
             self._next_trials(np.flatnonzero(done))
             info = self._info()
-            info.update(
-                final_obs=_pick(last_observation, done), _final_obs=done,
-                final_info=last_info, _final_info=done,
-            )  # fmt: skip
+            final = np.full(self.num_envs, None, dtype=np.object_)
+            for i in np.flatnonzero(done):
+                final[i] = last_observation[i]
+            info |= {
+                "final_obs": final, "_final_obs": done, "final_info": last_info,
+                "_final_info": done,
+            }  # fmt: skip
         else:
             info = self._info()
             self._done = done
         return task.observation.copy(), reward, terminated, truncated, info
 
     def state(self) -> SavedState:
-        """Copy the complete state of the running episodes.
-
-        Raises:
-            ConfigurationError: the plant is not a simulation, or its state cannot be saved.
-        """
+        """Copy the complete state of the running episodes, see `GazeTask.state`."""
         return {"episodes": copy_arrays(self._arrays()), **self.task.state()}
 
     def restore(self, state: SavedState) -> None:
-        """Restore the episodes from a result of `state`; they then repeat bit by bit.
-
-        Args:
-            state: the state of an environment with the same arguments.
+        """Restore the episodes from a state of an environment with the same arguments.
 
         Raises:
             ConfigurationError: the state belongs to another environment.
@@ -571,32 +538,20 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
     def _arrays(self) -> Arrays:
         """State arrays of this class, without those of the task."""
         return {
-            "seeds": self._seeds,
-            "trials": self._trials,
-            "elapsed": self._elapsed,
+            "seeds": self._seeds, "trials": self._trials, "elapsed": self._elapsed,
             "done": self._done,
-        }
+        }  # fmt: skip
 
     def render(self) -> tuple[Image, ...] | None:
         """The picture of every head, see `GazeEnv.render`."""
         if not self._begun:
             raise reset_needed("render")
         pictures = self._task_pictures()
-        if pictures is None:
-            return None
-        return tuple(pictures.picture(env) for env in range(self.num_envs))
+        return pictures and tuple(pictures.picture(env) for env in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Bring the heads to rest and release the plant."""
         self._release()
-
-
-def _pick(observations: NDArray[np.float32], done: NDArray[np.bool_]) -> NDArray[np.object_]:
-    """Final observations in Gymnasium's form: an array of objects, None where none ended."""
-    out = np.full(len(done), None, dtype=np.object_)
-    for i in np.flatnonzero(done):
-        out[i] = observations[i]
-    return out
 
 
 def _with_masks(info: dict[str, Any], has: NDArray[np.bool_]) -> dict[str, Any]:

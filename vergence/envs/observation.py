@@ -88,20 +88,6 @@ _UP_TO_RIGHT_WIDTH: Final = 21
 """Numbers of a row up to `right_width`, included (numerical)."""
 
 
-def packed_observation_scaling(head: HeadModel) -> FloatArray:
-    """(SCALING,) packed scale factors of a head's observations, with its neck held at rest."""
-    own, (width, right_width) = head.actuation, head.cameras.size[:, 0]
-    row = make_row(
-        _SCALING, width=width, right_width=right_width, resting_neck=head.rest()[NECK],
-        centre=0.5 * (own.lower + own.upper)[EYES],
-        half_range=0.5 * (own.upper - own.lower)[EYES] + ANGLE_MARGIN_RAD,
-        speed=SPEED_MARGIN * own.velocity[EYES], limit=own.velocity[EYES], direct=own.direct,
-        to_joints=own.to_joints, offset=own.offset, to_actuators=own.to_actuators,
-    )  # fmt: skip
-    row.flags.writeable = False
-    return row
-
-
 def check_observation(observation: ArrayLike, size: int) -> NDArray[np.floating[Any]]:
     """Check that observations (..., size) are finite floating-point numbers, and return them."""
     try:
@@ -193,11 +179,7 @@ def _decode(
     error: FloatArray, visible: BoolArray, age: FloatArray, positions: FloatArray,
     at_exposure: FloatArray, velocities: FloatArray, command: FloatArray,
 ) -> None:  # fmt: skip
-    """Compute the fields of `Observation`.
-
-    The three arguments after `scaling` are `_DIMENSION_DUMMIES`, which only set sizes. At
-    least `ACTUATORS` numbers are read, so callers must have checked the length.
-    """
+    """Compute the fields of `Observation`; callers must have checked the observation's length."""
     scaling = view_scaling(scaling_row)
     for eye in range(2):
         seen = obs[VISIBLE + eye] > 0.5
@@ -290,9 +272,18 @@ class ObservationLayout:
     @classmethod
     def of(cls, head: HeadModel) -> "ObservationLayout":
         """The layout for a head, its neck held at rest."""
+        own, (width, right_width) = head.actuation, head.cameras.size[:, 0]
+        row = make_row(
+            _SCALING, width=width, right_width=right_width, resting_neck=head.rest()[NECK],
+            centre=0.5 * (own.lower + own.upper)[EYES],
+            half_range=0.5 * (own.upper - own.lower)[EYES] + ANGLE_MARGIN_RAD,
+            speed=SPEED_MARGIN * own.velocity[EYES], limit=own.velocity[EYES], direct=own.direct,
+            to_joints=own.to_joints, offset=own.offset, to_actuators=own.to_actuators,
+        )  # fmt: skip
+        row.flags.writeable = False
         return cls(
-            scaling=packed_observation_scaling(head), action_names=head.actuation.names,
-            latency_s=head.timing.latency_s, period_s=head.timing.period_s,
+            scaling=row, action_names=own.names, latency_s=head.timing.latency_s,
+            period_s=head.timing.period_s,
         )  # fmt: skip
 
     def __eq__(self, other: object) -> bool:
@@ -376,11 +367,7 @@ class ObservationLayout:
         }  # fmt: skip
         return {
             "fields": {name: [part.start, part.stop] for name, part in self.fields.items()},
-            "actions": list(self.action_names),
-            "scaling": self.scaling[:numbers].tolist(),
-            "fine_px": FINE_PX,
-            "age_s": AGE_S,
-            "latency_s": self.latency_s,
-            "period_s": self.period_s,
-            **({} if own.direct else coupling),
-        }
+            "actions": list(self.action_names), "scaling": self.scaling[:numbers].tolist(),
+            "fine_px": FINE_PX, "age_s": AGE_S, "latency_s": self.latency_s,
+            "period_s": self.period_s, **({} if own.direct else coupling),
+        }  # fmt: skip

@@ -106,25 +106,17 @@ class Plant(ABC):
         self._joined_task, self._joined_reading = task, Reading.empty(self.num)
 
     def act(self) -> Reading | None:
-        """Hold the actions that the task requests for one control period, and judge the step.
-
-        Returns:
-            The reading as judged; None if an action is nan, and nothing is changed then.
-        """
+        """Hold the requested actions for a period, and judge it; None, and no change, for a nan."""
         task, ids = self._joined_task, np.arange(self.num)
         if not advance_task(ids, task, self._joined_reading, LIMIT):
             return None
         return self.judge(ids, self.step(task.command))
 
     def judge(self, ids: IntArray, reading: Reading) -> Reading:
-        """Compute observations, rewards and ends of some of the task's environments.
-
-        Args:
-            ids: (m,) environment indices.
-            reading: the reading of all heads, as `reset` or `step` has returned it.
+        """Compute observations, rewards and ends of some environments from the heads' reading.
 
         Returns:
-            The reading as judged: itself, or a copy with arrays that kernels can read.
+            The reading itself, or a copy with arrays that kernels can read.
 
         Raises:
             ConfigurationError: it is no reading of this many heads.

@@ -64,14 +64,7 @@ class Reading(NamedTuple):
 
     @classmethod
     def of(cls, returned: object, num: int) -> "Reading":
-        """Check a plant's reading, and convert its arrays to types that kernels can read.
-
-        Args:
-            returned: object returned by the plant.
-            num: expected number of heads.
-
-        Returns:
-            `returned` itself if its arrays already have these types, else a reading with copies.
+        """Check what a plant has returned; a copy if its arrays are of types kernels cannot read.
 
         Raises:
             ConfigurationError: the object is not a reading of this many heads.
@@ -130,10 +123,7 @@ class Truth(NamedTuple):
 def check_tuple_or_nonnegative(
     name: str, value: object, tuple_length: int, positive: bool = False
 ) -> object:
-    """Check `size` finite numbers and return them as a tuple.
-
-    With size 0, check one number of at least 0.
-    """
+    """Check finite numbers and return their tuple; for a length of 0, one that is not negative."""
     if tuple_length:
         if not isinstance(value, list | tuple | np.ndarray) or len(value) != tuple_length:
             raise ConfigurationError(f"{name}: expected {tuple_length} numbers, got {value!r}")
@@ -149,7 +139,7 @@ def check_above_zero(name: str, value: object) -> None:
 
 
 def check_at_least_zero(name: str, value: object) -> None:
-    """Refuse a value that is not a finite number of at least zero; see `check_above_zero`."""
+    """Refuse a value that is not a finite number of at least zero."""
     if check_finite_number(name, value) < 0.0:
         raise ConfigurationError(f"{name}: expected a number of at least 0, got {value!r}")
 
@@ -163,7 +153,7 @@ def check_count(name: str, value: object, *, minimum: int = 1) -> int:
 
 
 def check_finite_number(name: str, value: object) -> float:
-    """Check one finite number and return it, see `check_tuple_or_nonnegative`."""
+    """Check one finite number and return it."""
     odd = isinstance(value, bool | np.timedelta64 | complex)
     if odd or not isinstance(value, int | float | np.integer | np.floating):
         raise ConfigurationError(f"{name}: expected a number, got {value!r:.80}")

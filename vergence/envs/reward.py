@@ -115,32 +115,10 @@ _LOST_COST: Final = 25.0
 """Cost of a lost target (chosen: weight of a loss against the reward of a trial)."""
 
 
-class TimeLimits(NamedTuple):
-    """Time limits for a lost target and for a success, rounded to whole control periods."""
-
-    lost_after_s: float
-    """Time without both eyes seeing a target that has been seen, after which it is lost, s."""
-    first_seen_within_s: float
-    """Time after which a target that no eye has seen is lost, s."""
-    success_after_s: float
-    """Time with both errors in the band after which the gaze is a success, s."""
-    period_s: float
-    """Control period, s."""
-
-    @classmethod
-    def of(cls, head: HeadModel) -> "TimeLimits":
-        """The rules at a head's control rate."""
-        rate, period_s = head.timing.control_rate_hz, head.timing.period_s
-        limits = (LOST_AFTER_S, FIRST_SEEN_WITHIN_S, SUCCESS_AFTER_S)
-        lost, first, success = (period_s * max(1, round(limit * rate)) for limit in limits)
-        return cls(lost, first, success, period_s)
-
-
 class TrialProgress(NamedTuple):
     """Progress of the running trials: visibility and settling of the target so far."""
 
-    seen: BoolArray
-    """(n,) True once an eye has seen the target."""
+    seen: BoolArray  # (n,) True once an eye has seen the target
     seen_s: FloatArray
     """(n,) last time at which both eyes saw the target, s; at first one period before the first eye
     saw it."""
@@ -162,18 +140,13 @@ class TrialProgress(NamedTuple):
 class StepResult(NamedTuple):
     """Result of a step."""
 
-    observation: NDArray[np.float32]
-    """(n, size) see `vergence.envs.observation.ObservationLayout`."""
+    observation: NDArray[np.float32]  # (n, size) see `vergence.envs.observation.ObservationLayout`
     error: FloatArray
     """(n, 2, 2) measured pixel errors of the newest images, px; nan if not visible."""
-    terms: FloatArray
-    """(n, 4) terms of the reward, in the order of `TERMS`."""
-    reward: FloatArray
-    """(n,) sum of the terms."""
-    success: BoolArray
-    """(n,) True if both errors have been in the band for long enough."""
-    lost: BoolArray
-    """(n,) True if the target is lost."""
+    terms: FloatArray  # (n, 4) terms of the reward, in the order of `TERMS`
+    reward: FloatArray  # (n,) sum of the terms
+    success: BoolArray  # (n,) True if both errors have been in the band for long enough
+    lost: BoolArray  # (n,) True if the target is lost
 
     @classmethod
     def empty(cls, num: int, size: int) -> "StepResult":
@@ -200,19 +173,16 @@ JUDGE: Final = 2
 class TaskArrays(NamedTuple):
     """Actions, commands and results of a batch of gaze tasks, and the rules that they follow."""
 
-    requested: FloatArray
-    """(n, m) actions as requested, for the m actuators."""
-    action: FloatArray
-    """(n, m) actions as applied, limited to [-1, 1]."""
+    requested: FloatArray  # (n, m) actions as requested, for the m actuators
+    action: FloatArray  # (n, m) actions as applied, limited to [-1, 1]
     command: FloatArray
     """(n, 7) velocities commanded by them, rad/s; see `vergence.envs.plant.Plant.step`."""
-    action_limits: FloatArray
-    """(4,) velocities of full actions, rad/s; 0 beyond the first m."""
-    head: PackedHead
-    """(PACKED,) the head that the controller knows."""
-    scaling: FloatArray
-    """(SCALING,) see `vergence.envs.observation`."""
-    time_limits: TimeLimits
+    action_limits: FloatArray  # (4,) velocities of full actions, rad/s; 0 beyond the first m
+    head: PackedHead  # (PACKED,) the head that the controller knows
+    scaling: FloatArray  # (SCALING,) see `vergence.envs.observation`
+    period_s: float
+    limits_s: tuple[float, float, float]
+    """`LOST_AFTER_S`, `FIRST_SEEN_WITHIN_S`, `SUCCESS_AFTER_S` in whole control periods, s."""
     progress: TrialProgress
     result: StepResult
     coupled_head: PackedHead | None
@@ -222,11 +192,15 @@ class TaskArrays(NamedTuple):
     @classmethod
     def empty(cls, head: HeadModel, num: int) -> "TaskArrays":
         """Arrays for `num` heads, before their trials begin."""
-        layout = ObservationLayout.of(head)
+        layout, period_s = ObservationLayout.of(head), head.timing.period_s
+        lost, first, success = (
+            period_s * max(1, round(limit_s * head.timing.control_rate_hz))
+            for limit_s in (LOST_AFTER_S, FIRST_SEEN_WITHIN_S, SUCCESS_AFTER_S)
+        )
         return cls(
             requested=np.zeros((num, layout.count)), action=np.zeros((num, layout.count)),
             command=np.zeros((num, 7)), action_limits=layout.action_limits, head=head.packed,
-            scaling=layout.scaling, time_limits=TimeLimits.of(head),
+            scaling=layout.scaling, period_s=period_s, limits_s=(lost, first, success),
             progress=TrialProgress.empty(num), result=StepResult.empty(num, layout.size),
             coupled_head=None if head.actuation.direct else head.packed,
         )  # fmt: skip
@@ -254,7 +228,8 @@ def judge_steps(
     ids: IntArray, task: TaskArrays, coupled_head: PackedHead | None, reading: Reading
 ) -> None:
     """Compute observations, rewards and ends; an argument of None has no code compiled."""
-    time_limits, progress, result = task.time_limits, task.progress, task.result
+    progress, result, period_s = task.progress, task.result, task.period_s
+    lost_after_s, first_seen_within_s, success_after_s = task.limits_s
     # unpacked once, as numba would count references at each access in the loop
     head, scaling, action = task.head, view_scaling(task.scaling), task.action
     error, terms = result.error, result.terms
@@ -293,18 +268,18 @@ def judge_steps(
         first = (left or right) and not progress.seen[n]
         progress.seen[n] = progress.seen[n] or first
         # half a period of tolerance, so that rounding of the times does not matter
-        now_s, later_s = reading.time_s[n], reading.time_s[n] + 0.5 * time_limits.period_s
+        now_s, later_s = reading.time_s[n], reading.time_s[n] + 0.5 * period_s
         if both:
             progress.seen_s[n] = now_s
         elif first:
-            progress.seen_s[n] = now_s - time_limits.period_s
+            progress.seen_s[n] = now_s - period_s
         if not settled:
             progress.unsettled_s[n] = now_s
         if progress.seen[n]:
-            result.lost[n] = later_s - progress.seen_s[n] >= time_limits.lost_after_s
+            result.lost[n] = later_s - progress.seen_s[n] >= lost_after_s
         else:
-            result.lost[n] = later_s >= time_limits.first_seen_within_s
-        result.success[n] = later_s - progress.unsettled_s[n] >= time_limits.success_after_s
+            result.lost[n] = later_s >= first_seen_within_s
+        result.success[n] = later_s - progress.unsettled_s[n] >= success_after_s
         terms[n, 0], terms[n, 1] = tracking, precision
         terms[n, 2] = -_EFFORT_WEIGHT * (tracking + precision) * square / m
         terms[n, 3] = -_LOST_COST if result.lost[n] else 0.0

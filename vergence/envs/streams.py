@@ -52,10 +52,8 @@ class StreamPurpose(IntEnum):
 class StreamKeys(NamedTuple):
     """Keys of the random streams of a batch of trials."""
 
-    seeds: KeyArray
-    """(n,) the trials' seeds."""
-    trials: KeyArray
-    """(n,) the trials' numbers."""
+    seeds: KeyArray  # (n,) the trials' seeds
+    trials: KeyArray  # (n,) the trials' numbers
 
 
 class StreamKey(NamedTuple):
@@ -66,21 +64,20 @@ class StreamKey(NamedTuple):
 
 
 class RandomStreams:
-    """The random streams of a batch of trials.
-
-    Args:
-        num: number of trials in the batch.
-    """
+    """The random streams of a batch of trials."""
 
     def __init__(self, num: int) -> None:
-        self.seeds = np.zeros(num, dtype=np.uint64)
-        self.trials = np.zeros(num, dtype=np.uint64)
+        self.seeds, self.trials = np.zeros((2, num), dtype=np.uint64)
         self._make_generator()
 
     @property
-    def keys(self) -> "StreamKeys":
+    def keys(self) -> StreamKeys:
         """Keys of the batch, in arrays that the start of other trials changes."""
         return StreamKeys(self.seeds, self.trials)
+
+    def keys_of(self, ids: IntArray) -> StreamKeys:
+        """Copies of the keys of some environments."""
+        return StreamKeys(self.seeds[ids], self.trials[ids])
 
     def _make_generator(self) -> None:
         self._bits = np.random.Philox(key=0)
@@ -175,6 +172,14 @@ def to_normals(first: np.uint64, second: np.uint64) -> tuple[float, float]:
     swap = 1.0 * ((second >> _LOWEST_BIT) & _LOWEST_BIT)
     stay = 1.0 - swap
     return sign * (stay * along + swap * across), sign * (stay * across + swap * along)
+
+
+@inlined
+def four_normals(words: Words, sigma: float) -> tuple[float, float, float, float]:
+    """Convert a block's words to independent normal numbers of a standard deviation."""
+    a, b = to_normals(words[0], words[1])
+    c, d = to_normals(words[2], words[3])
+    return sigma * a, sigma * b, sigma * c, sigma * d
 
 
 Arrays = dict[str, NDArray[Any]]

@@ -1,7 +1,7 @@
 """The gaze task for any number of heads; a single environment is a batch of one."""
 
 import functools
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -27,7 +27,7 @@ from vergence.envs.streams import (
 )
 from vergence.envs.targets import make_target, separate_look
 from vergence.envs.targets.motion import Target
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, HardwareError
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
@@ -113,8 +113,7 @@ class GazeTask:
                 f"{options['look']}, got {plant}"
             )
         if self.target.drawn_in_workspace:
-            fit = getattr(plant_type(plant), "workspace_options", {})
-            options = {**fit, **options}
+            options = {**getattr(plant_type(plant), "workspace_options", {}), **options}
         if model_errors is not None:
             if "true_head" in options:
                 raise ConfigurationError("expected either model_errors or true_head, got both")
@@ -149,8 +148,8 @@ class GazeTask:
     def prepare(self, policy: Policy) -> None:
         """Compile all code that trials call, before anything moves.
 
-        A real head must not wait for a compiler while it moves. So the plant prepares itself, and
-        the policy is called once, as at a trial's start; its action is discarded.
+        The plant prepares itself, and the policy is called once, as at a trial's start; its action
+        is discarded.
         """
         self.plant.prepare()
         self.plant.judge(self._all, self.reading)
@@ -205,10 +204,8 @@ class GazeTask:
         Raises:
             ConfigurationError: the plant is not a simulation, or its state cannot be saved.
         """
-        return {
-            "task": copy_arrays(self._arrays()),
-            "plant": simulation_of(self.plant).state(),
-        }
+        plant = simulation_of(self.plant)
+        return {"task": copy_arrays(self._arrays()), "plant": plant.state()}
 
     def restore(self, state: SavedState) -> None:
         """Restore the running trials from a result of `state`, bit by bit."""
@@ -218,11 +215,10 @@ class GazeTask:
     def _arrays(self) -> Arrays:
         """State arrays of the task, without those of the plant."""
         return join_parts(
-            keys=self._streams.keys._asdict(),
-            progress=self._progress._asdict(),
+            keys=self._streams.keys._asdict(), progress=self._progress._asdict(),
             outcome=self._outcome._asdict(),
             last={"command": self._command, "action": self._action},
-        )
+        )  # fmt: skip
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -231,9 +227,8 @@ class GazeTask:
 
     def spaces(self) -> tuple[Any, Any]:
         """Observation space and action space of one head."""
-        return Box(self.layout.low(), self.layout.high()), Box(
-            -1.0, 1.0, (len(self.action_names),), np.float32
-        )
+        actions = Box(-1.0, 1.0, (len(self.action_names),), np.float32)
+        return Box(self.layout.low(), self.layout.high()), actions
 
     def as_action(self, action: ArrayLike) -> NDArray[Any]:
         """Check actions of all heads, and return an array (num, m) in the order of `action_names`.
@@ -276,16 +271,11 @@ class GazeTask:
 
     def info(self) -> dict[str, Any]:
         """The `info` of the batch: arrays with a leading axis over the heads."""
-        info: dict[str, Any] = {
-            "is_success": self.success.copy(),
-            "reward_terms": {
-                name: self._outcome.terms[:, i].copy() for i, name in enumerate(TERMS)
-            },
-        }
-        if "truth" in self._info:
-            truth = self.truth()
-            if truth is not None:
-                info["truth"] = truth._asdict()
+        terms = {name: self._outcome.terms[:, i].copy() for i, name in enumerate(TERMS)}
+        info: dict[str, Any] = {"is_success": self.success.copy(), "reward_terms": terms}
+        truth = self.truth() if "truth" in self._info else None
+        if truth is not None:
+            info["truth"] = truth._asdict()
         if "fixes" in self._info:
             gaze, views = self.fixes()
             info["gaze"], info["itpc"] = gaze._asdict(), views._asdict()
@@ -296,17 +286,9 @@ class GazeTask:
     def single_info(self) -> dict[str, Any]:
         """The `info` of a batch of one, without the leading axis."""
         if not self._info:
-            tracking, precision, effort, lost = self._outcome.terms[0].tolist()
+            terms = dict(zip(TERMS, self._outcome.terms[0].tolist(), strict=True))
             fault = {"fault": self.plant.fault} if self.plant.fault else {}
-            return fault | {
-                "is_success": bool(self.success[0]),
-                "reward_terms": {
-                    "tracking": tracking,
-                    "precision": precision,
-                    "effort": effort,
-                    "lost": lost,
-                },
-            }
+            return fault | {"is_success": bool(self.success[0]), "reward_terms": terms}
         info = GazeTask.info(self)  # a subclass adds its own
         return {
             key: {name: part[0] for name, part in value.items()}
@@ -318,6 +300,45 @@ class GazeTask:
     def close(self) -> None:
         """Bring the heads to rest and release what the plant holds; may be called twice."""
         self.plant.close()
+
+
+def rollout(
+    task: GazeTask, policy: Policy, steps: int, record: Callable[[int], None], *, seed: int = 0,
+    first_trial: int = 0,
+) -> None:  # fmt: skip
+    """Run one trial in each environment of a task, and close the task in any case.
+
+    Unless the plant is a simulation, all code is compiled before the heads move, see
+    `GazeTask.prepare`. `record` is called at time zero and after each step with the step's number.
+    """
+    try:
+        if not isinstance(task.plant, Simulation):
+            task.prepare(policy)
+        run_trial(task, policy, steps, record, seed=seed, first_trial=first_trial)
+    finally:
+        task.close()
+
+
+def run_trial(
+    task: GazeTask, policy: Policy, steps: int, record: Callable[[int], None], *, seed: int = 0,
+    first_trial: int = 0,
+) -> None:  # fmt: skip
+    """Run one trial in each environment of a task, and leave the task open for the next one."""
+    ids = np.arange(task.num)
+    seeds = np.full(task.num, as_seed(seed), dtype=np.uint64)
+    task.begin(ids, seeds, (first_trial + ids).astype(np.uint64))
+    record(0)
+    state, start = None, np.ones(task.num, dtype=np.bool_)
+    for step in range(1, steps + 1):
+        # a copy: the task writes its next observation into the same array
+        action, state = policy.predict(
+            task.observation.copy(), state=state, episode_start=start, deterministic=True
+        )
+        start = np.zeros(task.num, dtype=np.bool_)
+        task.step(task.as_action(action))
+        if task.plant.fault:
+            raise HardwareError(task.plant.fault)
+        record(step)
 
 
 class EyeImages(NamedTuple):

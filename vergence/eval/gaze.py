@@ -14,9 +14,8 @@ from vergence.controllers.ibvs import gain_for_loop
 from vergence.envs.plant import is_simulated
 from vergence.envs.plants.cameras import RoomImageRenderer
 from vergence.envs.reading import refuse_immobile_eyes
-from vergence.envs.rollout import rollout
 from vergence.envs.targets.prescribed import StaticTarget, UnseenTarget
-from vergence.envs.task import EyeImages, GazeTask, Policy, given_or_drawn_eye_images
+from vergence.envs.task import EyeImages, GazeTask, Policy, given_or_drawn_eye_images, rollout
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.gaze_trajectory import (
@@ -221,7 +220,7 @@ def record_gaze(
         The result.
 
     Raises:
-        VergenceError: see `vergence.envs.rollout.rollout`.
+        VergenceError: see `vergence.envs.task.rollout`.
     """
     steps = round(config.duration_s * task.head.timing.control_rate_hz)
     record = Recorder(task, steps)

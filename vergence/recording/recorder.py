@@ -54,7 +54,7 @@ class Recorder:
         self._lost = np.empty((self._length, task.num), dtype=np.bool_)
 
     def __call__(self, step: int) -> None:
-        """Record the present; the `record` callback of `vergence.envs.rollout.rollout`.
+        """Record the present; the `record` callback of `vergence.envs.task.rollout`.
 
         Args:
             step: row to write, counted from 0; later rows are dropped.

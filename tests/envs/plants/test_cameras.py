@@ -167,18 +167,6 @@ def seen(physical):
 
 
 @pytest.mark.slow
-def test_eyes_at_rest_see_what_the_rendered_plant_shows(physical):
-    plant = make_plant("rendered", physical, 1, **VIEW)
-    begin(plant, start_of(point=POINT, seed=SEED))
-    for _ in range(2):
-        plant.step(np.zeros((1, 7)))
-    drawn = views_of(physical).draw(np.zeros(7), np.zeros(7), POINT, frame_noise(2))
-    assert np.ptp(drawn[0]) > 100
-    # a pose that differs in its last digit may round a grey level the other way
-    assert worst_grey(drawn, plant.frames()) <= 1
-
-
-@pytest.mark.slow
 def test_eyes_in_motion_see_what_the_rendered_plant_shows(physical, seen):
     truth = seen.truth()
     q, v, point = truth.positions[0], truth.velocities[0], truth.target[0]
@@ -249,15 +237,6 @@ def seen_in(head: HeadModel, **faults: object):
     return np.concatenate(visible), off
 
 
-def test_nothing_comes_where_all_frames_are_dropped(exact) -> None:
-    plant = make_plant("kinematic", exact, 1, dropped_frame_probability=1.0)
-    readings, _q, _v = steps(plant, start_of(before=AHEAD), 30)
-    for reading in readings:
-        assert not reading.visible.any()
-        assert reading.frame[0] == 0
-        assert np.isnan(reading.exposure_s).all()
-
-
 def test_each_eye_misses_the_target_by_itself(exact) -> None:
     p = 0.15
     seen, off = seen_in(exact, missed_detection_probability=p)
@@ -281,17 +260,6 @@ def test_outliers_are_as_many_and_as_far_off_as_said(exact) -> None:
     assert_uniform(away[hit] / most)
     around = np.arctan2(off[..., 1], off[..., 0])[hit] / (2.0 * np.pi) % 1.0
     assert_uniform(around)
-
-
-def test_an_outlier_moves_the_pixel_of_the_eye_that_it_hits_and_no_other(simulated) -> None:
-    runs = [
-        steps(make_plant("kinematic", simulated, NUM, **faults), start_of(NUM), COUNT)[0]
-        for faults in ({}, {"outlier_probability": 0.1, "outlier_px": 80.0})
-    ]
-    moved = np.array([(a.pixels != b.pixels).any(axis=-1) for a, b in zip(*runs, strict=True)])[8:]
-    assert 0.09 < moved.mean() < 0.11
-    # noise and all else are what they are without
-    assert moved.any(axis=-1).mean() > moved.all(axis=-1).mean() + 0.1
 
 
 def test_faults_before_time_zero_are_as_frequent(exact) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.envs.plants.trajectory import motion_of, swing
-from tests.envs.trials import pixels_of, start_of, steps
+from tests.envs.trials import assert_white_normal, pixels_of, start_of, steps
 from tests.naming import named
 from vergence import HeadModel, load_head
 from vergence.envs.plant import make_plant
@@ -48,15 +48,8 @@ def test_encoders_noise_is_white_normal_and_as_large_as_said(exact) -> None:
     readings, q, v = steps(plant, start_of(num), count)
     for name, true, sigma in (("positions", q, angle), ("velocities", v, speed)):
         off = np.array([getattr(reading, name) for reading in readings])[1:] - true[1:]
-        noise = off[..., 3:]
         assert not off[..., :3].any()  # the neck's are exact
-        # 64,000 numbers know their standard deviation to 0.28 %; four of these
-        assert noise.std() == pytest.approx(sigma, rel=0.012)
-        assert abs(noise.mean()) < 4 * sigma / np.sqrt(noise.size)
-        assert (noise**4).mean() / sigma**4 == pytest.approx(3.0, abs=0.2)
-        pairs = np.corrcoef(noise.reshape(-1, 4).T) - np.eye(4)
-        assert np.abs(pairs).max() < 4 / np.sqrt(noise.size / 4)
-        assert abs((noise[1:] * noise[:-1]).mean()) < 4 * sigma**2 / np.sqrt(noise.size)
+        assert_white_normal(off[..., 3:], sigma)
 
 
 def test_noise_comes_before_the_encoders_steps(physical: HeadModel) -> None:

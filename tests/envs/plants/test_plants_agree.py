@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from tests.controllers.loops import begin, true_errors
+from tests.controllers.loops import begin
 from tests.envs.any_head import begun, least_squares, uneven
 from tests.envs.plants.trajectory import motion_of, swing
 from tests.envs.trials import EVERYTHING, start_of, steps
 from tests.heads import head_of, text_of
 from tests.naming import named
-from vergence import load_head, make_controller
+from vergence import load_head
 from vergence.envs.plant import make_plant
 from vergence.envs.plants.conditions import IMPERFECTIONS, RANGES
 from vergence.envs.task import GazeTask
@@ -18,24 +18,6 @@ from vergence.models import HeadModel, parse_head
 
 def worst_deg(a, b) -> float:
     return float(np.rad2deg(np.abs(a - b)).max())
-
-
-def test_joint_angles_agree_over_a_servoed_gaze() -> None:
-    num, count = 6, 120
-    head = load_head("physical")
-    tasks = [GazeTask(num, head=head, plant=name) for name in ("kinematic", "mujoco")]
-    controller = make_controller("ibvs", head=head)
-    leader, follower = (begin(task, 3) for task in tasks)
-    worst = moved = 0.0
-    start = leader.truth().positions
-    for _ in range(count):
-        action, _state = controller.predict(leader.observation)
-        for task in tasks:
-            task.step(action)
-        worst = max(worst, worst_deg(leader.truth().positions, follower.truth().positions))
-        moved = max(moved, worst_deg(leader.truth().positions, start))
-    assert moved > 5.0
-    assert worst < 0.02
 
 
 def test_joint_angles_agree_where_a_heads_lag_is_not_the_nominal_one(exact) -> None:
@@ -48,15 +30,6 @@ def test_joint_angles_agree_where_a_heads_lag_is_not_the_nominal_one(exact) -> N
     ]
     # small commands stay clear of the acceleration limit: the discretised lag is exact there
     assert worst_deg(runs[0][1], runs[1][1]) < 0.005
-
-
-def test_lag_is_the_time_constant_of_the_response(exact: HeadModel) -> None:
-    for name in ["kinematic", "mujoco"]:
-        with named(name):
-            plant = make_plant(name, exact, 3, lag_s=[1 / 120, 2 / 120, 4 / 120])
-            _r, _q, v = steps(plant, start_of(3), 4, [0, 0, 0, 1, 0, 0, 0])
-            reached = v[[1, 2, 4], [0, 1, 2], 3]
-            assert reached == pytest.approx(np.full(3, 1 - np.exp(-1.0)), abs=2e-3)
 
 
 def test_the_moving_neck_agrees(exact: HeadModel) -> None:
@@ -149,20 +122,6 @@ def test_a_welded_neck_leaves_the_eyes_as_they_are(exact: HeadModel) -> None:
             assert worst_deg(servo, welded) < 0.01
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("plant", "name"), [("mujoco", "common"), ("rendered", "mis")])
-def test_a_vector_of_any_head_settles(plant, name) -> None:
-    head = head_of(name)
-    task = begun(head, 2, plant=plant)
-    for _ in range(120):
-        task.step(least_squares(task, 5.0))
-    truth = task.truth()
-    left = truth.pixel_error - head.least_error(truth.target)
-    assert np.abs(left).max() < 1.5
-    assert head.reaches(truth.positions).all()
-    task.close()
-
-
 def test_images_of_different_sizes_are_drawn_and_looked_at() -> None:
     head = uneven("tied")
     task = begun(head, 1, plant="rendered")
@@ -193,16 +152,6 @@ def test_joints_follow_as_their_equation_says(exact, control_hz, plant_name, wit
     motion = motion_of(head, commands)
     expected = np.array([motion(k * head.timing.period_s)[0] for k in range(count + 1)])
     assert q[:, 0] == pytest.approx(expected, abs=within_rad)
-
-
-@pytest.mark.parametrize(
-    ("control_hz", "plant_name"), [(50.0, "kinematic"), (77.0, "mujoco"), (250.0, "kinematic")]
-)
-def test_the_articles_law_settles_at_every_rate(exact, control_hz, plant_name) -> None:
-    head = at(exact, control_hz)
-    task = GazeTask(6, head=head, plant=plant_name)
-    errors = true_errors(task, make_controller("ibvs", head, task.layout, gain=3.0), 2.0)
-    assert np.linalg.norm(errors[-1], axis=-1).max() < 1.0
 
 
 @pytest.mark.slow

@@ -18,26 +18,24 @@ def turn(begin, goal):
     return np.linalg.norm((goal - begin)[:, 3:].reshape(-1, 2, 2), axis=-1).max(axis=-1)
 
 
-def test_both_points_keep_the_promises(request) -> None:
-    for name in ["simulated", "physical"]:
-        for start in ["fixation", "rest"]:
-            with named(name, start):
-                head: HeadModel = request.getfixturevalue(name)
-                target = DoubleStepTarget(start=start)
-                rows, q = draw(head, target, 500)
-                jump = last_jump_time(rows)
-                first, second = target_position(rows, 0.0), target_position(rows, jump)
-                goals = head.fixate(first), head.fixate(second)
-                for points, goal in zip((first, second), goals, strict=True):
-                    assert (points[:, 2] >= 0.3).all()
-                    assert (points[:, 2] <= 2.5).all()
-                    assert (eccentricity(head, points) <= target.eccentricity + 1e-12).all()
-                    assert head.limits.contains(goal, target.margin).all()
-                    assert inside(head, q, points)
-                assert inside(head, goals[0], second)
-                assert (turn(q, goals[0]) >= target.shift).all()
-                assert (turn(*goals) >= target.shift).all()
-                assert (np.abs(q[:, 3:]).max(axis=1) > 0).all() == (start == "fixation")
+def test_both_points_keep_the_promises(head: HeadModel) -> None:
+    for start in ["fixation", "rest"]:
+        with named(start):
+            target = DoubleStepTarget(start=start)
+            rows, q = draw(head, target, 500)
+            jump = last_jump_time(rows)
+            first, second = target_position(rows, 0.0), target_position(rows, jump)
+            goals = head.fixate(first), head.fixate(second)
+            for points, goal in zip((first, second), goals, strict=True):
+                assert (points[:, 2] >= 0.3).all()
+                assert (points[:, 2] <= 2.5).all()
+                assert (eccentricity(head, points) <= target.eccentricity + 1e-12).all()
+                assert head.limits.contains(goal, target.margin).all()
+                assert inside(head, q, points)
+            assert inside(head, goals[0], second)
+            assert (turn(q, goals[0]) >= target.shift).all()
+            assert (turn(*goals) >= target.shift).all()
+            assert (np.abs(q[:, 3:]).max(axis=1) > 0).all() == (start == "fixation")
 
 
 def test_the_second_point_is_seen_on_the_way_to_the_first(simulated: HeadModel) -> None:

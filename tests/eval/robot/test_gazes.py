@@ -2,8 +2,7 @@
 
 from tests.heads import head_of
 from vergence import make_controller
-from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, rollout
 from vergence.eval.robot.gazes import RobotGazes
 from vergence.recording import Recorder
 

@@ -5,8 +5,7 @@ import pytest
 
 from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
-from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, rollout
 from vergence.eval.trials.recorded import trials_from_record
 from vergence.recording import Recorder
 

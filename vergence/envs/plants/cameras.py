@@ -22,8 +22,8 @@ from vergence.envs.streams import (
     StreamKey,
     StreamPurpose,
     Words,
+    four_normals,
     random_words,
-    to_normals,
     to_uniform,
 )
 from vergence.envs.targets.motion import POINT, Board, motion_position_at, view_motion
@@ -66,22 +66,14 @@ class Frames(NamedTuple):
     F is a power of two, as is the length of every ring buffer here.
     """
 
-    pixels: FloatArray
-    """(n, F, 2, 2) detections in both eyes' frames, px."""
-    visible: BoolArray
-    """(n, F, 2) True if the target was detected."""
-    dropped: BoolArray
-    """(n, F) True if the frame never arrives."""
-    exposed_s: FloatArray
-    """(n, F) middle of the exposure since the trial's start, s."""
-    comes_s: FloatArray
-    """(n, F) time at which the frame becomes readable, s."""
-    next: IntArray
-    """(n,) number of the next exposure, see `exposed_eyes`."""
-    pending: IntArray
-    """(n,) number of the first frame that has not arrived."""
-    latest_s: FloatArray
-    """(n,) time at which the last exposed frame becomes readable, s."""
+    pixels: FloatArray  # (n, F, 2, 2) detections in both eyes' frames, px
+    visible: BoolArray  # (n, F, 2) True if the target was detected
+    dropped: BoolArray  # (n, F) True if the frame never arrives
+    exposed_s: FloatArray  # (n, F) middle of the exposure since the trial's start, s
+    comes_s: FloatArray  # (n, F) time at which the frame becomes readable, s
+    next: IntArray  # (n,) number of the next exposure, see `exposed_eyes`
+    pending: IntArray  # (n,) number of the first frame that has not arrived
+    latest_s: FloatArray  # (n,) time at which the last exposed frame becomes readable, s
 
     @classmethod
     def empty(cls, num: int, max_latency_s: float, max_hz: float) -> "Frames":
@@ -98,14 +90,10 @@ class Frames(NamedTuple):
 class Exposures(NamedTuple):
     """The exposures within the present period, and the joints at their times."""
 
-    counts: IntArray
-    """(n,) number of exposures."""
-    time_s: FloatArray
-    """(n, E) middle of each exposure since the trial's start, s."""
-    positions: FloatArray
-    """(n, E, 7) joint angles, rad."""
-    velocities: FloatArray
-    """(n, E, 7) joint velocities, rad/s."""
+    counts: IntArray  # (n,) number of exposures
+    time_s: FloatArray  # (n, E) middle of each exposure since the trial's start, s
+    positions: FloatArray  # (n, E, 7) joint angles, rad
+    velocities: FloatArray  # (n, E, 7) joint velocities, rad/s
 
     @classmethod
     def empty(
@@ -123,8 +111,7 @@ class FrameFaults(NamedTuple):
     """Random faults of one pair of frames."""
 
     dropped: bool
-    extra_latency_s: float
-    """Delay beyond the latency, s."""
+    extra_latency_s: float  # delay beyond the latency, s
     missed_left: bool
     missed_right: bool
 
@@ -135,23 +122,13 @@ def frame_exposure_time(conditions: TrialConditions, frame: int) -> float:
     return (conditions.frame_phase + frame) * conditions.frame_s
 
 
-class ExposedEyes(NamedTuple):
-    """Frame and eyes of an exposure."""
-
-    frame: int
-    first_eye: int
-    """Index of the first exposed eye."""
-    end_eye: int
-    """One past the index of the last exposed eye."""
-
-
 @inlined
-def exposed_eyes(conditions: TrialConditions, exposure: int) -> ExposedEyes:
-    """Find the frame of an exposure, and the eyes that it exposes."""
+def exposed_eyes(conditions: TrialConditions, exposure: int) -> tuple[int, int, int]:
+    """Frame of an exposure, the first eye that it exposes, and one past the last."""
     if conditions.skew_s == 0.0:
-        return ExposedEyes(exposure, 0, 2)
+        return exposure, 0, 2
     eye = exposure & 1
-    return ExposedEyes(exposure >> 1, eye, eye + 1)
+    return exposure >> 1, eye, eye + 1
 
 
 @inlined
@@ -201,13 +178,9 @@ def pixel_noise(
     conditions: TrialConditions, key: StreamKey, frame: int
 ) -> tuple[float, float, float, float]:
     """Detection noise in one pair of frames, px: u and v left, u and v right."""
-    sigma = conditions.detection_noise_px
-    if sigma == 0.0:
+    if conditions.detection_noise_px == 0.0:
         return 0.0, 0.0, 0.0, 0.0
-    words = _words(key, frame, 1)
-    a, b = to_normals(words[0], words[1])
-    c, d = to_normals(words[2], words[3])
-    return sigma * a, sigma * b, sigma * c, sigma * d
+    return four_normals(_words(key, frame, 1), conditions.detection_noise_px)
 
 
 @inlined
@@ -261,26 +234,19 @@ def frame_arrival_time(
     conditions: TrialConditions, exposed_s: float, extra_latency_s: float, latest_s: float
 ) -> float:
     """Time at which a frame becomes readable, never before an earlier frame, s."""
-    return max(
-        exposed_s + eye_skew_s(conditions) + conditions.latency_s + extra_latency_s, latest_s
-    )
+    late_s = exposed_s + eye_skew_s(conditions) + conditions.latency_s + extra_latency_s
+    return max(late_s, latest_s)
 
 
 class TrueHeadsAndTargets(NamedTuple):
     """The true heads and their targets at present."""
 
-    heads: FloatArray
-    """(n or 1, PACKED) the true heads, see `vergence.models.kinematics`."""
-    motions: FloatArray
-    """(n, MOTION) motions of the targets, see `vergence.envs.targets.motion`."""
-    necks: FloatArray
-    """(n, 3) the neck's angles at the trials' start, rad."""
-    step: IntArray
-    """(n,) control periods since the trials' start."""
-    positions: FloatArray
-    """(n, 7) joint angles, rad."""
-    velocities: FloatArray
-    """(n, 7) joint velocities, rad/s."""
+    heads: FloatArray  # (n or 1, PACKED) the true heads, see `vergence.models.kinematics`
+    motions: FloatArray  # (n, MOTION) motions of the targets, see `vergence.envs.targets.motion`
+    necks: FloatArray  # (n, 3) the neck's angles at the trials' start, rad
+    step: IntArray  # (n,) control periods since the trials' start
+    positions: FloatArray  # (n, 7) joint angles, rad
+    velocities: FloatArray  # (n, 7) joint velocities, rad/s
 
 
 @inlined
@@ -367,26 +333,13 @@ def update_truth(
             truth.pixel_error[n, eye, 0], truth.pixel_error[n, eye, 1] = du, dv
 
 
-class DetectableCellWidths(NamedTuple):
-    """Widths of a board's cells, px, at which the detector finds the board."""
-
-    reliable_px: float
-    """Width for boards of width `fit`: reliably found, yet small."""
-    min_px: float
-    """Least width; below it the detector misses a still board in some images."""
-    max_px: float
-
-
-CELL_SIZES: Final[dict[type[PlanarTarget], DetectableCellWidths]] = {
-    AprilTag: DetectableCellWidths(6.0, 2.5, np.inf),
-    # OpenCV's search for the squares needs larger cells
-    Checkerboard: DetectableCellWidths(11.0, 10.0, np.inf),
-}
-BOARD_BORDER_PX: Final = 3.0
+# widths of a board's cells, px, at which the detector finds the board (measured): reliably, for
+# boards of width `fit`, and at least; OpenCV's search for the squares needs larger cells
+_RELIABLE_CELL_PX: Final[dict[type[PlanarTarget], float]] = {AprilTag: 6.0, Checkerboard: 11.0}
+_MIN_CELL_PX: Final[dict[type[PlanarTarget], float]] = {AprilTag: 2.5, Checkerboard: 10.0}
+_BOARD_BORDER_PX: Final = 3.0
 """Clear border that the detector needs around a board, px (chosen: detection against room for
 targets)."""
-
-
 _POINT_HALF_M: Final = 0.01
 """Half the side of the part of a poster that both eyes must see, m (chosen: a patch round its
 middle)."""
@@ -395,20 +348,12 @@ _WALL_M: Final = 2.5
 
 
 class BoardImageRenderer:
-    """Renderer of both eyes' images of a board.
+    """Renderer of both eyes' images of a board, seen by a true head.
 
-    Args:
-        head: the true head, a single one.
-        target: the board.
-        width_rad: ratio of the board's width, rim included, to its distance, so that it looks
-            equally large near and far. `fit`: a width that the detector finds reliably with the
-            model's cameras; None: the board's own size at any distance.
-        facing: orientation of the board, see `board_pose`.
-        model: the head that a controller knows, which sets the images' grey levels; None for
-            `head`.
-
-    Raises:
-        ConfigurationError: an option has an invalid value.
+    The ratio `width_rad` of the board's width, rim included, to its distance makes it look equally
+    large near and far: `fit` is a ratio that the detector finds reliably with the model's cameras,
+    None the board's own size at any distance. The model, by default the head itself, also sets the
+    images' grey levels.
     """
 
     def __init__(
@@ -443,15 +388,13 @@ class BoardImageRenderer:
         corners = outline_m(self._target)
         # between the corners a lens may bend an edge outwards
         halves = 0.5 * (corners + np.roll(corners, -1, axis=0))
-        size = CELL_SIZES[type(self._target)]
+        cells_px = min(self._target.cells.shape) * _MIN_CELL_PX[type(self._target)]
         return Board(
             outline=np.stack([corners, halves], axis=1).reshape(-1, 2),
             true_size_distance_m=np.nan if self._natural_m is None else self._natural_m,
-            facing_head=self._facing == "head",
-            border_px=BOARD_BORDER_PX,
-            min_outline_segment_px=0.5 * min(self._target.cells.shape) * size.min_px,
-            max_outline_segment_px=0.5 * max(self._target.cells.shape) * size.max_px,
-        )
+            facing_head=self._facing == "head", border_px=_BOARD_BORDER_PX,
+            min_outline_segment_px=0.5 * cells_px,
+        )  # fmt: skip
 
     def room(self, q: FloatArray, v: FloatArray) -> None:
         """Take the joint angles, rad, and velocities, rad/s, of the next `draw_poses`."""
@@ -515,12 +458,6 @@ class RoomImageRenderer(BoardImageRenderer):
     """Renderer of both eyes' colour images of an object in a room.
 
     The room stands upright around the head: its frame is N with the neck at rest.
-
-    Args:
-        head: the true head, a single one.
-        scene: the room, and the object at the target's place.
-        model: the head that a controller knows, which sets the images' grey levels; None for
-            `head`.
     """
 
     def __init__(self, head: HeadModel, scene: Scene, model: HeadModel | None = None) -> None:
@@ -547,7 +484,7 @@ class RoomImageRenderer(BoardImageRenderer):
         """Shape of the target: all of a ball, or some of a poster around its measured point."""
         half_m = _POINT_HALF_M if self._scene.thing == "poster" else 0.5 * self._scene.size_m
         outline = half_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-        return POINT._replace(outline=outline, border_px=BOARD_BORDER_PX)
+        return POINT._replace(outline=outline, border_px=_BOARD_BORDER_PX)
 
     def room(self, q: FloatArray, v: FloatArray) -> None:
         """See `BoardImageRenderer.room`."""
@@ -588,7 +525,7 @@ def _natural_m(
         return None
     if width_rad == "fit":
         cells: int = target.cells.shape[1]
-        width = cells * CELL_SIZES[type(target)].reliable_px / float(np.mean(head.cameras.focal))
+        width = cells * _RELIABLE_CELL_PX[type(target)] / float(np.mean(head.cameras.focal))
     else:
         width = check_finite_number("width_rad", width_rad)
         if not 0.0 < width < 1.0:

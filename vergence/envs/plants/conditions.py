@@ -25,8 +25,8 @@ from vergence.envs.streams import (
     IntArray,
     KeyArray,
     StreamPurpose,
+    four_normals,
     random_words,
-    to_normals,
     to_uniform,
 )
 from vergence.errors import ConfigurationError, refuse_unknown
@@ -42,16 +42,12 @@ LOOP_PARTS: Final = ("camera", "encoders", "motors", "target")
 class Imperfection(NamedTuple):
     """Description of one imperfect quantity of the loop."""
 
-    part: str
-    """Part of the loop, one of `LOOP_PARTS`."""
-    label: str
-    """Its name in tables and figures."""
-    description: str
-    """One-line description for the docs."""
+    part: str  # part of the loop, one of `LOOP_PARTS`
+    label: str  # its name in tables and figures
+    description: str  # one-line description for the docs
     unit: str
     least: float
-    most: float
-    """Upper limit of valid values; for times it is excluded."""
+    most: float  # upper limit of valid values; for times it is excluded
     search_range: tuple[float, float]
     """Range in which margins are searched. It exceeds the values of existing robots, and ends where
     nothing more can be learned."""
@@ -68,10 +64,8 @@ class Imperfection(NamedTuple):
 
     def nominal(self, head: HeadModel) -> float | FloatArray:
         """Default value for a head."""
-        if not self.head_path:
-            return self.default
-        value: float | FloatArray = attrgetter(self.head_path)(head)
-        return value
+        value: float | FloatArray = self.default
+        return attrgetter(self.head_path)(head) if self.head_path else value
 
 
 Value = TypeVar("Value", covariant=True)
@@ -104,169 +98,119 @@ class Imperfections(Generic[Value]):
     latency_s: Value = _imperfection_field(
         "camera", "image latency", "latency from mid-exposure to the time at which the image is "
         "readable; a reading dates its image by the model's latency, unless the cameras stamp "
-        "exposures",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.3), head_path="timing.latency_s", display_unit=_MS,
-    )
+        "exposures", "s", (0.0, _MAX_DELAY_S), (0.0, 0.3), head_path="timing.latency_s",
+        display_unit=_MS)
     lag_s: Value = _imperfection_field(
         # margins exclude 0: a joint without lag has no dynamics
         "motors", "joint lag", "time constant of the motors' response; above 0 for dynamics; an "
-        "actuator with a lag of its own keeps its ratio to the head's",
-        "s", (0.0, _MAX_DELAY_S), (0.001, 0.2), head_path="timing.lag_s", display_unit=_MS,
-    )
+        "actuator with a lag of its own keeps its ratio to the head's", "s", (0.0, _MAX_DELAY_S),
+        (0.001, 0.2), head_path="timing.lag_s", display_unit=_MS)
     detection_noise_px: Value = _imperfection_field(
-        "camera", "detection noise", "standard deviation of each coordinate of a detection; not "
-        "on `rendered`, whose detector has its own noise",
-        "px", (0.0, inf), (0.0, 3.0), head_path="sensor.detection_noise_px",
-        display_unit=("px", 1.0),
-    )
+        "camera", "detection noise", "standard deviation of each coordinate of a detection; not on "
+        "`rendered`, whose detector has its own noise", "px", (0.0, inf), (0.0, 3.0),
+        head_path="sensor.detection_noise_px", display_unit=("px", 1.0))
     dropped_frame_probability: Value = _imperfection_field(
-        "camera", "dropped frames", "probability that a frame of both eyes never arrives",
-        "1", (0.0, 1.0), (0.0, 0.9), head_path="sensor.dropped_frame_probability",
-        display_unit=_PERCENT,
-    )
+        "camera", "dropped frames", "probability that a frame of both eyes never arrives", "1",
+        (0.0, 1.0), (0.0, 0.9), head_path="sensor.dropped_frame_probability", display_unit=_PERCENT)
     jitter_s: Value = _imperfection_field(
         "camera", "frame jitter", "largest delay of a frame beyond the latency, uniform from 0; "
-        "frames keep their order",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
-    )
+        "frames keep their order", "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS)
     missed_detection_probability: Value = _imperfection_field(
         "camera", "missed detections", "probability that an eye's detector finds nothing in a "
-        "frame, independent for each eye",
-        "1", (0.0, 1.0), (0.0, 0.9), display_unit=_PERCENT,
-    )
+        "frame, independent for each eye", "1", (0.0, 1.0), (0.0, 0.9), display_unit=_PERCENT)
     outlier_probability: Value = _imperfection_field(
         "camera", "outliers", "probability that an eye's detection is an outlier, independent for "
-        "each eye",
-        "1", (0.0, 1.0), (0.0, 0.3), display_unit=_PERCENT,
-    )
+        "each eye", "1", (0.0, 1.0), (0.0, 0.3), display_unit=_PERCENT)
     outlier_px: Value = _imperfection_field(
-        "camera", "outlier size", "largest distance of an outlier from the target: uniform from "
-        "0, in any direction",
-        "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="outlier_probability",
-        display_unit=("px", 1.0),
-    )
+        "camera", "outlier size", "largest distance of an outlier from the target: uniform from 0, "
+        "in any direction", "px", (0.0, inf), (0.0, 300.0), default=100.0,
+        probability="outlier_probability", display_unit=("px", 1.0))
     frame_rate_hz: Value = _imperfection_field(
-        "camera", "frame rate", "frames per second",
-        "Hz", (1.0, 1000.0), (10.0, 240.0), head_path="timing.frame_rate_hz",
-        display_unit=("Hz", 1.0),
-    )
+        "camera", "frame rate", "frames per second", "Hz", (1.0, 1000.0), (10.0, 240.0),
+        head_path="timing.frame_rate_hz", display_unit=("Hz", 1.0))
     frame_phase: Value = _imperfection_field(
         "camera", "camera phase", "time of the first exposure after time zero, as a fraction of "
-        "the frame period",
-        "1", (0.0, 1.0), (0.0, 1.0), display_unit=("of a frame", 1.0),
-    )
+        "the frame period", "1", (0.0, 1.0), (0.0, 1.0), display_unit=("of a frame", 1.0))
     clock_drift: Value = _imperfection_field(
-        "camera", "camera clock slow by", "fraction by which the cameras' clock is slow",
-        "1", (-0.1, 0.1), (-0.05, 0.05), display_unit=_PERCENT,
-    )
+        "camera", "camera clock slow by", "fraction by which the cameras' clock is slow", "1",
+        (-0.1, 0.1), (-0.05, 0.05), display_unit=_PERCENT)
     command_latency_s: Value = _imperfection_field(
-        "motors", "command latency", "latency from a command to the motors' response",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.command_latency_s",
-        display_unit=_MS,
-    )
+        "motors", "command latency", "latency from a command to the motors' response", "s",
+        (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.command_latency_s", display_unit=_MS)
     feedback_latency_s: Value = _imperfection_field(
         "encoders", "feedback latency", "latency from a measurement of the joints to its reading",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.feedback_latency_s",
-        display_unit=_MS,
-    )
+        display_unit=_MS)
     angle_noise_rad: Value = _imperfection_field(
         "encoders", "encoder noise, angle", "standard deviation of an encoder's angle before "
-        "quantisation",
-        "rad", (0.0, inf), (0.0, 0.01), display_unit=_MRAD,
-    )
+        "quantisation", "rad", (0.0, inf), (0.0, 0.01), display_unit=_MRAD)
     speed_noise_rad_s: Value = _imperfection_field(
         "encoders", "encoder noise, speed", "standard deviation of an encoder's speed before "
-        "quantisation",
-        "rad/s", (0.0, inf), (0.0, 0.5), display_unit=("rad/s", 1.0),
-    )
+        "quantisation", "rad/s", (0.0, inf), (0.0, 0.5), display_unit=("rad/s", 1.0))
     acceleration_ratio: Value = _imperfection_field(
         "motors", "acceleration by model", "ratio of the motors' largest accelerations to the "
-        "head's limits",
-        "1", (0.01, 100.0), (0.1, 3.0), default=1.0,
-    )
+        "head's limits", "1", (0.01, 100.0), (0.1, 3.0), default=1.0)
     torque_falloff: Value = _imperfection_field(
-        "motors", "torque falloff", "fraction of its acceleration that a motor loses up to its "
-        "top speed, gain included; braking is not reduced",
-        "1", (0.0, 0.8), (0.0, 0.8),
-    )
+        "motors", "torque falloff", "fraction of its acceleration that a motor loses up to its top "
+        "speed, gain included; braking is not reduced", "1", (0.0, 0.8), (0.0, 0.8))
     onset_s: Value = _imperfection_field(
-        "target", "onset", "time at which the target appears, jumps or begins to move",
-        "s", (0.0, 10.0), (0.0, 0.5), display_unit=("s", 1.0),
-    )
+        "target", "onset", "time at which the target appears, jumps or begins to move", "s",
+        (0.0, 10.0), (0.0, 0.5), display_unit=("s", 1.0))
     speed_gain: Value = _imperfection_field(
-        "motors", "speed gain", "ratio of the steady speed to the command, drawn for each "
-        "actuator",
-        "1", (0.01, 2.0), (0.4, 1.6), default=1.0, by_actuator=True,
-    )
+        "motors", "speed gain", "ratio of the steady speed to the command, drawn for each actuator",
+        "1", (0.01, 2.0), (0.4, 1.6), default=1.0, by_actuator=True)
     backlash_rad: Value = _imperfection_field(
         "motors", "backlash", "backlash between motor and joint, full width, drawn for each "
-        "actuator (in a file `sensor.backlash_rad` or the actuator's); none in the neck",
-        "rad", (0.0, 0.2), (0.0, 0.02), head_path="actuation.backlash", by_actuator=True,
-        display_unit=_MRAD,
-    )
+        "actuator (in a file `sensor.backlash_rad` or the actuator's); none in the neck", "rad",
+        (0.0, 0.2), (0.0, 0.02), head_path="actuation.backlash", by_actuator=True,
+        display_unit=_MRAD)
     speed_filter_s: Value = _imperfection_field(
-        "encoders", "speed filter", "time constant of the first-order low-pass filter of a "
-        "servo's reported speed; 0 for none",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
-    )
+        "encoders", "speed filter", "time constant of the first-order low-pass filter of a servo's "
+        "reported speed; 0 for none", "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS)
     speed_latency_s: Value = _imperfection_field(
         "encoders", "speed latency", "age of a reported speed relative to the angle reported with "
-        "it; the filter is applied after it",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
-    )
+        "it; the filter is applied after it", "s", (0.0, _MAX_DELAY_S), (0.0, 0.1),
+        display_unit=_MS)
     speed_span_s: Value = _imperfection_field(
         "encoders", "speed as difference over", "for servos that report no speed: time, in whole "
-        "periods, over which the speed is the difference of the reported angles, which then has "
-        "no noise, quantisation, latency or filter of its own; below half a period for the "
-        "servos' own speed",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
-    )
+        "periods, over which the speed is the difference of the reported angles, which then has no "
+        "noise, quantisation, latency or filter of its own; below half a period for the servos' "
+        "own speed", "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS)
     lost_command_probability: Value = _imperfection_field(
         "motors", "lost commands", "probability that a period's command never reaches the motors, "
-        "which keep the previous one; `command` of a reading is what was sent",
-        "1", (0.0, 1.0), (0.0, 0.9), display_unit=_PERCENT,
-    )
+        "which keep the previous one; `command` of a reading is what was sent", "1", (0.0, 1.0),
+        (0.0, 0.9), display_unit=_PERCENT)
     stall_probability: Value = _imperfection_field(
         "motors", "stalls of the control loop", "probability that the control loop stalls in a "
         "period after one in which it ran: joints and images are not read, and the command is not "
-        "sent",
-        "1", (0.0, 1.0), (0.0, 0.5), display_unit=_PERCENT,
-    )
+        "sent", "1", (0.0, 1.0), (0.0, 0.5), display_unit=_PERCENT)
     stall_s: Value = _imperfection_field(
         "motors", "length of a stall", "longest stall: uniform from 0, in whole periods, at least "
-        "one",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.1, probability="stall_probability",
-        display_unit=_MS,
-    )
+        "one", "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.1, probability="stall_probability",
+        display_unit=_MS)
     false_detection_probability: Value = _imperfection_field(
-        "camera", "false detections", "probability that in a frame a lamp, a reflection or "
-        "another mark begins to be taken for the target: in the left eye, the right or both, a "
-        "third each; in half of the cases with both, their errors are equal",
-        "1", (0.0, 1.0), (0.0, 0.2), display_unit=_PERCENT,
-    )
+        "camera", "false detections", "probability that in a frame a lamp, a reflection or another "
+        "mark begins to be taken for the target: in the left eye, the right or both, a third each; "
+        "in half of the cases with both, their errors are equal", "1", (0.0, 1.0), (0.0, 0.2),
+        display_unit=_PERCENT)
     false_detection_s: Value = _imperfection_field(
         "camera", "length of a false detection", "longest false detection: uniform from 0, in "
-        "whole frames, at least one",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.2,
-        probability="false_detection_probability", display_unit=_MS,
-    )
+        "whole frames, at least one", "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.2,
+        probability="false_detection_probability", display_unit=_MS)
     false_detection_px: Value = _imperfection_field(
-        "camera", "distance of a false detection", "largest distance of a false detection from "
-        "the target, constant over its frames: uniform from 0, in any direction",
-        "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="false_detection_probability",
-        display_unit=("px", 1.0),
-    )
+        "camera", "distance of a false detection", "largest distance of a false detection from the "
+        "target, constant over its frames: uniform from 0, in any direction", "px", (0.0, inf),
+        (0.0, 300.0), default=100.0, probability="false_detection_probability",
+        display_unit=("px", 1.0))
     overshoot: Value = _imperfection_field(
         "motors", "overshoot", "fraction by which the speed of a second-order servo overshoots a "
         "step of its command, with the joint lag as its time constant; 0 for a first-order lag",
-        "1", (0.0, 0.9), (0.0, 0.6), display_unit=_PERCENT,
-    )
+        "1", (0.0, 0.9), (0.0, 0.6), display_unit=_PERCENT)
     skew_s: Value = _imperfection_field(
-        "camera", "right eye exposed later by", "delay of the right eye's exposures after the "
-        "left eye's, at most the frame period; a pair arrives with the later image, and its stamp "
-        "is that of the left one; not on `rendered`",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
-    )
+        "camera", "right eye exposed later by", "delay of the right eye's exposures after the left "
+        "eye's, at most the frame period; a pair arrives with the later image, and its stamp is "
+        "that of the left one; not on `rendered`", "s", (0.0, _MAX_DELAY_S), (0.0, 0.1),
+        display_unit=_MS)
 # fmt: on
 
 
@@ -318,12 +262,9 @@ class Conditions(Imperfections[FloatArray]):
 class PackedConditions(NamedTuple):
     """`Conditions` packed into three arrays, the form kernels take."""
 
-    loop: FloatArray
-    """(n, TRIAL_CONDITIONS) one row of `TrialConditions` per trial."""
-    own: FloatArray
-    """(n, PER_ACTUATOR, 7) speed gains, and backlashes in rad, per actuator."""
-    heads: FloatArray
-    """(n or 1, PACKED) the true heads."""
+    loop: FloatArray  # (n, TRIAL_CONDITIONS) one row of `TrialConditions` per trial
+    own: FloatArray  # (n, PER_ACTUATOR, 7) speed gains, and backlashes in rad, per actuator
+    heads: FloatArray  # (n or 1, PACKED) the true heads
 
 
 if TYPE_CHECKING:
@@ -390,12 +331,6 @@ class Variation(Imperfections[Range | None]):
         spans = (getattr(self, name) for name in names)
         return np.array([(np.nan, np.nan) if span is None else span for span in spans])
 
-    def draw_head_deviates(self, seeds: KeyArray, trials: KeyArray) -> FloatArray:
-        """(m, DEVIATES) standard normal numbers of the true heads of trials."""
-        numbers = np.empty((len(seeds), DEVIATES))
-        _draw_normals(seeds, trials, numbers)
-        return numbers
-
     def make_true_heads(self, head: HeadModel, deviates: FloatArray) -> HeadModel:
         """Make the true heads of trials, a population of shape (m,), from their deviates."""
         if self.model_errors is None:
@@ -459,14 +394,13 @@ def draw_conditions(
 
 
 @compiled
-def _draw_normals(seeds: KeyArray, trials: KeyArray, numbers: FloatArray) -> None:
-    """Fill one row of standard normal numbers per trial."""
-    size = numbers.shape[1]
+def draw_head_deviates(seeds: KeyArray, trials: KeyArray) -> FloatArray:
+    """(m, DEVIATES) standard normal numbers of the true heads of trials."""
+    numbers = np.empty((len(seeds), DEVIATES))
     for m in range(seeds.shape[0]):
-        for lane in range((size + 3) // 4):
+        for lane in range((DEVIATES + 3) // 4):
             words = random_words(seeds[m], trials[m], _VARIATION, 1, lane + 1)
-            a, b = to_normals(words[0], words[1])
-            c, d = to_normals(words[2], words[3])
-            for i, number in enumerate((a, b, c, d)):
-                if 4 * lane + i < size:
+            for i, number in enumerate(four_normals(words, 1.0)):
+                if 4 * lane + i < DEVIATES:
                     numbers[m, 4 * lane + i] = number
+    return numbers

@@ -69,20 +69,16 @@ def move_motors(
         n = np.uintp(env)  # unsigned, so that no index is counted from the end
         step, frame, conditions = steps[n], following[n], unpack_conditions(packed, n)
         begin_s = step * period_s
-        hold = held_commands(conditions.command_latency_s, step, ring, period_s)
-        slot, done, count = hold.position_before, 0.0, np.uintp(0)
+        before, after, change_s = held_commands(conditions.command_latency_s, step, ring, period_s)
+        slot, done, count = before, 0.0, np.uintp(0)
         due = exposure_time(conditions, frame) - begin_s
         neck = 0.0  # motion of the neck; at rest it is skipped
         for k in range(3):
-            neck += (
-                abs(speeds[n, k])
-                + abs(rates[n, k])
-                + abs(given[n, hold.position_before, k])
-                + abs(given[n, hold.position_after, k])
-            )
+            neck += abs(speeds[n, k]) + abs(rates[n, k])
+            neck += abs(given[n, before, k]) + abs(given[n, after, k])
         first = 3 if neck == 0.0 else 0
         while True:
-            until = hold.change_s if done < hold.change_s else period_s
+            until = change_s if done < change_s else period_s
             exposed = due <= until + TIME_TOLERANCE_S
             until = min(due, until) if exposed else until
             time_s = until - done
@@ -130,8 +126,8 @@ def move_motors(
                 due = exposure_time(conditions, frame + np.int64(count)) - begin_s
             elif done >= period_s:
                 break
-            if done >= hold.change_s:
-                slot = hold.position_after
+            if done >= change_s:
+                slot = after
         counts[n] = count
         for k in range(7):
             motor = MotorState(angles[n, k], speeds[n, k], output[n, k])

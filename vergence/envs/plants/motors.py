@@ -38,8 +38,8 @@ from vergence.envs.streams import (
     StreamKey,
     StreamKeys,
     StreamPurpose,
+    four_normals,
     random_words,
-    to_normals,
     to_uniform,
 )
 from vergence.kernels import inlined, subroutine
@@ -71,10 +71,8 @@ class CommandBuffers(NamedTuple):
     velocities: FloatArray
     """(n, C, 7) commands as they reach the motors, limited and quantised, rad/s; zero in the dead
     band of one quantisation step."""
-    velocity_limits: FloatArray
-    """(7,) velocity limits, rad/s."""
-    quantisation_step: float
-    """Quantisation step of the commands, rad/s; 0 for exact."""
+    velocity_limits: FloatArray  # (7,) velocity limits, rad/s
+    quantisation_step: float  # quantisation step of the commands, rad/s; 0 for exact
 
     @classmethod
     def empty(
@@ -160,30 +158,21 @@ def store_commands(
     return numbers
 
 
-class HeldCommands(NamedTuple):
-    """Ring positions of the commands that apply to the motors within a period."""
-
-    position_before: np.uintp
-    """Position of the command that applies at the period's beginning."""
-    position_after: np.uintp
-    """Position of the command that applies from the change on."""
-    change_s: float
-    """Time of the change since the period's beginning, s."""
-
-
 @inlined
-def held_commands(latency_s: float, step: int, ring_length: int, period_s: float) -> HeldCommands:
-    """Find the commands that apply within a period."""
+def held_commands(
+    latency_s: float, step: int, ring_length: int, period_s: float
+) -> tuple[np.uintp, np.uintp, float]:
+    """Ring positions of a period's two commands, and the time of the change within it, s."""
     mask = ring_length - 1
     if latency_s == 0.0:
         now = np.uintp(step & mask)
-        return HeldCommands(now, now, 0.0)
+        return now, now, 0.0
     whole = int(latency_s / period_s + _ROUNDING)
     rest = latency_s - whole * period_s
     then = np.uintp((step - whole) & mask)
     if rest < TIME_TOLERANCE_S:
-        return HeldCommands(then, then, 0.0)
-    return HeldCommands(np.uintp((step - whole - 1) & mask), then, rest)
+        return then, then, 0.0
+    return np.uintp((step - whole - 1) & mask), then, rest
 
 
 _CONTACT_RAD: Final = 1e-12
@@ -198,25 +187,17 @@ applied only between steps (numerical)."""
 class MotorStates(NamedTuple):
     """The motors of a batch of heads; arrays of 7 hold the neck's joints and four eye actuators."""
 
-    angles: FloatArray
-    """(n, 7) motor angles, rad."""
-    speeds: FloatArray
-    """(n, 7) motor speeds, rad/s."""
-    accelerations: FloatArray
-    """(n, 7) accelerations of second-order servos, rad/s^2; 0 for others."""
+    angles: FloatArray  # (n, 7) motor angles, rad
+    speeds: FloatArray  # (n, 7) motor speeds, rad/s
+    accelerations: FloatArray  # (n, 7) accelerations of second-order servos, rad/s^2; 0 for others
     output_angles: FloatArray
     """(n, 7) angles of the motors' outputs, within half the backlash of the motors, rad; if each
     eye joint has its own motor, these are the joint angles."""
-    lower: FloatArray
-    """(7,) lower angle limits, rad."""
-    upper: FloatArray
-    """(7,) upper angle limits, rad."""
-    speed_limits: FloatArray
-    """(7,) speed limits, rad/s."""
-    acceleration_limits: FloatArray
-    """(7,) acceleration limits, rad/s^2."""
-    lag_ratios: FloatArray
-    """(7,) ratios of the motors' lags to the conditions' `lag_s`."""
+    lower: FloatArray  # (7,) lower angle limits, rad
+    upper: FloatArray  # (7,) upper angle limits, rad
+    speed_limits: FloatArray  # (7,) speed limits, rad/s
+    acceleration_limits: FloatArray  # (7,) acceleration limits, rad/s^2
+    lag_ratios: FloatArray  # (7,) ratios of the motors' lags to the conditions' `lag_s`
 
     @classmethod
     def of(cls, head: HeadModel, true_head: HeadModel, num: int) -> "MotorStates":
@@ -230,26 +211,14 @@ class MotorStates(NamedTuple):
         )  # fmt: skip
 
 
-SAVED_MOTOR_FIELDS: Final = {
-    "angles": "angles",
-    "speeds": "speeds",
-    "accelerations": "accelerations",
-    "driven": "output_angles",
-}
-"""Fields of `MotorStates` that are part of a trial's state, by their names in a saved state."""
-
-
 class ActuatorCoupling(NamedTuple):
     """Coupling of the eye joints, for heads whose motors move several joints."""
 
-    joint_lower: FloatArray
-    """(4,) lower angle limits of the eye joints, rad."""
-    joint_upper: FloatArray
-    """(4,) upper angle limits of the eye joints, rad."""
+    joint_lower: FloatArray  # (4,) lower angle limits of the eye joints, rad
+    joint_upper: FloatArray  # (4,) upper angle limits of the eye joints, rad
     nominal_head: PackedHead
     """(PACKED,) the head that the controller knows; it converts encoder angles to joint angles."""
-    scratch: FloatArray
-    """(n, 4) scratch arrays of kernels, one number per actuator."""
+    scratch: FloatArray  # (n, 4) scratch arrays of kernels, one number per actuator
 
     @classmethod
     def of(cls, head: HeadModel, true_head: HeadModel, num: int) -> "ActuatorCoupling | None":
@@ -265,8 +234,7 @@ class MotorState(NamedTuple):
 
     angle: float
     speed: float
-    output: float
-    """Angle of its output, rad."""
+    output: float  # angle of its output, rad
 
 
 class MotorParams(NamedTuple):
@@ -274,12 +242,10 @@ class MotorParams(NamedTuple):
 
     lag_s: float
     max_acceleration: float
-    acceleration_falloff: float
-    """Fraction of the acceleration that is lost per rad/s of speed."""
+    acceleration_falloff: float  # fraction of the acceleration that is lost per rad/s of speed
     lower: float
     upper: float
-    backlash: float
-    """Backlash, whole width, rad."""
+    backlash: float  # backlash, whole width, rad
 
 
 @inlined
@@ -399,18 +365,14 @@ class JointFeedbackBuffers(NamedTuple):
 
     measured: FloatArray
     """(n, R, 2, 7) angles, rad, and speeds, rad/s, on the encoders' side of the backlash."""
-    reported_angles: FloatArray
-    """(n, L, 7) joint angles as reported, rad."""
+    reported_angles: FloatArray  # (n, L, 7) joint angles as reported, rad
     control_loop_states: IntArray
     """(n, LOOP_STATE) states of the control loops, see `vergence.envs.plants.motors`."""
     speed_filter_states: FloatArray
     """(n, 2, 7) last outputs and last inputs of the servos' speed filters, rad/s."""
-    angle_step: FloatArray
-    """(7,) quantisation of the encoder angles, rad; 0 for exact."""
-    speed_step: FloatArray
-    """(7,) quantisation of the encoder speeds, rad/s; 0 for exact."""
-    encoders_on_output: bool
-    """True if the encoders sit on the output side of the backlash."""
+    angle_step: FloatArray  # (7,) quantisation of the encoder angles, rad; 0 for exact
+    speed_step: FloatArray  # (7,) quantisation of the encoder speeds, rad/s; 0 for exact
+    encoders_on_output: bool  # True if the encoders sit on the output side of the backlash
 
     @classmethod
     def of(
@@ -425,16 +387,6 @@ class JointFeedbackBuffers(NamedTuple):
             speed_filter_states=np.zeros((num, 2, 7)), angle_step=own.angle_step,
             speed_step=own.speed_step, encoders_on_output=head.sensor.encoder_side == "output",
         )  # fmt: skip
-
-
-SAVED_FEEDBACK_FIELDS: Final = {
-    "measured": "measured",
-    "told": "reported_angles",
-    "loops": "control_loop_states",
-    "filtered": "speed_filter_states",
-}
-"""Fields of `JointFeedbackBuffers` that are part of a trial's state, by their names in a saved
-state."""
 
 
 @inlined
@@ -459,32 +411,14 @@ def interpolate_joint(
 
 
 @inlined
-def eye_encoder_noise(
-    key: StreamKey, step: int, word_lane: int, sigma: float
-) -> tuple[float, float, float, float]:
-    """White noise of the four eye actuators' encoders at a step, of standard deviation `sigma`."""
-    words = random_words(key.seed, key.trial, _FEEDBACK, step, word_lane)
-    a, b = to_normals(words[0], words[1])
-    c, d = to_normals(words[2], words[3])
-    return sigma * a, sigma * b, sigma * c, sigma * d
-
-
-class RingInterval(NamedTuple):
-    """Ring positions of two neighbouring steps, and a fraction of the way between them."""
-
-    first: np.uintp
-    second: np.uintp
-    share: float
-    """Fraction of the way from `first` to `second`; 0 at `first`."""
-
-
-@inlined
-def ring_interval_by_age(age_periods: float, step: int, ring_length: int) -> RingInterval:
-    """Find the measurements around a time before the newest one; `first` is the later of them."""
+def ring_interval_by_age(
+    age_periods: float, step: int, ring_length: int
+) -> tuple[np.uintp, np.uintp, float]:
+    """Ring positions after and before a past time, and its fraction of the way between them."""
     whole, mask = int(age_periods + TIME_TOLERANCE_S), ring_length - 1
     rest = age_periods - whole
     share = rest if rest > TIME_TOLERANCE_S else 0.0
-    return RingInterval(np.uintp((step - whole) & mask), np.uintp((step - whole - 1) & mask), share)
+    return np.uintp((step - whole) & mask), np.uintp((step - whole - 1) & mask), share
 
 
 @inlined
@@ -498,14 +432,16 @@ def low_pass(
 
 
 @inlined
-def ring_interval_by_time(time_periods: float, step: int, ring_length: int) -> RingInterval:
-    """Find the joint readings around a time, which is clamped to those in the ring buffer."""
+def ring_interval_by_time(
+    time_periods: float, step: int, ring_length: int
+) -> tuple[np.uintp, np.uintp, float]:
+    """Ring positions before and after a time, clamped to those there are, and its fraction."""
     at = min(max(time_periods, step - ring_length + 1.0), float(step))
     first = int(np.floor(at + TIME_TOLERANCE_S))
     share = at - first
     share = share if share > TIME_TOLERANCE_S else 0.0
     mask = ring_length - 1
-    return RingInterval(np.uintp(first & mask), np.uintp((first + 1) & mask), share)
+    return np.uintp(first & mask), np.uintp((first + 1) & mask), share
 
 
 @subroutine
@@ -535,18 +471,19 @@ def sense_joints(
                 measured[n, slot, 0, k] = motor.output
                 measured[n, slot, 1, k] = output_speed(motor, own[n, BACKLASH, k])
         late = conditions.feedback_latency_s * rate
-        at = ring_interval_by_age(late, step, ring)
-        sped = ring_interval_by_age(late + conditions.speed_latency_s * rate, step, ring)
-        rest, new, old = at.share, at.first, at.second
+        new, old, rest = ring_interval_by_age(late, step, ring)
+        late += conditions.speed_latency_s * rate
+        speed_new, speed_old, speed_rest = ring_interval_by_age(late, step, ring)
         left = ramp = 0.0
         if conditions.speed_filter_s > 0.0:
             left = lag_decay(period_s, conditions.speed_filter_s)
             ramp = 1.0 - (1.0 - left) * conditions.speed_filter_s * rate
         noise = rates = (0.0, 0.0, 0.0, 0.0)
         if conditions.angle_noise_rad > 0.0 or conditions.speed_noise_rad_s > 0.0:
-            key = StreamKey(keys.seeds[n], keys.trials[n])
-            noise = eye_encoder_noise(key, step, 1, conditions.angle_noise_rad)
-            rates = eye_encoder_noise(key, step, 2, conditions.speed_noise_rad_s)
+            words = random_words(keys.seeds[n], keys.trials[n], _FEEDBACK, step, 1)
+            noise = four_normals(words, conditions.angle_noise_rad)
+            words = random_words(keys.seeds[n], keys.trials[n], _FEEDBACK, step, 2)
+            rates = four_normals(words, conditions.speed_noise_rad_s)
         stalled = step < loop_states[n, RESUME_PERIOD]
         for k in range(7):
             q, v = measured[n, new, 0, k], measured[n, new, 1, k]
@@ -554,8 +491,8 @@ def sense_joints(
                 q0, v0 = measured[n, old, 0, k], measured[n, old, 1, k]
                 q, v = interpolate_joint(q0, v0, q, v, 1.0 - rest, period_s)
             if conditions.speed_latency_s > 0.0:
-                v = measured[n, sped.first, 1, k]
-                v += sped.share * (measured[n, sped.second, 1, k] - v)
+                v = measured[n, speed_new, 1, k]
+                v += speed_rest * (measured[n, speed_old, 1, k] - v)
             if conditions.speed_filter_s > 0.0:
                 v0, filtered[n, 1, k] = filtered[n, 1, k], v
                 v = filtered[n, 0, k] = low_pass(filtered[n, 0, k], v0, v, left, ramp)

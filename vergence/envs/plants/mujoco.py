@@ -53,20 +53,6 @@ from vergence.models.mujoco.model import (
 from vergence.models.parts import FloatArray
 
 
-class SubstepTrajectory(NamedTuple):
-    """Joint states within a period: at its beginning and at the end of each substep."""
-
-    positions: FloatArray
-    """(n, substeps + 1, 7) rad."""
-    velocities: FloatArray
-    """(n, substeps + 1, 7) rad/s."""
-
-    @classmethod
-    def empty(cls, num: int, substeps: int) -> "SubstepTrajectory":
-        """Arrays for `num` heads."""
-        return cls(*np.zeros((2, num, substeps + 1, 7)))
-
-
 @subroutine
 def mean_substep_controls(
     ids: IntArray, substep: int, substeps: int, period_s: float, packed: PackedConditions,
@@ -81,14 +67,13 @@ def mean_substep_controls(
     given, length = commands.velocities, period_s / substeps
     for n in ids:
         conditions = unpack_conditions(packed, n)
-        hold = held_commands(conditions.command_latency_s, steps[n], given.shape[1], period_s)
-        before = min(max(hold.change_s - substep * length, 0.0), length) / length
+        first, second, change_s = held_commands(
+            conditions.command_latency_s, steps[n], given.shape[1], period_s
+        )
+        before = min(max(change_s - substep * length, 0.0), length) / length
         for i in range(servo_slots.shape[0]):
             k = servo_slots[i]
-            u = (
-                before * given[n, hold.position_before, k]
-                + (1.0 - before) * given[n, hold.position_after, k]
-            )
+            u = before * given[n, first, k] + (1.0 - before) * given[n, second, k]
             control[n, i] = u = packed.own[n, GAIN, k] * u
             if conditions.overshoot == 0.0:
                 continue
@@ -141,17 +126,17 @@ def read_mujoco_joints(
                 coupling.scratch[n], true, scene.positions[n], scene.velocities[n]
             )
         for j in range(7):
-            trajectory.positions[n, substep + 1, j] = scene.positions[n, j]
-            trajectory.velocities[n, substep + 1, j] = scene.velocities[n, j]
+            trajectory[n, substep + 1, 0, j] = scene.positions[n, j]
+            trajectory[n, substep + 1, 1, j] = scene.velocities[n, j]
 
 
 @subroutine
 def expose_on_trajectory(
     ids: IntArray, period_s: float, packed: PackedConditions, steps: IntArray, frames: Frames,
-    trajectory: SubstepTrajectory, exposures: Exposures,
+    trajectory: FloatArray, exposures: Exposures,
 ) -> None:  # fmt: skip
     """Expose the frames of a period, with the joints interpolated within its substeps."""
-    substeps = trajectory.positions.shape[1] - 1
+    substeps = trajectory.shape[1] - 1
     length = period_s / substeps
     for n in ids:
         begin_s, count, conditions = steps[n] * period_s, 0, unpack_conditions(packed, n)
@@ -164,9 +149,8 @@ def expose_on_trajectory(
             last = share > 1.0 - TIME_TOLERANCE_S
             exposures.time_s[n, count] = begin_s + due
             for j in range(7):
-                a, b = trajectory.positions[n, substep, j], trajectory.positions[n, substep + 1, j]
-                va = trajectory.velocities[n, substep, j]
-                vb = trajectory.velocities[n, substep + 1, j]
+                a, b = trajectory[n, substep, 0, j], trajectory[n, substep + 1, 0, j]
+                va, vb = trajectory[n, substep, 1, j], trajectory[n, substep + 1, 1, j]
                 q, v = interpolate_joint(a, va, b, vb, share, length)
                 exposures.positions[n, count, j] = b if last else q
                 exposures.velocities[n, count, j] = vb if last else v
@@ -182,33 +166,26 @@ head)."""
 class MujocoArrays(NamedTuple):
     """The simulations of a batch, and all else that moves its joints in a control period."""
 
-    trajectory: SubstepTrajectory
-    qpos: FloatArray
-    """(n, nq) angles, rad."""
-    qvel: FloatArray
-    """(n, nv) velocities, rad/s."""
-    ctrl: FloatArray
-    """(n, nu) controls, rad/s."""
+    trajectory: FloatArray
+    """(n, substeps + 1, 2, 7) angles, rad, and velocities, rad/s, of the joints at the beginning of
+    the period and at the end of each substep."""
+    qpos: FloatArray  # (n, nq) angles, rad
+    qvel: FloatArray  # (n, nv) velocities, rad/s
+    ctrl: FloatArray  # (n, nu) controls, rad/s
     joints: IntArray
     """(7,) indices of the joints in `qpos` and `qvel`; -1 for a joint that does not move."""
     slots: IntArray
     """(nu,) indices of the servos in an array of the neck's joints and the actuators."""
-    nominal_head: PackedHead
-    """(PACKED,) the head that the controller knows."""
-    half_step_s: float
-    """Half a time step of the simulation, s."""
-    steps_per_substep: int
-    """Time steps of the simulation per substep."""
+    nominal_head: PackedHead  # (PACKED,) the head that the controller knows
+    half_step_s: float  # half a time step of the simulation, s
+    steps_per_substep: int  # time steps of the simulation per substep
     functions: tuple[int, int, int, int]
     """Result of `simulation_functions`, or zeros if the simulations are stepped by the batch."""
-    model: int
-    """Address of the simulation's model."""
+    model: int  # address of the simulation's model
     data: IntArray
     """(n,) address of a working space for each simulation; those of a thread share one."""
-    states: int
-    """Address of the simulations' states."""
-    state_size: int
-    """Distance between two states, bytes."""
+    states: int  # address of the simulations' states
+    state_size: int  # distance between two states, bytes
 
 
 class MujocoPlant(SimulatedPlant):
@@ -277,7 +254,7 @@ class MujocoPlant(SimulatedPlant):
             or rate < 0.5
         )
         self._substeps = SUBSTEPS if within else 1
-        self._track = SubstepTrajectory.empty(num, self._substeps)
+        self._track = np.zeros((num, self._substeps + 1, 2, 7))
         self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
         self._half_step = 0.5 * self._model.opt.timestep
         self._start_batch()
@@ -416,12 +393,12 @@ def advance_mujoco(table: NDArray[np.void], ids: IntArray, phases: int, substep:
     if phases & MOVE:
         own: StepArrays = unpack_table(table)
         of, steps, period_s = own.motion, own.scene.step, own.timing.control_period_s
-        substeps = of.trajectory.positions.shape[1] - 1
+        substeps = of.trajectory.shape[1] - 1
         if substep == 0:  # the track begins with the present joint states
             for n in ids:
                 for j in range(7):
-                    of.trajectory.positions[n, 0, j] = own.scene.positions[n, j]
-                    of.trajectory.velocities[n, 0, j] = own.scene.velocities[n, j]
+                    of.trajectory[n, 0, 0, j] = own.scene.positions[n, j]
+                    of.trajectory[n, 0, 1, j] = own.scene.velocities[n, j]
         for k in range(substep, substeps + 1):
             if k > 0:
                 read_mujoco_joints(ids, k - 1, of, own.packed, own.scene, own.motors, own.coupling)

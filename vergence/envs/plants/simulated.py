@@ -26,13 +26,12 @@ from vergence.envs.plants.conditions import (
     PackedConditions,
     Variation,
     draw_conditions,
+    draw_head_deviates,
     is_valid_range,
     make_variation,
     valid_range_text,
 )
 from vergence.envs.plants.motors import (
-    SAVED_FEEDBACK_FIELDS,
-    SAVED_MOTOR_FIELDS,
     ActuatorCoupling,
     CommandBuffers,
     JointFeedbackBuffers,
@@ -96,7 +95,7 @@ class TrueHeadPrefetcher:
 
     def take(self, streams: RandomStreams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
         """Deviates (m, DEVIATES) and heads (m, PACKED) of the trials of some environments."""
-        seeds, trials = streams.seeds[ids], streams.trials[ids]
+        seeds, trials = streams.keys_of(ids)
         own = ids, _place(trials)
         if not self._holds(own, seeds, trials).all():
             self._keep(own, seeds, trials)
@@ -120,7 +119,7 @@ class TrueHeadPrefetcher:
         self._keep((rows, _place(trials[missing])), seeds[missing], trials[missing])
 
     def _keep(self, places: Any, seeds: KeyArray, trials: KeyArray) -> None:
-        deviates = self._variation.draw_head_deviates(seeds, trials)
+        deviates = draw_head_deviates(seeds, trials)
         self._deviates[places] = deviates
         self._packed[places] = self._variation.make_true_heads(self._head, deviates).packed
         self._seeds[places], self._trials[places] = seeds, trials
@@ -131,7 +130,7 @@ class TrueHeadsAndConditions:
     """True heads of a batch, and the conditions of their running trials; see `SimulatedPlant`."""
 
     def __init__(
-        self, head: HeadModel, num: int, *, true_head: HeadModel | None,
+        self, head: HeadModel, num: int, true_head: HeadModel | None,
         given: Mapping[str, ArrayLike | None], variation: Variation | None,
     ) -> None:  # fmt: skip
         self.variation = variation
@@ -311,10 +310,14 @@ class SimulatedPlant(Simulation):
             )
         if true_head is not None and not isinstance(true_head, HeadModel):
             raise ConfigurationError(f"true_head: expected a HeadModel, got {true_head!r:.80}")
-        variation = self._checked_variation(make_variation(variation))
-        self._true_heads = heads = TrueHeadsAndConditions(
-            head, num, true_head=true_head, given=loop, variation=variation
-        )
+        variation = make_variation(variation)
+        for name in (*RANGES, "model_errors") if variation is not None else ():
+            if name not in self._varies and getattr(variation, name) is not None:
+                raise ConfigurationError(
+                    f"variation.{name}: expected a plant that can vary it, "
+                    f"got {type(self).__name__}, which can vary {', '.join(sorted(self._varies))}"
+                )
+        self._true_heads = heads = TrueHeadsAndConditions(head, num, true_head, loop, variation)
         self.head = head
         self.num = num
         self.reading = Reading.empty(num)
@@ -338,12 +341,10 @@ class SimulatedPlant(Simulation):
         # the reading of an image looks up joint angles as old as its date
         max_age_s = max(late_s, timing.latency_s) + 1.0 / max_hz + timing.feedback_latency_s
         max_age_s = max(max_age_s, heads.largest_value("speed_span_s"))
-        feedback_s = heads.largest_value("feedback_latency_s") + heads.largest_value(
-            "speed_latency_s"
-        )
-        self._feedback = JointFeedbackBuffers.of(
-            head, num, feedback_s, max_age_s + stalled_s + period_s
-        )
+        max_age_s += stalled_s + period_s
+        feedback_s = heads.largest_value("feedback_latency_s")
+        feedback_s += heads.largest_value("speed_latency_s")
+        self._feedback = JointFeedbackBuffers.of(head, num, feedback_s, max_age_s)
         self._timing = SensorTiming.of(head)
         self._scene = TrueHeadsAndTargets(
             heads=heads.packed.heads, motions=motion_rows(np.tile(_INITIAL_TARGET_POINT, (num, 1))),
@@ -352,15 +353,6 @@ class SimulatedPlant(Simulation):
         )  # fmt: skip
         self._missing_joints = np.flatnonzero([not name for name in head.joints])
         self._task = TaskArrays.empty(head, num)
-
-    def _checked_variation(self, variation: Variation | None) -> Variation | None:
-        for name in (*RANGES, "model_errors") if variation is not None else ():
-            if name not in self._varies and getattr(variation, name) is not None:
-                raise ConfigurationError(
-                    f"variation.{name}: expected a plant that can vary it, "
-                    f"got {type(self).__name__}, which can vary {', '.join(sorted(self._varies))}"
-                )
-        return variation
 
     @property
     def true_head(self) -> HeadModel:
@@ -419,9 +411,8 @@ class SimulatedPlant(Simulation):
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
         """Put heads at rest and restart their last trials, see `Plant.reset`."""
-        keys = self._streams.keys
-        motions = self._scene.motions[ids]
-        return self.begin(TrialStart(ids, keys.seeds[ids], keys.trials[ids], positions, motions))
+        keys, motions = self._streams.keys_of(ids), self._scene.motions[ids]
+        return self.begin(TrialStart(ids, *keys, positions, motions))
 
     def begin(self, start: TrialStart) -> Reading:
         """See `Simulation.begin`."""
@@ -472,8 +463,7 @@ class SimulatedPlant(Simulation):
 
     def _truth_at(self, target_time_s: FloatArray) -> Truth:
         """Ground truth of the present, with the targets at given own times."""
-        truth = Truth.unknown(self.num)
-        period_s = self.head.timing.period_s
+        truth, period_s = Truth.unknown(self.num), self.head.timing.period_s
         update_truth(self.head.packed, period_s, target_time_s, self._scene, truth)
         truth.motors[:] = self._motors.angles
         return truth
@@ -514,21 +504,22 @@ class SimulatedPlant(Simulation):
 
     def _arrays(self) -> Arrays:
         """State arrays, by name."""
-        scene, feedback = self._scene._asdict(), self._feedback
+        angles, speeds, accelerations, outputs = self._motors[:4]
+        measured, reported, loops, filtered = self._feedback[:4]
+        scene = self._scene._asdict()
         del scene["heads"]  # part of the conditions
-        motors = self._motors
         return join_parts(
-            conditions=self._true_heads.state_arrays(),
-            keys=self._streams.keys._asdict(),
-            motors={name: getattr(motors, field) for name, field in SAVED_MOTOR_FIELDS.items()},
+            conditions=self._true_heads.state_arrays(), keys=self._streams.keys._asdict(),
+            motors={
+                "angles": angles, "speeds": speeds, "accelerations": accelerations,
+                "driven": outputs,
+            },
             commands={"given": self._commands.velocities},
             feedback={
-                name: getattr(feedback, field) for name, field in SAVED_FEEDBACK_FIELDS.items()
+                "measured": measured, "told": reported, "loops": loops, "filtered": filtered,
             },
-            frames=self._frames._asdict(),
-            scene=scene,
-            reading=self.reading._asdict(),
-        )
+            frames=self._frames._asdict(), scene=scene, reading=self.reading._asdict(),
+        )  # fmt: skip
 
     def close(self) -> None:
         """Bring the joints to rest where they are."""

@@ -85,16 +85,11 @@ _NO_FRAME: Final = -(2**62)
 class SensorTiming(NamedTuple):
     """Clock and sensors common to all heads of a batch, by their model."""
 
-    control_period_s: float
-    """Control period, s."""
-    nominal_latency_s: float
-    """Nominal latency by which a reading dates its image, s."""
-    nominal_feedback_latency_s: float
-    """Nominal latency by which a reading dates the joints, s."""
-    exposure_stamped: bool
-    """True if the cameras stamp the exposure of a frame."""
-    exposure_s: float
-    """Exposure time, s."""
+    control_period_s: float  # control period, s
+    nominal_latency_s: float  # nominal latency by which a reading dates its image, s
+    nominal_feedback_latency_s: float  # nominal latency by which a reading dates the joints, s
+    exposure_stamped: bool  # True if the cameras stamp the exposure of a frame
+    exposure_s: float  # exposure time, s
     max_smear_px: float
     """Image motion during an exposure above which the target is not detected, px."""
 
@@ -180,9 +175,8 @@ def read_sensors(
         n = np.uintp(env)
         conditions, step = unpack_conditions(packed, n), steps[n]
         key = StreamKey(keys.seeds[n], keys.trials[n])
-        loop_states[n, RESUME_PERIOD] = loop_resumes_at(
-            conditions, key, step, period_s, loop_states[n, RESUME_PERIOD]
-        )
+        resumes = loop_resumes_at(conditions, key, step, period_s, loop_states[n, RESUME_PERIOD])
+        loop_states[n, RESUME_PERIOD] = resumes
         loop_states[n, COMMAND_LOST] = is_command_lost(conditions, key, step)
     sense_joints(ids, period_s, packed, keys, steps, motors, coupling, feedback, reading)
     reported = feedback.reported_angles
@@ -215,18 +209,18 @@ def read_sensors(
             continue
         slot = np.uintp(newest & mask)
         received_s[n] = comes_s[n, slot]
-        date_s = (
-            exposed_s[n, slot]
-            if timing.exposure_stamped
-            else comes_s[n, slot] - timing.nominal_latency_s
-        )
+        date_s = comes_s[n, slot] - timing.nominal_latency_s
+        if timing.exposure_stamped:
+            date_s = exposed_s[n, slot]
         read_exposure_s[n] = date_s
-        at = ring_interval_by_time((date_s + timing.nominal_feedback_latency_s) * rate, k, kept)
+        first, second, share = ring_interval_by_time(
+            (date_s + timing.nominal_feedback_latency_s) * rate, k, kept
+        )
         for j in range(7):
-            old = reported[n, at.first, j]
+            old = reported[n, first, j]
             at_exposure[n, j] = old
-            if at.share > 0.0:
-                at_exposure[n, j] = old + at.share * (reported[n, at.second, j] - old)
+            if share > 0.0:
+                at_exposure[n, j] = old + share * (reported[n, second, j] - old)
         for eye in range(2):
             seen = visible[n, slot, eye]
             reading.visible[n, eye] = seen
@@ -348,10 +342,8 @@ def first_detection_times(
         read_times_s[n] = np.inf
         target_time_s = -np.inf
         while target_time_s < since_target_time_s[n] + _MAX_SEARCH_S:
-            time_s, faults = (
-                frame_exposure_time(conditions, frame),
-                draw_frame_faults(conditions, key, frame),
-            )
+            time_s = frame_exposure_time(conditions, frame)
+            faults = draw_frame_faults(conditions, key, frame)
             target_time_s = time_s - conditions.onset_s
             frame += 1
             if faults.dropped:
@@ -404,8 +396,7 @@ class StepArrays(NamedTuple):
     exposures: Exposures
     reading: Reading
     task: TaskArrays
-    motion: Any
-    """The plant's own arrays, for the phase in which it moves the joints."""
+    motion: Any  # the plant's own arrays, for the phase in which it moves the joints
 
 
 @subroutine

@@ -121,44 +121,25 @@ def motion_rows(
     second_anchor: ArrayLike | None = None, hidden_from: ArrayLike = inf,
     hidden_until: ArrayLike = inf, path: FloatArray | None = None,
 ) -> FloatArray:  # fmt: skip
-    """Make rows of motions.
+    """Make rows (n, MOTION) of motions, or (n, MOTION + p) with paths (n, p).
 
-    Args:
-        anchor: (n, 3) position of the target at rest, or centre of its motion, m.
-        before: (n, 3) position until the jump, m; None if the target was not there, so that the
-            images before time zero show nothing.
-        velocity: (n, 3) or a scalar, velocity from the jump on, m/s.
-        duration: (n,) or a scalar, duration of the motion with this velocity, s.
-        cosine: (n, 3) or a scalar, amplitude of the motion in phase with cos(omega t), m.
-        sine: (n, 3) or a scalar, amplitude of the motion in phase with sin(omega t), m.
-        omega: (n,) or a scalar, rad/s.
-        jump_time: (n,) or a scalar, time at which the target leaves `before`, s.
-        second_jump_time: (n,) or a scalar, time of a second jump, not before `jump_time`, s.
-        second_anchor: (n, 3) position that replaces `anchor` then, m; None for the same.
-        hidden_from: (n,) or a scalar, time from which the target is hidden, s.
-        hidden_until: (n,) or a scalar, time from which it is visible again, s.
-        path: (n, p) paths that begin at `anchor`, see `vergence.envs.targets.motion`; None for
-            targets without a path.
-
-    Returns:
-        (n, MOTION), or (n, MOTION + p) with paths.
+    The arguments are those of the module's formula: points, velocity and amplitudes (n, 3) in m and
+    m/s, times and durations (n,) in s, omega (n,) in rad/s. With `before` None the target was not
+    there, so that images before time zero show nothing. A path begins at `anchor`, and the second
+    jump is not before the first.
     """
     anchor = np.atleast_2d(np.asarray(anchor, dtype=np.float64))
     rows = np.zeros((len(anchor), MOTION + (0 if path is None else path.shape[1])))
-    fields = motion_fields(rows)
-    fields["before"] = anchor if before is None else before
-    fields["anchor"] = anchor
-    fields["velocity"] = velocity
-    fields["cosine"] = cosine
-    fields["sine"] = sine
-    fields["omega"] = omega
-    fields["jump_time"] = jump_time
-    fields["duration"] = duration
-    fields["seen_before"] = before is not None
-    fields["second_jump_time"] = second_jump_time
-    fields["second_anchor"] = anchor if second_anchor is None else second_anchor
-    fields["hidden_from"] = hidden_from
-    fields["hidden_until"] = hidden_until
+    fields = {
+        "before": anchor if before is None else before, "anchor": anchor, "velocity": velocity,
+        "cosine": cosine, "sine": sine, "omega": omega, "jump_time": jump_time,
+        "duration": duration, "seen_before": before is not None,
+        "second_jump_time": second_jump_time,
+        "second_anchor": anchor if second_anchor is None else second_anchor,
+        "hidden_from": hidden_from, "hidden_until": hidden_until,
+    }  # fmt: skip
+    for name, values in fields.items():
+        motion_fields(rows)[name] = values
     if path is not None:
         rows[:, MOTION:] = path
     return rows
@@ -234,15 +215,11 @@ class Board(NamedTuple):
     for a board of constant size."""
     facing_head: bool
     """True if it is square to the line from N's origin, False if parallel to N's xy plane."""
-    border_px: float
-    """Least distance of the outline from the images' edges, px."""
-    min_outline_segment_px: float
-    """Least length in the image from one point of the outline to the next, px."""
-    max_outline_segment_px: float
-    """Greatest such length, px."""
+    border_px: float  # least distance of the outline from the images' edges, px
+    min_outline_segment_px: float  # least distance of neighbouring points of the outline, px
 
 
-POINT: Final = Board(np.empty((0, 2)), nan, True, 0.0, 0.0, inf)
+POINT: Final = Board(np.empty((0, 2)), nan, True, 0.0, 0.0)
 """A target without a board: only its measured point must be visible."""
 
 
@@ -270,17 +247,6 @@ def board_axes(point: Vector, facing_head: bool) -> Axes:
 
 
 @inlined
-def mean_camera_distance(p: PackedHead, angles: FloatArray, point: Vector) -> float:
-    """Mean distance of a point from both cameras, m."""
-    total = 0.0
-    for eye in range(2):
-        camera = eye_frames(p, eye, angles[2 * eye], angles[2 * eye + 1]).camera
-        x, y, z = point[0] - camera.x, point[1] - camera.y, point[2] - camera.z
-        total += sqrt(x * x + y * y + z * z)
-    return 0.5 * total
-
-
-@inlined
 def is_detectable_by_both_eyes(
     p: PackedHead, angles: FloatArray, point: Vector, border_px: float, board: Board
 ) -> bool:
@@ -288,7 +254,12 @@ def is_detectable_by_both_eyes(
     k = len(board.outline)
     size = 1.0
     if k and board.true_size_distance_m == board.true_size_distance_m:
-        size = mean_camera_distance(p, angles, point) / board.true_size_distance_m
+        total = 0.0
+        for eye in range(2):
+            camera_pose = eye_frames(p, eye, angles[2 * eye], angles[2 * eye + 1]).camera
+            x, y, z = point[0] - camera_pose.x, point[1] - camera_pose.y, point[2] - camera_pose.z
+            total += sqrt(x * x + y * y + z * z)
+        size = 0.5 * total / board.true_size_distance_m
     right, down, _into = board_axes(point, board.facing_head)
     for eye in range(2):
         camera = camera_of(p, eye)
@@ -310,7 +281,7 @@ def is_detectable_by_both_eyes(
             if not (border <= v <= camera.height - 1.0 - border):
                 return False
             length = hypot(u - before_u, v - before_v)
-            if i > 1 and not board.min_outline_segment_px <= length <= board.max_outline_segment_px:
+            if i > 1 and length < board.min_outline_segment_px:
                 return False
             before_u, before_v = u, v
     return True
@@ -342,22 +313,20 @@ class Target(ABC):
                 f"target.start: expected 'rest' or 'fixation', got {self.start!r}"
             )
         for name, value in vars(self).items():
-            if name != "start":
-                default = getattr(type(self), name)
-                size = len(default) if isinstance(default, tuple) else 0
-                checked = check_tuple_or_nonnegative(
-                    f"target.{name}", value, size, name in _POSITIVE_FIELDS
+            if name == "start":
+                continue
+            default = getattr(type(self), name)
+            size = len(default) if isinstance(default, tuple) else 0
+            checked = check_tuple_or_nonnegative(
+                f"target.{name}", value, size, name in _POSITIVE_FIELDS
+            )
+            if name in self.length_fields and not np.abs(np.array(checked)).max() < MAX_LENGTH_M:
+                raise ConfigurationError(
+                    f"target.{name}: expected metres below {MAX_LENGTH_M:g} in size (is it in "
+                    "millimetres? Python takes metres, only the command line takes millimetres), "
+                    f"got {value!r}"
                 )
-                if (
-                    name in self.length_fields
-                    and not np.abs(np.array(checked)).max() < MAX_LENGTH_M
-                ):
-                    raise ConfigurationError(
-                        f"target.{name}: expected metres below {MAX_LENGTH_M:g} in size (is it in "
-                        "millimetres? Python takes metres, only the command line takes "
-                        f"millimetres), got {value!r}"
-                    )
-                object.__setattr__(self, name, checked)
+            object.__setattr__(self, name, checked)
 
     def _refuse_unordered(self, *names: str) -> None:
         """Refuse fields that are not ranges of numbers above zero."""
@@ -369,14 +338,7 @@ class Target(ABC):
                 )
 
     def check(self, head: HeadModel) -> None:
-        """Refuse a target that a head's eyes could not find or reach in any trial.
-
-        Args:
-            head: the model of the head that looks.
-
-        Raises:
-            ConfigurationError: the eyes cannot find or reach it.
-        """
+        """Refuse a target that a head's eyes could not find or reach in any trial."""
 
     @abstractmethod
     def draw(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.motion import (
@@ -31,21 +32,17 @@ class PrescribedTarget(Target):
     """True if it stays at this position."""
 
     @abstractmethod
-    def _motion(self) -> FloatArray:
-        """(1, MOTION) row of the motion, see `motion_rows`."""
+    def _trial(self) -> tuple[ArrayLike, ArrayLike, FloatArray]:
+        """(3,) points in N, m, and (1, MOTION) row of the motion, see `motion_rows`.
 
-    @abstractmethod
-    def _fixated_point(self) -> Point | FloatArray:
-        """(3,) point that the eyes fixate at time zero for `start="fixation"`, in N, m."""
-
-    def _first_point(self) -> Point | FloatArray:
-        """(3,) position of the target at time zero, in N, m."""
-        return self._fixated_point()
+        The eyes fixate the first point for `start="fixation"`; at time zero the target is at the
+        second.
+        """
 
     def check(self, head: HeadModel) -> None:
         """See `Target.check`: an eye must see the first point, both must reach a lasting one."""
-        (q,) = self._begin(head, np.array([self._fixated_point()]))
-        first = np.array(self._first_point())
+        fixated, first_point, _rows = self._trial()
+        (q,), first = self._begin(head, np.array([fixated])), np.array(first_point)
         require_seen_by_an_eye(head, self.first_point_name, first, q)
         if self.stays_at_first_point:
             fixation_angles(head, self.first_point_name, first[None])
@@ -54,8 +51,9 @@ class PrescribedTarget(Target):
         self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`."""
-        held = np.broadcast_to(self._fixated_point(), (len(ids), 3))
-        return np.repeat(self._motion(), len(ids), axis=0), self._begin(head, held)
+        fixated, _first, rows = self._trial()
+        held = np.broadcast_to(fixated, (len(ids), 3))
+        return np.repeat(rows, len(ids), axis=0), self._begin(head, held)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,11 +67,8 @@ class StaticTarget(PrescribedTarget):
     point: Point = (0.0, -0.1, 1.0)
     """Position in N, m."""
 
-    def _fixated_point(self) -> Point:
-        return self.point
-
-    def _motion(self) -> FloatArray:
-        return motion_rows(self.point)
+    def _trial(self) -> tuple[ArrayLike, ArrayLike, FloatArray]:
+        return self.point, self.point, motion_rows(self.point)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,14 +94,8 @@ class StepTarget(PrescribedTarget):
     """Position after the jump, in N, m."""
     start: Literal["rest", "fixation"] = "fixation"
 
-    def _fixated_point(self) -> Point:
-        return self.before
-
-    def _first_point(self) -> Point:
-        return self.after
-
-    def _motion(self) -> FloatArray:
-        return motion_rows(self.after, before=np.array([self.before]))
+    def _trial(self) -> tuple[ArrayLike, ArrayLike, FloatArray]:
+        return self.before, self.after, motion_rows(self.after, before=[self.before])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,16 +113,12 @@ class CircleTarget(PrescribedTarget):
     """Duration of a turn, s."""
     start: Literal["rest", "fixation"] = "fixation"
 
-    def _fixated_point(self) -> FloatArray:
+    def _trial(self) -> tuple[ArrayLike, ArrayLike, FloatArray]:
         x, y, z = self.centre
-        return np.array([x, y + self.radius, z])
-
-    def _motion(self) -> FloatArray:
-        cosine, sine = np.array([0.0, self.radius, 0.0]), np.array([self.radius, 0.0, 0.0])
-        return motion_rows(
-            self.centre, before=self._fixated_point()[None], cosine=cosine, sine=sine,
-            omega=2.0 * np.pi / self.period,
-        )  # fmt: skip
+        first, omega = (x, y + self.radius, z), 2.0 * np.pi / self.period
+        cosine, sine = (0.0, self.radius, 0.0), (self.radius, 0.0, 0.0)
+        rows = motion_rows(self.centre, before=[first], cosine=cosine, sine=sine, omega=omega)
+        return first, first, rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,12 +136,10 @@ class LineTarget(PrescribedTarget):
     """Speed along the line, m/s."""
     start: Literal["rest", "fixation"] = "fixation"
 
-    def _fixated_point(self) -> Point:
-        return self.origin
-
-    def _motion(self) -> FloatArray:
+    def _trial(self) -> tuple[ArrayLike, ArrayLike, FloatArray]:
         path = np.subtract(self.end, self.origin)
         length = float(np.linalg.norm(path))
         velocity = path * (self.speed / length) if length > 0.0 else np.zeros(3)
-        origin = np.array([self.origin])
-        return motion_rows(origin, before=origin, velocity=velocity, duration=length / self.speed)
+        origin, duration = [self.origin], length / self.speed
+        rows = motion_rows(origin, before=origin, velocity=velocity, duration=duration)
+        return self.origin, self.origin, rows

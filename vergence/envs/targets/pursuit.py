@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import cos, hypot, pi, sin, sqrt, tan
-from typing import ClassVar, Final, Literal, NamedTuple
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from vergence.envs.targets.motion import (
 from vergence.envs.targets.workspace import (
     MAX_CANDIDATES,
     HeadWithLimits,
+    Workspace,
     can_fixate,
     draw_event_times,
     midpoint_between_eyes,
@@ -45,10 +46,16 @@ _CHECKED_PHASES: Final = 48
 """Points of an ellipse at which fixation and the actuators' limits are checked (numerical)."""
 _PEAK_SEARCH_PHASES: Final = 256
 """Points of an ellipse among which its peak angular speed is sought (numerical)."""
-
-# largest fraction of an actuator's limits that following a target needs; the rest is left for
-# catching up with it (chosen: fast targets against this reserve)
 _MAX_LIMIT_FRACTION: Final = 0.5
+"""Largest fraction of an actuator's limits that following a target needs; the rest is left for
+catching up with it (chosen: fast targets against this reserve)."""
+
+
+def _none_found(what: str, target: Target, board: Board) -> UnreachableTargetError:
+    return UnreachableTargetError(
+        f"target: expected {what} that this head can follow and see{whole_board_text(board)}, got "
+        f"none of {MAX_CANDIDATES} of {target}"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,46 +96,16 @@ class OrbitTarget(Target):
         self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is valid."""
-        n = len(ids)
-        orbits = Orbits(np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
-        ranges = OrbitRanges(
-            *self.depth, self.eccentricity, *self.radius, *self.speed, self.turns, self.margin
-        )
-        keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        if not draw_orbits(keys, HeadWithLimits.of(head), ranges, board, orbits):
-            raise UnreachableTargetError(
-                f"target: expected ellipses that this head can follow and "
-                f"see{whole_board_text(board)}, got none of {MAX_CANDIDATES} of {self}"
-            )
-        before = orbits.anchor + orbits.cosine
-        return motion_rows(**orbits._asdict(), before=before), self._begin(head, before)
-
-
-class OrbitRanges(NamedTuple):
-    """The fields of an `OrbitTarget`, in the form kernels take."""
-
-    min_z_m: float
-    max_z_m: float
-    max_angle_rad: float
-    min_radius_rad: float
-    max_radius_rad: float
-    min_speed: float
-    max_speed: float
-    max_turns_per_s: float
-    margin_rad: float
-
-
-class Orbits(NamedTuple):
-    """Ellipses `anchor + cosine cos(omega t) + sine sin(omega t)`, one per trial."""
-
-    anchor: FloatArray
-    """(n, 3) in N, m."""
-    cosine: FloatArray
-    """(n, 3) m."""
-    sine: FloatArray
-    """(n, 3) m."""
-    omega: FloatArray
-    """(n,) rad/s."""
+        (anchor, cosine, sine), omega = np.empty((3, len(ids), 3)), np.empty(len(ids))
+        if not draw_orbits(
+            streams.keys_of(ids), HeadWithLimits.of(head),
+            Workspace(self.depth, self.eccentricity, self.margin), self.radius, self.speed,
+            self.turns, board, anchor, cosine, sine, omega,
+        ):  # fmt: skip
+            raise _none_found("ellipses", self, board)
+        before = anchor + cosine
+        rows = motion_rows(anchor, before=before, cosine=cosine, sine=sine, omega=omega)
+        return rows, self._begin(head, before)
 
 
 @inlined
@@ -150,13 +127,12 @@ def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> fl
 
 @inlined
 def _can_follow_orbit(
-    gaze: HeadWithLimits, ranges: OrbitRanges, board: Board, centre: Vector, first: Vector,
+    gaze: HeadWithLimits, workspace: Workspace, board: Board, centre: Vector, first: Vector,
     second: Vector, omega: float, angles: FloatArray, own: FloatArray,
 ) -> bool:  # fmt: skip
     """True if both eyes can fixate the whole ellipse, and turn as fast as it needs.
 
-    The last two arguments are scratch arrays (_CHECKED_PHASES, 4) for angles of the eye joints and
-    of the actuators.
+    The last two arguments are scratch arrays for angles of the eye joints and of the actuators.
     """
     direct = has_motor_per_joint(gaze.head)
     for k in range(_CHECKED_PHASES):
@@ -164,9 +140,9 @@ def _can_follow_orbit(
         x = centre[0] + first[0] * c + second[0] * s
         y = centre[1] + first[1] * c + second[1] * s
         z = centre[2] + first[2] * c + second[2] * s
-        if not ranges.min_z_m <= z <= ranges.max_z_m:
+        if not workspace.depth[0] <= z <= workspace.depth[1]:
             return False
-        if not can_fixate(gaze, ranges.margin_rad, (x, y, z), angles[k]):
+        if not can_fixate(gaze, workspace.margin, (x, y, z), angles[k]):
             return False
         # a fixated point is visible, but a board may be cut
         if len(board.outline) and not is_detectable_by_both_eyes(
@@ -190,26 +166,25 @@ def _can_follow_orbit(
 
 @compiled
 def draw_orbits(
-    keys: StreamKeys, gaze: HeadWithLimits, ranges: OrbitRanges, board: Board, orbits: Orbits
-) -> bool:
-    """Draw ellipses for each trial until the eyes can follow one.
+    keys: StreamKeys, gaze: HeadWithLimits, workspace: Workspace, radii: tuple[float, float],
+    speeds: tuple[float, float], max_turns_per_s: float, board: Board, anchor: FloatArray,
+    cosine: FloatArray, sine: FloatArray, omegas: FloatArray,
+) -> bool:  # fmt: skip
+    """Draw ellipses `anchor + cosine cos(omega t) + sine sin(omega t)` that the eyes can follow.
 
     The result is False if some trial has no valid candidate.
     """
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     angles, own = np.empty((_CHECKED_PHASES, 4)), np.empty((_CHECKED_PHASES, SLOTS))
-    for n in range(len(orbits.omega)):
+    for n in range(len(omegas)):
         seed, trial = keys.seeds[n], keys.trials[n]
         # one speed for all candidates, else the selection would favour slow targets
-        speed = uniform_between(
-            random_words(seed, trial, _TASK, 0, 4)[0], ranges.min_speed, ranges.max_speed
-        )
+        speed = uniform_between(random_words(seed, trial, _TASK, 0, 4)[0], speeds[0], speeds[1])
         found = False
         for attempt in range(MAX_CANDIDATES):
             words = random_words(seed, trial, _TASK, attempt, 1)
-            centre = random_point(words, eye, ranges.min_z_m, ranges.max_z_m, ranges.max_angle_rad)
-            radius = uniform_between(words[3], ranges.min_radius_rad, ranges.max_radius_rad)
-            long = centre[2] * tan(radius)
+            centre = random_point(words, eye, workspace)
+            long = centre[2] * tan(uniform_between(words[3], radii[0], radii[1]))
             words = random_words(seed, trial, _TASK, attempt, 2)
             # any plane: its normal is uniform on the sphere, and the long axis within it too
             nz = 2.0 * to_uniform(words[0]) - 1.0
@@ -223,21 +198,20 @@ def draw_orbits(
             first = (long * e[0], long * e[1], long * e[2])
             second = (short * f[0], short * f[1], short * f[2])
             peak = _peak_rate(centre, first, second, eye)
-            if not peak * 2.0 * pi * ranges.max_turns_per_s >= speed:
+            if not peak * 2.0 * pi * max_turns_per_s >= speed:
                 continue
-            omega = speed / peak
-            if not _can_follow_orbit(
-                gaze, ranges, board, centre, first, second, omega, angles, own
-            ):
+            omegas[n] = omega = speed / peak
+            found = _can_follow_orbit(
+                gaze, workspace, board, centre, first, second, omega, angles, own
+            )
+            if not found:
                 continue
             phase = 2.0 * pi * to_uniform(random_words(seed, trial, _TASK, attempt, 3)[0])
             c, s = cos(phase), sin(phase)
             for i in range(3):
-                orbits.anchor[n, i] = centre[i]
-                orbits.cosine[n, i] = first[i] * c + second[i] * s
-                orbits.sine[n, i] = second[i] * c - first[i] * s
-            orbits.omega[n] = omega
-            found = True
+                anchor[n, i] = centre[i]
+                cosine[n, i] = first[i] * c + second[i] * s
+                sine[n, i] = second[i] * c - first[i] * s
             break
         if not found:
             return False
@@ -267,7 +241,7 @@ class OccludedTarget(OrbitTarget):
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`."""
         rows, q = super().draw(head, streams, ids, board)
-        gone = draw_event_times(streams, ids, *self.gone_after)
+        gone = draw_event_times(streams.keys_of(ids), *self.gone_after)
         fields = motion_fields(rows)
         fields["hidden_from"], fields["hidden_until"] = gone, gone + self.gone_s
         return rows, q
@@ -279,10 +253,6 @@ _SEGMENT_ATTEMPTS: Final = 50
 """Candidates tried for a segment (numerical)."""
 _SAMPLES_PER_SEGMENT: Final = 4
 """Points of a segment at which fixation and the actuators' speeds are checked (numerical)."""
-
-# largest fraction of an actuator's speed limit that following a target needs; the rest is left for
-# catching up with it (chosen: fast targets against this reserve)
-_MAX_SPEED_FRACTION: Final = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,48 +304,28 @@ class WanderTarget(Target):
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; segments are drawn until one is valid."""
         paths = np.empty((len(ids), 4 * (_SEGMENTS_PER_PATH + 2)))
-        walk = WanderRanges(
-            *self.depth, self.eccentricity, *self.speed, self.approach, *self.turn_after,
-            self.margin,
-        )  # fmt: skip
-        keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        if not draw_paths(keys, HeadWithLimits.of(head), walk, board, paths):
-            raise UnreachableTargetError(
-                f"target: expected paths that this head can follow and "
-                f"see{whole_board_text(board)}, got none of {MAX_CANDIDATES} of {self}"
-            )
+        if not draw_paths(
+            streams.keys_of(ids), HeadWithLimits.of(head),
+            Workspace(self.depth, self.eccentricity, self.margin), self.speed, self.approach,
+            self.turn_after, board, paths,
+        ):  # fmt: skip
+            raise _none_found("paths", self, board)
         beginning = paths[:, 5:8]
         return motion_rows(beginning, before=beginning, path=paths), self._begin(head, beginning)
 
 
-class WanderRanges(NamedTuple):
-    """The fields of a `WanderTarget`, in the form kernels take."""
-
-    min_z_m: float
-    max_z_m: float
-    max_angle_rad: float
-    min_speed: float
-    max_speed: float
-    max_inverse_distance_rate: float
-    min_segment_s: float
-    max_segment_s: float
-    margin_rad: float
-
-
 @inlined
-def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: WanderRanges) -> bool:
+def _draw_next_knot(
+    path: FloatArray, knot: int, words: Words, approach: float, segment_s: tuple[float, float]
+) -> bool:
     """Draw the next knot of a path; True if it lies at a finite distance."""
     here, there = 4 * knot, 4 * knot + 4
     ex, ey, ez = path[1], path[2], path[3]
     x, y, z = path[here + 1] - ex, path[here + 2] - ey, path[here + 3] - ez
     r = sqrt(x * x + y * y + z * z)
     x, y, z = x / r, y / r, z / r
-    span = uniform_between(words[0], walk.min_segment_s, walk.max_segment_s)
-    nearness = (
-        1.0 / r
-        + uniform_between(words[1], -walk.max_inverse_distance_rate, walk.max_inverse_distance_rate)
-        * span
-    )
+    span = uniform_between(words[0], segment_s[0], segment_s[1])
+    nearness = 1.0 / r + uniform_between(words[1], -approach, approach) * span
     if nearness <= 0.0:
         return False
     # two directions orthogonal to the line of sight: one horizontal, one down
@@ -395,7 +345,7 @@ def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: WanderRange
 
 @subroutine
 def _can_look(
-    gaze: HeadWithLimits, walk: WanderRanges, board: Board, eye: Vector, point: Vector,
+    gaze: HeadWithLimits, workspace: Workspace, board: Board, eye: Vector, point: Vector,
     angles: FloatArray, own: FloatArray,
 ) -> bool:  # fmt: skip
     """True if a point is in the workspace, and both eyes can fixate it.
@@ -403,11 +353,11 @@ def _can_look(
     The last two arguments are results: (4,) angles of the eye joints, and of the actuators.
     """
     x, y, z = point
-    if not walk.min_z_m <= z <= walk.max_z_m:
+    if not workspace.depth[0] <= z <= workspace.depth[1]:
         return False
-    if hypot(x - eye[0], y - eye[1]) > z * tan(walk.max_angle_rad):
+    if hypot(x - eye[0], y - eye[1]) > z * tan(workspace.eccentricity):
         return False
-    if not can_fixate(gaze, walk.margin_rad, point, angles):
+    if not can_fixate(gaze, workspace.margin, point, angles):
         return False
     # a fixated point is visible, but a board may be cut
     if len(board.outline) and not is_detectable_by_both_eyes(gaze.head, angles, point, 0.0, board):
@@ -420,31 +370,31 @@ def _can_look(
 
 @inlined
 def _can_follow_path(
-    gaze: HeadWithLimits, walk: WanderRanges, board: Board, path: FloatArray, knot: int,
+    gaze: HeadWithLimits, workspace: Workspace, board: Board, path: FloatArray, knot: int,
     angles: FloatArray, own: FloatArray,
 ) -> bool:  # fmt: skip
     """True if both eyes can fixate the whole segment after a knot, and turn as fast as it needs.
 
-    The last two arguments are scratch arrays: (4,) angles of the eye joints, and
-        (_SAMPLES_PER_SEGMENT + 1, 4)
-    angles of the actuators, with those at the knot in the first row.
+    The last two arguments are scratch arrays: angles of the eye joints, and of the actuators, with
+    those at the knot in the first row.
     """
     eye = (path[1], path[2], path[3])
     step = (path[4 * knot + 4] - path[4 * knot]) / _SAMPLES_PER_SEGMENT
     for k in range(1, _SAMPLES_PER_SEGMENT + 1):
         point = point_between_knots(path, knot, path[4 * knot] + k * step)
-        if not _can_look(gaze, walk, board, eye, point, angles, own[k]):
+        if not _can_look(gaze, workspace, board, eye, point, angles, own[k]):
             return False
         for i in range(SLOTS):
-            if abs(own[k, i] - own[k - 1, i]) > _MAX_SPEED_FRACTION * gaze.speed_limits[i] * step:
+            if abs(own[k, i] - own[k - 1, i]) > _MAX_LIMIT_FRACTION * gaze.speed_limits[i] * step:
                 return False
     return True
 
 
 @compiled
 def draw_paths(
-    keys: StreamKeys, gaze: HeadWithLimits, ranges: WanderRanges, board: Board, paths: FloatArray
-) -> bool:
+    keys: StreamKeys, gaze: HeadWithLimits, workspace: Workspace, speeds: tuple[float, float],
+    approach: float, segment_s: tuple[float, float], board: Board, paths: FloatArray,
+) -> bool:  # fmt: skip
     """Draw paths for each trial, segment by segment, until the eyes can follow one.
 
     The result is False if some trial has no valid candidate.
@@ -455,24 +405,22 @@ def draw_paths(
     for n in range(len(paths)):
         seed, trial, path = keys.seeds[n], keys.trials[n], paths[n]
         # one speed for all candidates, else the selection would favour slow targets
-        path[0] = uniform_between(
-            random_words(seed, trial, _TASK, 0, 4)[0], ranges.min_speed, ranges.max_speed
-        )
+        path[0] = uniform_between(random_words(seed, trial, _TASK, 0, 4)[0], speeds[0], speeds[1])
         path[1], path[2], path[3] = eye
         knot = 0
         for attempt in range(MAX_CANDIDATES):
             words = random_words(seed, trial, _TASK, attempt, 1)
-            point = random_point(words, eye, ranges.min_z_m, ranges.max_z_m, ranges.max_angle_rad)
+            point = random_point(words, eye, workspace)
             path[4] = 0.0
             path[5], path[6], path[7] = point
-            knot = 1 if _can_look(gaze, ranges, board, eye, point, angles, own[0]) else 0
+            knot = 1 if _can_look(gaze, workspace, board, eye, point, angles, own[0]) else 0
             tried = 0
             while 0 < knot < last and tried < _SEGMENT_ATTEMPTS:
                 block = (attempt * last + knot) * _SEGMENT_ATTEMPTS + tried
                 words = random_words(seed, trial, _TASK, block, 2)
                 tried += 1
-                if _draw_next_knot(path, knot, words, ranges) and _can_follow_path(
-                    gaze, ranges, board, path, knot, angles, own
+                if _draw_next_knot(path, knot, words, approach, segment_s) and _can_follow_path(
+                    gaze, workspace, board, path, knot, angles, own
                 ):
                     own[0] = own[_SAMPLES_PER_SEGMENT]
                     knot, tried = knot + 1, 0

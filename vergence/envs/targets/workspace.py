@@ -47,30 +47,32 @@ _ROUNDING_RAD: Final = 1e-9
 class HeadWithLimits(NamedTuple):
     """The head that looks, with the limits of its actuators and joints."""
 
-    head: PackedHead
-    """(PACKED,) see `vergence.models.kinematics`."""
-    rest: FloatArray
-    """(7,) joint angles at rest, rad."""
-    lower: FloatArray
-    """(4,) lower angle limits of the eye actuators, rad."""
-    upper: FloatArray
-    """(4,) upper angle limits of the eye actuators, rad."""
-    speed_limits: FloatArray
-    """(4,) speed limits of the eye actuators, rad/s."""
-    acceleration_limits: FloatArray
-    """(4,) acceleration limits of the eye actuators, rad/s^2."""
+    head: PackedHead  # (PACKED,) see `vergence.models.kinematics`
+    rest: FloatArray  # (7,) joint angles at rest, rad
+    lower: FloatArray  # (4,) lower angle limits of the eye actuators, rad
+    upper: FloatArray  # (4,) upper angle limits of the eye actuators, rad
+    speed_limits: FloatArray  # (4,) speed limits of the eye actuators, rad/s
+    acceleration_limits: FloatArray  # (4,) acceleration limits of the eye actuators, rad/s^2
     joint_limits: tuple[FloatArray, FloatArray] | None
     """(4,) each, lower and upper angle limits of the eye joints, rad; None if each has a motor."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "HeadWithLimits":
-        """The `HeadWithLimits` of a head model."""
+        """The limits of a head model."""
         own, limits = head.actuation, head.limits
         return cls(
             head.packed, head.rest(), own.lower[EYES], own.upper[EYES], own.velocity[EYES],
             own.acceleration[EYES],
             None if own.direct else (limits.lower[EYES], limits.upper[EYES]),
         )  # fmt: skip
+
+
+class Workspace(NamedTuple):
+    """Where the points of a target may lie, and the reserve of the eyes that fixate them."""
+
+    depth: tuple[float, float]  # nearest and farthest z, m
+    eccentricity: float  # greatest angle from straight ahead, rad
+    margin: float  # least distance of the angles at fixation from the actuators' limits, rad
 
 
 @inlined
@@ -88,12 +90,10 @@ def midpoint_between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
 
 
 @inlined
-def random_point(
-    words: Words, viewpoint: Vector, min_z_m: float, max_z_m: float, max_angle_rad: float
-) -> Vector:
+def random_point(words: Words, viewpoint: Vector, workspace: Workspace) -> Vector:
     """Point from three random words: uniform in 1 / depth and in the angle from straight ahead."""
-    z = 1.0 / uniform_between(words[0], 1.0 / max_z_m, 1.0 / min_z_m)
-    slope = z * tan(max_angle_rad * to_uniform(words[1]))
+    z = 1.0 / uniform_between(words[0], 1.0 / workspace.depth[1], 1.0 / workspace.depth[0])
+    slope = z * tan(workspace.eccentricity * to_uniform(words[1]))
     around = 2.0 * pi * to_uniform(words[2])
     return viewpoint[0] + slope * cos(around), viewpoint[1] + slope * sin(around), z
 
@@ -155,20 +155,14 @@ _TASK: Final = int(StreamPurpose.TASK)
 _EVENT_TIME_LANE: Final = 5
 
 
-def draw_event_times(
-    streams: RandomStreams, ids: IntArray, earliest: float, latest: float
-) -> FloatArray:
-    """(n,) a moment for each of some trials, uniform in a range, s."""
-    moments = np.empty(len(ids))
-    _fill(StreamKeys(streams.seeds[ids], streams.trials[ids]), earliest, latest, moments)
-    return moments
-
-
 @compiled
-def _fill(keys: StreamKeys, earliest: float, latest: float, moments: FloatArray) -> None:
+def draw_event_times(keys: StreamKeys, earliest: float, latest: float) -> FloatArray:
+    """(n,) a moment for each of some trials, uniform in a range, s."""
+    moments = np.empty(len(keys.seeds))
     for n in range(len(moments)):
         words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _EVENT_TIME_LANE)
         moments[n] = uniform_between(words[0], earliest, latest)
+    return moments
 
 
 _START_ATTEMPTS: Final = 100
@@ -212,38 +206,25 @@ class RandomTarget(Target):
         self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is valid."""
-        points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
-        keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        gaze = HeadWithLimits.of(head)
-        if not draw_targets(keys, gaze, self._workspace(), board, points, q):
-            raise self._unseen("points", board)
+        points, _none, q = self._draw_points(head, streams.keys_of(ids), board, "points")
         return motion_rows(points), q
 
-    def _workspace(self) -> "RandomTargetRanges":
-        fixating = self.start == "fixation"
-        return RandomTargetRanges(
-            *self.depth, self.eccentricity, self.margin, self.shift, self.border, fixating
-        )
-
-    def _unseen(self, what: str, board: Board) -> UnreachableTargetError:
-        return UnreachableTargetError(
-            f"target: expected a workspace that this head can look at, got none of "
-            f"{MAX_CANDIDATES} {what} of {self} that both eyes can fixate and "
-            f"see{whole_board_text(board)}"
-        )
-
-
-class RandomTargetRanges(NamedTuple):
-    """The fields of a `RandomTarget`, in the form kernels take."""
-
-    min_z_m: float
-    max_z_m: float
-    max_angle_rad: float
-    margin_rad: float
-    min_eye_turn_rad: float
-    border_px: float
-    starts_fixating: bool
-    """True if the eyes start on a point of the workspace, False if at rest."""
+    def _draw_points(
+        self, head: HeadModel, keys: StreamKeys, board: Board, what: str, jumps: bool = False
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Points (n, 3), the ones to which they jump, if they do, and starting angles (n, 7)."""
+        n = len(keys.seeds)
+        points, later, q = np.empty((n, 3)), np.empty((n if jumps else 0, 3)), np.empty((n, 7))
+        if not draw_targets(
+            keys, HeadWithLimits.of(head), Workspace(self.depth, self.eccentricity, self.margin),
+            self.shift, self.border, self.start == "fixation", board, points, later, q,
+        ):  # fmt: skip
+            raise UnreachableTargetError(
+                f"target: expected a workspace that this head can look at, got none of "
+                f"{MAX_CANDIDATES} {what} of {self} that both eyes can fixate and "
+                f"see{whole_board_text(board)}"
+            )
+        return points, later, q
 
 
 @inlined
@@ -255,66 +236,77 @@ def larger_eye_turn(begin: FloatArray, goal: FloatArray) -> float:
 
 @subroutine
 def draw_target_and_start(
-    seed: np.uint64, trial: np.uint64, attempt: int, gaze: HeadWithLimits,
-    workspace: RandomTargetRanges, board: Board, viewpoint: Vector, target_angles: FloatArray,
-    start_angles: FloatArray,
+    seed: np.uint64, trial: np.uint64, attempt: int, gaze: HeadWithLimits, workspace: Workspace,
+    shift: float, border_px: float, fixating: bool, board: Board, viewpoint: Vector,
+    target_angles: FloatArray, start_angles: FloatArray,
 ) -> tuple[bool, Vector]:  # fmt: skip
     """Draw one candidate for a target, and starts for it until one is valid."""
     words = random_words(seed, trial, _TASK, attempt, 1)
-    point = random_point(
-        words, viewpoint, workspace.min_z_m, workspace.max_z_m, workspace.max_angle_rad
-    )
-    if not can_fixate(gaze, workspace.margin_rad, point, target_angles):
+    point = random_point(words, viewpoint, workspace)
+    if not can_fixate(gaze, workspace.margin, point, target_angles):
         return False, point
     # many starts for one target: if both were drawn anew, few peripheral targets would be left, as
     # they are visible from few points of the workspace
-    for again in range(_START_ATTEMPTS if workspace.starts_fixating else 1):
-        words = random_words(seed, trial, _TASK, attempt + again, 2)
+    for again in range(_START_ATTEMPTS if fixating else 1):
         other = random_point(
-            words, viewpoint, workspace.min_z_m, workspace.max_z_m, workspace.max_angle_rad
+            random_words(seed, trial, _TASK, attempt + again, 2), viewpoint, workspace
         )
-        if not workspace.starts_fixating:
+        if not fixating:
             start_angles[:] = gaze.rest[3:]
-        elif not can_fixate(gaze, workspace.margin_rad, other, start_angles):
+        elif not can_fixate(gaze, workspace.margin, other, start_angles):
             continue
-        if larger_eye_turn(
-            start_angles, target_angles
-        ) >= workspace.min_eye_turn_rad and is_detectable_by_both_eyes(
-            gaze.head, start_angles, point, workspace.border_px, board
-        ):
+        turns = larger_eye_turn(start_angles, target_angles) >= shift
+        if turns and is_detectable_by_both_eyes(gaze.head, start_angles, point, border_px, board):
             return True, point
     return False, point
 
 
+_SECOND_ATTEMPTS: Final = 100
+"""Candidates for the second point per first point (numerical)."""
+
+
 @compiled
 def draw_targets(
-    keys: StreamKeys, gaze: HeadWithLimits, workspace: RandomTargetRanges, board: Board,
-    points: FloatArray, start_angles: FloatArray,
+    keys: StreamKeys, gaze: HeadWithLimits, workspace: Workspace, shift: float, border_px: float,
+    fixating: bool, board: Board, points: FloatArray, later_points: FloatArray,
+    start_angles: FloatArray,
 ) -> bool:  # fmt: skip
-    """Draw candidates for each trial until one is valid.
+    """Draw candidates for each trial until one is valid; False if some trial has none.
 
-    The result is False if some trial has no valid candidate.
+    Each point has a second one, for a jump, if there is room for some in `later_points`.
     """
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
-    goal, begin = np.empty(4), np.empty(4)
+    begin, goal, last = np.empty(4), np.empty(4), np.empty(4)
     for n in range(len(points)):
         seed, trial = keys.seeds[n], keys.trials[n]
         start_angles[n] = gaze.rest
+        found = False
         for attempt in range(MAX_CANDIDATES):
             found, point = draw_target_and_start(
-                seed, trial, attempt, gaze, workspace, board, eye, goal, begin
-            )
+                seed, trial, attempt, gaze, workspace, shift, border_px, fixating, board, eye,
+                goal, begin,
+            )  # fmt: skip
+            if not found:
+                continue
+            points[n, 0], points[n, 1], points[n, 2] = point
+            for again in range(_SECOND_ATTEMPTS if len(later_points) else 0):
+                words = random_words(seed, trial, _TASK, attempt * _SECOND_ATTEMPTS + again, 3)
+                point = random_point(words, eye, workspace)
+                found = can_fixate(gaze, workspace.margin, point, last)
+                found = found and larger_eye_turn(goal, last) >= shift
+                for angles in (begin, goal):
+                    found = found and is_detectable_by_both_eyes(
+                        gaze.head, angles, point, border_px, board
+                    )
+                if found:
+                    later_points[n, 0], later_points[n, 1], later_points[n, 2] = point
+                    break
             if found:
+                start_angles[n, 3:] = begin
                 break
-        else:
+        if not found:
             return False
-        points[n, 0], points[n, 1], points[n, 2] = point
-        start_angles[n, 3:] = begin
     return True
-
-
-_SECOND_ATTEMPTS: Final = 100
-"""Candidates for the second point per first point (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -341,62 +333,7 @@ class DoubleStepTarget(RandomTarget):
         self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is valid."""
-        n = len(ids)
-        first, second, q = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 7))
-        keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        gaze, space = HeadWithLimits.of(head), self._workspace()
-        found = draw_double_steps(
-            keys, gaze, space, board, first, second, q,
-        )  # fmt: skip
-        if not found:
-            raise self._unseen("pairs of points", board)
-        after = draw_event_times(streams, ids, *self.second_after)
+        keys = streams.keys_of(ids)
+        first, second, q = self._draw_points(head, keys, board, "pairs of points", jumps=True)
+        after = draw_event_times(keys, *self.second_after)
         return motion_rows(first, second_jump_time=after, second_anchor=second), q
-
-
-@compiled
-def draw_double_steps(
-    keys: StreamKeys, gaze: HeadWithLimits, workspace: RandomTargetRanges, board: Board,
-    first_points: FloatArray, second_points: FloatArray, start_angles: FloatArray,
-) -> bool:  # fmt: skip
-    """Draw pairs of points for each trial until one is valid.
-
-    The result is False if some trial has no valid candidate.
-    """
-    eye = midpoint_between_eyes(gaze.head, gaze.rest)
-    begin, goal, last = np.empty(4), np.empty(4), np.empty(4)
-    for n in range(len(first_points)):
-        seed, trial = keys.seeds[n], keys.trials[n]
-        start_angles[n] = gaze.rest
-        found = False
-        for attempt in range(MAX_CANDIDATES):
-            fit, point = draw_target_and_start(
-                seed, trial, attempt, gaze, workspace, board, eye, goal, begin
-            )
-            if not fit:
-                continue
-            first_points[n, 0], first_points[n, 1], first_points[n, 2] = point
-            for again in range(_SECOND_ATTEMPTS):
-                words = random_words(seed, trial, _TASK, attempt * _SECOND_ATTEMPTS + again, 3)
-                point = random_point(
-                    words, eye, workspace.min_z_m, workspace.max_z_m, workspace.max_angle_rad
-                )
-                found = (
-                    can_fixate(gaze, workspace.margin_rad, point, last)
-                    and larger_eye_turn(goal, last) >= workspace.min_eye_turn_rad
-                    and is_detectable_by_both_eyes(
-                        gaze.head, begin, point, workspace.border_px, board
-                    )
-                    and is_detectable_by_both_eyes(
-                        gaze.head, goal, point, workspace.border_px, board
-                    )
-                )
-                if found:
-                    break
-            if found:
-                second_points[n, 0], second_points[n, 1], second_points[n, 2] = point
-                start_angles[n, 3:] = begin
-                break
-        if not found:
-            return False
-    return True

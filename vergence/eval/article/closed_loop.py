@@ -31,10 +31,9 @@ from scipy.linalg import solve_discrete_lyapunov
 from vergence.controllers.ibvs import as_gains, ibvs_command
 from vergence.envs.observation import ObservationLayout
 from vergence.envs.plant import simulation_of
-from vergence.envs.rollout import rollout
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.motion import Target
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, rollout
 from vergence.errors import ConfigurationError
 from vergence.models.geometry import DenavitHartenberg
 from vergence.models.head import HeadModel
@@ -61,7 +60,7 @@ class PerTrialGainLaw:
         self, observation: NDArray[np.float32], state: Any = None,
         episode_start: NDArray[np.bool_] | None = None, deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], int]:  # fmt: skip
-        """See `vergence.envs.rollout.Policy`; the state is the number of the control period."""
+        """See `vergence.envs.task.Policy`; the state is the number of the control period."""
         step = 0 if state is None else int(state)
         seen, limits = self._layout.decode(observation), np.array(self._layout.action_limits)
         error = seen.pixel_error - self._reference(step)

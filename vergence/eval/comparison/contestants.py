@@ -39,8 +39,7 @@ from vergence.controllers.networks.learned import load_policy
 from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for, name_in_tuned_table
 from vergence.entry_points import EntryPoint, shown_path, user_error_with_place
 from vergence.envs.observation import ObservationLayout
-from vergence.envs.rollout import rollout
-from vergence.envs.task import Policy
+from vergence.envs.task import Policy, rollout
 from vergence.errors import (
     ConfigurationError,
     HardwareError,

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vergence.envs.rollout import run_trial
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, run_trial
 from vergence.errors import ConfigurationError, HardwareError, UserControllerError
 from vergence.eval.comparison.config import ROBOT
 from vergence.eval.comparison.evaluate import ControllerFailure, EvaluationResult

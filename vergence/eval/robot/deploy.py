@@ -13,10 +13,9 @@ import numpy as np
 
 from vergence.envs.plant import Plant
 from vergence.envs.reading import Reading
-from vergence.envs.rollout import run_trial
 from vergence.envs.targets.motion import Target
 from vergence.envs.targets.prescribed import UnseenTarget
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, run_trial
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.gaze_trajectory import MM
 from vergence.eval.robot.config import DeployConfig, ReplayConfig

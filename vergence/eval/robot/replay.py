@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 
 from vergence.controllers.controller import CONTROLLERS
-from vergence.envs.rollout import run_trial
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, run_trial
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze import FinalState, GazeResult, gaze_result
 from vergence.eval.gaze_config import GazeConfig

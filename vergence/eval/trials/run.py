@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from vergence.controllers.networks.learned import NetworkController
 from vergence.envs.plant import Simulation, plant_type
 from vergence.envs.reading import Reading
-from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask, Policy
+from vergence.envs.task import GazeTask, Policy, rollout
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_reachable_error

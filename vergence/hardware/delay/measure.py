@@ -9,8 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.controllers.controller import make_controller
-from vergence.envs.rollout import run_trial
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, run_trial
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.delay.excitation import (
