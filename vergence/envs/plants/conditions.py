@@ -33,7 +33,7 @@ from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.kernels import compiled, inlined, make_tuple_reader
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.models.perturbation import DEVIATES, ModelErrors, as_model_errors, perturb_by_deviates
+from vergence.models.perturbation import ModelErrors, as_model_errors, perturb_by_deviates
 
 LOOP_PARTS: Final = ("camera", "encoders", "motors", "target")
 """Parts of the loop, in the order of the margins' tables and figures."""
@@ -394,13 +394,13 @@ def draw_conditions(
 
 
 @compiled
-def draw_head_deviates(seeds: KeyArray, trials: KeyArray) -> FloatArray:
-    """(m, DEVIATES) standard normal numbers of the true heads of trials."""
-    numbers = np.empty((len(seeds), DEVIATES))
+def draw_head_deviates(seeds: KeyArray, trials: KeyArray, count: int) -> FloatArray:
+    """(m, count) standard normal numbers of the true heads of trials."""
+    numbers = np.empty((len(seeds), count))
     for m in range(seeds.shape[0]):
-        for lane in range((DEVIATES + 3) // 4):
+        for lane in range((count + 3) // 4):
             words = random_words(seeds[m], trials[m], _VARIATION, 1, lane + 1)
             for i, number in enumerate(four_normals(words, 1.0)):
-                if 4 * lane + i < DEVIATES:
+                if 4 * lane + i < count:
                     numbers[m, 4 * lane + i] = number
     return numbers
