@@ -252,10 +252,8 @@ def judge_steps(
                 reducible_error(coupled_head, q, error[n], left, right, goal)
             for eye in range(2):
                 size = _norm(error[n, eye, 0], error[n, eye, 1])
-                tracking += (
-                    _BRAKING_ERROR_PX / (_BRAKING_ERROR_PX + size)
-                    + _TURNING_ERROR_PX / (_TURNING_ERROR_PX + size)
-                ) / 6.0
+                braking = _BRAKING_ERROR_PX / (_BRAKING_ERROR_PX + size)
+                tracking += (braking + _TURNING_ERROR_PX / (_TURNING_ERROR_PX + size)) / 6.0
                 size = _norm(goal[eye, 0], goal[eye, 1])
                 precision += _RESTING_ERROR_PX / (_RESTING_ERROR_PX + size) / 6.0
                 settled = settled and size < SETTLED_PX

@@ -394,12 +394,13 @@ def draw_conditions(
 
 
 @compiled
-def draw_head_deviates(seeds: KeyArray, trials: KeyArray, numbers: FloatArray) -> None:
-    """Fill (m, DEVIATES) with standard normal numbers of the true heads of trials."""
-    count = numbers.shape[1]
+def draw_head_deviates(seeds: KeyArray, trials: KeyArray, count: int) -> FloatArray:
+    """(m, count) standard normal numbers of the true heads of trials."""
+    numbers = np.empty((len(seeds), count))
     for m in range(seeds.shape[0]):
         for lane in range((count + 3) // 4):
             words = random_words(seeds[m], trials[m], _VARIATION, 1, lane + 1)
             for i, number in enumerate(four_normals(words, 1.0)):
                 if 4 * lane + i < count:
                     numbers[m, 4 * lane + i] = number
+    return numbers

@@ -18,7 +18,6 @@ from vergence.envs.plants.motors import (
     ActuatorCoupling,
     CommandBuffers,
     MotorParams,
-    MotorState,
     MotorStates,
     advance_first_order,
     advance_second_order,
@@ -96,18 +95,16 @@ def move_motors(
                     falloff = 0.0
                     if conditions.torque_falloff > 0.0 and a < np.inf:
                         falloff = conditions.torque_falloff / (own[n, GAIN, k] * top[k])
-                    motor = MotorState(angles[n, k], v, output[n, k])
+                    q, out = angles[n, k], output[n, k]
                     params = MotorParams(lag_s, a, falloff, lower[k], upper[k], backlash)
                     if conditions.overshoot > 0.0 and lag_s > 0.0:
-                        motor, rates[n, k] = advance_second_order(
-                            motor, rates[n, k], params, u, time_s, conditions.overshoot
+                        q, v, out, rates[n, k] = advance_second_order(
+                            q, v, out, rates[n, k], params, u, time_s, conditions.overshoot
                         )
                     else:
-                        motor = advance_first_order(motor, params, u, time_s, left)
-                    angles[n, k], speeds[n, k] = motor.angle, motor.speed
-                    output[n, k] = motor.output
-                    if coupling is None:
-                        output[n, k] = output_angle(motor.output, motor.angle, backlash)
+                        q, v, out = advance_first_order(q, v, out, params, u, time_s, left)
+                    angles[n, k], speeds[n, k] = q, v
+                    output[n, k] = output_angle(out, q, backlash) if coupling is None else out
                 if coupling is not None:
                     stop_motors_at_joint_stops(motors, coupling, heads[n * many], n)
                     for k in range(7):
@@ -115,9 +112,10 @@ def move_motors(
             if exposed:
                 times[n, count] = begin_s + due
                 for k in range(7):
-                    motor = MotorState(angles[n, k], speeds[n, k], output[n, k])
-                    then_q[n, count, k] = motor.output
-                    then_v[n, count, k] = output_speed(motor, own[n, BACKLASH, k])
+                    then_q[n, count, k] = output[n, k]
+                    then_v[n, count, k] = output_speed(
+                        angles[n, k], speeds[n, k], output[n, k], own[n, BACKLASH, k]
+                    )
                 if coupling is not None:
                     joints_from_actuators(
                         coupling.scratch[n], heads[n * many], then_q[n, count], then_v[n, count]
@@ -130,9 +128,10 @@ def move_motors(
                 slot = after
         counts[n] = count
         for k in range(7):
-            motor = MotorState(angles[n, k], speeds[n, k], output[n, k])
-            positions[n, k] = motor.output
-            velocities[n, k] = output_speed(motor, own[n, BACKLASH, k])
+            positions[n, k] = output[n, k]
+            velocities[n, k] = output_speed(
+                angles[n, k], speeds[n, k], output[n, k], own[n, BACKLASH, k]
+            )
         if coupling is not None:
             joints_from_actuators(coupling.scratch[n], heads[n * many], positions[n], velocities[n])
 

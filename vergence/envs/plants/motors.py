@@ -229,14 +229,6 @@ class ActuatorCoupling(NamedTuple):
         return cls(limits.lower[EYES], limits.upper[EYES], head.packed, np.empty((num, SLOTS)))
 
 
-class MotorState(NamedTuple):
-    """State of one motor."""
-
-    angle: float
-    speed: float
-    output: float  # angle of its output, rad
-
-
 class MotorParams(NamedTuple):
     """Parameters of one motor in a trial."""
 
@@ -255,22 +247,22 @@ def output_angle(output: float, angle: float, backlash: float) -> float:
 
 
 @inlined
-def output_speed(motor: MotorState, backlash: float) -> float:
+def output_speed(angle: float, speed: float, output: float, backlash: float) -> float:
     """Velocity of a motor's output: the motor's own while it pushes, else 0."""
-    behind, half = motor.angle - motor.output, 0.5 * backlash - _CONTACT_RAD
-    pushes = behind >= half if motor.speed > 0.0 else -behind >= half
-    return motor.speed if pushes else 0.0
+    behind, half = angle - output, 0.5 * backlash - _CONTACT_RAD
+    pushes = behind >= half if speed > 0.0 else -behind >= half
+    return speed if pushes else 0.0
 
 
 @inlined
 def advance_first_order(
-    motor: MotorState, params: MotorParams, command: float, time_s: float, decay: float
-) -> MotorState:
-    """Advance a motor with a first-order lag by a time, with `decay` as its `lag_decay`.
+    q: float, v: float, output: float, params: MotorParams, command: float, time_s: float,
+    decay: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Advance a motor's angle, speed and output angle by a time, with `decay` as its `lag_decay`.
 
     Its output moves only if the motor reverses within it. Callers push it on with `output_angle`.
     """
-    q, v, output = motor.angle, motor.speed, motor.output
     tau, a = params.lag_s, params.max_acceleration
     if params.backlash > 0.0 and v * command < 0.0:
         turn = time_to_reversal(v, command, tau, a)
@@ -289,16 +281,15 @@ def advance_first_order(
         q, v = params.lower, max(v, 0.0)
     elif q > params.upper:
         q, v = params.upper, min(v, 0.0)
-    return MotorState(q, v, output)
+    return q, v, output
 
 
 @subroutine
 def advance_second_order(
-    motor: MotorState, acceleration: float, params: MotorParams, command: float, time_s: float,
+    q: float, v: float, output: float, w: float, params: MotorParams, command: float, time_s: float,
     overshoot: float,
-) -> tuple[MotorState, float]:  # fmt: skip
+) -> tuple[float, float, float, float]:  # fmt: skip
     """Advance a second-order servo and its acceleration by a time, see `advance_first_order`."""
-    q, v, w, output = motor.angle, motor.speed, acceleration, motor.output
     zeta, steps = damping_ratio(overshoot), int(np.ceil(time_s / (_MAX_STEP_RATIO * params.lag_s)))
     for _ in range(steps):
         output = output_angle(output, q, params.backlash)
@@ -310,7 +301,7 @@ def advance_second_order(
             q, v, w = params.lower, max(v, 0.0), max(w, 0.0)
         elif q > params.upper:
             q, v, w = params.upper, min(v, 0.0), min(w, 0.0)
-    return MotorState(q, v, output), w
+    return q, v, output, w
 
 
 @subroutine
@@ -467,9 +458,8 @@ def sense_joints(
             speed = speeds[n, k]
             measured[n, slot, 0, k], measured[n, slot, 1, k] = angles[n, k], speed
             if on_output:
-                motor = MotorState(angles[n, k], speed, output[n, k])
-                measured[n, slot, 0, k] = motor.output
-                measured[n, slot, 1, k] = output_speed(motor, own[n, BACKLASH, k])
+                speed = output_speed(angles[n, k], speed, output[n, k], own[n, BACKLASH, k])
+                measured[n, slot, 0, k], measured[n, slot, 1, k] = output[n, k], speed
         late = conditions.feedback_latency_s * rate
         new, old, rest = ring_interval_by_age(late, step, ring)
         late += conditions.speed_latency_s * rate

@@ -24,7 +24,6 @@ from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, un
 from vergence.envs.plants.motors import (
     ActuatorCoupling,
     CommandBuffers,
-    MotorState,
     MotorStates,
     held_commands,
     interpolate_joint,
@@ -119,7 +118,7 @@ def read_mujoco_joints(
             backlash = packed.own[n, BACKLASH, k]
             output = output_angle(motors.output_angles[n, k], q, backlash)
             motors.output_angles[n, k] = scene.positions[n, k] = output
-            scene.velocities[n, k] = output_speed(MotorState(q, v, output), backlash)
+            scene.velocities[n, k] = output_speed(q, v, output, backlash)
         if coupling is not None:
             true = true_head_row(scene, n)
             joints_from_actuators(
@@ -234,19 +233,16 @@ class MujocoPlant(SimulatedPlant):
         self._lag_ratios, self._which_lag = np.unique(
             true.actuation.lag_ratio[self._slots], return_inverse=True
         )
-        self._has_backlash = whole.largest_value("backlash_rad") > 0.0
-        self._motors_apart = self._has_backlash or self._coupling is not None
-        self._has_falloff = whole.largest_value("torque_falloff") > 0.0
-        self._forces_vary = self._has_falloff or self._varies_at_all("acceleration_ratio", 1.0)
+        has_backlash = whole.largest_value("backlash_rad") > 0.0
+        self._motors_apart = has_backlash or self._coupling is not None
+        has_falloff = whole.largest_value("torque_falloff") > 0.0
+        self._forces_vary = has_falloff or self._varies_at_all("acceleration_ratio", 1.0)
         # a period is one substep unless something happens within it; outputs behind backlash are
         # pushed at every step, so that they do not miss the motors' turning points
         rate = head.timing.control_rate_hz / whole.largest_value("frame_rate_hz")
+        acts = ("backlash_rad", "torque_falloff", "command_latency_s", "overshoot", "skew_s")
         within = (
-            self._has_backlash
-            or self._has_falloff
-            or whole.largest_value("command_latency_s") > 0.0
-            or whole.largest_value("overshoot") > 0.0
-            or whole.largest_value("skew_s") > 0.0
+            any(whole.largest_value(name) > 0.0 for name in acts)
             or self._varies_at_all("frame_phase", 0.0)
             or self._varies_at_all("clock_drift", 0.0)
             or self._varies_at_all("frame_rate_hz", whole.largest_value("frame_rate_hz"))

@@ -119,8 +119,7 @@ class TrueHeadPrefetcher:
         self._keep((rows, _place(trials[missing])), seeds[missing], trials[missing])
 
     def _keep(self, places: Any, seeds: KeyArray, trials: KeyArray) -> None:
-        deviates = np.empty((len(seeds), DEVIATES))
-        draw_head_deviates(seeds, trials, deviates)
+        deviates = draw_head_deviates(seeds, trials, DEVIATES)
         self._deviates[places] = deviates
         self._packed[places] = self._variation.make_true_heads(self._head, deviates).packed
         self._seeds[places], self._trials[places] = seeds, trials

@@ -17,20 +17,11 @@ from vergence.envs.targets.workspace import DoubleStepTarget, RandomTarget
 from vergence.errors import UnknownNameError, refuse_unknown
 from vergence.vision.objects.targets import PlaceTarget, parse_gaze_target
 
-TARGETS: Final[dict[str, type[Target]]] = {
-    target.kind: target
-    for target in (
-        StaticTarget,
-        StepTarget,
-        CircleTarget,
-        LineTarget,
-        RandomTarget,
-        DoubleStepTarget,
-        OrbitTarget,
-        OccludedTarget,
-        WanderTarget,
-    )
-}
+_KINDS: Final[tuple[type[Target], ...]] = (
+    StaticTarget, StepTarget, CircleTarget, LineTarget, RandomTarget, DoubleStepTarget,
+    OrbitTarget, OccludedTarget, WanderTarget,
+)  # fmt: skip
+TARGETS: Final = {target.kind: target for target in _KINDS}
 """The kinds of target by name."""
 
 
