@@ -29,7 +29,9 @@ def test_only_the_command_line_is_guarded_and_no_answer_that_somebody_else_has_c
     for program, words, guarded in (
         ("/usr/bin/vergence", "", True), ("vergence.exe", "", True), ("vergence.py", "", False),
         ("-m", "python -m vergence gaze", True), ("-m", "python -mvergence", True),
-        ("-m", "python -m pytest", False), ("/home/me/train.py", "", False), ("", "", False),
+        ("-m", "python -m pytest", False),
+        ("-m", "python -m mine.train vergence", False), ("/home/me/train.py", "", False),
+        ("", "", False),
     ):  # fmt: skip
         with named(program, words):
             signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -32,7 +32,9 @@ def end_quietly_on_interrupt() -> None:
     name, suffix = os.path.splitext(os.path.basename(program).lower())
     started_as_command = name == "vergence" and suffix in ("", ".exe")
     if program == "-m":  # `python -m` imports a module's package under this name
-        started_as_command = "vergence" in sys.orig_argv or "-mvergence" in sys.orig_argv
+        words = sys.orig_argv
+        module = words[words.index("-m") + 1] if "-m" in words[:-1] else ""
+        started_as_command = module == "vergence" or "-mvergence" in words
     if started_as_command and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         with suppress(ValueError):  # imported by another thread than the main one
             signal.signal(signal.SIGINT, _leave)

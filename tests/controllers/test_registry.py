@@ -171,10 +171,19 @@ def test_options_that_cannot_be_are_refused_by_name() -> None:
         ("state-feedback", "gain", 10**400, "expected a finite number, got 1000"),
         ("state-feedback", "gain", np.timedelta64(4, "s"), "expected a number, got np.timedelta"),
         ("ibvs", "gain", 10**400, "expected a number, .* got 1000"),
+        ("ibvs-tuned", "scenario", [], r"expected a name, got \[\]"),
     ]:
         said = rf"{option}: {message}"
         with named(name, option, value), pytest.raises(ConfigurationError, match=said):
             make_controller(name, head=HEAD, **{option: value})
+
+
+def test_an_episodes_start_of_another_batch_is_refused() -> None:
+    controller = make_controller("saccade", head=HEAD)
+    seen = np.zeros((2, 27), dtype=np.float32)
+    _action, state = controller.predict(seen)
+    with pytest.raises(ConfigurationError, match=r"episode_start: expected shape \(2,\), got \(3,"):
+        controller.predict(seen, state, episode_start=[True, False, True])
 
 
 def test_what_is_no_observation_is_refused() -> None:

@@ -212,6 +212,10 @@ def continued_state(
     rows = np.array(state[0], dtype=np.float64)
     if episode_start is not None:
         begun = np.asarray(episode_start, dtype=np.bool_)
-        if begun.any():
+        try:
             rows[np.broadcast_to(begun, leading)] = initial
+        except ValueError as error:
+            raise ConfigurationError(
+                f"episode_start: expected shape {leading}, got {begun.shape}"
+            ) from error
     return rows

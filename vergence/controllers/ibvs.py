@@ -303,6 +303,8 @@ class TunedIBVS(GatedImageController):
         depth: Depth = "triangulated", speed_limit: float | None = None,
     ) -> None:  # fmt: skip
         super().__init__(head=head, layout=layout)
+        if not isinstance(scenario, str):
+            raise ConfigurationError(f"scenario: expected a name, got {scenario!r:.80}")
         self.scenario = scenario
         self.tuned = False
         if gain is None:

@@ -96,7 +96,8 @@ class GazeTask:
         self.target = make_target(target)
         """Target that draws the trials' motions and starts."""
         self.layout = ObservationLayout.of(self.head)
-        for name in info:
+        asked: Any = info  # a caller may pass anything, whatever the annotation says
+        for name in asked if isinstance(asked, Collection) else (asked,):
             if name not in INFO:
                 raise ConfigurationError(f"info: expected some of {', '.join(INFO)}, got {name!r}")
         self._info = frozenset(info)

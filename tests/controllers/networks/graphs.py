@@ -36,20 +36,23 @@ def forward(x: np.ndarray) -> np.ndarray:
     return np.clip(np.tanh(x @ a.T + a0) @ b.T + b0, -1.0, 1.0)
 
 
-def onnx_file(path: Path, size: int = 27, outputs: int = 4, batch: Any = "batch") -> Path:
-    """A file of 9 sum(x) for each output."""
+def onnx_file(
+    path: Path, size: int = 27, outputs: int = 4, batch: Any = "batch", *, weight: float = 9.0,
+    last: str = "Identity", **options: Any,
+) -> Path:  # fmt: skip
+    """A file of weight times sum(x) for each output, and a last operator of one argument."""
     import onnx
     from onnx import helper, numpy_helper
 
     graph = helper.make_graph(
-        [helper.make_node("MatMul", ["x", "W"], ["y"])],
+        [helper.make_node("MatMul", ["x", "W"], ["h"]), helper.make_node(last, ["h"], ["y"])],
         "network",
         [helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [batch, size])],
         [helper.make_tensor_value_info("y", onnx.TensorProto.FLOAT, [batch, outputs])],
-        [numpy_helper.from_array(np.full((size, outputs), 9, "f4"), "W")],
+        [numpy_helper.from_array(np.full((size, outputs), weight, "f4"), "W")],
     )
     opsets = [helper.make_opsetid("", 17)]
-    onnx.save(helper.make_model(graph, ir_version=8, opset_imports=opsets), path)
+    onnx.save(helper.make_model(graph, ir_version=8, opset_imports=opsets), path, **options)
     return path
 
 

@@ -158,7 +158,7 @@ def refused(path: Path, match: str) -> None:
 
 
 def test_what_is_no_bundle_is_refused(tmp_path):
-    for other in (tmp_path, tmp_path / "missing.vgp", "/dev/zero"):
+    for other in (tmp_path, tmp_path / "missing.vgp", "/dev/zero", f"{'x' * 5000}.vgp"):
         refused(other, "expected a file")
     other = tmp_path / "other.vgp"
     with other.open("wb") as file:
@@ -225,6 +225,8 @@ def test_another_manifest_is_refused(path, tmp_path):
         ({"network": {"activation": "tanh", "joints": 9}}, "joints: expected 1 to 7, got 9"),
         ({"network": {"activation": "tanh", "joints": 1, "clip_inputs": 1.0}}, "inputs.mean"),
         ({"network": {"activation": "tanh", "joints": 1, "clip_inputs": "x"}}, "clip_inputs"),
+        ({"network": {"activation": "tanh", "joints": 1, "clip_inputs": -1.0}}, "clip_inputs"),
+        ({"network": {"activation": [], "joints": 1, "clip_inputs": None}}, "activation"),
     ]:
         with named(fields, match):
             changed = {**content, **fields}

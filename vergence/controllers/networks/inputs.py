@@ -153,7 +153,7 @@ class Inputs:
     """
 
     def __init__(self, kind: str, head: HeadModel, layout: ObservationLayout | None = None) -> None:
-        if kind not in CHANNELS:
+        if kind not in list(CHANNELS):  # a list accepts unhashable names, too
             raise UnknownNameError("inputs", kind, sorted(CHANNELS))
         self.kind = kind
         self.head = head

@@ -44,7 +44,7 @@ from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import prediction_fields
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
 from vergence.envs.observation import Observation, ObservationLayout, check_observation
-from vergence.errors import BundleError, OtherHeadError
+from vergence.errors import BundleError, ConfigurationError, OtherHeadError
 from vergence.models.head import HeadModel
 from vergence.models.parts import SLOTS, FloatArray
 
@@ -289,6 +289,10 @@ def load_policy(
         ConfigurationError: onnxruntime is not installed for a bare network, or the layout is
             another head's.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise ConfigurationError(f"path: expected a file's path, got {path!r:.80}")
+    if not isinstance(head, HeadModel):
+        raise ConfigurationError(f"head: expected a HeadModel, see load_head, got {head!r:.80}")
     layout = checked_layout(head, layout)
     if Path(path).suffix == ".onnx":
         return BareOnnxPolicy(head=head, layout=layout, path=path)

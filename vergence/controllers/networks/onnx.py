@@ -4,7 +4,7 @@ import dataclasses
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ from vergence.errors import BundleError, ConfigurationError, how_to_install
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
+
+
+_EXTERNAL_FOLDER: Final = "session.model_external_initializers_file_folder_path"
+"""Name of onnxruntime's option for the folder of external data (physical: onnxruntime)."""
 
 
 class OnnxNetwork:
@@ -41,7 +45,7 @@ class OnnxNetwork:
     def __init__(self, path: str | os.PathLike[str], input_size: int, output_size: int) -> None:
         with prefix_bundle_errors(str(path)):
             check_file(path)
-            self._data = Path(path).read_bytes()
+            self._data, self._folder = Path(path).read_bytes(), str(Path(path).resolve().parent)
             self._open()
             sizes = {"input": input_size, "output": output_size}
             ports = (self._session.get_inputs(), self._session.get_outputs())
@@ -54,11 +58,28 @@ class OnnxNetwork:
                     )
                 if found[0].shape[1] != size:
                     raise BundleError(f"network: expected {size} {what}s, got {found[0].shape[1]}")
-            self._one_row = ports[0][0].shape[0] == 1
+            self._one_row, self._output_size = ports[0][0].shape[0] == 1, output_size
+            self._check_rows(input_size)
+
+    def _check_rows(self, input_size: int) -> None:
+        """Refuse a network that cannot run, or whose rows of a batch are not each by itself."""
+        rows = np.random.default_rng(0).uniform(-1.0, 1.0, (3, input_size)).astype(np.float32)
+        try:
+            together, alone = self(rows), np.concatenate([self(row[None]) for row in rows])
+        except Exception as error:  # the runtime's exceptions have no common base class
+            raise BundleError(
+                f"network: expected one that runs on any batch, got {_one_line(error)}"
+            ) from error
+        if together.shape != alone.shape or not np.allclose(together, alone, 1e-4, 1e-4, True):
+            raise BundleError(
+                "network: expected rows of a batch that do not depend on each other, nor on chance"
+            )
 
     def __call__(self, inputs: NDArray[np.float32]) -> Floats:
         """Run the network: (..., input_size) to (..., output_size)."""
         rows = inputs.reshape(-1, inputs.shape[-1])
+        if not len(rows):
+            return np.zeros((*inputs.shape[:-1], self._output_size), dtype=np.float32)
         batches = rows[:, None] if self._one_row else [rows]
         name = self._session.get_inputs()[0].name
         out = np.concatenate([self._session.run(None, {name: batch})[0] for batch in batches])
@@ -81,16 +102,21 @@ class OnnxNetwork:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4
+        # weights in files of their own lie beside the network's, not in the current folder
+        options.add_session_config_entry(_EXTERNAL_FOLDER, self._folder)
         try:
             self._session: InferenceSession = onnxruntime.InferenceSession(
                 self._data, sess_options=options, providers=["CPUExecutionProvider"]
             )
         # the runtime's exceptions have no common base class
         except Exception as error:
-            reason = " ".join(str(error).split())
             raise BundleError(
-                f"network: expected an ONNX model that can be run, got {reason:.300}"
+                f"network: expected an ONNX model that can be run, got {_one_line(error)}"
             ) from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:300]
 
 
 def bundle_as_onnx(bundle: Bundle) -> bytes:
