@@ -324,7 +324,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             self.render()
         # half a period of tolerance for rounding of the time
         time_s = task.reading.time_s.item() + 0.5 * task.head.timing.period_s
-        truncated = bool(task.plant.fault) or time_s >= self._duration_s
+        truncated = bool(task.plant.fault or time_s >= self._duration_s)
         return (
             task.observation[0].copy(), task.reward.item(), task.lost.item(), truncated,
             task.single_info(),

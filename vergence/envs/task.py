@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable, Collection, Mapping
+from functools import cached_property
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -241,12 +242,16 @@ class GazeTask:
 
     def of_all_heads(self, action: NDArray[Any]) -> NDArray[Any]:
         """Refuse an array of another shape than (num, m), and return it; see `as_action`."""
-        if action.shape != (self.num, len(self.action_names)):
+        if action.shape != self._action_shape:
             raise ConfigurationError(
-                f"action: expected shape {(self.num, len(self.action_names))}, heads by "
+                f"action: expected shape {self._action_shape}, heads by "
                 f"{', '.join(self.action_names)}, got {action.shape}"
             )
         return action
+
+    @cached_property
+    def _action_shape(self) -> tuple[int, int]:
+        return self.num, len(self.action_names)
 
     @property
     def pixel_error(self) -> FloatArray:
@@ -287,9 +292,11 @@ class GazeTask:
     def single_info(self) -> dict[str, Any]:
         """The `info` of a batch of one, without the leading axis."""
         if not self._info:
-            terms = dict(zip(TERMS, self._outcome.terms[0].tolist(), strict=True))
-            fault = {"fault": self.plant.fault} if self.plant.fault else {}
-            return fault | {"is_success": bool(self.success[0]), "reward_terms": terms}
+            # written out, as this is a tenth of a step
+            tracking, precision, effort, lost = self._outcome.terms[0].tolist()
+            terms = {"tracking": tracking, "precision": precision, "effort": effort, "lost": lost}
+            known: dict[str, Any] = {"is_success": bool(self.success[0]), "reward_terms": terms}
+            return known | {"fault": self.plant.fault} if self.plant.fault else known
         info = GazeTask.info(self)  # a subclass adds its own
         return {
             key: {name: part[0] for name, part in value.items()}
