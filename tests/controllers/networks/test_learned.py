@@ -83,7 +83,7 @@ def test_one_head_is_to_the_bit_a_row_of_a_batch_of_any_size():
         rng = np.random.default_rng(0)
         x = rng.uniform(-1, 1, (700, network.input_size)).astype("f4")
         together = network(x)
-        for rows in (1, 3, 64, 257):
+        for rows in (0, 1, 3, 64, 257):
             with named(bundle.stem, rows):
                 assert np.array_equal(network(x[:rows]), together[:rows])
 

@@ -147,8 +147,8 @@ class Perceptron:
 
     def _run(self, rows: Floats) -> Floats:
         """Run the layers on rows (n, input_size), the joints of all rows side by side."""
-        count = len(rows)
-        x = np.ascontiguousarray(rows.T).reshape(-1, self.joints * count)
+        count, channels = len(rows), self.layers[0][0].shape[1]
+        x = np.ascontiguousarray(rows.T).reshape(channels, self.joints * count)
         for place, (weights, bias) in enumerate(self.layers):
             out = np.empty((len(weights), x.shape[1]), dtype=np.float32)
             _affine(x, weights, bias, out)
