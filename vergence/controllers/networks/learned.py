@@ -61,7 +61,7 @@ def decode_velocity_action(action: ArrayLike) -> NDArray[np.float32]:
 class NetworkLoop:
     """The stages before and after a network, with one packed row of state per head.
 
-    The caller runs the network between `network_inputs` and `action`.
+    The caller runs the network between `network_inputs` and `command`.
 
     Args:
         inputs: inputs of the network, which include the head and the layout.
@@ -177,7 +177,7 @@ class NetworkController(StatefulController):
         return self._loop.linear_periods(state[0])
 
 
-class _BundledNetwork(NetworkController):
+class BundledNetwork(NetworkController):
     """A network with a manifest, which states what it was trained for.
 
     Args:
@@ -219,14 +219,14 @@ class _BundledNetwork(NetworkController):
         super().__init__(inputs, opened.network, self.kind == GAIN_SCHEDULE)
 
 
-class LearnedPolicy(_BundledNetwork):
-    """Actuator velocities from a network; the arguments are those of `_BundledNetwork`."""
+class LearnedPolicy(BundledNetwork):
+    """Actuator velocities from a network; the arguments are those of `BundledNetwork`."""
 
     kind = POLICY
 
 
-class LearnedGain(_BundledNetwork):
-    """The article's law with gains from a network; the arguments are those of `_BundledNetwork`."""
+class LearnedGain(BundledNetwork):
+    """The article's law with gains from a network; the arguments are those of `BundledNetwork`."""
 
     kind = GAIN_SCHEDULE
 
