@@ -29,7 +29,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.plant import HardwarePlant
-from vergence.hardware.safety.config import SafetyConfig
+from vergence.hardware.safety.limits import SafetyConfig
 from vergence.models.parts import FloatArray
 
 LONGEST_S = 8.0

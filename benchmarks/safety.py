@@ -19,8 +19,7 @@ from rich.console import Console
 from rich.progress import track
 
 from vergence import load_head
-from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
-from vergence.hardware.safety.motion import JointMotionLimiter
+from vergence.hardware.safety.limits import ForbiddenPosture, JointMotionLimiter, SafetyConfig
 from vergence.models.motion import follow_joint, lag_decay
 
 CHUNK = 100

@@ -80,7 +80,7 @@ def set_up(config: HardwareConfig, mistake: dict[str, Any]) -> HardwareConfig:
         servos = changed(changed(servos, one, id=ids[other]), other, id=ids[one])
     if "zero" in mistake:
         name, off_rad = mistake["zero"]
-        servos = changed(servos, name, zero_ticks=CENTRE_TICKS + round(off_rad / TICK_RAD))
+        servos = changed(servos, name, zero=CENTRE_TICKS + round(off_rad / TICK_RAD))
     if "gear" in mistake:
         name, gear_ratio = mistake["gear"]
         servos = changed(servos, name, gear_ratio=gear_ratio, lower_rad=-0.35, upper_rad=0.35)
@@ -136,7 +136,7 @@ def right(head: HeadModel, seed: int) -> str:
     for servo in config.servos:
         if servo.lower_rad < 0.0:  # else the joint's rest is its end stop
             off = round(rng.normal(0.0, ZERO_SIGMA_RAD) / TICK_RAD)
-            servos = changed(config.servos, servo.name, zero_ticks=CENTRE_TICKS + off)
+            servos = changed(config.servos, servo.name, zero=CENTRE_TICKS + off)
             config = dataclasses.replace(config, servos=servos)
     return begin(head, config, {}, world)
 

@@ -33,11 +33,11 @@ from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.replay import replay
 from vergence.hardware.cameras import EyeThread
 from vergence.hardware.config import load_hardware
+from vergence.hardware.drive import JointHistory
 from vergence.hardware.dynamixel import bus as dynamixel_bus
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.control_table import PRESENT_POSITION
 from vergence.hardware.dynamixel.packets import MOST_LENGTH, PacketParser, status_packet
-from vergence.hardware.history import JointHistory
 from vergence.models.head_file import head_to_toml
 from vergence.models.toml_table import toml_text
 from vergence.recording.log import read_log

@@ -1,12 +1,13 @@
 """A robot on a desk: two pan-tilt turrets, four servos that are set up as they should be."""
 
 import dataclasses
+from types import SimpleNamespace
 
 from tests.hardware.fakes import robot_config
 from tests.hardware.line import ServoLine, make_servo
 from vergence.hardware.config import BusConfig
 from vergence.hardware.dynamixel import bus as bus_module
-from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel import checks
 from vergence.hardware.dynamixel.packets import PacketParser
 
 
@@ -50,7 +51,8 @@ class TimelessLine:
         pass
 
 
-def timeless_bus(monkeypatch, servos, clock):
+def timeless_line(monkeypatch, servos, clock):
     line = TimelessLine(servos, clock)
     monkeypatch.setattr(bus_module, "SerialLine", lambda port, baud: line)
-    return Bus(line.port)
+    monkeypatch.setattr(checks, "os", SimpleNamespace(path=SimpleNamespace(exists=bool)))
+    return line

@@ -7,7 +7,9 @@ import cv2
 import numpy as np
 
 from vergence import load_head
-from vergence.hardware.config import CameraConfig, HardwareConfig, ServoConfig, actuator_slots
+from vergence.hardware.config import CameraConfig, HardwareConfig, actuator_slots
+from vergence.hardware.dynamixel.control_table import TICK_RAD
+from vergence.hardware.servos import ServoConfig
 from vergence.vision.targets import AprilTag
 
 
@@ -119,7 +121,7 @@ def robot_config(bus, head=HEAD, limit_rad=1.5, latency_s=0.1, **more):
         path="robot.toml", head=head, target=TAG, bus=bus,
         servos=tuple(
             ServoConfig(
-                name=name, slot=slot, id=id, zero_ticks=2048, sign=1, gear_ratio=1.0,
+                name=name, slot=slot, id=id, zero=2048, unit_rad=TICK_RAD, sign=1, gear_ratio=1.0,
                 lower_rad=max(-limit_rad, float(lower[slot])),
                 upper_rad=min(limit_rad, float(upper[slot])),
             )

@@ -17,7 +17,7 @@ from tests.naming import named
 from vergence.errors import HardwareError
 from vergence.hardware import cameras
 from vergence.hardware.cameras import EyeThread
-from vergence.hardware.history import JointHistory
+from vergence.hardware.drive import JointHistory
 from vergence.vision.objects.search import HeadSearch
 
 FRAME_S = HEAD.timing.frame_s

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.hardware.common_time import merge_pair, pixels_at_common_time
-from vergence.hardware.pairing import SearchedImage, SearchedPair
+from vergence.hardware.pairing import SearchedImage, SearchedPair, merge_pair, pixels_at_common_time
 from vergence.models.parts import EYES
 
 

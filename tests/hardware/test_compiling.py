@@ -9,7 +9,7 @@ from tests.hardware.virtual import VirtualRobot
 from vergence.controllers.controller import make_controller
 from vergence.envs import plant
 from vergence.envs import task as gaze_task
-from vergence.hardware.compiling import compile_loop_kernels
+from vergence.hardware.cameras import compile_loop_kernels
 from vergence.vision.tracking import Tracker
 
 

@@ -70,9 +70,9 @@ def test_a_complete_file_says_it_all(tmp_path):
     assert (bus.port, bus.baud_rate, bus.watchdog_s) == ("/dev/ttyUSB0", 1_000_000, 0.5)
     assert [servo.name for servo in config.servos] == list(actuator_slots(config.head))
     last = config.servos[-1]
-    assert (last.id, last.sign, last.gear_ratio, last.zero_ticks) == (4, -1, 1.5, 7)
+    assert (last.id, last.sign, last.gear_ratio, last.zero) == (4, -1, 1.5, 7)
     assert (last.lower_rad, last.upper_rad) == (-0.5, 0.75)
-    assert last.ticks_per_rad == pytest.approx(-1.5 * 4096 / (2.0 * np.pi))
+    assert last.unit_rad == pytest.approx(2.0 * np.pi / 4096)
     left, right = config.cameras
     assert (left.source, left.pixel_format, left.latency_s) == ("0", "MJPG", 0.08)
     assert (right.source, right.pixel_format) == ("http://127.0.0.1/right", "")

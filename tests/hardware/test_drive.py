@@ -36,7 +36,7 @@ def test_a_command_is_repeated_for_two_periods_more_and_then_the_joints_are_brak
 
 
 def test_a_policy_that_comes_back_in_time_goes_on_a_period_after_what_was_said_for_it(robot):
-    drive, period_s = robot.plant._open.drive, robot.plant.head.timing.period_s
+    drive, period_s = robot.plant.robot.drive, robot.plant.head.timing.period_s
     robot.clock.sleep(period_s)
     repeated_s = drive._repeated_s
     robot.plant.step(FAST)
@@ -47,7 +47,7 @@ def test_a_policy_that_comes_back_in_time_goes_on_a_period_after_what_was_said_f
 @pytest.mark.parametrize("error", [HardwareError("nobody answers"), RuntimeError("a mistake")])
 def test_what_goes_wrong_meanwhile_stops_the_head_and_not_the_thread(robot, monkeypatch, error):
     with monkeypatch.context() as broken:
-        broken.setattr(robot.plant._open.drive._servos, "sense", Mock(side_effect=error))
+        broken.setattr(robot.plant.robot.drive._servos, "read", Mock(side_effect=error))
         robot.clock.sleep(0.2)
     assert robot.plant.fault == str(error)
     assert goals(robot) == [0] * 4
@@ -57,7 +57,7 @@ def test_what_goes_wrong_meanwhile_stops_the_head_and_not_the_thread(robot, monk
 
 
 def test_the_thread_ends_with_the_drive(robot):
-    drive = robot.plant._open.drive
+    drive = robot.plant.robot.drive
     super(type(drive), drive).start()  # in real time: it has nothing to say, as all is at rest
     robot.plant.step(0.0 * FAST)
     robot.plant.close()
@@ -97,7 +97,7 @@ def test_who_has_not_begun_a_trial_may_not_step(monkeypatch):
     robot = VirtualRobot(monkeypatch)
     robot.begin()
     interrupt = Mock(side_effect=KeyboardInterrupt)
-    monkeypatch.setattr(robot.plant._open.drive._servos, "switch_on", interrupt)
+    monkeypatch.setattr(robot.plant.robot.drive._servos, "switch_on", interrupt)
     with pytest.raises(KeyboardInterrupt):
         robot.begin()
     with pytest.raises(HardwareError, match="expected a reset first"):
@@ -106,7 +106,7 @@ def test_who_has_not_begun_a_trial_may_not_step(monkeypatch):
 
 def test_a_child_process_leaves_the_servos_to_its_parent(robot, monkeypatch):
     watchdogs = robot.registers(table.BUS_WATCHDOG)
-    drive = robot.plant._open.drive
+    drive = robot.plant.robot.drive
     with monkeypatch.context() as child:
         child.setattr(drive, "_pid", -1)
         with pytest.raises(HardwareError, match="expected a reset first"):
@@ -117,7 +117,7 @@ def test_a_child_process_leaves_the_servos_to_its_parent(robot, monkeypatch):
 
 def test_a_servo_that_does_not_confirm_to_be_at_rest_keeps_its_watchdog(robot):
     robot.fault(what="lost", ids=[2])
-    robot.plant._open.close()
+    robot.plant.robot.close()
     assert [watchdog > 0 for watchdog in robot.registers(table.BUS_WATCHDOG)] == [0, 1, 0, 0]
 
 
@@ -127,7 +127,7 @@ def test_a_command_that_is_held_back_is_not_repeated_either(monkeypatch):
     robot.begin()
     monkeypatch.setattr(robot.eyes[0], "take_searched_images", list)
     monkeypatch.setattr(robot.eyes[1], "take_searched_images", list)
-    robot.plant._reading.visible[:] = False
+    robot.plant.reading.visible[:] = False
     fastest = []
     for _ in range(60):
         robot.plant.step(3.0 * FAST)

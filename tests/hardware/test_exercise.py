@@ -33,9 +33,9 @@ def test_a_target_that_appears_is_not_seen_in_images_of_before(monkeypatch, appe
 @pytest.mark.slow
 def test_joints_are_exercised_within_the_bounds_and_rest_afterwards(robot):
     robot.begin()
-    robot.plant.exercise(velocities(0.15, 60))
+    robot.plant.robot.exercise(velocities(0.15, 60))
     assert robot.world.servos["left_pan"].q == pytest.approx(0.15, abs=0.02)
-    robot.plant.exercise(velocities(50.0, 60))  # towards the limit, which it does not reach
+    robot.plant.robot.exercise(velocities(50.0, 60))  # towards the limit, which it does not reach
     now = robot.clock()
     robot.clock.sleep(0.5)
     assert robot.rested_s(now) < 0.3
@@ -51,5 +51,5 @@ def test_what_stops_a_robot_that_is_exercised_stays_its_fault(robot):
         yield from velocities(0.15, 10)
 
     with pytest.raises(HardwareError, match="the serial line is gone"):
-        robot.plant.exercise(until_the_cable_is_pulled())
+        robot.plant.robot.exercise(until_the_cable_is_pulled())
     assert "the serial line is gone" in robot.plant.fault

@@ -7,7 +7,8 @@ import pytest
 import vergence
 from tests.hardware.test_config import document, load
 from vergence.errors import ConfigurationError, UnreadableFileError
-from vergence.hardware import eyes, plant
+from vergence.hardware import cameras, plant
+from vergence.hardware.dynamixel.servos import DynamixelServos
 from vergence.hardware.gaze import EPISODE_S, GazeHardwareEnv
 
 
@@ -18,8 +19,8 @@ def config(tmp_path, monkeypatch):
     def opened(*_words):
         pytest.fail("nothing may be opened before the first reset")
 
-    monkeypatch.setattr(plant, "HeadServos", opened)
-    monkeypatch.setattr(eyes, "EyeThread", opened)
+    monkeypatch.setattr(DynamixelServos, "open", opened)
+    monkeypatch.setattr(cameras, "EyeThread", opened)
     return load(tmp_path, document())
 
 

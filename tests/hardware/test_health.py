@@ -8,11 +8,11 @@ from tests.hardware.desk import ready_servos
 from tests.naming import named
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.health import (
+from vergence.hardware.dynamixel.health import (
     Health,
-    HealthLevel,
     HealthLimits,
     HealthWatch,
+    Level,
     read_health,
     read_limits,
 )
@@ -64,13 +64,13 @@ def test_a_servo_that_does_not_answer_has_no_health(bus):
 
 
 JUDGED = [
-    ({}, HealthLevel.OK, False), ({"load": math.nan}, HealthLevel.OK, False),
-    ({"temperature_c": 61.0}, HealthLevel.OK, False),
-    ({"temperature_c": 62.0}, HealthLevel.WARN, False),
-    ({"temperature_c": 67.0}, HealthLevel.STOP, True), ({"voltage_v": 6.3}, HealthLevel.OK, False),
-    ({"voltage_v": 6.1}, HealthLevel.WARN, False), ({"voltage_v": 13.7}, HealthLevel.WARN, False),
-    ({"voltage_v": 5.9}, HealthLevel.STOP, False), ({"voltage_v": 14.1}, HealthLevel.STOP, False),
-    ({"load": -0.79}, HealthLevel.OK, False), ({"errors": 0b1}, HealthLevel.STOP, False),
+    ({}, Level.OK, False), ({"load": math.nan}, Level.OK, False),
+    ({"temperature_c": 61.0}, Level.OK, False),
+    ({"temperature_c": 62.0}, Level.WARN, False),
+    ({"temperature_c": 67.0}, Level.STOP, True), ({"voltage_v": 6.3}, Level.OK, False),
+    ({"voltage_v": 6.1}, Level.WARN, False), ({"voltage_v": 13.7}, Level.WARN, False),
+    ({"voltage_v": 5.9}, Level.STOP, False), ({"voltage_v": 14.1}, Level.STOP, False),
+    ({"load": -0.79}, Level.OK, False), ({"errors": 0b1}, Level.STOP, False),
 ]  # fmt: skip
 
 
@@ -78,15 +78,15 @@ def test_a_reading_is_judged_by_its_limits():
     for values, level, hot in JUDGED:
         verdict = HealthWatch(LIMITS).judge(Health(**FINE | values))
         with named(values):
-            assert (verdict.level, verdict.must_release_torque) == (level, hot)
-            assert bool(verdict.text) is (level is not HealthLevel.OK)
+            assert (verdict.level, verdict.is_hot) == (level, hot)
+            assert bool(verdict.text) is (level != Level.OK)
 
 
 def test_the_worst_decides_and_all_are_told():
     watch, worst = HealthWatch(LIMITS), {"temperature_c": 63.0, "voltage_v": 5.0, "load": 0.9}
     for _ in range(3):
         verdict = watch.judge(Health(**FINE | worst))
-    assert verdict.level is HealthLevel.STOP
+    assert verdict.level == Level.STOP
     assert [part.split(":")[0] for part in verdict.text.split("; ")] == [
         "temperature", "voltage", "load",
     ]  # fmt: skip
@@ -94,8 +94,8 @@ def test_the_worst_decides_and_all_are_told():
 
 def test_a_high_load_counts_at_the_third_reading_in_a_row():
     for loads, expected in (
-        ((0.96, 0.96, 0.5, -0.96, -0.96, -0.96), [*["ok"] * 5, "stop"]),
-        ((0.9, 0.9, 0.79, 0.8, -0.96, 0.9, 0.9), [*["ok"] * 5, "warn", "warn"]),
+        ((0.96, 0.96, 0.5, -0.96, -0.96, -0.96), [*[Level.OK] * 5, Level.STOP]),
+        ((0.9, 0.9, 0.79, 0.8, -0.96, 0.9, 0.9), [*[Level.OK] * 5, Level.WARN, Level.WARN]),
     ):
         watch = HealthWatch(LIMITS)
         assert [watch.judge(Health(**FINE | {"load": load})).level for load in loads] == expected

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.hardware.history import JointHistory
+from vergence.hardware.drive import JointHistory
 
 SPEED = np.array([0.5, 0.0, -1.0, 2.0, 0.0, 0.25, -3.0])
 

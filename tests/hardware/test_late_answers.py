@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.hardware.checks.line import cycle_timeout_s
+from vergence.hardware.dynamixel.checks import cycle_timeout_s
 
 STILL = np.zeros((1, 7))
 

@@ -11,8 +11,7 @@ from vergence.hardware.looker import RobotLooker
 
 @pytest.fixture
 def looker(monkeypatch, robot):
-    def plant(_head, config, log, view_check):
-        robot.plant._log = robot.plant._open.eyes._log = log
+    def plant(_head, config, view_check):
         return robot.plant
 
     monkeypatch.setattr(module, "load_hardware", lambda _path: robot.plant.config)

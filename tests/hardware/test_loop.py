@@ -7,10 +7,7 @@ import pytest
 from tests.hardware.test_config import document, load
 from tests.naming import named
 from vergence.errors import HeadFileError
-from vergence.hardware.config import load_hardware
-from vergence.hardware.config_edit import write_loop
-from vergence.hardware.config_parts import LoopConfig
-from vergence.hardware.loop import loop_variation
+from vergence.hardware.config import LoopConfig, load_hardware, loop_variation, write_loop
 from vergence.models.toml_table import toml_text
 
 LOOP = LoopConfig(

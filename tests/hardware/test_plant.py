@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from tests.hardware.desk import desk_config
-from tests.hardware.fakes import HEAD, FakeClock, LiveCapture, blank
+from tests.hardware.fakes import HEAD, LiveCapture, blank
 from tests.hardware.line import make_servo
 from vergence import load_head
 from vergence.errors import ChecksFailedError, ConfigurationError, Finding, HardwareError
 from vergence.hardware import cameras
-from vergence.hardware import plant as plant_module
+from vergence.hardware import robot as robot_module
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.plant import HardwarePlant
 
@@ -33,7 +33,7 @@ def test_a_camera_that_ends_ends_the_trial_and_a_line_that_is_gone_still_closes(
         return captures[-1]
 
     monkeypatch.setattr(cameras, "open_capture", open_capture)
-    monkeypatch.setattr(plant_module, "check_local_cameras", lambda _config: [])
+    monkeypatch.setattr(robot_module, "check_local_cameras", lambda _config: [])
     served = serve([make_servo(ident, lower=-3.2, upper=3.2) for ident in range(1, 5)])
     config = desk_config(served.port)
     # a watchdog that no busy machine lets trip
@@ -41,7 +41,7 @@ def test_a_camera_that_ends_ends_the_trial_and_a_line_that_is_gone_still_closes(
     plant = HardwarePlant(HEAD, config=config, view_check=False)
     plant.reset(PLACES, HEAD.rest()[None])
     captures[1].end()
-    plant._open.eyes.threads[1].join()
+    plant.robot.eyes.threads[1].join()
     plant.step(STILL)
     assert "cameras.right: 8: the stream ended" in plant.fault
     served.hang_up()
@@ -63,7 +63,6 @@ def test_nothing_has_torque_before_reset_and_preparing_twice_opens_once(robot):
     robot.plant.prepare()
     assert robot.eyes is opened
     assert robot.registers(table.TORQUE_ENABLE) == [0] * 4
-    assert robot.registers(table.OPERATING_MODE) == [table.VELOCITY_MODE] * 4
 
 
 @pytest.mark.slow
@@ -89,7 +88,7 @@ def test_a_trial_begins_at_rest_at_its_start_and_time_is_the_schedules(robot):
 def test_what_is_wrong_with_cameras_and_servos_is_told_at_once(robot, monkeypatch):
     robot.world.servos["right_pan"].set(table.HOMING_OFFSET, 5)
     dark = Finding(part="cameras.left", problem="expected images, got none")
-    monkeypatch.setattr(plant_module, "check_local_cameras", lambda _config: [dark])
+    monkeypatch.setattr(robot_module, "check_local_cameras", lambda _config: [dark])
     with pytest.raises(ChecksFailedError) as failed:
         robot.plant.prepare()
     assert [one.part for one in failed.value.findings] == ["servos: right_pan", "cameras.left"]
@@ -117,7 +116,7 @@ def test_a_watchdog_that_trips_ends_a_trial_but_not_the_wait_before_it(robot):
     assert robot.plant.fault == ""
     robot.clock.stand_still(1.0)
     robot.plant.step(STILL)
-    assert re.search(r"hear something every 0\.2 s, got", robot.plant.fault)
+    assert re.search(r"hear something every 0\.22 s, got", robot.plant.fault)
     robot.plant.close()
     assert robot.registers(table.BUS_WATCHDOG) == [0] * 4
 
@@ -159,22 +158,21 @@ def test_one_answer_that_misses_after_a_long_wait_is_no_silence(robot):
     robot.begin()
     robot.clock.stand_still(30.0)
     robot.fault(what="silent", ids=[1])
-    robot.plant._sense()
-    assert np.isfinite(robot.plant._history.newest()[1]).all()
+    robot.plant.robot.drive.sense()
+    assert np.isfinite(robot.plant.robot.history.newest().positions).all()
 
 
 def test_a_missed_period_is_skipped_on_the_grid(robot):
-    plant, clock = robot.plant, FakeClock()
-    plant._clock, plant._sleep = clock, clock.sleep
-    plant.begun_s = clock.now
-    plant._wait()
-    assert (plant._tick, plant.overruns) == (1, 0)
-    clock.sleep(3.5 * plant._period_s)
-    plant._wait()
+    robot.begin()
+    drive, clock = robot.plant.robot.drive, robot.clock
+    robot.plant.step(STILL)
+    assert (drive.tick, robot.plant.overruns) == (1, 0)
+    clock.stand_still(3.5 * HEAD.timing.period_s)
+    robot.plant.step(STILL)
     # period 2 was due long ago, and so were 3 and 4
-    assert (plant._tick, plant.overruns) == (4, 2)
-    plant._wait()
-    assert clock.now == pytest.approx(plant.begun_s + 5 * plant._period_s)
+    assert (drive.tick, robot.plant.overruns) == (4, 2)
+    reading = robot.plant.step(STILL)
+    assert reading.time_s[0] == pytest.approx(5 * HEAD.timing.period_s)
 
 
 def test_a_plant_that_nobody_holds_any_more_is_closed(robot):

@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,11 +19,9 @@ from tests.hardware.virtual import VirtualRobot
 from tests.naming import named
 from vergence.errors import ChecksFailedError
 from vergence.hardware.checks.cameras import CameraRequest, check_cameras
-from vergence.hardware.checks.line import open_bus
-from vergence.hardware.checks.servos import check_servos
-from vergence.hardware.config import BusConfig
+from vergence.hardware.checks.listing import check_servos
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel.checks import open_bus
 from vergence.vision import image
 
 PORT = "/dev/ttyUSB0"
@@ -68,9 +67,12 @@ SERVOS = {
 
 def found(serve, servos, **served):
     line = serve(servos, **served)
-    bus = Bus(line.port, single_timeout_s=0.01)
-    findings = check_servos(desk_config(line.port), bus)
-    bus.close()
+    config = desk_config(line.port)
+    own = config.make_servos(time.monotonic)
+    own.open()
+    own._bus.single_timeout_s = 0.01
+    findings = check_servos(config, own)
+    own.close()
     return "\n".join(map(str, findings)).replace(line.port, PORT)
 
 
@@ -145,7 +147,7 @@ def test_the_line_of_a_port_without_permission(monkeypatch, tmp_path):
 
     monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(ChecksFailedError) as failed:
-        open_bus(BusConfig(port=str(port)))
+        open_bus(str(port), 1_000_000)
     assert str(failed.value).replace(str(port), PORT) == LISTED["permission"]
 
 

@@ -1,15 +1,14 @@
 """The search for servos on an unknown line, and its command."""
 
-import sys
-
 import pytest
+import serial
 
 from tests.commands.test_failures import call
 from tests.hardware.desk import ready_servos
 from tests.naming import named
-from vergence.hardware import scan as scanning
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.scan import ALL_BAUD_RATES, scan_for_servos
+from vergence.hardware.dynamixel import scan as scanning
+from vergence.hardware.dynamixel.scan import ALL_BAUD_RATES, scan_for_servos
 
 QUICK = {"broadcast_wait_per_id_s": 1e-4, "baud_rates": (2_000_000, 1_000_000)}
 
@@ -43,11 +42,17 @@ def test_servos_that_tell_only_their_model_are_listed(serve):
 
 
 def test_a_rate_that_cannot_be_set_is_left_out_with_its_reason(serve, monkeypatch):
-    monkeypatch.setitem(sys.modules, "serial", None)
+    def opened(port, baud, **options):
+        if baud == 123_456:
+            raise ValueError("Failed to set custom baud rate")
+        return Serial(port, baud, **options)
+
+    Serial = serial.Serial
+    monkeypatch.setattr(serial, "Serial", opened)
     options = QUICK | {"baud_rates": (123_456, 1_000_000)}
     found = scan_for_servos(serve(ready_servos()).port, **options)
     assert len(found.servos) == 4
-    assert "expected pyserial for 123456 baud" in found.unsupported_rates[123_456]
+    assert "expected 123456 baud, got Failed to set" in found.unsupported_rates[123_456]
 
 
 def run(monkeypatch, *words):

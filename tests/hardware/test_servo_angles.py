@@ -1,17 +1,19 @@
 """Between joints and ticks: signs, zeros, gears, what is believed, and what is rounded off."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vergence import load_head
-from vergence.hardware.config import ServoConfig, actuator_slots
+from vergence.hardware.config import actuator_slots
 from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.servos import DynamixelServos
 from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.servo import EmulatedServo
-from vergence.hardware.servo_angles import ServoAngles
-from vergence.hardware.servo_memory import MOTION_SPAN
+from vergence.hardware.servos import JointAngles, ServoConfig, ServoReading
 
 TURRETS, ICUB = load_head("turrets"), load_head("icub")
 WIRINGS = st.tuples(st.sampled_from([1, -1]), st.sampled_from([0.5, 1.0]), st.integers(0, 4095))
@@ -21,11 +23,23 @@ def configs(head, sign=1, gear_ratio=1.0, zero_ticks=2048):
     lower, upper = 0.9 * head.actuation.lower, 0.9 * head.actuation.upper
     return tuple(
         ServoConfig(
-            name=name, slot=slot, id=ident, zero_ticks=zero_ticks, sign=sign,
+            name=name, slot=slot, id=ident, zero=zero_ticks, unit_rad=table.TICK_RAD, sign=sign,
             gear_ratio=gear_ratio, lower_rad=float(lower[slot]), upper_rad=float(upper[slot]),
         )
         for ident, (name, slot) in enumerate(actuator_slots(head).items(), 1)
     )  # fmt: skip
+
+
+def reading(servos, time_s, silent=()):
+    """What a bus reads of emulated servos."""
+    told = [one.read(*table.MOTION_SPAN)[1] for one in servos]
+    ticks = [
+        [table.PRESENT_POSITION.decode(data[4:]) for data in told],
+        [table.PRESENT_VELOCITY.decode(data[:4]) for data in told],
+    ]
+    ages_s = np.where(np.isin(np.arange(len(servos)), silent), np.inf, 0.0)
+    units = np.array([[table.TICK_RAD], [table.TICK_RAD_S]])
+    return ServoReading(time_s, *(np.array(ticks) * units), ages_s)
 
 
 class Rig:
@@ -47,19 +61,25 @@ class Rig:
         for servo in self.line.servos:
             servo.write(table.OPERATING_MODE.address, bytes([table.VELOCITY_MODE]))
             servo.write(table.TORQUE_ENABLE.address, b"\1")
-        self.servos = ServoAngles(self.configs, head)
-        self.servos.limit_ticks = {one.id: limit_ticks for one in self.configs}
+        self.servos = JointAngles(self.configs, head)
+        self.bus, self.sent = DynamixelServos(self.configs, head, port=""), {}
+        self.bus._line = Mock(sync_write=lambda register, values: self.sent.update(values))
+        self.bus._limit_ticks[:], self.bus._torque[:] = limit_ticks, True
         self.now = 0.0
         self.line.advance_to(0.0)
         self.sense()
 
     def sense(self):
-        answers = {servo.id: servo.read(*MOTION_SPAN)[1] for servo in self.line.servos}
-        self.servos.update(answers, self.now)
+        self.servos.update(reading(self.line.servos, self.now))
+
+    def send(self, velocity):
+        """What the servos get, in ticks, and what it says that it has sent."""
+        sent = self.servos.velocities(self.bus.send(self.servos.shaft_speeds(velocity)))
+        return self.sent, sent
 
     def step(self, velocity):
         """One control period, as the plant makes it; what it says that it has sent."""
-        ticks, sent = self.servos.velocities_to_ticks(velocity)
+        ticks, sent = self.send(velocity)
         for servo in self.line.servos:
             goal = table.GOAL_VELOCITY
             assert servo.write(goal.address, goal.encode(ticks[servo.id])) == 0
@@ -111,7 +131,7 @@ def test_what_is_rounded_off_is_carried_over():
     rig = Rig(TURRETS)
     told = np.zeros(7)
     told[3:] = np.array([0.3, -0.3, 1.7, -2.45]) * table.TICK_RAD_S
-    sent = np.array([rig.servos.velocities_to_ticks(told)[1] for _ in range(200)])
+    sent = np.array([rig.send(told)[1] for _ in range(200)])
     assert sent.mean(axis=0) == pytest.approx(told, abs=table.TICK_RAD_S / 200)
 
 
@@ -119,9 +139,9 @@ def test_zero_is_zero_at_once():
     rig = Rig(TURRETS)
     told = np.zeros(7)
     told[3:] = 0.4 * table.TICK_RAD_S
-    rig.servos.velocities_to_ticks(told)
+    rig.send(told)
     for _ in range(3):
-        ticks, sent = rig.servos.velocities_to_ticks(np.zeros(7))
+        ticks, sent = rig.send(np.zeros(7))
         assert set(ticks.values()) == {0}
         assert (sent == 0.0).all()
 
@@ -130,11 +150,11 @@ def test_a_servos_own_limit_bounds_what_is_sent():
     # a sync write beyond VELOCITY_LIMIT is dropped by the servo without a word
     rig = Rig(TURRETS, limit_ticks=100)
     told = np.array([0.0, 0.0, 0.0, 5.0, -5.0, 5.0, -5.0])
-    ticks, sent = rig.servos.velocities_to_ticks(told)
+    ticks, sent = rig.send(told)
     assert list(ticks.values()) == [100, -100, 100, -100]
     assert sent[3:] == pytest.approx(np.array([1, -1, 1, -1]) * 100 * table.TICK_RAD_S)
-    rig.servos.velocities_to_ticks(told)
-    ticks, _sent = rig.servos.velocities_to_ticks(np.zeros(7))
+    rig.send(told)
+    ticks, _sent = rig.send(np.zeros(7))
     assert set(ticks.values()) == {0}
 
 
@@ -156,37 +176,53 @@ def test_a_servo_that_misses_a_question_goes_on_as_it_went():
         rig.step(np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]))
     rig.now += 0.02
     rig.line.advance_to(rig.now)
-    answers = {one.id: one.read(*MOTION_SPAN)[1] for one in rig.line.servos[1:]}
-    rig.servos.update(answers, rig.now)
+    rig.servos.update(reading(rig.line.servos, rig.now, silent=(0,)))
     assert rig.servos.angles == pytest.approx(rig.true, abs=2e-3)
 
 
 def test_an_angle_that_nobody_has_told_is_not_known():
-    servos = ServoAngles(configs(TURRETS), TURRETS)
+    servos = JointAngles(configs(TURRETS), TURRETS)
     rig = Rig(TURRETS)
-    answers = {one.id: one.read(*MOTION_SPAN)[1] for one in rig.line.servos}
-    servos.update({1: answers[1]}, 0.0)
+    servos.update(reading(rig.line.servos, 0.0, silent=(1, 2, 3)))
     assert not servos.all_reported
-    servos.update(answers, 0.1)
+    servos.update(reading(rig.line.servos, 0.1))
     assert servos.all_reported
     assert np.isfinite(servos.angles).all()
 
 
-def answer(angle, speed=0.0):
-    speed_ticks, ticks = round(speed / table.TICK_RAD_S), 2048 + round(angle / table.TICK_RAD)
-    return speed_ticks.to_bytes(4, "little", signed=True) + ticks.to_bytes(4, "little", signed=True)
+def told(time_s, angles, speeds=0.0, age_s=0.0):
+    """A reading of four servos whose joints are at some angles, rad."""
+    ticks = 2048 + np.rint(np.full(4, angles) / table.TICK_RAD)
+    return ServoReading(time_s, ticks * table.TICK_RAD, np.zeros(4) + speeds, np.zeros(4) + age_s)
 
 
-@pytest.mark.parametrize("wild", [answer(0.9), answer(0.0, 20.0)])
-def test_what_no_joint_can_do_is_not_believed(wild):
-    servos = ServoAngles(configs(TURRETS), TURRETS)
-    assert servos.update({i: answer(0.0) for i in range(1, 5)}, 0.0) == {1, 2, 3, 4}
-    assert servos.update({**{i: answer(0.01) for i in range(1, 5)}, 2: wild}, 0.02) == {1, 3, 4}
+@pytest.mark.parametrize(("angle", "speed"), [(0.9, 0.0), (0.0, 20.0), (np.nan, 0.0)])
+def test_what_no_joint_can_do_is_not_believed(angle, speed):
+    servos = JointAngles(configs(TURRETS), TURRETS)
+    assert servos.update(told(0.0, 0.0)).all()
+    wild = told(0.02, [0.01, angle, 0.01, 0.01], [0.0, speed, 0.0, 0.0])
+    assert servos.update(wild).tolist() == [True, False, True, True]
     assert servos.angles[servos.has_servo].max() < 0.02
-    assert servos.reading_ages_s(0.02).max() == 0.02
+    assert servos.ages_s(0.02).max() == 0.02
 
 
 def test_a_joint_that_nobody_has_asked_for_long_may_be_anywhere():
-    servos = ServoAngles(configs(TURRETS), TURRETS)
-    servos.update({i: answer(0.0) for i in range(1, 5)}, 0.0)
-    assert servos.update({i: answer(1.2) for i in range(1, 5)}, 5.0) == {1, 2, 3, 4}
+    servos = JointAngles(configs(TURRETS), TURRETS)
+    servos.update(told(0.0, 0.0))
+    assert servos.update(told(5.0, 1.2)).all()
+
+
+def test_speeds_that_no_servo_reports_are_those_of_the_angles():
+    servos = JointAngles(configs(TURRETS), TURRETS, reports_speed=False)
+    for k in range(40):
+        missed = np.where((np.arange(4) == 1) & (k % 7 == 3), np.inf, 0.0)
+        servos.update(told(k / 60.0, 0.5 * k / 60.0, np.nan, missed))
+    assert servos.speeds[servos.has_servo] == pytest.approx(0.5, abs=0.1)
+    assert servos.angles[servos.has_servo] == pytest.approx(0.5 * 39 / 60.0, abs=2e-3)
+
+
+def test_a_reading_that_is_old_is_carried_on_at_its_speed():
+    servos = JointAngles(configs(TURRETS), TURRETS)
+    servos.update(told(1.0, 0.2, 1.0, 0.03))
+    assert servos.angles[servos.has_servo] == pytest.approx(0.23, abs=1e-3)
+    assert servos.ages_s(1.0)[3:] == pytest.approx(0.03)

@@ -8,7 +8,6 @@ import pytest
 from vergence.errors import HardwareError, VergenceWarning
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import ErrorNumber
-from vergence.hardware.still import ReadOnlyServos
 
 FACTORY_SHUTDOWN = 0b110100
 CHANGED = (
@@ -56,13 +55,17 @@ def test_a_register_that_shapes_motion_is_set_and_said(robot, register, old, new
     servo.set(register, old)
     if torque:
         hold(servo)
-    caplog.set_level(logging.INFO, "vergence.hardware.servo_settings")
+    caplog.set_level(logging.INFO, "vergence.hardware.dynamixel.servos")
     said = f"left_tilt: expected {new} in {register.name}, got {old}, which is"
     with pytest.warns(VergenceWarning, match=said):
-        robot.plant.prepare()
+        robot.begin()
     assert servo.get(register) == new
-    assert servo.get(table.TORQUE_ENABLE) == torque
-    said = [one.message for one in caplog.records if one.name.endswith("servo_settings")]
+    assert servo.get(table.TORQUE_ENABLE) == 1
+    said = [
+        one.message
+        for one in caplog.records
+        if one.name.endswith("dynamixel.servos") and "expected" in one.message
+    ]
     assert [register.name in line for line in said] == [True]
     robot.plant.close()
     # the RAM forgets by itself
@@ -99,7 +102,8 @@ def test_what_was_changed_is_put_back_if_another_servo_ends_the_start(robot, mon
     first.set(table.SHUTDOWN, FACTORY_SHUTDOWN)
     monkeypatch.setattr(servo, "write", lambda _address, _data: ErrorNumber.RESULT_FAIL)
     with pytest.raises(HardwareError, match="servos: left_tilt: id 2"):
-        robot.plant.prepare()
+        robot.begin()
+    robot.plant.close()
     assert first.get(table.SHUTDOWN) == FACTORY_SHUTDOWN
 
 
@@ -115,7 +119,7 @@ def test_a_joint_that_moves_does_not_lose_its_torque(robot, monkeypatch):
 
     monkeypatch.setattr(servo, "_report", moving)
     with pytest.raises(HardwareError, match="left_tilt: expected a joint at rest"):
-        robot.plant.prepare()
+        robot.begin()
     assert (servo.get(table.SHUTDOWN), servo.get(table.TORQUE_ENABLE)) == (FACTORY_SHUTDOWN, 1)
 
 
@@ -132,7 +136,8 @@ def test_a_servo_that_refuses_a_setting_runs_and_is_told_of(robot, monkeypatch):
 def test_servos_that_are_only_read_keep_their_settings(robot):
     for register, old, *_ in CHANGED[:5]:
         second(robot).set(register, old)
-    ReadOnlyServos(robot.plant.config, robot.clock).close()
+    robot.plant.prepare()
+    robot.plant.close()
     for register, old, *_ in CHANGED[:5]:
         assert second(robot).get(register) == old, register.name
 
@@ -141,7 +146,7 @@ def test_a_slow_eeprom_is_waited_for(robot):
     for servo in robot.world.servos.values():
         servo.set(table.OPERATING_MODE, table.POSITION_MODE)
         servo.eeprom_write_s = 0.06
-    robot.plant.prepare()
+    robot.begin()
     assert robot.registers(table.OPERATING_MODE) == [table.VELOCITY_MODE] * 4
 
 

@@ -6,7 +6,7 @@ import pytest
 from tests.hardware.virtual import VirtualRobot
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.safety.config import ForbiddenPosture
+from vergence.hardware.safety.limits import ForbiddenPosture
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_a_start_behind_a_forbidden_posture_names_what_is_in_the_way(robot):
 
 def test_a_joint_at_its_middle_is_proved_before_it_is_driven_fast(robot):
     robot.begin()
-    assert robot.plant._supervisor.proved_joints[3:].all()
+    assert robot.plant.robot.supervisor.proved_joints[3:].all()
 
 
 def test_an_overload_before_the_start_names_the_joint_and_what_to_do(robot):
@@ -51,7 +51,7 @@ def test_beginning_anew_brakes_a_moving_head_first(monkeypatch):
     for _ in range(12):
         robot.plant.step(fast)
     moved, speeds, sleep = robot.world.servos["right_pan"], [], robot.clock.sleep
-    robot.plant._open.drive._sleep = lambda seconds: (
+    robot.plant.robot.drive._sleep = lambda seconds: (
         speeds.append(moved.get(table.GOAL_VELOCITY)) or sleep(seconds)
     )
     robot.begin()

@@ -6,17 +6,17 @@ import numpy as np
 
 from tests.hardware.fakes import HEAD, FakeClock, camera_config, robot_config
 from vergence.errors import HardwareError
-from vergence.hardware import plant
+from vergence.hardware import robot as robot_module
+from vergence.hardware.cameras import HeadEyes
 from vergence.hardware.config import BusConfig
 from vergence.hardware.drive import DriveThread
 from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import PacketParser
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.world import World
-from vergence.hardware.eyes import HeadEyes
 from vergence.hardware.pairing import SearchedImage
 from vergence.hardware.plant import HardwarePlant
-from vergence.hardware.safety.config import SafetyConfig
+from vergence.hardware.safety.limits import SafetyConfig
 
 WATCHDOG_S = 0.2
 LIMIT_RAD = 1.4
@@ -27,11 +27,11 @@ class VirtualLine:
     """The servos' line of a world, in place of `SerialLine`."""
 
     def __init__(self, world, clock, baud):
-        self.port, self._world, self._clock, self._baud = PORT, world, clock, baud
+        self.port, self._world, self._clock, self.baud = PORT, world, clock, baud
         self._parser, self._due = PacketParser(), []
 
     def wire_s(self, count):
-        return 10.0 * count / self._baud
+        return 10.0 * count / self.baud
 
     def _check(self):
         self._world.advance_to(self._clock())
@@ -42,7 +42,7 @@ class VirtualLine:
         self._check()
         now = self._clock()
         for packet in self._parser.feed(data):
-            answers = self._world.answer(packet, now, self._baud)
+            answers = self._world.answer(packet, now, self.baud)
             wire_s = self.wire_s(len(data) + sum(len(answer) for _, answer in answers))
             self._due += [(now + late_s + wire_s, answer) for late_s, answer in answers]
         self._due.sort(key=lambda one: one[0])
@@ -208,15 +208,15 @@ class VirtualRobot:
         monkeypatch.setattr(bus, "time", SimpleNamespace(monotonic=self.clock))
         self.config = config or virtual_config(**safety)
         monkeypatch.setattr(DriveThread, "start", lambda drive: setattr(self.clock, "drive", drive))
-        monkeypatch.setattr(plant, "compile_loop_kernels", lambda _head, _target: None)
-        monkeypatch.setattr(plant, "check_local_cameras", lambda _config: [])
+        monkeypatch.setattr(robot_module, "compile_loop_kernels", lambda _head, _target: None)
+        monkeypatch.setattr(robot_module, "check_local_cameras", lambda _config: [])
         monkeypatch.setattr(HeadEyes, "open", lambda eyes, _idle: self._open_cameras(eyes))
         self.options = {
             "clock": self.clock, "sleep": self.clock.sleep,
             "view_check": isinstance(self.world, WatchedWorld), **(plant_options or {}),
         }  # fmt: skip
         self.plant = HardwarePlant(self.config.head, config=self.config, **self.options)
-        self.plant._supervisor.proved_joints[:] |= not self.proves
+        self.plant.robot.supervisor.proved_joints[:] |= not self.proves
 
     def _open_cameras(self, eyes):
         if isinstance(self.world, WatchedWorld):

@@ -42,19 +42,22 @@ class Jog:
     def run(self) -> int:
         """Run the command."""
         require_modules("robot", "tomlkit")
-        from vergence.hardware.checks.line import open_bus
-        from vergence.hardware.checks.servos import check_servos, raise_errors
+        import time
+
+        from vergence.hardware.checks.listing import check_servos, raise_errors
         from vergence.hardware.config import load_hardware
         from vergence.hardware.jog import Jogger as Joints
 
         config = load_hardware(self.config)
         step_rad = _step(self.step)
         interrupts.raise_on_termination()
-        bus, session = open_bus(config.bus), None
+        servos, session = config.make_servos(time.monotonic), None
+        servos.open()
         try:
-            for finding in raise_errors(check_servos(config, bus, check_joint_in_limits=False)):
+            findings = check_servos(config, servos, check_joint_in_limits=False)
+            for finding in raise_errors(findings):
                 print_to_stderr(f"warning: {finding}")
-            session = JogSession(Joints(config, bus), self.config, step_rad, _say)
+            session = JogSession(Joints(config, servos), self.config, step_rad, _say)
             session.print_introduction()
             _execute_all(session, sys.stdin)
             session.warn_if_unwritten()
@@ -63,7 +66,7 @@ class Jog:
                 raise KeyboardInterrupt(f"{self.config} is written") from None
             raise
         finally:
-            bus.close()
+            servos.close()
         return int(session.failed and not sys.stdin.isatty())
 
 
@@ -131,7 +134,7 @@ class JogSession:
                 self._refuse(" ".join(words))
 
     def _write(self) -> None:
-        from vergence.hardware.config_edit import write_servos
+        from vergence.hardware.config import write_servos
 
         write_servos(self._path, self._jog.servos.values())
         self._written, self.wrote = dict(self._jog.servos), True
@@ -145,8 +148,8 @@ class JogSession:
         servo = self._jog.servos[name]
         self._say(
             f"{name}: {round(self._jog.angle(name), 3) + 0.0:.3f} rad of {servo.lower_rad:.3f} to "
-            f"{servo.upper_rad:.3f}, position {self._jog.ticks(name)}, zero_ticks "
-            f"{servo.zero_ticks}, sign {servo.sign}"
+            f"{servo.upper_rad:.3f}, position {servo.position_text(self._jog.position(name))}, "
+            f"{servo.zero_key} {servo.zero:g}, sign {servo.sign}"
         )
 
     def _refuse(self, text: str) -> None:

@@ -42,8 +42,7 @@ class MeasureDelay:
         """Run the command."""
         if self.write:
             require_modules("robot", "tomlkit")
-        from vergence.hardware.config import load_hardware
-        from vergence.hardware.config_edit import write_loop
+        from vergence.hardware.config import load_hardware, write_loop
         from vergence.hardware.delay.measure import actuator_slot, measure_loop
         from vergence.models.parts import EYE_NAMES
 

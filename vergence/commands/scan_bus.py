@@ -11,7 +11,7 @@ from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.hardware.scan import FoundServo, ScanResult
+    from vergence.hardware.dynamixel.scan import ScanResult
 
 _COLUMNS: Final = (
     *("id", "model", "firmware", "baud", "mode", "torque", "V", "C", "position"),
@@ -40,12 +40,11 @@ class ScanBus:
     def run(self) -> int:
         """Run the command."""
         ids = _ids(self.ids)
-        from vergence.hardware.checks.line import check_latency_timer, open_bus
-        from vergence.hardware.config import BusConfig
-        from vergence.hardware.scan import scan_for_servos
+        from vergence.hardware.dynamixel.checks import check_latency_timer, open_bus
+        from vergence.hardware.dynamixel.scan import scan_for_servos
 
         # reports a port that cannot be opened once, not for each rate
-        open_bus(BusConfig(port=self.port, baud_rate=57_600)).close()
+        open_bus(self.port, 57_600).close()
         with progress_bar("scan-bus") as report:
             found = scan_for_servos(self.port, single_ping_ids=ids, progress=report)
         for rate, why in found.unsupported_rates.items():
@@ -56,7 +55,7 @@ class ScanBus:
         if not found.servos:
             _say_nobody(self.port, found)
             return 1
-        print_table(_COLUMNS, [_row(servo) for servo in found.servos], wrapped=(1, 4, 9))
+        print_table(_COLUMNS, [servo.row() for servo in found.servos], wrapped=(1, 4, 9))
         for ident, rate in found.equal_ids:
             print_to_stderr(
                 f"error: id {ident}: expected one servo at {rate} baud, got two or more, whose "
@@ -76,35 +75,6 @@ def _ids(text: str | None) -> range | None:
     raise ConfigurationError(
         f"ids: expected A-B or A within 0 to {_MAX_SERVO_ID}, got {text!r:.80}"
     )
-
-
-def _row(servo: "FoundServo") -> list[str]:
-    from vergence.hardware.dynamixel import control_table as table
-    from vergence.hardware.servo_memory import describe_fault_bits, model_name
-
-    known = [str(servo.id), model_name(servo.model_number)]
-    memory = servo.memory
-    if memory is None:
-        return [*known, "", str(servo.baud_rate), "", "", "", "", "", ""]
-    mode = memory.get(table.OPERATING_MODE)
-    return [
-        *known,
-        str(memory.get(table.FIRMWARE_VERSION)),
-        str(servo.baud_rate),
-        _mode(mode),
-        "on" if memory.get(table.TORQUE_ENABLE) else "off",
-        f"{0.1 * memory.get(table.PRESENT_INPUT_VOLTAGE):.1f}",
-        str(memory.get(table.PRESENT_TEMPERATURE)),
-        str(memory.get(table.PRESENT_POSITION)),
-        describe_fault_bits(memory.get(table.HARDWARE_ERROR_STATUS)) or "-",
-    ]
-
-
-def _mode(mode: int) -> str:
-    """Name of a value of OPERATING_MODE."""
-    words = {0: "current", 1: "velocity", 3: "position", 4: "extended position"}
-    words |= {5: "current-based position", 16: "PWM"}
-    return words.get(mode, str(mode))
 
 
 def _say_nobody(port: str, found: "ScanResult") -> None:

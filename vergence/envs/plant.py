@@ -152,7 +152,7 @@ class Plant(ABC):
 
 
 PLANTS: Final[dict[str, str]] = {
-    "hardware": "vergence.hardware.plant:HardwarePlant",
+    "hardware": "vergence.hardware.emulated:RobotPlant",
     "kinematic": "vergence.envs.plants.kinematic:KinematicPlant",
     "mujoco": "vergence.envs.plants.mujoco:MujocoPlant",
     "rendered": "vergence.envs.plants.rendered:RenderedPlant",

@@ -27,42 +27,475 @@
 The control rate, the frame rate, the latency and the limits come from the head file.
 """
 
+import dataclasses
 import os
+import re
 import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
+
+from vergence.entry_points import (
+    EntryPoint,
+    accepted_arguments,
+    is_entry_point,
+    user_error_with_place,
+)
+from vergence.envs.plants.conditions import (
+    IMPERFECTIONS,
+    Variation,
+    is_valid_range,
+    make_variation,
+    valid_range_text,
+)
 from vergence.errors import (
     ConfigurationError,
     HeadFileError,
     MistakesError,
     UnreadableFileError,
     VergenceError,
+    refuse_unknown,
 )
-from vergence.hardware.config_parts import (
-    BusConfig,
-    CameraConfig,
-    LoopConfig,
-    MeasuredTarget,
-    ServoConfig,
-    actuator_slots,
-)
-from vergence.hardware.config_tables import (
-    MistakeCollector,
-    read_bus,
-    read_camera,
-    read_emulator,
-    read_loop,
-    read_measured_targets,
-    read_servos,
-)
-from vergence.hardware.safety.config import SafetyConfig, parse_safety
+from vergence.files import write_atomic
+from vergence.hardware.dynamixel.servos import DynamixelServos
+from vergence.hardware.safety.limits import SafetyConfig, parse_safety
+from vergence.hardware.servos import ServoConfig, Servos, guard
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head, presets
-from vergence.models.parts import EYE_NAMES
+from vergence.models.head_joints import RADIANS
+from vergence.models.parts import EYE_NAMES, NECK, FloatArray
 from vergence.models.toml_table import Rule, Table
 from vergence.vision.objects.targets import GazeTarget, parse_gaze_target
+from vergence.vision.targets import AprilTag, Target, parse_target
+
+KINDS: Final[dict[str, type[Servos]]] = {"dynamixel": DynamixelServos}
+"""Kinds of buses by their name in `[bus]`; `module:class` is somebody's own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BusConfig:
+    """The bus of the servos."""
+
+    kind: str = "dynamixel"
+    """One of `KINDS`, or `module:class` of a `vergence.hardware.servos.Servos`."""
+    port: str = ""
+    """Device file of a serial line."""
+    baud_rate: int = 1_000_000
+    """Its baud rate, bit/s."""
+    watchdog_s: float = 0.2
+    """Watchdog time: without a packet for so long the servos stop by themselves, s."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """All other keys, for a bus of somebody's own."""
+    servos_type: type[Servos] = DynamixelServos
+    """The class of the bus."""
+
+    def make(
+        self, servos: Sequence[ServoConfig], head: HeadModel, clock: Callable[[], float]
+    ) -> Servos:
+        """Make the servos of a head, still closed.
+
+        Raises:
+            ConfigurationError: a bus of somebody's own cannot be made.
+        """
+        if self.kind in KINDS:
+            wire = {"port": self.port, "baud_rate": self.baud_rate, "watchdog_s": self.watchdog_s}
+            return self.servos_type(servos, head, clock, **wire)
+        try:
+            return guard(self.servos_type(servos, head, clock, **self.options))
+        except Exception as error:
+            raise ConfigurationError(
+                f"bus.kind {self.kind}: cannot be made: {user_error_with_place(error)}"
+            ) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraConfig:
+    """One eye's camera."""
+
+    eye: int
+    """0 for left, 1 for right."""
+    source: str
+    """Camera number, device file or URL, as for `vergence detect --live`."""
+    pixel_format: str
+    """Requested pixel format, four letters such as MJPG; empty for the camera's default."""
+    latency_s: float
+    """Latency from exposure to receipt, s."""
+    exposure_s: float | None = None
+    """Fixed exposure time of a camera of this machine, s; None leaves its setting."""
+
+    @property
+    def name(self) -> str:
+        """Name of the camera in messages."""
+        return f"cameras.{EYE_NAMES[self.eye]}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopConfig:
+    """Loop timing and motor response from `vergence measure-delay`; replaces that of the head file.
+
+    The latency of the encoder feedback itself is not included: commands and images are dated by
+    the encoder readings, and only time differences from these can be measured.
+    """
+
+    measured: str
+    """Date of the measurement."""
+    command_latency_s: float
+    """Latency from a command to the motors' response in the encoder readings, s."""
+    lag_s: float
+    """Time constant of the motors' response, as a head's `timing.lag_s`, s; an actuator with its
+    own lag keeps its ratio to this one."""
+    speed_gain: float
+    """Steady-state speed per commanded speed."""
+    computing_s: float
+    """Computing time: image to detection plus reading to command, s."""
+    backlash_rad: float | None = None
+    """Backlash (play) between encoders and cameras, rad; None, like the values below, if not
+    measured."""
+    jitter_s: float | None = None
+    """Greatest delay of an image beyond its camera's latency, s."""
+    acceleration_ratio: float | None = None
+    """Greatest acceleration as a ratio to the head file's; None if it was not reached."""
+    sigma: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations by the names of the values."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredTarget:
+    """A target at a measured point."""
+
+    target: Target
+    """Target that the cameras detect there."""
+    point: FloatArray
+    """(3,) centre of the target in the frame N, m."""
+
+
+def actuator_slots(head: HeadModel) -> dict[str, int]:
+    """Neck joints and eye actuators that need a servo: index into the 7-element command by name."""
+    slots = {name: slot for slot, name in enumerate(head.joints[NECK]) if name}
+    return slots | {name: NECK.stop + i for i, name in enumerate(head.actuation.names)}
+
+
+_WATCHDOG_PERIODS: Final = 3
+"""Least watchdog time, control periods: one late period must not trip it (chosen)."""
+_ID: Final[Rule] = (lambda x: 0 <= x <= 252, "a servo's id, 0 to 252")
+_BAUD: Final[Rule] = (lambda x: 9600 <= x <= 10_500_000, "a baud rate, 9600 to 10500000")
+_ZERO_TICKS: Final[Rule] = (lambda x: 0 <= x <= 4095, "ticks of the servo's position, 0 to 4095")
+_ZERO_RAD: Final[Rule] = (lambda x: abs(x) <= 100.0, "the shaft's angle, rad (is it in degrees?)")
+_SIGN: Final[Rule] = (lambda x: x in (1, -1), "1 or -1")
+_GEAR: Final[Rule] = (
+    lambda x: 0.01 <= x <= 100.0,
+    "turns of the servo per turn of the joint, 0.01 to 100",
+)
+_WATCHDOG: Final[Rule] = (
+    lambda x: 0.02 <= x <= 2.54,
+    "seconds in steps of the servos' 20 ms, 0.02 to 2.54 (is it in milliseconds?)",
+)
+_LATENCY: Final[Rule] = (lambda x: 0.0 <= x < 2.0, "seconds, 0 to 2 (is it in milliseconds?)")
+_EXPOSURE: Final[Rule] = (
+    lambda x: 1e-4 <= x <= 0.5,
+    "seconds in steps of a camera's 100 us, 0.0001 to 0.5 (is it in milliseconds?)",
+)
+_COORDINATE_MM: Final[Rule] = (lambda x: abs(x) <= 100_000.0, "mm, up to 100 m")
+_LEAST_TARGET_DISTANCE_MM: Final = 20.0
+"""Least distance of a target from the origin of the neck frame, mm (chosen)."""
+_NEAREST_TEXT: Final = "mm, at least 20 mm from the neck frame's origin (is it in metres?)"
+_PORT: Final = "the device file of the serial line, such as /dev/ttyUSB0"
+_CAMERA_NUMBERS: Final = 256
+"""Number of cameras that Linux can number on one machine (physical: a limit of Linux)."""
+_SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 1e4, "a standard deviation, 0 or more")
+_TARGET: Final = "a target, such as tag:36h11:5:120"
+_SOURCE: Final = "a camera's number, its device file or a URL"
+_ADDRESS: Final = "HOST:PORT of an emulated head"
+
+
+class MistakeCollector:
+    """Collects the mistakes of one file: an error ends its `with` block alone.
+
+    Attributes:
+        found: the errors, in the order in which they occurred.
+    """
+
+    def __init__(self) -> None:
+        self.found: list[VergenceError] = []
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
+    ) -> bool:
+        if not isinstance(error, VergenceError):
+            return False
+        self.found.append(error)
+        return True
+
+
+def read_bus(table: Table, head: HeadModel | None, path: str) -> BusConfig:
+    """Read the `bus` table.
+
+    Raises:
+        HeadFileError: a key is missing, unknown or impossible; the other readers raise it too.
+        ConfigurationError: a bus of somebody's own cannot be imported, or takes no such option.
+    """
+    kind = "dynamixel"
+    if table.has("kind"):
+        expected = f"{', '.join(KINDS)}, or module:class of your own bus"
+        kind = table.text("kind", expected)
+        if not is_entry_point(kind) and kind not in KINDS:
+            raise HeadFileError(table.key("kind"), kind, expected)
+    if kind not in KINDS:
+        return _own_bus(table, kind, path)
+    port = table.text("port", _PORT)
+    if not port.isprintable():
+        raise HeadFileError(table.key("port"), port, _PORT)
+    baud_rate, watchdog_s = BusConfig.baud_rate, BusConfig.watchdog_s
+    if table.has("baud_rate"):
+        baud_rate = table.integer("baud_rate", _BAUD)
+    if table.has("watchdog_s"):
+        watchdog_s = table.number("watchdog_s", _WATCHDOG)
+        least_s = 0.0 if head is None else _WATCHDOG_PERIODS * head.timing.period_s
+        if head is not None and watchdog_s < least_s:
+            raise HeadFileError(
+                table.key("watchdog_s"),
+                watchdog_s,
+                f"at least {_WATCHDOG_PERIODS} control periods of {head.name}, {least_s:.3g} s",
+            )
+    table.close()
+    return BusConfig(kind=kind, port=port, baud_rate=baud_rate, watchdog_s=watchdog_s)
+
+
+def _own_bus(table: Table, kind: str, path: str) -> BusConfig:
+    entry = EntryPoint.of(kind, "bus.kind")
+    folder = Path(path).parent.absolute()
+    if (folder / entry.module).is_file():  # beside the configuration, as a head file may be
+        entry = replace(entry, folder=folder)
+    found = entry.load()
+    missing = sorted(getattr(found, "__abstractmethods__", ()))
+    if missing or not (isinstance(found, type) and issubclass(found, Servos)):
+        got = f"one without {', '.join(missing)}" if missing else f"{found!r:.80}"
+        raise ConfigurationError(
+            f"bus.kind {kind}: expected a class that derives from vergence.hardware.servos.Servos "
+            f"and has all of its methods, got {got}"
+        )
+    options = {name: table.take(name, "") for name in table.names()}
+    known = accepted_arguments(found)
+    if known is not None:
+        own = sorted(known - {"servos", "head", "clock"})
+        refuse_unknown("bus", options, own or ["(none)"])
+    return BusConfig(kind=kind, options=options, servos_type=found)
+
+
+def read_servos(
+    tables: Sequence[Table], head: HeadModel | None, unit_rad: float, mistakes: MistakeCollector
+) -> tuple[ServoConfig, ...]:
+    """Read the servos, in the order of their slots; those with mistakes are left out."""
+    slots = None if head is None else actuator_slots(head)
+    servos: list[ServoConfig] = []
+    names: list[str] = []
+    ids: dict[int, str] = {}
+    for table in tables:
+        with mistakes:
+            name = (
+                table.text("name", "the name of a joint or actuator of the head")
+                if slots is None
+                else table.choice("name", list(slots))
+            )
+            if name in names:
+                raise HeadFileError(table.key("name"), name, "each joint once")
+            names.append(name)
+            ident = table.integer("id", _ID)
+            if ident in ids:
+                raise HeadFileError(table.key("id"), ident, f"another id than that of {ids[ident]}")
+            ids[ident] = name
+            slot = 0 if slots is None else slots[name]
+            servos.append(_servo(table, name, ident, slot, head, unit_rad))
+    if head is not None and slots is not None and set(names) < set(slots):
+        unreadable = len(tables) - len(names)  # their own mistakes are reported already
+        if len(slots) - len(names) > unreadable:
+            mistakes.found.append(
+                HeadFileError(
+                    "servos", names, f"a servo for each of {', '.join(slots)} of {head.name}"
+                )
+            )
+    return tuple(sorted(servos, key=lambda servo: servo.slot))
+
+
+def _servo(
+    table: Table, name: str, ident: int, slot: int, head: HeadModel | None, unit_rad: float
+) -> ServoConfig:
+    zero = 0.0
+    if unit_rad != 1.0:
+        zero = table.integer("zero_ticks", _ZERO_TICKS)
+    elif table.has("zero_rad"):
+        zero = table.number("zero_rad", _ZERO_RAD)
+    sign = table.integer("sign", _SIGN)
+    gear_ratio = table.number("gear_ratio", _GEAR) if table.has("gear_ratio") else 1.0
+    lower, upper = (-np.pi, np.pi) if head is None else _range_of(head, slot)
+    limits = {"lower_rad": lower, "upper_rad": upper}
+    for key in limits:
+        if not table.has(key):
+            continue
+        limits[key] = table.number(key, RADIANS)
+        if head is not None and not lower <= limits[key] <= upper:
+            raise HeadFileError(
+                table.key(key),
+                limits[key],
+                f"an angle within the head's limits, {lower:g} to {upper:g} rad",
+            )
+    if not limits["lower_rad"] < limits["upper_rad"]:
+        raise HeadFileError(
+            table.key("upper_rad"), limits["upper_rad"], f"more than {limits['lower_rad']:g} rad"
+        )
+    turns = gear_ratio * (limits["upper_rad"] - limits["lower_rad"]) / (2.0 * np.pi)
+    if head is not None and turns > 1.0:
+        raise HeadFileError(
+            table.key("gear_ratio"),
+            gear_ratio,
+            "a range of at most one turn of the servo, which knows its angle within a turn alone "
+            f"when it is switched on (this one makes {turns:.2f})",
+        )
+    table.close()
+    return ServoConfig(
+        name=name,
+        slot=slot,
+        id=ident,
+        zero=zero,
+        sign=sign,
+        gear_ratio=gear_ratio,
+        unit_rad=unit_rad,
+        **limits,
+    )
+
+
+def _range_of(head: HeadModel, slot: int) -> tuple[float, float]:
+    return float(head.actuation.lower[slot]), float(head.actuation.upper[slot])
+
+
+def read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
+    """Read the table of one eye's camera."""
+    source = table.take("source", _SOURCE)
+    if not _is_source(source):
+        raise HeadFileError(table.key("source"), source, _SOURCE)
+    pixel_format, exposure_s = "", None
+    latency_s = 0.0 if head is None else head.timing.latency_s
+    if table.has("pixel_format"):
+        pixel_format = table.text("pixel_format", "four letters, such as MJPG")
+        if re.fullmatch(r"[ -~]{4}", pixel_format) is None:
+            raise HeadFileError(
+                table.key("pixel_format"), pixel_format, "four letters, such as MJPG"
+            )
+    if table.has("latency_s"):
+        latency_s = table.number("latency_s", _LATENCY)
+    if table.has("exposure_s"):
+        exposure_s = table.number("exposure_s", _EXPOSURE)
+        if head is not None and exposure_s > head.timing.frame_s:
+            raise HeadFileError(
+                table.key("exposure_s"),
+                exposure_s,
+                f"at most the time between two frames of {head.name}, {head.timing.frame_s:.3g} s",
+            )
+    table.close()
+    return CameraConfig(
+        eye=eye,
+        source=str(source),
+        pixel_format=pixel_format,
+        latency_s=latency_s,
+        exposure_s=exposure_s,
+    )
+
+
+def _is_source(value: object) -> bool:
+    """True if a value is the number of a camera, or text that may name one."""
+    if isinstance(value, str) and not value.isdecimal():
+        return bool(value.strip()) and value.isprintable()
+    if isinstance(value, str) and len(value) > len(str(_CAMERA_NUMBERS)):
+        return False
+    return (
+        isinstance(value, int | str)
+        and not isinstance(value, bool)
+        and (0 <= int(value) < _CAMERA_NUMBERS)
+    )
+
+
+_LOOP_VALUES: Final = (
+    "command_latency_s",
+    "lag_s",
+    "speed_gain",
+    "computing_s",
+)
+_LOOP_OPTIONAL: Final = ("backlash_rad", "jitter_s", "acceleration_ratio")
+
+
+def read_loop(table: Table) -> LoopConfig:
+    """Read the `loop` table: the measured loop."""
+    values = {name: table.number(name, _loop_rule(name)) for name in _LOOP_VALUES}
+    for name in _LOOP_OPTIONAL:
+        if table.has(name):
+            values[name] = table.number(name, _loop_rule(name))
+    measured = table.text("measured", "the day of the measurement")
+    sigma = {}
+    if table.has("sigma"):
+        part = table.table("sigma")
+        names = (*_LOOP_VALUES, *_LOOP_OPTIONAL, "latency_s")
+        sigma = {name: part.number(name, _SIGMA) for name in names if part.has(name)}
+        part.close()
+    table.close()
+    return LoopConfig(measured=measured, sigma=sigma, **values)
+
+
+def _loop_rule(name: str) -> Rule:
+    """Rule of a measured value: the range of the simulated one, see `imperfections`."""
+    if name not in IMPERFECTIONS:  # a time that simulation does not have
+        return _LATENCY
+    return (lambda x: is_valid_range(name, x, x), valid_range_text(name))
+
+
+def read_measured_targets(
+    tables: Sequence[Table], mistakes: MistakeCollector
+) -> tuple[MeasuredTarget, ...]:
+    """Read the targets at measured points; those with mistakes are left out."""
+    targets: list[MeasuredTarget] = []
+    key_of_target: dict[str, str] = {}
+    for table in tables:
+        with mistakes:
+            text = table.text("target", _TARGET)
+            try:
+                target = parse_target(text)
+            except ConfigurationError as error:
+                asked = f"{_TARGET} ({error})"
+                raise HeadFileError(table.key("target"), text, asked) from error
+            # the size of a tag does not distinguish it from others
+            seen = str((target.family, target.id) if isinstance(target, AprilTag) else target)
+            if seen in key_of_target:
+                raise HeadFileError(
+                    table.key("target"), text, f"another target than {key_of_target[seen]}"
+                )
+            key_of_target[seen] = table.key("target")
+            point = table.numbers("point_mm", (3,), _COORDINATE_MM)
+            if np.linalg.norm(point) < _LEAST_TARGET_DISTANCE_MM:
+                raise HeadFileError(table.key("point_mm"), point.tolist(), _NEAREST_TEXT)
+            table.close()
+            targets.append(MeasuredTarget(target=target, point=point / 1000.0))
+    if len(tables) == 1:
+        mistakes.found.append(
+            HeadFileError("places", 1, "two or more, between which the eyes turn")
+        )
+    return tuple(targets)
+
+
+def read_emulator(table: Table) -> tuple[str, bool]:
+    """Read HOST:PORT of the emulated head, and the flag `places_targets`."""
+    address = table.text("address", _ADDRESS)
+    host_port = re.fullmatch(r"[^:\s]+:([0-9]{1,5})", address)
+    if host_port is None or not 1 <= int(host_port[1]) <= 65535:
+        raise HeadFileError(table.key("address"), address, _ADDRESS)
+    places_targets = not table.has("places_targets") or table.boolean("places_targets")
+    table.close()
+    return address, places_targets
+
 
 __all__ = [
     "BusConfig",
@@ -117,6 +550,10 @@ class HardwareConfig:
         """Indices into the 7-element command by name, for joints and actuators with a servo."""
         return {servo.name: servo.slot for servo in self.servos}
 
+    def make_servos(self, clock: Callable[[], float]) -> Servos:
+        """Make the servos, still closed; see `BusConfig.make`."""
+        return self.bus.make(self.servos, self.head, clock)
+
 
 def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
     """Read the hardware of a real head from a TOML file, see the module's description.
@@ -170,10 +607,12 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         _refuse_other_digest(table, head)
     with mistakes:
         target = _target(table, path)
+    bus = BusConfig()
     with mistakes:
-        bus = read_bus(table.table("bus"), head)
+        bus = read_bus(table.table("bus"), head, path)
     with mistakes:
-        servos = read_servos(table.tables("servos"), head, mistakes)
+        tables = table.tables("servos")
+        servos = read_servos(tables, head, bus.servos_type.unit_rad, mistakes)
     with mistakes:
         cameras, tolerance_s = _cameras(table.table("cameras"), head, mistakes)
     emulator, places_targets = "", False
@@ -281,3 +720,107 @@ def _target(table: Table, path: str) -> GazeTarget:
         return parse_gaze_target(text)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error
+
+
+_DIGITS: Final = 4
+"""Significant digits of the measured values in the file (chosen)."""
+
+
+def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) -> None:
+    """Write signs and zeros of some servos into their file, atomically.
+
+    Args:
+        path: the file; it is read again, so other changes in it stay.
+        servos: the servos to write, matched by name.
+
+    Raises:
+        UnreadableFileError: the file no longer has such a servo, or is not TOML.
+        OSError: it cannot be read or written.
+    """
+
+    def change(document: Any) -> None:
+        tables = {table["name"]: table for table in document["servos"]}
+        for servo in servos:
+            table = tables[servo.name]
+            for key, value in (("sign", servo.sign), (servo.zero_key, servo.zero)):
+                if table.get(key, 0.0) != value:  # correct values keep their spelling
+                    table[key] = value
+
+    _edit(path, change, "a TOML file with these servos")
+
+
+def write_loop(
+    path: str | os.PathLike[str], loop: LoopConfig, latencies_s: Mapping[str, float]
+) -> None:
+    """Write the measured loop and the latencies of the cameras, atomically.
+
+    Args:
+        path: the file; see `write_servos` for it and for the errors.
+        loop: the new content of `[loop]`.
+        latencies_s: camera latencies by name, `left` or `right`, s.
+    """
+
+    def change(document: Any) -> None:
+        import tomlkit
+
+        for name, latency_s in latencies_s.items():
+            document["cameras"][name]["latency_s"] = _rounded(latency_s)
+        values = {
+            name: _rounded(value) if isinstance(value, float) else value
+            for name, value in dataclasses.asdict(loop).items()
+            if value is not None and name != "sigma"
+        }
+        table = tomlkit.table()
+        table.update(values)
+        table["sigma"] = {name: _rounded(value) for name, value in loop.sigma.items()}
+        document["loop"] = table
+
+    _edit(path, change, "a TOML file with both cameras")
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def _edit(path: str | os.PathLike[str], change: Callable[[Any], None], expected: str) -> None:
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    place = Path(path).resolve()  # a symbolic link stays one
+    content = place.read_bytes()
+    try:
+        document = tomlkit.parse(content.decode("utf-8-sig"))
+        change(document)
+    except (TOMLKitError, KeyError, TypeError, ValueError) as error:
+        raise UnreadableFileError(str(path), f"changed meanwhile ({error})", expected) from error
+    mark = b"\xef\xbb\xbf" if content.startswith(b"\xef\xbb\xbf") else b""
+    write_atomic(place, mark + tomlkit.dumps(document).encode())
+
+
+_LOOP_OPTIONS: Final = (
+    "jitter_s", "command_latency_s", "lag_s", "speed_gain", "backlash_rad", "acceleration_ratio"
+)  # fmt: skip
+
+
+def loop_variation(config: HardwareConfig) -> Variation:
+    """Make the variation of simulated trials whose loop is that of a robot.
+
+    Args:
+        config: the robot.
+
+    Returns:
+        The mean latency of its cameras, a random phase of exposure, and all measured values of its
+        loop; the other values are those of its head.
+    """
+    latency_s, loop = float(np.mean([camera.latency_s for camera in config.cameras])), config.loop
+    values: dict[str, float | None] = {"latency_s": latency_s}
+    if loop is not None:
+        values = {name: getattr(loop, name) for name in _LOOP_OPTIONS}
+        # in simulation detection and computing a command take no time
+        values["latency_s"] = latency_s + loop.computing_s
+        # the encoder readings date everything else, so they have no latency themselves
+        values["feedback_latency_s"] = 0.0
+    ranges = {name: (value, value) for name, value in values.items() if value is not None}
+    found = make_variation({"frame_phase": (0.0, 1.0), **ranges})
+    assert found is not None
+    return found

@@ -2,13 +2,17 @@
 
 If the caller's next command is late, a thread of the drive sends commands in its place: the last
 one, as far as it is safe, for about two more periods, and then commands that brake to rest. If
-Python runs no thread at all, the servos' own watchdog stops them.
+Python runs no thread at all, the servos' own watchdog stops them, where they have one.
+
+A goal of zero is no rest: a servo whose encoder is blind, or whose motor is inverted, turns on
+until it has no torque. So rest is read, and a joint that does not come to rest loses its torque.
 """
 
 import logging
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, NamedTuple
@@ -16,13 +20,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.envs.reading import BoolArray
-from vergence.errors import HardwareError
+from vergence.errors import Finding, HardwareError
 from vergence.hardware.config import HardwareConfig
-from vergence.hardware.count_log import CountLog
-from vergence.hardware.history import JointHistory
-from vergence.hardware.safety.motion import HOLD_PERIODS
+from vergence.hardware.safety.following import runaway
+from vergence.hardware.safety.limits import HOLD_PERIODS
 from vergence.hardware.safety.supervisor import RobotState, Supervisor
-from vergence.hardware.servos import HeadServos
+from vergence.hardware.servos import SILENT_S, JointAngles, ServoReading, Servos
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.recording.schema import CommandOrigin, LoggedCommand
@@ -30,14 +33,113 @@ from vergence.recording.schema import CommandOrigin, LoggedCommand
 _LOG: Final = logging.getLogger(__name__)
 _MAX_AGE_PERIODS: Final = 1.0
 """Joint angles older than this are read again before a command, control periods (chosen)."""
-_REPEAT_PERIODS: Final = 3.0
+REPEAT_PERIODS: Final = 3.0
 """Control periods for which a requested command is repeated; then the joints brake (chosen)."""
 _REST_TIMEOUT_S: Final = 1.0
 """Longest time for braking by commands, s (chosen)."""
 _LONG_PAUSE_PERIODS: Final = 4.0
 """Control periods without a packet that are told of as a pause (chosen)."""
+_PAUSE_FRACTION: Final = 0.5
+"""Pause without packets after which the servos are asked whether they have stopped, as a fraction
+of the time after which they do (chosen: any packet counts for them)."""
 _JOIN_S: Final = 1.0
 """Longest wait for the thread to end, s (chosen)."""
+_HEALTH_INTERVAL_S: Final = 1.0
+"""Time between two checks of running servos, s (chosen)."""
+_STOPPING_MISSES: Final = 3
+"""Consecutive readings without an answer that stop the head, once `SILENT_S` has passed
+(chosen)."""
+_SETTLE_S: Final = 0.3
+"""Time at a goal of zero in which a joint has to come to rest, s (chosen: half a second with the
+braking before it)."""
+_REST_WINDOW_S: Final = 0.06
+"""Time over which a joint at rest keeps its angle, s (chosen)."""
+_REST_RAD: Final = 0.004
+"""Range of the angle of a joint at rest, rad: two steps of an encoder of 4,096 (chosen)."""
+_READ_INTERVAL_S: Final = 0.008
+"""Time between two readings, s (chosen)."""
+_MOST_READS: Final = 100
+"""Most readings, in a process whose clock or line is slow (numerical)."""
+_KEPT_READINGS: Final = 512
+"""Readings that are kept: 4 s at 120 Hz, more than the age of any image (numerical)."""
+_MAX_EXTRAPOLATION_S: Final = 0.05
+"""Longest extrapolation beyond the newest reading at constant velocity, s (chosen)."""
+_MIN_INTERVAL_S: Final = 1.0
+"""Least time between two lines of a `CountLog`, s (chosen)."""
+
+
+class CountLog:
+    """Log lines for events of any control period: at most one line a second, with their count.
+
+    Args:
+        level: the logging level of the lines.
+        text: the format of a line: a %d for the count, then the values given to `add`.
+        clock: a monotonic clock, s.
+    """
+
+    def __init__(self, level: int, text: str, clock: Callable[[], float]) -> None:
+        self._level, self._text, self._clock = level, text, clock
+        self._count, self._told_s = 0, -np.inf
+
+    def add(self, count: int, *values: object) -> None:
+        """Count events, and log them if the last line is a second old."""
+        self._count += count
+        now = self._clock()
+        if now - self._told_s >= _MIN_INTERVAL_S:
+            _LOG.log(self._level, self._text, self._count, *values)
+            self._count, self._told_s = 0, now
+
+
+class Joints(NamedTuple):
+    """The joints at one time."""
+
+    time_s: float
+    """Time of the measurement, s of a monotonic clock."""
+    positions: FloatArray
+    """(7,) joint angles, rad."""
+    velocities: FloatArray
+    """(7,) joint velocities, rad/s."""
+
+
+class JointHistory:
+    """Readings of the joints by time; one thread writes, others may read."""
+
+    def __init__(self) -> None:
+        self._rows: deque[Joints] = deque(maxlen=_KEPT_READINGS)
+        self._lock = threading.RLock()  # re-entrant: a signal handler may close all in between
+
+    def add(self, time_s: float, positions: FloatArray, velocities: FloatArray) -> Joints:
+        """Keep a reading that is newer than all others."""
+        with self._lock:
+            self._rows.append(Joints(time_s, positions.copy(), velocities.copy()))
+            return self._rows[-1]
+
+    def newest(self) -> Joints:
+        """The newest reading; raises a `LookupError` if there is none."""
+        with self._lock:
+            if not self._rows:
+                raise LookupError("no reading of the joints yet")
+            return self._rows[-1]
+
+    def at(self, time_s: float) -> FloatArray:
+        """(7,) joint angles at a time, rad; raises a `LookupError` before the first reading.
+
+        They are interpolated linearly between two readings, constant before the first one, and
+        extrapolated with the velocities of the newest one for up to 50 ms.
+        """
+        self.newest()
+        with self._lock:
+            rows = list(self._rows)
+        times = [row.time_s for row in rows]
+        i = int(np.searchsorted(times, time_s))
+        if i == 0:
+            return rows[0].positions.copy()
+        before = rows[i - 1]
+        if i == len(rows):
+            ahead_s = min(time_s - before.time_s, _MAX_EXTRAPOLATION_S)
+            return np.asarray(before.positions + ahead_s * before.velocities)
+        share = (time_s - before.time_s) / (times[i] - before.time_s)
+        return np.asarray(before.positions + share * (rows[i].positions - before.positions))
 
 
 class RunningTrial(NamedTuple):
@@ -49,11 +151,69 @@ class RunningTrial(NamedTuple):
     missed_periods: int
 
 
+def settle(
+    servos: Servos,
+    scales: FloatArray,
+    watched: BoolArray,
+    clock: Callable[[], float],
+    sleep: Callable[[float], None],
+) -> BoolArray:
+    """Read that joints come to rest at a goal of zero; those that do not lose their torque.
+
+    A joint whose speed grows loses it at once, others after `_SETTLE_S`.
+
+    Args:
+        servos: the servos.
+        scales: (n,) turns of the joint per turn of the servo.
+        watched: (n,) True for those that have torque.
+        clock: a monotonic clock, s.
+        sleep: waits for some seconds.
+
+    Returns:
+        (n,) True for joints that did not come to rest, and have lost their torque as far as the
+        line allows.
+
+    Raises:
+        HardwareError: the line is gone.
+    """
+    begun_s = clock()
+    rows: deque[tuple[float, FloatArray]] = deque(maxlen=64)
+    bad = np.zeros_like(watched)
+    for _ in range(_MOST_READS):
+        reading, now_s = servos.read(), clock()
+        seen = watched & ~bad & np.isfinite(reading.ages_s)
+        rows.append((now_s, np.where(seen, reading.angles * scales, np.nan)))
+        times, turned = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+        recent = turned[times >= now_s - _REST_WINDOW_S]
+        moves = ~bad & (np.ptp(recent, axis=0) > _REST_RAD)  # not those that are nan
+        new = ~bad & (runaway(now_s, times, turned, np.zeros_like(turned)) > 0.0)
+        if now_s - begun_s > _SETTLE_S:
+            new |= moves
+        if new.any():
+            bad |= new
+            release(servos, new)
+        elif not moves.any() and now_s - begun_s >= _REST_WINDOW_S:
+            break
+        sleep(_READ_INTERVAL_S)
+    return bad
+
+
+def release(servos: Servos, which: BoolArray) -> BoolArray:
+    """Take the torque of servos, (n,) True, as far as possible; return which have lost it."""
+    done = np.zeros_like(which)
+    for place in np.flatnonzero(which):
+        one = np.arange(len(which)) == place
+        with suppress(HardwareError):
+            servos.release(one)
+            done |= one
+    return done
+
+
 class DriveThread(threading.Thread):
     """Sends commands to open servos, and keeps sending if the caller is late.
 
     Args:
-        servos: the servos.
+        servos: the servos, open.
         config: the hardware configuration.
         supervisor: turns requested velocities into safe commands.
         history: receives every reading of the joints.
@@ -62,12 +222,16 @@ class DriveThread(threading.Thread):
         sleep: waits for some seconds.
 
     Attributes:
+        angles: angles of the actuators.
         last_sent: (7,) velocities that were sent last, rad/s.
+        sent: (7,) velocities that the last `period` has sent, rad/s.
+        overruns: number of missed control periods.
+        tick: number of the schedule's present tick.
     """
 
     def __init__(
         self,
-        servos: HeadServos,
+        servos: Servos,
         config: HardwareConfig,
         supervisor: Supervisor,
         history: JointHistory,
@@ -77,63 +241,160 @@ class DriveThread(threading.Thread):
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         super().__init__(daemon=True, name="vergence servos")
-        self._servos = servos
+        self._servos, self._config = servos, config
         self._supervisor, self._history = supervisor, history
         self._period_s = config.head.timing.period_s
-        self._watchdog_s = config.bus.watchdog_s
-        self._names = {servo.slot: servo.name for servo in config.servos}
-        self._rests, self._in_trial = True, False
+        self._scales = np.array([servo.sign / servo.gear_ratio for servo in config.servos])
+        self.angles = JointAngles(config.servos, config.head, reports_speed=servos.reports_speed)
+        self._rests, self._in_trial, self._on = True, False, False
         self._log, self._clock, self._sleep = log, clock, sleep
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._pid = os.getpid()
-        self._late = CountLog(_LOG, logging.INFO, "wishes late, the last command kept: %d", clock)
-        self.last_sent = np.zeros(7)
+        self._late = CountLog(logging.INFO, "wishes late, the last command kept: %d", clock)
+        self._missed = CountLog(logging.WARNING, "periods missed: %d", clock)
+        said = "answers missed: %d, the last one of %s"
+        self._unanswered = CountLog(logging.WARNING, said, clock)
+        self._misses = np.zeros(len(config.servos), dtype=np.int64)
+        self._silent_since_s = np.zeros(len(config.servos))
+        self._released = np.zeros(len(config.servos), dtype=np.bool_)
+        self._warned: set[str] = set()
+        self._heard_s = self._health_s = clock()
+        self._pause_s = 0.0
+        self.last_sent = self.sent = np.zeros(7)
         self._requested_s = self._sent_s = self._repeated_s = -np.inf
+        self.begun_s, self.tick, self.overruns, self._reported_overruns = clock(), 0, 0, 0
 
-    @property
-    def missed_answers(self) -> int:
-        """Number of answers that did not arrive."""
-        return self._servos.missed_answers
+    # ---- the control period ----
 
-    @contextmanager
-    def exclusive(self) -> Iterator[HeadServos]:
-        """Give exclusive access to the servos: nobody else sends meanwhile.
-
-        Raises:
-            HardwareError: the drive is closed, or another process has opened it.
-        """
-        self._refuse_others()
-        with self._lock:
-            yield self._servos
-
-    def sense(self) -> None:
-        """Read the joints and add them to the history.
-
-        Raises:
-            HardwareError: see `HeadServos.sense` and `exclusive`.
-        """
-        with self.exclusive():
-            sensed = self._servos.sense()
-            self._history.add(*sensed)
-        if self._log is not None:
-            self._log.joints(*sensed)
-
-    def send(self, requested: FloatArray, trial: RunningTrial | None = None) -> FloatArray:
-        """Send the supervisor's command for some requested velocities.
+    def period(
+        self, requested: FloatArray, trial: RunningTrial | None = None
+    ) -> tuple[Joints, list[Finding]]:
+        """Send requested velocities as far as safe, wait for the end of the period, and read.
 
         Args:
             requested: (7,) requested velocities, rad/s.
-            trial: state of the running trial; None outside a trial.
+            trial: state of the running trial, whose schedule is kept; None outside a trial.
 
         Returns:
-            (7,) velocities that were sent, rad/s.
+            The joints, and new warnings of running servos.
 
         Raises:
-            HardwareError: the line is gone; see `exclusive`.
+            HardwareError: something is wrong; the caller has to call `brake`.
+        """
+        self.sent = self.send(requested, trial)
+        if trial is None:
+            if self._supervisor.fault:
+                raise HardwareError(self._supervisor.fault)
+            self._sleep(self._period_s)
+        else:
+            self._wait_for_tick()
+        with self._exclusive():
+            return self.sense(), self._check_health()
+
+    def start_ticks(self) -> float:
+        """Start the schedule of a trial; return the time of its beginning, s."""
+        self.begun_s, self.tick, self._reported_overruns = self._clock(), 0, self.overruns
+        return self.begun_s
+
+    def take_missed(self) -> int:
+        """Number of periods missed since the last call."""
+        missed = self.overruns - self._reported_overruns
+        self._reported_overruns = self.overruns
+        return missed
+
+    def _wait_for_tick(self) -> None:
+        """Wait for the schedule's next tick; ticks that are a period late are skipped."""
+        self.tick += 1
+        due_s = self.begun_s + self.tick * self._period_s
+        left_s = due_s - self._clock()
+        if left_s > 0.0:
+            self._sleep(left_s)
+        missed = int((self._clock() - due_s) // self._period_s)
+        if missed > 0:
+            self.tick += missed
+            self.overruns += missed
+            self._missed.add(missed)
+
+    @contextmanager
+    def _exclusive(self) -> Iterator[None]:
+        """Nobody else speaks to the servos meanwhile, nor to those of a closed drive."""
+        self._refuse_others()
+        with self._lock:
+            self._refuse_others()
+            yield
+
+    def _refuse_others(self) -> None:
+        if self._closed.is_set() or os.getpid() != self._pid:
+            raise HardwareError("the head is closed: expected a reset first")
+
+    def sense(self) -> Joints:
+        """Read the joints; one that does not answer is extrapolated at its last speed.
+
+        Raises:
+            HardwareError: a servo has a fault, or has not answered for 0.1 s, or the line is gone.
+        """
+        with self._exclusive():
+            reading = self._servos.read()
+            self._heard()
+            accepted = self.angles.update(reading)
+            if not accepted.all():
+                self._count_misses(reading, accepted)
+            self._misses[accepted] = 0
+            if self._servos.fault:
+                self._released |= release(self._servos, self._must_let_go())
+                raise HardwareError(self._servos.fault)
+            joints = self._history.add(reading.time_s, *self.angles.joint_angles_and_speeds())
+        if self._log is not None:
+            self._log.joints(*joints)
+        return joints
+
+    def _must_let_go(self) -> BoolArray:
+        return np.asarray(self._servos.must_let_go & ~self._released)
+
+    def _count_misses(self, reading: ServoReading, accepted: BoolArray) -> None:
+        """Raise an error for a servo that is silent."""
+        now = self._clock()
+        for place in np.flatnonzero(~accepted):
+            servo = self._config.servos[place]
+            if not self._misses[place]:
+                self._silent_since_s[place] = reading.time_s
+            self._misses[place] += 1
+            self._unanswered.add(1, servo.name)
+            # a pause without requests does not count as silence
+            silent_s = now - self._silent_since_s[place]
+            told = self._servos.fault or self._supervisor.fault
+            if silent_s > SILENT_S and self._misses[place] >= _STOPPING_MISSES and not told:
+                answered = np.isfinite(reading.ages_s[place])
+                on = f" on {self._servos.port}" if self._servos.port else ""
+                raise HardwareError(
+                    f"servos: {servo.name}: expected an answer of the id {servo.id}{on}, got "
+                    f"{'angles that no joint can have' if answered else 'none'} for "
+                    f"{SILENT_S:g} s; cure: check its cable and its power"
+                )
+
+    def _check_health(self) -> list[Finding]:
+        """New warnings of running servos, once a second; an error is raised."""
+        now = self._clock()
+        if now - self._health_s < _HEALTH_INTERVAL_S or not self._on:
+            return []
+        self._health_s = now
+        findings = self._servos.check()
+        self._heard()
+        for finding in findings:
+            if not finding.warning:
+                raise HardwareError(str(finding))
+        before, self._warned = self._warned, {finding.part for finding in findings}
+        return [finding for finding in findings if finding.part not in before]
+
+    def send(self, requested: FloatArray, trial: RunningTrial | None = None) -> FloatArray:
+        """Send the supervisor's command for some requested velocities; both (7,) rad/s.
+
+        Raises:
+            HardwareError: the line is gone, or the servos have stopped in a pause.
         """
         while True:
-            with self.exclusive():
+            with self._exclusive():
                 # at least a period after a command of the thread
                 ahead_s = self._repeated_s + self._period_s - self._clock()
                 if ahead_s <= 0.0:
@@ -142,29 +403,32 @@ class DriveThread(threading.Thread):
             self._sleep(ahead_s)
 
     def _send(self, requested: FloatArray, trial: RunningTrial | None = None) -> FloatArray:
-        self._refuse_others()  # again, under the lock
-        servos = self._servos
         self._refuse_pause()
-        old_s = self._clock() - self._history.newest()[0]
+        old_s = self._clock() - self._history.newest().time_s
         if old_s > _MAX_AGE_PERIODS * self._period_s and not self._supervisor.fault:
             self.sense()  # the caller was slow
-        measured_s, joints, _ = self._history.newest()
+        measured = self._history.newest()
         now = self._clock()
+        speeds = self.angles.speeds
         state = RobotState(
             now_s=now,
-            actuator_angles=servos.angles.angles + (now - measured_s) * servos.angles.speeds,
-            actuator_speeds=servos.angles.speeds,
-            joint_angles=joints,
-            reading_age_s=servos.angles.reading_ages_s(now),
+            actuator_angles=self.angles.angles + (now - measured.time_s) * speeds,
+            actuator_speeds=speeds,
+            joint_angles=measured.positions,
+            reading_age_s=self.angles.ages_s(now),
             images_received_s=None if trial is None else trial.images_received_s,
             target_visible=trial is not None and trial.target_visible,
             target_eye_angles=None if trial is None else trial.target_eye_angles,
             missed_periods=0 if trial is None else trial.missed_periods,
         )
         command = self._supervisor.command(state, requested)
-        if self._supervisor.distrusted.any():
-            servos.release_torque(self._supervisor.distrusted)
-        sent = servos.send(command)
+        distrusted = self._supervisor.distrusted[self.angles.slots] & ~self._released
+        if distrusted.any():
+            self._released |= release(self._servos, distrusted)
+        sent = np.zeros(7)
+        if self._on:
+            sent = self.angles.velocities(self._servos.send(self.angles.shaft_speeds(command)))
+            self._heard()
         if self._log is not None:
             asked = CommandOrigin.ROBOT if trial is None else CommandOrigin.POLICY
             verdict = self._supervisor.verdict.value
@@ -175,45 +439,58 @@ class DriveThread(threading.Thread):
         self._rests = self._rests and not sent.any()
         return sent
 
+    # ---- torque, and pauses ----
+
+    def switch_on(self) -> list[Finding]:
+        """Switch torque on at rest; return warnings of what had to be changed for it."""
+        with self._exclusive():
+            findings = self._servos.switch_on(np.ones(len(self._config.servos), dtype=np.bool_))
+            self._on = True
+            self._heard_s, self._pause_s = self._clock(), 0.0
+            self._health_s = self._clock()
+            while (self.angles.ages_s(self._clock()) > SILENT_S).any():
+                self.sense()  # setting servos up took its time
+        return findings
+
+    def wake(self) -> None:
+        """Switch on again what has stopped by itself in a pause."""
+        with self._exclusive():
+            if self._on and self._stopped_alone_s():
+                self.switch_on()
+
+    def _heard(self) -> None:
+        """Note that the servos heard something, and update the longest time without."""
+        now = self._clock()
+        self._pause_s = max(self._pause_s, now - self._heard_s)
+        self._heard_s = now
+
+    def _stopped_alone_s(self) -> float:
+        """Longest pause since the last call if the servos have stopped in it, else 0, s."""
+        pause_s, self._pause_s = max(self._pause_s, self._clock() - self._heard_s), 0.0
+        if pause_s < _PAUSE_FRACTION * (self._servos.stops_alone_after_s or np.inf):
+            return 0.0
+        stopped = self._servos.stopped_alone(pause_s)
+        self._heard_s = self._clock()
+        return pause_s if stopped else 0.0
+
     def note_pause(self) -> None:
         """Tell the supervisor of a long silence in a trial, from which other faults may follow."""
-        pause_s = self._servos.pause_s
+        pause_s = max(self._pause_s, self._clock() - self._heard_s)
         if self._in_trial and pause_s > _LONG_PAUSE_PERIODS * self._period_s:
             self._supervisor.note_pause(self._clock(), pause_s)
 
     def _refuse_pause(self) -> None:
-        """Raise an error if the servos' watchdog has stopped them."""
+        """Raise an error if the servos have stopped by themselves."""
         self.note_pause()
-        if not self._supervisor.fault and (tripped_s := self._servos.watchdog_trip_pause_s()):
+        if self._on and not self._supervisor.fault and (paused_s := self._stopped_alone_s()):
             raise HardwareError(
-                f"bus: expected the servos to hear something every {self._watchdog_s:g} s, got "
-                f"{tripped_s:.2f} s of silence, in which their watchdog has stopped them: this "
-                "process, its policy or the line had paused; cure: end other programs, and start "
-                "again"
+                "bus: expected the servos to hear something every "
+                f"{self._servos.stops_alone_after_s:.2g} s, got {paused_s:.2f} s of silence, in "
+                "which their watchdog has stopped them: this process, its policy or the line had "
+                "paused; cure: end other programs, and start again"
             )
 
-    def _refuse_others(self) -> None:
-        if self._closed.is_set() or os.getpid() != self._pid:
-            raise HardwareError("the head is closed: expected a reset first")
-
-    def move(self, requested: FloatArray) -> float:
-        """Send requested velocities for one period outside a trial.
-
-        Args:
-            requested: (7,) requested velocities, rad/s.
-
-        Returns:
-            Time at the end of the period, s.
-
-        Raises:
-            HardwareError: something is wrong; the caller has to call `brake`.
-        """
-        self.send(requested)
-        if self._supervisor.fault:
-            raise HardwareError(self._supervisor.fault)
-        self._sleep(self._period_s)
-        self.sense()
-        return self._clock()
+    # ---- braking ----
 
     def brake(self) -> None:
         """Brake until the commands are zero, and read that the joints rest, as far as possible.
@@ -233,8 +510,8 @@ class DriveThread(threading.Thread):
                 break
             due_s = max(due_s + self._period_s, self._clock())
             self._sleep(max(due_s - self._clock(), 0.0))
-        with suppress(HardwareError), self.exclusive() as servos:
-            moving = servos.settle(self._sleep)
+        with suppress(HardwareError), self._exclusive():
+            moving = self._settle()
             if moving.any():
                 self._supervisor.stop(
                     f"servos: {self._named(moving)}: expected rest at a velocity of zero, got a "
@@ -246,13 +523,20 @@ class DriveThread(threading.Thread):
         else:
             _LOG.warning("expected to brake to rest within %g s", _REST_TIMEOUT_S)
 
-    @property
-    def released(self) -> str:
-        """Names of the joints whose torque was switched off; empty for none."""
-        return self._named(self._servos.released)
+    def _settle(self) -> BoolArray:
+        moving = settle(self._servos, self._scales, ~self._released, self._clock, self._sleep)
+        self._heard()
+        self._released |= moving
+        return moving
 
-    def _named(self, joints: BoolArray) -> str:
-        return ", ".join(name for slot, name in self._names.items() if joints[slot])
+    def let_go(self) -> str:
+        """Release servos that must not hold; return the names of all joints without torque."""
+        with suppress(HardwareError), self._exclusive():
+            self._released |= release(self._servos, self._must_let_go())
+        return self._named(self._released)
+
+    def _named(self, which: BoolArray) -> str:
+        return ", ".join(np.array([servo.name for servo in self._config.servos])[which])
 
     def send_if_late(self) -> float:
         """Send a command if the caller's next one is late.
@@ -267,7 +551,7 @@ class DriveThread(threading.Thread):
                 return self._period_s
             if left_s > 0.0:
                 return left_s
-            late = now - self._requested_s > _REPEAT_PERIODS * self._period_s
+            late = now - self._requested_s > REPEAT_PERIODS * self._period_s
             try:
                 self.sense()
                 self._send(np.zeros(7) if late else self.last_sent)
@@ -291,11 +575,15 @@ class DriveThread(threading.Thread):
 
         In a forked child process the servos are left alone, as they belong to its parent.
         """
-        if os.getpid() != self._pid:
-            self._servos.abandon()
-            return
-        self._closed.set()
-        if self.is_alive() and threading.current_thread() is not self:
-            self.join(_JOIN_S)
+        if os.getpid() == self._pid:
+            self._closed.set()
+            if self.is_alive() and threading.current_thread() is not self:
+                self.join(_JOIN_S)
         with self._lock:
-            self._servos.close(self._sleep)
+            if os.getpid() == self._pid and self._on:
+                with suppress(HardwareError):
+                    self._servos.stop()
+                    self._settle()
+                with suppress(HardwareError):
+                    self._servos.leave()
+            self._servos.close()

@@ -1,359 +1,315 @@
-"""The servos of a head on their line: opening, checks, torque, reading, commands, stopping."""
+"""The seam between a head and its servos: what a bus does, and the angles of joints behind it.
 
-import logging
+A bus speaks of its own servos alone: of their shafts, in rad and rad/s, in the order of
+`[[servos]]` in the configuration. Signs, gears, zeros, limits, supervision and logs lie above it;
+registers, units and bytes below. `vergence.hardware.dynamixel.servos` is the bus that comes with
+the package; `kind = "module:class"` in `[bus]` names another, see docs/examples/own_bus.py.
+"""
+
 import time
-import warnings
-from collections.abc import Callable
-from contextlib import suppress
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
+from vergence.entry_points import user_error_with_place
 from vergence.envs.reading import BoolArray
-from vergence.errors import HardwareError, VergenceWarning
-from vergence.hardware.checks.line import LATE_ANSWERS_CURE, open_bus
-from vergence.hardware.checks.servos import check_servos, raise_errors
-from vergence.hardware.config import HardwareConfig, ServoConfig
-from vergence.hardware.count_log import CountLog
-from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.bus import SYNC_READ_BYTES
-from vergence.hardware.dynamixel.repeated import ask_again, read_register, write_register
-from vergence.hardware.health import HealthLevel, HealthWatch, read_health, read_limits
-from vergence.hardware.resting import (
-    broadcast_zero_speed,
-    disable_watchdog,
-    settle,
-    stop_and_disable_watchdog,
-)
-from vergence.hardware.servo_angles import SILENT_S, ServoAngles
-from vergence.hardware.servo_memory import MOTION_SPAN, describe_fault_bits
-from vergence.hardware.servo_settings import ServoSettings
-from vergence.models.parts import FloatArray
+from vergence.errors import ConfigurationError, Finding, HardwareError
+from vergence.models.head import HeadModel
+from vergence.models.parts import EYES, NECK, FloatArray
 
-_LOG: Final = logging.getLogger(__name__)
-_HEALTH_INTERVAL_S: Final = 1.0
-"""Time between two reads of temperature, voltage and load, s (chosen)."""
-_TORQUE_READ_PERIODS: Final = 10
-"""Control periods between two reads of the servos' torque state (chosen)."""
-_STOPPING_MISSES: Final = 3
-"""Consecutive missed answers that stop the head, once `SILENT_S` has passed (chosen)."""
-_PAUSE_FRACTION: Final = 0.5
-"""Pause without packets after which the watchdog's state is read, as a fraction of its time. Any
-packet feeds it, so it need not be read in every period (chosen)."""
+SILENT_S: Final = 0.1
+"""Time without an answer after which a servo counts as lost, s (chosen)."""
+_MAX_SPEED_RATIO: Final = 2.0
+"""Greatest accepted speed as a ratio to the head's greatest (chosen)."""
+_EXTRA_MOTION_RAD: Final = 0.1
+"""Accepted motion beyond that of this speed, rad, for a servo that is pushed (chosen)."""
+_SPEED_FILTER_S: Final = 0.02
+"""Time constant of the speeds of servos that report none, s (chosen: a period at 60 Hz)."""
 
 
-_ENCODER_FAULT: Final = 1 << 3
-"""Bit of HARDWARE_ERROR_STATUS: the motor's encoder fails (physical: X series)."""
+@dataclass(frozen=True, kw_only=True)
+class ServoConfig:
+    """One servo and its coupling to the neck joint or eye actuator that it moves."""
+
+    name: str
+    """Name of the neck joint or eye actuator."""
+    slot: int
+    """Index into the 7-element command, see `vergence.envs.plant.Plant.step`."""
+    id: int
+    """Id on the bus."""
+    zero: float
+    """Position of the shaft at the joint's zero angle, in units of `unit_rad`."""
+    sign: int
+    """1, or -1 if the servo turns against the joint."""
+    gear_ratio: float
+    """Turns of the servo per turn of the joint."""
+    lower_rad: float
+    """Least angle of the joint, rad."""
+    upper_rad: float
+    """Greatest angle of the joint, rad."""
+    unit_rad: float = 1.0
+    """Unit of positions in the configuration and in messages, rad: of a bus that counts, its
+    step."""
+
+    @property
+    def zero_key(self) -> str:
+        """Name of `zero` in the configuration."""
+        return "zero_rad" if self.unit_rad == 1.0 else "zero_ticks"
+
+    def position_text(self, shaft_rad: float) -> str:
+        """A position of the shaft as the configuration states positions."""
+        if self.unit_rad == 1.0:
+            return f"{shaft_rad:.3f} rad"
+        return str(round(shaft_rad / self.unit_rad))
 
 
-class HeadServos:
-    """The servos of one head in velocity mode.
+class ServoReading(NamedTuple):
+    """The servos of a bus at one time, in the order in which it was made with them."""
+
+    time_s: float
+    """Time of the reading on the bus's clock, s."""
+    angles: FloatArray
+    """(n,) angles of the shafts, rad."""
+    speeds: FloatArray
+    """(n,) their speeds, rad/s; anything if the bus reports none."""
+    ages_s: FloatArray
+    """(n,) time from the measurement to `time_s`, s; inf for a servo without an answer."""
+
+
+class Servos(ABC):
+    """The servos of a head on their bus, which take speeds; the interface of a bus.
+
+    All arrays are (n,), in the order of `servos`. An error on which nothing may move on is raised
+    as a `vergence.errors.HardwareError`: the head then comes to rest as far as the bus allows.
 
     Args:
-        config: the hardware configuration.
+        servos: the servos.
+        head: the model of the head.
         clock: a monotonic clock, s.
-
-    Attributes:
-        angles: the servos' angles, and the conversion of velocities to ticks.
-        findings: warnings of the checks, and of the registers that were changed.
-        released: (7,) True for joints whose torque has been switched off.
-
-    Raises:
-        HardwareError: the line cannot be opened.
-        ChecksFailedError: something is wrong with a servo; it lists all problems.
+        **options: the other keys of `[bus]`, for a bus of somebody's own.
     """
 
-    def __init__(self, config: HardwareConfig, clock: Callable[[], float]) -> None:
-        self.angles = ServoAngles(config.servos, config.head)
-        self._config = config
-        self._clock = clock
-        self._torque = False
-        self.released = np.zeros(7, dtype=np.bool_)
-        self._senses = 0
-        said = "answers missed: %d, the last one of %s"
-        self._unanswered = CountLog(_LOG, logging.WARNING, said, clock)
-        self._missed: dict[int, list[float]] = {}  # times of unanswered requests by id, s
-        self._stale: dict[int, int] = {}  # unmatched answers by id before these
-        self._fed_s = self._pause_s = 0.0
-        self._health_s = clock()
-        self._warned: set[int] = set()
-        self._hot: set[int] = set()
-        self._bus = open_bus(config.bus)
-        self._bus.names = {servo.id: servo.name for servo in config.servos}
-        self._settings = ServoSettings(self._bus)
+    unit_rad: ClassVar[float] = 1.0
+    """See `ServoConfig.unit_rad`."""
+    port: str = ""
+    """Name of the line in messages."""
+    stops_alone_after_s: float | None = None
+    """Time without a word after which a servo stops by itself, s; None if nothing stops it."""
+    reports_speed: bool = True
+    """False if speeds have to be computed from angles."""
+    fault: str = ""
+    """What the servos tell in `read` to be wrong with them, in words; the head stops at once."""
+    must_let_go: BoolArray = np.zeros((), dtype=np.bool_)
+    """Servos that have to lose their torque: with a `fault` at once, else as soon as they rest, as
+    hot ones do."""
+    missed_answers: int = 0
+    """Number of answers so far that did not arrive."""
+
+    def __init__(
+        self,
+        servos: Sequence[ServoConfig],
+        head: HeadModel,
+        clock: Callable[[], float] = time.monotonic,
+        **options: Any,
+    ) -> None:
+        self.servos, self.head, self.clock = tuple(servos), head, clock
+
+    @abstractmethod
+    def open(self) -> None:
+        """Open the line; nothing is written to a servo. A closed bus may be opened again."""
+
+    def check(self) -> list[Finding]:
+        """Find what is wrong, without moving anything.
+
+        Called before servos have torque, and then once a second, where it may take some ms.
+
+        Returns:
+            Errors, which stop the head or refuse to move it, and warnings; the part of one servo is
+            `servos: NAME`.
+        """
+        return []
+
+    def describe(self) -> dict[str, str]:
+        """What is known of the bus (`bus`) and of each servo (`servos: NAME`), in words."""
+        return {}
+
+    @abstractmethod
+    def switch_on(self, which: BoolArray) -> list[Finding]:
+        """Give servos torque at rest, ready for speeds; those that have it keep it.
+
+        Returns:
+            Warnings of what had to be changed for it.
+        """
+
+    @abstractmethod
+    def read(self) -> ServoReading:
+        """Read all servos."""
+
+    @abstractmethod
+    def send(self, speeds: FloatArray) -> FloatArray:
+        """Send speeds of the shafts, rad/s, to servos with torque; return what they got."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Send zero to all servos at once."""
+
+    @abstractmethod
+    def release(self, which: BoolArray) -> None:
+        """Take the torque of some servos."""
+
+    def leave(self) -> None:
+        """Leave servos at rest, to which nobody speaks from now on; they keep their torque."""
+        self.stop()
+
+    def stopped_alone(self, pause_s: float) -> bool:
+        """True if servos have stopped by themselves in a pause of some seconds."""
+        return self.stops_alone_after_s is not None and pause_s > self.stops_alone_after_s
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the line; a second call does nothing."""
+
+
+def guard(servos: Servos) -> Servos:
+    """Have a bus of somebody's own raise a `HardwareError` with its place for what goes wrong."""
+    count = len(servos.servos)
+
+    def guarded(method: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            self.findings = raise_errors(check_servos(config, self._bus))
-            self._stand_still()
-            for servo in config.servos:
-                self._set_up(servo)
-            self.findings += self._settings.findings
-            self._limits = {one: read_limits(self._bus, one) for one in self.angles.ids}
-            self._watches = {one: HealthWatch(limits) for one, limits in self._limits.items()}
-            while not self.angles.all_reported:
-                self.sense()
-        except BaseException:
-            try:
-                self._put_back()
-            finally:
-                self._bus.close()
+            found = method(*arguments)
+            name = method.__name__
+            if name in ("read", "send"):
+                arrays = [
+                    np.asarray(one, float) for one in (found[1:] if name == "read" else [found])
+                ]
+                if any(one.shape != (count,) for one in arrays):
+                    raise ValueError(
+                        f"expected arrays of {count} servos from {name}, got the shapes "
+                        f"{', '.join(str(one.shape) for one in arrays)}"
+                    )
+                return ServoReading(float(found[0]), *arrays) if name == "read" else arrays[0]
+        except (HardwareError, ConfigurationError):
             raise
+        except Exception as error:
+            raise HardwareError(f"bus: {user_error_with_place(error)}") from error
+        return found
 
-    @property
-    def missed_answers(self) -> int:
-        """Number of answers that did not arrive."""
-        return self._bus.missed_answers
+    for name in (
+        *("open", "check", "describe", "switch_on", "read", "send", "stop", "release", "leave"),
+        *("stopped_alone", "close"),
+    ):
+        setattr(servos, name, partial(guarded, getattr(servos, name)))
+    return servos
 
-    def _stand_still(self) -> None:
-        broadcast_zero_speed(self._bus, self.angles.ids)
 
-    def _set_up(self, servo: ServoConfig) -> None:
-        bus, ident = self._bus, servo.id
-        if read_register(bus, ident, table.OPERATING_MODE) != table.VELOCITY_MODE:
-            write_register(bus, ident, table.TORQUE_ENABLE, 0)
-            write_register(bus, ident, table.OPERATING_MODE, table.VELOCITY_MODE)
-            _LOG.info("%s: set to velocity mode", servo.name)
-        disable_watchdog(bus, ident)
-        self._settings.set_up(servo)
-        self.angles.limit_ticks[ident] = read_register(bus, ident, table.VELOCITY_LIMIT)
+class JointAngles:
+    """Angles of a head's actuators behind the readings of its servos.
 
-    def _put_back(self) -> None:
-        """Put back what was in the EEPROM of the servos; warn where that fails."""
-        failed = [self._settings.put_back(servo) for servo in self._config.servos]
-        for text in filter(None, failed):
-            # `warned` marks the log line, so that a terminal does not show the warning twice
-            _LOG.warning("%s", text, extra={"warned": True})
-            warnings.warn(text, VergenceWarning, stacklevel=3)
+    A reading is accepted only if the joint can have moved so far since the last one, and can turn
+    so fast: one damaged packet in 65,536 still has a matching checksum.
 
-    def switch_on(self) -> None:
-        """Switch torque on at rest, and arm the watchdog again."""
-        ids = self.angles.ids
-        self._stand_still()
-        self.sense()
-        self._check_faults()
-        for ident in ids:
-            disable_watchdog(self._bus, ident)
-            if not self._torque:
-                write_register(self._bus, ident, table.TORQUE_ENABLE, 1)
-                # a lock of the goals that a tripped watchdog has left ends with the torque
-                write_register(self._bus, ident, table.GOAL_VELOCITY, 0)
-        steps = max(1, round(self._config.bus.watchdog_s / table.WATCHDOG_S))
-        for ident in ids:
-            write_register(self._bus, ident, table.BUS_WATCHDOG, steps)
-        if not self._torque:
-            _LOG.info("torque on")
-        _LOG.info("watchdog armed: %g s", steps * table.WATCHDOG_S)
-        self._torque = True
-        self.angles.rounding_error[:] = 0.0
-        self._fed_s, self._pause_s = self._clock(), 0.0
+    Args:
+        servos: the servos.
+        head: the model of the head.
+        reports_speed: see `Servos.reports_speed`.
 
-    def sense(self) -> tuple[float, FloatArray, FloatArray]:
-        """Read all joints; one that does not answer is extrapolated at its last speed.
+    Attributes:
+        angles: (7,) estimated angles of the neck's joints and the actuators of the eyes, rad.
+        speeds: (7,) their speeds, rad/s.
+        has_servo: (7,) True for slots with a servo.
+        slots: (n,) slot of each servo.
+        lower: (7,) least angles, rad.
+        upper: (7,) greatest angles, rad.
+    """
 
-        Returns:
-            Time of the measurement on the clock, s; (7,) angles, rad; (7,) velocities, rad/s.
-
-        Raises:
-            HardwareError: a servo has not answered for 0.1 s, or the line is gone.
-        """
-        asked_s = self._clock()
-        self._senses += 1
-        # every other request is a byte longer: its length exposes a late answer to the one before
-        address, length = MOTION_SPAN
-        found = self._bus.sync_read(self.angles.ids, address, length + self._senses % 2)
-        answers = {ident: data[:length] for ident, data in found.items()}
-        now = self._clock()
-        self._fed()
-        # servos measure as the request arrives; adapters only hold their answers back
-        measured_s = asked_s + self._bus.line.wire_s(SYNC_READ_BYTES + len(self.angles.ids))
-        accepted = self.angles.update(answers, measured_s)
-        for servo in self._config.servos:
-            if servo.id in accepted:
-                self._missed.pop(servo.id, None)
-                continue
-            if servo.id not in self._missed:
-                self._stale[servo.id] = self._bus.stale[servo.id]
-            missed = self._missed.setdefault(servo.id, [])
-            missed.append(asked_s)
-            self._unanswered.add(1, servo.name)
-            # a pause without requests does not count as silence
-            if now - missed[0] > SILENT_S and len(missed) >= _STOPPING_MISSES:
-                # the answer to the last request may still be on its way
-                late = self._bus.stale[servo.id] - self._stale[servo.id] >= len(missed) - 1
-                expected = f"an answer of the id {servo.id} on {self._bus.port}"
-                got, cure = "none", "check its cable and its power"
-                if servo.id in answers:
-                    got = "angles that no joint can have"
-                elif late:
-                    expected += f" within {1e3 * self._bus.cycle_timeout_s:.3g} ms"
-                    got, cure = "later ones alone", LATE_ANSWERS_CURE
-                if self._config.emulator_address:
-                    cure = "end other programs: the emulated head shares this machine"
-                raise HardwareError(
-                    f"servos: {servo.name}: expected {expected}, got {got} for {SILENT_S:g} s; "
-                    f"cure: {cure}"
-                )
-        if self._torque:
-            self._check_faults()
-            self._check_torque()
-        return measured_s, *self.angles.joint_angles_and_speeds()
-
-    def _check_faults(self) -> None:
-        """Raise an error if a servo has a fault."""
-        for servo in self._config.servos:
-            if servo.id in self._bus.alerts:
-                errors = 0
-                with suppress(HardwareError):
-                    errors = self._bus.read(servo.id, table.HARDWARE_ERROR_STATUS)
-                if errors & _ENCODER_FAULT:  # its motor turns on at any goal
-                    self.release_torque(np.arange(7) == servo.slot)
-                raise HardwareError(
-                    f"servos: {servo.name}: expected a servo without a fault, got "
-                    f"{describe_fault_bits(errors) or 'one that it does not tell'}: it may have "
-                    "let go; cure: hold the head, remove the cause, then switch its power off "
-                    "and on"
-                )
-
-    def _check_torque(self) -> None:
-        """Raise an error if a servo has lost its torque, as after a shutdown or a reboot."""
-        if self._senses % _TORQUE_READ_PERIODS:
-            return
-        register = table.TORQUE_ENABLE
-        found = self._bus.sync_read(self.angles.ids, register.address, register.length)
-        for servo in self._config.servos:
-            if found.get(servo.id) == b"\0" and not self.released[servo.slot]:
-                raise HardwareError(
-                    f"servos: {servo.name}: expected the servo with the id {servo.id} to hold its "
-                    "torque, got one that has let go, as after a reboot or a loss of power; cure: "
-                    "hold the head, and check the plugs of its power"
-                )
-
-    def check_health(self) -> list[str]:
-        """Read temperature, voltage and load, once a second.
-
-        Returns:
-            Warnings, a line each, for servos that were well at the last read.
-
-        Raises:
-            HardwareError: a servo has to stop.
-        """
-        now = self._clock()
-        if now - self._health_s < _HEALTH_INTERVAL_S:
-            return []
-        self._health_s = now
-        found = read_health(self._bus, self._limits)
-        said, stop = [], ""
-        for servo in self._config.servos:
-            if servo.id not in found:
-                continue
-            verdict = self._watches[servo.id].judge(found[servo.id])
-            text = f"servos: {servo.name}: {verdict.text}"
-            if verdict.must_release_torque:
-                self._hot.add(servo.id)
-            if verdict.level is HealthLevel.STOP:
-                stop = stop or text
-            elif verdict.level is HealthLevel.WARN and servo.id not in self._warned:
-                said.append(text)
-            (self._warned.discard if verdict.level is HealthLevel.OK else self._warned.add)(
-                servo.id
-            )
-        if stop:
-            raise HardwareError(stop)
-        return said
-
-    def release_torque(self, joints: BoolArray) -> None:
-        """Switch the torque of some joints, (7,) True, off, as far as the line allows."""
-        for servo in self._config.servos:
-            if joints[servo.slot] and not self.released[servo.slot]:
-                with suppress(HardwareError):
-                    write_register(self._bus, servo.id, table.TORQUE_ENABLE, 0)
-                    self.released[servo.slot] = True
-                    _LOG.warning("%s: torque off", servo.name)
-
-    def release_torque_if_hot(self) -> None:
-        """Switch the torque of hot servos off, as holding still heats them too."""
-        hot = {servo.slot for servo in self._config.servos if servo.id in self._hot}
-        self.release_torque(np.isin(np.arange(7), list(hot)))
-
-    def settle(self, sleep: Callable[[float], None]) -> BoolArray:
-        """Read that the joints come to rest at zero velocity; see `vergence.hardware.resting`.
-
-        Args:
-            sleep: waits for some seconds.
-
-        Returns:
-            (7,) True for joints that did not, and have lost their torque.
-
-        Raises:
-            HardwareError: the line is gone.
-        """
-        return settle(self._read_angles, self.release_torque, self._clock, sleep)
-
-    def _read_angles(self) -> FloatArray:
-        """(7,) angles of joints with torque and an answer, rad; nan for the others."""
-        address, length = MOTION_SPAN
-        self._senses += 1
-        found = self._bus.sync_read(self.angles.ids, address, length + self._senses % 2)
-        self._fed()
-        accepted = self.angles.update(
-            {ident: data[:length] for ident, data in found.items()}, self._clock()
+    def __init__(
+        self, servos: Sequence[ServoConfig], head: HeadModel, *, reports_speed: bool = True
+    ) -> None:
+        self._head, self._reports_speed = head, reports_speed
+        self.slots = np.array([servo.slot for servo in servos], dtype=np.intp)
+        self._scale = np.array([servo.sign / servo.gear_ratio for servo in servos])
+        self._zero_rad = np.array([servo.zero * servo.unit_rad for servo in servos])
+        lower, upper = (
+            np.array([getattr(servo, name) for servo in servos])
+            for name in ("lower_rad", "upper_rad")
         )
-        angles = np.full(7, np.nan)
-        for servo in self._config.servos:
-            if servo.id in accepted and not self.released[servo.slot]:
-                angles[servo.slot] = self.angles.angles[servo.slot]
-        return angles
+        self._middle, self._turn = 0.5 * (lower + upper), 2.0 * np.pi * np.abs(self._scale)
+        self.angles, self.speeds = np.zeros(7), np.zeros(7)
+        self.lower, self.upper = self.by_slot(lower), self.by_slot(upper)
+        self.has_servo = np.isin(np.arange(7), self.slots)
+        self._estimated_s = self._accepted_s = np.full(len(servos), np.nan)
+        self._accepted = np.zeros(len(servos))
+        self._fastest = _MAX_SPEED_RATIO * head.actuation.velocity[self.slots]
 
-    def send(self, velocity: FloatArray) -> FloatArray:
-        """Send velocities to the servos; return the quantised ones; both (7,) rad/s."""
-        ticks, sent = self.angles.velocities_to_ticks(velocity)
-        self._bus.sync_write(table.GOAL_VELOCITY, ticks)
-        self._fed()
-        return sent
+    def by_slot(self, values: FloatArray) -> FloatArray:
+        """(7,) values of which each servo's is given, (n,); 0 in slots without one."""
+        out = np.zeros(7, dtype=values.dtype)
+        out[self.slots] = values
+        return out
 
-    def _fed(self) -> None:
-        """Note that a packet was sent, and update the longest time without one."""
-        now = self._clock()
-        self._pause_s = max(self._pause_s, now - self._fed_s)
-        self._fed_s = now
+    def of_servos(self, values: FloatArray) -> FloatArray:
+        """(n,) values of the servos, from (7,) by slot."""
+        return np.asarray(values[self.slots])
+
+    def ages_s(self, now_s: float) -> FloatArray:
+        """(7,) time since the last accepted answer of each servo, s; 0 in slots without one."""
+        return self.by_slot(now_s - self._accepted_s)
 
     @property
-    def pause_s(self) -> float:
-        """Longest pause between packets since the last call of `watchdog_trip_pause_s`, s."""
-        return max(self._pause_s, self._clock() - self._fed_s)
+    def all_reported(self) -> bool:
+        """True if each servo has reported its angle."""
+        return not np.isnan(self._accepted_s).any()
 
-    def watchdog_trip_pause_s(self) -> float:
-        """Longest pause between packets since the last call if a watchdog tripped, else 0, s."""
-        pause_s, self._pause_s = self.pause_s, 0.0
-        if pause_s < _PAUSE_FRACTION * self._config.bus.watchdog_s:
-            return 0.0
-        state = [
-            ask_again(partial(self._bus.read, one, table.BUS_WATCHDOG), requests=2)
-            for one in self.angles.ids
-        ]
-        self._fed_s = self._clock()
-        return pause_s if table.WATCHDOG_TRIPPED in state else 0.0
+    def update(self, reading: ServoReading) -> BoolArray:
+        """Update angles and speeds; a joint without an answer continues at its speed.
 
-    def abandon(self) -> None:
-        """Release the line, and leave the servos as they are."""
-        self._bus.close()
-
-    def close(self, sleep: Callable[[float], None] = time.sleep) -> None:
-        """Stop the servos as far as the line still allows, and release it.
-
-        Joints that do not come to rest, as `settle` reads, lose their torque.
-
-        Args:
-            sleep: waits for some seconds.
+        Returns:
+            (n,) True for the servos whose answers are accepted.
         """
-        with suppress(HardwareError):
-            self._stand_still()
-            if self._torque:
-                self.settle(sleep)
-        for ident in self.angles.ids:
-            with suppress(HardwareError):
-                stop_and_disable_watchdog(self._bus, ident)
-        try:
-            self._put_back()
-        finally:
-            self._bus.close()
+        old, speeds = self.of_servos(self.angles), self.of_servos(self.speeds)
+        answered = np.isfinite(reading.ages_s) & np.isfinite(reading.angles)
+        age_s = np.where(answered, reading.ages_s, 0.0)
+        # the equivalent angle nearest to the middle of the joint's range
+        found = (reading.angles - self._zero_rad) * self._scale
+        found = found - self._turn * np.rint((found - self._middle) / self._turn)
+        since_s = reading.time_s - age_s - self._accepted_s  # nan before the first answer
+        told = reading.speeds * self._scale if self._reports_speed else np.zeros_like(found)
+        first = np.isnan(since_s)
+        possible = np.abs(told) <= self._fastest + 1.0
+        possible &= np.abs(found - old) <= _EXTRA_MOTION_RAD + self._fastest * since_s
+        accepted = answered & (first | possible)
+        if not self._reports_speed:
+            weight = np.where(first, 0.0, since_s / (since_s + _SPEED_FILTER_S))
+            slope = (found - self._accepted) / np.where(since_s > 0.0, since_s, np.inf)
+            told = speeds + weight * (slope - speeds)
+        # after a longer silence the caller stops the head, or no read took place
+        ahead_s = np.minimum(reading.time_s - self._estimated_s, SILENT_S)
+        ahead = old + speeds * np.nan_to_num(ahead_s)
+        self.angles = self.by_slot(np.where(accepted, found + told * age_s, ahead))
+        self.speeds = self.by_slot(np.where(accepted, told, speeds))
+        self._accepted = np.where(accepted, found, self._accepted)
+        self._accepted_s = np.where(accepted, reading.time_s - age_s, self._accepted_s)
+        self._estimated_s = np.full(len(found), reading.time_s)
+        return np.asarray(accepted)
+
+    def joint_angles_and_speeds(self) -> tuple[FloatArray, FloatArray]:
+        """(7,) angles and (7,) speeds of the joints, rad and rad/s."""
+        actuation = self._head.actuation
+        q, v = actuation.joints_of(self.angles), self.speeds.copy()
+        if not actuation.direct:
+            v[EYES] = actuation.to_joints @ self.speeds[EYES]
+        rest = self._head.rest()
+        q[NECK] = np.where(self.has_servo[NECK], q[NECK], rest[NECK])
+        return q, v
+
+    def shaft_speeds(self, velocity: FloatArray) -> FloatArray:
+        """(n,) speeds of the shafts, rad/s, for (7,) velocities of the actuators, rad/s."""
+        return np.asarray(self.of_servos(velocity) / self._scale)
+
+    def velocities(self, shaft_speeds: FloatArray) -> FloatArray:
+        """(7,) velocities of the actuators, rad/s, of (n,) speeds of the shafts, rad/s."""
+        return self.by_slot(shaft_speeds * self._scale)

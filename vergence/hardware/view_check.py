@@ -21,9 +21,9 @@ from scipy.optimize import least_squares
 from vergence.envs.reading import Image
 from vergence.envs.streams import IntArray
 from vergence.errors import Finding
-from vergence.hardware.config import HardwareConfig, ServoConfig
-from vergence.hardware.servo_angles import ServoAngles
-from vergence.hardware.start import PROOF_RAD, PROOF_TIMEOUT_S, GoalNotReachedError, drive_to
+from vergence.hardware.approach import PROOF_RAD, PROOF_TIMEOUT_S, GoalNotReachedError, drive_to
+from vergence.hardware.config import HardwareConfig
+from vergence.hardware.servos import JointAngles, ServoConfig
 from vergence.models.camera import Camera
 from vergence.models.head import HeadModel
 from vergence.models.parts import EYE_NAMES, NECK, FloatArray
@@ -149,7 +149,7 @@ def range_by_size(head: HeadModel, eye: int, found: BoardDetection | Detection) 
 
 def turn_each_joint(
     config: HardwareConfig,
-    angles: ServoAngles,
+    angles: JointAngles,
     send_velocities: Callable[[FloatArray], float],
     last_sent: Callable[[], FloatArray],
     look: Callable[[float], tuple[FloatArray, FloatArray]],
@@ -159,7 +159,7 @@ def turn_each_joint(
     Args:
         config: the robot.
         angles: present angles of the servos; `send_velocities` updates them.
-        send_velocities: see `vergence.hardware.start.drive_to`.
+        send_velocities: see `vergence.hardware.approach.drive_to`.
         last_sent: returns the (7,) velocities that it sent last, rad/s.
         look: returns `pixels` and `ranges_m` of a `Posture` from images after a time, s.
 
@@ -185,7 +185,7 @@ def turn_each_joint(
         rows.clear()
         rested_s = np.nan
         with suppress(GoalNotReachedError):  # for example if a forbidden posture is in the way
-            rested_s = drive_to(goal, config.servos, angles, send, PROOF_TIMEOUT_S)
+            rested_s = drive_to(goal, config, angles, send, timeout_s=PROOF_TIMEOUT_S)
         times = np.array([row[0] for row in rows])
         speeds = np.array([(sent[slot], told[slot]) for _, sent, told in rows])
         # a command that is late by more is replaced by rest

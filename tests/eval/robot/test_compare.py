@@ -14,8 +14,7 @@ from vergence.eval.comparison.lineup import resolve_lineup
 from vergence.eval.robot.judge import robot_settle_bounds
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.hardware.config import load_hardware
-from vergence.hardware.loop import loop_variation
+from vergence.hardware.config import load_hardware, loop_variation
 from vergence.models.toml_table import toml_text
 from vergence.reporting.jobs import SerialMapper
 

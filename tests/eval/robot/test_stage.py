@@ -10,7 +10,7 @@ from tests.hardware.desk import desk_config
 from vergence.errors import ConfigurationError
 from vergence.eval.robot.stage import make_stage
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.hardware.config_parts import MeasuredTarget
+from vergence.hardware.config import MeasuredTarget
 from vergence.hardware.plant import HardwarePlant
 from vergence.vision.targets import parse_target
 

@@ -1,36 +1,45 @@
 """Checks of the servos before torque, on emulated servos behind a pseudo-terminal."""
 
 import dataclasses
+import time
 from contextlib import closing
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.hardware.desk import desk_config, ready_servos
+from tests.hardware.fakes import HEAD
 from tests.naming import named
 from vergence.errors import ChecksFailedError, HardwareError
-from vergence.hardware.checks.line import (
-    check_exchange_fits_period,
+from vergence.hardware.checks.listing import check_servos, raise_errors
+from vergence.hardware.dynamixel import checks as dynamixel_checks
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.checks import (
+    check_exchange,
     check_latency_timer,
     exchange_time_s,
     open_bus,
 )
-from vergence.hardware.checks.servos import check_servos, raise_errors
-from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
-from vergence.hardware.servo_memory import describe_fault_bits
+from vergence.hardware.dynamixel.control_table import describe_fault_bits
+from vergence.hardware.safety.limits import ForbiddenPosture, SafetyConfig
+
+
+def opened(config):
+    servos = config.make_servos(time.monotonic)
+    servos.open()
+    servos._bus.single_timeout_s = 0.01
+    return servos
 
 
 @pytest.fixture
-def check(serve, tmp_path):
+def check(serve):
     buses = []
 
     def of(own, config=lambda config: config, **options):
-        served = serve(own)
-        bus = Bus(served.port, single_timeout_s=0.01)
-        buses.append(bus)
-        return check_servos(config(desk_config(served.port)), bus, sysfs=str(tmp_path), **options)
+        robot = config(desk_config(serve(own).port))
+        buses.append(opened(robot))
+        return check_servos(robot, buses[-1], **options)
 
     yield of
     for bus in buses:
@@ -132,11 +141,12 @@ def test_a_noisy_line_is_not_taken_for_equal_ids(serve):
     def damage(_packet, answers):
         return answers[:-1] + b"\0" if rng.random() < 0.2 else answers
 
-    bus = Bus(serve(ready_servos(), alter=damage).port, single_timeout_s=0.01)
-    found = check_servos(desk_config(bus.port), bus)
-    bus.close()
+    config = desk_config(serve(ready_servos(), alter=damage).port)
+    servos = opened(config)
+    found, damaged = check_servos(config, servos), servos._bus.damaged_packets
+    servos.close()
     assert found == []
-    assert bus.damaged_packets > 5
+    assert damaged > 5
 
 
 def test_a_servo_without_a_watchdog_is_an_error(check, monkeypatch):
@@ -196,8 +206,7 @@ def test_an_exchange_takes_its_bytes_delays_and_latency():
 
 
 def test_a_line_too_slow_for_the_control_period_is_an_error():
-    config = desk_config("/dev/ttyNONE", baud_rate=57_600)
-    (finding,) = check_exchange_fits_period(config, dict.fromkeys("abcd", 0))
+    (finding,) = check_exchange(line("/dev/ttyNONE", 57_600), HEAD, 4, dict.fromkeys("abcd", 0))
     assert not finding.warning
     said = "within 60% of the control period of 16.7 ms, got 22.2 ms at 57600 baud"
     assert said in finding.problem
@@ -212,6 +221,10 @@ def test_return_delays_that_take_a_tenth_of_the_period_are_a_warning(check):
     assert "left_pan 250" in finding.problem
     own[0].set(table.RETURN_DELAY_TIME, 0)
     assert check(own) == []
+
+
+def line(port, baud):
+    return SimpleNamespace(port=port, line=SimpleNamespace(baud=baud))
 
 
 def fake_adapter(folder, latency_ms):
@@ -233,23 +246,23 @@ def test_an_adapter_that_holds_bytes_back_is_a_warning(tmp_path):
 
 
 def test_an_adapters_latency_counts_into_the_period(tmp_path):
-    port = fake_adapter(tmp_path, 16)
-    (finding,) = check_exchange_fits_period(desk_config(port), {}, str(tmp_path))
+    slow = line(fake_adapter(tmp_path, 16), 1_000_000)
+    (finding,) = check_exchange(slow, HEAD, 4, {}, str(tmp_path))
     assert "16 ms the adapter's latency" in finding.problem
     assert "ttyUSB7/latency_timer, or a control_rate_hz of 34 at most" in finding.cure
 
 
 def test_a_port_that_is_not_there_is_told_with_those_that_are(monkeypatch):
-    monkeypatch.setattr("vergence.hardware.checks.line.glob", lambda _pattern: ["/dev/ttyUSB3"])
+    monkeypatch.setattr(dynamixel_checks, "glob", lambda _pattern: ["/dev/ttyUSB3"])
     with pytest.raises(ChecksFailedError, match=r"no such device; cure: .*: /dev/ttyUSB3"):
-        open_bus(desk_config("/dev/ttyNONE").bus)
+        open_bus("/dev/ttyNONE", 1_000_000)
 
 
 def test_a_port_that_somebody_has_open_is_told_with_the_cure(serve):
-    config = desk_config(serve(ready_servos()).port).bus
+    config = serve(ready_servos()).port, 1_000_000
     said = "another process has open; cure: .*fuser"
-    with closing(open_bus(config)), pytest.raises(ChecksFailedError, match=said):
-        open_bus(config)
+    with closing(open_bus(*config)), pytest.raises(ChecksFailedError, match=said):
+        open_bus(*config)
 
 
 def test_faults_are_told_in_words():

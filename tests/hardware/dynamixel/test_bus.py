@@ -9,7 +9,7 @@ import pytest
 from tests.hardware.line import make_servo
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel.bus import REQUESTS, Bus
 from vergence.hardware.dynamixel.packets import Instruction, status_packet
 
 # A thread that serves may be late on a machine that is busy: only what waits in vain waits briefly.
@@ -72,7 +72,7 @@ def test_a_servo_that_is_silent_is_named(serve, connect):
     expected = f"id 4 on {served.port}: expected an answer to a read of MODEL_NUMBER within 20 ms"
     with pytest.raises(HardwareError, match=f"^{expected}, got none$"):
         bus.read(4, table.MODEL_NUMBER)
-    assert bus.missed_answers == 1
+    assert bus.missed_answers == REQUESTS
 
 
 def test_an_answer_that_came_late_is_not_taken_for_the_next(serve, connect):
@@ -81,7 +81,7 @@ def test_an_answer_that_came_late_is_not_taken_for_the_next(serve, connect):
     late = status_packet(1, bytes((99, 0)))  # as long as the answer to come
     for part in (late, late[:8]):
         served.send(part)
-        assert select.select([bus.line._fd], [], [], 5.0)[0]
+        assert select.select([bus.line._serial.fd], [], [], 5.0)[0]
         assert bus.read(1, table.MODEL_NUMBER) == 1060
     assert bus.stale.total() == 1
 

@@ -8,8 +8,7 @@ import pytest
 from benchmarks.safety import POLICIES, Joints, exceeded
 from tests.naming import named
 from vergence import load_head
-from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
-from vergence.hardware.safety.motion import JointMotionLimiter
+from vergence.hardware.safety.limits import ForbiddenPosture, JointMotionLimiter, SafetyConfig
 
 NIGHTLY = [pytest.mark.nightly]
 TURRETS = load_head("turrets")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
+from vergence.hardware.safety.limits import ForbiddenPosture, SafetyConfig
 from vergence.hardware.safety.supervisor import RobotState, Supervisor, Verdict
 
 HEAD = load_head("turrets")

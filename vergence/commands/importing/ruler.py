@@ -78,7 +78,7 @@ class ImportRuler(HeadOutput):
     def run(self) -> int:
         """Run the command."""
         from vergence.commands.importing.shown import print_measured_head
-        from vergence.hardware.dynamixel.control_table import MODELS
+        from vergence.hardware.dynamixel.servos import DynamixelServos
         from vergence.models.head_file import check_head_name, parse_head
         from vergence.models.ruler import ruler_to_toml
 
@@ -93,7 +93,7 @@ class ImportRuler(HeadOutput):
         self.write(text, head)
         print_measured_head(head, self.out)
         self.print_paths()
-        servo = f" --servo {ruler.servo.name}" if ruler.servo.name in MODELS.values() else ""
+        servo = f" --servo {ruler.servo.name}" if ruler.servo.name in DynamixelServos.models else ""
         robot = "robot.toml" if self.out.name == "desk.toml" else "desk.toml"
         head_option = f"--head {shlex.quote(str(self.out))}"
         print(

@@ -27,8 +27,7 @@ from vergence.eval.comparison.contestants import (
 from vergence.eval.trials.loops import TICK_RAD_S
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.eval.tuning.objective import tune_baseline
-from vergence.hardware.config import HardwareConfig, load_hardware
-from vergence.hardware.loop import loop_variation
+from vergence.hardware.config import HardwareConfig, load_hardware, loop_variation
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head, presets
 from vergence.reporting.jobs import Mapper

@@ -25,8 +25,7 @@ from vergence.eval.trials.run import (
 )
 from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.trials.settling import bands_with_bound
-from vergence.hardware.config import HardwareConfig
-from vergence.hardware.loop import loop_variation
+from vergence.hardware.config import HardwareConfig, loop_variation
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.log import LoggedTrial
@@ -122,7 +121,7 @@ def robot_settle_bounds(
     """Time-optimal bounds of trials on a robot, from its known or measured loop.
 
     The time of the first image that shows the target is the trial's own. The motion from there is
-    simulated with the model's joints and the measured loop, see `vergence.hardware.loop`.
+    simulated with the model's joints and the measured loop, see `vergence.hardware.config`.
 
     Args:
         hardware: the robot.

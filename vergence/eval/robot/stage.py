@@ -16,8 +16,7 @@ from vergence.envs.plant import Plant
 from vergence.envs.targets.motion import fixation_angles
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import BaseScenario
-from vergence.hardware.config import HardwareConfig
-from vergence.hardware.config_parts import MeasuredTarget
+from vergence.hardware.config import HardwareConfig, MeasuredTarget
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.parts import FloatArray
 

@@ -1,18 +1,18 @@
-"""All checks of a robot as a list of parts, each with its description and its problems."""
+"""All checks of a robot before it moves: its servos, its posture and its cameras."""
 
-from contextlib import suppress
+import time
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
 
 from vergence.errors import ChecksFailedError, Finding, HardwareError
 from vergence.hardware.checks.cameras import camera_requests, check_cameras
-from vergence.hardware.checks.line import open_bus
-from vergence.hardware.checks.registers import joint_angle_from_registers
-from vergence.hardware.checks.servos import check_servos
-from vergence.hardware.config import HardwareConfig, ServoConfig
-from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.config import HardwareConfig
 from vergence.hardware.emulator.client import WorldClient
-from vergence.hardware.servo_memory import model_name, read_memory
+from vergence.hardware.servos import JointAngles, Servos
+
+_JOINT_LIMIT_TOLERANCE_RAD: Final = 0.02
+"""Tolerance of a joint's limits, rad, for sagging and backlash of the gears (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +32,80 @@ class CheckedPart:
         return all(finding.warning for finding in self.findings)
 
 
+def raise_errors(findings: Iterable[Finding]) -> list[Finding]:
+    """Raise an error if a finding is one; return the warnings otherwise.
+
+    Raises:
+        ChecksFailedError: a finding is an error; it holds the warnings too.
+    """
+    findings = list(findings)
+    if not all(finding.warning for finding in findings):
+        raise ChecksFailedError(findings)
+    return findings
+
+
+def check_servos(
+    config: HardwareConfig, servos: Servos, *, check_joint_in_limits: bool = True
+) -> list[Finding]:
+    """Find all problems of open servos before they get torque. Nothing is written to them.
+
+    Args:
+        config: the robot.
+        servos: its servos, open.
+        check_joint_in_limits: True to check that joints are within their limits; False while
+            zeros are being set.
+
+    Raises:
+        HardwareError: the line is gone.
+    """
+    findings = servos.check()
+    if servos.stops_alone_after_s is None:
+        findings.append(
+            Finding(
+                part="bus",
+                problem="expected servos that stop by themselves when nobody speaks, got ones that "
+                "nothing stops: if this process dies, they turn on",
+                cure="keep a switch of their power at hand",
+                warning=True,
+            )
+        )
+    if check_joint_in_limits:
+        findings += _posture(config, servos)
+    return findings
+
+
+def _posture(config: HardwareConfig, servos: Servos) -> list[Finding]:
+    """Joints out of their limits, and a forbidden posture."""
+    angles = JointAngles(config.servos, config.head)
+    reading = servos.read()
+    read = angles.update(reading)
+    found = angles.angles.copy()
+    findings = []
+    for place, servo in enumerate(config.servos):
+        angle_rad = float(found[servo.slot])
+        if not read[place]:
+            found[servo.slot] = float("nan")
+            continue
+        beyond_rad = max(servo.lower_rad - angle_rad, angle_rad - servo.upper_rad)
+        if beyond_rad > _JOINT_LIMIT_TOLERANCE_RAD:
+            position = servo.position_text(float(reading.angles[place]))
+            findings.append(
+                Finding(
+                    part=f"servos: {servo.name}",
+                    problem=f"expected an angle of {servo.lower_rad:.3f} to {servo.upper_rad:.3f} "
+                    f"rad, got {angle_rad:.3f} rad (position {position})",
+                    cure=f"turn it by hand with torque off, or mend {servo.zero_key}: "
+                    "`vergence jog`",
+                )
+            )
+    for posture in config.safety.forbidden:
+        if posture.contains(found):
+            problem = posture.refusal(found, config.slots)
+            cure = "turn it out of there by hand with torque off"
+            findings.append(Finding(part="safety", problem=problem, cure=cure))
+    return findings
+
+
 def check_robot(config: HardwareConfig) -> list[CheckedPart]:
     """Check the line, each servo and each camera. Nothing is written to a servo.
 
@@ -48,22 +122,29 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
         try:
             WorldClient(config.emulator_address).close()
         except HardwareError as error:
-            return [_no_emulator(str(error))]
-    there = {"bus": f"{config.bus.port} at {config.bus.baud_rate} baud"}
-    for servo in config.servos:
-        there[f"servos: {servo.name}"] = ""
+            problem = str(error).removeprefix("emulator: ")
+            cure = "start `vergence emulate --out` anew, which writes its port and streams of then"
+            finding = Finding(part="emulator", problem=problem, cure=cure)
+            return [CheckedPart(name="emulator", description="", findings=(finding,))]
+    there = {"bus": "", **{f"servos: {servo.name}": "" for servo in config.servos}}
+    servos = config.make_servos(time.monotonic)
     try:
-        bus = open_bus(config.bus)
+        servos.open()
     except ChecksFailedError as error:
         findings = list(error.findings)
+        there |= servos.describe()
     else:
         try:
-            findings = check_servos(config, bus)
-            for servo in config.servos:
-                with suppress(HardwareError):
-                    there[f"servos: {servo.name}"] = _servo(config, servo, bus)
+            findings = check_servos(config, servos)
+            there |= servos.describe()
+            angles = JointAngles(config.servos, config.head)
+            for servo, known in zip(config.servos, angles.update(servos.read()), strict=True):
+                if known:
+                    told = there[f"servos: {servo.name}"]
+                    at = f"at {angles.angles[servo.slot]:.3f} rad"
+                    there[f"servos: {servo.name}"] = f"{told}, {at}" if told else at
         finally:
-            bus.close()
+            servos.close()
     states, found = check_cameras(camera_requests(config))
     findings += found
     for camera in config.cameras:
@@ -81,21 +162,3 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
         )
         for part, what in there.items()
     ]
-
-
-def _no_emulator(problem: str) -> CheckedPart:
-    finding = Finding(
-        part="emulator",
-        problem=problem.removeprefix("emulator: "),
-        cure="start `vergence emulate --out` anew, which writes its port and streams of then",
-    )
-    return CheckedPart(name=finding.part, description="", findings=(finding,))
-
-
-def _servo(config: HardwareConfig, servo: ServoConfig, bus: Bus) -> str:
-    memory = read_memory(bus, servo.id)
-    volts = 0.1 * memory.get(table.PRESENT_INPUT_VOLTAGE)
-    celsius = memory.get(table.PRESENT_TEMPERATURE)
-    angle = joint_angle_from_registers(config, servo, memory)
-    name = model_name(memory.get(table.MODEL_NUMBER))
-    return f"{name}, id {servo.id}, {volts:.1f} V, {celsius} C, at {angle:.3f} rad"

@@ -155,7 +155,7 @@ def _turn(
             yield requested
         yield from np.zeros((quiet, 7))
 
-    task.plant.exercise(all_of_them())
+    task.plant.robot.exercise(all_of_them())
     samples = collector.samples(name, slot, config.cameras[eye].latency_s)
     return _Turn(eye, slot, samples, exposed, reply_s)
 

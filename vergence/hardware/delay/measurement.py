@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.hardware.config_parts import LoopConfig
+from vergence.hardware.config import LoopConfig
 from vergence.hardware.delay.image_fit import ImageFit
 from vergence.hardware.delay.joint_fit import JointFit
 

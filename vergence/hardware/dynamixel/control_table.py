@@ -86,41 +86,8 @@ PRESENT_POSITION: Final = Register("PRESENT_POSITION", 132, 4, signed=True)
 PRESENT_INPUT_VOLTAGE: Final = Register("PRESENT_INPUT_VOLTAGE", 144, 2)
 PRESENT_TEMPERATURE: Final = Register("PRESENT_TEMPERATURE", 146, 1)
 
-REGISTERS: Final = (
-    MODEL_NUMBER,
-    FIRMWARE_VERSION,
-    ID,
-    BAUD_RATE,
-    RETURN_DELAY_TIME,
-    DRIVE_MODE,
-    OPERATING_MODE,
-    SECONDARY_ID,
-    PROTOCOL_TYPE,
-    HOMING_OFFSET,
-    TEMPERATURE_LIMIT,
-    MAX_VOLTAGE_LIMIT,
-    MIN_VOLTAGE_LIMIT,
-    PWM_LIMIT,
-    VELOCITY_LIMIT,
-    MAX_POSITION_LIMIT,
-    MIN_POSITION_LIMIT,
-    SHUTDOWN,
-    TORQUE_ENABLE,
-    STATUS_RETURN_LEVEL,
-    HARDWARE_ERROR_STATUS,
-    VELOCITY_I_GAIN,
-    VELOCITY_P_GAIN,
-    BUS_WATCHDOG,
-    GOAL_PWM,
-    GOAL_VELOCITY,
-    PROFILE_ACCELERATION,
-    PROFILE_VELOCITY,
-    GOAL_POSITION,
-    MOVING,
-    PRESENT_VELOCITY,
-    PRESENT_POSITION,
-    PRESENT_INPUT_VOLTAGE,
-    PRESENT_TEMPERATURE,
+REGISTERS: Final = tuple(
+    one for one in list(globals().values()) if isinstance(one, Register) and one != PRESENT_LOAD
 )
 """Registers that each of `MODELS` has, by address."""
 
@@ -221,3 +188,58 @@ def factory_velocity_gains(number: int) -> tuple[tuple[int, int], ...]:
     if name.startswith(("XL330", "XC330")):
         return (1600, 180), (1200, 40)
     return ((1920, 100),)
+
+
+REGISTER_SPANS: Final = (
+    (0, 14),
+    (20, 4),
+    (31, 7),
+    (44, 4),
+    (63, 2),
+    (68, 3),
+    (76, 4),
+    (120, 27),
+)
+"""Addresses and lengths of the spans that are read; their registers exist without gaps in all
+models (physical: Dynamixel X series)."""
+MOTION_SPAN: Final = (
+    PRESENT_VELOCITY.address,
+    PRESENT_VELOCITY.length + PRESENT_POSITION.length,
+)
+"""Address and length of the present velocity and, directly after it, the present position."""
+PRESENT_VALUES_SPAN: Final = REGISTER_SPANS[-1]
+"""Span of present load, velocity, position, voltage and temperature. It begins with the servo's own
+clock, so that answers of two servos differ even where all else is alike."""
+_FAULT_BIT_TEXTS: Final = {
+    0: "input voltage",
+    2: "overheating",
+    3: "motor encoder",
+    4: "electrical shock",
+    5: "overload",
+}
+"""Bits of HARDWARE_ERROR_STATUS, after ROBOTIS's manuals."""
+
+
+class ServoMemory:
+    """Copies of spans of a servo's control table: bytes by first address."""
+
+    def __init__(self, spans: dict[int, bytes]) -> None:
+        self._spans = spans
+
+    def get(self, register: Register) -> int:
+        """Value of a register, which has to lie in one of the spans."""
+        for address, data in self._spans.items():
+            if address <= register.address and register.end <= address + len(data):
+                return register.decode(data[register.address - address : register.end - address])
+        raise KeyError(register.name)
+
+
+def describe_fault_bits(errors: int) -> str:
+    """Describe the bits of HARDWARE_ERROR_STATUS in words."""
+    bits = [bit for bit in range(8) if errors >> bit & 1]
+    return ", ".join(_FAULT_BIT_TEXTS.get(bit, f"unknown fault {bit}") for bit in bits)
+
+
+def model_name(number: int) -> str:
+    """Name of a model, or its number if it is not in `MODELS`."""
+    return MODELS.get(number, f"model {number}")

@@ -7,18 +7,146 @@ latches: from then on all commands brake, until the plant is released.
 
 from collections import deque
 from enum import Enum
+from math import cos, pi, sin, sqrt, tan
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from vergence.envs.reading import BoolArray
-from vergence.hardware.safety.config import SafetyConfig
 from vergence.hardware.safety.following import FollowingMonitor
-from vergence.hardware.safety.motion import JointMotionLimiter, find_containing_posture
-from vergence.hardware.safety.oscillation import OscillationDetector
-from vergence.hardware.safety.searching import SpiralSearch
+from vergence.hardware.safety.limits import (
+    JointMotionLimiter,
+    SafetyConfig,
+    find_containing_posture,
+)
 from vergence.models.head import HeadModel
-from vergence.models.parts import EYE_NAMES, EYES, FloatArray
+from vergence.models.parts import EYE_NAMES, EYES, NECK, FloatArray
+
+_MIN_HALF_SWING_RAD: Final = 0.02
+"""Least half swing, rad: a target that jitters by 10 px moves a webcam's eye less (chosen)."""
+_MIN_PEAK_SPEED_RAD_S: Final = 0.3
+"""Least peak speed of a half swing, taken as a sinusoid, rad/s (chosen)."""
+_OSCILLATION_HALF_SWINGS: Final = 8
+"""Half swings of one joint in the window that count as an oscillation: four cycles (chosen)."""
+_WINDOW_S: Final = 4.0
+"""Length of the window, s (chosen)."""
+
+
+class OscillationDetector:
+    """Detector of eye joints that swing to and fro although their goal rests."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Reset all counts."""
+        self._side = np.zeros(4)
+        self._turned = np.full(4, np.nan)
+        self._turned_s = np.zeros(4)
+        self._farthest = np.full(4, np.nan)
+        self._least_goal = np.full(4, np.inf)
+        self._most_goal = np.full(4, -np.inf)
+        self._counted: list[deque[float]] = [deque() for _ in range(4)]
+
+    def find_oscillating_joint(
+        self, now_s: float, angles: FloatArray, goals: FloatArray
+    ) -> int | None:
+        """Update the counts with new angles and goals.
+
+        Args:
+            now_s: present time, s.
+            angles: (4,) angles of the eye joints, rad.
+            goals: (4,) angles at which they look straight at the target, rad; nan if unknown.
+
+        Returns:
+            Index of a joint that oscillates, 0 to 3; None if there is none.
+        """
+        self._least_goal = np.fmin(self._least_goal, goals)
+        self._most_goal = np.fmax(self._most_goal, goals)
+        for joint in range(4):
+            self._look(now_s, joint, float(angles[joint]), float(goals[joint]))
+            counted = self._counted[joint]
+            while counted and now_s - counted[0] > _WINDOW_S:
+                counted.popleft()
+            if len(counted) >= _OSCILLATION_HALF_SWINGS:
+                return joint
+        return None
+
+    def _look(self, now_s: float, joint: int, angle: float, goal: float) -> None:
+        side, farthest = self._side[joint], self._farthest[joint]
+        if np.isnan(farthest):
+            self._turned[joint] = self._farthest[joint] = angle
+            return
+        if side == 0.0:
+            if abs(angle - farthest) > _MIN_HALF_SWING_RAD:
+                self._side[joint] = np.sign(angle - farthest)
+                self._farthest[joint], self._turned_s[joint] = angle, now_s
+            return
+        if side * (angle - farthest) >= 0.0:
+            self._farthest[joint] = angle
+            return
+        if side * (farthest - angle) < _MIN_HALF_SWING_RAD:
+            return
+        half, time_s = abs(farthest - self._turned[joint]), now_s - self._turned_s[joint]
+        went = max(self._most_goal[joint] - self._least_goal[joint], 0.0)
+        if 0.5 * pi * half > _MIN_PEAK_SPEED_RAD_S * time_s and went < 0.5 * half:
+            self._counted[joint].append(now_s)
+        self._side[joint] = -side
+        self._turned[joint], self._turned_s[joint] = farthest, now_s
+        self._farthest[joint] = angle
+        self._least_goal[joint] = self._most_goal[joint] = goal
+        if np.isnan(goal):
+            self._least_goal[joint], self._most_goal[joint] = np.inf, -np.inf
+
+
+_FIXATION_DISTANCE_M: Final = 1.0
+"""Distance of the fixation point along z, m (chosen)."""
+_SPIRAL_PITCH_RAD: Final = 0.15
+"""Distance between two turns of the spiral, rad: a quarter of a webcam's height (chosen)."""
+_MAX_RADIUS_RAD: Final = 0.7
+"""Radius at which the spiral restarts at its centre, rad (chosen)."""
+_SPIRAL_SPEED_RAD_S: Final = 0.4
+"""Speed along the spiral, rad/s: a short exposure still shows the target (chosen)."""
+_GAIN: Final = 4.0
+"""Gain of the joints towards the point of the spiral, 1/s (chosen)."""
+
+
+class SpiralSearch:
+    """A slow spiral of the gaze.
+
+    Args:
+        head: the model of the head.
+    """
+
+    def __init__(self, head: HeadModel) -> None:
+        self._head = head
+        self._goal = head.actuation.actuators_of(head.rest())
+
+    def velocities(self, time_s: float, angles: FloatArray, joints: FloatArray) -> FloatArray:
+        """Velocities along the spiral.
+
+        Args:
+            time_s: time since the search began, s.
+            angles: (7,) present angles of neck and actuators, rad.
+            joints: (7,) present joint angles, rad.
+
+        Returns:
+            (7,) requested velocities, rad/s.
+        """
+        # an Archimedean spiral r = c phi: its arc is about c phi^2 / 2
+        pitch = _SPIRAL_PITCH_RAD / (2.0 * pi)
+        phi = sqrt(2.0 * _SPIRAL_SPEED_RAD_S * time_s / pitch) % (_MAX_RADIUS_RAD / pitch)
+        across, along = pitch * phi * cos(phi), pitch * phi * sin(phi)
+        point = _FIXATION_DISTANCE_M * np.array([tan(across), tan(along), 1.0])
+        goal = self._head.fixate(point, joints[NECK], warn=False)
+        if np.isfinite(goal).all():
+            self._goal = self._head.actuation.actuators_of(goal)
+        requested = np.clip(
+            _GAIN * (self._goal - angles), -2.0 * _SPIRAL_SPEED_RAD_S, 2.0 * _SPIRAL_SPEED_RAD_S
+        )
+        requested[NECK] = 0.0
+        return np.asarray(requested)
+
 
 OSCILLATION_REASON: Final = "policy: expected joints that come to rest at a target that rests"
 """Beginning of the stop's reason if the policy makes the head oscillate."""
@@ -312,3 +440,31 @@ class Supervisor:
             return np.zeros(7)
         self.verdict = Verdict.SEARCH
         return self._search.velocities(lost_s, state.actuator_angles, state.joint_angles)
+
+
+_ASSUMED_DISTANCE_M: Final = 1.0
+"""Assumed distance of the target from each camera, m: a turning camera moves near and far targets
+alike in the image (chosen: a usual working distance)."""
+
+
+def target_eye_angles(head: HeadModel, q: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Goals of the four eye joints by one Newton step, which is exact at the goal itself.
+
+    Args:
+        head: the model of the head.
+        q: (7,) joint angles at the exposure, rad.
+        pixels: (2, 2) raw pixels of the target; nan if it is not visible to an eye.
+
+    Returns:
+        (4,) goal angles, rad; nan for the joints of an eye to which it is not visible.
+    """
+    ideal = head.undistort(pixels)
+    jacobian = head.image_jacobian(q, ideal, np.full(2, _ASSUMED_DISTANCE_M))
+    goals = np.full(4, np.nan)
+    for eye in range(2):
+        own = slice(EYES.start + 2 * eye, EYES.start + 2 * eye + 2)
+        if np.isfinite(pixels[eye]).all():
+            missing = head.cameras.principal[eye] - ideal[eye]
+            turn, *_ = np.linalg.lstsq(jacobian[eye][:, own], missing)
+            goals[2 * eye : 2 * eye + 2] = q[own] + turn
+    return goals

@@ -13,7 +13,13 @@ from typing import Final
 
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel.bus import REQUESTS, Bus
+from vergence.hardware.dynamixel.control_table import (
+    REGISTER_SPANS,
+    ServoMemory,
+    describe_fault_bits,
+    model_name,
+)
 from vergence.hardware.dynamixel.packets import (
     BROADCAST,
     MOST_ID,
@@ -21,8 +27,6 @@ from vergence.hardware.dynamixel.packets import (
     PacketParser,
     instruction_packet,
 )
-from vergence.hardware.dynamixel.repeated import REQUESTS, ping_again
-from vergence.hardware.servo_memory import REGISTER_SPANS, ServoMemory, read_memory
 
 ALL_BAUD_RATES: Final = (57_600, 1_000_000, *(set(table.BAUD_RATES) - {57_600, 1_000_000}))
 """All baud rates, first the factory default and the usual one (physical: Dynamixel X series)."""
@@ -30,6 +34,15 @@ _WAIT_PER_ID_S: Final = 3e-3
 """Longest wait of a servo per lower id, s (physical: ROBOTIS's SDK)."""
 _STATUS_BYTES: Final = 14
 """Length of the answer to a ping, bytes (physical: Protocol 2.0)."""
+_MODES: Final = {
+    0: "current",
+    1: "velocity",
+    3: "position",
+    4: "extended position",
+    5: "current-based position",
+    16: "PWM",
+}
+"""Names of the values of OPERATING_MODE."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +57,25 @@ class FoundServo:
     """MODEL_NUMBER."""
     memory: ServoMemory | None
     """Its registers; None if it does not return them, or its model is not supported."""
+
+    def row(self) -> list[str]:
+        """Id, model, firmware, baud rate, mode, torque, volts, Celsius, position and faults."""
+        known = [str(self.id), model_name(self.model_number)]
+        if self.memory is None:
+            return [*known, "", str(self.baud_rate), "", "", "", "", "", ""]
+        get = self.memory.get
+        mode = get(table.OPERATING_MODE)
+        return [
+            *known,
+            str(get(table.FIRMWARE_VERSION)),
+            str(self.baud_rate),
+            _MODES.get(mode, str(mode)),
+            "on" if get(table.TORQUE_ENABLE) else "off",
+            f"{0.1 * get(table.PRESENT_INPUT_VOLTAGE):.1f}",
+            str(get(table.PRESENT_TEMPERATURE)),
+            str(get(table.PRESENT_POSITION)),
+            describe_fault_bits(get(table.HARDWARE_ERROR_STATUS)) or "-",
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,17 +160,17 @@ def _everybody(bus: Bus, wait_per_id_s: float) -> tuple[list[int], int]:
 
 
 def _found(bus: Bus, ident: int, rate: int) -> FoundServo | None:
-    model = ping_again(bus, ident)
+    model = bus.ping(ident, REQUESTS)
     if model is None:
         return None
     memory = None
     if model in table.MODELS:
         with suppress(HardwareError):  # it answers pings only
-            memory = read_memory(bus, ident, REGISTER_SPANS[:1])
+            memory = bus.read_memory(ident, REGISTER_SPANS[:1])
             if not _has_rate(memory, rate):
                 return None
             memory = None  # servos of one id may agree in this span alone
-            memory = read_memory(bus, ident)
+            memory = bus.read_memory(ident)
     return FoundServo(id=ident, baud_rate=rate, model_number=model, memory=memory)
 
 
