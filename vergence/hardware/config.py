@@ -178,6 +178,7 @@ def actuator_slots(head: HeadModel) -> dict[str, int]:
     return slots | {name: NECK.stop + i for i, name in enumerate(head.actuation.names)}
 
 
+_MILLISECONDS: Final = "(is it in milliseconds?)"
 _WATCHDOG_PERIODS: Final = 3
 """Least watchdog time, control periods: one late period must not trip it (chosen)."""
 _ID: Final[Rule] = (lambda x: 0 <= x <= 252, "a servo's id, 0 to 252")
@@ -185,30 +186,42 @@ _BAUD: Final[Rule] = (lambda x: 9600 <= x <= 10_500_000, "a baud rate, 9600 to 1
 _ZERO_TICKS: Final[Rule] = (lambda x: 0 <= x <= 4095, "ticks of the servo's position, 0 to 4095")
 _ZERO_RAD: Final[Rule] = (lambda x: abs(x) <= 100.0, "the shaft's angle, rad (is it in degrees?)")
 _SIGN: Final[Rule] = (lambda x: x in (1, -1), "1 or -1")
-_GEAR: Final[Rule] = (
-    lambda x: 0.01 <= x <= 100.0,
-    "turns of the servo per turn of the joint, 0.01 to 100",
-)
+_TURNS: Final = "turns of the servo per turn of the joint, 0.01 to 100"
+_GEAR: Final[Rule] = (lambda x: 0.01 <= x <= 100.0, _TURNS)
 _WATCHDOG: Final[Rule] = (
     lambda x: 0.02 <= x <= 2.54,
-    "seconds in steps of the servos' 20 ms, 0.02 to 2.54 (is it in milliseconds?)",
+    f"seconds in steps of the servos' 20 ms, 0.02 to 2.54 {_MILLISECONDS}",
 )
-_LATENCY: Final[Rule] = (lambda x: 0.0 <= x < 2.0, "seconds, 0 to 2 (is it in milliseconds?)")
+_LATENCY: Final[Rule] = (lambda x: 0.0 <= x < 2.0, f"seconds, 0 to 2 {_MILLISECONDS}")
 _EXPOSURE: Final[Rule] = (
     lambda x: 1e-4 <= x <= 0.5,
-    "seconds in steps of a camera's 100 us, 0.0001 to 0.5 (is it in milliseconds?)",
+    f"seconds in steps of a camera's 100 us, 0.0001 to 0.5 {_MILLISECONDS}",
 )
+_PAIRING: Final[Rule] = (lambda x: 0.0 < x < 1.0, f"seconds, 0 to 1 {_MILLISECONDS}")
+_PAIRING_FRAME_FRACTION: Final = 0.75
+"""Greatest time between the exposures of a pair, as a fraction of the frame period: a half, so that
+images of unsynchronised cameras always find a partner, and a quarter for jitter (chosen)."""
 _COORDINATE_MM: Final[Rule] = (lambda x: abs(x) <= 100_000.0, "mm, up to 100 m")
 _LEAST_TARGET_DISTANCE_MM: Final = 20.0
 """Least distance of a target from the origin of the neck frame, mm (chosen)."""
 _NEAREST_TEXT: Final = "mm, at least 20 mm from the neck frame's origin (is it in metres?)"
 _PORT: Final = "the device file of the serial line, such as /dev/ttyUSB0"
+_FORMAT: Final = "four letters, such as MJPG"
 _CAMERA_NUMBERS: Final = 256
 """Number of cameras that Linux can number on one machine (physical: a limit of Linux)."""
 _SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 1e4, "a standard deviation, 0 or more")
 _TARGET: Final = "a target, such as tag:36h11:5:120"
 _SOURCE: Final = "a camera's number, its device file or a URL"
 _ADDRESS: Final = "HOST:PORT of an emulated head"
+_LOOP_VALUES: Final = ("command_latency_s", "lag_s", "speed_gain", "computing_s")
+_LOOP_OPTIONAL: Final = ("backlash_rad", "jitter_s", "acceleration_ratio")
+_DIGITS: Final = 4
+"""Significant digits of the measured values in the file (chosen)."""
+
+
+def _numbers(table: Table, rules: Mapping[str, Rule]) -> dict[str, float]:
+    """Values of those keys that are there."""
+    return {name: table.number(name, rule) for name, rule in rules.items() if table.has(name)}
 
 
 class MistakeCollector:
@@ -234,37 +247,23 @@ class MistakeCollector:
 
 
 def read_bus(table: Table, head: HeadModel | None, path: str) -> BusConfig:
-    """Read the `bus` table.
-
-    Raises:
-        HeadFileError: a key is missing, unknown or impossible; the other readers raise it too.
-        ConfigurationError: a bus of somebody's own cannot be imported, or takes no such option.
-    """
     kind = "dynamixel"
     if table.has("kind"):
         expected = f"{', '.join(KINDS)}, or module:class of your own bus"
         kind = table.text("kind", expected)
-        if not is_entry_point(kind) and kind not in KINDS:
-            raise HeadFileError(table.key("kind"), kind, expected)
+        table.expect(is_entry_point(kind) or kind in KINDS, "kind", kind, expected)
     if kind not in KINDS:
         return _own_bus(table, kind, path)
     port = table.text("port", _PORT)
-    if not port.isprintable():
-        raise HeadFileError(table.key("port"), port, _PORT)
-    baud_rate, watchdog_s = BusConfig.baud_rate, BusConfig.watchdog_s
-    if table.has("baud_rate"):
-        baud_rate = table.integer("baud_rate", _BAUD)
-    if table.has("watchdog_s"):
-        watchdog_s = table.number("watchdog_s", _WATCHDOG)
-        least_s = 0.0 if head is None else _WATCHDOG_PERIODS * head.timing.period_s
-        if head is not None and watchdog_s < least_s:
-            raise HeadFileError(
-                table.key("watchdog_s"),
-                watchdog_s,
-                f"at least {_WATCHDOG_PERIODS} control periods of {head.name}, {least_s:.3g} s",
-            )
+    table.expect(port.isprintable(), "port", port, _PORT)
+    rate = table.integer("baud_rate", _BAUD) if table.has("baud_rate") else BusConfig.baud_rate
+    times = _numbers(table, {"watchdog_s": _WATCHDOG})
+    if times and head is not None:
+        least_s = _WATCHDOG_PERIODS * head.timing.period_s
+        asked = f"at least {_WATCHDOG_PERIODS} control periods of {head.name}, {least_s:.3g} s"
+        table.expect(times["watchdog_s"] >= least_s, "watchdog_s", times["watchdog_s"], asked)
     table.close()
-    return BusConfig(kind=kind, port=port, baud_rate=baud_rate, watchdog_s=watchdog_s)
+    return BusConfig(kind=kind, port=port, baud_rate=rate, **times)
 
 
 def _own_bus(table: Table, kind: str, path: str) -> BusConfig:
@@ -303,8 +302,7 @@ def read_servos(
                 if slots is None
                 else table.choice("name", list(slots))
             )
-            if name in names:
-                raise HeadFileError(table.key("name"), name, "each joint once")
+            table.expect(name not in names, "name", name, "each joint once")
             names.append(name)
             ident = table.integer("id", _ID)
             if ident in ids:
@@ -333,30 +331,22 @@ def _servo(
         zero = table.number("zero_rad", _ZERO_RAD)
     sign = table.integer("sign", _SIGN)
     gear_ratio = table.number("gear_ratio", _GEAR) if table.has("gear_ratio") else 1.0
-    lower, upper = (-np.pi, np.pi) if head is None else _range_of(head, slot)
+    lower, upper = -np.pi, np.pi
+    if head is not None:
+        lower, upper = float(head.actuation.lower[slot]), float(head.actuation.upper[slot])
     limits = {"lower_rad": lower, "upper_rad": upper}
-    for key in limits:
-        if not table.has(key):
-            continue
-        limits[key] = table.number(key, RADIANS)
-        if head is not None and not lower <= limits[key] <= upper:
-            raise HeadFileError(
-                table.key(key),
-                limits[key],
-                f"an angle within the head's limits, {lower:g} to {upper:g} rad",
-            )
-    if not limits["lower_rad"] < limits["upper_rad"]:
-        raise HeadFileError(
-            table.key("upper_rad"), limits["upper_rad"], f"more than {limits['lower_rad']:g} rad"
-        )
-    turns = gear_ratio * (limits["upper_rad"] - limits["lower_rad"]) / (2.0 * np.pi)
-    if head is not None and turns > 1.0:
-        raise HeadFileError(
-            table.key("gear_ratio"),
-            gear_ratio,
-            "a range of at most one turn of the servo, which knows its angle within a turn alone "
-            f"when it is switched on (this one makes {turns:.2f})",
-        )
+    for key, value in _numbers(table, dict.fromkeys(limits, RADIANS)).items():
+        asked = f"an angle within the head's limits, {lower:g} to {upper:g} rad"
+        table.expect(head is None or lower <= value <= upper, key, value, asked)
+        limits[key] = value
+    lower, upper = limits.values()
+    table.expect(lower < upper, "upper_rad", upper, f"more than {lower:g} rad")
+    turns = gear_ratio * (upper - lower) / (2.0 * np.pi)
+    asked = (
+        "a range of at most one turn of the servo, which knows its angle within a turn alone "
+        f"when it is switched on (this one makes {turns:.2f})"
+    )
+    table.expect(head is None or turns <= 1.0, "gear_ratio", gear_ratio, asked)
     table.close()
     return ServoConfig(
         name=name,
@@ -370,41 +360,20 @@ def _servo(
     )
 
 
-def _range_of(head: HeadModel, slot: int) -> tuple[float, float]:
-    return float(head.actuation.lower[slot]), float(head.actuation.upper[slot])
-
-
 def read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
     """Read the table of one eye's camera."""
     source = table.take("source", _SOURCE)
-    if not _is_source(source):
-        raise HeadFileError(table.key("source"), source, _SOURCE)
-    pixel_format, exposure_s = "", None
-    latency_s = 0.0 if head is None else head.timing.latency_s
-    if table.has("pixel_format"):
-        pixel_format = table.text("pixel_format", "four letters, such as MJPG")
-        if re.fullmatch(r"[ -~]{4}", pixel_format) is None:
-            raise HeadFileError(
-                table.key("pixel_format"), pixel_format, "four letters, such as MJPG"
-            )
-    if table.has("latency_s"):
-        latency_s = table.number("latency_s", _LATENCY)
-    if table.has("exposure_s"):
-        exposure_s = table.number("exposure_s", _EXPOSURE)
-        if head is not None and exposure_s > head.timing.frame_s:
-            raise HeadFileError(
-                table.key("exposure_s"),
-                exposure_s,
-                f"at most the time between two frames of {head.name}, {head.timing.frame_s:.3g} s",
-            )
+    table.expect(_is_source(source), "source", source, _SOURCE)
+    pixel_format = table.text("pixel_format", _FORMAT) if table.has("pixel_format") else ""
+    fits = re.fullmatch(r"([ -~]{4})?", pixel_format)
+    table.expect(fits, "pixel_format", pixel_format, _FORMAT)
+    values = {"latency_s": 0.0 if head is None else head.timing.latency_s}
+    values |= _numbers(table, {"latency_s": _LATENCY, "exposure_s": _EXPOSURE})
+    if head is not None and (exposure_s := values.get("exposure_s", 0.0)) > head.timing.frame_s:
+        asked = f"at most the time between two frames of {head.name}, {head.timing.frame_s:.3g} s"
+        raise HeadFileError(table.key("exposure_s"), exposure_s, asked)
     table.close()
-    return CameraConfig(
-        eye=eye,
-        source=str(source),
-        pixel_format=pixel_format,
-        latency_s=latency_s,
-        exposure_s=exposure_s,
-    )
+    return CameraConfig(eye=eye, source=str(source), pixel_format=pixel_format, **values)
 
 
 def _is_source(value: object) -> bool:
@@ -420,27 +389,16 @@ def _is_source(value: object) -> bool:
     )
 
 
-_LOOP_VALUES: Final = (
-    "command_latency_s",
-    "lag_s",
-    "speed_gain",
-    "computing_s",
-)
-_LOOP_OPTIONAL: Final = ("backlash_rad", "jitter_s", "acceleration_ratio")
-
-
 def read_loop(table: Table) -> LoopConfig:
     """Read the `loop` table: the measured loop."""
     values = {name: table.number(name, _loop_rule(name)) for name in _LOOP_VALUES}
-    for name in _LOOP_OPTIONAL:
-        if table.has(name):
-            values[name] = table.number(name, _loop_rule(name))
+    values |= _numbers(table, {name: _loop_rule(name) for name in _LOOP_OPTIONAL})
     measured = table.text("measured", "the day of the measurement")
     sigma = {}
     if table.has("sigma"):
         part = table.table("sigma")
         names = (*_LOOP_VALUES, *_LOOP_OPTIONAL, "latency_s")
-        sigma = {name: part.number(name, _SIGMA) for name in names if part.has(name)}
+        sigma = _numbers(part, dict.fromkeys(names, _SIGMA))
         part.close()
     table.close()
     return LoopConfig(measured=measured, sigma=sigma, **values)
@@ -470,19 +428,17 @@ def read_measured_targets(
             # the size of a tag does not distinguish it from others
             seen = str((target.family, target.id) if isinstance(target, AprilTag) else target)
             if seen in key_of_target:
-                raise HeadFileError(
-                    table.key("target"), text, f"another target than {key_of_target[seen]}"
-                )
+                asked = f"another target than {key_of_target[seen]}"
+                raise HeadFileError(table.key("target"), text, asked)
             key_of_target[seen] = table.key("target")
             point = table.numbers("point_mm", (3,), _COORDINATE_MM)
-            if np.linalg.norm(point) < _LEAST_TARGET_DISTANCE_MM:
-                raise HeadFileError(table.key("point_mm"), point.tolist(), _NEAREST_TEXT)
+            far = np.linalg.norm(point) >= _LEAST_TARGET_DISTANCE_MM
+            table.expect(far, "point_mm", point.tolist(), _NEAREST_TEXT)
             table.close()
             targets.append(MeasuredTarget(target=target, point=point / 1000.0))
     if len(tables) == 1:
-        mistakes.found.append(
-            HeadFileError("places", 1, "two or more, between which the eyes turn")
-        )
+        asked = "two or more, between which the eyes turn"
+        mistakes.found.append(HeadFileError("places", 1, asked))
     return tuple(targets)
 
 
@@ -490,8 +446,8 @@ def read_emulator(table: Table) -> tuple[str, bool]:
     """Read HOST:PORT of the emulated head, and the flag `places_targets`."""
     address = table.text("address", _ADDRESS)
     host_port = re.fullmatch(r"[^:\s]+:([0-9]{1,5})", address)
-    if host_port is None or not 1 <= int(host_port[1]) <= 65535:
-        raise HeadFileError(table.key("address"), address, _ADDRESS)
+    fits = host_port is not None and 1 <= int(host_port[1]) <= 65535
+    table.expect(fits, "address", address, _ADDRESS)
     places_targets = not table.has("places_targets") or table.boolean("places_targets")
     table.close()
     return address, places_targets
@@ -506,11 +462,6 @@ __all__ = [
     "load_hardware",
     "refuse_other_head",
 ]
-
-_PAIRING_FRAME_FRACTION: Final = 0.75
-"""Greatest time between the exposures of a pair, as a fraction of the frame period: a half, so that
-images of unsynchronised cameras always find a partner, and a quarter for jitter (chosen)."""
-_TOLERANCE_RULE: Final[Rule] = (lambda x: 0.0 < x < 1.0, "seconds, 0 to 1 (is it in milliseconds?)")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -680,8 +631,8 @@ def _cameras(
     """Read the cameras, left one first, and the pairing tolerance, s; mistakes are left out."""
     tolerance_s = 0.0 if head is None else _PAIRING_FRAME_FRACTION * head.timing.frame_s
     with mistakes:
-        if table.has("pairing_tolerance_s"):
-            tolerance_s = table.number("pairing_tolerance_s", _TOLERANCE_RULE)
+        found = _numbers(table, {"pairing_tolerance_s": _PAIRING})
+        tolerance_s = found.get("pairing_tolerance_s", tolerance_s)
     cameras = []
     for eye, name in enumerate(EYE_NAMES):
         with mistakes:
@@ -720,10 +671,6 @@ def _target(table: Table, path: str) -> GazeTarget:
         return parse_gaze_target(text)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error
-
-
-_DIGITS: Final = 4
-"""Significant digits of the measured values in the file (chosen)."""
 
 
 def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) -> None:
