@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from vergence import load_head
 from vergence.hardware.config import ServoConfig, actuator_slots
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.servo import EmulatedServo
+from vergence.hardware.emulator.world import ServoLine
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servo_memory import MOTION_SPAN
 

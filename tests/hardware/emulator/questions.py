@@ -3,7 +3,7 @@
 from tests.hardware.line import make_servo
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import Instruction, PacketParser, instruction_packet
-from vergence.hardware.emulator.line import ServoLine
+from vergence.hardware.emulator.world import ServoLine
 
 
 def ask(line, now_s, sent):

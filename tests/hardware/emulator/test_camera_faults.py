@@ -13,9 +13,8 @@ import pytest
 
 from tests.naming import named
 from vergence.errors import HardwareError
-from vergence.hardware.emulator.camera_faults import CameraFaults
-from vergence.hardware.emulator.fault import parse_fault
-from vergence.hardware.emulator.streams import EmulatedCameras, StreamConfig, make_stream_server
+from vergence.hardware.emulator.faults import CameraFaults, parse_fault
+from vergence.hardware.emulator.server import EmulatedCameras, StreamConfig, make_stream_server
 
 
 def grey(value):

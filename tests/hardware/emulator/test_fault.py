@@ -7,7 +7,7 @@ import pytest
 from tests.commands.test_failures import call
 from tests.naming import named
 from vergence.errors import HeadFileError
-from vergence.hardware.emulator.fault import load_faults, parse_fault
+from vergence.hardware.emulator.faults import load_faults, parse_fault
 
 IDS = (1, 2, 3, 4)
 

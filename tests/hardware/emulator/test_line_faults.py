@@ -3,9 +3,8 @@
 import numpy as np
 
 from vergence.hardware.dynamixel.packets import PacketParser, status_packet
-from vergence.hardware.emulator.fault import parse_fault
-from vergence.hardware.emulator.line import TimedAnswer
-from vergence.hardware.emulator.line_faults import apply_line_faults
+from vergence.hardware.emulator.faults import parse_fault
+from vergence.hardware.emulator.world import TimedAnswer, apply_line_faults
 
 ANSWERS = [TimedAnswer(id, 0.0, status_packet(id, b"abcd")) for id in (1, 2, 3)]
 

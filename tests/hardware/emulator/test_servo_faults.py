@@ -13,8 +13,8 @@ from vergence.hardware.dynamixel.packets import (
     Packet,
     instruction_packet,
 )
-from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.servo import EmulatedServo
+from vergence.hardware.emulator.world import ServoLine
 
 PING = instruction_packet(1, Instruction.PING)
 REBOOT = instruction_packet(1, Instruction.REBOOT)

@@ -21,7 +21,7 @@ from vergence.hardware.dynamixel.packets import (
     PacketParser,
     instruction_packet,
 )
-from vergence.hardware.emulator.line import ServoLine
+from vergence.hardware.emulator.world import ServoLine
 
 NOBODY = instruction_packet(100, Instruction.PING)
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.hardware.emulator.questions import read, turning, write
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.trace import REST_RAD_S, rest_start_and_top_speed
+from vergence.hardware.emulator.servo import REST_RAD_S, rest_start_and_top_speed
 
 
 def stopping():

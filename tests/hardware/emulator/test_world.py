@@ -14,10 +14,13 @@ from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.board import parse_sized_board, tilted_board_pose
 from vergence.hardware.emulator.client import WorldClient
-from vergence.hardware.emulator.emulator import hardware_config_values
-from vergence.hardware.emulator.server import EmulatorServer
+from vergence.hardware.emulator.server import (
+    EmulatorServer,
+    hardware_config_values,
+    parse_sized_board,
+    tilted_board_pose,
+)
 from vergence.hardware.emulator.world import MotorOptions, World
 from vergence.models.head_file import head_to_toml
 from vergence.models.toml_table import toml_text

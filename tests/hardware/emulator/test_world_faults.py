@@ -9,7 +9,7 @@ from vergence import load_head
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import BROADCAST, Instruction, Packet
-from vergence.hardware.emulator.fault import parse_fault
+from vergence.hardware.emulator.faults import parse_fault
 from vergence.hardware.emulator.world import World
 
 RATE = 1_000_000

@@ -77,7 +77,7 @@ class WorldClient:
         self.ask({"begin": now_s})
 
     def begin_fault(self, **request: Any) -> float:
-        """Begin a fault, see `vergence.hardware.emulator.fault`.
+        """Begin a fault, see `vergence.hardware.emulator.faults`.
 
         Returns:
             Time at which it began, s of the monotonic clock.

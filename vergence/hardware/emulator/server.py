@@ -15,20 +15,117 @@ A client sends one JSON object per line and receives one. The object's only key 
 Times are those of the monotonic clock.
 """
 
+import heapq
 import json
 import logging
+import multiprocessing
+import os
+import re
 import selectors
 import socket
+import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, fields
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from math import inf
 from typing import Any, Final
+from urllib.parse import parse_qs
 
-from vergence.errors import ConfigurationError, HeadFileError
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.envs.plants.cameras import BoardImageRenderer, RoomImageRenderer
+from vergence.envs.reading import Image
+from vergence.errors import ConfigurationError, HardwareError, HeadFileError
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.control_table import BAUD_RATES
 from vergence.hardware.dynamixel.packets import PacketParser
-from vergence.hardware.emulator.fault import parse_fault
-from vergence.hardware.emulator.terminal import PseudoTerminal
-from vergence.hardware.emulator.world import World
+from vergence.hardware.emulator.client import WorldClient
+from vergence.hardware.emulator.config import EmulatorConfig
+from vergence.hardware.emulator.faults import CameraFaults, load_faults, parse_fault
+from vergence.hardware.emulator.world import MotorOptions, World
+from vergence.models.head import HeadModel
+from vergence.models.head_file import absolute_source, head_to_toml, load_head, parse_head
+from vergence.models.parts import EYE_NAMES, FloatArray
+from vergence.models.perturbation import ModelErrors
+from vergence.models.toml_table import toml_text
+from vergence.vision.objects.scenes import Scene, parse_scene
+from vergence.vision.targets import PlanarTarget, TagFamily, make_planar_target, parse_target
+
+_MAX_READ_BYTES: Final = 4096
+"""Most bytes of one read (numerical)."""
+
+
+class PseudoTerminal:
+    """The servos' end of a serial line.
+
+    Attributes:
+        fd: the file descriptor to read from; -1 once the cable is pulled.
+        port: the device file of the other end.
+
+    Raises:
+        ConfigurationError: the system has no pseudo-terminals.
+    """
+
+    def __init__(self) -> None:
+        if sys.platform == "win32":
+            raise ConfigurationError(
+                "emulate: expected Linux or macOS, whose pseudo-terminals stand for a serial line"
+            )
+        import tty
+
+        self.fd, self._other = os.openpty()
+        tty.setraw(self._other)
+        self.port = os.ttyname(self._other)
+        self._due: list[tuple[float, int, bytes]] = []
+        self._count = 0
+
+    @property
+    def baud_rate(self) -> int:
+        """Baud rate that the other end has set, see `baud_rate_of`."""
+        return baud_rate_of(self.fd)
+
+    def read(self) -> bytes:
+        """Read the bytes that have arrived."""
+        return os.read(self.fd, _MAX_READ_BYTES)
+
+    def send(self, data: bytes, at_s: float) -> None:
+        """Queue bytes to be sent at a time, see `flush`."""
+        if self.fd < 0:
+            return
+        self._count += 1  # keeps the order of bytes with equal times
+        heapq.heappush(self._due, (at_s, self._count, data))
+
+    @property
+    def due_s(self) -> float:
+        """Time at which the next bytes are due, s; inf for none."""
+        return self._due[0][0] if self._due else inf
+
+    def flush(self, now_s: float) -> None:
+        """Send the bytes that are due."""
+        while self.due_s <= now_s:
+            os.write(self.fd, heapq.heappop(self._due)[2])
+
+    def unplug(self) -> None:
+        """Pull the cable: the other end receives nothing more; a second call does nothing."""
+        self._due.clear()
+        if self.fd >= 0:
+            os.close(self.fd)
+            os.close(self._other)
+            self.fd = self._other = -1
+
+
+def baud_rate_of(fd: int) -> int:
+    """Baud rate set on a terminal, bit/s; 0 for one that servos or the system do not support."""
+    import termios
+
+    speed = termios.tcgetattr(fd)[5]
+    return next((rate for rate in BAUD_RATES if getattr(termios, f"B{rate}", -1) == speed), 0)
+
 
 _LOG: Final = logging.getLogger(__name__)
 _BITS_PER_BYTE: Final = 10
@@ -205,3 +302,383 @@ class _Lines:
         if not data:
             self._selector.unregister(self._connection)
             self._connection.close()
+
+
+_BOARD_OFFSET_M: Final = (0.03, -0.02)
+"""Offset of its centre from the line straight ahead, right and down, m (chosen)."""
+_TILT_RAD: Final = (0.25, -0.3, 0.05)
+"""Rotation vector away from facing the head, rad: a tilted board makes focal lengths observable
+(chosen)."""
+
+
+def parse_sized_board(text: str) -> PlanarTarget:
+    """Parse the description of a board of known size.
+
+    Args:
+        text: the description, see `parse_target`.
+
+    Raises:
+        ConfigurationError: it does not describe one board, or gives no size.
+    """
+    target = parse_target(text)
+    if isinstance(target, TagFamily) or not target.size_known:
+        raise ConfigurationError(
+            "board: expected one board of a known size, such as checkerboard:9x6:24 (inner "
+            f"corners, square in mm), got {text}"
+        )
+    return target
+
+
+def tilted_board_pose(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
+    """Pose of a board ahead of a head at rest, slightly tilted.
+
+    Args:
+        head: the head that looks at the board.
+        target: the board.
+        distance_m: distance of its centre from N's origin along N's z axis, m.
+
+    Returns:
+        (4, 4) pose T_0_T of the board in the fixed frame 0, m.
+    """
+    T_N_T = np.eye(4)
+    T_N_T[:3, :3] = Rotation.from_rotvec(_TILT_RAD).as_matrix()
+    middle = T_N_T[:3, :2] @ target.corners_m.mean(axis=0)
+    T_N_T[:3, 3] = np.array([*_BOARD_OFFSET_M, distance_m]) - middle
+    return np.asarray(head.base_pose(head.rest()) @ T_N_T)
+
+
+_JPEG_QUALITY: Final = 92
+"""JPEG quality, as for webcams (chosen)."""
+_NOISE_EDGE_PX: Final = 16
+"""Edge of the square of noise in a corner of every image, px: two JPEG blocks (chosen)."""
+_NOISE_AMPLITUDE: Final = 32
+"""Amplitude of this noise, grey levels: enough to survive JPEG (chosen)."""
+_BOUNDARY: Final = b"frame"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamConfig:
+    """Timing and noise of the cameras."""
+
+    frame_rate_hz: float
+    """Frame rate, Hz."""
+    latency_s: float
+    """Latency from mid-exposure to the sending of the image, s."""
+    jitter_s: float = 0.0
+    """Greatest random delay of an image beyond the latency, s; uniform."""
+    right_late_s: float = 0.0
+    """Delay of the right camera's exposures after the left one's, s."""
+    seed: int = 0
+    """Random seed of image noise, jitter and camera faults."""
+
+
+class _Stream:
+    """The newest image of one eye, for any number of clients."""
+
+    def __init__(self) -> None:
+        self._new = threading.Condition()
+        self._jpeg, self._count = b"", 0
+        self._exposure_s = 0.0
+        self._ended = False
+
+    def publish(self, jpeg: bytes, exposure_s: float) -> None:
+        """Publish an image; one that a later exposure has overtaken is dropped."""
+        with self._new:
+            if exposure_s >= self._exposure_s:
+                self._jpeg, self._count = jpeg, self._count + 1
+                self._exposure_s = exposure_s
+                self._new.notify_all()
+
+    def end(self, ended: bool) -> None:
+        """Close the stream to all readers, or allow new ones again."""
+        with self._new:
+            self._ended = ended
+            self._new.notify_all()
+
+    def next(self, seen: int) -> tuple[bytes, int] | None:
+        """Wait for an image after number `seen`; return it with its number, None at the end."""
+        with self._new:
+            self._new.wait_for(lambda: self._ended or self._count != seen)
+            return None if self._ended else (self._jpeg, self._count)
+
+    @property
+    def has_ended(self) -> bool:
+        return self._ended
+
+    @property
+    def count(self) -> int:
+        return self._count
+
+
+class EmulatedCameras:
+    """Draws the images of both eyes and publishes them.
+
+    Args:
+        world: source of the joint angles and the target position.
+        views: renderer of the images.
+        config: timing and noise of the cameras.
+        clock: a monotonic clock, s.
+    """
+
+    def __init__(
+        self,
+        world: WorldClient,
+        views: BoardImageRenderer,
+        config: StreamConfig,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.streams = (_Stream(), _Stream())
+        self._world = world
+        self._views = views
+        self._config = config
+        self._clock = clock
+        self._rng = np.random.default_rng(config.seed)
+        self._faults = CameraFaults(np.random.default_rng(config.seed))
+
+    def draw(self) -> tuple[Image, Image]:
+        """Draw both eyes' present images, without faults; fetch the active faults."""
+        state = self._world.ask({"expose": None})
+        self._faults.set_active(parse_fault(plain, (), timed=False) for plain in state["faults"])
+        images = self._views.draw(
+            np.array(state["positions"]),
+            np.array(state["velocities"]),
+            np.array(state["target"]),
+            self._rng,
+            np.array(state["target_velocity"]),
+            state["target_axes"],
+        )
+        for image in images:
+            # a plain background would make successive images identical, as no sensor does
+            corner = image[-_NOISE_EDGE_PX:, :_NOISE_EDGE_PX]
+            corner ^= self._rng.integers(_NOISE_AMPLITUDE, size=corner.shape, dtype=np.uint8)
+        return images
+
+    def run(self) -> None:
+        """Expose, draw and publish until the world ends."""
+        config, period_s = self._config, 1.0 / self._config.frame_rate_hz
+        begun_s, sent_s = self._clock(), [0.0, 0.0]
+        frame = 0
+        while True:
+            right_late_s = config.right_late_s + self._faults.right_exposure_delay_s % period_s
+            together = right_late_s == 0.0
+            for eye in (0,) if together else (0, 1):
+                due_s = begun_s + frame * period_s + eye * right_late_s
+                time.sleep(max(due_s - self._clock(), 0.0))
+                exposed_s = self._clock()
+                images = self.draw()
+                for one in (0, 1) if together else (eye,):
+                    late_s = config.latency_s + config.jitter_s * float(self._rng.random())
+                    late_s += self._faults.send_delay_s(one)
+                    sent_s[one] = max(sent_s[one], exposed_s + late_s)
+                    self._send(one, images[one], exposed_s, sent_s[one])
+            # frames whose time has passed are skipped
+            frame = max(frame + 1, int((self._clock() - begun_s) * config.frame_rate_hz))
+
+    def _send(self, eye: int, new: Image, exposed_s: float, at_s: float) -> None:
+        """Publish an image exposed at one time at another, after applying the faults."""
+        stream = self.streams[eye]
+        stream.end(self._faults.has_ended(eye))
+        image = self._faults.apply_to_image(eye, new)
+        if image is None:
+            return
+        jpeg = _jpeg(image)
+        delay_s = max(at_s - self._clock(), 0.0)
+        timer = threading.Timer(delay_s, stream.publish, (jpeg, exposed_s))
+        timer.daemon = True
+        timer.start()
+
+
+def _jpeg(image: Image) -> bytes:
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+
+
+def make_stream_server(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServer:
+    """Make a server of the streams /left and /right on the loopback; port 0 for any free port.
+
+    A request may limit the number of images: /left?images=90.
+    """
+    streams = dict(zip((f"/{name}" for name in EYE_NAMES), cameras.streams, strict=True))
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.0"
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+        def do_GET(self) -> None:
+            path, _, query = self.path.partition("?")
+            images = parse_qs(query).get("images", ["-1"])[0]
+            stream = streams.get(path)
+            if stream is None or re.fullmatch(r"-1|[0-9]{1,9}", images) is None:
+                self.send_error(404, "expected /left or /right, or /left?images=90")
+                return
+            if stream.has_ended:
+                self.send_error(503, "the stream has ended")
+                return
+            self.send_response(200)
+            self.send_header(
+                "Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY.decode()}"
+            )
+            self.end_headers()
+            seen = stream.count
+            try:
+                self.wfile.write(b"--" + _BOUNDARY + b"\r\n")
+                left = int(images)
+                while left != 0:
+                    left -= 1
+                    newest = stream.next(seen)
+                    if newest is None:
+                        return
+                    jpeg, seen = newest
+                    # the boundary follows the image at once: else a reader waits for the next image
+                    self.wfile.write(
+                        b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(jpeg)
+                        + jpeg
+                        + b"\r\n--"
+                        + _BOUNDARY
+                        + b"\r\n"
+                    )
+            except OSError:  # the reader has disconnected
+                pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+    server.daemon_threads = True
+    return server
+
+
+def run_streams(
+    head_toml: str,
+    config: StreamConfig,
+    world_address: str,
+    port: int,
+    board_text: str | None = None,
+    scene: Scene | None = None,
+) -> None:
+    """Draw and stream until the world ends: the main function of the cameras' process.
+
+    Args:
+        head_toml: the text of the head's file.
+        config: timing and noise of the cameras.
+        world_address: HOST:PORT of the world.
+        port: port of the streams; 0 for any free port.
+        board_text: the board before the head, at its own size; None for a tag whose size in the
+            image does not depend on its distance.
+        scene: the room, and the object in it; None for a board before plain grey.
+    """
+    cv2.setNumThreads(1)
+    model = parse_head(head_toml)
+    client = WorldClient(world_address)
+    if scene is not None:
+        views: BoardImageRenderer = RoomImageRenderer(model, scene)
+    elif board_text is None:
+        views = BoardImageRenderer(model, make_planar_target("tag"), width_rad="fit")
+    else:
+        views = BoardImageRenderer(model, parse_sized_board(board_text))
+    cameras = EmulatedCameras(client, views, config)
+    cameras.draw()  # compiles everything before the first reader
+    server = make_stream_server(cameras, port)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    client.ask({"streams": f"http://127.0.0.1:{server.server_address[1]}"})
+    try:
+        cameras.run()
+    except (HardwareError, KeyboardInterrupt):
+        pass
+    finally:
+        server.shutdown()
+
+
+def emulate(
+    config: EmulatorConfig,
+    on_config_ready: Callable[[str], None],
+    should_stop: Callable[[], bool] = lambda: False,
+    model_errors: ModelErrors | None = None,
+) -> None:
+    """Emulate a head until `should_stop` returns True, or Ctrl-C.
+
+    Args:
+        config: its configuration.
+        on_config_ready: called once when servos and streams answer, with the text of the hardware
+            configuration that a controller needs, see `vergence.hardware.config`.
+        should_stop: polled several times a second.
+        model_errors: model errors of the head that really moves and sees, against that of `config`.
+
+    Raises:
+        VergenceError: there is no such head or board, or the script of faults is invalid.
+        HardwareError: the cameras' process has ended.
+    """
+    head = load_head(config.head)
+    # the same draw as `GazeTask`'s with this seed for its model's
+    true = (
+        head.perturbed(np.random.default_rng(config.seed), model_errors) if model_errors else head
+    )
+    board = None if config.board is None else parse_sized_board(config.board)
+    scene = None
+    if config.scene is not None or config.wall is not None:
+        scene = parse_scene(config.scene or "ball", str(config.wall) if config.wall else None)
+    T_0_T = None if board is None else tilted_board_pose(head, board, config.board_distance_m)
+    point = np.asarray(config.target_mm) / 1000.0
+    motors = MotorOptions(
+        **{field.name: getattr(config, field.name) for field in fields(MotorOptions)}
+    )
+    world = World(true, point, motors, config.seed, T_0_T)
+    if config.faults is not None:
+        world.faults.schedule(load_faults(config.faults, world.ids))
+    server = EmulatorServer(world)
+    streams = StreamConfig(
+        frame_rate_hz=head.timing.frame_rate_hz,
+        latency_s=head.timing.latency_s if config.latency_s is None else config.latency_s,
+        jitter_s=config.jitter_s,
+        right_late_s=config.right_late_s,
+        seed=config.seed,
+    )
+    process = multiprocessing.get_context("spawn").Process(
+        target=run_streams,
+        args=(head_to_toml(true), streams, server.address, config.port, config.board, scene),
+        daemon=True,
+    )
+    process.start()
+    try:
+        server.serve(lambda: bool(server.streams) or not process.is_alive())
+        if server.streams:
+            target = str(board or make_planar_target("tag"))
+            if scene is not None:
+                target = scene.target
+            values = hardware_config_values(
+                absolute_source(config.head), head.digest, world, server, target
+            )
+            on_config_ready(toml_text(values))
+            server.serve(lambda: should_stop() or not process.is_alive())
+        if not should_stop() and not process.is_alive():
+            raise HardwareError("emulate: the process of the cameras has ended")
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.close()
+        process.terminate()
+        process.join()
+
+
+def hardware_config_values(
+    head_source: str, head_digest: str, world: World, server: EmulatorServer, target: str
+) -> dict[str, Any]:
+    """The plain values of a configuration of this emulated head, see `vergence.hardware.config`.
+
+    Args:
+        head_source: the head's preset or file.
+        head_digest: digest of that head.
+        world: the world.
+        server: the server of that world.
+        target: the target before the cameras, see `parse_target`.
+    """
+    return {
+        "head": head_source,
+        "head_digest": head_digest[:16],
+        "target": target,
+        "bus": {"port": server.port, "baud_rate": 1_000_000, "watchdog_s": 0.2},
+        "servos": [
+            {"name": name, "id": servo.id, "zero_ticks": table.CENTRE_TICKS, "sign": 1}
+            for name, servo in world.servos.items()
+        ],
+        "cameras": {name: {"source": f"{server.streams}/{name}"} for name in ("left", "right")},
+        "emulator": {"address": server.address, "places_targets": world.places_targets},
+    }

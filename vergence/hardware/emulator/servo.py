@@ -10,20 +10,360 @@ position is reported within one turn again, as the encoder is absolute within on
 Not emulated, and refused with an error: other modes and the reverse bit of DRIVE_MODE. Gain
 registers have no effect. A servo without friction and gravity moves by the package's joint law, and
 comes to rest with its lag when it loses torque; friction, gravity, a blind encoder or an inverted
-motor need the motor's own loop, see `vergence.hardware.emulator.motor`.
+motor need the motor's own loop, see `vergence.hardware.emulator.servo`.
 """
 
-from math import exp, inf, pi
-from typing import Final
+from array import array
+from bisect import bisect_right
+from collections.abc import Iterable
+from math import cos, exp, inf, pi
+from typing import Final, NamedTuple
 
 from vergence.errors import ConfigurationError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.control_table import TICK_RAD, TICK_RAD_S, Register
 from vergence.hardware.dynamixel.packets import ErrorNumber
-from vergence.hardware.emulator.memory import ControlTable, written_value
-from vergence.hardware.emulator.motor import STEP_S, Motor
-from vergence.hardware.emulator.trace import MotionTrace
 from vergence.models.motion import follow_joint
+
+_TABLE_END: Final = 661
+"""Address after the last register (physical: XL430-W250)."""
+_MAX_READ_BYTES: Final = 256
+"""Most bytes per read: their status fits into a packet with any byte stuffing (chosen)."""
+_MEASUREMENT_ADDRESSES: Final = slice(120, 147)
+"""Addresses of measurements, which nobody writes: REALTIME_TICK to PRESENT_TEMPERATURE (physical:
+Dynamixel X series)."""
+_MAX_EXTENDED_POSITION: Final = 1_048_575
+"""Greatest position in extended position mode, ticks: 256 turns (physical: XL430-W250)."""
+
+_FACTORY_VALUES: Final = {
+    table.MODEL_NUMBER: 1060,
+    table.FIRMWARE_VERSION: 45,
+    table.ID: 1,
+    table.BAUD_RATE: 1,
+    table.RETURN_DELAY_TIME: 250,
+    table.OPERATING_MODE: table.POSITION_MODE,
+    table.SECONDARY_ID: 255,
+    table.PROTOCOL_TYPE: 2,
+    table.TEMPERATURE_LIMIT: 72,
+    table.MAX_VOLTAGE_LIMIT: 140,
+    table.MIN_VOLTAGE_LIMIT: 60,
+    table.PWM_LIMIT: table.FULL_PWM,
+    table.VELOCITY_LIMIT: 265,
+    table.MAX_POSITION_LIMIT: 4095,
+    table.SHUTDOWN: 0b110100,
+    table.STATUS_RETURN_LEVEL: 2,
+    table.VELOCITY_I_GAIN: 1000,
+    table.VELOCITY_P_GAIN: 100,
+    table.GOAL_PWM: table.FULL_PWM,
+    table.PRESENT_INPUT_VOLTAGE: 120,
+    table.PRESENT_TEMPERATURE: 31,
+}
+"""Factory values of an XL430-W250, at 12 V and 31 degrees Celsius; other registers are 0."""
+
+_RANGES: Final = {
+    table.ID: (0, 252),
+    table.BAUD_RATE: (0, len(table.BAUD_RATES) - 1),
+    table.RETURN_DELAY_TIME: (0, 254),
+    table.DRIVE_MODE: (0, 0),
+    table.PROTOCOL_TYPE: (2, 2),
+    table.HOMING_OFFSET: (-1_044_479, 1_044_479),
+    table.TEMPERATURE_LIMIT: (0, 100),
+    table.MAX_VOLTAGE_LIMIT: (60, 140),
+    table.MIN_VOLTAGE_LIMIT: (60, 140),
+    table.PWM_LIMIT: (0, table.FULL_PWM),
+    table.VELOCITY_LIMIT: (0, 2047),
+    table.MAX_POSITION_LIMIT: (0, 4095),
+    table.MIN_POSITION_LIMIT: (0, 4095),
+    table.TORQUE_ENABLE: (0, 1),
+    table.STATUS_RETURN_LEVEL: (0, 2),
+    table.VELOCITY_I_GAIN: (0, 16_383),
+    table.VELOCITY_P_GAIN: (0, 16_383),
+    table.BUS_WATCHDOG: (0, table.WATCHDOG_MOST),
+    table.PROFILE_ACCELERATION: (0, 32_767),
+    table.PROFILE_VELOCITY: (0, 32_767),
+}
+_MODES: Final = (table.VELOCITY_MODE, table.POSITION_MODE, table.EXTENDED_POSITION_MODE)
+_READ_ONLY: Final = (table.MODEL_NUMBER, table.FIRMWARE_VERSION, table.HARDWARE_ERROR_STATUS)
+
+
+class ControlTable:
+    """A control table.
+
+    Args:
+        id: value of the register ID.
+
+    Attributes:
+        bytes: all bytes of the table.
+    """
+
+    def __init__(self, id: int) -> None:
+        self.bytes = bytearray(_TABLE_END)
+        for register, value in _FACTORY_VALUES.items():
+            self.set(register, value)
+        self.set(table.ID, id)
+
+    def get(self, register: Register) -> int:
+        """Value of a register."""
+        return register.decode(self.bytes[register.address : register.end])
+
+    def set(self, register: Register, value: int) -> None:
+        """Set a register, without checks of locks and ranges."""
+        self.bytes[register.address : register.end] = register.encode(value)
+
+    def reboot(self) -> None:
+        """Reset all registers but the EEPROM and the measurements."""
+        measured = self.bytes[_MEASUREMENT_ADDRESSES]
+        self.bytes[table.EEPROM_END :] = bytes(_TABLE_END - table.EEPROM_END)
+        for register, value in _FACTORY_VALUES.items():
+            if register.address >= table.EEPROM_END:
+                self.set(register, value)
+        self.bytes[_MEASUREMENT_ADDRESSES] = measured
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Error number and bytes of the answer to a read instruction."""
+        if not 0 < length <= _MAX_READ_BYTES or address + length > _TABLE_END:
+            return ErrorNumber.DATA_RANGE, b""
+        return 0, bytes(self.bytes[address : address + length])
+
+    def refusal(self, address: int, data: bytes) -> int:
+        """Error number of an instruction to write these bytes; 0 for none."""
+        end = address + len(data)
+        if end > _TABLE_END:
+            return ErrorNumber.DATA_RANGE
+        if not data:
+            return ErrorNumber.DATA_LENGTH
+        locked = address < table.EEPROM_END and self.get(table.TORQUE_ENABLE)
+        if locked or (address < _MEASUREMENT_ADDRESSES.stop and end > _MEASUREMENT_ADDRESSES.start):
+            return ErrorNumber.ACCESS
+        for register in table.REGISTERS:
+            if register.end <= address or end <= register.address:
+                continue
+            if register in _READ_ONLY:
+                return ErrorNumber.ACCESS
+            value = written_value(register, address, data)
+            if value is None:
+                return ErrorNumber.DATA_LENGTH
+            if error := self._out_of_range(register, value):
+                return error
+        return 0
+
+    def _out_of_range(self, register: Register, value: int) -> int:
+        least, most = _RANGES.get(register, (register.least, register.most))
+        if not least <= value <= most:
+            return ErrorNumber.DATA_RANGE
+        if register == table.OPERATING_MODE and value not in _MODES:
+            return ErrorNumber.DATA_RANGE
+        least, most = self._limits(register)
+        return 0 if least <= value <= most else ErrorNumber.DATA_LIMIT
+
+    def _limits(self, register: Register) -> tuple[int, int]:
+        """Range of a goal register under the servo's own settings."""
+        if register == table.GOAL_VELOCITY:
+            limit = self.get(table.VELOCITY_LIMIT)
+            return -limit, limit
+        if register == table.GOAL_PWM:
+            limit = self.get(table.PWM_LIMIT)
+            return -limit, limit
+        if register == table.GOAL_POSITION:
+            mode = self.get(table.OPERATING_MODE)
+            if mode == table.POSITION_MODE:
+                return self.get(table.MIN_POSITION_LIMIT), self.get(table.MAX_POSITION_LIMIT)
+            if mode == table.EXTENDED_POSITION_MODE:
+                return -_MAX_EXTENDED_POSITION, _MAX_EXTENDED_POSITION
+        return register.least, register.most
+
+
+def written_value(register: Register, address: int, data: bytes) -> int | None:
+    """Value that bytes at an address write into a register; None unless they cover all of it."""
+    at = register.address - address
+    if not 0 <= at <= len(data) - register.length:
+        return None
+    return register.decode(data[at : at + register.length])
+
+
+STATIC_RATIO: Final = 1.6
+"""Static friction per Coulomb friction (chosen: of geared servos)."""
+STEP_S: Final = 5e-4
+"""Integration step, s: a tenth of the shortest time constant here (numerical)."""
+_NO_LOAD_RATIO: Final = 1.15
+"""Speed without load, v_0, per greatest speed of the joint (chosen)."""
+_STALL_RATIO: Final = 1.5
+"""Torque at full duty and no speed, per greatest torque, which the current limits (chosen)."""
+_MIN_TIME_CONSTANT_S: Final = 0.02
+"""Least time constant of the motor, s (numerical)."""
+
+
+class Motor:
+    """One motor and its velocity loop.
+
+    Args:
+        lag_s: time constant of the loop, s.
+        acceleration: greatest torque as an acceleration of the joint, rad/s^2; finite.
+        max_speed: greatest speed of the joint, rad/s.
+        friction: Coulomb friction, as a fraction of the greatest torque.
+        gravity: torque of gravity at angle 0, as a fraction of the greatest torque.
+
+    Attributes:
+        integral_s: time constant of the PI's integral, s; at first the motor's, T.
+    """
+
+    def __init__(
+        self,
+        lag_s: float,
+        acceleration: float,
+        max_speed: float,
+        friction: float = 0.0,
+        gravity: float = 0.0,
+    ) -> None:
+        self.friction, self.gravity = friction, gravity
+        self._lag_s, self._acceleration = lag_s, acceleration
+        no_load = _NO_LOAD_RATIO * max_speed
+        self._time_s = max(no_load / (_STALL_RATIO * acceleration), _MIN_TIME_CONSTANT_S)
+        self._full_drive = no_load / self._time_s
+        self.integral_s = self._time_s
+        self._integral = 0.0
+
+    def reset(self, v: float = 0.0) -> None:
+        """Set the integral to that of a steady velocity, rad/s."""
+        self._integral = self._lag_s * v * self.integral_s / self._time_s
+
+    def step(
+        self,
+        q: float,
+        v: float,
+        goal: float | None,
+        step_s: float,
+        *,
+        blind: bool = False,
+        inverted: bool = False,
+        duty: float = 1.0,
+    ) -> tuple[float, float]:
+        """Angle and velocity after a step, rad and rad/s.
+
+        Args:
+            q: angle, rad.
+            v: velocity, rad/s.
+            goal: goal velocity, rad/s; None without torque.
+            step_s: the step, s, at most `STEP_S`.
+            blind: True if the loop sees no motion.
+            inverted: True if the motor turns against its drive.
+            duty: greatest duty, a fraction.
+        """
+        a = self._acceleration
+        if goal is None:
+            self._integral, torque = 0.0, -v / self._lag_s
+        else:
+            error = goal if blind else goal - v
+            drive = (error + self._integral / self.integral_s) / self._lag_s
+            most = duty * self._full_drive
+            if abs(drive) < most or drive * error < 0.0:  # no windup
+                self._integral += error * step_s
+            drive = min(max(drive, -most), most)
+            torque = min(max((-drive if inverted else drive) - v / self._time_s, -a), a)
+        torque -= self.gravity * a * cos(q)
+        friction = self.friction * a
+        if v == 0.0 and abs(torque) <= STATIC_RATIO * friction:
+            return q, 0.0
+        after, slowed = v + torque * step_s, friction * step_s
+        side = 1.0 if (v or torque) > 0.0 else -1.0
+        after -= side * slowed
+        if v and after * v <= 0.0:  # friction holds where the joint turns round
+            after = 0.0
+        return q + 0.5 * (v + after) * step_s, after
+
+
+REST_RAD_S: Final = TICK_RAD_S
+"""Greatest speed at rest: one unit of the servos' speed, 0.024 rad/s (physical: X series)."""
+_MIN_KEPT_SAMPLES: Final = 16_384
+"""Least number of samples kept: 20 s of a joint whose speed always changes (numerical)."""
+
+
+class MotionSample(NamedTuple):
+    """Time, angle and velocity of a joint."""
+
+    time_s: float
+    position_rad: float
+    velocity_rad_s: float
+
+
+class MotionTrace:
+    """Samples of a joint's motion in the last 20 s or more.
+
+    Callers add samples so often that the velocity changes monotonically between two.
+    """
+
+    def __init__(self) -> None:
+        # plain numbers: so many objects would make garbage collection delay the servos' answers
+        self._times, self._positions, self._velocities = array("d"), array("d"), array("d")
+
+    def add(self, time_s: float, position_rad: float, velocity_rad_s: float) -> None:
+        """Add a sample; of samples with equal velocity only the first and the last are kept."""
+        times, positions, velocities = self._times, self._positions, self._velocities
+        if len(times) >= 2 and velocities[-2] == velocities[-1] == velocity_rad_s:
+            times[-1], positions[-1] = time_s, position_rad
+            return
+        if len(times) >= 2 * _MIN_KEPT_SAMPLES:
+            del (
+                times[:_MIN_KEPT_SAMPLES],
+                positions[:_MIN_KEPT_SAMPLES],
+                velocities[:_MIN_KEPT_SAMPLES],
+            )
+        times.append(time_s)
+        positions.append(position_rad)
+        velocities.append(velocity_rad_s)
+
+    def samples_since(self, time_s: float) -> list[MotionSample]:
+        """Samples from a time on, the first one interpolated at that time."""
+        first = bisect_right(self._times, time_s)
+        columns = (self._times[first:], self._positions[first:], self._velocities[first:])
+        moments = [MotionSample(*row) for row in zip(*columns, strict=True)]
+        if first == 0:
+            return moments
+        before = MotionSample(
+            self._times[first - 1], self._positions[first - 1], self._velocities[first - 1]
+        )
+        return [_between(before, moments[0], time_s) if moments else before, *moments]
+
+
+def rest_start_and_top_speed(
+    traces: Iterable[MotionTrace], time_s: float
+) -> tuple[float | None, float]:
+    """Start of the present rest of all joints, and their greatest speed.
+
+    Returns:
+        The earliest time, from `time_s` on, after which no joint was faster than `REST_RAD_S`, or
+        None if one still is; and the greatest speed of any joint since `time_s`, rad/s.
+    """
+    rested_s: float | None = time_s
+    fastest = 0.0
+    for trace in traces:
+        moments = trace.samples_since(time_s)
+        fastest = max([fastest, *(abs(moment.velocity_rad_s) for moment in moments)])
+        own_s = _rested_s(moments, time_s)
+        rested_s = None if rested_s is None or own_s is None else max(rested_s, own_s)
+    return rested_s, fastest
+
+
+def _rested_s(moments: list[MotionSample], time_s: float) -> float | None:
+    speeds = [abs(moment.velocity_rad_s) for moment in moments]
+    last = next((i for i in reversed(range(len(speeds))) if speeds[i] > REST_RAD_S), None)
+    if last is None:
+        return time_s
+    if last == len(speeds) - 1:
+        return None
+    share = (speeds[last] - REST_RAD_S) / (speeds[last] - speeds[last + 1])
+    begun_s = moments[last].time_s
+    return begun_s + share * (moments[last + 1].time_s - begun_s)
+
+
+def _between(before: MotionSample, after: MotionSample, time_s: float) -> MotionSample:
+    share = (time_s - before.time_s) / (after.time_s - before.time_s)
+    return MotionSample(
+        time_s,
+        before.position_rad + share * (after.position_rad - before.position_rad),
+        before.velocity_rad_s + share * (after.velocity_rad_s - before.velocity_rad_s),
+    )
+
 
 POSITION_GAIN: Final = 20.0
 """Gain of the position loop, 1/s: plausible, not taken from a real servo (chosen)."""
