@@ -4,7 +4,7 @@ from contextlib import closing
 
 import pytest
 
-from tests.hardware.emulator.served import Served
+from tests.hardware.emulator.asking import Served
 
 
 @pytest.fixture
